@@ -401,7 +401,7 @@ def diagnose(
     """
     given, prior = robot, prior_parameters(robot)
     warn_of_faults(given, recordings)
-    mounted, amended = set_up(given, [*recordings, *validate])
+    mounted, amended = set_up(given, recordings, validate)
     fitted, unseen = amended[: len(recordings)], amended[len(recordings) :]
     data = split(fitted, unseen, cutoff_hz)
     measured, robot = series(data.train).measured, mounted.robot

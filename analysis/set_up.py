@@ -8,7 +8,7 @@ the bodies known to ±30 %.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -19,6 +19,7 @@ import scipy
 from excitant.analysis.candidates import Observed, observed
 from excitant.identify.faults import Fault, faults_of, repair
 from excitant.identify.faults.fault import PROVEN, SET_UP
+from excitant.identify.faults.set_up import amended, support
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import link_coordinates, link_weights
@@ -116,28 +117,43 @@ class SetUp:
         return self.std["gravity" if effect.family == "static" else effect.joints[0]]
 
 
-def set_up(robot: Robot, recordings: Sequence[Recording]) -> tuple[SetUp, list[Recording]]:
-    """The set-up that recordings show, not yet refined, and the recordings, repaired where need be.
+def set_up(
+    robot: Robot, recordings: Sequence[Recording], validate: Sequence[Recording] = ()
+) -> tuple[SetUp, list[Recording]]:
+    """The set-up that recordings show, not yet refined, and all of them, repaired where need be.
 
-    Of several recordings the longest that shows a fault of the set-up decides.
+    The arm is set up one way: of the set-ups that single recordings show, that which all of them
+    together support most, if those held out do so by themselves.
     """
+    everything = [*recordings, *validate]
+    faults = {each: [f for f in faults_of(robot, each) if _amendable(f)] for each in everything}
+    of_data = {each: [f for f in found if not f.of_the_arm] for each, found in faults.items()}
+
+    def supported(shown: Sequence[Fault], by: Sequence[Recording]) -> float:
+        return sum(support(robot, each, shown, of_data[each]) for each in by)
+
+    shown, most = tuple[Fault, ...](), 0.0
+    for each in (tuple(_of_the_arm(found)) for found in faults.values()):
+        gain = supported(each, everything) if each else 0.0
+        if gain > most and (not validate or supported(each, validate) > 0):
+            shown, most = each, gain
     found, repaired, notes = list[Recording](), dict[str, tuple[Fault, ...]](), list[str]()
-    changed = robot
-    faults = {recording: faults_of(robot, recording) for recording in recordings}
-    for recording in recordings:
-        wrong = [f for f in faults[recording] if f.fault in PROVEN and f.remedies]
+    for recording in everything:
+        wrong = [f for f in (*of_data[recording], *shown) if f.remedies]
         better, said = repair(recording, wrong) if wrong else (recording, ())
         found.append(better)
         if wrong:
             repaired[recording.name] = tuple(wrong)
         notes += [f"{recording.name}: {sentence}" for sentence in said]
-    shown = [r for r in recordings if any(f.fault in SET_UP for f in faults[r])]
-    for fault in faults[max(shown, key=lambda r: r.duration)] if shown else ():
-        if fault.fault == "wrong_mounting":
-            changed = changed.with_gravity(fault.evidence["gravity"])
-        elif fault.fault == "wrong_zero":
-            changed = changed.with_zero(fault.joints[0], fault.evidence["offset"])
-    return SetUp(robot, changed, {}, repaired, tuple(notes)), found
+    return SetUp(robot, amended(robot, shown), {}, repaired, tuple(notes)), found
+
+
+def _amendable(fault: Fault) -> bool:
+    return fault.fault in SET_UP or (fault.fault in PROVEN and bool(fault.remedies))
+
+
+def _of_the_arm(faults: Sequence[Fault]) -> Iterator[Fault]:
+    return (fault for fault in faults if fault.of_the_arm)
 
 
 def refined(found: SetUp, segments: Sequence[Segment], tau: Array, bodies: Array) -> SetUp:

@@ -332,7 +332,34 @@ class Drawing:
         return replace(plant, **changed), Hidden(kind, effect, names, found, shown)
 
     def set_up(self, plant: Plant, kind: str) -> tuple[Plant, Hidden]:
-        """A plant that is set up, or recorded, otherwise than the model has it."""
+        """A plant set up, or recorded, otherwise than the model has it, which clearly shows."""
+        for _ in range(DRAWS):
+            other, found = self._otherwise(plant, kind)
+            if found.size > SIZES[1]:
+                break
+        return other, found
+
+    def misfit(self, plant: Plant) -> float:
+        """Rms of a plant's torque beside what that without effects needs, as it is recorded."""
+
+        def recorded(motion: Trajectory) -> Trajectory:
+            def moved(t: Array, order: int) -> Array:
+                q = motion(t, order)
+                for edit in plant.edits:
+                    q = edit(q, q)[0]
+                return q
+
+            return moved
+
+        wrong = []
+        for motion in self.motions:
+            tau = plant.torque(motion, self.t)
+            for edit in plant.edits:
+                tau = edit(tau, tau)[1]
+            wrong.append(tau - self.plant.torque(recorded(motion), self.t))
+        return float((rms(np.concatenate(wrong)) / self.usual).max())
+
+    def _otherwise(self, plant: Plant, kind: str) -> tuple[Plant, Hidden]:
         rng, names = self.rng, plant.robot.joints
         nv = len(names)
         j, joints, flip = int(rng.integers(nv)), names, np.ones(nv)
@@ -348,13 +375,10 @@ class Drawing:
                 changed, found = {"robot": turned}, {"gravity": turned.gravity}
                 effect = "gravity_direction"
             case "zero position":
-                for _ in range(DRAWS):
-                    j = int(rng.integers(1, nv - 1))  # elsewhere it may not show
-                    angles = [np.pi / 2, -np.pi / 2, np.pi, rng.uniform(-np.pi, np.pi)]
-                    angle = float(rng.choice(angles))
-                    changed, found = {"offset": angle * np.eye(nv)[j]}, {"angle": angle}
-                    if self.size(replace(plant, **changed)) > SIZES[1]:
-                        break
+                j = int(rng.integers(1, nv - 1))  # elsewhere it may not show
+                angles = [np.pi / 2, -np.pi / 2, np.pi, rng.uniform(-np.pi, np.pi)]
+                angle = float(rng.choice(angles))
+                changed, found = {"offset": angle * np.eye(nv)[j]}, {"angle": angle}
                 effect, joints = "encoder_offset", (names[j],)
             case "swapped":
                 order = np.arange(nv)
@@ -373,7 +397,7 @@ class Drawing:
                 changed, found = {"edits": (lambda q, tau: (q * also, tau * flip),)}, {}
                 effect, joints = "wrong_sign", (names[j],)
         other = replace(plant, **changed)
-        return other, Hidden(kind, effect, tuple(joints), found, self.size(other))
+        return other, Hidden(kind, effect, tuple(joints), found, self.misfit(other))
 
 
 def tilted(robot: Robot, rng: Rng, angle: float) -> Robot:

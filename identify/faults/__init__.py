@@ -21,7 +21,15 @@ from excitant.identify.faults.channels import (
     saturation,
     wrapped_counters,
 )
-from excitant.identify.faults.fault import FAULTS, PROVEN, Fault, Log, after_repair, repair
+from excitant.identify.faults.fault import (
+    FAULTS,
+    NO_TORQUE,
+    PROVEN,
+    Fault,
+    Log,
+    after_repair,
+    repair,
+)
 from excitant.identify.faults.modelled import not_measured, poor_excitation
 from excitant.identify.faults.physics import smooth, torque_fit, velocity_faults
 from excitant.identify.faults.set_up import physics_faults
@@ -33,7 +41,6 @@ __all__ = ["FAULTS", "Checked", "Fault", "Log", "find_copies", "find_faults", "r
 __all__ += ["faults_of", "repair"]
 
 _SHORTEST = 50  # samples: fewer prove nothing
-_NO_TORQUE = "dead_channel", "tau"
 _known = WeakKeyDictionary[Recording, tuple[Robot, tuple[Fault, ...]]]()  # what was told
 
 
@@ -79,7 +86,7 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
     data, found = smooth(log), list[Fault]()
     if data is not None:
-        dead = [f for f in channels if (f.fault, f.evidence.get("channel")) == _NO_TORQUE]
+        dead = [f for f in channels if (f.fault, f.evidence.get("channel")) == NO_TORQUE]
         case = torque_fit(robot, log, data, {fault.joints[0] for fault in dead})
         found = [] if case is None else physics_faults(case)
         if found:

@@ -33,8 +33,12 @@ FAULTS = (
 """The vocabulary, the same in results, interface and documentation."""
 SET_UP = ("wrong_mounting", "wrong_zero")
 """Faults of the model, which has the arm otherwise than it is set up."""
+OF_THE_ARM = ("wrong_sign", "wrong_order", *SET_UP)
+"""Faults of the arm or its logger, which all recordings share."""
 PROVEN = ("wrong_sign", "wrong_unit", "wrong_sample_rate", "wrong_order", *SET_UP)
 """Faults after which every figure is wrong, so that nothing is published from such data."""
+NO_TORQUE = "dead_channel", "tau"
+"""Fault and channel of a joint whose torque tells nothing."""
 ALARM = 0.02 / 20
 """Share of faultless recordings that one family of tests may accuse; there are fewer than 20."""
 Rows = npt.NDArray[np.intp]
@@ -120,6 +124,11 @@ class Fault:
     evidence: Mapping[str, Any]  # the same numbers by name
     repair: str | None = None
     remedies: tuple[Remedy, ...] = ()
+
+    @property
+    def of_the_arm(self) -> bool:
+        """Whether all recordings of the arm share it."""
+        return self.fault in OF_THE_ARM and self.evidence.get("channel") != "dq"
 
     def entry(self) -> dict[str, Any]:
         """The fault under its JSON names; of many rows the first ten."""

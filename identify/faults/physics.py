@@ -28,7 +28,7 @@ from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bou
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import regressor
+from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
 _WINDOW_S, _WINDOW_ROWS = 0.2, 8
@@ -63,9 +63,11 @@ _OFF, _SURE = 0.3, 2.0  # of given bodies; standard deviations
 _FAR = 10.0  # times its limit: no drive does that, whatever its limit is to mean
 _TORQUE_UNITS = {100.0: "N·cm", 1000.0: "N·mm", 1e6: "µN·m"}
 _WITHIN = 3.0  # times the limit, after a repair
+_FEW = 4  # orders, the likeliest by the given bodies, that are looked at closely
 FITS = 0.25  # squares per independent row: less needs no other order
 MODEL_ERROR = 0.05  # of a torque
 _BEYOND = 1.2 * 2 * np.pi  # rad: more than joints turn to one side
+_REACHES, _IMPOSSIBLE = 1.1, 3.0  # of the position limits: what a joint reaches, what it never does
 
 
 def velocity_faults(log: Log) -> list[Fault]:
@@ -215,7 +217,8 @@ class TorqueFit:
 
     Columns of the links at rest G and what motion adds D, (N, nv, 10 nv), of each joint's own
     effects F, (N, nv, 4). ``factor`` multiplies positions. Where currents were recorded, columns of
-    the links are in ampere, by the drive gains that suit the given bodies best.
+    the links are in ampere, by the drive gains that suit the given bodies best, whose relative
+    uncertainty is ``loose``, (nv,).
     """
 
     def __init__(
@@ -228,9 +231,10 @@ class TorqueFit:
         F = np.stack([dq, np.sign(dq), ddq, np.ones_like(q)], axis=2)
         self.robot, self.log, self.data, self.joints = robot, log, data, joints
         self.G, self.D, self.F, self.tau = map(self.filtered, (G, D, F, data.tau))
+        self.loose: Array = np.zeros(robot.nv)
         if log.unit != "N·m":
-            per = self._readings_per_torque()[:, None]
-            self.G, self.D = per * self.G, per * self.D
+            per, self.loose = self._readings_per_torque()
+            self.G, self.D = per[:, None] * self.G, per[:, None] * self.D
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         own = np.einsum("njk,ji->njik", self.F, np.eye(robot.nv)).reshape(len(self.F), robot.nv, -1)
         still, moved = np.dstack([self.G, own]), np.dstack([self.D, 0 * own])
@@ -277,14 +281,22 @@ class TorqueFit:
             rows[j] = len(error) / autocorrelation_time(error) if error.any() else 1.0
         return rows
 
-    def _readings_per_torque(self) -> Array:
-        """Current that a joint of the given bodies needs per torque, shape (nv,)."""
-        torque, found = (self.G + self.D) @ self.robot.phi, np.ones(self.robot.nv)
+    def _readings_per_torque(self) -> tuple[Array, Array]:
+        """Current that a joint of the given bodies needs per torque, its relative std, (nv,)."""
+        robot, columns = self.robot, self.G + self.D
+        found, loose = np.ones(robot.nv), np.zeros(robot.nv)
+        near = spread(robot) if (robot.phi[::10] > 0).all() else np.zeros((len(robot.phi), 1))
         for j in self.joints:
-            model, read = without_effects(self.F[:, j], torque[:, j], self.tau[:, j])
-            if (product := float(model @ read)) > 0:
-                found[j] = product / float(model @ model)
-        return found
+            Y, read = without_effects(self.F[:, j], columns[:, j], self.tau[:, j])
+            model = Y @ robot.phi
+            squares = max(float(model @ model), 1e-300)
+            gain = float(model @ read) / squares
+            error = read - gain * model
+            noise = float(error @ error) / len(error) * autocorrelation_time(error)
+            found[j] = max(abs(gain), 1e-300)
+            by_noise = np.sqrt(noise / squares) / found[j]
+            loose[j] = np.hypot(by_noise, gain_doubt(Y, robot.phi, near))
+        return found, loose
 
     def gain(self, power: Array) -> float:
         """Twice the log-likelihood ratio of another reading against the log as it stands."""
@@ -301,20 +313,58 @@ class TorqueFit:
         """Squares that bodies near the given ones φ̄ leave, and −2 log of the evidence for them.
 
         Noise is a mean square of each joint, shape (nv,), in so many independent rows; a twentieth
-        of the torque comes to it. Bodies are φ̄ + S z, z of unit variance, S (10 nv, 10 nv), and
-        each joint's own effects free.
+        of the torque comes to it. Bodies are φ̄ + S z, z of unit variance, S (10 nv, 10 nv), gains
+        of drives are off by what is not known of them, and each joint's own effects free, but that
+        friction brakes.
         """
         weight = (rows / len(self.tau) / (noise + MODEL_ERROR**2 * self.size))[self.joints]
-        A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
+        A, b, y = np.sum(self._A, axis=0), np.sum(self._b, axis=0), self.size * len(self.tau)
         bodies, links = self.robot.phi, len(self.robot.phi)
+        # a gain that is off by N(0, loose²) is projected out of each joint's columns
+        v, t, loose = A[:, :, :links] @ bodies, b[:, :links] @ bodies, self.loose[self.joints]
+        told = weight * (v[:, :links] @ bodies) * loose**2
+        share = (weight * loose**2 / (1 + told))[:, None]
+        A = A - share[:, :, None] * v[:, :, None] * v[:, None, :]
+        b, y = b - share * t[:, None] * v, y[self.joints] - share[:, 0] * t**2
         G, h = np.tensordot(weight, A, 1), weight @ b
+        whole = h
         h = h - G[:, :links] @ bodies
-        own = _solve(G[links:, links:], np.column_stack([G[links:, :links], h[links:]]))
-        H = S.T @ (G[:links, :links] - G[:links, links:] @ own[:, :-1]) @ S + np.eye(links)
-        z = np.linalg.solve(H, S.T @ (h[:links] - G[:links, links:] @ own[:, -1]))
-        x = np.concatenate([bodies + S @ z, own[:, -1] - own[:, :-1] @ (S @ z)])
-        squares = float(weight @ self._left(A, b, x)) * len(self.tau) + float(z @ z)
-        return squares, squares + float(np.linalg.slogdet(H)[1])
+        effects = np.eye(len(h) - links)
+        own = _solve(G[links:, links:], np.column_stack([effects, G[links:, :links], h[links:]]))
+        alone, per_body, own = own[:, : len(effects)], own[:, len(effects) : -1], own[:, -1]
+        H = S.T @ (G[:links, :links] - G[:links, links:] @ per_body) @ S + np.eye(links)
+        z = np.linalg.solve(H, S.T @ (h[:links] - G[:links, links:] @ own))
+        x = np.concatenate([bodies + S @ z, own - per_body @ (S @ z)])
+        left = max(float(weight @ y - (2 * whole - G @ x) @ x), 1e-10 * float(weight @ y))
+        unsure = alone + (M := per_body @ S) @ np.linalg.solve(H, M.T)
+        squares = left + float(z @ z) + self._driving(x[links:], unsure)
+        occam = float(np.linalg.slogdet(H)[1] + np.log1p(told).sum())
+        return squares, squares + occam
+
+    def unlike(self, data: Smooth) -> Array:
+        """Share of each torque of another log that the given bodies and own effects leave, (nv,).
+
+        The bodies' torque counts up to a factor of each joint.
+        """
+        model, motion = rigid_body_torque(self.robot, data.motion), data.motion
+        F = np.stack([motion.dq, np.sign(motion.dq), motion.ddq, np.ones_like(motion.q)], axis=2)
+        shares = []
+        for j in range(self.robot.nv):
+            wanted, read = without_effects(F[:, j], model[:, j], data.tau[:, j])
+            factor = max(float(wanted @ read), 0.0) / max(float(wanted @ wanted), 1e-300)
+            shares.append(float(((read - factor * wanted) ** 2).sum()))
+        whole = (data.tau**2).sum(axis=0)
+        return np.asarray(np.maximum(shares / np.maximum(whole, 1e-300), MODEL_ERROR**2), float)
+
+    def _driving(self, own: Array, covariance: Array) -> float:
+        """Squared standard errors by which joints' own effects have friction that drives them."""
+        total = 0.0
+        for j in self.joints:
+            dq, at = self.F[:, j, 0], slice(4 * j, 4 * j + 2)
+            power = dq @ self.F[:, j, :2]
+            variance = float(power @ covariance[at, at] @ power)
+            total += min(float(power @ own[at]), 0.0) ** 2 / max(variance, 1e-300)
+        return total
 
     def compared(self, power: Array) -> str:
         """Improvement by another reading, in words."""
@@ -342,6 +392,11 @@ def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
     return W, x, y - W @ x
 
 
+def fits(case: TorqueFit, S: Array) -> bool:
+    """Whether bodies near the given ones explain the torque to a twentieth, and nothing is off."""
+    return case.surprise(0 * case.power, case.rows, S)[0] < FITS * float(case.rows.sum())
+
+
 def _solve(A: Array, b: Array) -> Array:
     d = np.sqrt(np.diag(A))
     d = np.where(d > 0, d, 1.0)
@@ -365,7 +420,10 @@ def degrees(case: TorqueFit) -> Iterator[Fault]:
         tried.append((case.gain(power), np.flatnonzero(mask), power))
     gain, joints, power = max(tried, key=lambda reading: reading[0])
     widest = int(np.argmax(largest))
-    if not case.better(power, len(tried)):
+    reach = np.abs(case.robot.limits.position).max(axis=1)[joints]
+    within = (largest[joints] * np.pi / 180 < _REACHES * reach).all()
+    impossible = within and (largest[joints] > _IMPOSSIBLE * reach).any()
+    if not case.better(power, len(tried)) and not (impossible and gain > 0):
         return
     detail = (
         f"q is in degrees: it reaches {largest[widest]:.4g} at {log.joints[widest]}, and read in "
@@ -418,22 +476,26 @@ def order(case: TorqueFit) -> Iterator[Fault]:
             swap = same.copy()
             swap[i], swap[k] = k, i
             orders.add(tuple(swap))
-    known = spread(case.robot)
-    if case.surprise(case.power, case.rows, known)[0] < FITS * float(case.rows.sum()):
+    known, data = spread(case.robot), case.data
+    if fits(case, known):
         return
-    found = []
+    tried, found = list[tuple[float, list[int], tuple[str, ...], Smooth]](), []
     for order in sorted(orders - {tuple(same)}):
-        at, data = list(order), case.data
+        at = list(order)
         columns = (getattr(data.motion, name)[:, at] for name in ("q", "dq", "ddq"))
         moved = Motion(data.motion.t, *columns)
-        for channels, motion in ((("q", "dq", "tau"), moved), (("tau",), data.motion)):
+        every: tuple[str, ...] = ("q", "dq", "tau")
+        for channels, motion in ((every, moved), (every[2:], data.motion)):
             other = data._replace(motion=motion, tau=data.tau[:, at])
-            fit = TorqueFit(case.robot, log, other, case.joints)
-            noise = np.minimum(case.power[at], fit.power)  # joint j is the one recorded as at[j]
-            left, back = fit.surprise(noise, case.rows[at], known)[0], np.argsort(at)
-            found.append((case.surprise(noise[back], case.rows, known)[0], left, at, channels))
+            left = float(case.rows[at] @ np.log(case.unlike(other)))
+            tried.append((left, at, channels, other))
+    for _, at, channels, other in sorted(tried, key=lambda each: each[0])[:_FEW]:
+        fit = TorqueFit(case.robot, log, other, case.joints)
+        noise = np.minimum(case.power[at], fit.power)  # joint j is the one recorded as at[j]
+        left, back = fit.surprise(noise, case.rows[at], known)[0], np.argsort(at)
+        found.append((case.surprise(noise[back], case.rows, known)[0], left, at, channels))
     as_it_stands, left, at, channels = max(found, key=lambda each: each[0] / max(each[1], 1e-9))
-    bound = float(scipy.special.chdtri(n, ALARM / len(found)))
+    bound = float(scipy.special.chdtri(n, ALARM / len(tried)))
     dispersion = max(1.0, left / float(case.rows.sum()))  # errors of the model count as noise
     if as_it_stands - left < bound * dispersion or left > HALVED * as_it_stands:
         return

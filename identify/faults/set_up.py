@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from excitant.identify.drive_gains import without_effects
-from excitant.identify.faults.fault import ALARM, Fault, Remedy
+from excitant.identify.faults.fault import ALARM, NO_TORQUE, Fault, Log, Remedy, after_repair
 from excitant.identify.faults.modelled import in_joint_frames, wrong_frame
 from excitant.identify.faults.physics import (
     FITS,
@@ -25,24 +25,32 @@ from excitant.identify.faults.physics import (
     Smooth,
     TorqueFit,
     degrees,
+    fits,
     order,
     position_signs,
     rate,
+    smooth,
     spread,
+    torque_fit,
     torque_signs,
     torque_unit,
 )
+from excitant.identify.recording import Recording
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
 _ROUNDING = 1e-12  # of squares that a prior of a body's own hardly bounds
-_ANY = 10.0  # times the tolerance of a body that may be another
+_OTHER, _TOOL = 1 / 0.3, 10.0  # times the tolerance: of a body that is another, of one with a tool
 _ROWS = 600  # of a search, at most
 _ANGLES = 0.4 * np.pi * np.arange(5)  # that determine a trigonometric polynomial of degree 2
 _DIRECTIONS = 200  # of gravity tried
 _STARTS = 3  # the best of them, refined
-_STEP = np.pi / 36  # between zero positions tried
+_POLISHED = 3  # times, with the noise that the set-up found leaves
+_LEAST_NOISE = 0.01  # of the torque, then
+_ALIKE = 2.0  # twice the log of the ratio of evidence: set-ups that look the same
+_STEP = np.pi / 18  # between zero positions tried
+_TIE = 1e-9  # of it: rounding
 _RIGHT = np.pi / 2  # zero positions are off by multiples of it, unless another angle is better
 
 
@@ -93,10 +101,33 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
             break
         clocks = [_amended(case, [fault]) for fault in rate(case)]
         judged += [(_gain(case, each), each) for each in clocks]
-        best = max(judged, key=lambda each: each[0])[1]
-        found += best.faults
+        most = max(gain for gain, _ in judged)
+        alike = sorted((each for gain, each in judged if gain > most - _ALIKE), key=_rank)
+        best = alike[0]
+        found += _beside(best.faults, alike[1:])
         case = _fit(case, best)
     return found
+
+
+def _rank(set_up: _SetUp) -> int:
+    """Which of set-ups that look the same is told: order, then signs, then right angles."""
+    words = {fault.fault for fault in set_up.faults}
+    angles = [f.evidence["offset"] for f in set_up.faults if f.fault == "wrong_zero"]
+    right = all(abs(a / _RIGHT - round(a / _RIGHT)) < _TIE for a in angles)
+    return 0 if words == {"wrong_order"} else 1 if words == {"wrong_sign"} else 2 if right else 3
+
+
+def _beside(faults: Sequence[Fault], others: Sequence[_SetUp]) -> list[Fault]:
+    """Faults of a set-up, the last of which tells what would look the same."""
+    known = [[(f.fault, f.joints) for f in each] for each in (faults, *(o.faults for o in others))]
+    new = [k for k, each in enumerate(known) if each not in known[:k]][1:]
+    if not new:
+        return [*faults]
+    words = " or if ".join(" and ".join(f.detail for f in others[k - 1].faults) for k in new)
+    alike = [each for k in new for each in known[k]]
+    last = faults[-1]
+    told = f"{last.detail}; the torque would be the same if {words}"
+    return [*faults[:-1], replace(last, detail=told, evidence={**last.evidence, "alike": alike})]
 
 
 def _fit(case: TorqueFit, set_up: _SetUp) -> TorqueFit:
@@ -126,7 +157,7 @@ def _gain(case: TorqueFit, other: _SetUp) -> float:
 def _spread(robot: Robot, other: int) -> Array:
     """Root of the covariance of bodies near the given ones, of which one may be another."""
     S = spread(robot)
-    S[:, 10 * other : 10 * other + 10] *= _ANY
+    S[:, 10 * other : 10 * other + 10] *= _TOOL if other == robot.nv - 1 else _OTHER
     return S
 
 
@@ -155,8 +186,7 @@ def _searched(case: TorqueFit) -> Iterator[_SetUp]:
     robot = case.robot
     if not _known(robot):
         return
-    left, _ = case.surprise(case.power, case.rows, _spread(robot, robot.nv - 1))
-    if left < FITS * float(case.rows.sum()):
+    if fits(case, _spread(robot, robot.nv - 1)):
         return
     turning = (j for j in case.joints if robot.revolute[j])
     for found in (_mounting(case), *(_zeros(case, j) for j in turning)):
@@ -174,21 +204,29 @@ class _Mixtures:
     grams: Array  # of two parts, p columns each, of each joint, shape (m, m, joints, p, p)
     moments: Array  # of a part and the torque, shape (m, joints, p)
     squares: Array  # of the torque, shape (joints,)
-    currents: bool  # whether the torque is a current, of a gain that is free
+    weights: Array  # of the squares of each joint, shape (joints,)
+    loose: Array  # relative uncertainty of the drive gains, 0 for torques, shape (joints,)
 
     def left(self, weights: Array, flipped: int | None = None) -> float:
         """The squares for weights (m,) of the parts, the torque of one joint flipped."""
-        G = np.tensordot(np.outer(weights, weights), self.grams, 2)
-        h = np.tensordot(weights, self.moments, 1)
+        each = self.weights
+        G = each[:, None, None] * np.tensordot(np.outer(weights, weights), self.grams, 2)
+        h = each[:, None] * np.tensordot(weights, self.moments, 1)
         if flipped is not None:
             h[flipped] *= -1
-        scale = np.ones(len(self.squares))
-        if self.currents:
-            scale = np.maximum(h[:, -1], 0.0) / np.maximum(G[:, -1, -1], 1e-300)
-        A, b = np.tensordot(scale**2, G, 1), scale @ h
+        y = each * self.squares
+        if self.loose.any():
+            own = np.maximum(G[:, -1, -1], 1e-300)
+            scale = np.maximum(h[:, -1], 0.0) / own
+            G, h = scale[:, None, None] ** 2 * G, scale[:, None] * h
+            share = (1 / (scale**2 * own + 1 / self.loose**2))[:, None]
+            v, t = G[:, :, -1], h[:, -1:]
+            G = G - share[:, :, None] * v[:, :, None] * v[:, None, :]
+            h, y = h - share * t * v, y - (share * t**2)[:, 0]
+        A, b = G.sum(axis=0), h.sum(axis=0)
         H, g = A[:-1, :-1] + np.eye(len(b) - 1), b[:-1] - A[:-1, -1]
         H[np.diag_indices_from(H)] *= 1 + _ROUNDING
-        total = self.squares.sum() - 2 * b[-1] + A[-1, -1]
+        total = y.sum() - 2 * b[-1] + A[-1, -1]
         return float(total - g @ scipy.linalg.cho_solve(scipy.linalg.cho_factor(H), g))
 
 
@@ -201,13 +239,19 @@ def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
     for j in case.joints:
         X = np.concatenate([part[rows, j] @ own for part in parts], axis=1)
         X, y = without_effects(case.F[rows, j], X, case.tau[rows, j])
-        weight = case.rows[j] / len(y) / (MODEL_ERROR**2 * case.size[j])
-        grams.append(weight * (X.T @ X).reshape(m, len(X.T) // m, m, -1).swapaxes(1, 2))
-        moments.append(weight * (X.T @ y).reshape(m, -1))
-        squares.append(weight * float(y @ y))
-    currents = case.log.unit != "N·m"
-    both = np.stack(grams, axis=2), np.stack(moments, axis=1)
-    return _Mixtures(*both, np.array(squares), currents)
+        grams.append((X.T @ X).reshape(m, len(X.T) // m, m, -1).swapaxes(1, 2) / len(y))
+        moments.append((X.T @ y).reshape(m, -1) / len(y))
+        squares.append(float(y @ y) / len(y))
+    both = np.ascontiguousarray(np.stack(grams, axis=2)), np.stack(moments, axis=1)
+    weights = (case.rows / (MODEL_ERROR**2 * case.size))[case.joints]
+    return _Mixtures(*both, np.array(squares), weights, case.loose[case.joints])
+
+
+def _sharper(case: TorqueFit, at: _Mixtures, found: _SetUp) -> _Mixtures:
+    """Mixtures weighted by the noise that a set-up leaves."""
+    noise = np.minimum(_fit(case, found).power, MODEL_ERROR**2 * case.size)
+    noise = np.maximum(noise, _LEAST_NOISE**2 * case.size)
+    return replace(at, weights=(case.rows / noise)[case.joints])
 
 
 def _mounting(case: TorqueFit) -> _SetUp | None:
@@ -218,20 +262,29 @@ def _mounting(case: TorqueFit) -> _SetUp | None:
         return None
     still = np.zeros_like(motion.q)
     rest = replace(motion, dq=still, ddq=still)
-    pulls = (robot.with_gravity(unit) for unit in np.eye(3))
-    parts = [case.filtered(regressor(pull, rest)) for pull in pulls]
-    mixtures = _mixtures(case, [case.D, *parts])
+    pulls = [(robot.with_gravity(unit), rest) for unit in np.eye(3)]
+    parts = [(robot.with_gravity(np.zeros(3)), motion), *pulls]
+    mixtures = _mixtures(case, [case.filtered(regressor(*part)) for part in parts])
 
-    def left(direction: Array) -> float:
-        return mixtures.left(np.append(1.0, size * direction / np.linalg.norm(direction)))
+    def unit(x: Array) -> Array:
+        return np.asarray(size * x / np.linalg.norm(x), float)
+
+    def best_of(starts: Sequence[Array], at: _Mixtures) -> Array:
+        def left(x: Array) -> float:
+            return at.left(np.append(1.0, unit(x)))
+
+        ends = [scipy.optimize.minimize(left, start) for start in starts]
+        return unit(min(ends, key=lambda end: end.fun).x)
 
     k = np.arange(_DIRECTIONS) + 0.5  # a Fibonacci lattice on the sphere
     z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
     r = np.sqrt(1 - z**2)
     tried = [robot.gravity / size, *np.column_stack([r * np.cos(turn), r * np.sin(turn), z])]
-    starts = sorted(tried, key=left)[:_STARTS]
-    best = min((scipy.optimize.minimize(left, x) for x in starts), key=lambda found: found.fun)
-    gravity = size * best.x / np.linalg.norm(best.x)
+    starts = sorted(tried, key=lambda x: mixtures.left(np.append(1, unit(x))))[:_STARTS]
+    gravity = best_of(starts, mixtures)
+    for _ in range(_POLISHED):
+        turned = _SetUp([], robot.with_gravity(gravity), case.data, range(robot.nv))
+        gravity = best_of([gravity / size], _sharper(case, mixtures, turned))
     angle = np.degrees(np.arccos(np.clip(gravity @ robot.gravity / size**2, -1, 1)))
     vector = ", ".join(f"{x:.2f}" for x in gravity)
     detail = (
@@ -290,3 +343,28 @@ def _set_up_of(case: TorqueFit, j: int, angle: float, sign: float, flipped: bool
         detail = f"the zero position of {joint} is off: its true angle is the reading {off}"
         faults.append(Fault("wrong_zero", (joint,), detail, {"offset": angle}))
     return replace(set_up, robot=case.robot.with_zero(joint, angle))
+
+
+def amended(robot: Robot, faults: Sequence[Fault]) -> Robot:
+    """The robot mounted and counted as faults of the set-up say."""
+    for fault in faults:
+        if fault.fault == "wrong_mounting":
+            robot = robot.with_gravity(fault.evidence["gravity"])
+        elif fault.fault == "wrong_zero":
+            robot = robot.with_zero(fault.joints[0], fault.evidence["offset"])
+    return robot
+
+
+def support(
+    robot: Robot, recording: Recording, faults: Sequence[Fault], others: Sequence[Fault]
+) -> float:
+    """Twice the log evidence ratio of a set-up in a recording with its other faults repaired.
+
+    It counts beyond chance; it is −∞ where the set-up does not fit, 0 where the torque tells
+    nothing.
+    """
+    log, _ = after_repair(Log.of(robot, recording), others)
+    dead = {f.joints[0] for f in others if (f.fault, f.evidence.get("channel")) == NO_TORQUE}
+    if (data := smooth(log)) is None or (case := torque_fit(robot, log, data, dead)) is None:
+        return 0.0
+    return _gain(case, replace(_amended(case, faults), robot=amended(robot, faults)))
