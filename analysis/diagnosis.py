@@ -448,6 +448,7 @@ def diagnose(
     if mounted.faults:
         raw = split(recordings, validate, data.cutoff_hz).validate
         first_of_all = [*_of_faults(mounted, raw, fit, held), *first_of_all]
+    first_of_all = [replace(finding, rivals=mounted.rivals) for finding in first_of_all]
     judged = first_of_all + [
         replace(
             _with_gains(f, robot, drive),

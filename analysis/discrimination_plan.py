@@ -314,7 +314,9 @@ def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 
 
 
 def _contest(diagnosis: Diagnosis) -> Contest:
-    open_ = [f for f in diagnosis.findings if f.rivals and f.explained >= _MATTERS]
+    # set-ups that look the same do so for every motion
+    rivals = {f: any(r.candidate.size for r in f.rivals) for f in diagnosis.findings}
+    open_ = [f for f in diagnosis.findings if rivals[f] and f.explained >= _MATTERS]
     counts = diagnosis.held.series.moves
     error = diagnosis.left * diagnosis.held.gains * counts
     sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))

@@ -20,7 +20,6 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _LARGEST_SET = 60
-_SUPERFLUOUS = 0.01  # probability that a superfluous coefficient appears significant
 _TYPICAL = 0.1  # tail probability of the chance level used to rank causes
 _IDENTICAL = 0.9999  # |cos| of two causes that are identical on this motion
 _FADED = 0.5  # of a cause's fall of J when last tested: below this it is tested again
@@ -94,29 +93,31 @@ def _repeats(robot: Robot, chosen: Sequence[Candidate], candidate: Candidate) ->
 
 
 def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
-    """The best special case of the cause found where all of them explain as much, else itself."""
+    """The best special case of the cause found where it is no more than all of them, else itself.
+
+    Plain friction is a special case of all finer friction of its joint.
+    """
     # so is a shape that this motion does not show: play that is never crossed is an offset
     if found.effect.shapes:
         for other in evidence.candidates:
             same = other.size == found.size and {*other.effect.joints} == {*found.effect.joints}
             if same and not other.effect.shapes and evidence.cosine(other, found) > _IDENTICAL:
                 return other
+    finer = found.effect.family == "friction"
     special = [
         c
         for c in evidence.candidates
-        if c.effect.name in found.effect.contains
+        if (c.effect.name in found.effect.contains or (finer and is_plain_friction(c.effect)))
         and c.effect.joints == found.effect.joints
-        and c not in chosen
+        and c not in (*chosen, found)
     ]
-    whole = evidence.cost([*chosen, found])
-    special.sort(key=lambda c: evidence.cost([*chosen, c]))
-    for simple in (special[:1], special):
-        more = max(found.size - sum(c.size for c in simple), 1)
-        lost = evidence.cost([*chosen, *simple]) - whole
-        chance = float(scipy.stats.chi2.isf(_SUPERFLUOUS, more))
-        if simple and lost < evidence.dispersion(chosen, found) * chance:
-            return simple[0]
-    return found
+    if not special:
+        return found
+    beside = [*chosen, *special]
+    fall = evidence.cost(beside) - evidence.cost([*beside, found])
+    if _significant(evidence, beside, found, fall):
+        return found
+    return min(special, key=lambda c: evidence.cost([*chosen, c]))
 
 
 @lru_cache(maxsize=4096)

@@ -17,6 +17,8 @@ import numpy as np
 import scipy
 
 from excitant.analysis.candidates import Observed, observed
+from excitant.analysis.evidence import Candidate
+from excitant.analysis.selection import Rival
 from excitant.identify.faults import Fault, faults_of, repair
 from excitant.identify.faults.fault import PROVEN, SET_UP
 from excitant.identify.faults.set_up import amended, support
@@ -34,6 +36,7 @@ from excitant.robots.robot import Robot
 class DataFault(Effect):
     """A fault of the data that was repaired, as a cause of the given model's errors."""
 
+    family = "set-up"
     jointwise = True
     abscissa = "time"
     fault: str = ""
@@ -70,6 +73,7 @@ class SetUp:
             of gravity along three axes.
         repaired: Faults of the data that are repaired, by recording.
         notes: What was done, a sentence each.
+        shown: Faults of the arm, which all recordings share.
     """
 
     given: Robot
@@ -77,6 +81,17 @@ class SetUp:
     std: dict[str, tuple[float, ...]]
     repaired: dict[str, tuple[Fault, ...]]
     notes: tuple[str, ...] = ()
+    shown: tuple[Fault, ...] = ()
+
+    @cached_property
+    def rivals(self) -> tuple[Rival, ...]:
+        """Other set-ups that would make the same torque; they have no columns."""
+        joints, none = self.robot.joints, np.zeros((0, 0))
+        alike = (each for fault in self.shown for each in fault.evidence.get("alike", ()))
+        return tuple(
+            Rival(Candidate(_effect_of(fault, at, joints), slice(0, 0), none), 0.0, 1.0)
+            for fault, at in alike
+        )
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -145,7 +160,14 @@ def set_up(
         if wrong:
             repaired[recording.name] = tuple(wrong)
         notes += [f"{recording.name}: {sentence}" for sentence in said]
-    return SetUp(robot, amended(robot, shown), {}, repaired, tuple(notes)), found
+    return SetUp(robot, amended(robot, shown), {}, repaired, tuple(notes), shown), found
+
+
+def _effect_of(fault: str, at: tuple[str, ...], joints: tuple[str, ...]) -> Effect:
+    """What a fault is called among the causes of a model's errors."""
+    if fault == "wrong_mounting":
+        return EFFECTS["gravity_direction"](joints)
+    return EFFECTS["encoder_offset"](at) if fault == "wrong_zero" else DataFault(at, (), fault)
 
 
 def _amendable(fault: Fault) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -46,6 +47,7 @@ _ROWS = 600  # of a search, at most
 _ANGLES = 0.4 * np.pi * np.arange(5)  # that determine a trigonometric polynomial of degree 2
 _DIRECTIONS = 200  # of gravity tried
 _STARTS = 3  # the best of them, refined
+_FLAT = 0.01  # slope at which it ends
 _POLISHED = 3  # times, with the noise that the set-up found leaves
 _LEAST_NOISE = 0.01  # of the torque, then
 _ALIKE = 2.0  # twice the log of the ratio of evidence: set-ups that look the same
@@ -94,27 +96,25 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
         if _known(case.robot) and (frames := [*wrong_frame(case)]):
             moved = case.robot.with_parameters(in_joint_frames(case.robot))
             proposed.append(replace(_amended(case, frames), robot=moved))
+        proposed += [_amended(case, [fault]) for fault in rate(case)]
         judged = [(_gain(case, each), each) for each in proposed]
         searched = [(_gain(case, each), each) for each in _searched(case)]
-        judged += [(gain, each) for gain, each in searched if gain > 0]
-        if not judged:
+        if not (able := [*judged, *(each for each in searched if each[0] > 0)]):
             break
-        clocks = [_amended(case, [fault]) for fault in rate(case)]
-        judged += [(_gain(case, each), each) for each in clocks]
-        most = max(gain for gain, _ in judged)
-        alike = sorted((each for gain, each in judged if gain > most - _ALIKE), key=_rank)
+        most = max(gain for gain, _ in able)
+        alike = [each for gain, each in (*judged, *searched) if gain > most - _ALIKE]
+        alike = sorted(alike or [each for _, each in able], key=_rank)
         best = alike[0]
         found += _beside(best.faults, alike[1:])
         case = _fit(case, best)
     return found
 
 
-def _rank(set_up: _SetUp) -> int:
-    """Which of set-ups that look the same is told: order, then signs, then right angles."""
-    words = {fault.fault for fault in set_up.faults}
-    angles = [f.evidence["offset"] for f in set_up.faults if f.fault == "wrong_zero"]
-    right = all(abs(a / _RIGHT - round(a / _RIGHT)) < _TIE for a in angles)
-    return 0 if words == {"wrong_order"} else 1 if words == {"wrong_sign"} else 2 if right else 3
+def _rank(set_up: _SetUp) -> tuple[int, int]:
+    """Which of set-ups that look the same is told: one fault, order, signs, mounting, angles."""
+    first, turn = set_up.faults[0], set_up.faults[-1].evidence.get("offset", 0.0) / _RIGHT
+    place = {"wrong_order": 0, "wrong_sign": 1, "wrong_mounting": 2}.get(first.fault, 3)
+    return len(set_up.faults), place + (abs(turn - round(turn)) > _TIE)
 
 
 def _beside(faults: Sequence[Fault], others: Sequence[_SetUp]) -> list[Fault]:
@@ -207,15 +207,21 @@ class _Mixtures:
     weights: Array  # of the squares of each joint, shape (joints,)
     loose: Array  # relative uncertainty of the drive gains, 0 for torques, shape (joints,)
 
+    @cached_property
+    def _whole(self) -> tuple[Array, Array]:
+        """Weighted grams of all joints together, (m, m, p, p), and moments, (joints, m, p)."""
+        moments = self.weights[:, None, None] * self.moments.swapaxes(0, 1)
+        return np.einsum("j,mnjpq->mnpq", self.weights, self.grams), moments
+
     def left(self, weights: Array, flipped: int | None = None) -> float:
         """The squares for weights (m,) of the parts, the torque of one joint flipped."""
-        each = self.weights
-        G = each[:, None, None] * np.tensordot(np.outer(weights, weights), self.grams, 2)
-        h = each[:, None] * np.tensordot(weights, self.moments, 1)
+        grams, moments = self._whole
+        h, y = weights @ moments, self.weights * self.squares
         if flipped is not None:
             h[flipped] *= -1
-        y = each * self.squares
         if self.loose.any():
+            G = np.tensordot(np.outer(weights, weights), self.grams, 2)
+            G = self.weights[:, None, None] * G
             own = np.maximum(G[:, -1, -1], 1e-300)
             scale = np.maximum(h[:, -1], 0.0) / own
             G, h = scale[:, None, None] ** 2 * G, scale[:, None] * h
@@ -223,11 +229,14 @@ class _Mixtures:
             v, t = G[:, :, -1], h[:, -1:]
             G = G - share[:, :, None] * v[:, :, None] * v[:, None, :]
             h, y = h - share * t * v, y - (share * t**2)[:, 0]
-        A, b = G.sum(axis=0), h.sum(axis=0)
+            A = G.sum(axis=0)
+        else:
+            A = np.tensordot(np.outer(weights, weights), grams, 2)
+        b = h.sum(axis=0)
         H, g = A[:-1, :-1] + np.eye(len(b) - 1), b[:-1] - A[:-1, -1]
         H[np.diag_indices_from(H)] *= 1 + _ROUNDING
-        total = y.sum() - 2 * b[-1] + A[-1, -1]
-        return float(total - g @ scipy.linalg.cho_solve(scipy.linalg.cho_factor(H), g))
+        half = scipy.linalg.solve_triangular(np.linalg.cholesky(H), g, lower=True)
+        return float(y.sum() - 2 * b[-1] + A[-1, -1] - half @ half)
 
 
 def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
@@ -273,7 +282,7 @@ def _mounting(case: TorqueFit) -> _SetUp | None:
         def left(x: Array) -> float:
             return at.left(np.append(1.0, unit(x)))
 
-        ends = [scipy.optimize.minimize(left, start) for start in starts]
+        ends = [scipy.optimize.minimize(left, start, tol=_FLAT) for start in starts]
         return unit(min(ends, key=lambda end: end.fun).x)
 
     k = np.arange(_DIRECTIONS) + 0.5  # a Fibonacci lattice on the sphere

@@ -69,6 +69,7 @@ class JointFacts:
     reach: float = np.inf  # range of positions [rad or m]
     start: float = 0.0  # first instant [s]
     duration: float = np.inf  # of all recordings, from first to last instant [s]
+    blur: float = 0.0  # how far it moves about a reversal while samples and filter see none
     q: Array = field(default_factory=lambda: np.zeros(0))  # at the rows of `unexplained`, (n,)
     dq: Array = field(default_factory=lambda: np.zeros(0))  # there, (n,)
     unexplained: Array = field(default_factory=lambda: np.zeros(0))  # torque left, (n,) [N·m]
@@ -95,7 +96,14 @@ def joint_facts(
     speed, reach = np.abs(dq).max(axis=0).tolist(), np.ptp(q, axis=0).tolist()
     start = min(float(m.t[0]) for m in motions)
     duration = max(float(m.t[-1]) for m in motions) - start
-    facts = [JointFacts(*of, start, duration) for of in zip(speed, reach, strict=True)]
+    step = max(float(m.t[1] - m.t[0]) for m in motions)
+    unseen = step + 1 / (2 * np.pi * 2 * cutoff_hz)  # positions pass twice the cut-off
+    pull = np.sqrt(np.mean(np.concatenate([m.ddq for m in motions]) ** 2, axis=0))
+    blur = (pull * unseen**2 / 2).tolist()
+    facts = [
+        JointFacts(top, far, start, duration, near)
+        for top, far, near in zip(speed, reach, blur, strict=True)
+    ]
     if unexplained is None:
         return tuple(facts)
     q, dq = joined([motion[part] for motion, part in zip(motions, rows, strict=True)])
@@ -116,6 +124,8 @@ class Shape:
     grid: Callable[[JointFacts], Iterable[float]] | None = None  # values to consider
     # largest that counts, beyond it the effect is another; without it, the grid has what may be
     most: Callable[[JointFacts], float] | None = None
+    # smallest that recordings tell from none at all
+    least: Callable[[JointFacts], float] = lambda facts: -np.inf
 
 
 class Stepper(Protocol):
@@ -250,7 +260,8 @@ class Effect(ABC):
         usual = cls((joint,))
         for shape in cls.shapes:
             if shape.grid is not None:
-                return [usual.reshaped(shape.name, float(value)) for value in shape.grid(facts)]
+                seen = [float(v) for v in shape.grid(facts) if v >= shape.least(facts)]
+                return [usual.reshaped(shape.name, value) for value in seen]
         return [usual]
 
     @classmethod

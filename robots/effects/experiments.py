@@ -35,6 +35,7 @@ FOLDED = (
 )
 _WEIGH = "weigh the link, or hang a known mass on it and repeat"
 
+SEEN = "move each joint alone by a quarter turn and compare the arm with a picture of its model"
 BETWEEN = {  # families of two effects that say nothing of each other in `Effect.told`
     frozenset(pair): action
     for pair, action in {
@@ -59,5 +60,8 @@ BETWEEN = {  # families of two effects that say nothing of each other in `Effect
         ("transmission", "geometry"): LOCKED,
         ("transmission", "reading"): f"{LOCKED}; {CLOCK}",
         ("geometry", "reading"): f"{KINEMATICS}; {LOADS}",
+        ("set-up",): SEEN,
+        ("set-up", "geometry"): SEEN,
+        ("set-up", "static"): SEEN,
     }.items()
 }

@@ -10,6 +10,7 @@ import numpy as np
 
 from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
+    SIGN_DEVIATIONS,
     JointEffect,
     JointFacts,
     JointwiseEffect,
@@ -27,6 +28,7 @@ from excitant.robots.robot import Robot
 
 _SLOW = 0.4  # of a joint's highest speed: a Stribeck velocity beyond it is Coulomb friction
 _SHORT = 0.1  # of a joint's range: friction that builds up over more is a spring
+_PART = 0.25  # of dry friction that builds up, at least
 _REACH = 8.0  # break-away distances from a reversal that show hysteresis
 
 
@@ -203,6 +205,7 @@ class PreslidingHysteresis(_Friction, JointwiseEffect):
             "rad",
             grid=lambda facts: facts.reach * np.geomspace(3e-4, _SHORT, 8),
             most=lambda facts: _SHORT * facts.reach,
+            least=lambda facts: facts.blur,
         ),
     )
     abscissa = "reversal"
@@ -212,6 +215,12 @@ class PreslidingHysteresis(_Friction, JointwiseEffect):
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         return (bristles(motion.q[:, j], self.distance) - np.sign(motion.dq[:, j]),)
+
+    def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
+        """Whether it is a good part of the joint's dry friction; less is a blurred reversal."""
+        given = effect_values(robot).get(f"{self.joints[0]}.Fc", 0.0)
+        enough = values[0] + SIGN_DEVIATIONS * std[0] > _PART * given
+        return bool(enough) and super().plausible(robot, values, std)
 
     def stepper(self, robot: Robot) -> Bristles:
         force = np.zeros(robot.nv)
