@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,9 +33,13 @@ class Observed:
     _by_motion: dict[Effect, Array] = field(default_factory=dict, repr=False)
     _by_robot: dict[Effect, Array] = field(default_factory=dict, repr=False)
 
-    def by(self, robot: Robot) -> Observed:
-        """The same rows of the same arm with other inertias and effects."""
-        return Observed(robot, self.segments, self.links, self._by_motion)
+    def by(self, robot: Robot, keep: Set[Effect] = frozenset()) -> Observed:
+        """The same rows of the same arm with other inertias and effects.
+
+        Columns of some effects are kept as they are with the present ones.
+        """
+        kept = {effect: own for effect, own in self._by_robot.items() if effect in keep}
+        return Observed(robot, self.segments, self.links, self._by_motion, kept)
 
     def columns(self, effect: Effect) -> Array:
         """Columns of one effect, shape (n, nv, k) [N·m per unit]."""
@@ -57,7 +61,8 @@ class Observed:
     def _once(self, effect: Effect) -> Array:
         known = self._by_robot if effect.depends_on_model else self._by_motion
         if effect not in known:
-            known[effect] = read_only(_rows(self.segments, lambda m: effect.columns(self.robot, m)))
+            segments = [s.thin for s in self.segments] if effect.smooth else self.segments
+            known[effect] = read_only(_rows(segments, lambda m: effect.columns(self.robot, m)))
         return known[effect]
 
 

@@ -38,7 +38,7 @@ from excitant.analysis.explanation import (
     unexplained,
 )
 from excitant.analysis.residuals import Residual, residuals
-from excitant.analysis.selection import frictionless, rivals, select
+from excitant.analysis.selection import frictionless, idle, rivals, select
 from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
@@ -525,10 +525,10 @@ def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extensi
     """The model with the causes that the hold-out confirms, searched for again with that model."""
     held, robot = first.held, first.train.robot
     best: Extension | None = None
-    extender, shapes = first, None
+    extender, evidence, shapes = first, first.evidence, None
     for _ in range(_ROUNDS):
         if best is not None:
-            train = first.train.by(best.model)
+            train = extender.train.by(best.model, keep=idle(evidence, best.chosen))
             evidence = gather(robot, train, first.tau, first.prior, best.chosen, gains=first.gains)
             extender = replace(first, train=train, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, refuted)

@@ -120,6 +120,19 @@ def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate)
     return min(special, key=lambda c: evidence.cost([*chosen, c]))
 
 
+def idle(evidence: Evidence, chosen: Sequence[Candidate]) -> set[Effect]:
+    """Causes that explain no more than chance, whichever of a set is left out."""
+    chance = np.array([_chance(c.trials, c.size) for c in evidence.candidates])
+    sets = [[*chosen], *([c for c in chosen if c is not out] for out in chosen)]
+    falls = np.max([evidence.additions(each) for each in sets], axis=0)
+    return {
+        each
+        for c, low in zip(evidence.candidates, falls < chance, strict=True)
+        if low and c not in chosen
+        for each in c.effect.singles()
+    }
+
+
 @lru_cache(maxsize=4096)
 def _chance(trials: int, size: int) -> float:
     """Fall of J that the best of so many shapes with so many coefficients reaches by chance."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +30,7 @@ POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
 _TOGETHER = 16  # columns filtered together: they fit into the processor's cache
 _AT_ONCE = 10_000  # instants whose columns are evaluated together, of a segment thrice as long
+_HELD = 8.0  # times the cut-off: sampling rate at which positions and their products are held
 _REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten
 _MOST_ROWS = 15_000  # of a segment: evenly taken of a longer one
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
@@ -74,6 +76,17 @@ class Segment:
     def rate_hz(self) -> float:
         """Sampling rate of the motion [Hz]."""
         return float(1 / (self.motion.t[1] - self.motion.t[0]))
+
+    @cached_property
+    def thin(self) -> Segment:
+        """The segment at the lowest rate that holds all that positions pass, rows as they are."""
+        start, stop, step = self.keep.start, self.keep.stop, self.keep.step or 1
+        most = max(1, int(self.rate_hz / (_HELD * self.cutoff_hz)))
+        every = max(d for d in range(1, most + 1) if step % d == 0)
+        part, first = slice(start % every, None, every), start // every
+        keep = slice(first, first + -(-(stop - start) // every), step // every)
+        known = (self.motion[part], self.tau[part], self.tau_raw[part])
+        return Segment(self.name, *known, self.cutoff_hz, keep)
 
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
         """Filtered and decimated columns of the motion, shape (rows, ...).

@@ -154,6 +154,7 @@ class Effect(ABC):
     depends_on_model: ClassVar[bool] = True  # columns depend on inertias or other effects
     acts_on_torque: ClassVar[bool] = False  # columns are those of a sensor of all other torque
     of_given_torque: ClassVar[bool] = False  # that of the given model; else it imitates findings
+    smooth: ClassVar[bool] = False  # as the motion is: its torque never jumps
     of_state_alone: ClassVar[bool] = True  # a simulation knows it; others follow a known motion
     standard: ClassVar[bool] = False  # `identify` estimates it by default
     usual: ClassVar[bool] = False  # most joints have it

@@ -283,6 +283,7 @@ class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
 
     name = "joint_elasticity"
+    smooth = True
     terms = (Parameter("compliance", "rad/(N·m)", 0.0),)
     told = (
         (f"{by.LOCKED}: play yields at once, a spring in proportion", "backlash"),
