@@ -21,7 +21,7 @@ from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
 from excitant.identify.faults import Fault, faults_of, repair
 from excitant.identify.faults.fault import PROVEN, SET_UP
-from excitant.identify.faults.set_up import amended, support
+from excitant.identify.faults.set_up import amended, odds_against, support
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import link_coordinates, link_weights
@@ -147,7 +147,7 @@ def set_up(
     def supported(shown: Sequence[Fault], by: Sequence[Recording]) -> float:
         return sum(support(robot, each, shown, of_data[each]) for each in by)
 
-    shown, most = tuple[Fault, ...](), 0.0
+    shown, most = tuple[Fault, ...](), odds_against(robot)
     for each in (tuple(_of_the_arm(found)) for found in faults.values()):
         gain = supported(each, everything) if each else 0.0
         if gain > most and (not validate or supported(each, validate) > 0):

@@ -184,7 +184,8 @@ class Smooth(NamedTuple):
     """A log in its motion's own bandwidth, evenly sampled at N instants."""
 
     motion: Motion
-    tau: Array  # through the same filter, shape (N, nv)
+    dry: Array  # signs of the velocities through the same filter, shape (N, nv)
+    tau: Array  # likewise, shape (N, nv)
     cutoff: float  # of the filters [1/time unit of the log]
     rate: float  # rows per time unit of the log
 
@@ -209,7 +210,8 @@ def smooth(log: Log) -> Smooth | None:
     stride = max(1, int(rate / (_OVERSAMPLED * cutoff)), len(grid) // _ROWS)
     at = grid[::stride]
     motion = Motion(at, spline(at), spline.derivative(1)(at), spline.derivative(2)(at))
-    return Smooth(motion, tau[::stride], cutoff, rate / stride)
+    dry = low_pass(np.sign(spline.derivative(1)(grid)), cutoff, rate)[::stride]
+    return Smooth(motion, dry, tau[::stride], cutoff, rate / stride)
 
 
 class TorqueFit:
@@ -228,7 +230,8 @@ class TorqueFit:
         still = np.zeros_like(q)
         G = regressor(robot, Motion(data.motion.t, q, still, still))
         D = regressor(robot, Motion(data.motion.t, q, dq, ddq)) - G
-        F = np.stack([dq, np.sign(dq), ddq, np.ones_like(q)], axis=2)
+        dry = data.dry * np.sign(factor)
+        F = np.stack([dq, dry, ddq, np.ones_like(q)], axis=2)
         self.robot, self.log, self.data, self.joints = robot, log, data, joints
         self.G, self.D, self.F, self.tau = map(self.filtered, (G, D, F, data.tau))
         self.loose: Array = np.zeros(robot.nv)
@@ -347,7 +350,7 @@ class TorqueFit:
         The bodies' torque counts up to a factor of each joint.
         """
         model, motion = rigid_body_torque(self.robot, data.motion), data.motion
-        F = np.stack([motion.dq, np.sign(motion.dq), motion.ddq, np.ones_like(motion.q)], axis=2)
+        F = np.stack([motion.dq, data.dry, motion.ddq, np.ones_like(motion.q)], axis=2)
         shares = []
         for j in range(self.robot.nv):
             wanted, read = without_effects(F[:, j], model[:, j], data.tau[:, j])
@@ -483,10 +486,10 @@ def order(case: TorqueFit) -> Iterator[Fault]:
     for order in sorted(orders - {tuple(same)}):
         at = list(order)
         columns = (getattr(data.motion, name)[:, at] for name in ("q", "dq", "ddq"))
-        moved = Motion(data.motion.t, *columns)
+        moved = data._replace(motion=Motion(data.motion.t, *columns), dry=data.dry[:, at])
         every: tuple[str, ...] = ("q", "dq", "tau")
-        for channels, motion in ((every, moved), (every[2:], data.motion)):
-            other = data._replace(motion=motion, tau=data.tau[:, at])
+        for channels, whole in ((every, moved), (every[2:], data)):
+            other = whole._replace(tau=data.tau[:, at])
             left = float(case.rows[at] @ np.log(case.unlike(other)))
             tried.append((left, at, channels, other))
     for _, at, channels, other in sorted(tried, key=lambda each: each[0])[:_FEW]:

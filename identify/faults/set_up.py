@@ -50,6 +50,7 @@ _STARTS = 3  # the best of them, refined
 _FLAT = 0.01  # slope at which it ends
 _POLISHED = 3  # times, with the noise that the set-up found leaves
 _LEAST_NOISE = 0.01  # of the torque, then
+_TRIED, _RARE = 12, 0.02  # set-ups of each joint; probability that an arm has another
 _ALIKE = 2.0  # twice the log of the ratio of evidence: set-ups that look the same
 _STEP = np.pi / 18  # between zero positions tried
 _TIE = 1e-9  # of it: rounding
@@ -135,7 +136,17 @@ def _fit(case: TorqueFit, set_up: _SetUp) -> TorqueFit:
 
 
 def _gain(case: TorqueFit, other: _SetUp) -> float:
-    """Twice the log evidence ratio of another set-up beyond chance; −∞ where it does not fit.
+    """Twice the log of the odds of another set-up, all that were tried counted; see `_evidence`."""
+    return _evidence(case, other) - odds_against(case.robot)
+
+
+def odds_against(robot: Robot) -> float:
+    """Twice the log of the odds against any one other set-up of an arm before data are seen."""
+    return 2 * float(np.log(_TRIED * robot.nv / _RARE))
+
+
+def _evidence(case: TorqueFit, other: _SetUp) -> float:
+    """Twice the log evidence ratio of another set-up; −∞ where it does not fit.
 
     As it stands any one of the links may be another body: that needs no other set-up. Errors of
     the model count as noise; the other set-up leaves half as much, or hardly more than these.
@@ -150,8 +161,7 @@ def _gain(case: TorqueFit, other: _SetUp) -> float:
     squares, before = map(min, zip(*tried, strict=True))
     if left > max(HALVED * squares, FITS * rows):
         return -np.inf
-    chance = float(scipy.special.chdtri(3, ALARM / robot.nv))
-    return float(before - after - chance * max(1.0, left / rows))
+    return float(before - after) / max(1.0, left / rows)
 
 
 def _spread(robot: Robot, other: int) -> Array:
@@ -163,21 +173,24 @@ def _spread(robot: Robot, other: int) -> Array:
 
 def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
     """The set-up in which the remedies of faults are applied."""
-    motion, tau, at = case.data.motion, np.array(case.data.tau), list(range(case.robot.nv))
-    channels = {name: np.array(getattr(motion, name)) for name in ("q", "dq", "ddq")}
+    motion, at = case.data.motion, list(range(case.robot.nv))
+    known = {"dry": case.data.dry, "tau": case.data.tau}
+    known |= {name: getattr(motion, name) for name in ("q", "dq", "ddq")}
+    channels = {name: np.array(values) for name, values in known.items()}
     for remedy in (remedy for fault in faults for remedy in fault.remedies):
         if remedy.channel == "t":
             channels["dq"] /= remedy.factor
             channels["ddq"] /= remedy.factor**2
-        moved = [channels[name] for name in ("q", "dq", "ddq") if remedy.channel == "q"]
-        for values in [*moved, tau] if remedy.channel == "tau" else moved:
+        for name in {"q": ("q", "dq", "ddq", "dry"), "tau": ("tau",)}.get(remedy.channel, ()):
+            values, joints = channels[name], list(remedy.joints)
             if remedy.action == "order":
-                values[:] = values[:, list(remedy.joints)]
+                values[:] = values[:, joints]
             else:
-                values[:, list(remedy.joints)] *= remedy.factor
+                values[:, joints] *= np.sign(remedy.factor) if name == "dry" else remedy.factor
         if remedy.action == "order" and remedy.channel == "tau":
             at = list(remedy.joints)
-    data = case.data._replace(motion=Motion(motion.t, **channels), tau=tau)
+    signs, tau = channels.pop("dry"), channels.pop("tau")
+    data = case.data._replace(motion=Motion(motion.t, **channels), dry=signs, tau=tau)
     return _SetUp(faults, case.robot, data, at)
 
 
@@ -369,11 +382,10 @@ def support(
 ) -> float:
     """Twice the log evidence ratio of a set-up in a recording with its other faults repaired.
 
-    It counts beyond chance; it is −∞ where the set-up does not fit, 0 where the torque tells
-    nothing.
+    It is −∞ where the set-up does not fit, 0 where the torque tells nothing.
     """
     log, _ = after_repair(Log.of(robot, recording), others)
     dead = {f.joints[0] for f in others if (f.fault, f.evidence.get("channel")) == NO_TORQUE}
     if (data := smooth(log)) is None or (case := torque_fit(robot, log, data, dead)) is None:
         return 0.0
-    return _gain(case, replace(_amended(case, faults), robot=amended(robot, faults)))
+    return _evidence(case, replace(_amended(case, faults), robot=amended(robot, faults)))
