@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ _BLOCKS = 10  # of the hold-out, to see how much the gain varies
 _DEVIATIONS = 2.0  # standard errors by which a gain must exceed zero, a value the given one
 _CONTRADICTED = 3.0  # standard errors by which a joint's error grows with a cause common to all
 _PLAIN = 0.1  # of a joint's squared error: a gain as large counts even below the noise
+_FAINT = 0.005  # of a joint's torque: no model is right to so much
+IDEAL = 0.02  # of it: what is missed by ideal friction, filters and samples
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 _PAYLOAD_SIGMA = 100.0  # relative: a payload is left free
 _PAYLOAD_SHARE, _PAYLOAD_RADIUS = 0.05, 0.1  # its reference body: of the arm's mass, m
@@ -103,6 +105,11 @@ class HeldOut:
     def given(self) -> Array:
         """Residual of the given model."""
         return self.series.measured - self.simulated
+
+    def share(self, torque: Array) -> Array:
+        """Rms of a torque, (n, nv), relative to the measured one, of each joint, shape (nv,)."""
+        rms = self.series.rms
+        return np.asarray(rms(torque) / np.maximum(rms(self.series.measured), 1e-300), float)
 
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
         """Whether a prediction has a larger squared error than another, by a share, in motion."""
@@ -251,13 +258,26 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
     return tuple(findings)
 
 
-def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
-    """The links whose given inertias the data contradict, as one finding; None where none pays.
+def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding]:
+    """The given effects, joint by joint, whose values the data contradict and correct."""
+    taken = {candidate.key for candidate in fit.chosen}
+    for effect in (single for each in robot.effects for single in each.singles() if fit.std):
+        if effect.role != "torque" or (effect.name, effect.joints) in taken:
+            continue
+        values, given, std = _coefficients(robot, fit, effect)
+        if (np.abs(values - given) < _DEVIATIONS * std).all():
+            continue
+        torque = fit.held.columns(effect) @ (values - given) / held.gains
+        off = effect.with_values(values.tolist())
+        found = finding_of(robot, fit, held, off, torque, given.tolist(), std.tolist())
+        if found.pays and held.share(torque).max() > IDEAL:
+            yield found
 
-    Where the data allow the given bodies no more than ±10 %, single links are candidates instead.
-    """
+
+def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
+    """The links whose given inertias the data contradict, as one finding; None where none pays."""
     apart = {row for c in fit.chosen if c.effect.role != "torque" for row in c.effect.rows(robot)}
-    if fit.evidence.tolerance[0] <= 1 or are_placeholders(robot) or not fit.std:
+    if are_placeholders(robot) or not fit.std:
         return None
     change, std = fit.model.phi - robot.phi, [fit.std[name] for name in robot.parameter_names]
 
@@ -296,7 +316,7 @@ def finding_of(
         most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
     alike = joints[robot.revolute[joints] == robot.revolute[most]]
     before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
-    if gain < _PLAIN and not shows.any():
+    if (gain < _PLAIN and not shows.any()) or held.share(torque).max() < _FAINT:
         margin = min(margin, -FLOOR)
     return Finding(
         effect,

@@ -20,6 +20,7 @@ from excitant.analysis.confirmation import (
     finding_of,
     held_out,
     off_bodies,
+    off_effects,
     unextended,
 )
 from excitant.analysis.discrimination import Plan
@@ -67,6 +68,7 @@ _GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodi
 _LEAST_GAIN = 0.2  # of the gain assumed: a reading of less torque says nothing about it
 _LACKS = 0.5  # of the friction found: a model with less lacks it
 _MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
+_LITTLE = 0.01  # of the squared error: a round that gains less is the last
 _ROUNDS = 3  # of the search at most, as effects may depend on the model that it finds
 
 
@@ -443,6 +445,7 @@ def diagnose(
     ]
     if (off := off_bodies(robot, fit, held)) is not None:
         paying.append(off)
+    paying += off_effects(robot, fit, held)
     off_by = TOLERANCE * max(1.0, fit.evidence.tolerance[0])
     first_of_all = [_of_set_up(mounted, effect, fit, held) for effect in mounted.effects]
     if mounted.faults:
@@ -452,7 +455,7 @@ def diagnose(
     judged = first_of_all + [
         replace(
             _with_gains(f, robot, drive),
-            downgrade=f.downgrade or reason_to_downgrade(robot, f, paying, left, off_by),
+            downgrade=f.downgrade or reason_to_downgrade(robot, f, paying, left, off_by, held),
         )
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
@@ -525,7 +528,7 @@ def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extensi
     """The model with the causes that the hold-out confirms, searched for again with that model."""
     held, robot = first.held, first.train.robot
     best: Extension | None = None
-    extender, evidence, shapes = first, first.evidence, None
+    extender, evidence = first, first.evidence
     for _ in range(_ROUNDS):
         if best is not None:
             train = extender.train.by(best.model, keep=idle(evidence, best.chosen))
@@ -535,8 +538,11 @@ def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extensi
         fit = confirmed(replace(extender, evidence=evidence), chosen)
         if best is not None and held.worse(fit.predicted, best.predicted, FLOOR):
             break
-        best, before, shapes = fit, shapes, {c.effect for c in fit.chosen}
-        if shapes == before or not any(e.depends_on_model or e.shapes for e in shapes):
+        before, best = best, fit
+        same = before is not None and {c.key for c in before.chosen} == {c.key for c in fit.chosen}
+        if before is not None and same and not held.worse(before.predicted, fit.predicted, _LITTLE):
+            break
+        if not any(c.effect.depends_on_model or c.effect.shapes for c in fit.chosen):
             break
     assert best is not None
     return best

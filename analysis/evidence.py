@@ -40,7 +40,7 @@ _LOOSE = 1e-6  # of the prior precision, where only the noise is estimated: bodi
 _BLOCK_S = 0.5  # s, at least: longer than the correlation time of filtered torque noise
 _BLOCKS = (16, 40)  # at least, at most
 _DETERMINED = 25.0  # least ratio of data to prior information in a direction that counts
-_FEWEST = 8  # such directions, to judge the tolerance by
+_FEWEST, _MANY = 4, 8  # such directions, to judge the tolerance by; to trust values more
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
 _LEAST_OFF, _BODIES_OFF, _EFFECTS_OFF = 0.02, 8.0, 1.0  # ends of the tolerance of given values
 _UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeholder
@@ -310,7 +310,8 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     parts = np.arange(links), np.arange(links, evidence.nuisance - len(evidence.gains))
     most = (_BODIES_OFF, _EFFECTS_OFF)
     bodies, effects = (
-        _typical_deviation(evidence, *each) for each in zip(parts, most, strict=True)
+        _typical_deviation(evidence, part, robot, end)
+        for part, end in zip(parts, most, strict=True)
     )
     tolerance = (_UNKNOWN if are_placeholders(robot) else bodies, effects)
     precision = np.array(evidence.precision)
@@ -319,10 +320,17 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     return reweighed(replace(evidence, precision=precision, tolerance=tolerance), [])
 
 
-def _typical_deviation(evidence: Evidence, part: Index, most: float) -> float:
-    if len(part) < 2:
-        return 1.0
-    usual = [c for c in evidence.candidates if c.effect.usual]  # what joints have is left free
+def _typical_deviation(evidence: Evidence, part: Index, robot: Robot, most: float) -> float:
+    """Typical deviation of given values from what the data say, all else as free as the data are.
+
+    The median of squares: a few values may be any. Few directions do not make it smaller than 1.
+    """
+    given = {(effect.name, joint) for effect in robot.effects for joint in effect.joints}
+    usual = [  # what joints have is left free, but not as what is given twice
+        c
+        for c in evidence.candidates
+        if c.effect.usual and not {(c.effect.name, joint) for joint in c.effect.joints} <= given
+    ]
     others = np.setdiff1d(evidence.active(usual), part)
     A = evidence.gram + np.diag(evidence.precision)
     H, m = evidence.gram[np.ix_(part, part)], evidence.moment[part]
@@ -340,4 +348,5 @@ def _typical_deviation(evidence: Evidence, part: Index, most: float) -> float:
     deviation = (vectors[:, shown].T @ (unit * m)) / values[shown]
     # noise alone adds the second term to the median of a squared deviation
     variance = float(np.median(deviation**2 - _MEDIAN / values[shown])) / _MEDIAN
-    return float(np.clip(np.sqrt(max(variance, 0.0)), _LEAST_OFF, most))
+    least = _LEAST_OFF if shown.sum() >= _MANY else 1.0
+    return float(np.clip(np.sqrt(max(variance, 0.0)), least, most))

@@ -207,8 +207,13 @@ def score(
         for f in findings
         if any(is_it(f, h, robot) for h in hidden) or not of_the_world(f["effect"], case["off"], ())
     ]
-    first = bool(findings and hidden) and is_it(findings[0], hidden[0], robot)
-    silent = not any(f["verdict"] in ("named", "undecided") for f in findings)
+    lead = [*findings[:1], *(findings[0]["rivals"] if findings else ())]
+    first = bool(hidden) and any(is_it(each, hidden[0], robot) for each in lead)
+    silent = not any(  # beyond what is true of the world
+        f["verdict"] in ("named", "undecided")
+        and not any(of_the_world(each["effect"], case["off"], ()) for each in (f, *f["rivals"]))
+        for f in findings
+    )
     near = [f["effect"] for f in sure for h in hidden if f["effect"] in NEAR.get(h.kind, ())]
     word = said_first(own[0], hidden, robot) if own else "nothing"
     judged = {"named": named, "found": found, "wrong": wrong, "first": first}
@@ -262,6 +267,7 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
         ("outside: the nearest name", [s["near"] for s in outside]),
         ("outside: a wrong name", [s["wrong"] for s in outside]),
         ("nothing hidden: no wrong name", [not s["wrong"] for s in clean]),
+        ("nothing hidden: nothing open but the world's own", [s["silent"] for s in clean]),
         ("effects: a wrong name beside", [s["wrong"] for s in groups["effects"]]),
     )
     yield ""

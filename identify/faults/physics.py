@@ -64,6 +64,7 @@ _FAR = 10.0  # times its limit: no drive does that, whatever its limit is to mea
 _TORQUE_UNITS = {100.0: "N·cm", 1000.0: "N·mm", 1e6: "µN·m"}
 _WITHIN = 3.0  # times the limit, after a repair
 _FEW = 4  # orders, the likeliest by the given bodies, that are looked at closely
+_CLEARLY = 0.1  # squares per independent row, errors of the model counted: less needs no search
 FITS = 0.25  # squares per independent row: less needs no other order
 MODEL_ERROR = 0.05  # of a torque
 _BEYOND = 1.2 * 2 * np.pi  # rad: more than joints turn to one side
@@ -396,8 +397,8 @@ def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
 
 
 def fits(case: TorqueFit, S: Array) -> bool:
-    """Whether bodies near the given ones explain the torque to a twentieth, and nothing is off."""
-    return case.surprise(0 * case.power, case.rows, S)[0] < FITS * float(case.rows.sum())
+    """Whether bodies near the given ones explain the torque so well that nothing is off."""
+    return case.surprise(0 * case.power, case.rows, S)[0] < _CLEARLY * float(case.rows.sum())
 
 
 def _solve(A: Array, b: Array) -> Array:

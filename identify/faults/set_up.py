@@ -202,9 +202,10 @@ def _searched(case: TorqueFit) -> Iterator[_SetUp]:
     if fits(case, _spread(robot, robot.nv - 1)):
         return
     turning = (j for j in case.joints if robot.revolute[j])
-    for found in (_mounting(case), *(_zeros(case, j) for j in turning)):
-        if found is not None:
-            yield found
+    if (turned := _mounting(case)) is not None:
+        yield turned
+    for j in turning:
+        yield from _zeros(case, j)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,14 +318,13 @@ def _mounting(case: TorqueFit) -> _SetUp | None:
     return _SetUp([fault], robot.with_gravity(gravity), case.data, range(robot.nv))
 
 
-def _zeros(case: TorqueFit, j: int) -> _SetUp | None:
+def _zeros(case: TorqueFit, j: int) -> Iterator[_SetUp]:
     """One joint at another zero position, counting or measuring torque the other way.
 
-    None where the simplest is as it stands: other angles before other signs, and a multiple of 90°
-    before any other angle, unless these are better beyond chance.
+    The simplest, and that which measures torque as it is recorded; none where that is as it stands.
     """
     motion, unit = case.data.motion, np.eye(case.robot.nv)[j]
-    found = []
+    found = list[tuple[float, bool, float, float]]()
     for sign in (1.0, -1.0):
         way = 1 + (sign - 1) * unit
         q, dq, ddq = (x * way for x in (motion.q, motion.dq, motion.ddq))
@@ -343,15 +343,27 @@ def _zeros(case: TorqueFit, j: int) -> _SetUp | None:
             ends = near - _STEP, near + _STEP
             free = float(scipy.optimize.minimize_scalar(left, bounds=ends, method="bounded").x)
             right = _RIGHT * round(free / _RIGHT)
-            found += [(left(x), x, sign, flipped is not None) for x in (0.0, right, free)]
-    found.sort(key=lambda each: (each[2] < 0) + each[3])
+            found += [(left(x), flipped is not None, sign, x) for x in (0.0, right, free)]
+    found.sort(key=lambda each: (each[2] < 0) + each[1])
+    ways = [found, [each for each in found if not each[1]]]
+    for simplest in dict.fromkeys(_simplest(case, way) for way in ways):
+        if simplest != (False, 1.0, 0.0):
+            yield _set_up_of(case, j, *simplest)
+
+
+def _simplest(
+    case: TorqueFit, found: Sequence[tuple[float, bool, float, float]]
+) -> tuple[bool, float, float]:
+    """The first of zero positions, by the squares they leave, than which none is better by chance.
+
+    Other angles come before other signs, and a multiple of 90° before any other angle.
+    """
     least = min(squares for squares, *_ in found)
     chance = float(scipy.special.chdtri(1, ALARM)) * max(1.0, least / float(case.rows.sum()))
-    simplest = next(each[1:] for each in found if each[0] < least + chance)
-    return None if simplest == (0.0, 1.0, False) else _set_up_of(case, j, *simplest)
+    return next(each[1:] for each in found if each[0] < least + chance)
 
 
-def _set_up_of(case: TorqueFit, j: int, angle: float, sign: float, flipped: bool) -> _SetUp:
+def _set_up_of(case: TorqueFit, j: int, flipped: bool, sign: float, angle: float) -> _SetUp:
     joint, faults = case.log.joints[j], list[Fault]()
     if channels := ("q", "dq") * (sign < 0) + ("tau",) * flipped:
         what = " and ".join(name for name in channels if name != "dq")

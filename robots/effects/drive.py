@@ -184,9 +184,9 @@ class TorqueRipple(JointEffect):
         gains = np.concatenate([_gains(part, q, e) for part in np.array_split(orders, 20)])
         found: list[float] = []
         for order in orders[np.argsort(-gains)].tolist():
-            if all(abs(order - known) > 3 * step for known in found):
+            if len(found) < _ORDERS and all(abs(order - known) > 3 * step for known in found):
                 found.append(order)
-        return [cls((joint,), order=order) for order in found[:_ORDERS]]
+        return [cls((joint,), order=order) for order in found]
 
     @classmethod
     def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
