@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence, calibrated, weigh
+from excitant.analysis.residuals import position_noise
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.regression import dense
@@ -113,7 +114,8 @@ def gather(
     nuisance = start = sum(map(len, weights))
     candidates = []
     motions, rows = [s.motion for s in segments], [s.keep for s in segments]
-    facts = joint_facts(motions, rows, tau - train.torque(), segments[0].cutoff_hz)
+    left, noise = tau - train.torque(), position_noise(segments)
+    facts = joint_facts(motions, rows, left, segments[0].cutoff_hz, noise)
     for effect, trials in proposals(robot, facts, [(c.effect, c.trials) for c in believed]):
         if identified and not effect.further:
             continue

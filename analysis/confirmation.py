@@ -15,7 +15,7 @@ from excitant.analysis.candidates import (
     observed,
 )
 from excitant.analysis.evidence import Candidate, Evidence, Key, are_placeholders
-from excitant.analysis.residuals import noise_floor
+from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment, away_from_rest
@@ -80,6 +80,13 @@ class Finding:
         return self.margin >= 0
 
     @property
+    def as_given(self) -> bool:
+        """Whether it is a value that the model has, to two standard deviations."""
+        off = np.abs(np.array(self.effect.values) - self.given)
+        given = self.effect.role == "torque" and bool(np.any(self.given))
+        return given and bool((off < _DEVIATIONS * np.array(self.std)).all())
+
+    @property
     def refuted(self) -> bool:
         """Whether the error on the hold-out is significantly larger with it."""
         return self.gain + _DEVIATIONS * self.gain_error < -FLOOR
@@ -99,7 +106,7 @@ class HeldOut:
     series: Series  # measured torque, and the rows at which each joint moves
     simulated: Array  # torque of the given model
     mounted: Array  # of the given model in the set-up found
-    floor: Array  # noise floor of each joint's filtered torque, shape (nv,)
+    floor: Array  # noise of each joint's filtered torque, measured and modelled, shape (nv,)
 
     @property
     def given(self) -> Array:
@@ -125,6 +132,7 @@ def held_out(
     """The hold-out of a robot as it is set up, and as given; its torque per reading, (nv,)."""
     found = observed(robot, segments)
     floor = np.array([noise_floor(segments, j) for j in range(robot.nv)])
+    floor = np.hypot(floor, motion_noise(robot, segments) / gains)
     mounted = simulated = found.torque() / gains
     if given is not None and given is not robot:
         simulated = predicted_torque(given, segments) / gains
@@ -265,12 +273,10 @@ def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding
         if effect.role != "torque" or (effect.name, effect.joints) in taken:
             continue
         values, given, std = _coefficients(robot, fit, effect)
-        if (np.abs(values - given) < _DEVIATIONS * std).all():
-            continue
         torque = fit.held.columns(effect) @ (values - given) / held.gains
         off = effect.with_values(values.tolist())
         found = finding_of(robot, fit, held, off, torque, given.tolist(), std.tolist())
-        if found.pays and held.share(torque).max() > IDEAL:
+        if found.pays and not found.as_given and held.share(torque).max() > IDEAL:
             yield found
 
 
@@ -316,7 +322,8 @@ def finding_of(
         most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
     alike = joints[robot.revolute[joints] == robot.revolute[most]]
     before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
-    if (gain < _PLAIN and not shows.any()) or held.share(torque).max() < _FAINT:
+    plain = gain > _PLAIN and not effect.depends_on_model  # else noise of positions looks like it
+    if not (plain or shows.any()) or held.share(torque).max() < _FAINT:
         margin = min(margin, -FLOOR)
     return Finding(
         effect,

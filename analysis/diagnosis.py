@@ -65,7 +65,7 @@ from excitant.robots.robot import Robot
 
 _NO_PLAN = Plan()
 _GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodies alone show
-_LEAST_GAIN = 0.2  # of the gain assumed: a reading of less torque says nothing about it
+_LEAST_GAIN, _NEAR = 0.2, 0.5  # of the gain assumed: least that is believed, that ends the search
 _LACKS = 0.5  # of the friction found: a model with less lacks it
 _MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
 _LITTLE = 0.01  # of the squared error: a round that gains less is the last
@@ -446,6 +446,7 @@ def diagnose(
     if (off := off_bodies(robot, fit, held)) is not None:
         paying.append(off)
     paying += off_effects(robot, fit, held)
+    paying = [f for f in (_with_gains(each, robot, drive) for each in paying) if not f.as_given]
     off_by = TOLERANCE * max(1.0, fit.evidence.tolerance[0])
     first_of_all = [_of_set_up(mounted, effect, fit, held) for effect in mounted.effects]
     if mounted.faults:
@@ -454,7 +455,7 @@ def diagnose(
     first_of_all = [replace(finding, rivals=mounted.rivals) for finding in first_of_all]
     judged = first_of_all + [
         replace(
-            _with_gains(f, robot, drive),
+            f,
             downgrade=f.downgrade or reason_to_downgrade(robot, f, paying, left, off_by, held),
         )
         for f in sorted(paying, key=lambda f: -f.explained)
@@ -477,12 +478,17 @@ def _regained(
     before = drive.covariance + _GAINS_OFF**2 * np.diag(
         [joint not in bare for joint in robot.joints]
     )
-    evidence, chosen = select(gather(robot, train, tau, prior, gains=before), robot)
-    x, covariance = evidence.solve(chosen)
-    root = gain_root(before)
-    off = 1 + root @ x[evidence.gains]
+    root, gains = gain_root(before), drive.gains
+    for _ in range(_ROUNDS):
+        scaled = tau * (gains / drive.gains)
+        evidence, chosen = select(gather(robot, train, scaled, prior, gains=before), robot)
+        x, covariance = evidence.solve(chosen)
+        off = 1 + root @ x[evidence.gains]
+        gains = gains / np.maximum(off, _LEAST_GAIN)
+        if (off > _NEAR).all():
+            break
     known = root @ covariance[np.ix_(evidence.gains, evidence.gains)] @ root.T / np.outer(off, off)
-    return replace(drive, gains=drive.gains / np.maximum(off, _LEAST_GAIN), covariance=known)
+    return replace(drive, gains=gains, covariance=known)
 
 
 def _of_set_up(mounted: SetUp, effect: Effect, fit: Extension, held: HeldOut) -> Finding:
@@ -514,8 +520,11 @@ def _with_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Fin
 
 
 def _by_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Array:
-    """Standard deviations of a finding's coefficients by that of the drive gains."""
-    size: Array = np.abs(np.array(finding.effect.values))
+    """Standard deviations of a finding's coefficients by that of the drive gains.
+
+    It is of their logarithms: a value far below the given one is as unsure as that.
+    """
+    size: Array = np.abs([finding.effect.values or (), finding.given]).max(axis=0)
     if drive is None:
         return 0 * size
     effect = finding.effect

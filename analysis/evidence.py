@@ -9,8 +9,9 @@ candidates
 
 A candidate of k columns that is not present lowers J by λ χ²_k; residuals are far from white, so λ
 is estimated from sums of its score over blocks of time (Rao and Scott 1984). Given values are taken
-as correct to ±10 %, or as the median of their deviations says (empirical Bayes): those of bodies up
-to 80 %, for published inertias are rough; noise is what bodies and usual effects leave when free.
+as correct to ±10 %, or as the median of their deviations says (empirical Bayes), up to 80 %, for
+published inertias are rough, and so is friction from a data sheet; noise is what bodies and usual
+effects leave when free.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _BLOCKS = (16, 40)  # at least, at most
 _DETERMINED = 25.0  # least ratio of data to prior information in a direction that counts
 _FEWEST, _MANY = 4, 8  # such directions, to judge the tolerance by; to trust values more
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
-_LEAST_OFF, _BODIES_OFF, _EFFECTS_OFF = 0.02, 8.0, 1.0  # ends of the tolerance of given values
+_LEAST_OFF, _MOST_OFF = 0.02, 8.0  # ends of the tolerance of given values
 _UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeholder
 
 
@@ -308,11 +309,7 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     """The same evidence with the tolerance of given values that the data support."""
     links = 10 * robot.nv
     parts = np.arange(links), np.arange(links, evidence.nuisance - len(evidence.gains))
-    most = (_BODIES_OFF, _EFFECTS_OFF)
-    bodies, effects = (
-        _typical_deviation(evidence, part, robot, end)
-        for part, end in zip(parts, most, strict=True)
-    )
+    bodies, effects = (_typical_deviation(evidence, part, robot) for part in parts)
     tolerance = (_UNKNOWN if are_placeholders(robot) else bodies, effects)
     precision = np.array(evidence.precision)
     for part, factor in zip(parts, tolerance, strict=True):
@@ -320,7 +317,7 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     return reweighed(replace(evidence, precision=precision, tolerance=tolerance), [])
 
 
-def _typical_deviation(evidence: Evidence, part: Index, robot: Robot, most: float) -> float:
+def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
     """Typical deviation of given values from what the data say, all else as free as the data are.
 
     The median of squares: a few values may be any. Few directions do not make it smaller than 1.
@@ -349,4 +346,4 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot, most: floa
     # noise alone adds the second term to the median of a squared deviation
     variance = float(np.median(deviation**2 - _MEDIAN / values[shown])) / _MEDIAN
     least = _LEAST_OFF if shown.sum() >= _MANY else 1.0
-    return float(np.clip(np.sqrt(max(variance, 0.0)), least, most))
+    return float(np.clip(np.sqrt(max(variance, 0.0)), least, _MOST_OFF))

@@ -67,6 +67,9 @@ def reason_to_downgrade(
         if same and other.effect.shapes and found.explained < _SMALL * other.explained:
             name = plain(other.effect.name)
             return f"it is small compared with {name}, whose shape is only roughly known"
+        curves = all(f.effect.is_friction_curve for f in (found, other))
+        if same and curves and found.explained < other.explained:
+            return f"it shares the friction curve of the joint with {plain(other.effect.name)}"
     return ""
 
 

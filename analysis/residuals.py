@@ -15,8 +15,17 @@ import numpy as np
 import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.preprocessing import Index, Mask, Segment, away_from_rest, top_speed
+from excitant.identify.preprocessing import (
+    POSITION_RATIO,
+    Index,
+    Mask,
+    Segment,
+    away_from_rest,
+    top_speed,
+)
 from excitant.robots.motion import Array
+from excitant.robots.regressor import torque_derivatives
+from excitant.robots.robot import Robot
 
 QUANTITIES = {
     "constant": "are a constant offset",
@@ -44,6 +53,9 @@ _OUTSIDE = 0.02  # of the power on either side of a motion's band
 _ABOVE = 1.5  # times the cut-off: where nothing of the motion is left
 _PASSED = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
 _NEAR = (0.6, 0.95)  # of the cut-off
+_SEEN = 1.5  # times the cut-off: up to where noise of positions is looked for
+_NYQUIST = 0.4  # of the sampling rate: highest cut-off of positions
+_POSES = 50  # at which inertia is evaluated
 _LONGEST = 512  # samples of a periodogram's stretch
 _FORGETS = 0.1  # s: residuals with a shorter correlation time look like noise
 _MEASURABLE = 1e-3  # of the error: noise below this comes from a filter, not from a sensor
@@ -274,6 +286,41 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
             power += n * float(np.median(above)) * _PASSED * s.cutoff_hz
             weight += n
     return float(np.sqrt(power / weight)) if weight else 0.0
+
+
+def position_noise(segments: Sequence[Segment]) -> Array:
+    """Density of white noise of the positions, shape (nv,) [rad²/Hz or m²/Hz].
+
+    It shows in accelerations as (2πf)⁴ times it between the cut-offs of torque and positions,
+    where nothing of the motion is left.
+    """
+    power, weight = np.zeros(segments[0].motion.q.shape[1]), 0
+    for s in segments:
+        n, band = len(s.motion), slice(s.cutoff_hz, min(_SEEN * s.cutoff_hz, 0.45 * s.rate_hz))
+        f, density = scipy.signal.welch(s.motion.ddq, s.rate_hz, nperseg=min(_LONGEST, n), axis=0)
+        within = (f > band.start) & (f < band.stop)
+        if within.any():
+            power += n * np.median(density[within] / _slope(s, f[within])[:, None], axis=0)
+            weight += n
+    return power / max(weight, 1)
+
+
+def _slope(s: Segment, f: Array) -> Array:
+    """Power of accelerations over that of the positions they are differentiated from, (m,)."""
+    inner = min(POSITION_RATIO * s.cutoff_hz, _NYQUIST * s.rate_hz)
+    return np.asarray((2 * np.pi * f) ** 4 / (1 + (f / inner) ** 8) ** 2, float)
+
+
+def motion_noise(robot: Robot, segments: Sequence[Segment]) -> Array:
+    """Rms torque that noise of the positions puts on a model's, shape (nv,) [N·m or N]."""
+    white, power = position_noise(segments), np.zeros(robot.nv)
+    for s in segments:
+        f = np.linspace(0.0, s.rate_hz / 2, _LONGEST)
+        passed = np.trapezoid(_slope(s, f) / (1 + (f / s.cutoff_hz) ** 8) ** 2, f)
+        few = s.motion[:: max(1, len(s.motion) // _POSES)]
+        inertia = torque_derivatives(robot, few)[2]
+        power += len(s.motion) * passed * ((inertia**2).mean(axis=0) @ white)
+    return np.asarray(np.sqrt(power / sum(len(s.motion) for s in segments)), float)
 
 
 def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:

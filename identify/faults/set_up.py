@@ -102,13 +102,24 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
         searched = [(_gain(case, each), each) for each in _searched(case)]
         if not (able := [*judged, *(each for each in searched if each[0] > 0)]):
             break
-        most = max(gain for gain, _ in able)
-        alike = [each for gain, each in (*judged, *searched) if gain > most - _ALIKE]
-        alike = sorted(alike or [each for _, each in able], key=_rank)
+        fit_well = [each for gain, each in (*judged, *searched) if np.isfinite(gain)]
+        alike = sorted(_likeliest(case, fit_well or [each for _, each in able]), key=_rank)
         best = alike[0]
         found += _beside(best.faults, alike[1:])
         case = _fit(case, best)
     return found
+
+
+def _likeliest(case: TorqueFit, among: Sequence[_SetUp]) -> list[_SetUp]:
+    """The set-ups that have most evidence by one measure of noise, the least that any leaves."""
+    fits = [_fit(case, each) for each in among]
+    noise, S = np.min([fit.power for fit in fits], axis=0), _spread(case.robot, case.robot.nv - 1)
+    surprise = [
+        fit.surprise(noise, case.rows[each.order], S)[1]
+        for fit, each in zip(fits, among, strict=True)
+    ]
+    least = min(surprise) + _ALIKE
+    return [each for each, own in zip(among, surprise, strict=True) if own <= least]
 
 
 def _rank(set_up: _SetUp) -> tuple[int, int]:

@@ -31,6 +31,7 @@ _LARGEST = 2.0  # of the typical size of a coefficient that has one
 SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond what physics allows
 _NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
 _TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # a shape that was found, where it may be another
+_DEVIATIONS = 4.0  # standard deviations of the noise of positions that hide where one turns back
 _STILL = 1e-3  # rad/s: slower joints rest
 
 Role = Literal["torque", "link", "body"]
@@ -86,8 +87,12 @@ def joint_facts(
     rows: Sequence[slice] = (),
     unexplained: Array | None = None,
     cutoff_hz: float = np.inf,
+    noise: Array | float = 0.0,
 ) -> tuple[JointFacts, ...]:
-    """Statistics of each joint in recordings, with the residual torque of a model at some rows."""
+    """Statistics of each joint in recordings, with the residual torque of a model at some rows.
+
+    Noise is a density of the positions, (nv,) [rad²/Hz or m²/Hz].
+    """
 
     def joined(parts: Sequence[Motion]) -> tuple[Array, Array]:
         return np.concatenate([m.q for m in parts]), np.concatenate([m.dq for m in parts])
@@ -96,10 +101,11 @@ def joint_facts(
     speed, reach = np.abs(dq).max(axis=0).tolist(), np.ptp(q, axis=0).tolist()
     start = min(float(m.t[0]) for m in motions)
     duration = max(float(m.t[-1]) for m in motions) - start
-    step = max(float(m.t[1] - m.t[0]) for m in motions)
-    unseen = step + 1 / (2 * np.pi * 2 * cutoff_hz)  # positions pass twice the cut-off
+    unseen, passed = max(float(m.t[1] - m.t[0]) for m in motions), 0.0
+    if cutoff_hz < np.inf:  # positions pass twice the cut-off
+        unseen, passed = unseen + 1 / (2 * np.pi * 2 * cutoff_hz), 2 * cutoff_hz
     pull = np.sqrt(np.mean(np.concatenate([m.ddq for m in motions]) ** 2, axis=0))
-    blur = (pull * unseen**2 / 2).tolist()
+    blur = (pull * unseen**2 / 2 + _DEVIATIONS * np.sqrt(noise * passed)).tolist()
     facts = [
         JointFacts(top, far, start, duration, near)
         for top, far, near in zip(speed, reach, blur, strict=True)
@@ -246,6 +252,11 @@ class Effect(ABC):
     def affected(self, robot: Robot) -> list[int]:
         """Indices of the joints whose torque it changes: its own, or any where bodies move."""
         return self.rows(robot) if self.jointwise else list(range(robot.nv))
+
+    @property
+    def is_friction_curve(self) -> bool:
+        """Whether it is friction by the joint's velocity alone, finer than the usual."""
+        return self.family == "friction" and self.law is not None and not self.standard
 
     def is_common(self, robot: Robot) -> bool:
         """Whether it acts on all joints of an arm by the same coefficients."""

@@ -235,3 +235,18 @@ def test_preprocessing_takes_another_differentiator() -> None:
     np.testing.assert_allclose(segment.motion.ddq[200:-200], true[200:-200], atol=1e-3)
     with pytest.raises(BadInput, match="without delay"):
         prepare(recording, 10.0, LocalPolynomial(2, 2))
+
+
+@pytest.mark.parametrize("rate", [100.0, 125.0, 250.0, 1000.0])
+def test_a_thin_segment_has_the_same_rows_and_nearly_the_same_columns(rate: float) -> None:
+    t = np.arange(0, 20, 1 / rate)
+    motion = smooth_motion(PLANAR, t)
+    [segment] = prepared(t, motion.q)
+    thin = segment.thin
+    assert thin.rate_hz >= min(rate, 8 * CUTOFF) * (1 - 1e-9)
+    np.testing.assert_allclose(thin.t, segment.t, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(thin.tau[thin.keep], segment.tau[segment.keep])
+    full, few = (s.rows(lambda m: regressor(PLANAR, m)) for s in (segment, thin))
+    # positions keep 20 Hz, so that products of three of them end at the Nyquist frequency
+    within = slice(10, -10)  # edges of the filter apart
+    assert np.abs(few - full)[within].max() < 2e-3 * np.abs(full).max()

@@ -145,7 +145,8 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(
 @pytest.fixture(scope="module")
 def facts(ur10: Robot, random_states: States) -> list[fx.JointFacts]:
     motion = random_states(ur10, 3, 200)
-    return fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
+    found = fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
+    return [replace(seen, blur=0.0) for seen in found]  # states in no order have no reversals
 
 
 @pytest.fixture(scope="module")
@@ -285,3 +286,16 @@ def test_bad_entries_are_refused(
     with pytest.raises(BadInput, match=culprit) as refusal:
         fx.effects_from_entries([{"effect": name, **entry}], planar, "robot.yaml")
     assert str(refusal.value).startswith("robot.yaml: ")
+
+
+def test_presliding_is_a_good_part_of_dry_friction_over_more_than_a_blurred_reversal() -> None:
+    planar = load_robot("planar_2r")
+    given = planar.with_effects([fx.CoulombFriction(planar.joints).with_values([1.0, 1.0])])
+    effect, std = fx.PreslidingHysteresis(planar.joints[:1], distance=0.01), np.array([0.01])
+    assert effect.plausible(given, np.array([0.5]), std)
+    assert not effect.plausible(given, np.array([0.1]), std)
+    assert effect.plausible(planar.with_effects([]), np.array([0.1]), std)
+    facts = fx.JointFacts(speed=1.0, reach=2.0, blur=0.01)
+    distances = [each.distance for each in fx.PreslidingHysteresis.candidates("joint1", facts)]
+    assert distances
+    assert min(distances) >= 0.01
