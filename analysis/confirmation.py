@@ -55,6 +55,7 @@ class Finding:
         gain: Fall of its joints' squared error with it, relative to the error without it.
         gain_error: Standard error of the gain, from blocks of time.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
+        share: Rms of that relative to the measured torque, of the joint where it is largest.
         margin: Gain beyond the threshold of confirmation; negative where the size may be chance.
         rivals: Causes that the data cannot distinguish from it.
         downgrade: Reason to call it undecided although it has no rival; else empty.
@@ -70,6 +71,7 @@ class Finding:
     gain: float
     gain_error: float
     torque: Array
+    share: float
     margin: float = 0.0
     rivals: tuple[Rival, ...] = ()
     downgrade: str = ""
@@ -112,11 +114,6 @@ class HeldOut:
     def given(self) -> Array:
         """Residual of the given model."""
         return self.series.measured - self.simulated
-
-    def share(self, torque: Array) -> Array:
-        """Rms of a torque, (n, nv), relative to the measured one, of each joint, shape (nv,)."""
-        rms = self.series.rms
-        return np.asarray(rms(torque) / np.maximum(rms(self.series.measured), 1e-300), float)
 
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
         """Whether a prediction has a larger squared error than another, by a share, in motion."""
@@ -267,7 +264,8 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
 
 
 def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding]:
-    """The given effects, joint by joint, whose values the data contradict and correct."""
+    """The given effects, joint by joint, whose values the data correct noticeably."""
+    least = _noticed(fit.evidence.tolerance[1])
     taken = {candidate.key for candidate in fit.chosen}
     for effect in (single for each in robot.effects for single in each.singles() if fit.std):
         if effect.role != "torque" or (effect.name, effect.joints) in taken:
@@ -276,8 +274,16 @@ def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding
         torque = fit.held.columns(effect) @ (values - given) / held.gains
         off = effect.with_values(values.tolist())
         found = finding_of(robot, fit, held, off, torque, given.tolist(), std.tolist())
-        if found.pays and not found.as_given and held.share(torque).max() > IDEAL:
+        if found.pays and not found.as_given and found.share > least:
             yield found
+
+
+def _noticed(tolerance: float) -> float:
+    """Share of a torque by which given values are noticeably off: right to ±10 % are no finding.
+
+    Where most values are off by more than they might be, every one that counts is told.
+    """
+    return IDEAL if tolerance > 1 else 2 * TOLERANCE
 
 
 def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
@@ -295,7 +301,9 @@ def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
         return finding_of(robot, fit, held, effect, torque, given, spread)
 
     rows = [k for k in range(robot.nv) if k not in apart and of([k]).pays]
-    return of(rows) if rows else None
+    found = of(rows) if rows else None
+    least = _noticed(fit.evidence.tolerance[0])
+    return found if found is not None and found.share > least else None
 
 
 def finding_of(
@@ -323,7 +331,8 @@ def finding_of(
     alike = joints[robot.revolute[joints] == robot.revolute[most]]
     before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
     plain = gain > _PLAIN and not effect.depends_on_model  # else noise of positions looks like it
-    if not (plain or shows.any()) or held.share(torque).max() < _FAINT:
+    share = float((rows.rms(torque) / np.maximum(rows.rms(rows.measured), 1e-300)).max())
+    if not (plain or shows.any()) or share < _FAINT:
         margin = min(margin, -FLOOR)
     return Finding(
         effect,
@@ -336,6 +345,7 @@ def finding_of(
         gain=gain,
         gain_error=spread,
         torque=torque,
+        share=share,
         margin=margin,
         downgrade=_contradicted(robot, effect, without * rows.moves, torque * rows.moves),
     )

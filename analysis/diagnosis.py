@@ -456,7 +456,7 @@ def diagnose(
     judged = first_of_all + [
         replace(
             f,
-            downgrade=f.downgrade or reason_to_downgrade(robot, f, paying, left, off_by, held),
+            downgrade=f.downgrade or reason_to_downgrade(robot, f, paying, left, off_by),
         )
         for f in sorted(paying, key=lambda f: -f.explained)
     ]

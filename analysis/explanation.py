@@ -17,7 +17,7 @@ from excitant.robots.effects import plain, standard_effects
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
-    from excitant.analysis.confirmation import Finding, HeldOut
+    from excitant.analysis.confirmation import Finding
     from excitant.analysis.diagnosis import Diagnosis
     from excitant.robots.robot import Robot
 
@@ -36,7 +36,6 @@ def reason_to_downgrade(
     others: Sequence[Finding],
     left: Sequence[Residual],
     tolerance: float,
-    held: HeldOut,
 ) -> str:
     """Reason to downgrade a confirmed cause without rivals to undecided; half a sentence.
 
@@ -47,8 +46,9 @@ def reason_to_downgrade(
     several_gains = effect.of_given_torque and 2 * len(gains) > robot.nv
     if several_gains and np.abs(effect.values or 0.0).max() < _COMMON * tolerance:
         return "given masses that are all off by one factor would look the same"
-    if (share := held.share(torque).max()) < IDEAL:
-        return f"models are hardly better than to {100 * share:.1f} % of the torque, which it makes"
+    if found.share < IDEAL:
+        small = f"{100 * found.share:.1f} % of the torque"
+        return f"models are hardly better than to {small}, which it makes"
     # a cause on several joints has to explain them all, so a smaller residual counts
     several = bool(torque.any(axis=0).sum() > 1)
     scale = np.array([r.floor for r in left])

@@ -26,7 +26,7 @@ from excitant.robots.regressor import gravity_torque, regressor, rigid_body_torq
 from excitant.robots.robot import Robot
 
 _TURNED = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
-_STEP = 1e-6  # m
+_METRE = 1e-3  # of the central difference; torque is quadratic in a placement, so any would do
 _BODY = tuple(zip(STANDARD, UNITS, strict=True))
 
 
@@ -88,10 +88,13 @@ class KinematicError(_GeometryEffect):
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Differences by the translation; torque is quadratic in it, so a short step is exact."""
-        j, here = self.rows(robot)[0], rigid_body_torque(robot, motion)
-        ahead = (rigid_body_torque(_moved(robot, j, step), motion) for step in _STEP * np.eye(3))
-        return np.stack([(torque - here) / _STEP for torque in ahead], axis=2)
+        """Central differences by the translation."""
+        j = self.rows(robot)[0]
+        parts = []
+        for step in _METRE * np.eye(3):
+            ahead, behind = (rigid_body_torque(_moved(robot, j, s * step), motion) for s in (1, -1))
+            parts.append((ahead - behind) / (2 * _METRE))
+        return np.stack(parts, axis=2)
 
     def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
         far = 1e3 * float(np.linalg.norm(self._known()))

@@ -326,8 +326,9 @@ def test_why_a_cause_that_pays_is_not_decided(
 ) -> None:
     """Torque and slow structure left of this rms at each of two joints; what causes explain."""
     viscous, beside = ViscousFriction(("joint2",)), StribeckFriction((rough[0],))
+    same = {"torque": np.ones((10, 1)) * rms, "share": 1.0}
     found, *others = (
-        cast(Finding, SimpleNamespace(effect=effect, torque=np.ones((10, 1)) * rms, explained=x))
+        cast(Finding, SimpleNamespace(**same, effect=effect, explained=x))
         for effect, x in ((viscous, own), (viscous, 0.6), (beside, rough[1]))
     )
     residuals = [
@@ -343,7 +344,8 @@ def test_why_a_cause_that_pays_is_not_decided(
 def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, open_: bool) -> None:
     robot = load_robot("planar_2r")
     gain = TorqueGain(robot.joints).with_values([size])
-    found = cast(Finding, SimpleNamespace(effect=gain, torque=np.ones((10, 2)), explained=0.5))
+    shown = {"torque": np.ones((10, 2)), "share": 1.0, "explained": 0.5}
+    found = cast(Finding, SimpleNamespace(effect=gain, **shown))
     left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
     assert bool(reason_to_downgrade(robot, found, [found], left, 0.1)) == open_
 
