@@ -33,7 +33,7 @@ _DEVIATIONS = 2.0  # standard errors by which a gain must exceed zero, a value t
 _CONTRADICTED = 3.0  # standard errors by which a joint's error grows with a cause common to all
 _PLAIN = 0.1  # of a joint's squared error: a gain as large counts even below the noise
 _FAINT = 0.005  # of a joint's torque: no model is right to so much
-IDEAL = 0.02  # of it: what is missed by ideal friction, filters and samples
+IDEAL = 0.01  # of it: what is missed by ideal friction, filters and samples
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 _PAYLOAD_SIGMA = 100.0  # relative: a payload is left free
 _PAYLOAD_SHARE, _PAYLOAD_RADIUS = 0.05, 0.1  # its reference body: of the arm's mass, m
@@ -281,9 +281,9 @@ def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding
 def _noticed(tolerance: float) -> float:
     """Share of a torque by which given values are noticeably off: right to ±10 % are no finding.
 
-    Where most values are off by more than they might be, every one that counts is told.
+    Where they are off by more than they might be, smaller corrections belong to the finding.
     """
-    return IDEAL if tolerance > 1 else 2 * TOLERANCE
+    return 2 * TOLERANCE / max(tolerance, 1.0)
 
 
 def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
