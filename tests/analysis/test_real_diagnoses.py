@@ -97,7 +97,9 @@ def test_panda_lacks_the_hand_that_its_description_has(data_folder: Path) -> Non
     """The description holds a hand of 0.73 kg, which the recorded robot does not show."""
     diagnosis = diagnosed(data_folder / "panda", 5, ["gaz_traj1"], [])
     joints, model = diagnosis.robot.joints, diagnosis.extension.model
-    assert any(joints[-1] in f.effect.joints for f in diagnosis.findings if f.effect.role == "body")
+    assert any(
+        joints[-1] in f.effect.joints for f in diagnosis.findings if f.effect.role != "torque"
+    )
     assert -1.1 < model.phi[-10] - diagnosis.robot.phi[-10] < -0.4
     assert len(seen(diagnosis, SLOW, *joints[3:])) >= 3
 
