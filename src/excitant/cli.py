@@ -14,6 +14,7 @@ from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
 
 from excitant import motions, recordings
 from excitant.exceptions import BadInput, ExcitantError, FaultWarning
+from excitant.names import one_line
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 from excitant.progress import progress_bar
 
@@ -67,10 +68,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise BadInput("no command given")
     except (CycloptsError, BadInput) as error:
         verb = next((f" {word}" for word in words[:1] if word in app), "")
-        line = " ".join(str(error).split())
-        print(f"excitant{verb}: {line}\nusage: excitant{verb} --help", file=sys.stderr)
+        print(
+            f"excitant{verb}: {one_line(str(error))}\nusage: excitant{verb} --help", file=sys.stderr
+        )
         raise SystemExit(2) from None
     try:
+        if isinstance(run := bound.arguments.get("run"), Run):
+            run.require()
         return command(*bound.args, **bound.kwargs) or 0
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -84,15 +88,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _line(error: BaseException) -> str:
     if _interrupted(error):
-        return "interrupted; nothing was written"
+        return "interrupted; nothing is half-written"
     if isinstance(error, ExcitantError):
         return str(error)
     if isinstance(error, OSError):
-        return f"{error.filename or 'file'}: {error.strerror or error}"
+        return one_line(f"{error.filename or 'file'}: {error.strerror or error}")
     name = str(getattr(error, "name", "")).partition(".")[0]
     if isinstance(error, ModuleNotFoundError) and name in _EXTRAS:
         return f"this needs {name}: pip install 'excitant[{_EXTRAS[name]}]'"
-    what = " ".join(f"{type(error).__name__}: {error}".split())
+    what = one_line(f"{type(error).__name__}: {error}")
     return f"a bug ({what}); please run it again with --debug and report what it prints"
 
 

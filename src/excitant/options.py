@@ -14,6 +14,8 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from excitant.exceptions import BadInput
+from excitant.files import require_replaceable
+from excitant.names import in_folder, one_line, printable
 
 if TYPE_CHECKING:
     from cyclopts import Token
@@ -222,9 +224,14 @@ class Run:
     json: bool = False
     "Print result.json and nothing else."
 
+    def require(self) -> None:
+        """Refuse, before the work begins, a folder that cannot be written into after it."""
+        if self.output is not None:
+            require_replaceable(self.output)
+
     def folder(self, result: Mapping[str, Any]) -> Path:
         """Folder of the run."""
-        name = f"{result['verb']}-{result.get('robot') or result['of']}"
+        name = f"{result['verb']}-{in_folder(result.get('robot') or result['of'])}"
         return Path(self.output or f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")
 
     def finish(
@@ -250,16 +257,17 @@ class Run:
 def print_paths(paths: Sequence[Path]) -> None:
     """All paths, the report last because it is the one to open."""
     for path in sorted(paths, key=lambda path: path.suffix == ".html"):
-        print(path)
+        print(printable(str(path)))
 
 
 def print_json(content: Mapping[str, Any]) -> None:
     """Print plain values as JSON."""
-    print(json.dumps(content, indent=1, ensure_ascii=False))
+    lines = json.dumps(content, indent=1, ensure_ascii=False).split("\n")
+    print("\n".join(map(printable, lines)))
 
 
 def _say(notes: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     for name, own in notes.items():
         for note in own:
-            print(f"{name}: {note}", file=sys.stderr)
+            print(one_line(f"{name}: {note}"), file=sys.stderr)
     return {name: list(own) for name, own in notes.items()}
