@@ -433,7 +433,7 @@ def identify_robot(
     if shapes is not None:
         rows = shapes.rows(rows) if shapes.better else rows
         notes += (shapes.sentence,)
-    fit, said = estimated(rows, fitted(recordings, validate), estimator)
+    fit, estimator, said = estimated(rows, fitted(recordings, validate), estimator)
     R, z = rows.regression.factor(fit.weight)
     if estimator != "wls":
         z = R[:, rows.base.columns] @ fit.beta

@@ -13,7 +13,7 @@ def run() -> None:
         status = main()
     except KeyboardInterrupt:  # amid imports
         status = 130
-        print("excitant: interrupted; nothing is half-written", file=sys.stderr)
+        print("excitant: interrupted; nothing was written", file=sys.stderr)
     for each in (signal.SIGINT, signal.SIGTERM):  # nothing is left to interrupt
         signal.signal(each, signal.SIG_IGN)
     sys.exit(status)

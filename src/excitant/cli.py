@@ -80,15 +80,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except BaseException as error:
-        if not _interrupted(error) and (debug or not isinstance(error, Exception)):
+        interrupted = _interrupted(error) is not None
+        if not interrupted and (debug or not isinstance(error, Exception)):
             raise
         print(f"excitant: {_line(error)}", file=sys.stderr)
-        return 130 if _interrupted(error) else 1
+        return 130 if interrupted else 1
 
 
 def _line(error: BaseException) -> str:
-    if _interrupted(error):
-        return "interrupted; nothing is half-written"
+    if _interrupted(error) is not None:
+        return one_line(f"interrupted; {_interrupted(error) or 'nothing was written'}")
     if isinstance(error, ExcitantError):
         return str(error)
     if isinstance(error, OSError):
@@ -100,13 +101,13 @@ def _line(error: BaseException) -> str:
     return f"a bug ({what}); please run it again with --debug and report what it prints"
 
 
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind an error that a library made of it."""
+def _interrupted(error: BaseException | None) -> str | None:
+    """What Ctrl-C says that is behind an error that a library made of it; None where it is not."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
-            return True
+            return str(error)
         error = error.__cause__ or error.__context__
-    return False
+    return None
 
 
 def demo(

@@ -134,7 +134,7 @@ def _put_aside(target: Path) -> Iterator[Path]:
     """
     missing = [folder for folder in target.parents if not folder.exists()]
     prefix = f".excitant-{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
-    with _uninterrupted():
+    with _uninterrupted(f"{target} was written"):
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             for left in target.parent.glob(f"{prefix}*"):
@@ -172,8 +172,11 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Signals that would end this process wait for the end of the block."""
+def _uninterrupted(done: str) -> Iterator[None]:
+    """Signals that would end this process wait for the end of the block, and then say what it did.
+
+    KeyboardInterrupt without words means that nothing was done.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -184,8 +187,11 @@ def _uninterrupted() -> Iterator[None]:
     finally:
         for each, handler in before.items():
             signal.signal(each, signal.SIG_DFL if handler is None else handler)
+    try:
         for number in heard:
             signal.raise_signal(number)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(done) from None
 
 
 def _write(path: Path, content: str | bytes, said: Path) -> None:

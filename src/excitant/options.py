@@ -240,18 +240,22 @@ class Run:
         series: Mapping[str, Array],
         files: Mapping[str, str | bytes] | None = None,
         folder: Path | None = None,
+        first: str = "",
     ) -> None:
-        """Save the run, then print its summary and paths, or its result as JSON."""
+        """Save the run, then print its summary, something first, and paths; or the JSON."""
         from excitant.reports import brief, load_run, save_run
 
         folder = folder or self.folder(result)
         result["files"] = [str(folder / file) for file in files or ()]
         paths, page = save_run(folder, result, series, files or {})
-        if self.json:
-            print_json(load_run(folder)[0])
-        else:
-            print(brief(page), end="\n\n")
-            print_paths(paths)
+        try:
+            if self.json:
+                print_json(load_run(folder)[0])
+            else:
+                print(*([one_line(first)] if first else []), brief(page), sep="\n", end="\n\n")
+                print_paths(paths)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{folder} was written") from None
 
 
 def print_paths(paths: Sequence[Path]) -> None:
