@@ -49,11 +49,11 @@ def text_table(path: Path) -> Table:
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
         kept = [k for k, name in enumerate(dialect.names) if columns is None or name in columns]
-        if rows is None:
-            refuse_size(path.stat().st_size)
         with path.open(encoding=dialect.encoding, errors="replace") as stream:
             lines: Any = _Lines(stream, dialect, str(path))
             try:
+                if rows is None:
+                    refuse_size(path.stat().st_size)
                 with pd.read_csv(
                     lines,
                     sep=r"\s+" if dialect.separator == " " else dialect.separator,
