@@ -40,7 +40,13 @@ def test_a_folder_is_named_safely(name: str) -> None:
 def test_a_robot_of_odd_name_is_shown_and_saved(here: Path, excitant: Callable[..., Any]) -> None:
     name = "../\u202egnp\x9b/x"
     text = json.dumps(
-        {"name": name, "convention": "standard", "dh": [{"m": 1.0, "a": 0.3, "com": [0.1, 0, 0]}]}
+        {
+            "name": name,
+            "convention": "standard",
+            "dh": [
+                {"m": 1.0, "a": 0.3, "com": [0.1, 0, 0], "Ic": {"xx": 0.01, "yy": 0.01, "zz": 0.01}}
+            ],
+        }
     )
     (here / "arm.yaml").write_text(text, encoding="utf-8")
     ran = excitant("analyze arm.yaml")
