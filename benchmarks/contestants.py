@@ -26,6 +26,7 @@ from judge import States, left_columns, observation, random_states
 
 from excitant.design import design_trajectory, random_trajectory, trajectory_csv, trajectory_json
 from excitant.exceptions import BadInput, BadRobot
+from excitant.processes import owned
 from excitant.robots import Robot, builtin_robots, load_limits, load_robot
 
 HERE = Path(__file__).resolve().parent
@@ -150,7 +151,7 @@ def excitant(
 
 
 def random_search(problem: Problem, settings: Settings) -> Found:
-    draws, file = joblib.delayed(_random_draws), problem.folder / "problem.json"
+    draws, file = joblib.delayed(owned(_random_draws)), problem.folder / "problem.json"
     found = joblib.Parallel(settings.jobs)(draws(file, settings, k) for k in range(settings.jobs))
     condition, trajectory, _ = min(found, key=lambda f: f[0])
     return condition, trajectory, sum(runs for _, _, runs in found)

@@ -22,6 +22,7 @@ from excitant.analysis.diagnosis import diagnose
 from excitant.design import random_trajectory
 from excitant.exceptions import ExcitantError
 from excitant.identify.recording import Recording, recording_from_table
+from excitant.processes import owned
 from excitant.robots import Robot, load_robot
 from excitant.robots.plant.arm import Trajectory
 from excitant.robots.torque import effect_values
@@ -215,7 +216,7 @@ def main() -> None:
     todo = cases(args)
     begun, results = time.perf_counter(), []
     work = joblib.Parallel(args.jobs, return_as="generator_unordered")
-    for k, result in enumerate(work(joblib.delayed(run)(case) for case in todo)):
+    for k, result in enumerate(work(joblib.delayed(owned(run))(case) for case in todo)):
         results.append(result)
         if args.log:
             with open(args.log, "a", encoding="utf-8") as log:

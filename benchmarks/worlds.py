@@ -37,6 +37,7 @@ from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible
 from excitant.identify.recording import Recording
+from excitant.processes import owned
 from excitant.robots import Robot
 from excitant.robots.motion import Array
 
@@ -331,7 +332,7 @@ def campaign(count: int, seed: int | None, only: int | None, jobs: int, out: str
         return
     begun, results = time.perf_counter(), []
     work = joblib.Parallel(jobs, return_as="generator_unordered")
-    for result in work(joblib.delayed(run)(seed, k) for k in range(1, count + 1)):
+    for result in work(joblib.delayed(owned(run))(seed, k) for k in range(1, count + 1)):
         results.append(result)
         if out:
             with Path(out).open("a", encoding="utf-8") as lines:

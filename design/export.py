@@ -16,6 +16,7 @@ import yaml
 
 from excitant.design.trajectory import FourierTrajectory, SplineSeries, Trajectory
 from excitant.exceptions import BadInput, UnknownName
+from excitant.files import read_text
 from excitant.robots import Motion, Robot
 from excitant.robots.schema import Finite, Positive, convert, read_yaml
 
@@ -97,11 +98,13 @@ def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
     if path.suffix.lower() == ".json":
         return _from_json(path, robot)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except FileNotFoundError:
         raise BadInput(f"trajectory {path}: no such file") from None
-    except (OSError, UnicodeDecodeError):
-        raise BadInput(f"trajectory {path}: not a readable text file; give CSV or JSON") from None
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or "not UTF-8"
+        why = f"not a readable text file ({why}); give CSV or JSON"
+        raise BadInput(f"trajectory {path}: {why}") from None
     return _from_csv(text, path, robot)
 
 

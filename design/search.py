@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import pickle
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -22,6 +19,7 @@ from excitant.design.peaks import worst_use
 from excitant.design.problem import DesignProblem
 from excitant.design.step import PENALTY, local_model, solve_step
 from excitant.exceptions import BadInput, Infeasible
+from excitant.processes import deaf_to_interrupts, owned
 from excitant.robots import Array
 
 _FEASIBLE = 5e-5  # torque excess that the margin kept in the bounds covers
@@ -383,32 +381,20 @@ def _results(
         return
     packed = pickle.dumps(problem)
     options: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1}
-    jobs = min(effort.jobs, len(tasks))
+    jobs, perform = min(effort.jobs, len(tasks)), owned(_perform)
     if effort.client is not None:
+        perform = _perform
         options, jobs = {"backend": "dask", "client": effort.client}, -1
     elif jobs == 1:
         options = {"backend": "sequential"}
     with joblib.parallel_config(**options):
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-        with _deaf_to_interrupts(jobs != 1):  # here the processes start
+        with deaf_to_interrupts(jobs != 1):  # here the processes start
             found = parallel(
-                joblib.delayed(_perform)(packed, task, effort.seed, effort.deadline)
+                joblib.delayed(perform)(packed, task, effort.seed, effort.deadline)
                 for task in tasks
             )
         yield from found
-
-
-@contextmanager
-def _deaf_to_interrupts(wanted: bool) -> Iterator[None]:
-    """Processes started meanwhile never hear Ctrl-C, which is left to this one."""
-    if not wanted or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
 
 
 _unpacked = lru_cache(maxsize=1)(pickle.loads)

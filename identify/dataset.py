@@ -19,8 +19,15 @@ import pyarrow.parquet
 import scipy
 
 from excitant.exceptions import BadInput, BadRecording, UnknownName
+from excitant.files import size_of
 from excitant.identify.importers.names import ColumnMap, column_map, drive_of, load_column_map
-from excitant.identify.preprocessing import CUTOFF_HZ, POSITION_RATIO, at_instants, uninterrupted
+from excitant.identify.preprocessing import (
+    CUTOFF_HZ,
+    POSITION_RATIO,
+    at_instants,
+    refuse_bursts,
+    uninterrupted,
+)
 from excitant.identify.recording import SUFFIXES, Recording, load_recording, read_chunks
 from excitant.robots.loading import load_robot
 from excitant.robots.motion import Array
@@ -34,7 +41,7 @@ _USUAL = (".parquet", ".csv")
 _PASSED_HZ = POSITION_RATIO * CUTOFF_HZ
 _RATE_HZ = 8 * _PASSED_HZ
 _STOPPED_DB = 80.0  # what is folded onto the band that is passed
-_LINES = 1000  # of a text file, whose length stands for all
+_START = 1 << 16  # bytes of a text file, whose lines stand for all
 
 
 class _Kinematics(msgspec.Struct, frozen=True):
@@ -164,13 +171,14 @@ def _samples(path: Path) -> int:
     """Number of samples of a Parquet file, about that of a text file, else 0; 0 if unreadable."""
     suffix = path.suffix.lower()
     try:
+        size = size_of(path)
         if suffix in (".parquet", ".pq"):
             with pa.parquet.ParquetFile(path) as file:
                 return int(file.metadata.num_rows)
         if suffix in (".csv", ".txt", ".tsv"):
             with path.open("rb") as file:
-                lines = list(itertools.islice(file, 1, _LINES))
-            return int(path.stat().st_size * len(lines) / max(sum(map(len, lines)), 1))
+                start = file.read(_START)
+            return int(size * start.count(b"\n") / max(len(start), 1))
     except (OSError, pa.ArrowException):
         pass  # said where it is read
     return 0
@@ -195,6 +203,7 @@ def decimated(pieces: Iterable[Recording]) -> Recording:
             np.concatenate(pair) for pair in zip(rest, (piece.t, piece.q, piece.tau), strict=True)
         ]
         for part in uninterrupted(now[0]):
+            refuse_bursts(now[0][part], passed.step, first.file)
             found, used = passed(*(values[part] for values in now))
             total = count + len(found[0])
             for values, more in zip(kept, found, strict=True):

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import UnknownName
+from excitant.files import write_file
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.faults import warn_of_faults
@@ -294,10 +295,8 @@ class Estimate:
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
         UnknownName.refuse("format", [path.suffix], (Path(name).suffix for name in files))
         written = [path] + [path.with_suffix(".urdf")] * (path.suffix == ".yaml")
-        for file in written:  # never half-written
-            part = file.with_name(f"{file.name}.part")
-            part.write_text(files[file.name], encoding="utf-8")
-            part.replace(file)
+        for file in written:
+            write_file(file, files[file.name])
         return written
 
     @cached_property
@@ -434,7 +433,7 @@ def identify_robot(
     if shapes is not None:
         rows = shapes.rows(rows) if shapes.better else rows
         notes += (shapes.sentence,)
-    fit, said = estimated(rows, fitted(recordings, validate), estimator)
+    fit, estimator, said = estimated(rows, fitted(recordings, validate), estimator)
     R, z = rows.regression.factor(fit.weight)
     if estimator != "wls":
         z = R[:, rows.base.columns] @ fit.beta

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from excitant.exceptions import BadInput, Infeasible
+from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
 from excitant.identify.least_squares import (
     SMALLEST,
@@ -73,10 +73,11 @@ _FLOOR = (0.5, 0.9)  # of half the rate: where positions show nothing but the no
 
 def estimated(
     rows: FitRows, recordings: Sequence[Recording], name: str
-) -> tuple[LeastSquares, tuple[str, ...]]:
-    """Base parameters by the estimator of a name, and what the user should know.
+) -> tuple[LeastSquares, str, tuple[str, ...]]:
+    """Base parameters by the estimator of a name, which it was, and what the user should know.
 
-    `iv` and `oe` look again at the recordings behind these rows, in order.
+    `iv` and `oe` look again at the recordings behind these rows, in order. Weighted least squares
+    takes the place of `iv` where half of the samples, as of a coarse encoder, show too little.
 
     Raises:
         RankDeficient: Motion that leaves base parameters undetermined.
@@ -84,16 +85,21 @@ def estimated(
     """
     problem, said = rows.reduced, f"base parameters by {ESTIMATORS[name]}"
     if name == "wls":
-        return weighted_least_squares(problem), ()
+        return weighted_least_squares(problem), name, ()
     if name == "irls":
-        return irls(problem), (said,)
+        return irls(problem), name, (said,)
     if name == "iv":
         even, odd = half_regressions(rows, recordings)
-        fit = iv(even, odd)
-        return fit, (said, _tested(even, odd, fit))
+        try:
+            fit = iv(even, odd)
+            return fit, name, (said, _tested(even, odd, fit))
+        except (np.linalg.LinAlgError, RankDeficient) as error:
+            why = f"{ESTIMATORS[name]} left out ({error}): positions are too coarse or the motion"
+            note = f"{why} too poor in every second sample; {ESTIMATORS['wls']} instead"
+            return weighted_least_squares(problem), "wls", (note,)
     loop = closed_loop(rows, recordings)
     found = output_error(loop.problem, loop.simulated)
-    return found.fit, (said, found.sentence(loop.bandwidth_hz))
+    return found.fit, name, (said, found.sentence(loop.bandwidth_hz))
 
 
 def irls(problem: Regression) -> LeastSquares:

@@ -21,6 +21,7 @@ import pinocchio as pin
 import yaml
 
 from excitant.exceptions import BadInput, UnknownName
+from excitant.identify.rows import chance_of_loss
 from excitant.robots.effects import effect_entries, plain
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 FORMATS = ("urdf", "mjcf", "sdf")
 _COMMON_GRAVITY = (0.0, 0.0, -9.81)
 _THIN = 1e-3  # m: shorter distances between joints are not drawn
-_AS_GOOD = 1.01  # times the error of the given model: what chance makes of equal ones
+_CHANCE = 0.01  # that a model as good as the given one is taken for a worse one
 
 
 def model_files(
@@ -309,26 +310,58 @@ def publication(
 ) -> Publication:
     """Files of an identified model, unless the data or the hold-out speak against it.
 
-    The data do by proven ``faults`` that were not repaired, a sentence each; the hold-out when the
-    nrmse of the model as given, summed over the joints, is smaller by more than 1 %. With ``force``
-    the model is published all the same.
+    The data do by proven ``faults`` that were not repaired, a sentence each. The hold-out does
+    where no model, the mean torque of a joint, predicts it better (r² < 0), and where the model as
+    given predicts all joints together better than chance allows (`chance_of_loss`). With ``force``
+    the model is published all the same. Joints that the model as given predicts better, though not
+    all together, are named.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
     """
     gains = estimate.gains if estimate.data.unit == "A" else None
     files = model_files(estimate.model, "identified", "model.yaml", formats, gains)
-    found, given = (float(np.nansum(x.nrmse)) for x in (estimate.validate, estimate.baseline))
-    advice = "correct the recording, with --repair where it says so, or give --force"
-    why = list(faults)
-    if found > _AS_GOOD * given:
-        advice = advice if why else "record a motion that excites more, or give --force"
-        why.append(
-            f"on the hold-out its nrmse summed over the joints is {found:.4g}, that of the model "
-            f"as given {given:.4g}"
+    useless, worse, whole = _against(estimate)
+    why, advice = [*faults], list[str]()
+    if faults:
+        advice = ["correct the recording, with --repair where it says so"]
+    elif useless:
+        advice = ["look at the torque and position columns there: order, sign, unit, resolution"]
+    elif whole:
+        advice = ["see whether fit and hold-out are of the same arm and load, or excite more"]
+    if useless:
+        why.append(f"it predicts the hold-out worse than no model at {'; '.join(useless)}")
+    if whole:
+        why.append(f"it predicts the hold-out worse than the model as given, {whole}")
+    said = "; ".join([*why, *([f"worst at {'; '.join(worse)}"] if whole and worse else [])])
+    if why and not force:
+        note = f"the identified model is not published: {said}; {advice[0]}, or give --force"
+        return Publication({}, False, note)
+    note = f"published because it was forced: {said}" if why else ""
+    if worse and not why:
+        note = f"the model as given predicts the hold-out better at {'; '.join(worse)}"
+    return Publication(files, True, note)
+
+
+def _against(estimate: Estimate) -> tuple[list[str], list[str], str]:
+    """Joints of no use and joints that got worse, with figures; all joints if these got worse."""
+    found, given, rows = estimate.validate, estimate.baseline, estimate.holdout
+    losses, joints = (
+        rows.losses(estimate.predicted, estimate.predicted_given),
+        estimate.given.joints,
+    )
+    useless = [
+        f"{joint} (r² = {r2:.3g})"
+        for joint, r2, judged in zip(joints, found.r2, rows.judged, strict=True)
+        if judged and r2 < 0
+    ]
+    worse = [
+        f"{joint} (nrmse {before:.3g} → {after:.3g})"
+        for j, (joint, before, after) in enumerate(
+            zip(joints, given.nrmse, found.nrmse, strict=True)
         )
-    said = "; ".join(why)
-    if force or not why:
-        note = f"published because it was forced: {said}" if why else ""
-        return Publication(files, True, note)
-    return Publication({}, False, f"the identified model is not published: {said}; {advice}")
+        if chance_of_loss(losses[rows.counts[:, j], j]) < _CHANCE / len(joints)
+    ]
+    before, after = (float(np.nansum(x.nrmse)) for x in (given, found))
+    whole = f"nrmse summed over the joints {before:.4g} → {after:.4g}"
+    return useless, worse, whole if chance_of_loss(losses.sum(axis=1)) < _CHANCE else ""

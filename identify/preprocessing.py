@@ -36,6 +36,7 @@ _MOST_ROWS = 15_000  # of a segment: evenly taken of a longer one
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
 _SAME = 1e-5  # of a step: samples at regular time
 _GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
+_BURSTS = 10.0  # times the median step: a mean step beyond it has no regular rate
 _TINY = 1e-12  # rad/s: either side of standstill
 _SHARE = 0.02  # of a joint's fastest motion in all recordings, below which it stands still
 _LEAST = 2e-3  # of its velocity limit, likewise: what a controller lets a held joint creep
@@ -137,7 +138,7 @@ def prepare(
         BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
             part is long enough.
     """
-    t, step = recording.t, float(np.median(np.diff(recording.t)))
+    t, step = recording.t, _step(recording)
     if cutoff_hz is None:
         cutoff_hz = min(CUTOFF_HZ, default_cutoff(recording))
     highest = 0.5 * _NYQUIST_SHARE / step
@@ -187,7 +188,14 @@ def _segment(
 
 def default_cutoff(recording: Recording) -> float:
     """Highest cut-off of torque at which positions, at twice that, are still filtered [Hz]."""
-    return 0.5 * _NYQUIST_SHARE / (POSITION_RATIO * float(np.median(np.diff(recording.t))))
+    return 0.5 * _NYQUIST_SHARE / (POSITION_RATIO * _step(recording))
+
+
+def _step(recording: Recording) -> float:
+    if len(recording) < 2:
+        why = f"'{recording.name}' holds {len(recording)} samples; cut the recording at its gap"
+        raise BadRecording(recording.file, f"{why}, or name a hold-out of its own", column="t")
+    return float(np.median(np.diff(recording.t)))
 
 
 def uninterrupted(t: Array) -> list[Index]:
@@ -206,8 +214,20 @@ def resampled(recording: Recording, part: Index) -> tuple[Array, Array, Array]:
     """Time, positions and torque of a part at a regular rate, the median of the recording's."""
     rows = slice(int(part[0]), int(part[-1]) + 1)  # no copy of a long recording
     t, step = recording.t[rows], float(np.median(np.diff(recording.t)))
+    refuse_bursts(t, step, recording.file)
     grid = np.arange(t[0], t[-1] + _SAME * step, step)
     return grid, *at_instants(t, recording.q[rows], recording.tau[rows], grid)
+
+
+def refuse_bursts(t: Array, step: float, file: str) -> None:
+    """Refuse times, shape (n,) [s], that are much farther apart than a rate of this step says."""
+    mean = float(t[-1] - t[0]) / len(t)
+    if mean > _BURSTS * step:
+        why = (
+            f"samples come in bursts: half of them are at most {step:.3g} s apart, in the mean "
+            f"{mean:.3g} s; log the time of measurement, not that of arrival"
+        )
+        raise BadRecording(file, why, column="t")
 
 
 def at_instants(t: Array, q: Array, tau: Array, grid: Array) -> tuple[Array, Array]:

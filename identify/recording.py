@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from excitant.exceptions import BadInput, BadRecording
+from excitant.files import size_of
 from excitant.identify.importers import tables
 from excitant.identify.importers.columns import Channel, Columns, resolve
 from excitant.identify.importers.names import ColumnMap
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from excitant.identify.drive_gains import DriveGains
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
+_RAREST = 1.0  # s between samples
 CHANNELS = ("q", "dq", "tau")
 _READERS: dict[str, Callable[[Path], tables.Table]] = {
     **dict.fromkeys((".parquet", ".pq"), tables.parquet_table),
@@ -188,12 +190,19 @@ def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     is_bag_folder = (path / "metadata.yaml").is_file()
     suffix = ".bag" if is_bag_folder else path.suffix.lower()
     why = f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
-    if not path.exists():
-        why = "no such file"
-    elif path.is_dir() and not is_bag_folder:
+    try:
+        size = 0 if path.is_dir() else size_of(path)
+    except FileNotFoundError:
+        raise BadRecording(path, "no such file") from None
+    except OSError as error:
+        why = f"cannot be read ({error.strerror}); give a file"
+        raise BadRecording(path, why) from None
+    if path.is_dir() and not is_bag_folder:
         why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
     elif suffix in SUFFIXES:
         try:
+            if suffix in (".npz", ".mat"):  # which are read whole
+                tables.refuse_size(size)
             if suffix in _BAGS:
                 return tables.bag_table(path, mapping.topic if mapping else None)
             return _READERS[suffix](path)
@@ -221,10 +230,10 @@ def _pieces(
     for frame in table.frames(rows, narrow):
         if rows is not None and frame.empty:
             continue
-        if not timed and (unit := tables.stamps_unit(frame[columns.t[0]])) not in (None, "s"):
-            what = "dates" if unit == tables.ISO else f"stamps since 1970 [{unit}]"
-            notes = (*columns.notes, f"time: {columns.t[0]} holds {what}")
-            columns = replace(columns, t_unit=unit, notes=notes)
+        if not timed:
+            unit, what = tables.stamps_unit(frame[columns.t[0]])
+            notes = (f"time: {columns.t[0]} holds {what}",) if unit else ()
+            columns = replace(columns, t_unit=unit, notes=(*columns.notes, *notes))
         timed = True
         raw = _in_si_units(table, frame, columns, origin)
         origin = raw.start
@@ -310,6 +319,12 @@ def _refuse_bad_rows(raw: Recording, first_row: int = 0, before: float = -np.inf
             f"time {'repeats' if steps[row] == 0 else 'goes back'} "
             f"({raw.t[row]:.6g} after {raw.t[row] - steps[row]:.6g} s); "
             f"sort or remove those rows, which --repair does where they fit"
+        )
+    elif len(raw) > 2 and (step := float(np.median(steps[1:]))) > _RAREST:
+        row, k = 0, 0
+        why = (
+            f"samples are {step:.4g} s apart, which shows no motion; say the unit of time in a "
+            "file for --map, such as {units: {t: ms}}"
         )
     else:
         return

@@ -8,9 +8,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
 from excitant.exceptions import BadRecording
 from excitant.identify.drive_gains import DriveGains, current_gains
+from excitant.identify.faults.fault import noise
 from excitant.identify.preprocessing import (
     CUTOFF_HZ,
     Mask,
@@ -29,6 +31,7 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
+_BLOCKS = 10  # of time, whose means are as good as independent
 _PRODUCTS = 2.0  # times the highest harmonic of a motion: that of centrifugal torque
 
 
@@ -168,6 +171,34 @@ class Series:
         spread = self.measured.std(axis=0, where=self.counts)
         nrmse = np.divide(rms, spread, out=np.full_like(rms, np.nan), where=spread > 0)
         return Accuracy(*map(read_only, (rms, raw, nrmse, 1 - nrmse**2)))
+
+    @cached_property
+    def judged(self) -> Mask:
+        """Joints that move here and whose torque varies by more than its noise, shape (nv,)."""
+        spread = self.measured.std(axis=0, where=self.counts)
+        return np.asarray(self.moves.any(axis=0) & (spread > [noise(x) for x in self.raw.T]))
+
+    def losses(self, predicted: Array, instead: Array) -> Array:
+        """How much larger the squared error of one prediction is than that of another, (n, nv).
+
+        Relative to the variance of the torque; 0 where an error does not count.
+        """
+        spread = self.measured.std(axis=0, where=self.counts)
+        scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
+        first, second = ((self.measured - x) * scale for x in (predicted, instead))
+        return np.asarray(np.where(self.counts, first**2 - second**2, 0.0))
+
+
+def chance_of_loss(losses: Array) -> float:
+    """Chance of losses in a row, shape (n,), so large where there are none in the mean.
+
+    Student's t of the means of ten blocks of time, in which errors that go on stay together.
+    """
+    means = np.array([block.mean() for block in np.array_split(losses, _BLOCKS) if len(block)])
+    error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) == _BLOCKS else 0.0
+    if not error > 0:
+        return 1.0
+    return float(scipy.stats.t.sf(means.mean() / error, len(means) - 1))
 
 
 def series(segments: Sequence[Segment]) -> Series:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput
+from excitant.names import printable
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.analyze import analyze_section, links_folded
@@ -50,6 +51,7 @@ _REMARKS = {
 
 def page_of(result: Result, series: Series) -> Page:
     """The page of ``result.json`` and ``series.npz``; BadInput for an unknown verb."""
+    result = _shown(result)
     verb = v.text(result, "verb")
     if verb not in _VERBS:
         raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")
@@ -60,6 +62,15 @@ def page_of(result: Result, series: Series) -> Page:
             return _comparison_page(result)
         only = _SECTIONS[verb](result, series)
     return Page(_title(only.title, result), only.lead, (), (only,))
+
+
+def _shown(value: Any) -> Any:
+    """A result whose texts a page can show."""
+    if isinstance(value, str):
+        return printable(value.replace("\n", " "))
+    if isinstance(value, dict):
+        return {_shown(key): _shown(item) for key, item in value.items()}
+    return [_shown(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _title(name: str, result: Result) -> str:

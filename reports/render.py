@@ -10,6 +10,7 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+from excitant.names import shortened
 from excitant.reports.page import Block, Facts, Folded, Matrix, Notes, Page, Section, Table
 from excitant.reports.values import NONE
 
@@ -77,7 +78,9 @@ def summary(page: Page) -> str:
 def brief(page: Page) -> str:
     """Summary of a page in a few lines for the terminal."""
     lines = [line for section in page.sections for line in _brief(section)]
-    return "\n".join(f"{label:<12} {words}".rstrip() for label, words in (*lines, *page.brief))
+    return "\n".join(
+        f"{label:<12} {shortened(words)}".rstrip() for label, words in (*lines, *page.brief)
+    )
 
 
 def _brief(section: Section) -> Iterator[tuple[str, str]]:

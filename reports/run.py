@@ -5,9 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
-import secrets
-import shutil
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,10 +15,13 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from excitant.exceptions import BadInput
+from excitant.files import read_bytes, write_file, write_folder
+from excitant.identify.importers.tables import read_arrays
 from excitant.reports.page import Page
 from excitant.reports.pages import page_of
 from excitant.reports.render import html, summary
 from excitant.robots.motion import Array
+from excitant.robots.schema import parsed_json
 
 RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "report.html"
 
@@ -36,10 +36,12 @@ def save_run(
     series: Mapping[str, Array],
     files: Mapping[str, str | bytes] | None = None,
 ) -> tuple[list[Path], Page]:
-    """Write a run directory with its report: all files, ``result.json`` last, or none.
+    """Write a run directory with its report, or replace an old run in one step.
+
+    Files of the old run that the new one does not have go with it; what others put there stays.
 
     Args:
-        directory: Made when missing, and removed again on failure.
+        directory: Made when missing; on failure it is as it was.
         result: JSON-like; NumPy numbers and arrays are converted, NaN and infinity become null.
         series: Numeric arrays by key.
         files: Further artefacts, content by name relative to the directory.
@@ -51,22 +53,32 @@ def save_run(
         BadInput: A name or value cannot be saved, or the directory cannot be written.
     """
     directory = Path(directory)
-    contents = {}
-    for name, data in (files or {}).items():
+    contents = dict(files or {})
+    for name in contents:
         _refuse_name(name)
-        contents[name] = data.encode() if isinstance(data, str) else bytes(data)
     encoded, packed = _dump(result), _pack(series)
     read, arrays = json.loads(encoded), _unpack(packed)
     contents[SERIES] = packed
     page = page_of(read, arrays)
-    contents[SUMMARY] = summary(page).encode()
-    contents[REPORT] = html(page).encode()
+    contents[SUMMARY] = summary(page)
+    contents[REPORT] = html(page)
     contents[RESULT] = encoded
+    return write_folder(directory, contents, _files_of(directory) - _names(read)), page
+
+
+def _files_of(directory: Path) -> set[str]:
+    """Names of the artefacts of the run in a directory; none where there is no run."""
     try:
-        return write_all(directory, contents), page
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise BadInput(f"{directory}: cannot be written: {why}; choose another folder") from error
+        return _names(_result(directory))
+    except BadInput:
+        return set()
+
+
+def _names(result: Mapping[str, Any]) -> set[str]:
+    """Names of artefacts relative to the directory, from their paths, however it is called."""
+    files = result.get("files")
+    parts = [PurePosixPath(str(file)).parts for file in files] if isinstance(files, list) else []
+    return {"/".join(each[k:]) for each in parts for k in range(len(each))}
 
 
 def as_saved(
@@ -81,12 +93,7 @@ def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
     directory = Path(directory)
     if not directory.is_dir():
         raise BadInput(f"{directory}: no such folder; give the folder that a run was written to")
-    try:
-        result = json.loads(_content(directory / RESULT))
-    except ValueError as error:
-        raise BadInput(f"{directory / RESULT}: not JSON ({error}); run the command again") from None
-    if not isinstance(result, dict) or not isinstance(result.get("verb"), str):
-        raise BadInput(f"{directory / RESULT}: not a result of excitant: 'verb' is missing")
+    result = _result(directory)
     try:
         series = _unpack(_content(directory / SERIES))
     except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
@@ -96,13 +103,24 @@ def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
     return result, series
 
 
+def _result(directory: Path) -> dict[str, Any]:
+    try:
+        result = parsed_json(_content(directory / RESULT))
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{directory / RESULT}: not JSON ({error}); run the command again") from None
+    if not isinstance(result, dict) or not isinstance(result.get("verb"), str):
+        raise BadInput(f"{directory / RESULT}: not a result of excitant: 'verb' is missing")
+    return result
+
+
 def _content(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_bytes(path)
     except FileNotFoundError:
         raise BadInput(f"{path}: missing; the run is incomplete, run the command again") from None
     except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+        why = f"cannot be read: {error.strerror}"
+        raise BadInput(f"{path}: {why}; run the command again") from None
 
 
 def _refuse_name(name: str) -> None:
@@ -163,36 +181,7 @@ def _single(array: Any) -> Any:
 
 
 def _unpack(packed: bytes) -> dict[str, Array]:
-    archive = np.load(io.BytesIO(packed), allow_pickle=False)
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise ValueError("a single array")
-    with archive:
-        return {key: np.asarray(archive[key]) for key in archive.files}
-
-
-def write_all(directory: Path, contents: Mapping[str, bytes]) -> list[Path]:
-    """Write all files or none; the folder is made when missing."""
-    missing = [folder for folder in (directory, *directory.parents) if not folder.exists()]
-    staged: list[tuple[Path, Path]] = []
-    try:
-        for name, data in contents.items():
-            path = directory / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-            staged.append((temporary, path))
-            with temporary.open("xb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-        for temporary, path in staged:
-            os.replace(temporary, path)
-    except BaseException:
-        for temporary, _ in staged:
-            temporary.unlink(missing_ok=True)
-        if missing:
-            shutil.rmtree(missing[-1], ignore_errors=True)
-        raise
-    return [path for _, path in staged]
+    return read_arrays(packed)
 
 
 @runtime_checkable
@@ -214,7 +203,7 @@ class Report:
 
     def save(self, path: str | Path) -> Path:
         """Write the page to a file."""
-        Path(path).write_text(self.html, encoding="utf-8")
+        write_file(path, self.html)
         return Path(path)
 
     def _repr_html_(self) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadRobot, UnknownName
+from excitant.files import read_text
 from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import chain_from_record, urdf_of_chain
 from excitant.robots.effects import (
@@ -80,7 +81,7 @@ def load_robot(
     if name in builtin_robots():
         whole = _builtin(name)
         return _narrowed(whole, spec) if spec.is_part or spec.lock else whole
-    if path.is_file():
+    if path.exists():
         return _from_yaml(path, spec) if path.suffix in (".yaml", ".yml") else _from_model(spec)
     if path.suffix or "/" in name:
         why = "no such file; give a URDF, xacro, MJCF, a robot.yaml or a built-in name"
@@ -183,9 +184,12 @@ def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
 def _described(path: Path, spec: RobotSpec) -> Description:
     """The description in a file, whatever it is written in."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except UnicodeDecodeError:
         raise BadRobot(path, "not a text file; give a URDF, xacro, MJCF or a robot.yaml") from None
+    except OSError as error:
+        why = f"cannot be read ({error.strerror}); give a URDF, xacro, MJCF or a robot.yaml"
+        raise BadRobot(path, why) from None
     if is_xacro(text):
         return Description(urdf_from_xacro(path, spec.xacro_args, spec.packages))
     if spec.xacro_args:

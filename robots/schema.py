@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -11,12 +12,15 @@ import msgspec
 import yaml
 
 from excitant.exceptions import BadInput, UnknownName
+from excitant.files import read_text
 
 T = TypeVar("T")
 Finite = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e300)]
 Three = tuple[Finite, Finite, Finite]
 Name = str | int
+_DEEPEST = 50  # levels of nesting
+_DIGITS = 18  # of a whole number that is kept as one
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -179,8 +183,8 @@ def read_yaml(path: str | Path, kind: type[T], holds: str) -> T:
     path = Path(path)
     language = "JSON" if path.suffix == ".json" else "YAML"
     try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text) if language == "JSON" else yaml.load(text, _Loader)
+        text = read_text(path)
+        content = parsed_json(text) if language == "JSON" else parsed_yaml(text)
     except FileNotFoundError:
         raise BadInput(f"{path}: no such file; give a {language} file of {holds}") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -192,6 +196,42 @@ def read_yaml(path: str | Path, kind: type[T], holds: str) -> T:
             f"{path}: not valid {language} ({_fault(error)}); correct it there"
         ) from None
     return convert(content, kind, path)
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """Content of JSON; ValueError where it is none, holds no finite number, or nests too deep."""
+    content = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+    _refuse_depth(content)
+    return content
+
+
+def parsed_yaml(text: str) -> Any:
+    """Content of YAML; ValueError or YAMLError where it is none, or nests too deep."""
+    content = yaml.load(text, _Loader)
+    _refuse_depth(content)
+    return content
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{text} is no finite number")
+    return value
+
+
+def _whole(text: str) -> int | float:
+    return int(text) if len(text) <= _DIGITS else _finite(text)
+
+
+def _refuse_depth(content: object) -> None:
+    """Refuse, as ValueError, nesting too deep; a part that is used again counts once."""
+    level, seen = [content], set[int]()
+    for _ in range(_DEEPEST):
+        parts = [part for part in level if isinstance(part, dict | list) and id(part) not in seen]
+        if not parts:
+            return
+        seen |= set(map(id, parts))
+        level = [x for part in parts for x in (part.values() if isinstance(part, dict) else part)]
+    raise ValueError(f"nested more than {_DEEPEST} deep")
 
 
 def convert(content: object, kind: type[T], source: str | Path, where: str = "") -> T:

@@ -86,3 +86,21 @@ def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
     found = interrupted("simulate ur10 slow.json -o run.csv", tmp_path, 0, group=True)
     assert found == (130, "excitant: interrupted; nothing was written\n")
     assert [path.name for path in tmp_path.rglob("*")] == ["slow.json"]
+
+
+def test_workers_end_with_a_process_that_is_killed(tmp_path: Path) -> None:
+    words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    started = psutil.Popen(
+        [sys.executable, "-m", "excitant", *words.split()], cwd=tmp_path, **quiet
+    )
+    wait(lambda: len(started.children(recursive=True)) >= 2, "its processes")
+    settle(started)
+    family = started.children(recursive=True)
+    started.kill()
+    started.wait()
+    left = psutil.wait_procs(family, 20)[1]
+    for process in left:
+        process.kill()
+    assert not left
+    assert list(tmp_path.iterdir()) == []

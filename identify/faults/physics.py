@@ -193,9 +193,9 @@ class Smooth(NamedTuple):
 
 def smooth(log: Log) -> Smooth | None:
     """Filter, differentiate and decimate; None when the log is too short for it."""
-    grid = np.arange(log.t[0], log.t[-1] + 1e-9 * log.step, log.step)
-    if len(grid) < 100 or len(grid) > 4 * len(log) or np.ptp(log.q) == 0:
+    if not 99 <= log.duration / log.step <= 4 * len(log) or np.ptp(log.q) == 0:
         return None
+    grid = np.arange(log.t[0], log.t[-1] + 1e-9 * log.step, log.step)
     rate, span = 1 / log.step, np.std(log.q, axis=0)
     frequency, moved = 0.0, span > 50 * log.grain
     if moved.any():

@@ -5,11 +5,16 @@ A bag is a table of the ``sensor_msgs/JointState`` messages on one topic.
 
 from __future__ import annotations
 
+import math
+import struct
+import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
+from io import BytesIO
 from itertools import islice
 from numbers import Real
 from pathlib import Path
@@ -24,12 +29,25 @@ from excitant.robots.motion import Array
 
 Frames = Callable[[int | None, Sequence[str] | None], Iterator[pd.DataFrame]]
 ISO = "ISO 8601"
+MOST = 2 << 30
+"""Bytes of the numbers of a log that is read at once."""
+
 _BUFFER = 1 << 18  # bytes of a Parquet column at a time: row groups may be larger than memory
+_PIECE = 1 << 20  # bytes unpacked at a time
+_BYTES = {"double": 8, "single": 4} | {f"{u}int{8 * k}": k for u in ("", "u") for k in (1, 2, 4, 8)}
+_COMPRESSED = 15  # type of an element of a MAT file
+_READ_HEADER = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+_ROS1 = b"#ROSBAG V2.0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MESSAGE = "sensor_msgs/msg/JointState"
 _USUAL = "/joint_states"
 _AT_ONCE = 20_000  # messages turned into a table at a time
 _SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
+_SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
 
 
 @dataclass(frozen=True)
@@ -80,6 +98,8 @@ def parquet_table(path: Path) -> Table:
                 path, pre_buffer=False, buffer_size=_BUFFER, page_checksum_verification=True
             ) as file:
                 if rows is None:
+                    kept = len(names) if wanted is None else len(wanted)
+                    refuse_size(8 * file.metadata.num_rows * kept)
                     yield framed(file.read(columns=wanted, use_threads=False))
                     return
                 for batch in file.iter_batches(rows, columns=wanted, use_threads=False):
@@ -98,8 +118,34 @@ def parquet_table(path: Path) -> Table:
 
 def npz_table(path: Path) -> Table:
     """The log in an NPZ file; an array ``q`` of shape (n, nv) becomes ``q[0]``, ``q[1]``, ..."""
-    with np.load(path, allow_pickle=False) as file:
-        return _table_of_arrays({name: np.asarray(file[name]) for name in file.files}, path)
+    return _table_of_arrays(read_arrays(path), path)
+
+
+def read_arrays(source: Path | bytes) -> dict[str, Any]:
+    """Arrays of an NPZ file by name; ValueError before more than `MOST` is taken for them.
+
+    An array takes what its header claims, whatever the file then holds.
+    """
+    arrays = {}
+    with zipfile.ZipFile(BytesIO(source) if isinstance(source, bytes) else source) as archive:
+        refuse_size(sum(member.file_size for member in archive.infolist()))
+        for member in archive.infolist():
+            with archive.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                shape, _, dtype = _READ_HEADER[version](stream)
+            if not dtype.hasobject and math.prod(shape) * dtype.itemsize > member.file_size:
+                raise ValueError(f"{member.filename} is shorter than its header says")
+            with archive.open(member) as stream:
+                found = np.lib.format.read_array(stream, allow_pickle=False)
+            arrays[member.filename.removesuffix(".npy")] = found
+    return arrays
+
+
+def refuse_size(size: float) -> None:
+    """Refuse, as ValueError, data of so many bytes where they would not fit into memory."""
+    if size > MOST:
+        most = f"at most {MOST / 1e9:.3g} GB are read at once"
+        raise ValueError(f"holds {size / 1e9:.3g} GB, {most}: cut it, or save it as Parquet")
 
 
 def mat_table(path: Path) -> Table:
@@ -111,8 +157,35 @@ def mat_table(path: Path) -> Table:
     if _HDF5 in (start[:8], start[512:520]) or start.startswith(b"MATLAB 7.3"):
         why = "is a MAT file of version 7.3 (HDF5); save it with save(..., '-v7') in MATLAB"
         raise BadRecording(path, why)
-
+    held = [(n, math.prod(shape), kind) for n, shape, kind in scipy.io.whosmat(path)]
+    refuse_size(sum(count * _BYTES.get(kind, 0) for _, count, kind in held))
+    refuse_size(size := _mat_bytes(path))
+    for name, count, kind in held:
+        if kind in _BYTES and count > size:
+            raise ValueError(f"{name} is shorter than its header says")
     return _table_of_arrays(_flattened(scipy.io.loadmat(path, simplify_cells=True)), path)
+
+
+def _mat_bytes(path: Path) -> int:
+    """Bytes of a MAT file once its compressed variables are unpacked, counted up to `MOST`."""
+    with path.open("rb") as stream:
+        head = stream.read(128)
+        if len(head) < 128 or head[126:128] not in (b"IM", b"MI"):  # version 4 compresses nothing
+            return path.stat().st_size
+        tag, size = struct.Struct("<II" if head[126:128] == b"IM" else ">II"), 0
+        while len(start := stream.read(tag.size)) == tag.size and size <= MOST:
+            kind, length = tag.unpack(start)
+            if kind != _COMPRESSED:
+                size += length
+                stream.seek(length, 1)
+                continue
+            unpacker, left = zlib.decompressobj(), length
+            while left > 0 and size <= MOST and (packed := stream.read(min(left, _PIECE))):
+                left -= len(packed)
+                while packed and size <= MOST:
+                    size += len(unpacker.decompress(packed, _PIECE))
+                    packed = unpacker.unconsumed_tail
+    return size
 
 
 def _flattened(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
@@ -165,6 +238,10 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
     Raises:
         BadRecording: Not readable, no joint states, or several topics with them.
     """
+    if path.suffix == ".bag" and path.is_file():  # whose reader searches all of any other file
+        with path.open("rb") as stream:
+            if stream.read(len(_ROS1)) != _ROS1:
+                raise BadRecording(path, "cannot be read (it is no bag of ROS 1); record it again")
     with _opened(path) as reader:
         topic, notes = _topic(reader, topic, path)
         cells = _cells_of_messages(reader, topic, path)
@@ -253,19 +330,33 @@ def as_numbers(values: pd.Series) -> Array:
     return np.asarray(numbers.to_numpy(float, na_value=np.nan))
 
 
-def stamps_unit(values: pd.Series) -> str | None:
-    """The unit in which numbers are stamps of the years 2000 to 2103; ranges do not meet."""
+def stamps_unit(values: pd.Series) -> tuple[str | None, str]:
+    """The unit of time that numbers show, None where it is seconds, and what they are.
+
+    Stamps of the years 2000 to 2103 are in the one unit in which they lie there. Other numbers are
+    in the largest in which two samples are less than half a second apart; every step exactly 1 may
+    count samples, and stays.
+    """
     if _is_date(values):
-        return ISO
+        return ISO, "dates"
     if pd.api.types.is_timedelta64_dtype(values):
-        return None
+        return None, ""
     numbers = as_numbers(values)
     numbers = numbers[np.isfinite(numbers)]
     if not len(numbers):
-        return ISO if _dates(values).notna().any() else None
-    middle, (low, high) = float(np.median(numbers)), _SECONDS_SINCE_1970
-    scales = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-    return next((unit for unit, s in scales.items() if low <= middle * s <= high), None)
+        return (ISO, "dates") if _dates(values).notna().any() else (None, "")
+    with np.errstate(over="ignore"):
+        steps, (low, high) = np.diff(numbers), _SECONDS_SINCE_1970
+    middle, forward = float(np.median(numbers)), steps[(steps > 0) & (steps != 1)]
+    step = float(np.median(forward)) if 2 * len(forward) > len(steps) else 0.0
+    short = {unit: s for unit, s in _SCALES.items() if step * s < _FAR_APART}
+    since = [unit for unit, s in short.items() if low <= middle * s <= high]
+    unit = next(iter(since or short), "s")
+    if unit == "s":
+        return None, ""
+    if since:
+        return unit, f"stamps since 1970 [{unit}]"
+    return unit, f"[{unit}], for as seconds its samples would be {step:.4g} s apart"
 
 
 def in_seconds(values: pd.Series, unit: Unit | None) -> tuple[Array, Array]:

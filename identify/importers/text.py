@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,10 +16,11 @@ import pandas as pd
 
 from excitant.exceptions import BadRecording
 from excitant.identify.importers.names import spelled
-from excitant.identify.importers.tables import Table, unreadable
+from excitant.identify.importers.tables import Table, refuse_size, unreadable
 
 _COMMENTS = ("#", "%", "//")
 _SEPARATORS = ("\t", ";", "|", ",", " ")
+_LONGEST = 1 << 20  # characters of a line
 _HEAD = 1 << 18  # bytes that show how the file is written
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
@@ -50,6 +52,8 @@ def text_table(path: Path) -> Table:
         with path.open(encoding=dialect.encoding, errors="replace") as stream:
             lines: Any = _Lines(stream, dialect, str(path))
             try:
+                if rows is None:
+                    refuse_size(path.stat().st_size)
                 with pd.read_csv(
                     lines,
                     sep=r"\s+" if dialect.separator == " " else dialect.separator,
@@ -100,8 +104,13 @@ class _Lines:
 
     def read(self, size: int = -1) -> str:
         """About so many characters of whole rows; nothing at the end."""
-        while lines := self._stream.readlines(max(size, 1 << 16)):
-            if kept := [line for line in lines if self._is_row(line)]:
+        while text := self._stream.read(max(size, 1 << 16)):
+            text += self._stream.readline(_LONGEST)
+            if len(text) >= _LONGEST and "\n" not in text[-_LONGEST:]:
+                why = f"a line holds more than {_LONGEST} characters; cut the file there"
+                self.refusal = BadRecording(self._file, why)
+                raise ValueError(why)
+            if kept := [line for line in io.StringIO(text) if self._is_row(line)]:
                 return "".join(kept)
         return ""
 

@@ -14,6 +14,7 @@ from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
 
 from excitant import motions, recordings
 from excitant.exceptions import BadInput, ExcitantError, FaultWarning
+from excitant.names import one_line
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 from excitant.progress import progress_bar
 
@@ -67,42 +68,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise BadInput("no command given")
     except (CycloptsError, BadInput) as error:
         verb = next((f" {word}" for word in words[:1] if word in app), "")
-        line = " ".join(str(error).split())
-        print(f"excitant{verb}: {line}\nusage: excitant{verb} --help", file=sys.stderr)
+        print(
+            f"excitant{verb}: {one_line(str(error))}\nusage: excitant{verb} --help", file=sys.stderr
+        )
         raise SystemExit(2) from None
     try:
+        if isinstance(run := bound.arguments.get("run"), Run):
+            run.require()
         return command(*bound.args, **bound.kwargs) or 0
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except BaseException as error:
-        if not _interrupted(error) and (debug or not isinstance(error, Exception)):
+        interrupted = _interrupted(error) is not None
+        if not interrupted and (debug or not isinstance(error, Exception)):
             raise
         print(f"excitant: {_line(error)}", file=sys.stderr)
-        return 130 if _interrupted(error) else 1
+        return 130 if interrupted else 1
 
 
 def _line(error: BaseException) -> str:
-    if _interrupted(error):
-        return "interrupted; nothing was written"
+    if _interrupted(error) is not None:
+        return one_line(f"interrupted; {_interrupted(error) or 'nothing was written'}")
     if isinstance(error, ExcitantError):
         return str(error)
     if isinstance(error, OSError):
-        return f"{error.filename or 'file'}: {error.strerror or error}"
+        return one_line(f"{error.filename or 'file'}: {error.strerror or error}")
     name = str(getattr(error, "name", "")).partition(".")[0]
     if isinstance(error, ModuleNotFoundError) and name in _EXTRAS:
         return f"this needs {name}: pip install 'excitant[{_EXTRAS[name]}]'"
-    what = " ".join(f"{type(error).__name__}: {error}".split())
+    what = one_line(f"{type(error).__name__}: {error}")
     return f"a bug ({what}); please run it again with --debug and report what it prints"
 
 
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind an error that a library made of it."""
+def _interrupted(error: BaseException | None) -> str | None:
+    """What Ctrl-C says that is behind an error that a library made of it; None where it is not."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
-            return True
+            return str(error)
         error = error.__cause__ or error.__context__
-    return False
+    return None
 
 
 def demo(

@@ -8,12 +8,14 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from excitant.names import one_line
+
 
 class ExcitantError(Exception):
     """Base of all errors that a user can act on; its text is one line."""
 
     def __str__(self) -> str:
-        return " ".join(super().__str__().split())
+        return one_line(super().__str__())
 
     def __reduce__(self) -> tuple[Any, ...]:
         # an error of a worker process arrives whole, whatever its constructor takes

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from excitant.exceptions import BadInput, Infeasible
+from excitant.files import write_file
+from excitant.names import printable
 from excitant.options import (
     Columns,
     Files,
@@ -291,7 +293,6 @@ def simulate(
     import numpy as np
 
     from excitant.design import load_trajectory
-    from excitant.reports.run import write_all
     from excitant.robots.virtual_arm import virtual_arm
 
     arm, target = part.robot(robot), Path(output)
@@ -303,13 +304,13 @@ def simulate(
     virtual = virtual_arm(arm, rng, hidden=None if hidden else (), tolerance=tolerance)
     with progress_bar("simulate") as advance:
         table = virtual.record(path, duration, rng, lambda share: advance(share, ""))
-    write_all(target.parent, {target.name: table_bytes(table, target.suffix)})
+    write_file(target, table_bytes(table, target.suffix))
     if json:
         result = {"verb": "simulate", "robot": arm.name, "samples": len(table)}
         hides = [effect.entry() for effect in virtual.hidden]
         print_json(result | {"duration": duration, "hidden": hides, "files": [str(target)]})
     else:
-        print(f"{target}  {len(table)} samples over {duration:g} s")
+        print(f"{printable(str(target))}  {len(table)} samples over {duration:g} s")
 
 
 def rehearse(

@@ -14,6 +14,8 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from excitant.exceptions import BadInput
+from excitant.files import require_replaceable
+from excitant.names import in_folder, one_line, printable
 
 if TYPE_CHECKING:
     from cyclopts import Token
@@ -222,9 +224,14 @@ class Run:
     json: bool = False
     "Print result.json and nothing else."
 
+    def require(self) -> None:
+        """Refuse, before the work begins, a folder that cannot be written into after it."""
+        if self.output is not None:
+            require_replaceable(self.output)
+
     def folder(self, result: Mapping[str, Any]) -> Path:
         """Folder of the run."""
-        name = f"{result['verb']}-{result.get('robot') or result['of']}"
+        name = f"{result['verb']}-{in_folder(result.get('robot') or result['of'])}"
         return Path(self.output or f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")
 
     def finish(
@@ -233,33 +240,38 @@ class Run:
         series: Mapping[str, Array],
         files: Mapping[str, str | bytes] | None = None,
         folder: Path | None = None,
+        first: str = "",
     ) -> None:
-        """Save the run, then print its summary and paths, or its result as JSON."""
+        """Save the run, then print its summary, something first, and paths; or the JSON."""
         from excitant.reports import brief, load_run, save_run
 
         folder = folder or self.folder(result)
         result["files"] = [str(folder / file) for file in files or ()]
         paths, page = save_run(folder, result, series, files or {})
-        if self.json:
-            print_json(load_run(folder)[0])
-        else:
-            print(brief(page), end="\n\n")
-            print_paths(paths)
+        try:
+            if self.json:
+                print_json(load_run(folder)[0])
+            else:
+                print(*([one_line(first)] if first else []), brief(page), sep="\n", end="\n\n")
+                print_paths(paths)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{folder} was written") from None
 
 
 def print_paths(paths: Sequence[Path]) -> None:
     """All paths, the report last because it is the one to open."""
     for path in sorted(paths, key=lambda path: path.suffix == ".html"):
-        print(path)
+        print(printable(str(path)))
 
 
 def print_json(content: Mapping[str, Any]) -> None:
     """Print plain values as JSON."""
-    print(json.dumps(content, indent=1, ensure_ascii=False))
+    lines = json.dumps(content, indent=1, ensure_ascii=False).split("\n")
+    print("\n".join(map(printable, lines)))
 
 
 def _say(notes: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     for name, own in notes.items():
         for note in own:
-            print(f"{name}: {note}", file=sys.stderr)
+            print(one_line(f"{name}: {note}"), file=sys.stderr)
     return {name: list(own) for name, own in notes.items()}

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from excitant.names import printable
+
 _LONGEST = 36_000.0  # s over which speed is averaged: all of the work so far
 
 Advance = Callable[[float, str], None]
@@ -24,6 +26,10 @@ def progress_bar(label: str) -> Iterator[Advance]:
         return
     from rich import progress as show
     from rich.console import Console
+    from rich.markup import escape
+
+    def update(fraction: float, words: str) -> None:
+        bar.update(task, total=1.0, completed=fraction, words=escape(printable(words)))
 
     columns = (
         *("{task.description}", show.BarColumn(), show.TimeElapsedColumn()),
@@ -32,4 +38,4 @@ def progress_bar(label: str) -> Iterator[Advance]:
     options: Any = {"console": Console(stderr=True), "speed_estimate_period": _LONGEST}
     with show.Progress(*columns, transient=True, **options) as bar:
         task = bar.add_task(label, total=None, words="")
-        yield lambda fraction, words: bar.update(task, total=1.0, completed=fraction, words=words)
+        yield update

@@ -91,7 +91,7 @@ def identify(
         knowledge: YAML with what is known of the bodies: masses, their sum, where centres of mass
             lie.
         formats: Files of the model beside URDF and model.yaml; default: mjcf,sdf.
-        force: Publish the model even if the given one predicts the hold-out better.
+        force: Publish the model even if the given one, or none, predicts the hold-out better.
         online: Sample by sample, as in a control loop: estimates over time.
         link_by_link: From the last link inward, each from its own joint's torque.
         forgetting: With --online: time constant of forgetting [s]; default: nothing is forgotten.
@@ -150,9 +150,7 @@ def identify(
     )
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
-    run.finish(result, estimate.series() | found.series(), published.files)
-    if published.note and not run.json:
-        print(published.note)
+    run.finish(result, estimate.series() | found.series(), published.files, first=published.note)
     return 0 if published.published else 1
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,6 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, Recording, identify_robot
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.export import model_files, publication
-from excitant.identify.rows import Accuracy
 from excitant.robots import (
     DHChain,
     Motion,
@@ -309,32 +308,62 @@ def estimate(planar: Robot, exact: Callable[..., Recording]) -> Estimate:
     return identify_robot(planar.with_parameters(1.3 * planar.phi), [recording])
 
 
-def judged(estimate: Estimate, validate: Accuracy, baseline: Accuracy) -> Estimate:
-    """The estimate with these accuracies on the hold-out instead of its own."""
+def judged(estimate: Estimate, predicted: np.ndarray, given: np.ndarray) -> Estimate:
+    """The estimate with these predictions of the hold-out instead of its own."""
     copy = replace(estimate)
-    vars(copy).update(validate=validate, baseline=baseline)  # cached properties
+    vars(copy).update(predicted=predicted, predicted_given=given)  # cached properties
     return copy
 
 
-@pytest.mark.parametrize("factor", [0.5, 1.0, 1.005, 1.02])
-def test_a_model_worse_than_the_given_one_is_published_only_when_forced(
-    estimate: Estimate, factor: float
+def erring(estimate: Estimate, *sizes: float, seed: int = 0) -> np.ndarray:
+    """The hold-out predicted with white errors, per joint in standard deviations of its torque."""
+    noise = np.random.default_rng(seed).standard_normal(estimate.holdout.measured.shape)
+    return estimate.holdout.measured + noise * sizes * estimate.holdout.measured.std(axis=0)
+
+
+@pytest.mark.parametrize(
+    ("found", "given", "published", "said"),
+    [
+        ((0.1, 0.1), (0.5, 0.5), True, ()),
+        ((0.1, 0.1), (0.1, 0.1), True, ()),  # chance
+        ((0.2, 0.1), (0.1, 0.5), True, ("joint1", "better at")),
+        ((0.5, 0.5), (0.1, 0.1), False, ("worse than the model as given", "joint1", "joint2")),
+        ((0.1, 0.5), (0.2, 0.1), False, ("worse than the model as given", "worst at joint2")),
+        ((0.1, 1.5), (0.2, 9.0), False, ("worse than no model at joint2 (r² = -1.",)),
+    ],
+)
+def test_a_model_worse_than_another_or_none_is_published_only_when_forced(
+    estimate: Estimate,
+    found: tuple[float, float],
+    given: tuple[float, float],
+    published: bool,
+    said: Sequence[str],
 ) -> None:
-    for nrmse in (estimate.validate.nrmse, np.array([0.1, np.nan])):  # whose torque never changed
-        found, given = (replace(estimate.validate, nrmse=x) for x in (nrmse, nrmse / factor))
-        model = judged(estimate, found, given)
-        plain, forced = publication(model), publication(model, force=True)
-        assert forced.published
-        assert set(forced.files) == {*(f"identified.{x}" for x in SUFFIXES), "model.yaml"}
-        assert plain.published == (factor < 1.01)
-        assert plain.files == (forced.files if plain.published else {})
-        if plain.published:
-            assert plain.note == forced.note == ""
-        else:
-            assert "--force" in plain.note
-            assert "forced" in forced.note
-            for each in (found, given):
-                assert f"{np.nansum(each.nrmse):.4g}" in plain.note
+    model = judged(estimate, erring(estimate, *found), erring(estimate, *given, seed=1))
+    plain, forced = publication(model), publication(model, force=True)
+    assert forced.published
+    assert set(forced.files) == {*(f"identified.{x}" for x in SUFFIXES), "model.yaml"}
+    assert plain.published == published
+    assert plain.files == (forced.files if published else {})
+    assert all(words in plain.note for words in said)
+    if published:
+        assert plain.note == forced.note
+        assert bool(plain.note) == bool(said)
+    else:
+        assert "--force" in plain.note
+        assert "forced" in forced.note
+
+
+def test_a_joint_whose_torque_is_its_noise_shows_nothing_to_be_judged(estimate: Estimate) -> None:
+    rows, noise = (
+        estimate.holdout,
+        np.random.default_rng(2).standard_normal(estimate.holdout.t.size),
+    )
+    measured = np.column_stack([rows.measured[:, 0], noise])
+    model = judged(estimate, np.column_stack([measured[:, 0], 0.1 - 0.1 * noise]), measured)
+    vars(model).update(holdout=replace(rows, measured=measured, raw=2 * measured))
+    assert model.validate.r2[1] < 0
+    assert "no model" not in publication(model).note
 
 
 def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path: Path) -> None:
@@ -360,7 +389,7 @@ def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
     gains = np.array([12.0, 7.0])
     drive = DriveGains(gains, np.zeros((2, 2)), 0.0)
     read = replace(estimate, drive=drive, data=replace(estimate.data, unit="A"))
-    currents = judged(read, estimate.validate, estimate.baseline)
+    currents = judged(read, estimate.predicted, estimate.predicted_given)
     files = publication(currents, formats=["mjcf"]).files
     assert yaml.safe_load(files["model.yaml"])["drive"] == {"gain_Nm_per_A": [12.0, 7.0]}
     assert 'gear="7.0"' in files["identified.xml"]

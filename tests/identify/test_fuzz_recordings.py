@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import io
+import os
+import struct
+import tracemalloc
+import zipfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 import scipy.io
 from hypothesis import given, settings
@@ -15,6 +23,10 @@ from hypothesis import strategies as st
 
 from excitant.exceptions import ExcitantError
 from excitant.identify import Recording, load_column_map, load_recording, read_chunks
+from excitant.identify.dataset import read_recordings
+from excitant.identify.faults.fault import Log
+from excitant.identify.faults.physics import smooth
+from excitant.identify.preprocessing import prepare
 from excitant.robots import load_robot
 
 N = 250
@@ -222,3 +234,100 @@ def test_maps_of_any_content(tmp_path: Path) -> None:
             assert_true(found, 0)
 
     check()
+
+
+UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+ORIGINS = st.sampled_from([0.0, 17.5, 1.7e9])  # s: any, and stamps since 1970
+GAPS = st.sampled_from([0.0, 0.2, 1e3, 1e9, 1e15, 1e200])
+
+
+@examples(30, 200)
+def test_time_in_any_unit_with_any_gap(count: int, tmp_path: Path) -> None:
+    """In memory that does not grow with the time that is said to have passed."""
+
+    @settings(max_examples=count)
+    @given(st.sampled_from([*UNITS]), ORIGINS, GAPS, st.integers(1, N - 1), st.booleans())
+    def check(unit: str, origin: float, gap: float, row: int, whole: bool) -> None:
+        t = (T + origin + gap * (np.arange(N) >= row)) * UNITS[unit]
+        path, whole = tmp_path / "log.csv", whole and unit != "s" and gap < 1e3
+        TABLE.assign(t=np.round(t).astype(np.int64) if whole else t).to_csv(path, index=False)
+        found = attempt(path)
+        if found is not None:
+            smooth(Log.of(ROBOT, found))
+            with suppress(ExcitantError):
+                prepare(found)
+        if gap < 1e3:
+            assert found is not None
+            late = gap * (np.arange(N) >= row)
+            np.testing.assert_allclose(found.t, T + late, atol=1e-4 if origin else 1e-9)
+
+    check()
+
+
+@pytest.mark.parametrize("t", [0 * T, np.full(N, 1.7e9), T * 1e15, [b"%f" % x for x in T], T > 1])
+def test_what_is_no_time_is_refused(t: Any, tmp_path: Path) -> None:
+    TABLE.assign(t=t).to_parquet(tmp_path / "log.parquet")
+    assert attempt(tmp_path / "log.parquet") is None
+
+
+def sparse(path: Path) -> None:
+    with path.open("ab") as file:
+        file.truncate(5 << 30)
+
+
+def endless_line(path: Path) -> None:
+    TABLE.to_csv(path, index=False)
+    sparse(path)
+
+
+def claims(path: Path, shape: tuple[int, ...], zeros: int = 0) -> None:
+    """An array whose header claims more than the file holds, or that packs zeros."""
+    header = io.BytesIO()
+    about = {"descr": "<f8", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(header, about)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("t.npy", header.getvalue() + bytes(zeros))
+
+
+def claims_in_mat(path: Path) -> None:
+    shape = struct.pack("<5i", 0, 2**31 - 1, 100, 0, 2)
+    path.write_bytes(shape + b"t\0" + bytes(100))
+
+
+def zeros_in_parquet(path: Path) -> None:
+    column = pa.array(np.zeros(300_000))
+    pa.parquet.write_table(pa.table({"t": pa.chunked_array([column] * 10)} | {
+        name: pa.chunked_array([column] * 10) for name in TABLE.columns[1:]
+    }), path)  # fmt: skip
+
+
+LOGS = ("csv", "parquet", "npz", "mat", "bag")
+HUGE: dict[str, tuple[str, Callable[[Path], object]]] = {
+    **{f"zeros {s}": (f"log.{s}", sparse) for s in (*LOGS, "mcap", "db3")},
+    "a line": ("log.csv", endless_line),
+    "a claim": ("log.npz", lambda path: claims(path, (10**12,))),
+    "a claim in two": ("log.npz", lambda path: claims(path, (2**62, 2**62))),
+    "packed zeros": ("log.npz", lambda path: claims(path, (2**22,), 2**25)),
+    "a claim in MAT": ("log.mat", claims_in_mat),
+    "Parquet": ("log.parquet", zeros_in_parquet),
+    **{f"pipe {s}": (f"log.{s}", os.mkfifo) for s in LOGS},
+    "a device": ("log.csv", lambda path: path.symlink_to("/dev/zero")),
+    "a folder": ("log.npz", Path.mkdir),
+}
+
+
+@pytest.mark.parametrize("kind", HUGE)
+def test_huge_files_and_what_is_none_are_refused_at_once(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, write = HUGE[kind]
+    write(tmp_path / name)
+    monkeypatch.setattr("excitant.identify.importers.tables.MOST", 1 << 24)
+    tracemalloc.start()
+    try:
+        assert attempt(tmp_path / name) is None
+        with pytest.raises(ExcitantError, match=name):
+            read_recordings([tmp_path / name], ROBOT)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 26
+    finally:
+        tracemalloc.stop()

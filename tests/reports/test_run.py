@@ -1,13 +1,21 @@
 """A run is saved whole or not at all, and reads back as it was."""
 
+import importlib
 import io
 import itertools
 import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from excitant import files
+from excitant.cli import main
 from excitant.exceptions import BadInput
 from excitant.reports import html, load_run, page_of, save_run, summary
 
@@ -74,45 +82,163 @@ def test_failed_rendering_writes_nothing(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def fail_at(monkeypatch, count, error):
-    real, moves = os.replace, itertools.count(1)
-
-    def replace(*names):
-        if next(moves) == count:
-            raise error
-        real(*names)
-
-    monkeypatch.setattr(os, "replace", replace)
+def contents(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 FULL = OSError(28, "No space left on device")
+STEPS = ["os.fsync", "os.mkdir", "os.rename", "shutil.copytree", "files._exchange"]
 
 
-@pytest.mark.parametrize("failing", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("error", [FULL, KeyboardInterrupt()])
-def test_failed_move_leaves_no_new_folder(failing, error, tmp_path, monkeypatch):
-    fail_at(monkeypatch, failing, error)
-    with pytest.raises(BadInput if error is FULL else KeyboardInterrupt) as caught:
-        save_run(tmp_path / "new/run", {"verb": "check"}, {}, {"a/b.txt": "x"})
+@pytest.fixture(params=STEPS)
+def failing(request, monkeypatch):
+    """``failing(k, error)``: the k-th step of this kind, from 1, fails."""
+    name = request.param.removeprefix("files.")
+    owner = files if "files" in request.param else importlib.import_module(name.partition(".")[0])
+    name = name.rpartition(".")[2]
+    real, steps = getattr(owner, name), itertools.count(1)
+
+    def fail(count, error):
+        def step(*given, **options):
+            if next(steps) == count:
+                raise error
+            return real(*given, **options)
+
+        monkeypatch.setattr(owner, name, step)
+
+    return fail
+
+
+@pytest.mark.parametrize("count", range(1, 7))
+@pytest.mark.parametrize("error", [FULL, KeyboardInterrupt(), RuntimeError()])
+@pytest.mark.parametrize("old", [True, False])
+def test_a_step_that_fails_leaves_all_as_it_was(failing, count, error, old, tmp_path):
+    target = tmp_path / "new" / "run"
+    if old:
+        save_run(target, {"verb": "identify", "files": ["new/run/a"]}, {}, {"a": "x"})
+    before = contents(tmp_path)
+    failing(count, error)
+    raised = None
+    try:
+        save_run(target, {"verb": "check"}, {"t": np.arange(5)}, {"b/c.txt": "y"})
+    except (BadInput, KeyboardInterrupt, RuntimeError) as stopped:
+        raised = stopped
+    if raised is not None:
+        assert isinstance(raised, BadInput if error is FULL else type(error))
+        assert "\n" not in str(raised)
+        assert contents(tmp_path) == before
+    else:  # fewer steps of this kind are taken
+        assert names(target) == sorted([*OWN, "c.txt"])
+        assert list((tmp_path / "new").iterdir()) == [target]
+    assert old or before or not list(tmp_path.rglob(".excitant*"))
+
+
+def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(FULL))
+    for write in (
+        lambda path: save_run(path, {"verb": "check"}, {}),
+        lambda path: files.write_file(path, "x"),
+    ):
+        with pytest.raises(BadInput, match=r"run.*cannot be written: No space left.*free some"):
+            write(tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
-    assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("failing", [1, 2, 3, 4])
-def test_failed_move_leaves_only_whole_files_of_an_old_run(failing, tmp_path, monkeypatch):
-    def contents(folder):
-        return {path.name: path.read_bytes() for path in folder.iterdir()}
+def test_a_run_replaces_an_old_one_and_leaves_what_others_put_there(tmp_path):
+    run = tmp_path / "run"
+    save_run(run, {"verb": "identify", "files": ["run/a", "run/d/b"]}, {}, {"a": "1", "d/b": "2"})
+    (run / "mine").mkdir()
+    (run / "mine" / "notes.txt").write_text("keep")
+    (run / "link").symlink_to("mine")
+    save_run(run, {"verb": "check", "files": ["x/d/c"]}, {}, {"d/c": "3"})
+    assert names(run) == sorted([*OWN, "c", "notes.txt"])
+    assert (run / "link").is_symlink()
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    again = contents(run)
+    save_run(run, *load_run(run))  # as `report` does, which has no artefacts at hand
+    assert contents(run).keys() == again.keys()
 
-    for folder, verb in (("run", "identify"), ("other", "check")):
-        save_run(tmp_path / folder, {"verb": verb}, {"t": np.arange(len(verb))})
-    old, new = contents(tmp_path / "run"), contents(tmp_path / "other")
-    fail_at(monkeypatch, failing, FULL)
-    with pytest.raises(BadInput, match="No space left"):
-        save_run(tmp_path / "run", {"verb": "check"}, {"t": np.arange(5)})
-    found = contents(tmp_path / "run")
-    assert sorted(found) == OWN
-    assert all(found[name] in (old[name], new[name]) for name in OWN)
-    assert found["result.json"] == old["result.json"]
+
+def test_old_or_new_is_whole_at_every_instant(tmp_path):
+    """Read all the while from another thread, which sees both."""
+    run, seen, wrong, over = tmp_path / "run", set(), [], threading.Event()
+
+    def write(k):
+        files.write_folder(run, {"a": f"{k}", "b": f"{k}"})
+
+    def look():
+        while not over.is_set():
+            with ExitStack() as stack:
+                held = [os.open(run, os.O_RDONLY)]
+                stack.callback(lambda held=held: [os.close(handle) for handle in held])
+                # of the old folder, files may be missing while it is removed
+                stack.enter_context(suppress(FileNotFoundError))
+                held += [os.open(x, os.O_RDONLY, dir_fd=held[0]) for x in "ab"]
+                found = [os.read(handle, 9) for handle in held[1:]]
+                seen.add(found[0])
+                wrong.extend([found] * (found[0] != found[1]))
+
+    write(0)
+    looking = threading.Thread(target=look)
+    looking.start()
+    for k in range(1, 60):
+        write(k)
+    over.set()
+    looking.join()
+    assert len(seen) > 1
+    assert not wrong
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
+    script = (
+        "import os, signal, sys; from pathlib import Path; from excitant import files;"
+        "files._write = lambda *_: os.kill(os.getpid(), signal.SIGKILL);"
+        "files.write_folder(sys.argv[1], {'a': 'b'})"
+    )
+    assert subprocess.run([sys.executable, "-c", script, tmp_path / "run"]).returncode == -9
+    [left] = tmp_path.iterdir()
+    assert left.name.startswith(".excitant-")
+    save_run(tmp_path / "other", {"verb": "check"}, {})
+    assert left.exists()  # that of another target may be at work
+    save_run(tmp_path / "run", {"verb": "check"}, {})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["other", "run"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_waits_until_the_run_is_whole(number, tmp_path, monkeypatch):
+    before, real = signal.signal(number, signal.default_int_handler), os.fsync
+
+    def fsync(handle):
+        signal.raise_signal(number)
+        real(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    try:
+        with pytest.raises(KeyboardInterrupt, match="was written"):
+            save_run(tmp_path / "run", {"verb": "check"}, {})
+    finally:
+        signal.signal(number, before)
+    assert names(tmp_path) == OWN
+
+
+@pytest.mark.parametrize("place", [".", "..", "file", "file/run", "shut/run"])
+def test_a_folder_that_cannot_be_replaced_is_refused_before_the_work(place, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    Path("file").write_text("x")
+    Path("shut").mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode: not str(path).endswith("shut"))
+    with pytest.raises(BadInput, match="choose another folder") as caught:
+        files.require_replaceable(place)
+    assert str(caught.value).startswith(f"{Path(place)}: ")
+    assert main(["analyze", "planar_2r", "-o", place]) == 1
+
+
+ODD = (b"NaN", b"-Infinity", b"1e400", b"9" * 5000, b"[" * 200 + b"]" * 200, b"[" * 99999)
 
 
 def saved(save, *args, **kwargs):
@@ -125,6 +251,7 @@ def saved(save, *args, **kwargs):
     ("culprit", "content"),  # None: missing, "cut": its first bytes
     [
         *(("result.json", c) for c in (None, "cut", b"", b"\xff\xfe\x00", b"[1, 2]", b"{}")),
+        *(("result.json", b'{"verb": "check", "x": %s}' % c) for c in ODD),
         *(("series.npz", c) for c in (None, "cut", b"", b"no archive")),
         ("series.npz", saved(np.savez, x=np.array([{}], dtype=object))),
         ("series.npz", saved(np.save, np.zeros(3))),

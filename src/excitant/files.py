@@ -1,0 +1,226 @@
+"""Files: read within bounds, written whole or not at all."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import hashlib
+import os
+import secrets
+import shutil
+import signal
+import stat
+import threading
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from excitant.exceptions import BadInput
+
+LARGEST = 256 << 20
+"""Bytes of a file that is read at once: descriptions, trajectories, results."""
+
+_HERE, _SWAP = -100, 2  # AT_FDCWD, RENAME_EXCHANGE of Linux
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def size_of(path: str | Path) -> int:
+    """Bytes of a regular file.
+
+    Raises:
+        OSError: There is none, or it is a folder, pipe, device or socket.
+    """
+    found = os.stat(path)
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is a pipe, device or socket", str(path))
+    return found.st_size
+
+
+def read_bytes(path: str | Path, most: int = LARGEST) -> bytes:
+    """Content of a regular file of at most so many bytes, else OSError."""
+    size = size_of(path)
+    with open(path, "rb") as file:
+        content = b"" if size > most else file.read(most + 1)
+    if max(size, len(content)) > most:
+        why = f"it is {max(size, len(content)) / 1e6:.4g} MB large, more than {most / 1e6:.4g} MB"
+        raise OSError(errno.EFBIG, why, str(path))
+    return content
+
+
+def read_text(path: str | Path, most: int = LARGEST) -> str:
+    """Text in UTF-8 of a regular file of at most so many bytes, else OSError or UnicodeError."""
+    return read_bytes(path, most).decode("utf-8").replace("\r\n", "\n")
+
+
+def require_replaceable(folder: str | Path) -> None:
+    """Refuse, as BadInput, a folder that `write_folder` could not put in place."""
+    path = Path(folder).resolve()
+    parent = next(each for each in path.parents if each.exists())
+    why = ""
+    if path.exists() and not path.is_dir():
+        why = "is a file"
+    elif path in (Path.cwd(), *Path.cwd().parents):
+        why = "is the working folder or holds it, and would be replaced as a whole"
+    elif os.path.ismount(path):
+        why = "is a mount point, which cannot be replaced as a whole"
+    elif not parent.is_dir():
+        why = f"{parent} is a file"
+    elif not os.access(parent, os.W_OK | os.X_OK):
+        why = f"nothing can be written in {parent}"
+    if why:
+        raise BadInput(f"{folder}: {why}; choose another folder, such as {Path(folder) / 'run'}")
+
+
+def write_file(path: str | Path, content: str | bytes) -> None:
+    """Write a file, or replace it in one step.
+
+    Raises:
+        BadInput: It cannot be written.
+    """
+    path = Path(path).resolve()
+    with _put_aside(path) as stage:
+        _write(stage / path.name, content, path)
+        os.replace(stage / path.name, path)
+
+
+def write_folder(
+    folder: str | Path, contents: Mapping[str, str | bytes], without: Collection[str] = ()
+) -> list[Path]:
+    """Write a folder, or replace it in one step; at every instant the old or the new one is whole.
+
+    Args:
+        folder: Made when missing, with its parents.
+        contents: Content of files by their names relative to the folder.
+        without: Names of files of an old folder that are left out; others stay in it.
+
+    Returns:
+        The files written.
+
+    Raises:
+        BadInput: It cannot be written; an old folder is as it was.
+    """
+    require_replaceable(folder)
+    target = Path(folder).resolve()
+    with _put_aside(target) as stage:
+        new = stage / "run"
+        if target.exists():
+            gone = {*contents, *without}
+            shutil.copytree(
+                target, new, symlinks=True, copy_function=_link,
+                ignore=lambda at, names: {n for n in names if _below(target, at, n) in gone},
+            )  # fmt: skip
+        for name, content in contents.items():
+            (new / name).parent.mkdir(parents=True, exist_ok=True)
+            _write(new / name, content, Path(folder) / name)
+        if target.exists():
+            _exchange(new, target)
+        else:
+            os.rename(new, target)
+    return [Path(folder) / name for name in contents]
+
+
+def _below(folder: Path, at: str, name: str) -> str:
+    return (Path(at) / name).relative_to(folder).as_posix()
+
+
+@contextmanager
+def _put_aside(target: Path) -> Iterator[Path]:
+    """A folder beside the target, removed in the end, as are those of runs that were killed.
+
+    Ctrl-C and SIGTERM wait until then.
+    """
+    missing = [folder for folder in target.parents if not folder.exists()]
+    prefix = f".excitant-{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
+    with _uninterrupted(f"{target} was written"):
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            for left in target.parent.glob(f"{prefix}*"):
+                with suppress(OSError), _locked(left):
+                    shutil.rmtree(left)
+            stage = target.parent / f"{prefix}{secrets.token_hex(4)}"
+            stage.mkdir()
+            with _locked(stage):
+                try:
+                    yield stage
+                finally:
+                    shutil.rmtree(stage, ignore_errors=True)
+        except BaseException as error:
+            for folder in missing:
+                with suppress(OSError):
+                    folder.rmdir()
+            if not isinstance(error, OSError):
+                raise
+            why = error.strerror or str(error)
+            what = error.filename if error.errno == errno.ENOSPC else None
+            advice = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+            advice = f"{advice} or choose another folder".removeprefix(" or ")
+            raise BadInput(f"{what or target}: cannot be written: {why}; {advice}") from error
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """The folder while nobody else has it, else OSError."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def _uninterrupted(done: str) -> Iterator[None]:
+    """Signals that would end this process wait for the end of the block, and then say what it did.
+
+    KeyboardInterrupt without words means that nothing was done.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard: list[int] = []
+    before = {each: signal.signal(each, lambda one, _: heard.append(one)) for each in _SIGNALS}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, signal.SIG_DFL if handler is None else handler)
+    try:
+        for number in heard:
+            signal.raise_signal(number)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(done) from None
+
+
+def _write(path: Path, content: str | bytes, said: Path) -> None:
+    try:
+        with path.open("xb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(said)) from None
+
+
+def _link(source: str, target: str) -> str:
+    try:
+        os.link(source, target, follow_symlinks=False)
+    except OSError:  # a file system without links
+        shutil.copy2(source, target, follow_symlinks=False)
+    return target
+
+
+def _exchange(new: Path, old: Path) -> None:
+    """Exchange two folders, in one step where the system can."""
+    swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if swap and swap(_HERE, os.fsencode(new), _HERE, os.fsencode(old), _SWAP) == 0:
+        return
+    aside = new.with_name("old")
+    os.rename(old, aside)
+    try:
+        os.rename(new, old)
+    except BaseException:
+        os.rename(aside, old)
+        raise
