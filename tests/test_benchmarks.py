@@ -110,7 +110,7 @@ def test_a_missing_problem_is_refused_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur5e", "panda"])
+@pytest.mark.parametrize("name", ["panda"])
 def test_links_off_by_a_third_come_nearer_to_the_truth(name: str) -> None:
     """Over draws, the arm's links together, none much farther; and the torque is as good."""
     found = bodies.table(name, 4)

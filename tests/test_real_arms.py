@@ -27,6 +27,7 @@ def ran(data_folder: Path, excitant: Callable[..., Any], tmp_path: Path) -> Verb
 
     def run(verb: str, name: str) -> Records:
         words = f"{'--recording ' if verb == 'analyze' else ''}{SETS[name]}"
+        words += " --no-experiments" if verb == "diagnose" else ""
         found = excitant(f"{verb} {data_folder / name} {words} --json -o {tmp_path / verb}").result
         return dict(found)
 

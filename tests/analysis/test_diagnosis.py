@@ -28,7 +28,7 @@ from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect, indust
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
 WRISTS = ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 FAST = ("coulomb_friction", "stribeck_friction", "payload")
-SEEDS, CLEAN = 6, 5  # of each arm
+SEEDS, CLEAN = 5, 3  # of each arm
 Pair = tuple[float, float]
 FLOOR = 0.1
 PLANTED = (
