@@ -131,7 +131,7 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
             f"{folder}: no robot model (robot.urdf or robot.yaml) in this folder; add one, or "
             f"give ROBOT and the paths of the recordings"
         )
-    if kinematics.urdf != _Kinematics.urdf and model == candidates[0]:
+    if kinematics.urdf != _Kinematics().urdf and model == candidates[0]:
         within(model, sidecar, allow="ROBOT and the paths of the recordings on the command line")
     try:
         robot = load_robot(model, lock=dict.fromkeys(kinematics.lock or [], 0.0) or None)

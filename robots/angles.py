@@ -20,6 +20,7 @@ STEP = np.pi / 12
 _FURTHEST = 2e-3  # rad
 _UNSEEN = 1e-8  # rad: too little for a decision on what torque shows, and so for a note
 _SHOWN = 4
+_TURNS = 1e3  # beyond which no number is an angle
 _RPY = re.compile(r"""(?<=\srpy=)(["'])([^"']*)\1""")
 
 
@@ -36,6 +37,8 @@ class Angles:
     def meant(self, text: str) -> float | None:
         """Multiple of 15° that an angle stands for [rad], if it is not that already."""
         value = float(text)
+        if not abs(value) < _TURNS:
+            return None
         multiple = round(value / STEP)
         exact = float(multiple * STEP)
         off = abs(value - exact)
@@ -59,7 +62,7 @@ class Angles:
         words = text.split()
         try:
             exact = [self.meant(word) for word in words]
-        except (ValueError, OverflowError):
+        except ValueError:
             return text  # refused where it is read as numbers
         if all(angle is None for angle in exact):
             return text
@@ -68,11 +71,11 @@ class Angles:
         )
 
     def quaternion(self, wxyz: Array) -> Array:
-        """A quaternion of turns about axes by multiples of 15°, where rounding explains the rest."""
+        """A quaternion of turns by multiples of 15°, where rounding explains the rest."""
+        if not 0 < np.abs(wxyz).max() < _TURNS:
+            return wxyz
         words = [repr(float(value)) for value in wxyz]
         unit, length = min(map(_unit, words)), float(np.linalg.norm(wxyz))
-        if not np.isfinite(length) or length == 0:
-            return wxyz
         given = np.asarray(wxyz, float) / length
         R = pin.Quaternion(*given).matrix()
         turn, angle = pin.log3(R), _angle(R)

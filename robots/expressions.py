@@ -1,8 +1,8 @@
 """Values of expressions in xacro files, over Python's syntax tree: nothing is run as Python.
 
-There are numbers, text, lists and dictionaries, arithmetic and comparisons, and functions that have
-no effect. No object has attributes but dictionaries of YAML, whose keys these are, and methods that
-are listed here. Sizes are bounded before a value is built.
+There are numbers, text, lists and dictionaries of YAML, arithmetic and comparisons, and functions
+that have no effect. No object has attributes but dictionaries, whose keys these are, and methods
+that are listed here. Sizes are bounded before a value is built.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 from excitant.robots.files import extent
@@ -60,8 +61,14 @@ def evaluate(expression: str, names: Mapping[str, Any], spend: Spend) -> Any:
     """
     if len(expression) > LARGEST:
         raise Refused(f"is longer than {LARGEST} characters")
-    tree = ast.parse(expression.strip(), mode="eval")
-    return _Evaluation(names, spend).value(tree.body)
+    try:
+        tree = ast.parse(expression.strip(), mode="eval")
+        value = _Evaluation(names, spend).value(tree.body)
+    except (RecursionError, MemoryError):
+        raise Refused("is nested too deep") from None
+    if isinstance(value, (Space, Function)):
+        raise Refused("has a value that is no data")
+    return value
 
 
 def bounded(value: Any) -> Any:
@@ -133,16 +140,6 @@ class _Evaluation:
     def _Tuple(self, node: ast.Tuple) -> tuple[Any, ...]:
         return tuple(self._List(node))  # type: ignore[arg-type]
 
-    def _Set(self, node: ast.Set) -> set[Any]:
-        return set(self._List(node))  # type: ignore[arg-type]
-
-    def _Dict(self, node: ast.Dict) -> dict[Any, Any]:
-        if None in node.keys:
-            raise Refused("uses **")
-        keys = [self.value(key) for key in node.keys if key is not None]
-        found = dict(zip(keys, map(self.value, node.values), strict=True))
-        return self.made(found)  # type: ignore[no-any-return]
-
     def _UnaryOp(self, node: ast.UnaryOp) -> Any:
         operation = _UNARY.get(type(node.op))
         if operation is None:
@@ -176,11 +173,11 @@ class _Evaluation:
         return self.value(node.body if self.value(node.test) else node.orelse)
 
     def _Subscript(self, node: ast.Subscript) -> Any:
-        held = self.value(node.value)
-        if isinstance(held, (Space, *_ITERABLE)):
-            found = held[self._index(node.slice)]
-            return self.made(found) if isinstance(node.slice, ast.Slice) else found
-        raise Refused(f"uses {ast.unparse(node)}")
+        held: Any = self.value(node.value)
+        if type(held) not in _ITERABLE and not isinstance(held, (list, dict)):
+            raise Refused(f"uses {ast.unparse(node)}")
+        found = held[self._index(node.slice)]
+        return self.made(found) if isinstance(node.slice, ast.Slice) else found
 
     def _index(self, node: ast.expr) -> Any:
         if not isinstance(node, ast.Slice):
@@ -200,12 +197,7 @@ class _Evaluation:
 
     def _Call(self, node: ast.Call) -> Any:
         function = self._function(node.func)
-        values: list[Any] = []
-        for each in node.args:
-            if isinstance(each, ast.Starred):
-                values += self.data(each.value)
-            else:
-                values.append(self._argument(each))
+        values = [self._argument(each) for each in node.args]
         if any(each.arg is None for each in node.keywords):
             raise Refused("uses **")
         named = {str(each.arg): self._argument(each.value) for each in node.keywords}
@@ -222,9 +214,10 @@ class _Evaluation:
     def _function(self, node: ast.expr) -> Function:
         if isinstance(node, ast.Attribute):
             held = self.value(node.value)
-            for kind, methods in _METHODS.items():
-                if isinstance(held, kind) and node.attr in methods:
-                    return Function(lambda *values: methods[node.attr](held, *values))
+            kinds = [] if isinstance(held, Space) else _METHODS.items()
+            for method in (known.get(node.attr) for kind, known in kinds if isinstance(held, kind)):
+                if method is not None:
+                    return Function(partial(method, held))
             if not isinstance(held, dict):
                 raise Refused(f"uses {ast.unparse(node)}")
         function = self.value(node)
@@ -232,13 +225,14 @@ class _Evaluation:
             raise Refused(f"calls {ast.unparse(node)}")
         return function
 
-    def _comprehension(self, node: Any, found: Callable[[], Any]) -> list[Any]:
+    def _ListComp(self, node: ast.ListComp | ast.GeneratorExp) -> list[Any]:
         collected: list[Any] = []
 
         def inner(rest: list[ast.comprehension]) -> None:
             if not rest:
-                collected.append(found())
-                return _fits(len(collected))
+                collected.append(self.value(node.elt))
+                _fits(len(collected))
+                return
             for item in tuple(self.data(rest[0].iter)):
                 self._assign(rest[0].target, item)
                 if all(self.value(test) for test in rest[0].ifs):
@@ -252,6 +246,8 @@ class _Evaluation:
             self.local = before
         return self.made(collected)  # type: ignore[no-any-return]
 
+    _GeneratorExp = _ListComp
+
     def _assign(self, target: ast.expr, item: Any) -> None:
         self.spend(1)
         if isinstance(target, ast.Name):
@@ -261,29 +257,6 @@ class _Evaluation:
                 self._assign(inner, each)
         else:
             raise Refused(f"assigns to {ast.unparse(target)}")
-
-    def _ListComp(self, node: ast.ListComp | ast.SetComp | ast.GeneratorExp) -> list[Any]:
-        return self._comprehension(node, lambda: self.value(node.elt))
-
-    _GeneratorExp = _ListComp
-
-    def _SetComp(self, node: ast.SetComp) -> set[Any]:
-        return set(self._ListComp(node))
-
-    def _DictComp(self, node: ast.DictComp) -> dict[Any, Any]:
-        pairs = self._comprehension(node, lambda: (self.value(node.key), self.value(node.value)))
-        return dict(pairs)
-
-    def _JoinedStr(self, node: ast.JoinedStr) -> str:
-        return str(self.made("".join(str(self.value(each)) for each in node.values)))
-
-    def _FormattedValue(self, node: ast.FormattedValue) -> str:
-        value = self.data(node.value)
-        form = "" if node.format_spec is None else str(self.value(node.format_spec))
-        if not re.fullmatch(r"[^{}]?[<>=^]?[-+ ]?#?0?\d{0,2}[,_]?(\.\d{1,2})?[a-zA-Z%]?", form):
-            raise Refused(f"uses the format '{form}'")
-        value = {114: repr, 115: str, 97: ascii}.get(node.conversion, lambda same: same)(value)
-        return format(value, form) if form else str(value)
 
 
 _WORDS = {"Lambda": "a lambda", "NamedExpr": ":=", "Await": "await", "Starred": "*"}
@@ -429,7 +402,7 @@ PYTHON: dict[str, Any] = {
     "complex": Function(complex, complex),
     **{
         name: Function(getattr(builtins, name))
-        for name in "len min max abs all any divmod ord repr sorted".split()
+        for name in ("len", "min", "max", "abs", "all", "any", "divmod", "ord", "repr", "sorted")
     },
 }
 """Functions of Python without effects, whose values are bounded."""

@@ -9,6 +9,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 from excitant.exceptions import BadRobot
 
@@ -16,7 +17,7 @@ LARGEST = 32_000_000
 """Bytes of a text that is read; descriptions of whole humanoids have a hundredth."""
 
 _DEEPEST = 100  # elements within one another
-_MOST = 500_000  # elements
+_MOST = 200_000  # elements
 _PIECE = 50_000  # characters of XML between two looks at both
 
 ALLOW = "--package FOLDER (packages: [..] in a robot.yaml)"
@@ -47,7 +48,8 @@ def parse_xml(text: str, source: str | Path, form: str = "URDF") -> ET.Element:
     """Root of an XML text, which is neither deep, nor huge, nor built of entities."""
     if re.search(r"<!ENTITY", text):
         raise BadRobot(source, "its XML declares entities; write out what they stand for")
-    parser, root, depth, count = ET.XMLPullParser(("start", "end")), ET.Element(""), 0, 0
+    parser: Any = ET.XMLPullParser(("start", "end"))
+    root, depth, count = ET.Element(""), 0, 0
     try:
         for at in range(0, len(text) + 1, _PIECE):
             parser.feed(text[at : at + _PIECE])
@@ -89,6 +91,8 @@ def within(
             f"it asks for {path}, which is outside its folder; if you trust it, allow that with "
             f"{allow}",
         )
+    if real.exists() and not real.is_file():
+        raise BadRobot(named_by, f"it asks for {path}, which is no file; name a file")
     return real
 
 
@@ -107,9 +111,9 @@ def package_folders(
     for k, around in enumerate((*given, *real_path(named_by).parents)):
         for folder in (around, around / name):
             manifest = _package_name(folder)
-            if folder.is_dir() and name in (manifest, folder.name):
-                if k < len(given) or manifest or not is_exposed(folder):
-                    yield folder
+            trusted = k < len(given) or manifest or not is_exposed(folder)
+            if trusted and folder.is_dir() and name in (manifest, folder.name):
+                yield folder
 
 
 def is_exposed(folder: Path) -> bool:

@@ -123,7 +123,7 @@ def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
         own = replace(own, path=path.parent / record.model)
         if not Path(own).is_file():
             raise BadRobot(path, f"model {own} does not exist")
-        within(own, path, own.packages)
+        within(str(own), path, own.packages)
         per_joint = record.limits or record.effects or record.drive
         if spec.is_part and not own.is_part and not per_joint:
             # nothing in the file is said joint by joint, so the model itself can be narrowed
@@ -200,9 +200,7 @@ def _described(path: Path, spec: RobotSpec) -> Description:
     """The description in a file, whatever it is written in."""
     text = read_description(path)
     if is_xacro(text):
-        urdf, notes = urdf_from_xacro(
-            path, spec.xacro_args, spec.packages, trust=spec.trust_xacro
-        )
+        urdf, notes = urdf_from_xacro(path, spec.xacro_args, spec.packages, trust=spec.trust_xacro)
         return Description(urdf, notes=notes)
     if spec.xacro_args:
         raise BadRobot(path, "not a xacro file, so it takes no xacro arguments; leave them out")

@@ -45,9 +45,7 @@ class Description:
     notes: tuple[str, ...] = ()  # what was left out
 
 
-def description_from_mjcf(
-    path: str | Path, packages: Iterable[str | Path] = ()
-) -> Description:
+def description_from_mjcf(path: str | Path, packages: Iterable[str | Path] = ()) -> Description:
     """Description of the robot in an MJCF file; `BadRobot` where MuJoCo is missing or refuses.
 
     Files that it names must lie below its folder or one of the packages.
@@ -91,7 +89,7 @@ def description_from_mjcf(
 
 
 _FILES = 200  # that one MJCF may consist of
-_COPIES = 1000  # that <replicate> may make, over all levels
+_COPIES = 300  # that <replicate> may make, over all levels
 _SIZES = {"count": 10_000, "nrow": 2_000, "ncol": 2_000}  # products of these attributes
 
 
@@ -181,9 +179,33 @@ def _check_numbers(model: Any, path: str | Path) -> None:
         raise BadRobot(path, "gravity is not finite or beyond reason; give it in m/s²")
 
 
-_TAKEN = """body_pos body_quat body_ipos body_iquat body_mass body_inertia jnt_pos jnt_axis jnt_range
-jnt_stiffness qpos0 qpos_spring dof_armature dof_damping dof_frictionloss geom_pos geom_quat geom_size
-mesh_pos mesh_quat eq_data actuator_gear actuator_gainprm actuator_armature actuator_damping""".split()
+_TAKEN = (
+    "body_pos",
+    "body_quat",
+    "body_ipos",
+    "body_iquat",
+    "body_mass",
+    "body_inertia",
+    "jnt_pos",
+    "jnt_axis",
+    "jnt_range",
+    "jnt_stiffness",
+    "qpos0",
+    "qpos_spring",
+    "dof_armature",
+    "dof_damping",
+    "dof_frictionloss",
+    "geom_pos",
+    "geom_quat",
+    "geom_size",
+    "mesh_pos",
+    "mesh_quat",
+    "eq_data",
+    "actuator_gear",
+    "actuator_gainprm",
+    "actuator_armature",
+    "actuator_damping",
+)
 
 
 def _leave_out_drawing(spec: Any, path: str | Path) -> None:

@@ -202,7 +202,7 @@ def load_yaml_text(text: str, loader: type[Loader] | None = None) -> Any:
     return content
 
 
-_VALUES = 1_000_000  # values and characters that aliases may stand for
+_VALUES = 300_000  # values and characters that aliases may stand for
 _MERGED = 10_000  # entries of a mapping
 
 

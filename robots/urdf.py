@@ -228,7 +228,8 @@ def quietly(source: str) -> Iterator[None]:
         except Exception as error:
             sink.seek(0)
             lines = (*sink.read().decode(errors="replace").splitlines(), *str(error).splitlines())
-            first = next((line.strip() for line in lines if line.strip()), type(error).__name__)
+            told = [line.partition("message:")[2] for line in lines if "message:" in line]
+            first = next((s for line in (*told, *lines) if (s := line.strip())), repr(error))
             raise BadRobot(source, f"Pinocchio cannot read it: {first}") from None
         finally:
             for stream, before in zip((1, 2), saved, strict=True):

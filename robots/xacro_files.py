@@ -32,7 +32,8 @@ from excitant.robots.files import (
 from excitant.robots.schema import Loader, load_yaml_text
 
 _WORK = 20_000_000  # steps and characters that one file may take
-_SECONDS = 20.0  # of processor time
+_ELEMENT = 200  # steps that an element counts for
+_SECONDS = 10.0  # of processor time
 _NESTED = 50  # files that include one another
 _TRUST = "if you trust the file, --trust-xacro runs it as Python"
 
@@ -111,7 +112,7 @@ def _reason(error: Exception, said: str) -> str:
         return f"xacro: {why}; give it with --xacro-arg NAME:=VALUE (xacro_args in a robot.yaml)"
     last = [line for line in said.splitlines() if line.strip() and "in file" not in line]
     where = f" ({last[-1].strip()})" if last and last[-1].strip() not in why else ""
-    return f"xacro cannot read it: {why}{where}"
+    return _short(f"xacro cannot read it: {why}{where}", 400)
 
 
 Replacements = Sequence[tuple[dict[str, Any], Mapping[str, Any]]]
@@ -192,7 +193,7 @@ class _Reading:
 
     def _counted(self, function: Any) -> Any:
         def counted(given: Any, *others: Any) -> Any:
-            size = len(given) if isinstance(given, str) else 50
+            size = len(given) if isinstance(given, str) else _ELEMENT
             if size > LARGEST:
                 raise BadRobot(self.path, f"a text in it has more than {LARGEST} characters")
             self.spend(1 + size)
@@ -230,8 +231,8 @@ class _Reading:
             where = self._where(expression)
             raise BadRobot(
                 self.path,
-                f"the expression '{_short(expression)}'{where} {error}, but only plain values are "
-                f"evaluated; {_TRUST}",
+                f"the expression '{_short(expression)}'{where} {error}; only plain values of "
+                f"bounded size are evaluated; {_TRUST}",
             ) from None
         self.spend(len(value) if isinstance(value, str) else 0)
         return value
@@ -280,7 +281,7 @@ class _Reading:
         self.texts[filename] = text
         options = xml.dom.xmlbuilder.Options()
         options.comments = False
-        return xml.dom.expatbuilder.ExpatBuilderNS(options).parseString(text)  # type: ignore[no-untyped-call]
+        return xml.dom.expatbuilder.ExpatBuilderNS(options).parseString(text)
 
     def includes(self, named: str, symbols: Any) -> Iterator[str]:
         """Files of an ``<xacro:include>``, whose name may hold ``*`` and the like."""
@@ -349,8 +350,8 @@ def _fatal(*words: object) -> None:
     raise ValueError(" ".join(map(str, words)))
 
 
-def _short(expression: str) -> str:
-    return expression if len(expression) < 80 else f"{expression[:77]}..."
+def _short(text: str, most: int = 80) -> str:
+    return text if len(text) < most else f"{text[: most - 3]}..."
 
 
 # xacro's own takes time that is exponential in the length of some texts

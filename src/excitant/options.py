@@ -78,9 +78,9 @@ class Part:
     xacro_arg: Files = None
     "Argument of a xacro file, NAME:=VALUE; once for each."
     package: Files = None
-    "Folder of a package that a xacro file asks for, or with other files of the robot; once for each."
+    "Folder of a package or of other files that the description asks for; once for each."
     trust_xacro: bool = False
-    "Run the expressions of a xacro file as Python, with all files and the environment; own files."
+    "Run a xacro file of your own as ROS does, as Python that reads any file and the environment."
 
     def spec(self, path: str) -> Any:
         """The robot to load, with the part of it that is meant."""
