@@ -19,7 +19,6 @@ COLUMNS = ("friction", "inertial")
 CRITERIA = ("condition", "d", "a", "e")
 
 _SIGN_WIDTH = 0.02  # of the speed scale: where the smooth sign of the derivatives turns
-_ROUNDED = 1e-5  # of the longest column: less is shown by a right angle written as 1.5708
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ def information(
             f"{robot.name}"
         )
     effects = standard_effects(robot.joints) if columns == "friction" else ()
-    base = base_parameters(robot, effects, tolerance=_ROUNDED)
+    base = base_parameters(robot, effects)
     known = np.zeros((len(base), len(base)))
     new = Information(robot, columns, base, np.exp(np.log(sigma).mean()) / sigma, known)
     for motion in earlier:

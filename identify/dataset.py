@@ -29,6 +29,7 @@ from excitant.identify.preprocessing import (
     uninterrupted,
 )
 from excitant.identify.recording import SUFFIXES, Recording, load_recording, read_chunks
+from excitant.robots.files import within
 from excitant.robots.loading import load_robot
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -137,6 +138,8 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
             f"{folder}: no robot model (robot.urdf or robot.yaml) in this folder; add one, or "
             f"give ROBOT and the paths of the recordings"
         )
+    if kinematics.urdf != _Kinematics().urdf and model == candidates[0]:
+        within(model, sidecar, allow="ROBOT and the paths of the recordings on the command line")
     try:
         robot = load_robot(model, lock=dict.fromkeys(kinematics.lock or [], 0.0) or None)
     except UnknownName as error:

@@ -52,7 +52,7 @@ class BaseParameters:
         null_space: Orthonormal basis of what no torque shows, shape (p, p − r).
         gap: Smallest part of an accepted column, and largest of a rejected one, outside the
             columns before it, where the longest column has length one; close together means
-            nearly special geometry, such as rounded angles.
+            nearly special geometry.
     """
 
     names: tuple[str, ...]
@@ -111,7 +111,6 @@ def base_parameters(
     effects: Sequence[Effect] = (),
     *,
     rng: np.random.Generator | None = None,
-    tolerance: float = TOLERANCE,
 ) -> BaseParameters:
     """Base parameters of the links, with those of effects when given.
 
@@ -119,10 +118,9 @@ def base_parameters(
         robot: The arm; gravity and locked joints count.
         effects: Effects whose coefficients are unknown too.
         rng: Draws the states; always the same ones when None. The result does not depend on it.
-        tolerance: As of `regroup`.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    return regroup(observe(robot, effects, structural_motion(robot, rng)), tolerance)
+    return regroup(observe(robot, effects, structural_motion(robot, rng)))
 
 
 def structural_motion(robot: Robot, rng: np.random.Generator, states: int = _STATES) -> Motion:

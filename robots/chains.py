@@ -25,7 +25,8 @@ class RobotSpec:
     tip: str | None = None  # link that the chain ends at; links beyond it are carried along
     lock: Mapping[str, float] = field(default_factory=dict)  # joints held, and where [rad or m]
     xacro_args: Mapping[str, str] = field(default_factory=dict)
-    packages: tuple[str | Path, ...] = ()  # folders in which $(find name) of a xacro file looks
+    packages: tuple[str | Path, ...] = ()  # folders of packages, in which files may lie
+    trust_xacro: bool = False  # run expressions of a xacro file as Python
 
     def __fspath__(self) -> str:
         """The path, so that a spec stands where a path does."""

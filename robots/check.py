@@ -32,7 +32,6 @@ _STEPS = 24  # positions that it tries of each joint in turn
 _ROUNDS = 2
 _UNIT = 1e-3  # deviation of an axis from length one that digits left out explain
 _LEVEL = 1e-9  # N·m: no gravity torque
-_EXACT = 1e-8  # rad: too little for a decision on what torque shows
 
 _OUTSIDE = {True: 0.15, False: 0.5}  # of the link's size, with and without solids
 _TOO_WIDE = 1.0  # radius of gyration over the link's size; a half is possible
@@ -122,7 +121,6 @@ class ModelCheck:
         found = [
             *_inertias(robot, self.bodies),
             *_axes(robot, root),
-            *_rounded(root),
             *_limits(robot, root),
             *self._weight(),
         ]
@@ -225,27 +223,6 @@ def _axes(robot: Robot, root: ET.Element) -> Warnings:
         if name in robot.joints and abs(length - 1) > _UNIT:
             sentence = f'its axis "{text}" has length {length:.4g}; write a unit vector'
             yield ModelWarning("joint_axis", (name,), sentence)
-
-
-def _rounded(root: ET.Element) -> Warnings:
-    """Multiples of 45° between joints that are written with few digits."""
-    found: dict[str, tuple[str, float]] = {}
-    for joint in root.findall("joint"):
-        origin = joint.find("origin")
-        for text in ("" if origin is None else origin.get("rpy", "")).split():
-            meant = round(4 * float(text) / np.pi) * np.pi / 4
-            digits = len(text.partition(".")[2])
-            if digits > 1 and meant and _EXACT < abs(float(text) - meant) < 10.0**-digits:
-                found.setdefault(str(joint.get("name")), (text, meant))
-    if found:
-        text, meant = next(iter(found.values()))
-        yield ModelWarning(
-            "rounded_angles",
-            tuple(found),
-            f"angles such as {text} are rounded; torque then depends slightly on parameters that "
-            f"the exact angle would hide, and those are identified badly; write {meant!r}",
-            hint=True,
-        )
 
 
 def _limits(robot: Robot, root: ET.Element) -> Warnings:

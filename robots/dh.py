@@ -33,6 +33,7 @@ both along the axes of the link frame, with products as tensor elements (xy is â
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -42,6 +43,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
+from excitant.robots.angles import Angles
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import elements, moved_parameters, steiner
@@ -196,12 +198,13 @@ def _collision(shape: CylinderRecord, frame: pin.SE3) -> ET.Element:
     return collision(place, "cylinder", radius=repr(float(radius)), length=repr(length))
 
 
-def chain_from_record(record: RobotRecord, source: str) -> DHChain:
+def chain_from_record(record: RobotRecord, source: str, angles: Angles) -> DHChain:
     """The chain that a ``robot.yaml`` describes; see the module for its form.
 
     Args:
         record: The file's entries, with ``dh``.
         source: The file, for messages; its stem is the arm's name where the file gives none.
+        angles: Told which angles in radians are taken as multiples of 15Â°.
 
     Raises:
         BadRobot: Entries that contradict one another, or no convention; names the link.
@@ -209,9 +212,14 @@ def chain_from_record(record: RobotRecord, source: str) -> DHChain:
     rows = record.dh or ()
     if record.convention is None:
         raise BadRobot(source, "'convention: None' must be one of standard, modified")
-    unit = np.pi / 180 if record.angles == "degrees" else 1.0
+
+    def radians(values: Iterable[float]) -> Array:
+        given = tuple(values)
+        return np.radians(given) if record.angles == "degrees" else angles.exact(given)
+
     links = tuple(str(row.link or f"link{i}") for i, row in enumerate(rows, start=1))
     base = record.base if isinstance(record.base, PlaceRecord) else PlaceRecord()
+    tool = record.tool or PlaceRecord()
     return DHChain(
         name=str(record.name or Path(source).stem),
         convention=record.convention,
@@ -220,12 +228,12 @@ def chain_from_record(record: RobotRecord, source: str) -> DHChain:
         revolute=np.array([row.type == "revolute" for row in rows]),
         a=np.array([row.a for row in rows]),
         d=np.array([row.d for row in rows]),
-        alpha=unit * np.array([row.alpha for row in rows]),
-        theta=unit * np.array([row.theta for row in rows]),
+        alpha=radians(row.alpha for row in rows),
+        theta=radians(row.theta for row in rows),
         phi=np.concatenate([_phi(row, n, source) for row, n in zip(rows, links, strict=True)]),
         gravity=np.array(record.gravity or GRAVITY),
-        base=_place(base, unit),
-        tool=_place(record.tool or PlaceRecord(), unit),
+        base=_place(base.position, radians(base.rpy)),
+        tool=_place(tool.position, radians(tool.rpy)),
         shapes=(base.collision or (), *(row.collision or () for row in rows)),
     )
 
@@ -249,7 +257,6 @@ def _phi(row: DHRecord, link: str, source: str) -> Array:
     return np.concatenate([[row.m], mc, about])
 
 
-def _place(record: PlaceRecord, unit: float) -> Array:
-    rpy = unit * np.array(record.rpy)
-    T: Array = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(record.position)).homogeneous
+def _place(position: Sequence[float], rpy: Array) -> Array:
+    T: Array = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(position)).homogeneous
     return T

@@ -16,7 +16,9 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
+from excitant.exceptions import BadRobot
 from excitant.robots.chains import tree
+from excitant.robots.files import package_folders, real_path, within
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.schema import (
@@ -26,7 +28,7 @@ from excitant.robots.schema import (
     convert,
     read_yaml,
 )
-from excitant.robots.urdf import full_model
+from excitant.robots.urdf import full_model, quietly
 
 _DRAWN = 300  # poses tried for one in which the arm does not hide itself
 _BEND = 1.9  # rad, either way, of those
@@ -40,6 +42,7 @@ _UPRIGHT = 0.99  # cosine between the base's axis and up, at least, of an arm on
 _STANDS = 0.25  # of all poses: above the plane that an arm stands on
 _BASE = 0.05  # m: shapes of a base that end so near its frame stand on it
 _LISTED = 3  # links without collision shapes, by name
+_LARGEST_MESH = 500_000_000  # bytes
 _POINT = 1e-4  # m, radius of the sphere that stands for it
 
 
@@ -404,7 +407,8 @@ def _solids(robot: Robot) -> Any:
     _find_meshes(root, robot)
     model, reference, locked = full_model(root, robot)
     text = ET.tostring(root, encoding="unicode")
-    geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+    with quietly(robot.source):
+        geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     _make_convex(geometry)
     if locked:
         _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
@@ -480,7 +484,7 @@ def _readable_solids(robot: Robot) -> list[Any]:
     """Collision shapes of an arm, none where a mesh is damaged."""
     try:
         return list(_solids(robot).geometryObjects)
-    except (ValueError, RuntimeError):
+    except BadRobot:
         return []
 
 
@@ -490,12 +494,14 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
     Shapes of neighbouring links, which touch by design, are never checked against each other.
     """
     root = ET.fromstring(robot.description)
-    stated, missing = len(root.findall("link/collision")), _find_meshes(root, robot)
+    stated, (missing, outside) = len(root.findall("link/collision")), _find_meshes(root, robot)
     solid, drawn = _carriers(root, robot, "collision"), _carriers(root, robot, "visual")
     shapeless = [link or "base" for link in ("", *robot.links) if link in drawn - solid]
     left = []
     if missing or not solid - {""} or scene is None:
         why = f", {missing} of {stated} collision meshes not found" if missing else ""
+        if outside:
+            why += f" ({outside} outside the description's folder: --package FOLDER allows them)"
         lack = "" if solid - {""} else f", no {'moving ' * bool(stated)}link has a collision shape"
         left.append(f"self-collision{why or lack}")
     elif shapeless:
@@ -564,33 +570,58 @@ def _make_convex(geometry: Any) -> None:
         body.geometry = mesh.convex
 
 
-def _find_meshes(root: ET.Element, robot: Robot) -> int:
-    """Name mesh files by their full paths; count and remove shapes whose mesh is not there."""
-    missing = 0
+def _find_meshes(root: ET.Element, robot: Robot) -> tuple[int, int]:
+    """Name mesh files by their full paths; remove shapes whose mesh is not there.
+
+    Returns:
+        The number of those, and of them those that lie where the description may not reach.
+    """
+    missing = outside = 0
     for link in root.findall("link"):
         for collision in link.findall("collision"):
             mesh = collision.find("geometry/mesh")
             if mesh is None:
                 continue
-            path = _mesh_file(str(mesh.get("filename")), Path(robot.source).resolve().parent)
+            try:
+                path = _mesh_file(str(mesh.get("filename")), robot)
+            except BadRobot:
+                path, outside = None, outside + 1
             if path is not None:
-                mesh.set("filename", str(path.resolve()))
+                mesh.set("filename", str(path))
             else:
                 link.remove(collision)
                 missing += 1
-    return missing
+    return missing, outside
 
 
-def _mesh_file(name: str, folder: Path) -> Path | None:
-    """File of a mesh: beside the description, in a package that holds it, or in one of ROS."""
+def _mesh_file(name: str, robot: Robot) -> Path | None:
+    """File of a mesh: beside the description, in a package that holds it, or in one of ROS.
+
+    Raises:
+        BadRobot: It is there, but where the description may not reach.
+    """
     if not name.startswith("package://"):
-        places = [folder / name.removeprefix("file://")]
-    else:
-        package, _, inside = name.removeprefix("package://").partition("/")
-        above = [folder, *folder.parents]
-        roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
-        split = ((os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots)
-        shared = [Path(path) / inner for paths, inner in split for path in paths if path]
-        places = [each / package / inside for each in (*above, *shared)]
-        places += [each / inside for each in shared if each.name == package]
-    return next((path for path in places if path.is_file()), None)
+        path = real_path(robot.source).parent / name.removeprefix("file://")
+        return within(path, robot.source, robot.packages) if _is_mesh(path) else None
+    package, _, inside = name.removeprefix("package://").partition("/")
+    inside = os.path.normpath(inside)
+    roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
+    split = ((os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots)
+    shared = [Path(path) / inner for paths, inner in split for path in paths if path]
+    installed = [each / package for each in shared]
+    installed += [each for each in shared if each.name == package]
+    if inside.startswith(("..", os.sep)) or package in ("", ".", ".."):
+        return None
+    for folder in package_folders(package, robot.source, robot.packages):
+        path = real_path(folder / inside)
+        if _is_mesh(path) and path.is_relative_to(folder):
+            return path
+    return next((each / inside for each in installed if _is_mesh(each / inside)), None)
+
+
+def _is_mesh(path: Path) -> bool:
+    """Whether a path is that of a file of a size that meshes have."""
+    try:
+        return path.is_file() and path.stat().st_size < _LARGEST_MESH
+    except (OSError, ValueError):  # a name that no file can have
+        return False

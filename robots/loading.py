@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadRobot, UnknownName
-from excitant.files import read_text
+from excitant.robots.angles import Angles
 from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import chain_from_record, urdf_of_chain
 from excitant.robots.effects import (
@@ -23,6 +23,7 @@ from excitant.robots.effects import (
     ViscousFriction,
     effects_from_entries,
 )
+from excitant.robots.files import is_exposed, read_description, real_path, within
 from excitant.robots.limits import merge_limits
 from excitant.robots.mjcf import Description, description_from_mjcf
 from excitant.robots.robot import Robot
@@ -47,6 +48,7 @@ def load_robot(
     lock: Mapping[str, float] | None = None,
     xacro_args: Mapping[str, str] | None = None,
     packages: Sequence[str | Path] = (),
+    trust_xacro: bool = False,
 ) -> Robot:
     """Robot by built-in name, URDF, xacro, MJCF or ``robot.yaml``.
 
@@ -59,7 +61,11 @@ def load_robot(
         lock: Joints to hold and their positions [rad or m], beside those of a ``robot.yaml``;
             what is not kept is held at zero, or where the joint puts it that it follows.
         xacro_args: Values of the arguments of a xacro file.
-        packages: Folders in which ``$(find name)`` of a xacro file looks.
+        packages: Folders of packages, or folders that hold them, in which ``$(find name)`` of a
+            xacro file looks, and in which files that the description names may lie beside its
+            own folder.
+        trust_xacro: Run the expressions of a xacro file as Python, with access to all files and
+            the environment, as ROS does; otherwise they are only evaluated.
 
     Raises:
         UnknownName: Neither a built-in arm nor a file, or a joint or link that the robot does
@@ -76,6 +82,7 @@ def load_robot(
         lock={**spec.lock, **(lock or {})},
         xacro_args={**spec.xacro_args, **(xacro_args or {})},
         packages=(*spec.packages, *packages),
+        trust_xacro=spec.trust_xacro or trust_xacro,
     )
     name, path = str(spec), Path(spec)
     if name in builtin_robots():
@@ -116,6 +123,7 @@ def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
         own = replace(own, path=path.parent / record.model)
         if not Path(own).is_file():
             raise BadRobot(path, f"model {own} does not exist")
+        within(str(own), path, own.packages)
         per_joint = record.limits or record.effects or record.drive
         if spec.is_part and not own.is_part and not per_joint:
             # nothing in the file is said joint by joint, so the model itself can be narrowed
@@ -140,6 +148,10 @@ def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
         name: str(value).lower() if isinstance(value, bool) else str(value)
         for name, value in (record.xacro_args or {}).items()
     }
+    folders = [path.parent / folder for folder in record.packages or ()]
+    for folder in folders:
+        if is_exposed(real_path(folder)):
+            raise BadRobot(path, f"packages: {folder} is too wide; name the package, or --package")
     return RobotSpec(
         path,
         None if record.joints is None else tuple(map(str, record.joints)),
@@ -147,15 +159,18 @@ def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
         None if tip is None else str(tip),
         {**(record.lock or {}), **spec.lock},
         {**arguments, **spec.xacro_args},
-        (*(path.parent / folder for folder in record.packages or ()), *spec.packages),
+        (*folders, *spec.packages),
+        spec.trust_xacro,
     )
 
 
 def _from_dh(record: RobotRecord, spec: RobotSpec) -> Robot:
     """The robot of Denavit-Hartenberg entries; its URDF states its limits too."""
     source = str(spec)
-    chain = chain_from_record(record, source)
+    angles = Angles()
+    chain = chain_from_record(record, source, angles)
     robot = robot_from_urdf(urdf_of_chain(chain, source), spec, gravity=chain.gravity)
+    robot = replace(robot, notes=(*angles.notes, *robot.notes))
     return limits_in_urdf(_supplemented(robot, record, source))
 
 
@@ -183,19 +198,14 @@ def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
 
 def _described(path: Path, spec: RobotSpec) -> Description:
     """The description in a file, whatever it is written in."""
-    try:
-        text = read_text(path)
-    except UnicodeDecodeError:
-        raise BadRobot(path, "not a text file; give a URDF, xacro, MJCF or a robot.yaml") from None
-    except OSError as error:
-        why = f"cannot be read ({error.strerror}); give a URDF, xacro, MJCF or a robot.yaml"
-        raise BadRobot(path, why) from None
+    text = read_description(path)
     if is_xacro(text):
-        return Description(urdf_from_xacro(path, spec.xacro_args, spec.packages))
+        urdf, notes = urdf_from_xacro(path, spec.xacro_args, spec.packages, trust=spec.trust_xacro)
+        return Description(urdf, notes=notes)
     if spec.xacro_args:
         raise BadRobot(path, "not a xacro file, so it takes no xacro arguments; leave them out")
     if "<mujoco" in text:
-        return description_from_mjcf(path)
+        return description_from_mjcf(path, spec.packages)
     return Description(text)
 
 
@@ -226,7 +236,8 @@ def _narrowed(whole: Robot, spec: RobotSpec) -> Robot:
     for joint in spec.joints or ():  # as if the robot had no other joints
         if joint not in whole.joints:
             raise UnknownName("joint", joint, whole.joints)
-    part = replace(spec, path=whole.source, lock={**dict(whole.locked), **spec.lock})
+    lock = {**dict(whole.locked), **spec.lock}
+    part = replace(spec, path=whole.source, lock=lock, packages=whole.packages)
     held = robot_from_urdf(whole.description, part, name=whole.name, gravity=whole.gravity)
     return _kept(whole, replace(held, notes=(*whole.notes, *held.notes)))
 

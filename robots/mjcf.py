@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
+from excitant.robots.angles import Angles
+from excitant.robots.files import LARGEST, parse_xml, read_description, real_path, within
 from excitant.robots.motion import Array
 from excitant.robots.urdf import GRAVITY
 from excitant.robots.urdf_writer import (
@@ -43,26 +45,37 @@ class Description:
     notes: tuple[str, ...] = ()  # what was left out
 
 
-def description_from_mjcf(path: str | Path) -> Description:
-    """Description of the robot in an MJCF file; `BadRobot` where MuJoCo is missing or refuses."""
+def description_from_mjcf(path: str | Path, packages: Iterable[str | Path] = ()) -> Description:
+    """Description of the robot in an MJCF file; `BadRobot` where MuJoCo is missing or refuses.
+
+    Files that it names must lie below its folder or one of the packages.
+    """
     try:
         import mujoco
     except ImportError:
         raise BadRobot(
             path, "MJCF files are read by MuJoCo; install it (pip install 'excitant[mjcf]')"
         ) from None
+    _check_files(Path(path), tuple(packages))
+    angles, warned = Angles(), mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)  # else it writes a log where it stands
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if not len(spec.worldbody.bodies):
             raise BadRobot(path, "its <worldbody> holds no bodies; give an MJCF of an arm")
         _leave_out_drawing(spec, path)
+        _take_exact_angles(spec, angles, mujoco.mjtOrientation)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of attributes that MuJoCo will drop
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         why = " ".join(str(error).replace("XML Error:", "").replace("Error:", "").split())
         raise BadRobot(path, f"MuJoCo cannot read it: {why}") from None
+    finally:
+        mujoco.set_mju_user_warning(warned)
+    _check_numbers(model, path)
     writer = _Writer(mujoco, spec, model)
+    writer.notes += angles.notes
     writer.write()
     x, y, z = model.opt.gravity.tolist()
     return Description(
@@ -73,6 +86,126 @@ def description_from_mjcf(path: str | Path) -> Description:
         *writer.constraints(),
         tuple(writer.notes),
     )
+
+
+_FILES = 200  # that one MJCF may consist of
+_COPIES = 300  # that <replicate> may make, over all levels
+_SIZES = {"count": 10_000, "nrow": 2_000, "ncol": 2_000}  # products of these attributes
+
+
+def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
+    """Look at an MJCF before MuJoCo does: which files it names, and how much it builds."""
+    main = real_path(path).parent
+    parts, seen, named, size = [path], {real_path(path)}, list[tuple[Path, str]](), 0
+    folders = {""}
+    for part in parts:  # which grows
+        text = read_description(part)
+        size += len(text)
+        if len(parts) > _FILES or size > LARGEST:
+            raise BadRobot(path, f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB")
+        root, here = parse_xml(text, part, "MJCF"), real_path(part).parent
+        _check_sizes(root, part)
+        for element in root.iter():
+            keys = ("meshdir", "texturedir", "assetdir")
+            folders |= {element.get(key, "") for key in keys if element.tag == "compiler"}
+            files = [name for key, name in element.attrib.items() if key.startswith("file")]
+            if element.tag not in ("include", "model", "attach"):
+                named += [(here, name) for name in files]
+                continue
+            for file in {base / name for base in (main, here) for name in files}:
+                if file.is_file() and (real := within(file, path, packages)) not in seen:
+                    seen.add(real)
+                    parts.append(real)
+    for here, name in named:
+        for folder in folders:
+            inner = (Path(folder) / name, Path(folder) / Path(name).name)
+            for file in {base / each for base in (main, here) for each in inner}:
+                if file.is_file():
+                    within(file, path, packages)
+
+
+def _check_sizes(root: ET.Element, path: Path) -> None:
+    """Refuse numbers of copies, grids and memory that no arm needs."""
+    rest = [(root, 1.0)]
+    while rest:
+        element, copies = rest.pop()
+        numbers = {key: _product(element.get(key, "")) for key in _SIZES}
+        large = [key for key, most in _SIZES.items() if numbers[key] > most]
+        if element.tag == "size":
+            large += [key for key, text in element.attrib.items() if _product(text) > 1e6]
+        copies *= numbers["count"] if element.tag == "replicate" else 1.0
+        if large or copies > _COPIES:
+            key = (*large, "count")[0]
+            what = f'<{element.tag} {key}="{element.get(key)}">'
+            raise BadRobot(path, f"{what} builds more than an arm can have")
+        rest += [(child, copies) for child in element]
+
+
+def _product(text: str) -> float:
+    """Product of the numbers in a text, 1 without any."""
+    try:
+        return float(np.prod([max(abs(float(word)), 1.0) for word in text.split()]))
+    except ValueError:
+        return 1.0
+
+
+def _take_exact_angles(spec: Any, angles: Angles, kinds: Any) -> None:
+    """Give bodies, their inertias and shapes the angles that are meant."""
+    for element in (*spec.bodies, *spec.frames, *spec.geoms):
+        for quaternion, other in (("quat", "alt"), ("iquat", "ialt")):
+            if not hasattr(element, quaternion):
+                continue
+            alternative = getattr(element, other)
+            if alternative.type == kinds.mjORIENTATION_QUAT:
+                exact = angles.quaternion(getattr(element, quaternion))
+                setattr(element, quaternion, exact)
+            elif spec.compiler.degree:
+                continue
+            elif alternative.type == kinds.mjORIENTATION_EULER:
+                alternative.euler = angles.exact(alternative.euler)
+            elif alternative.type == kinds.mjORIENTATION_AXISANGLE:
+                angle = angles.exact(alternative.axisangle[3:])
+                alternative.axisangle = [*alternative.axisangle[:3], *angle]
+
+
+def _check_numbers(model: Any, path: str | Path) -> None:
+    """Refuse NaN, infinities and numbers beyond any arm in what is taken of a model."""
+    for name in _TAKEN:
+        values = np.asarray(getattr(model, name), float)
+        if values.size and not np.abs(values).max() < 1e9:
+            what = name.partition("_")[2].replace("_", " ")
+            raise BadRobot(path, f"a number is not finite or beyond any arm's size ({what})")
+    if not np.abs(model.opt.gravity).max() < 1e9:
+        raise BadRobot(path, "gravity is not finite or beyond reason; give it in m/s²")
+
+
+_TAKEN = (
+    "body_pos",
+    "body_quat",
+    "body_ipos",
+    "body_iquat",
+    "body_mass",
+    "body_inertia",
+    "jnt_pos",
+    "jnt_axis",
+    "jnt_range",
+    "jnt_stiffness",
+    "qpos0",
+    "qpos_spring",
+    "dof_armature",
+    "dof_damping",
+    "dof_frictionloss",
+    "geom_pos",
+    "geom_quat",
+    "geom_size",
+    "mesh_pos",
+    "mesh_quat",
+    "eq_data",
+    "actuator_gear",
+    "actuator_gainprm",
+    "actuator_armature",
+    "actuator_damping",
+)
 
 
 def _leave_out_drawing(spec: Any, path: str | Path) -> None:
@@ -99,7 +232,7 @@ def _leave_out_drawing(spec: Any, path: str | Path) -> None:
 
 def _mesh_path(spec: Any, mesh: Any, path: str | Path) -> Path:
     file = Path(str(mesh.file)).name if spec.strippath else str(mesh.file)
-    return Path(path).parent / str(spec.compiler.meshdir) / file
+    return real_path(Path(path).parent / str(spec.compiler.meshdir) / file)
 
 
 def _pose(position: Array, quaternion: Array) -> pin.SE3:

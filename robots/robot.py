@@ -31,7 +31,8 @@ class Robot:
         links: Name of the link that each joint carries, with everything fixed to it.
         revolute: Whether each joint turns (or slides), shape (nv,).
         limits: Limits of the joints.
-        description: URDF text the arm was read from; `urdf` is that of the arm as it is now.
+        description: URDF text the arm was read from, with exact angles; `urdf` is that of the arm
+            as it is now.
         locked: Positions of the joints that are held.
         effects: What makes torque beyond rigid-body inertia, with values.
         source: File or name the arm was loaded from.
@@ -51,6 +52,7 @@ class Robot:
     tool: str = ""
     notes: tuple[str, ...] = ()
     zeros: tuple[tuple[str, float], ...] = ()  # angles added to the readings of joints [rad]
+    packages: tuple[str, ...] = ()  # folders, beside its own, in which its meshes may lie
     described: bool = True  # whether the description states its inertias and friction
 
     @cached_property

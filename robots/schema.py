@@ -13,14 +13,17 @@ import yaml
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import read_text
+from excitant.robots.files import extent
 
 T = TypeVar("T")
-Finite = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]
-Positive = Annotated[float, msgspec.Meta(gt=0, le=1e300)]
+Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 Three = tuple[Finite, Finite, Finite]
 Name = str | int
 _DEEPEST = 50  # levels of nesting
 _DIGITS = 18  # of a whole number that is kept as one
+_VALUES = 300_000  # values and characters that aliases may stand for
+_MERGED = 10_000  # entries of a mapping
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -188,7 +191,7 @@ def read_yaml(path: str | Path, kind: type[T], holds: str) -> T:
     except FileNotFoundError:
         raise BadInput(f"{path}: no such file; give a {language} file of {holds}") from None
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8"
+        reason = getattr(error, "strerror", "not UTF-8")
         why = f"cannot be read ({reason}); give a {language} file of {holds}"
         raise BadInput(f"{path}: {why}") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -205,9 +208,10 @@ def parsed_json(text: str | bytes) -> Any:
     return content
 
 
-def parsed_yaml(text: str) -> Any:
-    """Content of YAML; ValueError or YAMLError where it is none, or nests too deep."""
-    content = yaml.load(text, _Loader)
+def parsed_yaml(text: str, loader: type[Loader] | None = None) -> Any:
+    """Content of YAML; ValueError or YAMLError where it is none, nests too deep, or is huge."""
+    content = yaml.load(text, loader or Loader)
+    extent(content, _VALUES)
     _refuse_depth(content)
     return content
 
@@ -257,7 +261,8 @@ def convert(content: object, kind: type[T], source: str | Path, where: str = "")
             why = str(UnknownName("entry", unknown[1], own or _known(place)))
         why = re.sub("Object missing required field `(.*)`", r"it lacks '\1'", why)
         why = re.sub(r"`([a-z |]+)`", lambda found: _in_words(found[1]), why)
-        why = re.sub(r"number [<>]= -?1e\+300", "finite number", why).replace("> 0.0", "above 0")
+        why = re.sub(r"number [<>]= -?1000000000.0", "finite number up to 1e9", why)
+        why = why.replace("> 0.0", "above 0")
         why = why[0].lower() + why[1:]
         raise BadInput(": ".join(x for x in (str(source), place.strip("."), why) if x)) from None
 
@@ -309,11 +314,17 @@ def _fault(error: Exception) -> str:
     return str(error).partition("\n")[0] or type(error).__name__
 
 
-class _Loader(yaml.SafeLoader):
+class Loader(yaml.SafeLoader):
     """YAML 1.2's numbers, so that 1e-3 is one."""
 
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Join the mappings that ``<<`` names, as long as that stays of a size."""
+        super().flatten_mapping(node)
+        if len(node.value) > _MERGED:
+            raise yaml.YAMLError(f"it joins more than {_MERGED} entries")
 
-_Loader.add_implicit_resolver(
+
+Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
     list("-+0123456789."),

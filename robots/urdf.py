@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +16,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
+from excitant.robots.angles import Angles
 from excitant.robots.chains import RobotSpec, held_joints, tree
+from excitant.robots.files import parse_xml, real_path
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -46,9 +50,13 @@ def robot_from_urdf(
         UnknownName: A joint or link that the URDF does not have.
     """
     spec = source if isinstance(source, RobotSpec) else RobotSpec(source)
-    source = str(spec)
-    root = _parse(text, source)
+    source, angles = str(spec), Angles()
+    text = angles.urdf(text)
+    root = parse_xml(text, source)
     _check(root, source)
+    weight = np.asarray(gravity, float)
+    if not (np.isfinite(weight).all() and (np.abs(weight) < _LARGEST).all()):
+        raise BadRobot(source, f"gravity {weight.tolist()} is none; give it in m/s²")
     named = tree(root, source)
     held, notes = held_joints(named, spec, loops)
     title = name or root.get("name") or Path(source).stem
@@ -60,7 +68,7 @@ def robot_from_urdf(
             raise BadRobot(source, f"Pinocchio cannot hold joints of it: {error}") from None
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
-    model.gravity.linear = np.asarray(gravity, float)
+    model.gravity.linear = weight
     moving = [named.joints[str(joint)] for joint in list(model.names)[1:]]
     return Robot(
         name=title,
@@ -72,7 +80,8 @@ def robot_from_urdf(
         locked=tuple(sorted((joint, value or 0.0) for joint, value in held.items())),
         source=source,
         tool=spec.tip or "",
-        notes=notes,
+        notes=(*angles.notes, *notes),
+        packages=tuple(str(real_path(folder)) for folder in spec.packages),
     )
 
 
@@ -97,25 +106,19 @@ def _lock(model: pin.Model, held: Mapping[str, float | None]) -> tuple[list[int]
     return [model.getJointId(name) for name in held], reference
 
 
-def _parse(text: str, source: str) -> ET.Element:
-    try:
-        root = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise BadRobot(source, f"not XML ({error}); give a URDF file") from None
-    if root.tag != "robot":
-        raise BadRobot(source, f"not a URDF: the root element is <{root.tag}>, not <robot>")
-    return root
-
-
 def _check(root: ET.Element, source: str) -> None:
     """Refuse what Pinocchio would accept in silence or crash on."""
+    if root.tag != "robot":
+        raise BadRobot(source, f"not a URDF: the root element is <{root.tag}>, not <robot>")
     links, joints = (
         [str(element.get("name")) for element in root.findall(tag)] for tag in ("link", "joint")
     )
     if not links:
         raise BadRobot(source, "it has no <link>; give the URDF of an arm")
     for kind, names in (("link", links), ("joint", joints)):
-        double = {name for name in names if names.count(name) > 1}
+        if len(names) > _MOST:
+            raise BadRobot(source, f"it has {len(names)} {kind}s; an arm has {_MOST} at most")
+        double = [name for name, count in Counter(names).items() if count > 1]
         if double:
             raise BadRobot(source, f"{kind} '{min(double)}' is defined twice; rename one")
     carried: dict[str, str] = {}
@@ -132,20 +135,37 @@ def _check(root: ET.Element, source: str) -> None:
                 "loop, which a URDF cannot hold; remove one",
             )
         carried[child] = name
-    for owner in root:
+    for owner in (*root.findall("link"), *root.findall("joint")):
         for element in owner.iter():
             for key in _NUMBERS.get(element.tag, ()):
-                for word in element.get(key, "").split():
+                if (text := element.get(key)) is None:
+                    continue
+                count, words = 3 if key in _VECTORS else 1, text.split()
+                if len(words) != count:
+                    what = f'{key}="{text}" holds {len(words)} numbers instead of {count}'
+                    raise BadRobot(source, f"{owner.tag} '{owner.get('name')}': {what}")
+                for word in words:
                     number(word, key, owner, source)
 
 
 _LARGEST = 1e9  # kg, m, rad, kg·m² of anything that is part of an arm
+_MOST = 1000  # links or joints
+_VECTORS = ("xyz", "rpy", "size", "scale")
 _NUMBERS = {
     "mass": ("value",),
     "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
     "origin": ("xyz", "rpy"),
     "axis": ("xyz",),
     "limit": LIMIT_KEYS,
+    "dynamics": ("damping", "friction"),
+    "mimic": ("multiplier", "offset"),
+    "safety_controller": ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
+    "calibration": ("reference_position", "rising", "falling"),
+    "sphere": ("radius",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+    "box": ("size",),
+    "mesh": ("scale",),
 }
 
 
@@ -189,30 +209,32 @@ def _build(root: ET.Element, source: str) -> pin.Model:
     root.set("name", root.get("name") or "robot")
     _bound_continuous_joints(root)
     _rename_links_called_as_joints(root)
-    with _captured_stderr() as messages:
-        try:
-            return pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
-        except Exception as error:
-            first = next(iter(messages()), str(error).partition("\n")[0])
-            raise BadRobot(source, f"Pinocchio cannot read it: {first}") from None
+    with quietly(source):
+        return pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
 
 
 @contextmanager
-def _captured_stderr() -> Iterator[Callable[[], list[str]]]:
-    """Collect what C++ libraries write to the error stream."""
+def quietly(source: str) -> Iterator[None]:
+    """Run Pinocchio on a description: what it prints and raises is one `BadRobot`."""
     with tempfile.TemporaryFile() as sink:
-        saved = os.dup(2)
-        os.dup2(sink.fileno(), 2)
-
-        def messages() -> list[str]:
-            sink.seek(0)
-            return [line for line in sink.read().decode(errors="replace").splitlines() if line]
-
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
+        saved = [os.dup(stream) for stream in (1, 2)]
+        for stream in (1, 2):
+            os.dup2(sink.fileno(), stream)
         try:
-            yield messages
+            yield
+        except Exception as error:
+            sink.seek(0)
+            lines = (*sink.read().decode(errors="replace").splitlines(), *str(error).splitlines())
+            told = [line.partition("message:")[2] for line in lines if "message:" in line]
+            first = next((s for line in (*told, *lines) if (s := line.strip())), repr(error))
+            raise BadRobot(source, f"Pinocchio cannot read it: {first}") from None
         finally:
-            os.dup2(saved, 2)
-            os.close(saved)
+            for stream, before in zip((1, 2), saved, strict=True):
+                os.dup2(before, stream)
+                os.close(before)
 
 
 def _limits(model: pin.Model) -> Limits:

@@ -52,7 +52,7 @@ def read_bytes(path: str | Path, most: int = LARGEST) -> bytes:
 
 def read_text(path: str | Path, most: int = LARGEST) -> str:
     """Text in UTF-8 of a regular file of at most so many bytes, else OSError or UnicodeError."""
-    return read_bytes(path, most).decode("utf-8").replace("\r\n", "\n")
+    return read_bytes(path, most).decode("utf-8-sig").replace("\r\n", "\n")
 
 
 def require_replaceable(folder: str | Path) -> None:

@@ -80,13 +80,15 @@ class Part:
     xacro_arg: Files = None
     "Argument of a xacro file, NAME:=VALUE; once for each."
     package: Files = None
-    "Folder of a package that a xacro file asks for with $(find NAME); once for each."
+    "Folder of a package or of other files that the description asks for; once for each."
+    trust_xacro: bool = False
+    "Run a xacro file of your own as ROS does, as Python that reads any file and the environment."
 
     def spec(self, path: str) -> Any:
         """The robot to load, with the part of it that is meant."""
         from excitant.robots.chains import RobotSpec
 
-        given = next((name for name, value in vars(self).items() if value is not None), None)
+        given = next((name for name, value in vars(self).items() if value not in (None, False)), "")
         if given and Path(path).is_dir():
             raise BadInput(
                 f"{path}: a folder says itself which joints its robot has; leave "
@@ -100,6 +102,7 @@ class Part:
             dict(_position(word) for word in self.lock or ()),
             dict(_assignment(word) for word in self.xacro_arg or ()),
             tuple(self.package or ()),
+            self.trust_xacro,
         )
 
     def robot(self, path: str, limits: str | None = None) -> Robot:

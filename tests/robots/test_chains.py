@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -123,8 +124,9 @@ def test_a_tree_needs_the_torque_of_newton_and_euler(random_states: States) -> N
 
 def test_robot_yaml_chooses_a_chain(tmp_path: Path) -> None:
     file = tmp_path / "left.yaml"
+    shutil.copy(TWINS, tmp_path)
     file.write_text(
-        f"model: {TWINS}\nbase: torso\ntip: left_hand\nlock: {{lift: 0.2}}\n"
+        f"model: {TWINS.name}\nbase: torso\ntip: left_hand\nlock: {{lift: 0.2}}\n"
         "limits: {torque: [9, 8, 7]}\n"
     )
     robot = load_robot(file)
@@ -136,7 +138,7 @@ def test_robot_yaml_chooses_a_chain(tmp_path: Path) -> None:
     assert dict(part.locked)["lift"] == 0.2
     with pytest.raises(UnknownName):
         load_robot(file, joints=["right_3"])
-    file.write_text(f"model: {TWINS}\ngravity: [0, 0, 9.81]\n")  # chooses nothing itself
+    file.write_text(f"model: {TWINS.name}\ngravity: [0, 0, 9.81]\n")  # chooses nothing itself
     robot = load_robot(RobotSpec(file, base="torso", tip="left_hand"))
     assert robot.joints == LEFT
     assert robot.gravity.tolist() == [0, 0, 9.81]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -49,9 +50,9 @@ def states(robot: Robot) -> Motion:
     return Motion(np.arange(10.0), *np.random.default_rng(0).uniform(-2, 2, (3, 10, robot.nv)))
 
 
-def judged(path: Path) -> Robot:
+def judged(path: Path, **given: Any) -> Robot:
     """The robot of a file, whose torque is that of MuJoCo."""
-    robot = load_robot(path)
+    robot = load_robot(path, **given)
     kept = [effect for effect in robot.effects if not isinstance(effect, CoulombFriction)]
     motion = states(robot)
     expected = inverse_dynamics(path, robot.joints, motion)
@@ -171,7 +172,7 @@ def test_inertia_of_a_mesh_is_that_of_its_volume(tmp_path: Path, frame: str) -> 
         <body name="b" pos="0 0 1"><joint name="k" axis="1 0 0"/>
         <geom type="mesh" mesh="wedge" mass="2"/></body></body></worldbody></mujoco>"""
     )
-    judged(path)
+    judged(path, packages=[DATA])
 
 
 def test_gripper_and_loose_things_are_held_off_the_chain(refused: Refused) -> None:

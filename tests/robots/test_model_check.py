@@ -197,15 +197,6 @@ def test_a_joint_that_cannot_be_is_named(
     assert found(robot, hint=not hint) == set()
 
 
-EXACT = ("1.5707963267948966", "-1.570796327", "1.5712", "0.00")
-
-
-@pytest.mark.parametrize("text", ["1.5708", "-1.57", "3.14159", "0.7853", *EXACT])
-def test_a_right_angle_with_few_digits_is_a_hint(text: str) -> None:
-    robot = planted("planar_2r", "joint2", stated("origin", rpy=f"0 {text} 0"))
-    assert (("rounded_angles", "joint2") in found(robot, hint=True)) == (text not in EXACT)
-
-
 def test_gravity_peak_is_the_stretched_arm_level() -> None:
     """Both links level: m1 g l1/2 + m2 g (l1 + l2/2), and m2 g l2/2 at the second joint."""
     peak = ModelCheck(load_robot("planar_2r")).gravity_peaks

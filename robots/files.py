@@ -1,0 +1,141 @@
+"""Files of others: read up to a size and a depth, and only where their text may point to."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from excitant.exceptions import BadRobot
+from excitant.files import read_text
+
+LARGEST = 32_000_000
+"""Bytes of a text that is read; descriptions of whole humanoids have a hundredth."""
+
+_DEEPEST = 100  # elements within one another
+_MOST = 200_000  # elements
+_PIECE = 50_000  # characters of XML between two looks at both
+
+ALLOW = "--package FOLDER (packages: [..] in a robot.yaml)"
+"""How files elsewhere are allowed."""
+
+
+def read_description(path: str | Path) -> str:
+    """Text of a robot's description, or `BadRobot`."""
+    try:
+        return read_text(path, LARGEST)
+    except UnicodeDecodeError:
+        why = "not a text file in UTF-8; give a URDF, xacro, MJCF or a robot.yaml"
+    except OSError as error:
+        why = f"cannot be read ({error.strerror})"
+    raise BadRobot(path, why)
+
+
+def parse_xml(text: str, source: str | Path, form: str = "URDF") -> ET.Element:
+    """Root of an XML text, which is neither deep, nor huge, nor built of entities."""
+    if re.search(r"<!ENTITY", text):
+        raise BadRobot(source, "its XML declares entities; write out what they stand for")
+    parser: Any = ET.XMLPullParser(("start", "end"))
+    root, depth, count = ET.Element(""), 0, 0
+    try:
+        for at in range(0, len(text) + 1, _PIECE):
+            parser.feed(text[at : at + _PIECE])
+            if at + _PIECE > len(text):
+                parser.close()
+            for event, element in parser.read_events():
+                root = root if count else element
+                depth += 1 if event == "start" else -1
+                count += event == "start"
+                if depth > _DEEPEST or count > _MOST:
+                    what = f"{_DEEPEST} elements deep" if depth > _DEEPEST else f"{_MOST} elements"
+                    raise BadRobot(source, f"its XML is more than {what}; no arm needs that")
+    except ET.ParseError as error:
+        raise BadRobot(source, f"not XML ({error}); give a {form} file") from None
+    return root
+
+
+def real_path(path: str | Path) -> Path:
+    """Absolute path without symbolic links; a loop of links is left as it is."""
+    return Path(os.path.realpath(path))
+
+
+def within(
+    path: str | Path, named_by: str | Path, packages: Iterable[str | Path] = (), allow: str = ALLOW
+) -> Path:
+    """Real path of a file that another one names.
+
+    It lies below the folder of the one that names it, the package that holds that one (the
+    nearest folder with a ``package.xml``), or one of ``packages``.
+
+    Raises:
+        BadRobot: It lies elsewhere.
+    """
+    real, folder = real_path(path), real_path(named_by).parent
+    around = next((f for f in (folder, *folder.parents) if (f / "package.xml").is_file()), folder)
+    if not any(map(real.is_relative_to, (folder, around, *map(real_path, packages)))):
+        raise BadRobot(
+            named_by,
+            f"it asks for {path}, which is outside its folder; if you trust it, allow that with "
+            f"{allow}",
+        )
+    if real.exists() and not real.is_file():
+        raise BadRobot(named_by, f"it asks for {path}, which is no file; name a file")
+    return real
+
+
+def package_folders(
+    name: str, named_by: str | Path, packages: Iterable[str | Path] = ()
+) -> Iterator[Path]:
+    """Folders of a package, by their name or that in ``package.xml``.
+
+    They are among those given (the package itself, or a folder that holds it), then around the file
+    that names it. There, without a ``package.xml``, a top-level folder, one that holds the user's
+    home, or a hidden one is none.
+    """
+    if not re.fullmatch(r"\w[\w.-]*", name):
+        return
+    given = [real_path(package) for package in packages]
+    for k, around in enumerate((*given, *real_path(named_by).parents)):
+        for folder in (around, around / name):
+            manifest = _package_name(folder)
+            trusted = k < len(given) or manifest or not is_exposed(folder)
+            if trusted and folder.is_dir() and name in (manifest, folder.name):
+                yield folder
+
+
+def is_exposed(folder: Path) -> bool:
+    """Whether a folder is a top-level one, or holds the user's home."""
+    top = len(folder.parts) <= 2
+    return top or real_path(Path.home()).is_relative_to(folder)
+
+
+def _package_name(folder: Path) -> str:
+    """Name that a folder's package.xml gives it, if any."""
+    try:
+        name = parse_xml(read_text(folder / "package.xml", LARGEST), folder).findtext("name")
+    except (OSError, UnicodeDecodeError, BadRobot):
+        name = None
+    return (name or "").strip()
+
+
+def extent(content: object, most: float = math.inf) -> int:
+    """Number of values and characters in nested lists and dictionaries, what is shared each time.
+
+    Raises:
+        ValueError: More than ``most``, as in lists that hold themselves.
+    """
+    total, rest = 0, [content]
+    while rest:
+        value = rest.pop()
+        total += 1 + (len(value) if isinstance(value, str) else 0)
+        if isinstance(value, dict):
+            rest += [*dict.keys(value), *dict.values(value)]
+        elif isinstance(value, (list, tuple, set, frozenset)):
+            rest += list.__iter__(value) if isinstance(value, list) else value
+        if total + len(rest) > most:
+            raise ValueError(f"it stands for more than {most:g} values")
+    return total

@@ -1,0 +1,397 @@
+"""Descriptions by others: nothing is run, nothing elsewhere is read, and nothing hangs."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import re
+import shutil
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from excitant.exceptions import BadInput, BadRobot, ExcitantError
+from excitant.identify import load_dataset
+from excitant.robots import load_robot, xacro_files
+from excitant.robots.expressions import Function, Refused, evaluate
+from excitant.robots.geometry import scene, unchecked
+
+Refuse = Callable[..., str]
+DATA = Path(__file__).parent / "data"
+BODY = (
+    '<inertial><mass value="1"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+SECONDS = 15.0  # of processor time: what no file may take
+
+
+def arm(name: str = "arm", before: str = "", shape: str = "", origin: str = 'xyz="0 0 1"') -> str:
+    return f"""<robot name="{name}" xmlns:xacro="http://www.ros.org/wiki/xacro">{before}
+    <link name="a">{BODY}</link><link name="b">{BODY}{shape}</link>
+    <joint name="j" type="revolute"><parent link="a"/><child link="b"/><origin {origin}/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def properties(first: str, twice: str, levels: int = 60) -> str:
+    """Each property is made of the one before, twice; then the last is used."""
+    chain = "".join(
+        f'<xacro:property name="p{k + 1}" value="{twice.replace("P", f"p{k}")}"/>'
+        for k in range(levels)
+    )
+    return f'<xacro:property name="p0" value="{first}"/>{chain}<a b="${{p{levels}}}"/>'
+
+
+CALLS = "".join(
+    f'<xacro:macro name="m{k + 1}"><xacro:m{k}/><xacro:m{k}/></xacro:macro>' for k in range(60)
+)
+XACRO: dict[str, tuple[str, str]] = {  # what stands before the links, what is said
+    "command": (
+        "${[c for c in ().__class__.__base__.__subclasses__() if c.__name__ == 'catch_warnings']"
+        "[0]()._module.__builtins__['__import__']('os').system('touch ran')}",
+        r"in line 1 of .*arm\.xacro uses \(\)\.__class__; .*--trust-xacro",
+    ),
+    "environment": ("$(env SECRET)", "asks for the environment; .*--trust-xacro"),
+    "environment evaluated": ("$(eval env)", "no data"),
+    "power": ("${9**9**8}", "too large"),
+    "powers": ("${9**9**9**9}", "too large"),
+    "text": ("${'a'*10**10}", "too large"),
+    "list": ("${len([0]*10**9)}", "too large"),
+    "range": ("${len(list(range(10**9)))}", "too large"),
+    "loops": ("${sum(x for x in range(99999) for y in range(99999))}", "too large"),
+    "lists of lists": ("${len(python.map(range, [99999]*9999))}", "too large"),
+    "product of numbers": ("${7**1000 * 7**1000}", "1000 digits"),
+    "digits": ("${round(5, -10**9)}", "too large"),
+    "width": ("${'%1000000000d' % 1}", "format"),
+    "join": ("${('a'*90000).join(['b']*90000)}", "too large"),
+    "replace": ("${('a'*90000).replace('a', 'b'*90000)}", "too large"),
+    "factorial": ("${math.factorial(10**7)}", "math.factorial"),
+    "nested": ("${" + "-" * 50000 + "1}", "too deep"),
+    "module": ("${math}", "no data"),
+    "functions": ("${math.values()}", "math.values"),
+    "doubled text": (properties("ab", "${P}${P}"), "too much work|too large"),
+    "doubled list": (properties("${[1]}", "${[P, P]}"), "100000 values"),
+    "macros": (f'<xacro:macro name="m0"/>{CALLS}<xacro:m60/>', "too much work"),
+    "macro in itself": ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "loop"),
+    "file in itself": ('<xacro:include filename="arm.xacro"/>', "50 deep, perhaps in a loop"),
+    "file elsewhere": ('<xacro:include filename="../secret.yaml"/>', "--package FOLDER"),
+    "link elsewhere": ('<xacro:include filename="link.yaml"/>', "--package FOLDER"),
+    "loop of links": ('<xacro:include filename="loop"/>', "symbolic links"),
+    "pipe": ('<xacro:include filename="pipe"/>', "no file"),
+    "folders": ('<xacro:include filename="/*/*/*/*.xml"/>', "last part"),
+    "package etc": ('<xacro:include filename="$(find etc)/passwd"/>', "no package 'etc'"),
+    "YAML elsewhere": ("${xacro.load_yaml('../secret.yaml')}", "--package FOLDER"),
+    "YAML by its path": ("${xacro.load_yaml('/etc/os-release')}", "--package FOLDER"),
+    "YAML of aliases": ("${xacro.load_yaml('aliases.yaml')}", "more than 300000 values"),
+    "YAML in itself": ("${xacro.load_yaml('self.yaml')}", "more than 300000 values"),
+    "YAML that runs": ("${xacro.load_yaml('runs.yaml')}", "constructor"),
+    "deep": ("<a>" * 100_000 + "</a>" * 100_000, "100 elements deep"),
+    "long": ("${1}" + "x" * 200_000, "100000 characters"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to read from, and beside it what nobody may read."""
+    monkeypatch.setenv("SECRET", "hidden")
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    (tmp_path / "secret.yaml").write_text("key: hidden\n")
+    (tmp_path / "arm.urdf").write_text(arm())
+    (here / "link.yaml").symlink_to(tmp_path / "secret.yaml")
+    (here / "loop").symlink_to(here / "loop")
+    os.mkfifo(here / "pipe")
+    levels = "".join(f"a{k + 1}: &a{k + 1} [{f'*a{k}, ' * 9}]\n" for k in range(30))
+    (here / "aliases.yaml").write_text(f"a0: &a0 [1]\n{levels}")
+    joined = "".join(f"a{k + 1}: &a{k + 1} {{<<: [{f'*a{k}, ' * 9}]}}\n" for k in range(30))
+    (here / "joined.yaml").write_text(f"a0: &a0 {{k: 1}}\n{joined}")
+    (here / "self.yaml").write_text("a: &a [*a]\n")
+    (here / "runs.yaml").write_text('a: !!python/object/apply:os.system ["touch ran"]\n')
+    return here
+
+
+@pytest.mark.parametrize("name", XACRO)
+def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(
+    folder: Path, refused: Refuse, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr(xacro_files, "_WORK", xacro_files._WORK // 10)
+    before, words = XACRO[name]
+    path, start = folder / "arm.xacro", time.process_time()
+    element = before if before.startswith("<") else f'<a b="{before}"/>'
+    path.write_text(arm(before=element))
+    said = refused(words, load_robot, path, error=BadRobot)
+    assert time.process_time() - start < SECONDS
+    assert "hidden" not in said
+    assert len(said) < 1000
+    assert not (folder / "ran").exists()
+
+
+def test_what_the_environment_holds_is_taken_as_not_set(folder: Path) -> None:
+    path = folder / "arm.xacro"
+    path.write_text(arm(name="$(optenv SECRET plain)"))
+    robot = load_robot(path)
+    assert robot.name == "plain"
+    assert any("$(optenv SECRET) is taken as not set; --trust-xacro" in n for n in robot.notes)
+    path.write_text(arm(name="$(optenv ABSENT_HERE plain)"))
+    assert load_robot(path).notes == ()
+
+
+def test_files_of_ones_own_run_as_ros_runs_them(
+    folder: Path, excitant: Callable[..., object]
+) -> None:
+    path = folder / "arm.xacro"
+    path.write_text(
+        arm(name="${(lambda: xacro.load_yaml('../secret.yaml')['key'])()}$(env SECRET)")
+    )
+    assert load_robot(path, trust_xacro=True).name == "hiddenhidden"
+    (folder / "robot.yaml").write_text("model: arm.xacro\n")
+    assert load_robot(folder / "robot.yaml", trust_xacro=True).name == "hiddenhidden"
+    (folder / "robot.yaml").write_text("model: arm.xacro\ntrust_xacro: true\n")
+    with pytest.raises(BadRobot, match="--trust-xacro"):  # a file cannot vouch for itself
+        load_robot(folder / "robot.yaml")
+    ran = excitant("robots --trust-xacro --json", path)
+    assert ran.status == 0  # type: ignore[attr-defined]
+
+
+def test_files_of_a_package_that_is_given_are_read(folder: Path) -> None:
+    path = folder / "arm.xacro"
+    path.write_text(arm(name="${xacro.load_yaml('../secret.yaml').key}"))
+    assert load_robot(path, packages=[folder.parent]).name == "hidden"
+    (folder.parent / "package.xml").write_text("<package><name>arms</name></package>")
+    assert load_robot(path).name == "hidden"  # the package that holds the file
+    path.write_text(arm(name="${xacro.load_yaml('$(find arms)/secret.yaml')['key']}"))
+    assert load_robot(path).name == "hidden"
+
+
+LARGE_MACRO = '<xacro:macro name="m" params="{}"/>'
+
+
+@pytest.mark.parametrize("params", ["a:=" + "b" * 60 + "'", "a:=" + "''" * 60 + "x'"])
+def test_parameters_of_a_macro_are_read_at_once(folder: Path, params: str) -> None:
+    """By a pattern of xacro's own they would take years."""
+    path, start = folder / "arm.xacro", time.process_time()
+    path.write_text(arm(before=LARGE_MACRO.format(params.replace("'", "&apos;"))))
+    assert load_robot(path).nv == 1
+    assert time.process_time() - start < 5
+
+
+def test_expressions_have_the_values_of_python() -> None:
+    names = {"a": 2.5, "xs": [3, 1, 2], "text": "a,b", "f": Function(abs), "max": Function(max)}
+    for expression in (
+        "-a ** 2 // 3 % 2 + 1e3",
+        "xs[0] if a > 2 and not xs[1] == 2 else xs[-1]",
+        "[x * y for x in xs for y in xs if x != y][1:3]",
+        "text.split(',')[1].upper() + '%5.2f' % a",
+        "1 < a <= 3 != 4",
+        "3 in xs or 'a' not in text",
+        "max(xs, key=f) + f(-2)",
+        "(1, 2) + (3,)",
+    ):
+        plain = {"a": 2.5, "xs": [3, 1, 2], "text": "a,b", "f": abs, "max": max}
+        assert evaluate(expression, names, lambda _: None) == eval(expression, plain)
+    for expression in ("a.real", "text.__len__", "f.call", "xs.append(1)", "(y := 1)", "a @ a"):
+        with pytest.raises(Refused):
+            evaluate(expression, names, lambda _: None)
+
+
+MJCF = """<mujoco>{}<worldbody><body name="a"><joint name="j"/><geom size=".1"/>{}
+</body></worldbody></mujoco>"""
+MESH = '<asset><mesh name="m" file="{}"/></asset>'
+GEOM = '<geom type="mesh" mesh="m"/>'
+FILES: dict[str, tuple[str, str, str]] = {
+    "include elsewhere": ("m.xml", MJCF.format('<include file="../up.xml"/>', ""), "--package"),
+    "include of itself": ("m.xml", MJCF.format('<include file="m.xml"/>', ""), "already included"),
+    "includes": ("m.xml", MJCF.format('<include file="i0.xml"/>', ""), "200 files"),
+    "mesh elsewhere": ("m.xml", MJCF.format(MESH.format("../w.stl"), GEOM), "--package"),
+    "folder of meshes": (
+        "m.xml",
+        MJCF.format('<compiler meshdir=".."/>' + MESH.format("w.stl"), GEOM),
+        "--package",
+    ),
+    "model": ("m.xml", MJCF.format('<asset><model file="../up.xml"/></asset>', ""), "--package"),
+    "copies": ("m.xml", MJCF.format("", '<replicate count="99999999"/>'), "builds more"),
+    "copies of copies": (
+        "m.xml",
+        MJCF.format("", '<replicate count="99"><replicate count="99"/></replicate>'),
+        "builds more",
+    ),
+    "grid": ("m.xml", MJCF.format('<asset><hfield nrow="9999" ncol="9"/></asset>', ""), "nrow"),
+    "keys": ("m.xml", MJCF.format('<size nkey="2000000000"/>', ""), "nkey"),
+    "NaN": ("m.xml", MJCF.format("", '<body pos="nan 0 0"/>'), r"not finite .*\(pos\)"),
+    "large": ("m.xml", MJCF.format("", '<body pos="1e200 0 0"/>'), r"beyond .*\(pos\)"),
+    "gravity": ("m.xml", MJCF.format('<option gravity="0 0 inf"/>', ""), "gravity"),
+    "deep MJCF": ("m.xml", "<mujoco>" + "<a>" * 9999 + "</a>" * 9999 + "</mujoco>", "deep"),
+    "model elsewhere": ("r.yaml", "model: ../arm.urdf\n", "--package"),
+    "model by a link": ("r.yaml", "model: link.yaml\n", "--package"),
+    "loop of links": ("r.yaml", "model: loop\n", "does not exist"),
+    "everything": ("r.yaml", "model: arm.urdf\npackages: [/]\n", "too wide"),
+    "aliases": ("aliases.yaml", "", "300000 values"),
+    "joined": ("joined.yaml", "", "10000 entries"),
+    "runs": ("runs.yaml", "", "constructor"),
+    "large length": ("r.yaml", "convention: standard\ndh: [{m: 1, a: 1e12, I: {}}]\n", "up to 1e9"),
+    "deep URDF": ("a.urdf", "<robot>" + "<a>" * 99_999 + "</a>" * 99_999 + "</robot>", "deep"),
+    "elements": ("a.urdf", "<robot>" + "<a/>" * 210_000 + "</robot>", "200000 elements"),
+    "huge": ("a.urdf", "<robot>" + " " * 32_000_000, "larger than 32 MB"),
+    "links": ("a.urdf", f"<robot>{'<link/>' * 1001}</robot>", "1001 links"),
+    "entities": ("a.urdf", '<!DOCTYPE a [<!ENTITY b "c">]><robot name="&b;"/>', "entities"),
+    "two numbers": ("a.urdf", arm(origin='xyz="0 0"'), "joint 'j': xyz=\"0 0\" holds 2 numbers"),
+    "two angles": ("a.urdf", arm(origin='rpy="0 0"'), "joint 'j': rpy=\"0 0\" holds 2 numbers"),
+    "no numbers": ("a.urdf", arm(origin='rpy=""'), "holds 0 numbers"),
+    "scale": (
+        "a.urdf",
+        arm(shape='<visual><geometry><mesh filename="m" scale="a b c"/></geometry></visual>'),
+        "link 'b': scale=\"a\" is not a number",
+    ),
+    "size": (
+        "a.urdf",
+        arm(shape='<collision><geometry><box size="1 1"/></geometry></collision>'),
+        "link 'b': size=\"1 1\" holds 2 numbers instead of 3",
+    ),
+    "radius": (
+        "a.urdf",
+        arm(shape='<collision><geometry><sphere radius="1e99"/></geometry></collision>'),
+        "beyond any arm's size",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_other_files_neither_reach_nor_build_what_they_may_not(
+    folder: Path, refused: Refuse, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    file, text, words = FILES[name]
+    (folder.parent / "up.xml").write_text("<mujoco/>")
+    shutil.copy(DATA / "wedge.stl", folder.parent / "w.stl")
+    for k in range(201 if name == "includes" else 0):
+        (folder / f"i{k}.xml").write_text(f'<mujoco><include file="i{k + 1}.xml"/></mujoco>')
+    if text:
+        (folder / file).write_text(text)
+    start, before = time.process_time(), {*folder.iterdir()}
+    refused(words, load_robot, folder / file)
+    assert time.process_time() - start < SECONDS
+    assert {*folder.iterdir()} == before  # such as a log of MuJoCo's
+    assert capfd.readouterr() == ("", "")
+
+
+def test_shapes_without_numbers_are_refused_without_a_word_of_pinocchio(
+    folder: Path, refused: Refuse, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = folder / "a.urdf"
+    for shape in ("<box/>", "<sphere/>", '<cylinder radius="1"/>', "<mesh/>", "<ball/>", ""):
+        path.write_text(arm(shape=f"<collision><geometry>{shape}</geometry></collision>"))
+        with contextlib.suppress(BadRobot):
+            scene(load_robot(path))
+    (folder / "bad.stl").write_text("not a mesh")
+    path.write_text(
+        arm(shape='<collision><geometry><mesh filename="bad.stl"/></geometry></collision>')
+    )
+    refused("a.urdf.*bad.stl", scene, load_robot(path), error=BadRobot)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_meshes_elsewhere_count_as_not_found_and_how_to_allow_them_is_said(folder: Path) -> None:
+    path, mesh = folder / "a.urdf", folder.parent / "w.stl"
+    shutil.copy(DATA / "wedge.stl", mesh)
+    for name in ("../w.stl", str(mesh), f"file://{mesh}"):
+        path.write_text(
+            arm(shape=f'<collision><geometry><mesh filename="{name}"/></geometry></collision>')
+        )
+        said = unchecked(load_robot(path), None)
+        assert "1 of 1 collision meshes not found" in said
+        assert "(1 outside the description's folder: --package FOLDER allows them)" in said
+        assert unchecked(load_robot(path, packages=[folder.parent]), None).startswith(
+            "self-collision;"
+        )
+
+
+def test_a_data_set_names_no_robot_elsewhere(folder: Path) -> None:
+    sidecar = folder / "dataset.json"
+    sidecar.write_text('{"kinematics": {"urdf": "../arm.urdf"}}')
+    with pytest.raises(ExcitantError, match=r"outside its folder.*ROBOT and the paths"):
+        load_dataset(folder)
+    (folder / "robot.urdf").symlink_to(folder.parent / "arm.urdf")  # its owner's, whatever it names
+    sidecar.write_text("{}")
+    assert load_dataset(folder).robot.nv == 1
+    sidecar.write_text("[" * 100_000)
+    with pytest.raises(BadInput, match=r"dataset\.json"):
+        load_dataset(folder)
+
+
+# Damaged at random
+
+VALUES = (
+    *(
+        "nan",
+        "inf",
+        "-inf",
+        "1e400",
+        "1e308",
+        "1e-320",
+        "0",
+        "-1",
+        "",
+        "abc",
+        "1,5",
+        "1 2",
+        "{",
+        "[",
+    ),
+    *("${9**9**8}", "$(env HOME)", "../../../etc/passwd", "1" * 400, "é", "&lt;", "true"),
+)
+PATTERNS = (
+    r'(?<=["\s:\[,])-?\d+\.?\d*',
+    r'(?<=")[^"]*(?=")',
+    r"[A-Za-z_]+",
+    r"[^\n]*\n",
+    r"\s\w+=\S*",
+)
+TEXTS = {
+    "gantry.urdf": "gantry.urdf",
+    "twins.urdf": "twins.urdf",
+    "full.xml": "full.xml",
+    "gripper.xml": "gripper.xml",
+    "pan_tilt.urdf.xacro": "pan_tilt.urdf.xacro",
+    "bars/arm/bars.urdf.xacro": "bars/arm/bars.urdf.xacro",
+    "bars/parts/links.xacro": "bars/arm/bars.urdf.xacro",
+    "drill.yaml": "drill.yaml",
+    "slider.yaml": "slider.yaml",
+}
+
+
+def damaged(rng: random.Random, text: str) -> str:
+    for _ in range(rng.randint(1, 2)):
+        if rng.random() < 0.1:
+            text = text[: rng.randrange(len(text) // 2, len(text))]
+        found = [*re.finditer(rng.choice(PATTERNS), text)]
+        if found:
+            at, other = rng.choice(found), rng.choice(found)
+            new = rng.choice((*VALUES, other.group(), other.group() * 2, ""))
+            text = text[: at.start()] + new + text[at.end() :]
+    return text
+
+
+@pytest.mark.parametrize("file", TEXTS)
+def test_a_damaged_description_is_an_arm_or_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    shutil.copytree(DATA, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    path, text = tmp_path / file, (DATA / file).read_text("utf-8")
+    files = {*tmp_path.iterdir()}
+    for seed in range(40):
+        path.write_text(damaged(random.Random(f"{file} {seed}"), text), "utf-8")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            said = ""
+            try:
+                load_robot(tmp_path / TEXTS[file])
+            except ExcitantError as error:
+                said = str(error)
+        assert "\n" not in said, seed
+    assert {*tmp_path.iterdir()} == files
+    assert mujoco.get_mju_user_warning() is None
