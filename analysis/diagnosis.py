@@ -130,7 +130,7 @@ class Diagnosis:
 
     @cached_property
     def refit(self) -> Refit:
-        """Fit of the inertias alone; raises Infeasible where the solver failed."""
+        """Fit of the inertias alone."""
         tau = series(self.data.train).measured * self.held.gains
         return refit(self.train, tau, self.held, self.extension.predicted)
 
@@ -399,7 +399,6 @@ def diagnose(
     Raises:
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass.
-        Infeasible: The semidefinite solver failed.
     """
     given, prior = robot, prior_parameters(robot)
     warn_of_faults(given, recordings)

@@ -226,7 +226,6 @@ def analyze(
         BadInput: A motion is to be judged, but a joint has no torque limit to scale noise by;
             noise that does not fit the arm; or circumstances that contradict each other.
         UnknownName: A joint that the arm does not have.
-        Infeasible: A refit failed.
     """
     shown = motion is not None or estimate is not None
     refused = {

@@ -315,7 +315,6 @@ def rehearse(
         BadInput: The motion starts at speed, or an arm cannot follow it.
         BadRecording: The motion is too short to be identified from.
         BadRobot: A link of negative mass.
-        Infeasible: The semidefinite solver failed.
     """
     tell = progress or (lambda fraction, words: None)
     tell(0.0, "running the motion")

@@ -419,7 +419,7 @@ def identify_robot(
         BadRobot: A link of negative mass.
         UnknownName: There is no such estimator.
         RankDeficient: Motion that leaves base parameters undetermined.
-        Infeasible: The semidefinite solver failed, or an estimator does not converge.
+        Infeasible: An estimator does not converge, or knowledge leaves no room.
     """
     if estimator not in ESTIMATORS:
         raise UnknownName("estimator", estimator, ESTIMATORS)
@@ -470,6 +470,7 @@ def judged(
     predicted = rows.regression.torque(physical.x) / rows.gains
     train = series(rows.data.train).accuracy(predicted)
     notes += () if drive is None else (drive.sentence(robot.joints),)
+    notes += (physical.note,) if physical.note else ()
     stds = std, np.sqrt(np.diag(widened))
     return Estimate(
         robot, model, rows.base, fit, physical, *stds, rows.data, train, notes, drive=drive

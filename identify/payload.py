@@ -138,7 +138,6 @@ def identify_payload(
     Raises:
         BadInput: Currents of a loaded arm with nothing to compare them with.
         BadRecording: Recordings that cannot be used.
-        Infeasible: The semidefinite solver failed.
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects)
@@ -183,7 +182,6 @@ def estimate_payload(
 
     Raises:
         BadInput: Information about other parameters than the base parameters.
-        Infeasible: The semidefinite solver failed.
     """
     about = payload_information(robot, base, loaded, arm)
     # a ball at the flange with a twentieth of the arm's mass
