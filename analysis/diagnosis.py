@@ -62,6 +62,7 @@ from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 _NO_PLAN = Plan()
 _GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodies alone show
@@ -381,6 +382,7 @@ def _unknown(diagnosis: Diagnosis, left: Sequence[Residual]) -> dict[str, Any]:
     }
 
 
+@on_one_thread
 def diagnose(
     robot: Robot,
     recordings: Sequence[Recording],

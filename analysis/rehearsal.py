@@ -24,6 +24,7 @@ from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 from excitant.robots.virtual_arm import (
     HiddenEffect,
@@ -295,6 +296,7 @@ class Rehearsal:
         return html_table(f"Rehearsal: the motion {verdict}", heads, rows)
 
 
+@on_one_thread
 def rehearse(
     robot: Robot,
     path: Path,

@@ -48,6 +48,7 @@ from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, inertia, violations
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 LEVEL = 0.95
 _FEWEST = 3.0  # degrees of freedom, below which no noise is known
@@ -384,6 +385,7 @@ class Estimate:
         return html_table(title, heads, rows)
 
 
+@on_one_thread
 def identify_robot(
     robot: Robot,
     recordings: Sequence[Recording],

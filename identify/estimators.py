@@ -24,9 +24,9 @@ from excitant.exceptions import BadInput, Infeasible
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
 from excitant.identify.least_squares import (
     SMALLEST,
-    believed,
     Factor,
     LeastSquares,
+    believed,
     factorised,
     noise_of,
     weighted_least_squares,

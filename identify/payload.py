@@ -32,6 +32,7 @@ from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 _SHARE = 0.05  # of the arm's mass: the payload expected
 _RADIUS = 0.1  # m: its radius of gyration about each axis
@@ -123,6 +124,7 @@ class PayloadEstimate:
         }
 
 
+@on_one_thread
 def identify_payload(
     robot: Robot,
     loaded: Sequence[Recording],

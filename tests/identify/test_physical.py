@@ -13,7 +13,7 @@ import yaml
 from known_arms import NONE, Call, Whitened, write_csv
 
 from excitant.analysis import identifiability
-from excitant.exceptions import BadInput, BadRobot, Infeasible
+from excitant.exceptions import BadInput, BadRobot
 from excitant.identify import identify_robot
 from excitant.identify.knowledge import (
     Box,

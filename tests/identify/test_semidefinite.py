@@ -64,9 +64,7 @@ class Case:
         return [f"link{k}" for k in range(len(self.prior.bodies))]
 
     def fit(self) -> PhysicalFit:
-        return fit_physical(
-            self.R, self.z, self.prior, self.effects, self.knowledge, self.links
-        )
+        return fit_physical(self.R, self.z, self.prior, self.effects, self.knowledge, self.links)
 
 
 def case(seed: int) -> Case:
@@ -86,7 +84,9 @@ def case(seed: int) -> Case:
     if kind == "silent":
         R[:, rng.random(p) < 0.3] = R[rng.random(m) < 0.3] = 0.0
     R *= 10 ** rng.uniform(-6, 6, p) if rng.random() < 0.5 else 1.0
-    R *= 10 ** rng.uniform(-2, 9) / np.sqrt(np.mean((R[:, : 10 * links] @ bodies.ravel()) ** 2) + 1e-30)
+    R *= 10 ** rng.uniform(-2, 9) / np.sqrt(
+        np.mean((R[:, : 10 * links] @ bodies.ravel()) ** 2) + 1e-30
+    )
     if e >= 3 and rng.random() < 0.7:  # one column collinear with two others
         R[:, -1] = 1e3 * R[:, -2] + 10 * R[:, -3]
         R[:, -1] += 10 ** rng.uniform(-14, -6) * np.abs(R[:, -2]).max() * rng.standard_normal(m)
