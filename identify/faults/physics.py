@@ -403,7 +403,7 @@ def fits(case: TorqueFit, S: Array) -> bool:
 
 
 def _solve(A: Array, b: Array) -> Array:
-    d = np.sqrt(np.diag(A))
+    d = np.sqrt(np.maximum(np.diag(A), 0.0))  # rounding leaves some below zero
     d = np.where(d > 0, d, 1.0)
     values, V = np.linalg.eigh(A / np.outer(d, d))
     kept = values > _RANK * max(float(values[-1]), 1e-300)
