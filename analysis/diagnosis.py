@@ -62,6 +62,7 @@ from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 _NO_PLAN = Plan()
 _GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodies alone show
@@ -130,7 +131,7 @@ class Diagnosis:
 
     @cached_property
     def refit(self) -> Refit:
-        """Fit of the inertias alone; raises Infeasible where the solver failed."""
+        """Fit of the inertias alone."""
         tau = series(self.data.train).measured * self.held.gains
         return refit(self.train, tau, self.held, self.extension.predicted)
 
@@ -381,6 +382,7 @@ def _unknown(diagnosis: Diagnosis, left: Sequence[Residual]) -> dict[str, Any]:
     }
 
 
+@on_one_thread
 def diagnose(
     robot: Robot,
     recordings: Sequence[Recording],
@@ -399,7 +401,6 @@ def diagnose(
     Raises:
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass.
-        Infeasible: The semidefinite solver failed.
     """
     given, prior = robot, prior_parameters(robot)
     warn_of_faults(given, recordings)

@@ -24,6 +24,7 @@ from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.geometry import Scene, scene
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 _MATTERS = 0.01  # share of the given model's error that a finding explains, at least
 _DURATION = 20.0  # s of a motion
@@ -57,17 +58,19 @@ class Discriminating:
         return np.array([s.delta for s in self.separations])
 
 
+@on_one_thread
 def discriminating_motions(
     contest: Contest,
     rng: np.random.Generator,
     *,
-    time_limit: float = 15.0,
+    time_limit: float = np.inf,
     scene: Scene | None = None,
 ) -> tuple[list[Discriminating], Array]:
     """Motions that separate rivals, and the largest Δ found for each pair, shape (pairs,).
 
     The best motion is improved by random changes until its smallest Δ is ample; pairs that it
-    leaves open get another. Bodies of a scene must keep their clearance.
+    leaves open get another. Bodies of a scene must keep their clearance. A time limit [s] ends the
+    search earlier, where depends on the machine.
     """
     deadline = time.monotonic() + time_limit
     series = FourierSeries(_DURATION, max(*_WAVES, round(_TOP_HZ * _DURATION)))
@@ -296,8 +299,9 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
     return robot.with_limits(known)
 
 
-def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = 15.0) -> Plan:
-    """Experiments that settle an undecided diagnosis, found in about time_limit seconds."""
+@on_one_thread
+def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = np.inf) -> Plan:
+    """Experiments that settle an undecided diagnosis; see `discriminating_motions`."""
     contest, around = _contest(diagnosis), _surroundings(diagnosis)
     if not contest.pairs:
         return Plan()

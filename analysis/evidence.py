@@ -23,7 +23,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import scipy
 
-from excitant.identify.least_squares import autocorrelation_time
+from excitant.identify.least_squares import autocorrelation_time, believed
 from excitant.identify.regression import Index, Mask, Regression
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, read_only
@@ -111,7 +111,7 @@ class Evidence:
     def solve(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
         """Coordinates of all columns (zero where inactive) and their covariance."""
         active = self.active(chosen)
-        factor = scipy.linalg.cho_factor(self._information(active), lower=True)
+        factor = self._root(active), True
         coordinates, covariance = np.zeros(len(self.moment)), np.zeros_like(self.gram)
         coordinates[active] = scipy.linalg.cho_solve(factor, self.moment[active])
         covariance[np.ix_(active, active)] = scipy.linalg.cho_solve(factor, np.eye(len(active)))
@@ -126,15 +126,9 @@ class Evidence:
     def left(self, chosen: Sequence[Candidate], prior: float = 1.0) -> Array:
         """Residual after a set of causes, by a factor on the prior precision, (n, nv) [N·m]."""
         active = self.active(chosen)
-        A = self.gram[np.ix_(active, active)] + prior * np.diag(self.precision[active])
         coordinates = np.zeros(len(self.moment))
-        unit = 1 / np.sqrt(np.diag(A))
-        scaled = scipy.linalg.solve(
-            unit[:, None] * A * unit + _ROUNDING * np.eye(len(A)),
-            unit * self.moment[active],
-            assume_a="pos",
-        )
-        coordinates[active] = unit * scaled
+        root = self._root(active, prior), True
+        coordinates[active] = scipy.linalg.cho_solve(root, self.moment[active])
         return self.problem.residual(coordinates)
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
@@ -165,9 +159,7 @@ class Evidence:
         """
         active = self.active(chosen)
         at = np.arange(candidate.columns.start, candidate.columns.stop)
-        B = scipy.linalg.solve(
-            self._information(active), self.gram[np.ix_(active, at)], assume_a="pos"
-        )
+        B = scipy.linalg.cho_solve((self._root(active), True), self.gram[np.ix_(active, at)])
         coordinates = np.zeros((len(self.moment), len(at)))
         coordinates[at], coordinates[active] = np.eye(len(at)), -B
         S, e = self.problem.torque(coordinates), self.left([*chosen, candidate])
@@ -186,10 +178,10 @@ class Evidence:
     def cosine(self, one: Candidate, other: Candidate) -> float:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""
         rest = slice(0, self.nuisance)
-        A = self.gram[rest, rest] + np.diag(self.precision[rest])
+        A = _root(self.gram[rest, rest] + np.diag(self.precision[rest])), True
         columns = np.r_[one.columns, other.columns]
         cross = self.gram[rest, columns]
-        G = self.gram[np.ix_(columns, columns)] - cross.T @ np.linalg.solve(A, cross)
+        G = self.gram[np.ix_(columns, columns)] - cross.T @ scipy.linalg.cho_solve(A, cross)
         k = one.size
         whiten = [_inverse_root(block) for block in (G[:k, :k], G[k:, k:])]
         cosines = np.linalg.svd(whiten[0] @ G[:k, k:] @ whiten[1].T, compute_uv=False)
@@ -217,7 +209,7 @@ class Evidence:
             return 0.0, 0
         cross = np.concatenate(crosses, axis=1)
         right = np.column_stack([cross, self.moment[active]])
-        known = scipy.linalg.solve(self._information(active), right, assume_a="pos")
+        known = scipy.linalg.cho_solve((self._root(active), True), right)
         left = np.concatenate(moments) - cross.T @ known[:, -1]
         G = scipy.linalg.block_diag(*grams) - cross.T @ known[:, :-1]
         return float(left @ np.linalg.lstsq(G, left, rcond=1e-9)[0]), len(left) - len(used)
@@ -233,18 +225,27 @@ class Evidence:
         """Active columns of a set: those of the nuisance and of its candidates."""
         return np.asarray(np.r_[(slice(0, self.nuisance), *(c.columns for c in chosen))], np.intp)
 
-    def _information(self, active: Index) -> Array:
-        return self.gram[np.ix_(active, active)] + np.diag(self.precision[active])
+    def _root(self, active: Index, prior: float = 1.0) -> Array:
+        """L of L Lᵀ, the information of active columns, by a factor on the prior precision."""
+        return _root(self.gram[np.ix_(active, active)] + prior * np.diag(self.precision[active]))
 
     def _halved(self, active: Index, right: Array) -> Array:
         """L⁻¹ times a right-hand side, L Lᵀ the information of active columns."""
-        root = np.linalg.cholesky(self._information(active))
-        return np.asarray(scipy.linalg.solve_triangular(root, right, lower=True), float)
+        return np.asarray(
+            scipy.linalg.solve_triangular(self._root(active), right, lower=True), float
+        )
 
 
 @lru_cache(maxsize=4096)
 def _fisher_quantile(tail: float, size: int, freedom: int) -> float:
     return float(scipy.stats.f.isf(tail, size, freedom))
+
+
+def _root(A: Array) -> Array:
+    """L of L Lᵀ = A, positive but for rounding, each column in its own unit."""
+    unit = 1 / np.sqrt(np.diag(A))
+    scaled = unit[:, None] * A * unit + _ROUNDING * np.eye(len(A))
+    return np.asarray(np.linalg.cholesky(scaled) / unit[:, None], float)
 
 
 def _inverse_root(G: Array) -> Array:
@@ -290,7 +291,7 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
 
 
 def _noise(e: Array, counted: Array) -> tuple[Array, Array]:
-    sigma = np.maximum(np.sqrt((e**2).sum(axis=0) / counted), 1e-9)
+    sigma = believed(np.maximum(np.sqrt((e**2).sum(axis=0) / counted), 1e-9))
     return sigma, np.array([autocorrelation_time(column) for column in e.T])
 
 
@@ -332,9 +333,8 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
     A = evidence.gram + np.diag(evidence.precision)
     H, m = evidence.gram[np.ix_(part, part)], evidence.moment[part]
     if len(others):
-        cross = scipy.linalg.solve(
-            A[np.ix_(others, others)], evidence.gram[np.ix_(others, part)], assume_a="pos"
-        )
+        root = _root(A[np.ix_(others, others)]), True
+        cross = scipy.linalg.cho_solve(root, evidence.gram[np.ix_(others, part)])
         H = H - evidence.gram[np.ix_(part, others)] @ cross
         m = m - cross.T @ evidence.moment[others]
     unit = 1 / np.sqrt(evidence.precision[part])

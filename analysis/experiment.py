@@ -333,7 +333,6 @@ def identify_shown(
     Raises:
         BadRecording: Recordings that cannot be used.
         BadRobot: A link of negative mass.
-        Infeasible: The semidefinite solver failed.
     """
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)

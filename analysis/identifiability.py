@@ -30,6 +30,7 @@ from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 if TYPE_CHECKING:
     from excitant.analysis.experiment import Experiment, PriorInfluence
@@ -198,6 +199,7 @@ class Identifiability:
         return html_table(title, ("base parameter", "value", "std", "shown by the motion"), shown)
 
 
+@on_one_thread
 def analyze(
     robot: Robot,
     *,
@@ -226,7 +228,6 @@ def analyze(
         BadInput: A motion is to be judged, but a joint has no torque limit to scale noise by;
             noise that does not fit the arm; or circumstances that contradict each other.
         UnknownName: A joint that the arm does not have.
-        Infeasible: A refit failed.
     """
     shown = motion is not None or estimate is not None
     refused = {

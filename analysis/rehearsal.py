@@ -24,6 +24,7 @@ from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 from excitant.robots.virtual_arm import (
     HiddenEffect,
@@ -295,6 +296,7 @@ class Rehearsal:
         return html_table(f"Rehearsal: the motion {verdict}", heads, rows)
 
 
+@on_one_thread
 def rehearse(
     robot: Robot,
     path: Path,
@@ -315,7 +317,6 @@ def rehearse(
         BadInput: The motion starts at speed, or an arm cannot follow it.
         BadRecording: The motion is too short to be identified from.
         BadRobot: A link of negative mass.
-        Infeasible: The semidefinite solver failed.
     """
     tell = progress or (lambda fraction, words: None)
     tell(0.0, "running the motion")

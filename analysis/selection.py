@@ -18,6 +18,7 @@ from excitant.identify.rows import series
 from excitant.robots.effects import Effect, merged, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 _LARGEST_SET = 60
 _TYPICAL = 0.1  # tail probability of the chance level used to rank causes
@@ -294,6 +295,7 @@ def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
     return special and not real and evidence.cosine(found, other) > _SAME
 
 
+@on_one_thread
 def choose_effects(
     robot: Robot,
     recordings: Sequence[Recording],

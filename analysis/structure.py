@@ -29,8 +29,8 @@ from excitant.robots.robot import Robot
 Held = Mapping[str, float] | Literal["any"]
 """Positions of joints that do not move [rad or m], or ``"any"``: at rest in many positions."""
 
-MARGIN = 1e4  # factor on the tolerance that must not change a category
-_STEPS = 8  # half decades to there
+MARGIN = 1e3  # factor on the tolerance that must not change a category
+_STEPS = 6  # half decades to there
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from threadpoolctl import threadpool_limits
 
 from excitant.design.feasible import random_trajectory
 from excitant.design.relaxation import Multipliers, Relaxation, numbered, relaxation
 from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 BoundProgress = Callable[[float, float, float], None]
 """Called after every round with the time taken [s], the bound so far and its ceiling."""
@@ -60,6 +60,7 @@ class Bound:
         return slack
 
 
+@on_one_thread
 def lower_bound(
     robot: Robot,
     *,
@@ -108,10 +109,9 @@ def lower_bound(
     kind = "any motion"
     if harmonics is not None:
         kind += f" of period {duration:g} s with {harmonics} harmonics"
-    with threadpool_limits(1):
-        search = _Search(problem, rng, states)
-        search.run(began, time_limit, progress)
-        multipliers = search.certify()
+    search = _Search(problem, rng, states)
+    search.run(began, time_limit, progress)
+    multipliers = search.certify()
     return Bound(
         value=max(1.0, float(np.sqrt(multipliers.value))),
         without_repair=max(1.0, float(np.sqrt(search.best.value))),

@@ -20,6 +20,7 @@ from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Motion, Robot
 from excitant.robots.geometry import CLEARANCE, Scene
+from excitant.robots.threads import on_one_thread
 
 Progress = Callable[[int, int | None, float, float], None]
 """Called with starts done, starts in all (None: until the time limit), best condition number
@@ -89,6 +90,7 @@ def _series(name: str, duration: float, harmonics: int) -> Series:
     return FourierSeries(float(duration), harmonics)
 
 
+@on_one_thread
 def design_trajectory(
     robot: Robot,
     *,

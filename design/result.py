@@ -32,6 +32,12 @@ def dense_motion(trajectory: Trajectory) -> Motion:
     return trajectory.sample(max(_DENSE, round(_DENSE_HZ * trajectory.period)) + 1)
 
 
+_TIMED = (
+    "the time limit ended the search, so that how far it came depends on the machine; a number of "
+    "starts without a time limit gives the same motion everywhere"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Design:
     """An excitation trajectory, its certificate, what it shows of the arm, and how it was found.
@@ -167,7 +173,10 @@ class Design:
             ],
             "iterations": sum(start.iterations for start in self.starts),
             "wall_s": self.wall_s,
-            "notes": ["interrupted: this is the best motion found by then"] * self.interrupted,
+            "notes": [
+                *["interrupted: this is the best motion found by then"] * self.interrupted,
+                *[_TIMED] * any(start.status == "time limit" for start in self.starts),
+            ],
             "files": {},
         }
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import joblib
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from excitant.design.constraints import within_limits
 from excitant.design.criterion import condition_number, objective
@@ -21,6 +20,7 @@ from excitant.design.step import PENALTY, local_model, solve_step
 from excitant.exceptions import BadInput, Infeasible
 from excitant.processes import deaf_to_interrupts, owned
 from excitant.robots import Array
+from excitant.robots.threads import on_one_thread
 
 _FEASIBLE = 5e-5  # torque excess that the margin kept in the bounds covers
 _RADIUS = 0.3  # of each coefficient's reach
@@ -400,18 +400,18 @@ def _results(
 _unpacked = lru_cache(maxsize=1)(pickle.loads)
 
 
+@on_one_thread
 def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchState:
     """The state of a search after its task, on one thread; the problem is packed once for all."""
     problem: DesignProblem = _unpacked(packed)
-    with threadpool_limits(1):
-        if not task.state.history:
-            if task.state.index >= _FEWEST and time.time() > deadline:
-                return replace(task.state, status="time limit")  # a pose takes long in a big scene
-            try:
-                task = replace(task, state=_begun(problem, task.state, seed))
-            except Infeasible:
-                return replace(task.state, status="infeasible")
-        return _advance(problem, task, deadline)
+    if not task.state.history:
+        if task.state.index >= _FEWEST and time.time() > deadline:
+            return replace(task.state, status="time limit")  # a pose takes long in a big scene
+        try:
+            task = replace(task, state=_begun(problem, task.state, seed))
+        except Infeasible:
+            return replace(task.state, status="infeasible")
+    return _advance(problem, task, deadline)
 
 
 def _begun(problem: DesignProblem, state: SearchState, seed: int) -> SearchState:

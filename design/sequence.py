@@ -38,6 +38,7 @@ from excitant.robots.effects import Effect
 from excitant.robots.geometry import CLEARANCE, Scene
 from excitant.robots.geometry import scene as scene_of
 from excitant.robots.motion import read_only
+from excitant.robots.threads import on_one_thread
 
 _STARTS = 6  # per motion
 _POSES = 200  # drawn for one that keeps clear
@@ -141,6 +142,7 @@ def _stem(joint: int) -> str:
     return f"link{joint + 1}"
 
 
+@on_one_thread
 def design_link_by_link(
     robot: Robot,
     *,

@@ -49,6 +49,7 @@ from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, inertia, violations
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 LEVEL = 0.95
 _FEWEST = 3.0  # degrees of freedom, below which no noise is known
@@ -383,6 +384,7 @@ class Estimate:
         return html_table(title, heads, rows)
 
 
+@on_one_thread
 def identify_robot(
     robot: Robot,
     recordings: Sequence[Recording],
@@ -418,7 +420,7 @@ def identify_robot(
         BadRobot: A link of negative mass.
         UnknownName: There is no such estimator.
         RankDeficient: Motion that leaves base parameters undetermined.
-        Infeasible: The semidefinite solver failed, or an estimator does not converge.
+        Infeasible: An estimator does not converge, or knowledge leaves no room.
     """
     if estimator not in ESTIMATORS:
         raise UnknownName("estimator", estimator, ESTIMATORS)
@@ -469,6 +471,7 @@ def judged(
     predicted = rows.regression.torque(physical.x) / rows.gains
     train = series(rows.data.train).accuracy(predicted)
     notes += () if drive is None else (drive.sentence(robot.joints),)
+    notes += (physical.note,) if physical.note else ()
     stds = std, np.sqrt(np.diag(widened))
     return Estimate(
         robot, model, rows.base, fit, physical, *stds, rows.data, train, notes, drive=drive

@@ -26,6 +26,7 @@ from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
     LeastSquares,
+    believed,
     factorised,
     noise_of,
     weighted_least_squares,
@@ -145,7 +146,7 @@ def _scale(residual: Array, r: int) -> Array:
     freedom = np.sqrt(residual.size / max(residual.size - r, 1))
     size = np.median(np.abs(residual), axis=0) / _NORMAL * freedom
     least = 1e-9 * noise_of(residual, r)  # most rows fit exactly
-    return np.asarray(np.maximum(size, np.maximum(least, SMALLEST)), float)
+    return believed(np.maximum(size, least))
 
 
 def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) -> Array:

@@ -33,8 +33,7 @@ from excitant.robots.motion import Array, freeze
 
 _ROUNDS = 4  # of re-estimating the noise of each joint; the weights settle in two or three
 SMALLEST = 1e-12  # torque noise taken for none
-_SILENT = 1e-10  # of the longest column
-_DEPENDENT = 1e-9  # of the largest singular value, columns of unit length
+_FINEST = 1e-6  # of the largest noise: finer rows would leave no digits to those of other joints
 _UNDETERMINED = (
     "this motion does not determine these parameters (move the joints that show them, "
     "or design an excitation)"
@@ -106,16 +105,11 @@ def factorised(problem: Regression, weight: Array) -> Factor:
         RankDeficient: Columns that are silent, or that others explain.
     """
     r, names = problem.p, problem.names
+    if problem.undetermined:
+        raise RankDeficient([names[k] for k in problem.undetermined], _UNDETERMINED)
     rows = problem.stacked(1 / weight)
     norms = np.linalg.norm(rows[:, :r], axis=0)
-    silent = norms <= _SILENT * norms.max(initial=0.0)
-    if silent.any():
-        raise RankDeficient([names[k] for k in np.flatnonzero(silent)], _UNDETERMINED)
     R = triangle(rows / np.append(norms, 1.0))
-    _, s, Vt = np.linalg.svd(R[:r, :r])
-    if len(R) < r or s[-1] < _DEPENDENT * s[0]:
-        weak = np.flatnonzero(np.abs(Vt[-1]) > 0.1)
-        raise RankDeficient([names[k] for k in weak], _UNDETERMINED)
     return Factor(problem, weight, norms, R[:r, :r], R[:r, r])
 
 
@@ -130,7 +124,7 @@ def weighted_least_squares(problem: Regression) -> LeastSquares:
     Raises:
         RankDeficient: The motion does not show some columns.
     """
-    sigma = np.maximum(problem.tau.std(axis=0), SMALLEST)
+    sigma = believed(problem.tau.std(axis=0))
     for _ in range(_ROUNDS):
         factor = factorised(problem, sigma)
         beta = factor.solve()
@@ -142,7 +136,12 @@ def weighted_least_squares(problem: Regression) -> LeastSquares:
 def noise_of(residual: Array, r: int) -> Array:
     """Standard deviation of each joint's residual, shape (n, nv), after r parameters, (nv,)."""
     variance = (residual**2).mean(axis=0) * (residual.size / max(residual.size - r, 1))
-    return np.asarray(np.sqrt(np.maximum(variance, SMALLEST**2)), float)
+    return believed(np.sqrt(variance))
+
+
+def believed(sigma: Array) -> Array:
+    """Noise of joints, none so fine beside the others that their rows vanish, shape (nv,)."""
+    return np.asarray(np.maximum(sigma, max(SMALLEST, _FINEST * float(sigma.max()))), float)
 
 
 def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> LeastSquares:

@@ -35,6 +35,7 @@ from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 
 _WINDOW_S = 0.03  # half width of the differentiator that serves when none is given
@@ -410,6 +411,7 @@ class OnlineIdentification:
         return {key: np.array(x) for key, x in zip(keys, zip(*looks, strict=True), strict=True)}
 
 
+@on_one_thread
 def identify_online(
     robot: Robot,
     recordings: Sequence[Recording],

@@ -32,6 +32,7 @@ from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 
 _SHARE = 0.05  # of the arm's mass: the payload expected
 _RADIUS = 0.1  # m: its radius of gyration about each axis
@@ -123,6 +124,7 @@ class PayloadEstimate:
         }
 
 
+@on_one_thread
 def identify_payload(
     robot: Robot,
     loaded: Sequence[Recording],
@@ -138,7 +140,6 @@ def identify_payload(
     Raises:
         BadInput: Currents of a loaded arm with nothing to compare them with.
         BadRecording: Recordings that cannot be used.
-        Infeasible: The semidefinite solver failed.
     """
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects)
@@ -183,7 +184,6 @@ def estimate_payload(
 
     Raises:
         BadInput: Information about other parameters than the base parameters.
-        Infeasible: The semidefinite solver failed.
     """
     about = payload_information(robot, base, loaded, arm)
     # a ball at the flange with a twentieth of the arm's mass

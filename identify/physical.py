@@ -46,6 +46,10 @@ _ALTERNATIONS = 3  # between the σ of links that have their own and that of the
 _CHANCE = 0.05
 _MARGIN = 1e-4  # least part of a given body in any direction
 _ROUNDING = 1e-10  # of a parameter's unit, up to which it is known exactly
+_UNSETTLED = (
+    "the physically consistent fit ends {:.2g} standard deviations from its optimum, for the data "
+    "fit only bodies far from any that can exist: look for wrong units or signs of torque"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,7 @@ class PhysicalFit:
         x: Standard parameters followed by effect coefficients, shape (p,).
         covariance: Posterior covariance, inequalities ignored, shape (p, p).
         kkt: Residuals of the optimality conditions.
+        note: That floating point ended before the optimum, as a sentence; else empty.
         R: Factor of the whitened columns, shape (rows, p).
         root: L of the prior covariance L Lᵀ at the solution, shape (p, k); k < p with equalities.
         prior: Prior of the bodies.
@@ -67,6 +72,7 @@ class PhysicalFit:
     R: Array
     root: Array
     prior: BodyPrior
+    note: str = ""
 
     def __post_init__(self) -> None:
         freeze(self, "x", "covariance", "R", "root")
@@ -112,7 +118,7 @@ def fit_physical(
 
     Raises:
         BadInput: Knowledge that no body fulfils, or about other links.
-        Infeasible: The solver did not converge, or knowledge leaves no room.
+        Infeasible: Knowledge leaves no room.
     """
     knowledge = knowledge or Knowledge()
     if not isinstance(prior, BodyPrior):
@@ -130,7 +136,8 @@ def fit_physical(
     program = Program(R @ scale, z, C, d, prior, restrictions)
     found = solve(program, centre)
     covariance, root = _uncertainty(program, found.y, scale)
-    return PhysicalFit(scale @ found.y, covariance, found.kkt(program), R, root, prior)
+    note = "" if found.settled else _UNSETTLED.format(found.error)
+    return PhysicalFit(scale @ found.y, covariance, found.kkt(program), R, root, prior, note)
 
 
 def agreement(R: Array, z: Array, prior: Array) -> Array:

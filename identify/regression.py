@@ -26,6 +26,10 @@ from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, observation_columns
 
+_SILENT = 1e-10  # of the longest column
+_DEPENDENT = 1e-9  # of the largest singular value, columns of unit length
+_MEMBER = 0.1  # of a dependence: its columns with at least this part
+
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
@@ -136,6 +140,22 @@ class Regression:
         """Of each joint the triangle of [W τ], which keeps all digits, shape (≤ u + 1, u + 1)."""
         pairs = enumerate(self.columns)
         return tuple(triangle(np.column_stack([X, self.tau[:, j]])) for j, X in pairs)
+
+    @cached_property
+    def undetermined(self) -> tuple[int, ...]:
+        """Columns that are silent, else those that others explain; none where all are shown.
+
+        Decided by the motion alone: noise weighs rows, but shows and hides nothing.
+        """
+        rows = self.stacked(np.ones(self.nv))[:, :-1]
+        norms = np.linalg.norm(rows, axis=0)
+        silent = norms <= _SILENT * norms.max(initial=0.0)
+        if silent.any():
+            return tuple(np.flatnonzero(silent).tolist())
+        _, s, Vt = np.linalg.svd(triangle(rows / norms))
+        if len(s) == self.p and (not len(s) or s[-1] >= _DEPENDENT * s[0]):
+            return ()
+        return tuple(np.flatnonzero(np.abs(Vt[-1]) > _MEMBER).tolist())
 
     def factor(self, weight: Array) -> tuple[Array, Array]:
         """R and z with ‖R x − z‖² = Σ_j (w_j ‖τ_j − W_j x‖)²."""

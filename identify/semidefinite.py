@@ -125,10 +125,16 @@ class KktResiduals:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Minimiser y, shape (p,), with one array of multipliers per restriction."""
+    """Minimiser y, shape (p,), with one array of multipliers per restriction.
+
+    The error is the distance to the minimum in posterior standard deviations; it is settled where
+    this is nothing beside what the data leave unexplained, or beside the way from the start.
+    """
 
     y: Array
     multipliers: tuple[Array, ...]
+    error: float
+    settled: bool
 
     def kkt(self, program: Program) -> KktResiduals:
         """Residuals of the optimality conditions."""
@@ -146,25 +152,29 @@ class Solution:
 def solve(program: Program, centre: Array) -> Solution:
     """Minimiser and multipliers, on the way from the given bodies or close by; centre is (p,).
 
+    Where floating point ends before the path does, its last point that Newton's method reached is
+    the answer: inside all restrictions, with an error that is known.
+
     Raises:
-        Infeasible: Restrictions that leave no room, or a minimum out of reach of floating point.
+        Infeasible: Restrictions that leave no room.
     """
     y = start = interior(program, centre)
     path = _CentralPath(program, start)
     barrier = max(1.0, path.squares(y) / path.logarithms)
+    reached, least, error = y, barrier, np.inf
     while True:
         y, decrement = path.centred(y, barrier)
+        if decrement <= np.sqrt(barrier) or not np.isfinite(error):
+            reached, least, error = y, barrier, decrement + np.sqrt(path.logarithms * barrier)
+        else:
+            break
         if barrier <= _LEAST:
             break
         barrier = max(_FALL * barrier, _LEAST)
-    error = decrement + np.sqrt(path.logarithms * barrier)
-    if not error <= max(_PRECISE, _NEAR * float(np.linalg.norm(path.U @ (y - start)))):
-        raise Infeasible(
-            "physically consistent fit",
-            f"Newton's method ends {error:.2g} standard deviations from the optimum; the data fit "
-            "only bodies far from any that can exist: look for wrong units or signs of torque",
-        )
-    return Solution(y, path.multipliers(y, barrier))
+    unexplained = np.sqrt(max(1.0, path.squares(reached) / len(reached)))
+    way = float(np.linalg.norm(path.U @ (reached - start)))
+    settled = bool(error <= max(_PRECISE * unexplained, _NEAR * way))
+    return Solution(reached, path.multipliers(reached, least), float(error), settled)
 
 
 class _CentralPath:
@@ -200,7 +210,8 @@ class _CentralPath:
             y = y + length * step
             if decrement <= (_SETTLED if barrier <= _LEAST else enough):
                 break
-        return y, decrement
+        exact = _equal(y, self.program.restrictions)
+        return exact if self._inside(exact) else y, decrement
 
     def multipliers(self, y: Array, barrier: float) -> tuple[Array, ...]:
         """Forces of the restrictions: along the slopes of the logarithms, in equilibrium."""
@@ -317,8 +328,6 @@ def interior(program: Program, centre: Array) -> Array:
         Infeasible: There is none.
     """
     p, restrictions = len(centre), program.restrictions
-    G = _equalities(restrictions, p)
-    h = np.concatenate([np.zeros(0), *(r.h for r in restrictions if r.cone == "zero")])
     for margin in (0.0, *_MARGINS):
         bodies, y = possible(program.bodies, p, margin), centre
         if margin:
@@ -326,7 +335,7 @@ def interior(program: Program, centre: Array) -> Array:
             if near is None:
                 continue
             y = near
-        y = y - np.linalg.pinv(G) @ (G @ y - h)
+        y = _equal(y, restrictions)
         if all(r.violation(y) < 0 for r in (*bodies, *restrictions) if r.cone != "zero"):
             return np.asarray(y, float)
     raise Infeasible(
@@ -347,6 +356,13 @@ def _narrowed(restrictions: Sequence[Restriction], margin: float) -> list[Restri
 def _equalities(restrictions: Sequence[Restriction], p: int) -> Array:
     """Rows of what holds exactly, shape (k, p)."""
     return np.vstack([np.zeros((0, p)), *(r.G for r in restrictions if r.cone == "zero")])
+
+
+def _equal(y: Array, restrictions: Sequence[Restriction]) -> Array:
+    """The nearest point at which what holds exactly does, shape (p,)."""
+    G = _equalities(restrictions, len(y))
+    h = np.concatenate([np.zeros(0), *(r.h for r in restrictions if r.cone == "zero")])
+    return np.asarray(y - np.linalg.pinv(G) @ (G @ y - h), float)
 
 
 def _nearest(restrictions: Sequence[Restriction], centre: Array) -> Array | None:

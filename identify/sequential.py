@@ -54,6 +54,7 @@ from excitant.robots.base_parameters import base_parameters, expression, last_ro
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
+from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 
 _SURER = 2.0  # times surer than the given robot: then the recordings decide
@@ -334,6 +335,7 @@ class LinkByLink:
         return self.estimate.series() | {"all_at_once": self.all_at_once.predicted}
 
 
+@on_one_thread
 def identify_link_by_link(
     robot: Robot,
     recordings: Sequence[Recording],

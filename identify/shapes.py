@@ -137,7 +137,7 @@ def refined_shapes(rows: FitRows, prior: Array, knowledge: Knowledge) -> Shapes 
             return first
         # once more with the noise that is left then
         second = _Search(first.rows(rows)).refined(prior, knowledge)
-    except (RankDeficient, Infeasible):
+    except (RankDeficient, Infeasible, np.linalg.LinAlgError):
         return None
     pairs = zip(second.found, first.found, strict=True)
     found = tuple(replace(new, given=old.given) for new, old in pairs)

@@ -23,7 +23,8 @@ from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, observation_columns
 
-TOLERANCE = 1e-8  # of the longest column; double precision leaves about 1e-14
+TOLERANCE = 1e-6  # of the longest column: arms show parts of 0.1, angles in seven digits 1e-7
+_ABSENT = 1e-8  # of the longest column: a column of zeros
 _STATES = 600
 _PRESENT = 1e-10  # of a column's largest entry: the torque contains it
 _SLOWEST = -3.0  # decades below the limit, so that friction at low speed shows its shape
@@ -167,7 +168,7 @@ def observe(
 
 def _units(norms: Array, p: int) -> Array:
     """Units that bring columns to length one: the inertial ones together, others one by one."""
-    units = np.where(norms > TOLERANCE * norms[p:].max(initial=0.0), norms, np.inf)
+    units = np.where(norms > _ABSENT * norms[p:].max(initial=0.0), norms, np.inf)
     units[:p] = norms[:p].max(initial=0.0) or 1.0
     return units
 

@@ -35,10 +35,15 @@ KINDS: dict[str, list[dict[str, Any]]] = {
     "coupled joint, held": [ONE, ONE, ONE | {"more": '<mimic joint="joint2"/>'}],
     "selective compliance": [{}, {"xyz": "0.3 0 0"}, SLIDE | {"xyz": "0.3 0 0"}, {"xyz": "0 0 0"}],
     "two sliding joints": [SLIDE, SLIDE | {"axis": X}],
+    "continuous alone": [{"axis": Y, "kind": "continuous"}],
+    "no gravity": [SLIDE | {"axis": X}, {"axis": Y}],
+    "axes along gravity": [{}, {"xyz": "0.3 0 0"}],
+    "almost no last link": [{"axis": Z}, ONE, ONE | {"mass": 1e-6, "inertia": 1e-9}],
     "wrist without inertia": [*WRIST[:-1], WRIST[-1] | {"inertia": 0.0}],
     "twelve joints": WRIST * 2,  # along one chain
 }
 FAST = {"one joint", "one sliding joint", "last link without inertia", "last link without mass"}
+EVERY_VERB = ("one sliding joint", "no gravity", "axes along gravity", "almost no last link")
 HIDDEN = 1.0  # N·m or N of Coulomb friction at every joint
 
 
@@ -73,19 +78,27 @@ def recorded(robot: Robot, seed: int) -> np.ndarray:
     return np.column_stack([t, q + 2e-5 * rng.standard_normal(q.shape), tau])
 
 
+def prepared(kind: str) -> tuple[str, Robot]:
+    """The arm as a file, and two recordings of it; what to give to a command, and the robot."""
+    Path("arm.urdf").write_text(description(kind))
+    given = "model: arm.urdf\n"
+    given += "lock: {joint2: 0.0, joint3: 0.0}\n" if "mimic" in description(kind) else ""
+    given += "gravity: [0, 0, 0]\n" if kind == "no gravity" else ""
+    Path("arm.yaml").write_text(given)
+    robot = load_robot("arm.yaml")
+    for seed in (1, 2):
+        run = recorded(robot, seed)
+        for file, torque in ((f"run{seed}.csv", "tau"), (f"currents{seed}.csv", "i")):
+            names = [f"{x}{j + 1}" for x in ("q", torque) for j in range(robot.nv)]
+            np.savetxt(file, run, delimiter=",", header=",".join(["t", *names]), comments="")
+    return "arm.yaml", robot
+
+
 @pytest.mark.parametrize(
     "kind", [kind if kind in FAST else pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
 )
 def test_every_command(kind: str, here: Path, excitant: Callable[..., Any]) -> None:
-    Path("arm.urdf").write_text(description(kind))
-    held = "--lock joint2,joint3" if "mimic" in description(kind) else ""
-    arm = f"arm.urdf {held}"
-    robot = load_robot("arm.urdf", lock=dict.fromkeys(["joint2", "joint3"], 0.0) if held else None)
-    names = [f"{x}{j + 1}" for x in ("q", "tau") for j in range(robot.nv)]
-    header = ",".join(["t", *names])
-    for seed in (1, 2):
-        run = recorded(robot, seed)
-        np.savetxt(f"run{seed}.csv", run, delimiter=",", header=header, comments="")
+    arm, robot = prepared(kind)
     runs = "run1.csv --validate run2.csv"
     options = {
         "analyze": "",
@@ -100,3 +113,36 @@ def test_every_command(kind: str, here: Path, excitant: Callable[..., Any]) -> N
     causes = found["diagnose"].result["findings"]
     rubbing = {joint for f in causes if "friction" in f["effect"] for joint in f["joints"]}
     assert rubbing == {*robot.joints}
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning", "error::scipy.linalg.LinAlgWarning")
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) for k in EVERY_VERB])
+def test_every_verb_in_every_way(kind: str, here: Path, excitant: Callable[..., Any]) -> None:
+    """All verbs with all that changes their numerical core: a result each, and no warning."""
+    arm, _ = prepared(kind)
+    few, runs = (
+        "--time-limit 4 --starts 1 --harmonics 3 --duration 6",
+        "run1.csv --validate run2.csv",
+    )
+    commands = [
+        f"robots {arm}",
+        f"design {arm} {few} -o motion",
+        f"design {arm} {few} --criterion a --columns inertial",
+        f"design {arm} {few} --link-by-link",
+        f"check {arm} motion/trajectory.json",
+        f"simulate {arm} motion/trajectory.json -o simulated.csv --hidden",
+        f"analyze {arm} --trajectory motion/trajectory.json",
+        f"analyze {arm} --recording run1.csv",
+        f"identify {arm} {runs} -o model",
+        *(f"identify {arm} {runs} --estimator {name}" for name in ("irls", "iv")),
+        f"identify {arm} {runs} --effects auto",
+        f"identify {arm} {runs} --online",
+        f"identify {arm} {runs} --link-by-link",
+        f"identify {arm} run1.csv --payload --unloaded run2.csv",
+        f"identify {arm} currents1.csv --validate currents2.csv",
+        f"diagnose {arm} {runs} --experiment-time 2",
+        f"diagnose {arm} currents1.csv --no-experiments",
+        "report model",
+    ]
+    ran = {command: excitant(f"{command} --json") for command in commands}
+    assert {command: found.err for command, found in ran.items() if found.status} == {}

@@ -67,6 +67,7 @@ _FEW = 4  # orders, the likeliest by the given bodies, that are looked at closel
 _CLEARLY = 0.1  # squares per independent row, errors of the model counted: less needs no search
 FITS = 0.25  # squares per independent row: less needs no other order
 MODEL_ERROR = 0.05  # of a torque
+_NO_TORQUE = 1e-12  # N·m: bodies that need no more need none
 _BEYOND = 1.2 * 2 * np.pi  # rad: more than joints turn to one side
 _REACHES, _IMPOSSIBLE = 1.1, 3.0  # of the position limits: what a joint reaches, what it never does
 
@@ -293,7 +294,7 @@ class TorqueFit:
         for j in self.joints:
             Y, read = without_effects(self.F[:, j], columns[:, j], self.tau[:, j])
             model = Y @ robot.phi
-            squares = max(float(model @ model), 1e-300)
+            squares = max(float(model @ model), len(model) * _NO_TORQUE**2)
             gain = float(model @ read) / squares
             error = read - gain * model
             noise = float(error @ error) / len(error) * autocorrelation_time(error)
@@ -402,7 +403,7 @@ def fits(case: TorqueFit, S: Array) -> bool:
 
 
 def _solve(A: Array, b: Array) -> Array:
-    d = np.sqrt(np.diag(A))
+    d = np.sqrt(np.maximum(np.diag(A), 0.0))  # rounding leaves some below zero
     d = np.where(d > 0, d, 1.0)
     values, V = np.linalg.eigh(A / np.outer(d, d))
     kept = values > _RANK * max(float(values[-1]), 1e-300)

@@ -57,9 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
-    # Many small matrices: threads cost more than they bring.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # many small matrices: threads cost more than they bring, and change the last digits
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     warnings.simplefilter("ignore", FaultWarning)  # commands list faults themselves
     try:
         rest = [word for word in words if word != "--debug"]

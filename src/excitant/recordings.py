@@ -283,7 +283,7 @@ def diagnose(
     *recordings: str,
     data: Data = Data(),
     experiments: Annotated[bool, Parameter(negative="--no-experiments")] = True,
-    experiment_time: float = 15.0,
+    experiment_time: float | None = None,
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
@@ -292,7 +292,7 @@ def diagnose(
     Args:
         recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
         experiments: Look for motions that would settle what is undecided.
-        experiment_time: Time to look for such motions [s].
+        experiment_time: End that search after this time [s].
     """
     import numpy as np
 
@@ -309,12 +309,18 @@ def diagnose(
     if experiments:
         from excitant.analysis.discrimination_plan import plan as planned
 
-        plan = planned(found, np.random.default_rng(0), time_limit=experiment_time)
+        limit = np.inf if experiment_time is None else experiment_time
+        plan = planned(found, np.random.default_rng(0), time_limit=limit)
     files = model_files(found.extension.model, "extended", "extended.yaml")
     for fault in said["faults"]:
         fault["repaired"] |= found.set_up is not None and found.set_up.amends(fault)
     result = found.result(plan) | said
     result["notes"] += notes
+    if experiments and experiment_time is not None:
+        result["notes"].append(
+            f"experiments: searched for {experiment_time:g} s at most (--experiment-time), so that "
+            "those found depend on the machine"
+        )
     folder = run.folder(result)
     result["extended"]["files"] = [str(folder / name) for name in files]
     for k, motion in enumerate(plan.motions, start=1):

@@ -131,7 +131,7 @@ def test_the_motion_separates_what_a_poor_one_does_not(
     planar: Robot, found: Effect, rival: Effect, sine: tuple[float, float]
 ) -> None:
     poor, pair = swing(planar, *sine), contest(planar, found, rival)
-    motions, highest = discriminating_motions(pair, np.random.default_rng(0), time_limit=5.0)
+    motions, highest = discriminating_motions(pair, np.random.default_rng(0))
     [best] = motions
     again = separation(pair, poor).delta
     assert best.deltas[0] > max(2 * again, HOPELESS)
@@ -152,7 +152,7 @@ def test_the_motion_separates_what_a_poor_one_does_not(
 )
 def test_no_motion_separates_what_is_the_same(planar: Robot, found: Effect, rival: Effect) -> None:
     pair = contest(planar, found, rival, swing(planar))
-    motions, highest = discriminating_motions(pair, np.random.default_rng(0), time_limit=3.0)
+    motions, highest = discriminating_motions(pair, np.random.default_rng(0))
     assert motions == []
     assert highest[0] < HOPELESS
 
@@ -163,7 +163,7 @@ def test_unstated_limits_are_those_of_the_recording(planar: Robot) -> None:
     free, shown = planar.with_limits(limits), swing(planar, 0.6, 0.4)
     rival = kinds.NonlinearViscousFriction(LAST, exponent=0.7)
     pair = contest(free, kinds.ViscousFriction(LAST, (0.3,)), rival, shown)
-    [best, *_], _ = discriminating_motions(pair, np.random.default_rng(0), time_limit=2.0)
+    [best, *_], _ = discriminating_motions(pair, np.random.default_rng(0))
     for order, reached in enumerate((shown.q, shown.dq, shown.ddq)):
         low, high = best.trajectory.extrema(order)
         assert (np.maximum(-low, high) <= np.abs(reached).max(axis=0) * (1 + 1e-6)).all()
@@ -187,7 +187,7 @@ def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
     alike = {"payload", "inertial_parameters"}
     rival = next(r.candidate.effect for r in lead.rivals if r.candidate.effect.name in alike)
     assert lead.effect.name in alike
-    found = plan(undecided, np.random.default_rng(0), time_limit=3.0)
+    found = plan(undecided, np.random.default_rng(0))
     settles = found.experiments[key(lead.effect, rival)]
     assert settles.file is None
     assert "without the load" in settles.experiment

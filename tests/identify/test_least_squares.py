@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from known_arms import Z95, rows_of
 
 from excitant.design import random_trajectory
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, RankDeficient
 from excitant.identify import Recording
 from excitant.identify.least_squares import (
     JointRows,
@@ -77,6 +77,29 @@ def test_what_does_not_fit_is_refused() -> None:
     ):
         with pytest.raises(BadInput, match=why):
             dense(W, tau, names)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e-6, 1e-9, 0.0])
+def test_a_joint_without_torque_hides_no_parameter_of_the_others(size: float) -> None:
+    """A last link without mass, or a dead channel: rows of its joint are fine beyond all others."""
+    rng, n = np.random.default_rng(1), 400
+    W = rng.standard_normal((n, 2, 3)) * np.array([[1, 1, 1], [0, 0, 1]])
+    tau = np.column_stack([W[:, 0] @ [2.0, -1.0, 0.0], np.zeros(n)])
+    tau += rng.standard_normal(tau.shape) * np.array([0.1, size])
+    fit = weighted_least_squares(dense(W, tau, ("a", "b", "c")))
+    alone = weighted_least_squares(dense(W[:, :1, :2], tau[:, :1], ("a", "b")))
+    np.testing.assert_allclose(fit.beta[:2], alone.beta, rtol=1e-3)
+    np.testing.assert_allclose(fit.std[:2], alone.std, rtol=0.05)
+    assert abs(fit.beta[2]) <= 5 * max(size, 1e-6 * 0.1) / np.sqrt(n)
+
+
+def test_what_a_motion_does_not_show_is_named_whatever_the_noise() -> None:
+    silent = dense(W * np.array([1, 1, 0, 1, 1]), TAU, NAMES)
+    twin = dense(W[:, :, [0, 1, 2, 3, 3]], TAU * np.array([1.0, 1e-9, 1e3]), NAMES)
+    for problem, named in ((silent, ("c",)), (twin, ("d", "e"))):
+        with pytest.raises(RankDeficient) as refused:
+            weighted_least_squares(problem)
+        assert refused.value.names == named
 
 
 def test_uncorrected_residuals_would_be_too_sure() -> None:
