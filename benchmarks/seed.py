@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from excitant.robots import DHChain, Robot, load_robot
+from excitant.robots.angles import Angles
 from excitant.robots.dh import chain_from_record, joint_frames
 from excitant.robots.loading import builtin_record
 from excitant.robots.motion import Array
@@ -55,7 +56,7 @@ def dd_arm_tables() -> tuple[TableEntry, ...]:
 
 def dd_arm_chain() -> DHChain:
     """The arm in the paper's frames (standard Denavit-Hartenberg); lengths are assumed."""
-    return chain_from_record(builtin_record(_NAME), _NAME)
+    return chain_from_record(builtin_record(_NAME), _NAME, Angles())
 
 
 def dd_arm_parameters(column: Column = "initial", *, likely: bool = False) -> Array:

@@ -236,7 +236,7 @@ FILES: dict[str, tuple[str, str, str]] = {
     "large length": ("r.yaml", "convention: standard\ndh: [{m: 1, a: 1e12, I: {}}]\n", "up to 1e9"),
     "deep URDF": ("a.urdf", "<robot>" + "<a>" * 99_999 + "</a>" * 99_999 + "</robot>", "deep"),
     "elements": ("a.urdf", "<robot>" + "<a/>" * 210_000 + "</robot>", "200000 elements"),
-    "huge": ("a.urdf", "<robot>" + " " * 32_000_000, "larger than 32 MB"),
+    "huge": ("a.urdf", "<robot>" + " " * 32_000_000, "more than 32 MB"),
     "links": ("a.urdf", f"<robot>{'<link/>' * 1001}</robot>", "1001 links"),
     "entities": ("a.urdf", '<!DOCTYPE a [<!ENTITY b "c">]><robot name="&b;"/>', "entities"),
     "two numbers": ("a.urdf", arm(origin='xyz="0 0"'), "joint 'j': xyz=\"0 0\" holds 2 numbers"),
