@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from excitant.analysis.candidates import TOLERANCE
 from excitant.analysis.confirmation import IDEAL
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.residuals import Residual, explanatory
+from excitant.analysis.selection import is_plain_friction
 from excitant.identify.rows import told
 from excitant.robots.effects import plain, standard_effects
 from excitant.robots.motion import Array
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from excitant.analysis.diagnosis import Diagnosis
     from excitant.robots.robot import Robot
 
-_SMALL = 0.1  # of what a cause of roughly known shape explains
+_SMALL = 0.1  # of what a cause of roughly known shape, or another curve of friction, explains
 _LITTLE = 0.05  # of the squared torque of a cause that acts on several joints
 _MATTERS = 0.3  # of a cause's torque at the joint where it is largest
 _MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
@@ -61,14 +63,19 @@ def reason_to_downgrade(
             if several:
                 return "it acts on several joints at once, and the residual on some is not small"
             return "more is left unexplained on its joints than it explains"
-    # the misfit of a large cause's shape looks like a small cause
+    # the misfit of a large cause looks like a small cause
+    if found.explained < TOLERANCE**2 and not is_plain_friction(effect):
+        return (
+            f"larger causes are hardly known to {100 * TOLERANCE:.0f} %, which leaves more than it "
+            "explains"
+        )
     for other in others:
         same = {*effect.joints} <= {*other.effect.joints}
         if same and other.effect.shapes and found.explained < _SMALL * other.explained:
             name = plain(other.effect.name)
             return f"it is small compared with {name}, whose shape is only roughly known"
-        curves = all(f.effect.is_friction_curve for f in (found, other))
-        if same and curves and found.explained < other.explained:
+        curves = other is not found and all(f.effect.is_friction_curve for f in (found, other))
+        if same and curves and _SMALL * found.explained < other.explained:
             return f"it shares the friction curve of the joint with {plain(other.effect.name)}"
     return ""
 

@@ -22,7 +22,7 @@ from excitant.identify import model_files
 from excitant.identify.preprocessing import away_from_rest
 from excitant.identify.rows import series
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import StribeckFriction, TorqueGain, ViscousFriction
+from excitant.robots.effects import EFFECTS, StribeckFriction, TorqueGain, ViscousFriction
 from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -336,6 +336,33 @@ def test_why_a_cause_that_pays_is_not_decided(
         for j, x in enumerate(left, start=1)
     ]
     reason = reason_to_downgrade(load_robot("planar_2r"), found, others, residuals, 0.1)
+    assert said in reason
+    assert bool(said) == bool(reason)
+
+
+@pytest.mark.parametrize(
+    ("own", "beside", "joint", "said"),
+    [
+        (0.6, 0.1, "joint1", "friction curve"),  # which of both it is, is open
+        (0.1, 0.6, "joint1", "friction curve"),
+        (0.6, 0.05, "joint1", ""),
+        (0.6, 0.1, "joint2", ""),
+        (0.0024, 0.0, "joint2", "hardly known to 5 %"),  # the misfit of larger causes
+        (0.0026, 0.0, "joint2", ""),
+    ],
+)
+def test_what_shares_a_curve_or_is_faint_is_not_decided(
+    own: float, beside: float, joint: str, said: str
+) -> None:
+    kinds = EFFECTS["nonlinear_viscous_friction"](("joint1",)), StribeckFriction((joint,))
+    same = {"torque": np.ones((10, 1)) * (1.0, 0.0), "share": 1.0}
+    found, other = (
+        cast(Finding, SimpleNamespace(**same, effect=effect, explained=x))
+        for effect, x in zip(kinds, (own, beside), strict=True)
+    )
+    robot = load_robot("planar_2r")
+    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
+    reason = reason_to_downgrade(robot, found, [found, other], left, 0.1)
     assert said in reason
     assert bool(said) == bool(reason)
 
