@@ -23,12 +23,12 @@ from excitant.identify.preprocessing import away_from_rest
 from excitant.identify.rows import series
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import EFFECTS, StribeckFriction, TorqueGain, ViscousFriction
-from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect, industrial_sensors
+from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
 WRISTS = ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 FAST = ("coulomb_friction", "stribeck_friction", "payload")
-SEEDS, CLEAN = 5, 3  # of each arm
+CLEAN = 3  # of each arm
 Pair = tuple[float, float]
 FLOOR = 0.1
 PLANTED = (
@@ -110,19 +110,6 @@ def test_nothing_hidden_nothing_named(name: str, seed: int, diagnosed: Diagnosed
     diagnosis = diagnosed(load_robot(name), seed)
     assert diagnosis.findings == ()
     assert diagnosis.headline.startswith("No cause stands out")
-
-
-@pytest.mark.slow
-def test_hidden_effects_are_found_in_nine_of_ten(ur10: Robot, diagnosed: Diagnosed) -> None:
-    wrong, failures = 0, []
-    for robot, seed in product((ur10, load_robot("panda")), range(SEEDS)):
-        effect = draw_hidden_effect(robot, np.random.default_rng([7, seed]))
-        diagnosis = diagnosed(robot, 100 + seed, effect)
-        if not right(diagnosis, effect):
-            wrong += bool(diagnosis.findings) and diagnosis.findings[0].verdict == "named"
-            failures.append((robot.name, seed, effect.effect, effect.joint, diagnosis.headline))
-    assert len(failures) <= 0.1 * 2 * SEEDS, failures
-    assert wrong <= 0.05 * 2 * SEEDS, failures
 
 
 @pytest.mark.slow
