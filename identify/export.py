@@ -333,7 +333,8 @@ def publication(
         why.append(f"it predicts the hold-out worse than no model at {'; '.join(useless)}")
     if whole:
         why.append(f"it predicts the hold-out worse than the model as given, {whole}")
-    said = "; ".join([*why, *([f"worst at {'; '.join(worse)}"] if whole and worse else [])])
+    where = [f"worst at {'; '.join(worse)}"] if whole and worse and len(why) == 1 else []
+    said = "; ".join([*why, *where])
     if why and not force:
         note = f"the identified model is not published: {said}; {advice[0]}, or give --force"
         return Publication({}, False, note)

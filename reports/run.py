@@ -21,7 +21,7 @@ from excitant.reports.page import Page
 from excitant.reports.pages import page_of
 from excitant.reports.render import html, summary
 from excitant.robots.motion import Array
-from excitant.robots.schema import parsed_json
+from excitant.robots.schema import finite, parsed_json
 
 RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "report.html"
 
@@ -105,7 +105,7 @@ def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
 
 def _result(directory: Path) -> dict[str, Any]:
     try:
-        result = parsed_json(_content(directory / RESULT))
+        result = parsed_json(_content(directory / RESULT), finite)
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{directory / RESULT}: not JSON ({error}); run the command again") from None
     if not isinstance(result, dict) or not isinstance(result.get("verb"), str):

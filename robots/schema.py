@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -201,9 +202,13 @@ def read_yaml(path: str | Path, kind: type[T], holds: str) -> T:
     return convert(content, kind, path)
 
 
-def parsed_json(text: str | bytes) -> Any:
-    """Content of JSON; ValueError where it is none, holds no finite number, or nests too deep."""
-    content = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+def parsed_json(text: str | bytes, number: Callable[[str], float] = float) -> Any:
+    """Content of JSON; ValueError where it is none, nests too deep, or ``number`` refuses one."""
+
+    def whole(text: str) -> float:
+        return int(text) if len(text) <= _DIGITS else number(text)
+
+    content = json.loads(text, parse_constant=number, parse_float=number, parse_int=whole)
     _refuse_depth(content)
     return content
 
@@ -216,14 +221,11 @@ def parsed_yaml(text: str, loader: type[Loader] | None = None) -> Any:
     return content
 
 
-def _finite(text: str) -> float:
+def finite(text: str) -> float:
+    """The number that a text stands for; ValueError where it is not finite."""
     if not math.isfinite(value := float(text)):
         raise ValueError(f"{text} is no finite number")
     return value
-
-
-def _whole(text: str) -> int | float:
-    return int(text) if len(text) <= _DIGITS else _finite(text)
 
 
 def _refuse_depth(content: object) -> None:

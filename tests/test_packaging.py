@@ -174,7 +174,7 @@ def test_wheel_says_its_licence_and_command(wheel: Path) -> None:
         scripts = archive.read(f"{info}/entry_points.txt").decode()
         licence = archive.read(f"{info}/licenses/LICENSE").decode()
     assert "License-Expression: Apache-2.0" in metadata
-    assert "excitant = excitant.cli:main" in scripts
+    assert "excitant = excitant.__main__:run" in scripts
     assert "Version 2.0, January 2004" in licence
 
 
