@@ -108,8 +108,8 @@ def test_panda_lacks_the_hand_that_its_description_has(data_folder: Path) -> Non
 @pytest.mark.parametrize(
     ("name", "fitted", "held", "slow"),
     [
-        ("ur10e", ["id_12harm_30s", "id_10harm_20s"], ["id_12harm_50s"], False),
-        ("dualarm_v2", ["exc_13p5", "exc_15p7"], ["exc_52p2"], True),
+        ("ur10e", ["id_10harm_20s"], ["id_12harm_50s"], False),
+        ("dualarm_v2", ["exc_13p5"], ["exc_52p2"], True),
     ],
 )
 def test_arms_on_another_excitation(
