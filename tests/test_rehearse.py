@@ -70,6 +70,7 @@ def test_a_good_motion_passes(
     assert "NOT MET" not in (tmp_path / "out" / "summary.txt").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_a_feeble_motion_fails_and_names_the_joint(
     planar: Robot, motion: FourierTrajectory
 ) -> None:
@@ -87,6 +88,7 @@ def test_a_feeble_motion_fails_and_names_the_joint(
     assert any("farther and faster: joint2" in advice for advice in result["advice"])
 
 
+@pytest.mark.slow
 def test_a_joint_that_stands_is_named(planar: Robot, motion: FourierTrajectory) -> None:
     found = tried(planar, motion, 0.0, 1.0)
     [item] = [x for x in found.items if not x.passed]

@@ -140,6 +140,7 @@ def test_gravity_turns_for_all_joints_or_for_none(
         np.testing.assert_allclose(finding.effect.values, [1.7, -1.0, 0.2], atol=0.15)
 
 
+@pytest.mark.slow
 def test_play_that_is_never_crossed_is_not_called_play(planar: Robot, diagnosed: Diagnosed) -> None:
     """A lever that always hangs to one side leans on one flank: its encoder may be off instead."""
     off = hidden("encoder_offset", "joint1", offset=0.08)

@@ -55,6 +55,7 @@ def seen(diagnosis: Diagnosis, kinds: set[str], *joints: str) -> list[str]:
     return [joint for joint in joints or diagnosis.robot.joints if joint in there]
 
 
+@pytest.mark.slow
 def test_ur10_rubs_in_more_than_one_way(data_folder: Path) -> None:
     diagnosis = diagnosed(data_folder / "ur10", 4, ["unisa_exciting"], [])
     assert diagnosis.refit.gain < 0.5  # inertias alone do not explain it

@@ -96,6 +96,7 @@ def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: f
     assert abs((turn + np.pi) % (2 * np.pi) - np.pi) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", ["tau", "q tau"])
 def test_a_joint_of_the_other_sign_is_repaired_and_named_first(ur10: Robot, channels: str) -> None:
     robot, sign = bare(ur10), 1 - 2 * np.eye(6)[2]
