@@ -274,7 +274,7 @@ def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding
         torque = fit.held.columns(effect) @ (values - given) / held.gains
         off = effect.with_values(values.tolist())
         found = finding_of(robot, fit, held, off, torque, given.tolist(), std.tolist())
-        if found.pays and not found.as_given and found.share > least:
+        if found.pays and found.share > least:
             yield found
 
 

@@ -16,11 +16,11 @@ import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import (
-    POSITION_RATIO,
     Index,
     Mask,
     Segment,
     away_from_rest,
+    position_cutoff,
     top_speed,
 )
 from excitant.robots.motion import Array
@@ -54,7 +54,6 @@ _ABOVE = 1.5  # times the cut-off: where nothing of the motion is left
 _PASSED = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
 _NEAR = (0.6, 0.95)  # of the cut-off
 _SEEN = 1.5  # times the cut-off: up to where noise of positions is looked for
-_NYQUIST = 0.4  # of the sampling rate: highest cut-off of positions
 _POSES = 50  # at which inertia is evaluated
 _LONGEST = 512  # samples of a periodogram's stretch
 _FORGETS = 0.1  # s: residuals with a shorter correlation time look like noise
@@ -307,7 +306,7 @@ def position_noise(segments: Sequence[Segment]) -> Array:
 
 def _slope(s: Segment, f: Array) -> Array:
     """Power of accelerations over that of the positions they are differentiated from, (m,)."""
-    inner = min(POSITION_RATIO * s.cutoff_hz, _NYQUIST * s.rate_hz)
+    inner = position_cutoff(s.cutoff_hz, s.rate_hz)
     return np.asarray((2 * np.pi * f) ** 4 / (1 + (f / inner) ** 8) ** 2, float)
 
 

@@ -148,9 +148,7 @@ def prepare(
             f"cut-off {cutoff_hz:g} Hz does not fit its rate of {1 / step:.4g} Hz; "
             f"choose one up to {highest:.3g} Hz",
         )
-    differentiator = differentiator or ZeroPhaseButterworth(
-        min(POSITION_RATIO * cutoff_hz, highest)
-    )
+    differentiator = differentiator or ZeroPhaseButterworth(position_cutoff(cutoff_hz, 1 / step))
     parts = uninterrupted(t)
     segments = [
         _segment(recording, part, step, cutoff_hz, differentiator)
@@ -167,6 +165,11 @@ def prepare(
         )
         raise BadRecording(recording.file, why, column="t")
     return segments
+
+
+def position_cutoff(cutoff_hz: float, rate_hz: float) -> float:
+    """Cut-off of the filter of positions beside that of torque, at a sampling rate [Hz]."""
+    return min(POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE * rate_hz)
 
 
 def _segment(
