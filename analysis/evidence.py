@@ -238,7 +238,7 @@ class Evidence:
 
 @lru_cache(maxsize=4096)
 def _fisher_quantile(tail: float, size: int, freedom: int) -> float:
-    return float(scipy.stats.f.isf(tail, size, freedom))
+    return float(1 / scipy.special.fdtri(freedom, size, tail))
 
 
 def _root(A: Array) -> Array:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy
 
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import (
@@ -23,6 +22,7 @@ from excitant.identify.preprocessing import (
     position_cutoff,
     top_speed,
 )
+from excitant.identify.spectra import power_density
 from excitant.robots.motion import Array
 from excitant.robots.regressor import torque_derivatives
 from excitant.robots.robot import Robot
@@ -279,7 +279,7 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
     power, weight = 0.0, 0
     for s in segments:
         n = len(s.tau_raw)
-        f, density = scipy.signal.welch(s.tau_raw[:, j], s.rate_hz, nperseg=min(_LONGEST, n))
+        f, density = power_density(s.tau_raw[:, j], s.rate_hz, _LONGEST)
         above = density[f > _ABOVE * s.cutoff_hz]
         if len(above):
             power += n * float(np.median(above)) * _PASSED * s.cutoff_hz
@@ -296,7 +296,7 @@ def position_noise(segments: Sequence[Segment]) -> Array:
     power, weight = np.zeros(segments[0].motion.q.shape[1]), 0
     for s in segments:
         n, band = len(s.motion), slice(s.cutoff_hz, min(_SEEN * s.cutoff_hz, 0.45 * s.rate_hz))
-        f, density = scipy.signal.welch(s.motion.ddq, s.rate_hz, nperseg=min(_LONGEST, n), axis=0)
+        f, density = power_density(s.motion.ddq, s.rate_hz, _LONGEST)
         within = (f > band.start) & (f < band.stop)
         if within.any():
             power += n * np.median(density[within] / _slope(s, f[within])[:, None], axis=0)
@@ -324,6 +324,6 @@ def motion_noise(robot: Robot, segments: Sequence[Segment]) -> Array:
 
 def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:
     """Rms of an error if its density near the cut-off held at all frequencies below it."""
-    f, density = scipy.signal.welch(e, rate_hz, nperseg=min(_LONGEST // 4, len(e)))
+    f, density = power_density(e, rate_hz, _LONGEST // 4)
     near = density[(f > _NEAR[0] * cutoff_hz) & (f < _NEAR[1] * cutoff_hz)]
     return float(np.sqrt(np.median(near) * _PASSED * cutoff_hz)) if len(near) else 0.0

@@ -150,7 +150,7 @@ def _beyond_chance(evidence: Evidence, chosen: Sequence[Candidate]) -> float:
 @lru_cache(maxsize=4096)
 def _chance(trials: int, size: int) -> float:
     """Fall of J that the best of so many shapes with so many coefficients reaches by chance."""
-    return float(scipy.stats.chi2.isf(_TYPICAL / trials, size))
+    return float(scipy.special.chdtri(size, _TYPICAL / trials))
 
 
 def _significant(
@@ -217,7 +217,7 @@ def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -
     if not freedom:
         return True
     explained = evidence.cost(rest) - evidence.cost([*rest, cause])
-    chance = evidence.dispersion(rest, cause) * scipy.stats.chi2.isf(_BY_CHANCE, freedom)
+    chance = evidence.dispersion(rest, cause) * scipy.special.chdtri(freedom, _BY_CHANCE)
     return bool(more < max(chance, _SHARE * explained))
 
 

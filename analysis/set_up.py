@@ -19,7 +19,7 @@ import scipy
 from excitant.analysis.candidates import Observed, observed
 from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
-from excitant.identify.faults import Fault, faults_of, repair
+from excitant.identify.faults import Fault, faults_of, find_swapped, repair
 from excitant.identify.faults.fault import PROVEN, SET_UP
 from excitant.identify.faults.set_up import amended, odds_against, support
 from excitant.identify.least_squares import autocorrelation_time
@@ -140,7 +140,8 @@ def set_up(
     The arm is set up one way: of the set-ups that single recordings show, that which all of them
     together support most, if those held out do so by themselves.
     """
-    everything = [*recordings, *validate]
+    everything, swaps = find_swapped(robot, [*recordings, *validate])
+    validate = everything[len(recordings) :]
     faults = {each: [f for f in faults_of(robot, each) if _amendable(f)] for each in everything}
     of_data = {each: [f for f in found if not f.of_the_arm] for each, found in faults.items()}
 
@@ -155,6 +156,7 @@ def set_up(
     found, repaired, notes = list[Recording](), dict[str, tuple[Fault, ...]](), list[str]()
     for recording in everything:
         wrong = [f for f in (*of_data[recording], *shown) if f.remedies]
+        wrong = [*((swaps[recording.name],) if recording.name in swaps else ()), *wrong]
         better, said = repair(recording, wrong) if wrong else (recording, ())
         found.append(better)
         if wrong:

@@ -177,7 +177,7 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
         for sigma in (_FREE, _WEAK)
     )
     distance = float(((root @ (B @ free - beta)) ** 2).sum())
-    allowed = float(scipy.stats.chi2.ppf(_CERTAIN, rank))
+    allowed = float(scipy.special.chdtri(rank, 1 - _CERTAIN))
     left = held.given + Yv @ robot.phi / held.gains
     errors = {
         "given": held.given,

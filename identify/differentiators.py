@@ -23,13 +23,13 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput
+from excitant.identify.spectra import detrended, low_pass, power_density
 from excitant.robots.motion import Array, Motion
 
 Differentiator = Callable[[Array, Array], Motion]
 """Motion at samples: of time, shape (n,) [s], and positions, shape (n, nv)."""
 
 _IRREGULAR = 1e-3  # of a step: what counts as the same step
-_BUTTERWORTH_ORDER = 4
 _FEWEST = 64  # samples of a spectrum
 _FLOOR_SHARE = 1 / 3  # of the frequency axis, its upper end, where arms do not move
 _TIME_SPAN = (0.004, 0.3)  # s: windows of polynomials that are worth a try
@@ -111,21 +111,6 @@ def _kernels(half_width: int, degree: int) -> tuple[Array, ...]:
     return tuple(weights[order] * factorial(order) / half_width**order for order in range(3))
 
 
-def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
-    """Columns, shape (n, ...), through a zero-phase Butterworth filter along time."""
-    sections = _butterworth(cutoff_hz, rate_hz)
-    padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
-    filtered: Array = scipy.signal.sosfiltfilt(sections, values, axis=0, padlen=padding)
-    return filtered
-
-
-@lru_cache(maxsize=64)
-def _butterworth(cutoff_hz: float, rate_hz: float) -> Array:
-    """Sections of the filter; the design costs more than filtering a short recording."""
-    sections = scipy.signal.butter(_BUTTERWORTH_ORDER, cutoff_hz, fs=rate_hz, output="sos")
-    return np.asarray(sections, float)
-
-
 @dataclass(frozen=True)
 class ZeroPhaseButterworth:
     """Butterworth filter of fourth order forward and backward, then a quintic spline.
@@ -174,9 +159,7 @@ def position_spectrum(t: Array, q: Array) -> Spectrum:
     grid = np.linspace(t[0], t[-1], len(t))
     regular = np.column_stack([np.interp(grid, t, column) for column in q.T])
     rate = float((len(t) - 1) / (t[-1] - t[0]))
-    f, power = scipy.signal.periodogram(
-        scipy.signal.detrend(regular, axis=0), fs=rate, window="hann", axis=0
-    )
+    f, power = power_density(detrended(regular), rate, len(t))
     upper = f > (1 - _FLOOR_SHARE) * rate / 2
     floor = np.median(power[upper], axis=0) / np.log(2)  # exponential: median = mean · ln 2
     stands_out = power > floor * 2 * np.log(len(f))

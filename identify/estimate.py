@@ -561,7 +561,7 @@ class PredictionInterval(NamedTuple):
     @property
     def half_width(self) -> Array:
         """Half of the interval's width, shape (n, nv) [torque unit]."""
-        quantile = scipy.stats.t.ppf(0.5 + LEVEL / 2, self.freedom)
+        quantile = scipy.special.stdtrit(self.freedom, 0.5 + LEVEL / 2)
         return np.asarray(quantile * np.hypot(self.parameters, self.noise), float)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
-from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
+from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -37,6 +37,7 @@ from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, dense, joined, regression_of, triangle
 from excitant.identify.rows import FitRows, identified_robot
+from excitant.identify.spectra import detrended, low_pass
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.simulation import Controller, Diverged, simulate
@@ -69,6 +70,7 @@ _HIGHEST = 0.4  # of the sampling rate
 _SHARES = (1.0, 0.5, 0.25, 0.1)  # of the way from the given arm to an estimate
 _MASS_MOVES = 1e-3  # as easily as other parameters where β leaves a choice
 _CAUTION = 2.0  # times the noise, lest the largest of many frequencies pass for motion
+_BLACKMAN_HARRIS = np.array([0.35875, -0.48829, 0.14128, -0.01168])  # of cosines of 0 to 3 turns
 _FLOOR = (0.5, 0.9)  # of half the rate: where positions show nothing but the noise of encoders
 
 
@@ -247,7 +249,7 @@ def errors_in_variables(problem: Regression, instruments: Regression) -> tuple[f
     fit = weighted_least_squares(problem.with_columns(V, added))
     gamma, C = fit.beta[r:], fit.covariance[r:, r:]
     statistic = float(gamma @ scipy.linalg.solve(C, gamma, assume_a="pos"))
-    return statistic, float(scipy.stats.chi2.sf(statistic, len(gamma)))
+    return statistic, float(scipy.special.chdtrc(len(gamma), statistic))
 
 
 def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> str:
@@ -444,8 +446,9 @@ def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
     (signal lost, noise kept), is smallest where Σ_{f ≤ f_b} f⁴ (2N − P) is. Noise N of encoders is
     taken from the upper part of the spectrum P, its median there being ln 2 of its mean.
     """
-    window = scipy.signal.windows.blackmanharris(len(q))[:, None]
-    spectrum = np.fft.rfft(window * scipy.signal.detrend(q, axis=0), axis=0)
+    along = 2 * np.pi * np.arange(len(q)) / (len(q) - 1)
+    window = np.cos(np.outer(along, np.arange(4))) @ _BLACKMAN_HARRIS
+    spectrum = np.fft.rfft(window[:, None] * detrended(q), axis=0)
     f = np.asarray(np.fft.rfftfreq(len(q), 1 / rate_hz), float)
     power = np.abs(spectrum) ** 2
     upper = (f >= _FLOOR[0] * rate_hz / 2) & (f <= _FLOOR[1] * rate_hz / 2)

@@ -178,7 +178,7 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
 
 def student_width(freedom: Array | float) -> Array:
     """Student's over normal 97.5 % quantile, for degrees of freedom of any shape."""
-    return np.asarray(scipy.stats.t.ppf(0.975, freedom) / scipy.stats.norm.ppf(0.975), float)
+    return np.asarray(scipy.special.stdtrit(freedom, 0.975) / scipy.special.ndtri(0.975), float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,8 +338,8 @@ def essential_parameters(beta: Array, covariance: Array) -> Essential:
         )
         k = kept[int(squares.argmin())]
         square = float(squares.min())
-        together = float(scipy.stats.chi2.sf(statistic + square, len(dropped) + 1))
-        if together < _TOGETHER or scipy.stats.chi2.sf(square, 1) < _ALONE:
+        together = float(scipy.special.chdtrc(len(dropped) + 1, statistic + square))
+        if together < _TOGETHER or scipy.special.chdtrc(1, square) < _ALONE:
             break
         b = b - S[:, k] * b[k] / S[k, k]
         S = S - np.outer(S[:, k], S[k]) / S[k, k]

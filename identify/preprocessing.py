@@ -19,8 +19,9 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth, low_pass
+from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
 from excitant.identify.recording import MINIMUM_DURATION, Recording
+from excitant.identify.spectra import low_pass
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
@@ -28,7 +29,7 @@ from excitant.robots.robot import Robot
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
-_TOGETHER = 16  # columns filtered together: they fit into the processor's cache
+_TOGETHER = 4  # columns filtered together: they fit into the processor's cache
 _AT_ONCE = 10_000  # instants whose columns are evaluated together, of a segment thrice as long
 _HELD = 8.0  # times the cut-off: sampling rate at which positions and their products are held
 _REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten

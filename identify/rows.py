@@ -198,7 +198,7 @@ def chance_of_loss(losses: Array) -> float:
     error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) == _BLOCKS else 0.0
     if not error > 0:
         return 1.0
-    return float(scipy.stats.t.sf(means.mean() / error, len(means) - 1))
+    return float(scipy.special.stdtr(len(means) - 1, -means.mean() / error))
 
 
 def series(segments: Sequence[Segment]) -> Series:

@@ -78,7 +78,7 @@ class Shapes:
     @property
     def better(self) -> bool:
         """Whether the objective falls by more than chance has it fall."""
-        return self.before - self.after > float(scipy.stats.chi2.isf(_CHANCE, len(self.found)))
+        return self.before - self.after > float(scipy.special.chdtri(len(self.found), _CHANCE))
 
     @property
     def sentence(self) -> str:

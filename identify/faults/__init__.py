@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -27,12 +27,13 @@ from excitant.identify.faults.fault import (
     PROVEN,
     Fault,
     Log,
+    Remedy,
     after_repair,
     repair,
 )
 from excitant.identify.faults.modelled import not_measured, poor_excitation
 from excitant.identify.faults.physics import smooth, torque_fit, velocity_faults
-from excitant.identify.faults.set_up import physics_faults
+from excitant.identify.faults.set_up import physics_faults, swapped
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
 from excitant.identify.recording import Recording, checked, raw_recording
 from excitant.robots.robot import Robot
@@ -129,6 +130,26 @@ def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
     return found
 
 
+def find_swapped(
+    robot: Robot, recordings: Sequence[Recording]
+) -> tuple[list[Recording], dict[str, Fault]]:
+    """Recordings with torques that were exchanged among them put back, and such faults by name."""
+    better, found = [*recordings], dict[str, Fault]()
+    for pair in swapped(robot, recordings):
+        for one, other in (pair, pair[::-1]):
+            mine, its = recordings[one], recordings[other]
+            better[one] = replace(mine, tau=its.tau)
+            detail = (
+                f"the torque of {mine.name} is that of the motion of {its.name}, and the reverse: "
+                f"so exchanged, it is that of bodies near the given ones"
+            )
+            done = f"takes the torque of {its.name}"
+            evidence, remedies = {"torque_of": its.name}, (Remedy("exchange", "tau"),)
+            known = "swapped_recordings", robot.joints, detail, evidence, done, remedies
+            found[mine.name] = Fault(*known)
+    return better, found
+
+
 @dataclass(frozen=True, eq=False)
 class Checked:
     """Recordings and what is wrong with them."""
@@ -176,10 +197,11 @@ def read_checked(
         raws = [raw_recording(path, robot, dataset.mapping) for path in paths]
     else:
         raws = dataset.recordings(names, without=without)
-    found = {raw.name: raw for raw in raws}
-    copies = find_copies(found)
+    copies = find_copies({raw.name: raw for raw in raws})
+    put_back, swaps = find_swapped(robot, raws)
+    found = {raw.name: raw for raw in put_back}
     faults = {
-        name: (*((copies[name],) if name in copies else ()), *find_faults(robot, raw))
+        name: (*(of[name] for of in (copies, swaps) if name in of), *find_faults(robot, raw))
         for name, raw in found.items()
     }
     notes, recordings = list[str](), [] if repaired else raws

@@ -27,6 +27,7 @@ FAULTS = (
         "saturation",
         "not_measured",
         "wrong_frame",
+        "swapped_recordings",
     ),
     "poor_excitation",
 )
@@ -35,7 +36,10 @@ SET_UP = ("wrong_mounting", "wrong_zero")
 """Faults of the model, which has the arm otherwise than it is set up."""
 OF_THE_ARM = ("wrong_sign", "wrong_order", *SET_UP)
 """Faults of the arm or its logger, which all recordings share."""
-PROVEN = ("wrong_sign", "wrong_unit", "wrong_sample_rate", "wrong_order", *SET_UP)
+PROVEN = (
+    *("wrong_sign", "wrong_unit", "wrong_sample_rate", "wrong_order", "swapped_recordings"),
+    *SET_UP,
+)
 """Faults after which every figure is wrong, so that nothing is published from such data."""
 NO_TORQUE = "dead_channel", "tau"
 """Fault and channel of a joint whose torque tells nothing."""
@@ -104,7 +108,8 @@ class Remedy:
 
     ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``order`` the
     joints of a channel (joint j is then the one recorded as ``joints[j]``), ``unwrap`` a counter,
-    ``shift`` the time from a row on, or ``sort`` all rows by time.
+    ``shift`` the time from a row on, ``sort`` all rows by time, or ``exchange`` the torque for that
+    of another recording, which is done where both are at hand.
     """
 
     action: str

@@ -22,11 +22,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from excitant.identify.differentiators import low_pass
 from excitant.identify.drive_gains import gain_doubt, without_effects
 from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bound
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
+from excitant.identify.spectra import low_pass
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
@@ -346,21 +346,6 @@ class TorqueFit:
         occam = float(np.linalg.slogdet(H)[1] + np.log1p(told).sum())
         return squares, squares + occam
 
-    def unlike(self, data: Smooth) -> Array:
-        """Share of each torque of another log that the given bodies and own effects leave, (nv,).
-
-        The bodies' torque counts up to a factor of each joint.
-        """
-        model, motion = rigid_body_torque(self.robot, data.motion), data.motion
-        F = np.stack([motion.dq, data.dry, motion.ddq, np.ones_like(motion.q)], axis=2)
-        shares = []
-        for j in range(self.robot.nv):
-            wanted, read = without_effects(F[:, j], model[:, j], data.tau[:, j])
-            factor = max(float(wanted @ read), 0.0) / max(float(wanted @ wanted), 1e-300)
-            shares.append(float(((read - factor * wanted) ** 2).sum()))
-        whole = (data.tau**2).sum(axis=0)
-        return np.asarray(np.maximum(shares / np.maximum(whole, 1e-300), MODEL_ERROR**2), float)
-
     def _driving(self, own: Array, covariance: Array) -> float:
         """Squared standard errors by which joints' own effects have friction that drives them."""
         total = 0.0
@@ -387,6 +372,22 @@ def torque_fit(robot: Robot, log: Log, data: Smooth, dead: set[str]) -> TorqueFi
     alive = [j for j in range(robot.nv) if log.joints[j] not in dead and np.ptp(data.tau[:, j]) > 0]
     case = TorqueFit(robot, log, data, alive) if alive else None
     return case if case and len(case.tau) >= 60 else None
+
+
+def unlike(robot: Robot, data: Smooth) -> Array:
+    """Share of each torque of a log that the given bodies and own effects leave, (nv,).
+
+    The bodies' torque counts up to a factor of each joint.
+    """
+    model, motion = rigid_body_torque(robot, data.motion), data.motion
+    F = np.stack([motion.dq, data.dry, motion.ddq, np.ones_like(motion.q)], axis=2)
+    shares = []
+    for j in range(robot.nv):
+        wanted, read = without_effects(F[:, j], model[:, j], data.tau[:, j])
+        factor = max(float(wanted @ read), 0.0) / max(float(wanted @ wanted), 1e-300)
+        shares.append(float(((read - factor * wanted) ** 2).sum()))
+    whole = (data.tau**2).sum(axis=0)
+    return np.asarray(np.maximum(shares / np.maximum(whole, 1e-300), MODEL_ERROR**2), float)
 
 
 def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -492,7 +493,7 @@ def order(case: TorqueFit) -> Iterator[Fault]:
         every: tuple[str, ...] = ("q", "dq", "tau")
         for channels, whole in ((every, moved), (every[2:], data)):
             other = whole._replace(tau=data.tau[:, at])
-            left = float(case.rows[at] @ np.log(case.unlike(other)))
+            left = float(case.rows[at] @ np.log(unlike(case.robot, other)))
             tried.append((left, at, channels, other))
     for _, at, channels, other in sorted(tried, key=lambda each: each[0])[:_FEW]:
         fit = TorqueFit(case.robot, log, other, case.joints)

@@ -9,6 +9,7 @@ directions of gravity and all angles of a joint: the search is global.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -35,6 +36,7 @@ from excitant.identify.faults.physics import (
     torque_fit,
     torque_signs,
     torque_unit,
+    unlike,
 )
 from excitant.identify.recording import Recording
 from excitant.robots.motion import Array, Motion
@@ -412,3 +414,37 @@ def support(
     if (data := smooth(log)) is None or (case := torque_fit(robot, log, data, dead)) is None:
         return 0.0
     return _evidence(case, replace(_amended(case, faults), robot=amended(robot, faults)))
+
+
+def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, int]]:
+    """Pairs of recordings, of as many rows each, of which each has the torque of the other.
+
+    As a set-up, that has to be likelier than all that the model may lack, all pairs counted.
+    """
+    if not _known(robot):
+        return []
+    logs, found = [Log.of(robot, recording) for recording in recordings], list[tuple[int, int]]()
+    pairs = [
+        (i, k)
+        for i, k in itertools.combinations(range(len(logs)), 2)
+        if (len(logs[i]), logs[i].unit) == (len(logs[k]), logs[k].unit)
+    ]
+    odds = 2 * float(np.log(max(len(pairs), 1) / _RARE))
+    for pair in pairs:
+        gains = (_with_torque_of(robot, logs[i], logs[k]) for i, k in (pair, pair[::-1]))
+        if not {*pair} & {k for taken in found for k in taken} and sum(gains) > odds:
+            found.append(pair)
+    return found
+
+
+def _with_torque_of(robot: Robot, log: Log, other: Log) -> float:
+    """Twice the log evidence ratio of a log with another's torque; see `_evidence`."""
+    exchanged = replace(log, tau=other.tau)
+    data, moved = smooth(log), smooth(exchanged)
+    if data is None or moved is None:
+        return -np.inf
+    left = (np.log(unlike(robot, each)).mean() for each in (moved, data))
+    if next(left) - next(left) > np.log(HALVED):
+        return -np.inf
+    case = torque_fit(robot, log, data, set())
+    return -np.inf if case is None else _evidence(case, _SetUp([], robot, moved, range(robot.nv)))

@@ -328,15 +328,24 @@ def play(t: Array, acceleration: Array, gap: float) -> Array:
 
     ``acceleration`` is what the motor would have to give the link to take it along.
     """
-    half, lag, speed = gap / 2, gap / 2 * float(np.sign(acceleration[0]) or 1.0), 0.0
-    lags = [lag]
-    for h, a in zip(np.diff(t).tolist(), acceleration[1:].tolist(), strict=True):
-        speed += a * h
-        lag += speed * h
-        if abs(lag) >= half:
-            lag, speed = (half if lag > 0 else -half), 0.0
-        lags.append(lag)
-    return np.array(lags)
+    half, n = gap / 2, len(t)
+    lags, pulls = np.empty(n), (np.flatnonzero(acceleration < 0), np.flatnonzero(acceleration > 0))
+    steps, gives = np.diff(t, prepend=t[0]).tolist(), acceleration.tolist()
+    lag, k = half * float(np.sign(acceleration[0]) or 1.0), 0
+    while k < n:
+        leaves = pulls[lag < 0]  # instants that pull the link away from this end of the gap
+        at = int(np.searchsorted(leaves, max(k, 1)))
+        free = int(leaves[at]) if at < len(leaves) else n
+        lags[k:free], k, speed = lag, free, 0.0
+        while k < n:  # it flies
+            speed += gives[k] * steps[k]
+            lag += speed * steps[k]
+            landed = abs(lag) >= half
+            lags[k] = lag = half * float(np.sign(lag)) if landed else lag
+            k += 1
+            if landed:
+                break
+    return lags
 
 
 @registered

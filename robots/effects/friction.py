@@ -257,13 +257,21 @@ class Bristles:
 
 
 def bristles(q: Array, distance: float) -> Array:
-    """Dahl's state z along a motion, from z = 0, shape (n,)."""
+    """Dahl's state z along a motion, from z = 0, shape (n,).
+
+    In each run of one direction z decays towards it: only runs are gone through one by one.
+    """
     steps = np.diff(q)
-    decay, sign = np.exp(-np.abs(steps) / distance).tolist(), np.sign(steps).tolist()
-    states = [0.0]
-    for keeps, s in zip(decay, sign, strict=True):
-        states.append(s + (states[-1] - s) * keeps if s else states[-1])
-    return np.array(states)
+    moves, way = np.flatnonzero(steps), np.append(0.0, np.cumsum(np.abs(steps))) / distance
+    first = moves[np.flatnonzero(np.diff(np.sign(steps[moves]), prepend=0.0))]
+    signs, starts = np.append(0.0, np.sign(steps[first])), np.append(0.0, way[first])
+    kept = np.exp(-np.diff(starts)).tolist()
+    states = [0.0]  # at the start of each run, the first of which is before any motion
+    for sign, keeps in zip(signs[:-1].tolist(), kept, strict=True):
+        states.append(sign + (states[-1] - sign) * keeps)
+    run = np.append(0, np.searchsorted(first, np.arange(len(steps)), "right"))
+    z = signs[run] + (np.array(states)[run] - signs[run]) * np.exp(starts[run] - way)
+    return np.asarray(z, float)
 
 
 @registered

@@ -71,6 +71,16 @@ def bare(robot: Robot) -> Robot:
     return robot.with_effects([])
 
 
+def test_torques_exchanged_between_two_recordings_are_put_back(planar: Robot) -> None:
+    fitted, held = recorded(bare(planar), 5)
+    mixed = replace(fitted, tau=held.tau), replace(held, tau=fitted.tau)
+    found, as_recorded = (
+        diagnose(bare(planar), [one], validate=[other]) for one, other in (mixed, (fitted, held))
+    )
+    assert found.ordered[0][0].effect.name == "swapped_recordings"
+    np.testing.assert_allclose(found.extended.rms, as_recorded.extended.rms, rtol=1e-9)
+
+
 @pytest.mark.parametrize("gravity", [SIDEWAYS, TURNED])
 def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(
     ur10: Robot, gravity: tuple[float, ...]

@@ -18,7 +18,15 @@ from planted_faults import PLANTS, Plant, edited, recorded, scaled, with_rows
 from excitant.analysis import diagnose
 from excitant.exceptions import BadRecording, FaultWarning
 from excitant.identify import ColumnMap, Recording, identify_robot, load_dataset, raw_recording
-from excitant.identify.faults import FAULTS, Log, find_copies, find_faults, read_checked, repair
+from excitant.identify.faults import (
+    FAULTS,
+    Log,
+    find_copies,
+    find_faults,
+    proven,
+    read_checked,
+    repair,
+)
 from excitant.identify.faults.modelled import in_joint_frames
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
@@ -225,6 +233,24 @@ def test_the_same_recording_under_two_names_is_found(clean: Log, read: Read) -> 
     assert [[fault.fault for fault in each] for each in faults.values()] == [
         [], ["duplicate_samples"]
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("repaired", [False, True])
+def test_torques_exchanged_between_recordings_are_found(
+    clean: Log, read: Read, repaired: bool
+) -> None:
+    other = run("planar_2r", 1)
+    mixed = replace(clean, tau=other.tau), replace(other, tau=clean.tau), run("planar_2r", 2)
+    checked = read(*mixed, repaired=repaired)
+    kinds = {name: [f.fault for f in each] for name, each in checked.faults.items()}
+    swapped = ["swapped_recordings"]
+    assert kinds == {"run0": swapped, "run1": swapped, "run2": []}
+    assert "the motion of run1" in checked.faults["run0"][0].detail
+    fitted = (clean, other) if repaired else mixed
+    for recording, log in zip(checked.recordings, fitted, strict=False):
+        np.testing.assert_array_equal(recording.tau, log.tau)
+    assert len(checked.notes) == 2 * repaired
+    assert len(proven(checked.entries())) == 2 * (not repaired)
 
 
 BLOCKS = np.r_[0:200, 500:800, 200:500, 800:N]

@@ -1,0 +1,71 @@
+"""Signals by frequency: a zero-phase low-pass filter and the power spectral density."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import scipy
+
+from excitant.robots.motion import Array
+
+_ORDER = 4  # of the Butterworth filter, each way
+_FORGOTTEN = 6.0  # periods of its cut-off, after which it has forgotten
+
+
+def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
+    """Columns, shape (n, ...), through a Butterworth filter forward and backward along time.
+
+    Beyond its ends a signal goes on as its mirror image in the point there (Gustafsson 1996), until
+    the filter has forgotten; its line from end to end passes as it is.
+    """
+    n = len(values)
+    before = min(n - 1, int(_FORGOTTEN * rate_hz / cutoff_hz))
+    size = scipy.fft.next_fast_len(n + 2 * before, real=True)
+    after = min(n - 1, size - n - before)
+    size, inner = before + n + after, slice(before, before + n)
+    x = np.empty((np.size(values) // n, size))
+    x[:, inner] = np.reshape(values, (n, -1)).T
+    x[:, :before] = 2 * x[:, before, None] - x[:, 2 * before : before : -1]
+    end = before + n - 1
+    x[:, end + 1 :] = 2 * x[:, end, None] - x[:, end - 1 : end - 1 - after : -1]
+    first, slope = x[:, :1].copy(), (x[:, -1:] - x[:, :1]) / (size - 1)
+    along = np.arange(size)
+    x -= first + slope * along
+    spectrum = scipy.fft.rfft(x, overwrite_x=True)
+    spectrum *= _gain(size, cutoff_hz / rate_hz)
+    passed = scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, inner]
+    passed += first + slope * along[inner]
+    return np.ascontiguousarray(passed.T).reshape(np.shape(values))
+
+
+@lru_cache(maxsize=64)
+def _gain(size: int, cutoff: float) -> Array:
+    """1 / (1 + (tan πf / tan πf_c)⁸) at the frequencies of so many samples; one half at f_c."""
+    tangent = np.tan(np.pi * np.arange(size // 2 + 1) / size) / np.tan(np.pi * cutoff)
+    return np.asarray(1 / (1 + tangent ** (2 * _ORDER)), float)
+
+
+def detrended(values: Array) -> Array:
+    """Columns, shape (n, ...), less the straight line through each that leaves least."""
+    along = np.linspace(-1.0, 1.0, len(values))
+    centred = values - values.mean(axis=0)
+    slope = np.tensordot(along, centred, 1) / (along @ along)
+    return np.asarray(centred - np.multiply.outer(along, slope), float)
+
+
+def power_density(values: Array, rate_hz: float, longest: int) -> tuple[Array, Array]:
+    """Frequencies (m,) [Hz] and one-sided power density (m, ...) of columns, shape (n, ...).
+
+    Mean over parts of at most so many samples that overlap by half, each less its own mean and
+    under a Hann window (Welch 1967).
+    """
+    size = min(longest, len(values))
+    parts = np.lib.stride_tricks.sliding_window_view(values, size, axis=0)[:: size - size // 2]
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / size)
+    windowed = window * (parts - parts.mean(axis=-1, keepdims=True))
+    power = (np.abs(scipy.fft.rfft(windowed, axis=-1)) ** 2).mean(axis=0)
+    power /= rate_hz * (window**2).sum()
+    power[..., 1 : (size + 1) // 2] *= 2  # negative frequencies; neither 0 nor the Nyquist one
+    f = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), float)
+    return f, np.moveaxis(power, -1, 0)

@@ -1,0 +1,55 @@
+"""The filter and the power density against those of SciPy's signal package."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from excitant.identify.spectra import detrended, low_pass, power_density
+
+RATE = 250.0
+SIZES = [64, 65, 1000, 5003]
+
+
+def noise(n: int) -> np.ndarray:
+    return np.cumsum(np.random.default_rng(n).normal(size=(n, 3)), axis=0)
+
+
+@pytest.mark.parametrize(
+    ("n", "cutoff"), [(5003, 2.0), (1000, 10.0), (5003, 10.0), (64, 60.0), (65, 60.0)]
+)
+def test_the_filter_is_that_of_sections_forward_and_backward(n: int, cutoff: float) -> None:
+    x, sections = noise(n), scipy.signal.butter(4, cutoff, fs=RATE, output="sos")
+    expected = scipy.signal.sosfiltfilt(sections, x, axis=0, padlen=int(6 * RATE / cutoff))
+    np.testing.assert_allclose(low_pass(x, cutoff, RATE), expected, atol=1e-6 * np.ptp(x))
+
+
+def test_the_filter_is_linear_passes_lines_and_keeps_shapes() -> None:
+    x, y = noise(501), noise(501)[::-1]
+    both = low_pass(2 * x - 3 * y, 10.0, RATE)
+    np.testing.assert_allclose(both, 2 * low_pass(x, 10.0, RATE) - 3 * low_pass(y, 10.0, RATE))
+    line = np.linspace(-3.0, 9.0, 400)
+    np.testing.assert_allclose(low_pass(line, 10.0, RATE), line, atol=1e-12)
+    assert low_pass(np.zeros((30, 2, 3)), 10.0, RATE).shape == (30, 2, 3)
+
+
+def test_half_of_a_sine_at_the_cut_off_passes() -> None:
+    t = np.arange(2000) / RATE
+    passed = low_pass(np.sin(2 * np.pi * 10.0 * t), 10.0, RATE)[500:-500]
+    assert np.abs(passed).max() == pytest.approx(0.5, rel=3e-3)
+
+
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("longest", [64, 255, 10_000])
+def test_the_density_is_welchs(n: int, longest: int) -> None:
+    x = noise(n)
+    f, expected = scipy.signal.welch(x, RATE, nperseg=min(longest, n), axis=0)
+    found = power_density(x, RATE, longest)
+    np.testing.assert_allclose(found[0], f)
+    np.testing.assert_allclose(found[1], expected, rtol=1e-9, atol=1e-14 * expected.max())
+
+
+def test_a_line_is_taken_out() -> None:
+    x = noise(77)
+    np.testing.assert_allclose(detrended(x), scipy.signal.detrend(x, axis=0), atol=1e-12)
