@@ -113,17 +113,25 @@ def _kernels(half_width: int, degree: int) -> tuple[Array, ...]:
 
 def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
     """Columns, shape (n, ...), through a zero-phase Butterworth filter along time."""
-    sections = _butterworth(cutoff_hz, rate_hz)
-    padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
-    filtered: Array = scipy.signal.sosfiltfilt(sections, values, axis=0, padlen=padding)
-    return filtered
+    sections, settled = _butterworth(cutoff_hz, rate_hz)
+    flat, n = values.reshape(len(values), -1).T, len(values)
+    more = min(n - 1, int(3 * rate_hz / cutoff_hz))
+    before, after = (
+        2 * flat[:, :1] - flat[:, more:0:-1],
+        2 * flat[:, -1:] - flat[:, -2 : -2 - more : -1],
+    )
+    passed = np.concatenate([before, flat, after], axis=1)
+    for _ in range(2):  # forward, then backward
+        start = settled[:, None] * passed[:, :1]
+        passed = scipy.signal.sosfilt(sections, passed, zi=start)[0][:, ::-1]
+    return passed[:, more : more + n].T.reshape(values.shape)
 
 
 @lru_cache(maxsize=64)
-def _butterworth(cutoff_hz: float, rate_hz: float) -> Array:
-    """Sections of the filter; the design costs more than filtering a short recording."""
+def _butterworth(cutoff_hz: float, rate_hz: float) -> tuple[Array, Array]:
+    """Sections of the filter and their settled state: they cost more than filtering a column."""
     sections = scipy.signal.butter(_BUTTERWORTH_ORDER, cutoff_hz, fs=rate_hz, output="sos")
-    return np.asarray(sections, float)
+    return np.asarray(sections, float), np.asarray(scipy.signal.sosfilt_zi(sections), float)
 
 
 @dataclass(frozen=True)
