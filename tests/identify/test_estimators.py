@@ -296,7 +296,7 @@ def test_the_command_says_which_estimator(noisy: Recording, tmp_path: Path, exci
 @pytest.mark.parametrize("cutoff_hz", [25.0])
 def test_noisy_encoders_bias_least_squares_not_it(planar: Robot, cutoff_hz: float) -> None:
     """One motion, draws of noise only: mean error over its standard deviation."""
-    count, errors, plain, held = 8, [], [], []
+    count, errors, plain, held = 5, [], [], []
     for seed in range(count):
         recording = recorded(KNOWN, MOTION, seed, encoder=5e-4)
         rows = rows_of(planar, recording, cutoff_hz=cutoff_hz)
