@@ -188,6 +188,7 @@ def test_links_of_the_readme_lead_to_files_from_anywhere(project: dict[str, Any]
     assert [file[1] for file in files if file and not (ROOT / file[1]).exists()] == []
 
 
+@pytest.mark.slow
 def test_wheel_imports_with_nothing_else_installed(excitant_alone: Path, tmp_path: Path) -> None:
     names = run(excitant_alone / "python", "-c", IMPORT_EVERYTHING, cwd=tmp_path).split()
     assert {f"excitant.{folder}" for folder in FOLDERS} <= set(names)
