@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.optimize
+import scipy.signal
 from known_arms import smooth_motion
 from numpy.polynomial import Polynomial
 
@@ -16,6 +17,7 @@ from excitant.identify import LocalPolynomial, Recording, ZeroPhaseButterworth
 from excitant.identify.differentiators import (
     causal_polynomial,
     causal_polynomials,
+    low_pass,
     position_spectrum,
 )
 from excitant.identify.preprocessing import Segment, prepare
@@ -45,6 +47,15 @@ def test_a_sinusoid_comes_out_in_phase(f: float) -> None:
     gain = 1 / (1 + (np.tan(np.pi * f / RATE) / np.tan(np.pi * CUTOFF / RATE)) ** 8)
     np.testing.assert_allclose(segment.tau[MIDDLE], gain * wave[MIDDLE], atol=1e-9)
     np.testing.assert_array_equal(segment.tau_raw, wave)
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (7,), (300, 2, 3)])
+def test_the_filter_settles_at_both_ends_as_scipys(shape: tuple[int, ...]) -> None:
+    values = np.random.default_rng(0).standard_normal(shape).cumsum(axis=0)
+    sections = scipy.signal.butter(4, CUTOFF, fs=RATE, output="sos")
+    padding = min(len(values) - 1, int(3 * RATE / CUTOFF))
+    expected = scipy.signal.sosfiltfilt(sections, values, axis=0, padlen=padding)
+    np.testing.assert_allclose(low_pass(values, CUTOFF, RATE), expected, rtol=1e-12)
 
 
 def test_derivatives_are_those_of_the_motion() -> None:
