@@ -103,7 +103,9 @@ def test_a_zero_position_that_is_off_is_named_first(ur10: Robot) -> None:
     assert_zero_found(diagnosis.set_up, joint, np.pi / 2)
 
 
-@pytest.mark.parametrize(("joint", "angle"), [(2, -2.0), (3, np.pi)])
+@pytest.mark.parametrize(
+    ("joint", "angle"), [(2, -2.0), pytest.param(3, np.pi, marks=pytest.mark.slow)]
+)
 def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: float) -> None:
     robot = bare(ur10)
     fitted, held = with_zero_off(robot, joint, angle)
@@ -139,7 +141,7 @@ def as_currents(recordings: list[Recording], seed: int) -> list[Recording]:
     return [replace(r, tau=r.tau / gains, unit="A") for r in recordings]
 
 
-@pytest.mark.parametrize("gravity", [SIDEWAYS, TURNED])
+@pytest.mark.parametrize("gravity", [SIDEWAYS, pytest.param(TURNED, marks=pytest.mark.slow)])
 def test_currents_tell_how_an_arm_is_mounted(ur10: Robot, gravity: tuple[float, ...]) -> None:
     for recording in as_currents(recorded(bare(ur10), 1, gravity, off=0.0), 1):
         (fault,) = [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
@@ -176,7 +178,7 @@ def test_degrees_beyond_all_limits_are_degrees_also_of_currents(ur10: Robot) -> 
         assert [f.fault for f in faults if f.fault.startswith("wrong")] == ["wrong_unit"]
 
 
-@pytest.mark.parametrize("off", [0.1, 0.3])
+@pytest.mark.parametrize("off", [pytest.param(0.1, marks=pytest.mark.slow), 0.3])
 def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(
     ur10: Robot, off: float
 ) -> None:
@@ -184,7 +186,9 @@ def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(
         assert not [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
 
 
-@pytest.mark.parametrize("off", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize(
+    "off", [*(pytest.param(x, marks=pytest.mark.slow) for x in (0.0, 0.1)), 0.3]
+)
 def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(
     ur10: Robot, off: float
 ) -> None:
@@ -284,7 +288,8 @@ def with_friction_off(robot: Robot, seed: int, off: float) -> Robot:
     )
 
 
-@pytest.mark.parametrize("off", [pytest.param(0.1, marks=pytest.mark.slow), 0.3])
+@pytest.mark.slow
+@pytest.mark.parametrize("off", [0.1, 0.3])
 def test_given_friction_that_is_off_is_told_and_is_no_finer_friction(
     ur10: Robot, off: float
 ) -> None:
