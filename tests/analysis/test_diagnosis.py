@@ -87,7 +87,7 @@ def test_what_is_hidden_is_found(kind: str, case: Case) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", PLANTED, ids=lambda e: "-".join((e.effect, *e.acts_on)))
 def test_it_alone_is_named(effect: HiddenEffect, ur10: Robot, diagnosed: Diagnosed) -> None:
-    result = diagnosed(ur10, 100 + PLANTED.index(effect), effect, duration=12.0).result()
+    result = diagnosed(ur10, 100 + PLANTED.index(effect), effect, duration=15.0).result()
     lead = result["findings"][0]
     assert (lead["effect"], lead["verdict"]) == (effect.effect, "named"), result["headline"]
     assert set(lead["joints"]) == set(effect.acts_on or ur10.joints)
