@@ -252,7 +252,7 @@ def test_what_next_makes_up_for_what_a_recording_lacks(planar: Robot) -> None:
 @pytest.mark.slow
 def test_harmonics_are_added_while_they_pay(planar: Robot) -> None:
     tight = limited(planar, position=[[-0.5, 0.5], [-0.4, 0.4]])
-    options = {"duration": 6.0, "columns": "inertial", "starts": 2, "jobs": 1}
+    options = {"duration": 6.0, "columns": "inertial", "starts": 4, "jobs": 1}
     few = design_trajectory(tight, harmonics=5, **options)
     for series in ("fourier", "spline"):
         more = design_trajectory(tight, harmonics=None, series=series, top_hz=2.5, **options)

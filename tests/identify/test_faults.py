@@ -72,8 +72,7 @@ def clean() -> Log:
 @pytest.fixture(scope="module")
 def real(data_folder: Path) -> tuple[Robot, Log]:
     dataset = load_dataset(data_folder / "ur10")
-    [run] = dataset.recordings(["unisa_exciting"])
-    return dataset.robot, Log.of(dataset.robot, run.between(0, 0.5, "half"))
+    return dataset.robot, Log.of(dataset.robot, dataset.recordings(["unisa_exciting"])[0])
 
 
 @pytest.fixture
