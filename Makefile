@@ -24,7 +24,7 @@ demo: $(INSTALLED)
 	$(BIN)/excitant demo $(ARGS)
 
 test: $(DEVELOPED)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow" $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal -m "not slow" $(ARGS)
 
 lint: $(DEVELOPED)
 	$(BIN)/ruff check .

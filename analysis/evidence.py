@@ -123,11 +123,11 @@ class Evidence:
         half = self._halved(active, self.moment[active])
         return self.power - float(half @ half)
 
-    def left(self, chosen: Sequence[Candidate], prior: float = 1.0) -> Array:
-        """Residual after a set of causes, by a factor on the prior precision, (n, nv) [N·m]."""
+    def left(self, chosen: Sequence[Candidate]) -> Array:
+        """Residual after a set of causes, shape (n, nv) [N·m]."""
         active = self.active(chosen)
         coordinates = np.zeros(len(self.moment))
-        root = self._root(active, prior), True
+        root = self._root(active), True
         coordinates[active] = scipy.linalg.cho_solve(root, self.moment[active])
         return self.problem.residual(coordinates)
 
@@ -138,11 +138,21 @@ class Evidence:
         half, own = half[:, :-1], half[:, -1]
         rest = self.moment - half.T @ own
         falls = np.empty(len(self.candidates))
-        for k, c in enumerate(self.candidates):
-            part, at = half[:, c.columns], c.columns
-            G = self.gram[at, at] + np.diag(self.precision[at]) - part.T @ part
-            falls[k] = rest[at] @ np.linalg.lstsq(G, rest[at], rcond=1e-10)[0]
+        for of_size, at in self._by_size:
+            part = half[:, at].transpose(1, 0, 2)
+            G = self.gram[at[:, :, None], at[:, None]] - part.transpose(0, 2, 1) @ part
+            G += self.precision[at][:, None] * np.eye(at.shape[1])
+            inverse = np.linalg.pinv(G, rcond=1e-10, hermitian=True)
+            falls[of_size] = np.einsum("ck,ckl,cl->c", rest[at], inverse, rest[at])
         return falls
+
+    @cached_property
+    def _by_size(self) -> list[tuple[Index, Index]]:
+        """Candidates of the same number of coefficients k, and their columns, (c,) and (c, k)."""
+        sizes = np.array([c.size for c in self.candidates], np.intp)
+        starts = np.array([c.columns.start for c in self.candidates], np.intp)
+        alike = ((np.flatnonzero(sizes == k), np.arange(k)) for k in np.unique(sizes))
+        return [(of_size, starts[of_size][:, None] + columns) for of_size, columns in alike]
 
     def threshold(self, candidate: Candidate, beside: int = 0) -> float:
         """Fall of J over λ that a candidate must exceed beside others, the search accounted for."""
@@ -177,11 +187,10 @@ class Evidence:
 
     def cosine(self, one: Candidate, other: Candidate) -> float:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""
-        rest = slice(0, self.nuisance)
-        A = _root(self.gram[rest, rest] + np.diag(self.precision[rest])), True
         columns = np.r_[one.columns, other.columns]
-        cross = self.gram[rest, columns]
-        G = self.gram[np.ix_(columns, columns)] - cross.T @ scipy.linalg.cho_solve(A, cross)
+        cross = self.gram[: self.nuisance, columns]
+        known = scipy.linalg.cho_solve((self._nuisance_root, True), cross)
+        G = self.gram[np.ix_(columns, columns)] - cross.T @ known
         k = one.size
         whiten = [_inverse_root(block) for block in (G[:k, :k], G[k:, k:])]
         cosines = np.linalg.svd(whiten[0] @ G[:k, k:] @ whiten[1].T, compute_uv=False)
@@ -223,11 +232,16 @@ class Evidence:
 
     def active(self, chosen: Sequence[Candidate]) -> Index:
         """Active columns of a set: those of the nuisance and of its candidates."""
-        return np.asarray(np.r_[(slice(0, self.nuisance), *(c.columns for c in chosen))], np.intp)
+        columns = (slice(0, self.nuisance), *(c.columns for c in chosen))
+        return np.concatenate([np.arange(s.start, s.stop, dtype=np.intp) for s in columns])
 
-    def _root(self, active: Index, prior: float = 1.0) -> Array:
-        """L of L Lᵀ, the information of active columns, by a factor on the prior precision."""
-        return _root(self.gram[np.ix_(active, active)] + prior * np.diag(self.precision[active]))
+    def _root(self, active: Index) -> Array:
+        """L of L Lᵀ, the information of active columns."""
+        return _root(self.gram[np.ix_(active, active)] + np.diag(self.precision[active]))
+
+    @cached_property
+    def _nuisance_root(self) -> Array:
+        return self._root(self.active(()))
 
     def _halved(self, active: Index, right: Array) -> Array:
         """L⁻¹ times a right-hand side, L Lᵀ the information of active columns."""
@@ -284,8 +298,14 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     It has every usual cause at once and loose given values, so that no cause is taken for noise.
     """
     rough = [*chosen, *(c for c in evidence.candidates if c.effect.usual and c not in chosen)]
+    active, problem = evidence.active(rough), evidence.problem
+    loose = _LOOSE * np.diag(evidence.precision[active])
+    coordinates = np.zeros(problem.p)
     for _ in range(_ROUNDS):
-        sigma, inflation = _noise(evidence.left(rough, _LOOSE), evidence.counted)
+        products = problem.gram(evidence.weight, active)  # of these columns alone, which is quick
+        root = _root(products[:-1, :-1] + loose), True
+        coordinates[active] = scipy.linalg.cho_solve(root, products[:-1, -1])
+        sigma, inflation = _noise(problem.residual(coordinates), evidence.counted)
         evidence = replace(evidence, sigma=sigma, inflation=inflation)
     return evidence
 

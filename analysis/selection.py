@@ -256,11 +256,14 @@ def rivals(
     rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
     bare, falls = frictionless(robot), evidence.additions(rest)
     own, errors = falls[evidence.candidates.index(found)], evidence.block_errors(chosen)
+    standard = [c for c in evidence.candidates if is_plain_friction(c.effect) and c not in rest]
     best: dict[Key, Rival] = {}
     for k, other in enumerate(evidence.candidates):
         if other.key in taken or _only_more(evidence, found, other):
             continue
-        added = _friction(evidence, other, rest) if {*other.effect.joints} <= bare else []
+        # standard friction at the joint of a friction cause, as far as it is missing
+        missing = other.effect.family == "friction" and {*other.effect.joints} <= bare
+        added = [c for c in standard if missing and c.effect.joints == other.effect.joints]
         if falls[k] <= _HALF * own and not added:
             continue
         instead = [*rest, other, *(c for c in added if c is not other and c is not found)]
@@ -276,17 +279,6 @@ def rivals(
         if (known is None or z < known.deviations) and _plausible(evidence, robot, instead, other):
             best[other.key] = Rival(other, z, cosine)
     return sorted(best.values(), key=lambda rival: rival.deviations)
-
-
-def _friction(evidence: Evidence, other: Candidate, rest: Sequence[Candidate]) -> list[Candidate]:
-    """Standard friction at the joint of a friction cause, as far as it is missing."""
-    if other.effect.family != "friction":
-        return []
-    return [
-        c
-        for c in evidence.candidates
-        if is_plain_friction(c.effect) and c.effect.joints == other.effect.joints and c not in rest
-    ]
 
 
 def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:

@@ -127,12 +127,16 @@ class Regression:
         whole = (np.column_stack([X, self.tau[:, j]]) for j, X in enumerate(self.columns))
         return tuple(read_only(A.T @ A) for A in whole)
 
-    def gram(self, weight: Array) -> Array:
-        """[W τ]ᵀ[W τ], squares of joints weighted, shape (p + 1, p + 1)."""
-        total = np.zeros((self.p + 1, self.p + 1))
+    def gram(self, weight: Array, columns: Index | None = None) -> Array:
+        """[W τ]ᵀ[W τ] of all p or some columns, joints weighted, shape (p + 1, p + 1)."""
+        columns = np.arange(self.p) if columns is None else columns
+        place = np.full(self.p + 1, -1)
+        place[columns], place[-1] = np.arange(len(columns)), len(columns)
+        total = np.zeros((len(columns) + 1, len(columns) + 1))
         for w, index, own in zip(weight, self.index, self.grams, strict=True):
-            place = np.append(index, self.p)
-            total[np.ix_(place, place)] += w * own
+            at = place[np.append(index, self.p)]
+            here = np.flatnonzero(at >= 0)
+            total[np.ix_(at[here], at[here])] += w * own[np.ix_(here, here)]
         return total
 
     @cached_property

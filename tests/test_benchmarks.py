@@ -78,6 +78,7 @@ def test_every_contestant_has_a_row_with_a_motion_within_the_limits(rows: Rows) 
         assert row["cpu_s"] > 0
 
 
+@pytest.mark.slow
 def test_designs_beat_random_search_by_torques_of_another_way(folder: Path, rows: Rows) -> None:
     row = rows["excitant"]
     kappa = condition_by_newton_euler(folder, "excitant-5", row["base"])
@@ -85,6 +86,7 @@ def test_designs_beat_random_search_by_torques_of_another_way(folder: Path, rows
     assert row["left"] < rows["random"]["left"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["equal", "limit"])
 def test_the_fitted_model_is_the_true_one_and_excitation_steadies_it(rows: Rows, kind: str) -> None:
     errors = {method: row["errors"][kind] for method, row in rows.items()}

@@ -68,7 +68,13 @@ def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[i
     return started.returncode, err
 
 
-@pytest.mark.parametrize("group", [True, False], ids=["at the terminal", "the process alone"])
+@pytest.mark.parametrize(
+    "group",
+    [
+        pytest.param(True, id="at the terminal"),
+        pytest.param(False, id="the process alone", marks=pytest.mark.slow),
+    ],
+)
 def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
     words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"
     assert interrupted(words, tmp_path, 2, group) == (130, "")
@@ -88,6 +94,7 @@ def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.rglob("*")] == ["slow.json"]
 
 
+@pytest.mark.slow
 def test_workers_end_with_a_process_that_is_killed(tmp_path: Path) -> None:
     words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}

@@ -133,6 +133,7 @@ def test_links_lead_to_files(page: str) -> None:
     assert not missing, f"{page} links to what is not there: {missing}"
 
 
+@pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     missing = [m for m in ("mkdocs", "material", "mkdocstrings") if not importlib.util.find_spec(m)]
     if missing:
@@ -154,6 +155,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         assert not outside, f"{page} needs the network: {outside}"
 
 
+@pytest.mark.slow
 def test_effect_of_the_page_is_known_identified_and_diagnosed(here: Path) -> None:
     reader = Reader(EFFECT_PAGE)
     page = reader.names

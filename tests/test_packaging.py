@@ -188,6 +188,7 @@ def test_links_of_the_readme_lead_to_files_from_anywhere(project: dict[str, Any]
     assert [file[1] for file in files if file and not (ROOT / file[1]).exists()] == []
 
 
+@pytest.mark.slow
 def test_wheel_imports_with_nothing_else_installed(excitant_alone: Path, tmp_path: Path) -> None:
     names = run(excitant_alone / "python", "-c", IMPORT_EVERYTHING, cwd=tmp_path).split()
     assert {f"excitant.{folder}" for folder in FOLDERS} <= set(names)
@@ -197,9 +198,11 @@ def test_wheel_imports_with_nothing_else_installed(excitant_alone: Path, tmp_pat
 
 @pytest.mark.slow
 def test_demo_runs_with_nothing_else_installed(excitant_alone: Path, tmp_path: Path) -> None:
-    printed = run(excitant_alone / "excitant", "demo", "-o", "runs/demo", cwd=tmp_path)
+    printed = run(
+        excitant_alone / "excitant", "demo", "--robot", "planar_2r", "-o", "d", cwd=tmp_path
+    )
     assert re.search(r"^hidden .*: named$", printed, re.MULTILINE)
-    assert "<svg" in (tmp_path / "runs/demo/report.html").read_text(encoding="utf-8")
+    assert "<svg" in (tmp_path / "d/report.html").read_text(encoding="utf-8")
 
 
 def test_git_keeps_the_links(tmp_path: Path) -> None:

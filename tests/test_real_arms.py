@@ -21,15 +21,20 @@ SETS = {
 }
 
 
+KNOWN: dict[tuple[str, str], Records] = {}  # by verb and set, for all tests
+
+
 @pytest.fixture
 def ran(data_folder: Path, excitant: Callable[..., Any], tmp_path: Path) -> Verbs:
     """``ran("identify", "ur10e")``: result of a verb on the recordings of a set."""
 
     def run(verb: str, name: str) -> Records:
+        if (verb, name) in KNOWN:
+            return KNOWN[verb, name]
         words = f"{'--recording ' if verb == 'analyze' else ''}{SETS[name]}"
         words += " --no-experiments" if verb == "diagnose" else ""
         found = excitant(f"{verb} {data_folder / name} {words} --json -o {tmp_path / verb}").result
-        return dict(found)
+        return KNOWN.setdefault((verb, name), dict(found))
 
     return run
 

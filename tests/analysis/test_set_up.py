@@ -10,10 +10,12 @@ import pytest
 from plant_recordings import mujoco_model
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.set_up import set_up
+from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.design import random_trajectory
 from excitant.identify import Recording
 from excitant.identify.faults import find_faults
+from excitant.identify.prior import prior_parameters
+from excitant.identify.rows import series, split
 from excitant.robots import Robot, load_robot
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.motion import Motion
@@ -81,10 +83,8 @@ def test_torques_exchanged_between_two_recordings_are_put_back(planar: Robot) ->
     np.testing.assert_allclose(found.extended.rms, as_recorded.extended.rms, rtol=1e-9)
 
 
-@pytest.mark.parametrize("gravity", [SIDEWAYS, TURNED])
-def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(
-    ur10: Robot, gravity: tuple[float, ...]
-) -> None:
+def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: Robot) -> None:
+    gravity = TURNED
     fitted, held = recorded(bare(ur10), 1, gravity)
     diagnosis = diagnose(bare(ur10), [fitted], validate=[held])
     first = diagnosis.ordered[0][0]
@@ -96,14 +96,36 @@ def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(
     assert not {f.effect.name for f in diagnosis.findings} & {"encoder_offset", "torque_gain"}
 
 
-@pytest.mark.parametrize(("joint", "angle"), [(1, np.pi / 2), (2, -2.0), (3, np.pi)])
-def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: float) -> None:
-    robot, unit = bare(ur10), np.eye(6)[joint]
-    recordings = [replace(r, q=r.q - angle * unit) for r in recorded(robot, 2)]
-    diagnosis = diagnose(robot, recordings[:1], validate=recordings[1:])
-    assert lead(diagnosis) == f"encoder_offset {robot.joints[joint]}"
-    turn = dict(diagnosis.set_up.robot.zeros)[robot.joints[joint]] - angle
+def with_zero_off(robot: Robot, joint: int, angle: float) -> list[Recording]:
+    return [replace(r, q=r.q - angle * np.eye(6)[joint]) for r in recorded(robot, 2)]
+
+
+def assert_zero_found(found: SetUp, joint: str, angle: float) -> None:
+    turn = dict(found.robot.zeros)[joint] - angle
     assert abs((turn + np.pi) % (2 * np.pi) - np.pi) < 0.03
+
+
+def test_a_zero_position_that_is_off_is_named_first(ur10: Robot) -> None:
+    robot, joint = bare(ur10), ur10.joints[1]
+    fitted, held = with_zero_off(robot, 1, np.pi / 2)
+    diagnosis = diagnose(robot, [fitted], validate=[held])
+    assert lead(diagnosis) == f"encoder_offset {joint}"
+    assert_zero_found(diagnosis.set_up, joint, np.pi / 2)
+
+
+@pytest.mark.parametrize(
+    ("joint", "angle"), [(2, -2.0), pytest.param(3, np.pi, marks=pytest.mark.slow)]
+)
+def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: float) -> None:
+    robot = bare(ur10)
+    fitted, held = with_zero_off(robot, joint, angle)
+    found, amended = set_up(robot, [fitted], [held])
+    assert [(e.name, e.joints) for e in found.effects] == [
+        ("encoder_offset", (robot.joints[joint],))
+    ]
+    data = split(amended[:1], amended[1:]).train
+    found = refined(found, data, series(data).measured, prior_parameters(robot))
+    assert_zero_found(found, robot.joints[joint], angle)
 
 
 @pytest.mark.slow
@@ -129,7 +151,7 @@ def as_currents(recordings: list[Recording], seed: int) -> list[Recording]:
     return [replace(r, tau=r.tau / gains, unit="A") for r in recordings]
 
 
-@pytest.mark.parametrize("gravity", [SIDEWAYS, TURNED])
+@pytest.mark.parametrize("gravity", [SIDEWAYS, pytest.param(TURNED, marks=pytest.mark.slow)])
 def test_currents_tell_how_an_arm_is_mounted(ur10: Robot, gravity: tuple[float, ...]) -> None:
     for recording in as_currents(recorded(bare(ur10), 1, gravity, off=0.0), 1):
         (fault,) = [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
@@ -166,7 +188,7 @@ def test_degrees_beyond_all_limits_are_degrees_also_of_currents(ur10: Robot) -> 
         assert [f.fault for f in faults if f.fault.startswith("wrong")] == ["wrong_unit"]
 
 
-@pytest.mark.parametrize("off", [0.1, 0.3])
+@pytest.mark.parametrize("off", [pytest.param(0.1, marks=pytest.mark.slow), 0.3])
 def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(
     ur10: Robot, off: float
 ) -> None:
@@ -174,11 +196,13 @@ def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(
         assert not [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
 
 
-@pytest.mark.parametrize("off", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize(
+    "off", [*(pytest.param(x, marks=pytest.mark.slow) for x in (0.0, 0.1)), 0.3]
+)
 def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(
     ur10: Robot, off: float
 ) -> None:
-    for seed in range(3):
+    for seed in range(2):
         for recording in recorded(bare(ur10), 10 + seed, off=off):
             faults = {fault.fault for fault in find_faults(bare(ur10), recording)}
             assert not faults & {"wrong_mounting", "wrong_zero", "wrong_sign", "wrong_order"}
@@ -237,7 +261,7 @@ def test_nothing_within_two_standard_deviations_is_a_finding(frictionless: Diagn
         assert (size > 2 * np.array(f.std)).any()
 
 
-@pytest.mark.parametrize("seed", [6, 7])
+@pytest.mark.parametrize("seed", [6, pytest.param(7, marks=pytest.mark.slow)])
 def test_drive_gains_that_nobody_told_are_no_cause(ur10: Robot, seed: int) -> None:
     """Bodies and friction as given, each joint's torque read as a current of its own gain."""
     rng = np.random.default_rng(seed)
@@ -274,6 +298,7 @@ def with_friction_off(robot: Robot, seed: int, off: float) -> Robot:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [0.1, 0.3])
 def test_given_friction_that_is_off_is_told_and_is_no_finer_friction(
     ur10: Robot, off: float

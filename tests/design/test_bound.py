@@ -109,7 +109,7 @@ def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, half: float) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_never_above_a_trajectory(planar: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     middle, half = rng.uniform(-2, 2, 2), rng.uniform(0.4, 2.0, 2)
@@ -135,7 +135,7 @@ def test_never_above_a_trajectory(planar: Robot, seed: int) -> None:
 @pytest.mark.slow
 def test_tighter_limits_never_lower_the_bound(planar: Robot) -> None:
     bounds = []
-    for harmonics, share in ((None, 1.0), (5, 1.0), (5, 0.7), (5, 0.4)):
+    for harmonics, share in ((None, 1.0), (5, 1.0), (5, 0.4)):
         rates = {
             name: share * getattr(planar.limits, name) for name in ("velocity", "acceleration")
         }

@@ -36,7 +36,7 @@ def arm(ur10: Robot) -> Robot:
     return limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
 
 
-@pytest.fixture(scope="module", params=[1.0, 0.25])
+@pytest.fixture(scope="module", params=[pytest.param(1.0, marks=pytest.mark.slow), 0.25])
 def found(arm: Robot, request: pytest.FixtureRequest) -> Design:
     """With ample torque, and with so little that it binds."""
     robot = limited(arm, torque=request.param * arm.limits.torque)
@@ -68,7 +68,7 @@ def test_result_and_series(found: Design) -> None:
 
 @pytest.mark.parametrize("criterion", ["d", "a", "e"])
 def test_every_criterion_improves_its_own_value(planar: Robot, criterion: str) -> None:
-    result = design_trajectory(planar, criterion=criterion, harmonics=3, starts=3, jobs=1)
+    result = design_trajectory(planar, criterion=criterion, harmonics=3, starts=2, jobs=1)
     before, after = (np.linalg.eigvalsh(M) for M in (result.before, result.after))
     gain = {
         "d": np.log(after).sum() - np.log(before).sum(),
@@ -129,10 +129,10 @@ def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
 
 def test_progress_tells_what_is_reached(planar: Robot) -> None:
     told: list[tuple[int, int | None, float, float]] = []
-    options = {"harmonics": 3, "starts": 4, "jobs": 1}
+    options = {"harmonics": 3, "starts": 2, "jobs": 1}
     result = design_trajectory(planar, progress=lambda *news: told.append(news), **options)
     done, total, condition, worst = told[-1]
-    assert done <= total == 4
+    assert done <= total == 2
     conditions = [news[2] for news in told]
     assert conditions == sorted(conditions, reverse=True)
     assert condition == pytest.approx(result.condition_final, rel=0.1)

@@ -23,7 +23,7 @@ PENDULUM = """<robot name="pendulum"><link name="base"/><link name="arm"><inerti
 <axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="20"/></joint></robot>"""
 
 
-@pytest.fixture(scope="module", params=["ur10", "panda"])
+@pytest.fixture(scope="module", params=["ur10", pytest.param("panda", marks=pytest.mark.slow)])
 def ideal(request: pytest.FixtureRequest, runs: Call) -> Estimate:
     """An arm whose values are off by some per cent, seen by true sensors."""
     robot = load_robot(request.param)

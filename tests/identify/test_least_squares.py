@@ -50,6 +50,8 @@ def test_products_and_triangles_are_those_of_the_rows() -> None:
     A = np.concatenate([W, TAU[:, :, None]], axis=2) * weight[:, None]
     products = np.einsum("njp,njq->pq", A, A)
     np.testing.assert_allclose(PROBLEM.gram(weight**2), products, atol=1e-12)
+    few = PROBLEM.gram(weight**2, np.array([3, 0]))
+    np.testing.assert_allclose(few, products[np.ix_([3, 0, P], [3, 0, P])], atol=1e-12)
     factor = np.column_stack(PROBLEM.factor(weight))
     np.testing.assert_allclose(factor.T @ factor, products, atol=1e-10)
 

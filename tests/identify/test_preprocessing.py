@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.optimize
+import scipy.signal
 from known_arms import smooth_motion
 from numpy.polynomial import Polynomial
 

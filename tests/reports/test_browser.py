@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Iterator
-from itertools import product
 from pathlib import Path
 
 import pytest
@@ -48,14 +47,9 @@ class Opened:
         self.page.close()
 
 
-@pytest.fixture(scope="module", params=list(product(WIDTHS, ("light", "dark"))))
+@pytest.fixture(scope="module", params=list(zip(WIDTHS, ("light", "dark"), strict=True)))
 def opened(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
     yield from Opened(browser, file, *request.param).unfolded()
-
-
-@pytest.fixture(scope="module", params=WIDTHS)
-def light(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
-    yield from Opened(browser, file, request.param, "light").unfolded()
 
 
 def test_page_opens_alone_and_without_complaint(opened, file):
@@ -120,15 +114,15 @@ def test_text_stands_out_from_its_ground(opened):
     assert poor == {}
 
 
-def test_contents_lead_to_their_sections_and_are_shut_on_a_phone(light):
-    assert light.contents == (light.page.viewport_size["width"] > 480)
-    links = light.page.locator("nav a")
+def test_contents_lead_to_their_sections_and_are_shut_on_a_phone(opened):
+    assert opened.contents == (opened.page.viewport_size["width"] > 480)
+    links = opened.page.locator("nav a")
     assert links.count() > 0
     for k in range(links.count()):
         link = links.nth(k)
         link.click()
-        assert light.page.evaluate("location.hash") == link.get_attribute("href")
-        heading = light.page.evaluate(
+        assert opened.page.evaluate("location.hash") == link.get_attribute("href")
+        heading = opened.page.evaluate(
             """() => { const h = document.querySelector(":target");
             const end = innerHeight + scrollY >= document.documentElement.scrollHeight - 2;
             return { level: h.tagName, text: h.textContent, top: h.getBoundingClientRect().top,
@@ -185,16 +179,16 @@ DRAWN = """async () => {
 }"""
 
 
-def test_drawings_show_something_in_letters_that_are_legible_apart_and_inside(light):
-    drawn = light.page.evaluate(DRAWN)
+def test_drawings_show_something_in_letters_that_are_legible_apart_and_inside(opened):
+    drawn = opened.page.evaluate(DRAWN)
     assert drawn.pop("least")[0] > 8.5
     assert drawn == {"overlaps": [], "outside": [], "empty": [], "small": []}
-    drawings = light.page.locator("svg[role=img]").count()
-    assert light.page.locator(".enlarge").count() == drawings
+    drawings = opened.page.locator("svg[role=img]").count()
+    assert opened.page.locator(".enlarge").count() == drawings
 
 
-def test_tables_that_go_on_show_it(light):
-    seen = light.page.evaluate(
+def test_tables_that_go_on_show_it(opened):
+    seen = opened.page.evaluate(
         """async () => {
           const found = [];
           const settled = async (box, wanted) => {  // observers speak with the next frame
@@ -215,8 +209,8 @@ def test_tables_that_go_on_show_it(light):
     assert all(goes_on == before and not after for goes_on, before, after in seen)
 
 
-def test_no_cell_is_a_ladder_of_words(light):
-    ladders = light.page.evaluate(
+def test_no_cell_is_a_ladder_of_words(opened):
+    ladders = opened.page.evaluate(
         """() => [...document.querySelectorAll("td, tbody th")].filter((cell) => {
           const { width, height } = cell.getBoundingClientRect();
           const line = parseFloat(getComputedStyle(cell).lineHeight);
@@ -228,8 +222,8 @@ def test_no_cell_is_a_ladder_of_words(light):
     assert ladders == []
 
 
-def test_drawing_opens_and_closes_by_mouse_and_keyboard(light):
-    page, drawings = light.page, light.page.locator(".panel > svg")
+def test_drawing_opens_and_closes_by_mouse_and_keyboard(opened):
+    page, drawings = opened.page, opened.page.locator(".panel > svg")
     large = page.locator("dialog[open] svg[role=img]")
     if not drawings.count():
         assert page.locator("dialog[open], .enlarge, svg[role=img]").count() == 0
@@ -259,7 +253,7 @@ def test_drawing_opens_and_closes_by_mouse_and_keyboard(light):
         assert page.locator(":is(header, nav, main, footer) :focus").count() == 0
     close(lambda: page.keyboard.press("Escape"))
     assert page.evaluate("document.activeElement.className") == "enlarge"
-    assert light.said == []
+    assert opened.said == []
 
 
 def test_paper_shows_all_in_light_colours(browser, file):

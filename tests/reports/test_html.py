@@ -117,7 +117,7 @@ def _cut(value, most):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("most", [1, 3])
+@pytest.mark.parametrize("most", [1, 2])
 @pytest.mark.parametrize("verb", [*VERBS, "compare"])
 def test_any_value_may_be_null(verb, most, make, show, undrawn):
     """In all items of a list, and in one of several."""
