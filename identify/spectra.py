@@ -29,7 +29,7 @@ def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
     x[:, :before] = 2 * x[:, before, None] - x[:, 2 * before : before : -1]
     end = before + n - 1
     x[:, end + 1 :] = 2 * x[:, end, None] - x[:, end - 1 : end - 1 - after : -1]
-    first, slope = x[:, :1].copy(), (x[:, -1:] - x[:, :1]) / (size - 1)
+    first, slope = x[:, :1].copy(), (x[:, -1:] - x[:, :1]) / max(size - 1, 1)
     along = np.arange(size)
     x -= first + slope * along
     spectrum = scipy.fft.rfft(x, overwrite_x=True)
