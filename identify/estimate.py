@@ -211,13 +211,14 @@ class Estimate:
     @cached_property
     def interval(self) -> PredictionInterval:
         """95 % intervals of readings at the rows of the hold-out."""
+        W, fit, lengths = self.holdout_columns, self.least_squares, self.lengths
+        if lengths is not None:
+            W = np.concatenate([W, lengths.columns(self.data.validate)], axis=2)
+            residual, covariance = lengths.residual / self.gains, lengths.of_prediction(fit)
+            return prediction_interval(W, fit, residual, self.gains, covariance)
         predicted = predicted_torque(self.model, self.data.train) / self.gains
         residual = series(self.data.train).measured - predicted
-        W, fit, lengths = self.holdout_columns, self.least_squares, self.lengths
-        if lengths is None:
-            return prediction_interval(W, fit, residual, self.gains)
-        W = np.concatenate([W, lengths.columns(self.data.validate)], axis=2)
-        return prediction_interval(W, fit, residual, self.gains, lengths.of_prediction(fit))
+        return prediction_interval(W, fit, residual, self.gains)
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result of `identify`."""
@@ -453,12 +454,12 @@ def identify_robot(
     if estimator != "wls":
         z = R[:, rows.base.columns] @ fit.beta
     physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
-    if shapes is not None and shapes.better:
-        fit, physical = shapes.widened(fit, physical, rows.base)
     lengths = length_errors(rows, fit, physical, unsure) if unsure[1:].any() else None
     if lengths is not None:
         fit, physical = lengths.widened(fit, physical)
         said += (lengths.sentence,)
+    if shapes is not None and shapes.better:
+        fit, physical = shapes.widened(fit, physical, rows.base)
     found = judged(robot, rows, fit, physical, (*notes, *said))
     found = replace(found, estimator=ESTIMATORS[estimator], knowledge=known)
     return replace(found, shapes=shapes, lengths=lengths)

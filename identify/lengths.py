@@ -10,8 +10,9 @@ model, but its error, and with it that of the torque that it predicts, is
 
     β̂ − β = A⁻¹ Wᵀ (J δ + ε),   W β̂ − (W β + J δ) = (W A⁻¹ Wᵀ J − J) δ + W A⁻¹ Wᵀ ε,   A = WᵀW,
 
-rows weighted. Integrated over δ, the covariance of β̂ becomes A⁻¹ Wᵀ (Γ + J S Jᵀ) W A⁻¹. Every
-matrix here has as many columns as there are parameters or lengths, none as many as there are rows.
+rows weighted. Integrated over δ, the covariance of β̂ becomes A⁻¹ Wᵀ (Γ + J S Jᵀ) W A⁻¹. Γ is that
+of what the likeliest lengths leave, or their errors would count as noise, too. Every matrix here has
+as many columns as there are parameters or lengths, none as many as there are rows.
 """
 
 from __future__ import annotations
@@ -25,10 +26,9 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.least_squares import LeastSquares
+from excitant.identify.least_squares import LeastSquares, factorised, with_covariance
 from excitant.identify.physical import PhysicalFit
 from excitant.identify.preprocessing import Segment
-from excitant.identify.regression import Regression
 from excitant.identify.rows import FitRows, identified_robot
 from excitant.robots.effects import KinematicError
 from excitant.robots.motion import Array, freeze
@@ -66,17 +66,25 @@ class LengthErrors:
         model: The identified arm, whose torque J is of.
         base: How base parameters move by one standard deviation of each coordinate, (r, 3 nv).
         full: How all parameters of links and effects do, shape (p, 3 nv).
-        widening: Standard deviations of base parameters with these errors over those without, (r,).
+        by_noise: Covariance of base parameters by noise alone, shape (r, r).
+        residual: What neither parameters nor such lengths explain of the fitted torque, shape
+            (n, nv) [N·m].
     """
 
     std: Array
     model: Robot
     base: Array
     full: Array
-    widening: Array
+    by_noise: Array
+    residual: Array
 
     def __post_init__(self) -> None:
-        freeze(self, "std", "base", "full", "widening")
+        freeze(self, "std", "base", "full", "by_noise", "residual")
+
+    @property
+    def widening(self) -> Array:
+        """Standard deviations of base parameters with these errors over those without, (r,)."""
+        return np.asarray(np.sqrt(1 + (self.base**2).sum(axis=1) / np.diag(self.by_noise)), float)
 
     @property
     def sentence(self) -> str:
@@ -103,7 +111,7 @@ class LengthErrors:
     def widened(self, fit: LeastSquares, physical: PhysicalFit) -> tuple[LeastSquares, PhysicalFit]:
         """Fits with the covariance that counts these errors."""
         return (
-            replace(fit, covariance=fit.covariance + self.base @ self.base.T),
+            replace(fit, covariance=self.by_noise + self.base @ self.base.T),
             replace(physical, covariance=physical.covariance + self.full @ self.full.T),
         )
 
@@ -122,13 +130,21 @@ def length_errors(
     """What errors of lengths, (nv,) [m], do to the estimates of these rows."""
     model = identified_robot(rows.robot, rows.effects, physical.x)
     J = _columns(model, std, rows.data.train)
-    R, RJ = _factor(rows.reduced, J, 1 / fit.sigma)
-    r = rows.reduced.p
-    base = np.asarray(scipy.linalg.solve_triangular(R[:r], RJ[:r]), float)
-    R, RJ = _factor(rows.regression, J, fit.weight)
-    full = physical.covariance @ (R.T @ RJ)
-    widening = np.sqrt(1 + np.sum(base**2, axis=1) / np.diag(fit.covariance))
-    return LengthErrors(std, model, base, full, widening)
+    problem, size = rows.reduced, J.shape[2]
+    wide = problem.with_columns(J, [f"length {k + 1}" for k in range(size)])
+    R, _ = wide.factor(1 / fit.sigma)
+    r = problem.p
+    base = np.asarray(scipy.linalg.solve_triangular(R[:r, :r], R[:r, r:]), float)
+    # what neither parameters nor lengths explain, the latter as far as they may be off
+    R, z = wide.factor(fit.weight)
+    likely = np.vstack([R, np.eye(r + size)[r:]]), np.concatenate([z, np.zeros(size)])
+    residual = wide.residual(np.linalg.lstsq(*likely)[0])
+    noise = with_covariance(factorised(problem, fit.sigma), fit.beta, residual, fit.sigma)
+    wide = rows.regression.with_columns(J, wide.names[r:])
+    p = rows.regression.p
+    R, _ = wide.factor(fit.weight)
+    full = physical.covariance @ (R[:, :p].T @ R[:, p:])
+    return LengthErrors(std, model, base, full, noise.covariance, residual)
 
 
 def _columns(robot: Robot, std: Array, segments: Sequence[Segment]) -> Array:
@@ -137,10 +153,3 @@ def _columns(robot: Robot, std: Array, segments: Sequence[Segment]) -> Array:
         columns = partial(KinematicError((joint,)).columns, robot)
         parts.append(size * np.concatenate([segment.rows(columns) for segment in segments]))
     return np.concatenate(parts, axis=2)
-
-
-def _factor(problem: Regression, J: Array, weight: Array) -> tuple[Array, Array]:
-    """R of [W J] = Q R, rows of joints times weight, in its columns of W and of J."""
-    names = [f"length {k + 1}" for k in range(J.shape[2])]
-    R, _ = problem.with_columns(J, names).factor(weight)
-    return R[:, : problem.p], R[:, problem.p :]
