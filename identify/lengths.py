@@ -11,7 +11,7 @@ model, but its error, and with it that of the torque that it predicts, is
     β̂ − β = A⁻¹ Wᵀ (J δ + ε),   W β̂ − (W β + J δ) = (W A⁻¹ Wᵀ J − J) δ + W A⁻¹ Wᵀ ε,   A = WᵀW,
 
 rows weighted. Integrated over δ, the covariance of β̂ becomes A⁻¹ Wᵀ (Γ + J S Jᵀ) W A⁻¹. Γ is that
-of what the likeliest lengths leave, or their errors would count as noise, too. Every matrix here has
+of what the likeliest lengths leave, or their errors would count as noise, too. All matrices have
 as many columns as there are parameters or lengths, none as many as there are rows.
 """
 
