@@ -393,7 +393,7 @@ def _followed(
         path = random_trajectory(robot, rng, _TEST, _HARMONICS)
     except Infeasible:
         return None
-    known = robot.with_limits(replace(robot.limits, torque=_strength(robot)))
+    known = with_strength(robot)
     models = {"given": robot, "identified": estimate.model}
     later = models | {"extended": diagnosis.extension.model}
     before, after = (
@@ -423,7 +423,7 @@ def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
 
 def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
     known = robot.with_effects([e for e in robot.effects if e.standard])
-    given, strength = nominal_truth(known).drives, _strength(robot)
+    given, strength = nominal_truth(known).drives, with_strength(robot).limits.torque
     _, dq, ddq = (2 * np.abs(x).max(axis=0) for x in typical_motion(robot))  # close to the limits
     per_unit = {"viscous": dq, "rotor": ddq, "offset": rng.choice([-1.0, 1.0], robot.nv)}
     effects = []
@@ -435,10 +435,11 @@ def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
     return effects
 
 
-def _strength(robot: Robot) -> Array:
-    """Torque limits, or what stands in for them where there are none, shape (nv,) [N·m]."""
+def with_strength(robot: Robot) -> Robot:
+    """The robot with a torque limit at each joint: four times typical torque where it has none."""
     limit = robot.limits.torque
-    return np.where(np.isfinite(limit), limit, 4 * typical_torque(robot))
+    strength = np.where(np.isfinite(limit), limit, 4 * typical_torque(robot))
+    return robot.with_limits(replace(robot.limits, torque=strength))
 
 
 def draw_change(robot: Robot, rng: np.random.Generator) -> HiddenEffect:

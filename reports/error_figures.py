@@ -215,7 +215,7 @@ def tracking_figure(joints: Sequence[str], result: Result, series: Series) -> Fi
         )
     caption = (
         "Desired less true position while each model gives the torque, in one and the same loop: "
-        "what a model misses, the loop must make by an error."
+        "torque that a model gets wrong, the loop makes up for by an error of position."
     )
     legend = [Key("line", colour, name) for name, colour in _MODELS.values()]
     return figure(panels, caption, legend)
