@@ -152,8 +152,8 @@ def _closer(result: Result) -> p.Brief:
     for when, model in (("before", "identified"), ("after", "extended")):
         times = [x for row in v.records(result, "tracking", when) if (x := v.real(row, "ratio"))]
         if times:
-            least, most = (v.number(each, 2) for each in (min(times), max(times)))
-            said.append(f"{least} to {most} times less with the {model} model")
+            ends = dict.fromkeys(v.number(each, 2) for each in (min(times), max(times)))
+            said.append(f"{' to '.join(ends)} times less with the {model} model")
     return (("tracking", f"error {', after the change '.join(said)}"),) if said else ()
 
 
