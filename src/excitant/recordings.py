@@ -149,6 +149,11 @@ def identify(
             unloaded = drive.torque(unloaded)
         carried = identification.identify_payload(arm, fit, unloaded=unloaded, effects=named)
         result["payload"] = carried.result()
+    if arm.length_std and (online or link_by_link or load.payload):
+        notes.append(
+            "length_std of the robot counts where all rows are fitted at once: not on-line, link by "
+            "link, or in a payload"
+        )
     result |= said
     published = identification.publication(
         estimate, formats=formats or FORMATS, force=force, faults=proven(said["faults"])

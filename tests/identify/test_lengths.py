@@ -192,12 +192,16 @@ def test_what_is_no_deviation_is_refused(planar: Robot, std: Any, evidence: str)
 
 
 def test_the_command_takes_it_for_all_rows_at_once(
-    here: Path, excitant: Callable[..., Any], run: Recording
+    here: Path, excitant: Callable[..., Any], planar: Robot, run: Recording
 ) -> None:
     columns = {f"{n}{j + 1}": x[:, j] for n, x in run.channels() for j in range(run.nv)}
     pd.DataFrame({"t": run.t} | columns).to_csv("run.csv", index=False)
     done = excitant("identify planar_2r run.csv --length-std 0.005 --json")
     assert done.result["lengths"]["std"] == [STD, STD]
+    Path("robot.yaml").write_text("model: arm.urdf\nlength_std: 0.002\n", "utf-8")
+    Path("arm.urdf").write_text(planar.urdf, "utf-8")
+    done = excitant("identify robot.yaml run.csv --online --json")
+    assert any("length_std of the robot" in note for note in done.result["notes"])
     refused = excitant("identify planar_2r run.csv --length-std 0.005 --online")
     assert (refused.status, refused.err.count("\n")) == (1, 1)
     assert "--length-std" in refused.err
