@@ -151,8 +151,8 @@ def identify(
         result["payload"] = carried.result()
     if arm.length_std and (online or link_by_link or load.payload):
         notes.append(
-            "length_std of the robot counts where all rows are fitted at once: not on-line, link by "
-            "link, or in a payload"
+            "length_std of the robot counts where all rows are fitted at once: not on-line, link "
+            "by link, or in a payload"
         )
     result |= said
     published = identification.publication(
