@@ -1,7 +1,8 @@
 """`rehearse`: a motion tried on a virtual arm, and the parameters recovered from it.
 
 The arm runs the motion, and again at 80 % of the speed as hold-out; its true values must be
-recovered. Then it changes, and the diagnosis of the identified model must name the change.
+recovered. Then it changes, and the diagnosis of the identified model must name the change. Last,
+the arm follows another motion by each of the models, which is what they are for.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ import numpy.typing as npt
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.evidence import Candidate
-from excitant.exceptions import RankDeficient
+from excitant.analysis.tracking import BANDWIDTH_HZ, Tracking, track
+from excitant.design import random_trajectory
+from excitant.exceptions import Infeasible, RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, recording_from_table
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
 from excitant.robots.html_table import html_table
@@ -45,6 +48,8 @@ _SHARE = {"viscous": 0.1, "coulomb": 0.04, "rotor": 0.1, "offset": 0.01}  # of t
 _TOLERANCE = 0.05  # of masses, centres of mass and inertias
 _SLOWER = 0.8  # speed of the hold-out
 _READINGS, _CASES = 6, 300  # noisy recordings of the same run, and intervals to judge, at least
+
+_TEST, _HARMONICS = 3.0, 3  # s, of the motion that is followed last
 
 _OVER = 0.05  # of a limit: an arm that tracks a motion overshoots it a little
 _KNOWN = 0.1  # of a friction coefficient: accuracy required
@@ -240,6 +245,8 @@ class Rehearsal:
         items: Requirements, in order.
         estimate: Identified model; None where the motion leaves parameters undetermined.
         diagnosis: Diagnosis of that model after the change; None without an estimate.
+        tracking: Of a motion that nothing was identified from, before and after the change; None
+            where there is no estimate, or no such motion within the limits.
     """
 
     robot: Robot
@@ -250,6 +257,7 @@ class Rehearsal:
     items: tuple[Item, ...]
     estimate: Estimate | None = None
     diagnosis: Diagnosis | None = None
+    tracking: tuple[Tracking, Tracking] | None = None
 
     @property
     def passed(self) -> bool:
@@ -269,14 +277,29 @@ class Rehearsal:
             "items": [asdict(item) for item in self.items],
             "advice": list(dict.fromkeys(item.advice for item in failed)),
             "effect": self.change.entry(),
+            "tracking": self._tracking(),
             "limit_values": {
                 x: getattr(self.robot.limits, x) for x in ("position", "velocity", "torque")
             },
         }
 
+    def _tracking(self) -> dict[str, Any] | None:
+        if self.tracking is None:
+            return None
+        before, after = (each.entries(self.robot) for each in self.tracking)
+        test = {"duration": _TEST, "harmonics": _HARMONICS, "bandwidth_hz": BANDWIDTH_HZ}
+        return test | {"before": before, "after": after}
+
     def series(self) -> dict[str, Array]:
-        """The run of the motion on the virtual arm: t [s], q, dq, tau in SI units, (n, nv)."""
-        return {name: getattr(self.run, name) for name in ("t", "q", "dq", "tau")}
+        """The run of the motion on the virtual arm: t [s], q, dq, tau in SI units, (n, nv).
+
+        Tracking errors are called ``before_`` or ``after_`` and the model, at ``tracking_t``.
+        """
+        found = {name: getattr(self.run, name) for name in ("t", "q", "dq", "tau")}
+        if self.tracking is not None:
+            before, after = self.tracking
+            found |= {"tracking_t": before.t} | before.series("before") | after.series("after")
+        return found
 
     @property
     def headline(self) -> str:
@@ -348,12 +371,36 @@ def rehearse(
         _recording(later, later.run(p, d, rng), name, rng)
         for name, p, d in (("motion after the change", path, duration), ("slower after it", *slow))
     ]
-    tell(0.8, "diagnosing")
+    tell(0.75, "diagnosing")
     found = diagnose(estimates[0].model, recordings[:1], validate=recordings[1:])
     planted = planted_parameters(arm, standard_effects(robot.joints))
     items += _recovered(situation, estimates, planted)
     items.append(_named(situation, found, change))
-    return Rehearsal(*common, tuple(items), estimates[0], found)
+    tell(0.9, "following another motion by each model")
+    followed = _followed((arm, later), estimates[0], found, rng)
+    return Rehearsal(*common, tuple(items), estimates[0], found, followed)
+
+
+def _followed(
+    arms: tuple[VirtualArm, VirtualArm],
+    estimate: Estimate,
+    diagnosis: Diagnosis,
+    rng: np.random.Generator,
+) -> tuple[Tracking, Tracking] | None:
+    """How arms before and after the change follow a motion by the models there are by then."""
+    robot = estimate.given
+    try:
+        path = random_trajectory(robot, rng, _TEST, _HARMONICS)
+    except Infeasible:
+        return None
+    known = with_strength(robot)
+    models = {"given": robot, "identified": estimate.model}
+    later = models | {"extended": diagnosis.extension.model}
+    before, after = (
+        track(replace(arm, nominal=known), by, path, _TEST, rng)
+        for arm, by in zip(arms, (models, later), strict=True)
+    )
+    return before, after
 
 
 def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -> Recording:
@@ -376,8 +423,7 @@ def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
 
 def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
     known = robot.with_effects([e for e in robot.effects if e.standard])
-    given, limit = nominal_truth(known).drives, robot.limits.torque
-    strength = np.where(np.isfinite(limit), limit, 4 * typical_torque(robot))
+    given, strength = nominal_truth(known).drives, with_strength(robot).limits.torque
     _, dq, ddq = (2 * np.abs(x).max(axis=0) for x in typical_motion(robot))  # close to the limits
     per_unit = {"viscous": dq, "rotor": ddq, "offset": rng.choice([-1.0, 1.0], robot.nv)}
     effects = []
@@ -387,6 +433,13 @@ def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
         usual = _SHARE[drive] * strength / per_unit.get(drive, 1.0)
         effects.append(replace(effect, values=tuple(np.where(own != 0, own, usual).tolist())))
     return effects
+
+
+def with_strength(robot: Robot) -> Robot:
+    """The robot with a torque limit at each joint: four times typical torque where it has none."""
+    limit = robot.limits.torque
+    strength = np.where(np.isfinite(limit), limit, 4 * typical_torque(robot))
+    return robot.with_limits(replace(robot.limits, torque=strength))
 
 
 def draw_change(robot: Robot, rng: np.random.Generator) -> HiddenEffect:

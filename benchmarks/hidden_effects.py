@@ -20,7 +20,7 @@ from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD
-from excitant.robots.plant.arm import Trajectory, simulate
+from excitant.robots.plant.arm import Believed, Trajectory, simulate
 from excitant.robots.plant.physics import Truth
 from excitant.robots.plant.planting import STRUCTURES, HiddenEffect, plant
 from excitant.robots.plant.sensors import Sensors, recorded
@@ -320,7 +320,7 @@ def _torque_at(robot: Robot, truth: Truth, t: Array, q: Array, sensors: Sensors)
     def trajectory(at: Array, order: int = 0) -> Array:
         return np.asarray(path(at, order), dtype=np.float64)
 
-    believed, quiet = (truth.model, truth.drives), np.random.default_rng(0)
+    believed, quiet = Believed(truth.model, truth.drives), np.random.default_rng(0)
     run = simulate(robot, believed, truth, trajectory, float(t[-1]), sensors.rate_hz)
     table = recorded(run, sensors, truth.recorder, truth.drives.offset, quiet)
     return table[[f"tau{j + 1}" for j in range(robot.nv)]].to_numpy(float)

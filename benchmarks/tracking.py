@@ -1,29 +1,115 @@
-"""Whether the identified MJCF follows a recording better than the given one; see README.md."""
+"""How closely arms follow by given and by identified models, and models follow recordings.
+
+See README.md.
+"""
 
 from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from threadpoolctl import threadpool_limits
+from worlds_plant import Plant
 
+from excitant.analysis.rehearsal import changed, rehearse, with_strength
+from excitant.analysis.tracking import track
 from excitant.design import random_trajectory
 from excitant.identify import Estimate, identify_robot, load_dataset, recording_from_table
 from excitant.identify.export import model_files
 from excitant.identify.preprocessing import Segment
 from excitant.robots import Robot, load_robot
-from excitant.robots.virtual_arm import virtual_arm
+from excitant.robots.plant import arm as plant
+from excitant.robots.plant.sensors import Run
+from excitant.robots.virtual_arm import VirtualArm, nominal_truth, virtual_arm
 
 _STEP = 1e-3  # s, of the simulation
+_FINE = 1e-4  # s, under control: damping of the loop is explicit in MuJoCo
+_TEST, _HARMONICS = 5.0, 4  # s, of the motion that is followed
 _PIECE = 3.0  # s, of simulation from a recorded state
 _LOST = 2.0  # rad or m: the model has run away
 _YIELD = 0.2  # rad or m: the loop bears the recorded torque there
 
 Case = tuple[str, Estimate]  # where a recording came from, and its estimate
+
+
+@dataclass(frozen=True, eq=False)
+class MuJoCoArm:
+    """A virtual arm whose bodies, rotors, viscous and dry friction are MuJoCo's."""
+
+    arm: VirtualArm
+
+    @cached_property
+    def model(self) -> Any:
+        """MuJoCo's model of the true arm, which moves without limits."""
+        truth, nominal = self.arm.truth, self.arm.nominal
+        phi = np.concatenate([b.toDynamicParameters() for b in list(truth.model.inertias)[1:]])
+        drives = truth.drives
+        if drives.stribeck.any() or truth.dry or truth.loads or truth.gears or truth.presliding:
+            raise NotImplementedError("effects that MuJoCo does not have")
+        model = Plant(nominal.with_parameters(phi), drives.viscous, drives.coulomb).model
+        model.dof_damping[:], model.dof_frictionloss[:] = drives.viscous, drives.coulomb
+        model.dof_armature[:] = drives.rotor
+        # dry friction as stiff as the step allows; by default it creeps
+        model.dof_solref[:], model.dof_solimp[:, :2] = (2 * _FINE, 1.0), 0.9999
+        model.opt.timestep = _FINE
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        return model
+
+    def follow(
+        self,
+        path: plant.Trajectory,
+        duration: float,
+        torque: Callable[[np.ndarray], np.ndarray],
+        rng: np.random.Generator,
+    ) -> Run:
+        """As `VirtualArm.follow`, by the same controller."""
+        arm, sensors, offset = self.arm, self.arm.sensors, self.arm.truth.drives.offset
+        known = nominal_truth(arm.nominal)
+        believed = plant.Believed(known.model, known.drives, lambda t: torque(t) - offset)
+        noise = plant.ReadingNoise(sensors.position_resolution, sensors.velocity_noise, rng)
+        t = np.arange(0.0, duration + _FINE / 2, _FINE)
+        chunks = np.array_split(t, max(1, len(t) // 2000))
+        data, kept = mujoco.MjData(self.model), []
+        data.qpos[:] = path(t[:1], 0)[0]
+        for chunk in chunks:
+            control = plant.tracking_controller(arm.nominal, believed, path, chunk, noise)
+            for k in range(len(chunk)):
+                tau = control(k, data.qpos, data.qvel)
+                kept.append((data.qpos.copy(), data.qvel.copy(), tau, data.qpos.copy()))
+                data.qfrc_applied[:] = tau
+                mujoco.mj_step(self.model, data)
+        return Run(t, *(np.array(x) for x in zip(*kept, strict=True)))
+
+
+def controlled(name: str, seed: int) -> None:
+    """Tracking errors of a motion by each model, on the plant and in MuJoCo."""
+    robot, rng = load_robot(name), np.random.default_rng(seed)
+    found = rehearse(robot, random_trajectory(robot, rng, 10.0, 5), 10.0, rng)
+    if found.estimate is None or found.diagnosis is None:
+        print(f"\n{name}: the motion leaves parameters open")
+        return
+    path, noise = random_trajectory(robot, rng, _TEST, _HARMONICS), int(rng.integers(2**32))
+    models = {"given": robot, "identified": found.estimate.model}
+    later = models | {"extended": found.diagnosis.extension.model}
+    known = with_strength(robot)
+    print(f"\n{name}, virtual; changes by {found.change.effect} at {found.change.joint}")
+    pairs = (("as identified", found.arm, models), ("changed", None, later))
+    for when, arm, by in pairs:
+        true = replace(arm or changed(found.arm, found.change), nominal=known)
+        for judge, each in (("plant", true), ("MuJoCo", MuJoCoArm(true))):
+            tracked = track(each, by, path, _TEST, np.random.default_rng(noise))
+            for model, rms in zip(tracked.models, tracked.rms, strict=True):
+                joints = " ".join(f"{1e3 * x:7.3f}" for x in rms)
+                print(f"  {when:13s} {judge:6s} {model:10s} rms [mrad] {joints}")
+            joints = " ".join(f"{x:7.1f}" for x in tracked.ratio)
+            print(f"  {when:13s} {judge:6s} {'ratio':10s}            {joints}", flush=True)
 
 
 def simulated(name: str, seed: int) -> Case:
@@ -129,6 +215,7 @@ def main(words: Sequence[str] | None = None) -> None:
     args = parser.parse_args(words)
     with threadpool_limits(1):
         for name in args.robots:
+            controlled(name, args.seed)
             report(simulated(name, args.seed), args.bandwidth)
         for name in args.sets:
             if not (args.data / name).is_dir():

@@ -24,6 +24,7 @@ from excitant.identify.least_squares import (
     essential_parameters,
     weighted_least_squares,
 )
+from excitant.identify.lengths import LengthErrors, length_deviations, length_errors
 from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
 from excitant.identify.prior import decided_by, prior_parameters
 from excitant.identify.recording import Recording
@@ -137,6 +138,7 @@ class Estimate:
         estimator: How the base parameters were estimated, in words.
         knowledge: What was taken for known of the bodies.
         shapes: Shapes of effects, refined where that fits better; None where there are none.
+        lengths: Errors of lengths that are counted; None where lengths are taken to be right.
     """
 
     given: Robot
@@ -153,6 +155,7 @@ class Estimate:
     estimator: str = ESTIMATORS["wls"]
     knowledge: Knowledge = field(default_factory=Knowledge)
     shapes: Shapes | None = None
+    lengths: LengthErrors | None = None
 
     @property
     def gains(self) -> Array:
@@ -208,9 +211,14 @@ class Estimate:
     @cached_property
     def interval(self) -> PredictionInterval:
         """95 % intervals of readings at the rows of the hold-out."""
+        W, fit, lengths = self.holdout_columns, self.least_squares, self.lengths
+        if lengths is not None:
+            W = np.concatenate([W, lengths.columns(self.data.validate)], axis=2)
+            residual, covariance = lengths.residual / self.gains, lengths.of_prediction(fit)
+            return prediction_interval(W, fit, residual, self.gains, covariance)
         predicted = predicted_torque(self.model, self.data.train) / self.gains
         residual = series(self.data.train).measured - predicted
-        return prediction_interval(self.holdout_columns, self.least_squares, residual, self.gains)
+        return prediction_interval(W, fit, residual, self.gains)
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result of `identify`."""
@@ -233,6 +241,7 @@ class Estimate:
             "effects": [effect.name for effect in self.model.effects],
             "cutoff_hz": self.data.cutoff_hz,
             **({} if self.shapes is None else {"shapes": self.shapes.entry()}),
+            **({} if self.lengths is None else {"lengths": self.lengths.entry()}),
             "unit": robot.torque_unit(self.data.unit),
             "holdout": self.data.holdout,
             **({"drive_gain_Nm_per_A": None} if self.drive is None else self.drive.result()),
@@ -395,6 +404,7 @@ def identify_robot(
     estimator: str = "wls",
     knowledge: Knowledge | None = None,
     harmonics_hz: float | None = None,
+    length_std: float | Sequence[float] | None = None,
 ) -> Estimate:
     """Identify a robot from recordings.
 
@@ -413,9 +423,12 @@ def identify_robot(
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
         knowledge: What is known of the bodies beforehand.
         harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
+        length_std: Standard deviation of where each joint sits in its parent link, along x, y and
+            z, one for all joints or one per joint [m]; that of the robot when None.
 
     Raises:
-        BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
+        BadInput: Knowledge that no body fulfils, or of links that the arm does not have; lengths
+            with no standard deviation that can be.
         BadRecording: Recordings that cannot be used.
         BadRobot: A link of negative mass.
         UnknownName: There is no such estimator.
@@ -424,6 +437,7 @@ def identify_robot(
     """
     if estimator not in ESTIMATORS:
         raise UnknownName("estimator", estimator, ESTIMATORS)
+    unsure = length_deviations(robot.length_std if length_std is None else length_std, robot)
     prior, known = prior_parameters(robot), (knowledge or Knowledge()).of(robot)
     warn_of_faults(robot, recordings)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
@@ -440,10 +454,15 @@ def identify_robot(
     if estimator != "wls":
         z = R[:, rows.base.columns] @ fit.beta
     physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
+    lengths = length_errors(rows, fit, physical, unsure) if unsure[1:].any() else None
+    if lengths is not None:
+        fit, physical = lengths.widened(fit, physical)
+        said += (lengths.sentence,)
     if shapes is not None and shapes.better:
         fit, physical = shapes.widened(fit, physical, rows.base)
     found = judged(robot, rows, fit, physical, (*notes, *said))
-    return replace(found, estimator=ESTIMATORS[estimator], knowledge=known, shapes=shapes)
+    found = replace(found, estimator=ESTIMATORS[estimator], knowledge=known)
+    return replace(found, shapes=shapes, lengths=lengths)
 
 
 def judged(
@@ -549,7 +568,8 @@ class PredictionInterval(NamedTuple):
     residuals know it from ν = n / Σ ρ_k² independent samples (Bartlett): quantiles are Student's.
 
     Attributes:
-        parameters: Standard deviation of the predicted torque, shape (n, nv) [torque unit].
+        parameters: Standard deviation of the predicted torque by parameters, and by lengths where
+            these may be off, shape (n, nv) [torque unit].
         noise: Standard deviation of the noise, shape (nv,) [torque unit].
         freedom: Degrees of freedom that the noise is known with, shape (nv,).
     """
@@ -588,16 +608,21 @@ def torque_std(W: Array, covariance: Array) -> Array:
 
 
 def prediction_interval(
-    W: Array, fit: LeastSquares, residual: Array, gains: Array | float = 1.0
+    W: Array,
+    fit: LeastSquares,
+    residual: Array,
+    gains: Array | float = 1.0,
+    covariance: Array | None = None,
 ) -> PredictionInterval:
     """95 % intervals of readings at new rows of the base columns, shape (n, nv, r).
 
-    The residual, measured less predicted at the fitted rows, has shape (m, nv) [torque unit].
+    The residual, measured less predicted at the fitted rows, has shape (m, nv) [torque unit]. The
+    covariance is that of the fit, or of what W has columns of.
     """
     left = 1 - np.minimum(fit.inflation * len(fit.beta) / residual.size, _MOST)
     noise = np.sqrt((residual**2).mean(axis=0) / left)
     freedom = np.array([independent_squares(e) for e in residual.T]) * left
-    parameters = torque_std(W, fit.covariance) / gains
+    parameters = torque_std(W, fit.covariance if covariance is None else covariance) / gains
     return PredictionInterval(parameters, noise, np.maximum(freedom, _FEWEST))
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.arm_figures import space_figure
+from excitant.reports.error_figures import tracking_figure
 from excitant.reports.motion_figures import (
     convergence_figure,
     envelope_of,
@@ -138,10 +139,65 @@ def rehearse_section(result: Result, series: Series) -> p.Section:
             ("What to change", [p.notes(v.words(result, "advice"), p.FAIR, brief="to change")]),
             ("Requirements", [requirements]),
             ("Planted and recovered", [recovered]),
+            ("Tracking by each model", _tracking(result, series)),
             ("Motion of the virtual arm", [motion]),
         ],
-        (("passed" if passed else "failed", headline),),
+        (("passed" if passed else "failed", headline), *_closer(result)),
     )
+
+
+def _closer(result: Result) -> p.Brief:
+    """How much closer the arm follows by the identified model, and by the extended one later."""
+    said = []
+    for when, model in (("before", "identified"), ("after", "extended")):
+        times = [x for row in v.records(result, "tracking", when) if (x := v.real(row, "ratio"))]
+        if times:
+            ends = dict.fromkeys(v.number(each, 2) for each in (min(times), max(times)))
+            said.append(f"{' to '.join(ends)} times less with the {model} model")
+    return (("tracking", f"error {', after the change '.join(said)}"),) if said else ()
+
+
+def _tracking(result: Result, series: Series) -> p.Blocks:
+    found = v.at(result, "tracking")
+    if found is None:
+        return []
+    before, after = (v.records(found, when) for when in ("before", "after"))
+    rows = [{**row, "changed": later} for row, later in zip(before, after, strict=True)]
+
+    def error(*keys: str) -> Callable[[Result], p.Cell]:
+        def cell(row: Result) -> p.Cell:
+            size = v.real(row, *keys)
+            shown = NONE if size is None else v.quantity(1e3 * size, f"m{v.text(row, 'unit')}")
+            return p.Cell(shown, value=size)
+
+        return cell
+
+    def closer(*keys: str) -> Callable[[Result], p.Cell]:
+        def cell(row: Result) -> p.Cell:
+            times = v.real(row, *keys)
+            return _verdict((times or 0.0) > 1, f"{v.number(times)} times", v.number(times))
+
+        return cell
+
+    duration, loop = (v.real(found, key) for key in ("duration", "bandwidth_hz"))
+    table = p.table(
+        rows,
+        [
+            ("name:Joint", "name"),
+            ("number:Model as given, rms", error("rms", "given")),
+            ("number:Identified", error("rms", "identified")),
+            ("number:Closer by", closer("ratio")),
+            ("number:Changed: model as given", error("changed", "rms", "given")),
+            ("number:Identified before", error("changed", "rms", "identified")),
+            ("number:Extended", error("changed", "rms", "extended")),
+            ("number:Closer by", closer("changed", "ratio")),
+        ],
+        f"Tracking error of another, random motion of {v.quantity(duration, 's')} under "
+        "computed-torque feed-forward of each model, on the virtual arm as it was identified and "
+        f"after its change. The position loop is the same for all: {v.quantity(loop, 'Hz')}, "
+        "critically damped, with noisy readings.",
+    )
+    return [tracking_figure(v.joint_names(result), result, series), table]
 
 
 def _met(row: Result) -> bool:

@@ -27,6 +27,16 @@ _SHARE = "rms of residual, share of the measured torque's std"
 # lengths and colours of the pieces of a bar one after the other, and the words behind it
 _Bar = tuple[Sequence[tuple[float, str]], str]
 
+_FOLLOWED = (
+    ("before", "arm as identified", ("given", "identified")),
+    ("after", "after its change", ("given", "identified", "extended")),
+)
+_MODELS = {
+    "given": (_GIVEN, draw.GIVEN),
+    "identified": ("identified", draw.FITTED),
+    "extended": ("extended by the diagnosis", draw.GREEN),
+}
+
 _STEPS = 12  # of the waterfall that are drawn one by one
 _POINTS, _MEDIANS, _CURVE = 2500, 24, 60  # drawn of a finding: points, medians, along the fit
 _WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is drawn
@@ -177,6 +187,38 @@ def _bar_axes(rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: floa
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
     return ax
+
+
+def tracking_figure(joints: Sequence[str], result: Result, series: Series) -> Figure | None:
+    """Tracking error of each joint over time by model, before and after the arm changed."""
+    t, units = series.get("tracking_t"), v.records(result, "tracking", "before")
+    if t is None or len(units) != len(joints):
+        return None
+    panels = []
+    for k, joint in enumerate(joints):
+        both, unit = draw.axes(3.0, (1, 1), top=0.28, space=0.32), f"m{v.text(units[k], 'unit')}"
+        said = []
+        for ax, (when, title, models) in zip(both, _FOLLOWED, strict=True):
+            for model in models:
+                error = _of_rows(series, f"{when}_{model}", k, len(t))
+                if error is None:
+                    continue
+                name, colour = _MODELS[model]
+                draw.draw_curve(ax, t, [], 1e3 * error, color=colour, lw=0.9)
+                rms = 1e3 * float(np.sqrt(np.mean(error**2)))
+                said.append(f"{title}, {name}: rms {v.quantity(rms, unit)}")
+            ax.set_title(title, fontsize=9, loc="left", color="#444444")
+            draw.label_y(ax, f"error [{unit}]")
+        draw.over_time(both[-1], t)
+        panels.append(
+            draw.panel(both[0], f"{joint}: tracking error over time; {'; '.join(said)}", joint)
+        )
+    caption = (
+        "Desired less true position while each model gives the torque, in one and the same loop: "
+        "torque that a model gets wrong, the loop makes up for by an error of position."
+    )
+    legend = [Key("line", colour, name) for name, colour in _MODELS.values()]
+    return figure(panels, caption, legend)
 
 
 def waterfall_figure(result: Result) -> Figure | None:

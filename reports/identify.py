@@ -162,16 +162,19 @@ def _errors(result: Result, unit: str) -> p.Blocks:
 
 
 def _intervals(result: Result, unit: str) -> p.Table | None:
-    key = "validate.interval95"
+    key, by = (
+        "validate.interval95",
+        "parameters and lengths" if "lengths" in result else "parameters",
+    )
     return p.table(
         [r for r in v.records(result, "joints") if v.real(r, *key.split("."), "half_width")],
         [
             ("name:Joint", "name"),
             (f"number:95\u00a0% interval of a reading, ± [{unit}]", f"{key}.half_width"),
-            (f"number:of which by the parameters, ± [{unit}]", f"{key}.half_width_parameters"),
+            (f"number:of which by the {by}, ± [{unit}]", f"{key}.half_width_parameters"),
             ("number:Hold-out inside", f"{key}.coverage", v.percent),
         ],
-        "Interval for a new reading, from the uncertainty of the parameters and coloured noise; "
+        f"Interval for a new reading, from the uncertainty of the {by} and coloured noise; "
         "far less than 95\u00a0% of the hold-out inside means that the model lacks something.",
     )
 

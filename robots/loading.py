@@ -175,12 +175,12 @@ def _from_dh(record: RobotRecord, spec: RobotSpec) -> Robot:
 
 
 def _supplemented(robot: Robot, record: RobotRecord, source: str) -> Robot:
-    """The robot with the limits and effects that a YAML file gives beside its model."""
+    """The robot with limits, effects and uncertain lengths as a YAML file gives them."""
     if record.limits is not None:
         robot = robot.with_limits(merge_limits(robot, record.limits, source))
     if record.effects is not None:
         robot = robot.with_effects(effects_from_entries(record.effects, robot, source))
-    return robot
+    return replace(robot, length_std=record.length_std) if record.length_std else robot
 
 
 def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
@@ -251,4 +251,4 @@ def _kept(whole: Robot, held: Robot) -> Robot:
         joints = tuple(effect.joints[k] for k in kept)
         effects.append(replace(effect, joints=joints).with_values(values[kept]))
     limits = whole.limits.of([whole.joint_index(joint) for joint in held.joints])
-    return held.with_limits(limits).with_effects(effects)
+    return replace(held.with_limits(limits).with_effects(effects), length_std=whole.length_std)

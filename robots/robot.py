@@ -54,6 +54,7 @@ class Robot:
     zeros: tuple[tuple[str, float], ...] = ()  # angles added to the readings of joints [rad]
     packages: tuple[str, ...] = ()  # folders, beside its own, in which its meshes may lie
     described: bool = True  # whether the description states its inertias and friction
+    length_std: float = 0.0  # of each coordinate of each joint's place in its parent link [m]
 
     @cached_property
     def urdf(self) -> str:

@@ -20,7 +20,7 @@ import pinocchio as pin
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, elements, inertia, steiner
-from excitant.robots.plant.arm import Progress, Trajectory, simulate
+from excitant.robots.plant.arm import Believed, Progress, ReadingNoise, Trajectory, simulate
 from excitant.robots.plant.physics import Drives, Truth
 from excitant.robots.plant.planting import HiddenEffect, plant
 from excitant.robots.plant.sensors import Encoder, Recorder, Run, Sensors, recorded
@@ -61,8 +61,42 @@ class VirtualArm:
     ) -> Run:
         """True run of a trajectory; see `record`."""
         nominal, truth = nominal_truth(self.nominal), self.truth.drawn(rng, duration)
-        believed, rate = (nominal.model, nominal.drives), self.sensors.rate_hz
+        believed, rate = Believed(nominal.model, nominal.drives), self.sensors.rate_hz
         return simulate(self.nominal, believed, truth, trajectory, duration, rate, progress)
+
+    def follow(
+        self,
+        trajectory: Trajectory,
+        duration: float,
+        torque: Callable[[Array], Array],
+        rng: np.random.Generator,
+    ) -> Run:
+        """True run under the torque of any model, by noisy readings of the encoders.
+
+        Gains of the controller are those of the nominal arm, whatever the model. Torque is meant as
+        it is recorded: the drives close their loop on the sensor whose offset and gain the record
+        has.
+
+        Args:
+            trajectory: As in `record`.
+            duration: Length of the run [s].
+            torque: What the model says the record would hold at instants of the trajectory, shape
+                (n,) [s], of shape (n, nv) [N·m].
+            rng: Draws noise.
+
+        Raises:
+            BadInput: The trajectory starts in motion or cannot be followed.
+        """
+        nominal, truth = nominal_truth(self.nominal), self.truth.drawn(rng, duration)
+        sensors, gain, offset = self.sensors, truth.recorder.gain, truth.drives.offset
+
+        def given(t: Array) -> Array:
+            return np.asarray(np.linalg.solve(gain, (torque(t) - offset).T).T, float)
+
+        believed = Believed(nominal.model, nominal.drives, given)
+        noise = ReadingNoise(sensors.position_resolution, sensors.velocity_noise, rng)
+        common = self.nominal, believed, truth, trajectory, duration, sensors.rate_hz
+        return simulate(*common, noise=noise)
 
     def record(
         self,

@@ -67,21 +67,59 @@ class Controller:
         return total
 
 
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """The arm that a controller believes in.
+
+    Gains are those of its rigid bodies. The torque of the desired motion is theirs with friction,
+    or that of another model: a function of instants, shape (n,) [s], to torque, (n, nv) [N·m].
+    """
+
+    model: pin.Model  # rotor inertia as armature
+    drives: Drives
+    torque: Callable[[Array], Array] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingNoise:
+    """Noise of what the controller reads, white from step to step."""
+
+    position: float  # width of an even distribution, that of the encoder's step [rad or m]
+    velocity: float  # standard deviation [rad/s or m/s]
+    rng: np.random.Generator
+
+    def of(self, values: Array, width: float, std: float) -> Array:
+        """Values with noise, of any shape."""
+        even = width * self.rng.uniform(-0.5, 0.5, values.shape)
+        return np.asarray(values + even + std * self.rng.standard_normal(values.shape), float)
+
+
 def tracking_controller(
-    robot: Robot, model: pin.Model, drives: Drives, trajectory: Trajectory, t: Array
+    robot: Robot,
+    believed: Believed,
+    trajectory: Trajectory,
+    t: Array,
+    noise: ReadingNoise | None = None,
 ) -> Controller:
-    """Controller that would follow a trajectory exactly if the model were the arm.
+    """Controller that would follow a trajectory exactly if what it believes were the arm.
 
     A joint that moves little inertia still gets the stiffness to bear 5 % of its torque limit
     at 0.01 rad. The controller will be asked at instants t, shape (n,) [s].
     """
     q, dq, ddq = (np.ascontiguousarray(trajectory(t, order), dtype=float) for order in range(3))
-    data, limit = model.createData(), robot.limits.torque
-    feedforward = drives.friction(dq)
+    model, limit = believed.model, robot.limits.torque
+    data = model.createData()
     gain = np.empty((len(t), robot.nv, robot.nv))
     for k in range(len(t)):
-        feedforward[k] += pin.rnea(model, data, q[k], dq[k], ddq[k])
         gain[k] = pin.crba(model, data, q[k])
+    if believed.torque is None:
+        feedforward = believed.drives.friction(dq)
+        for k in range(len(t)):
+            feedforward[k] += pin.rnea(model, data, q[k], dq[k], ddq[k])
+    else:
+        feedforward = believed.torque(t)
+    if noise is not None:  # it acts through what is desired less what is read
+        q, dq = noise.of(q, noise.position, 0.0), noise.of(dq, 0.0, noise.velocity)
     floor = np.where(np.isfinite(limit), 0.05 * limit / 0.01, 0.0) / BANDWIDTH**2
     diagonal = np.einsum("kjj->kj", gain)
     np.maximum(diagonal, floor, out=diagonal)
@@ -90,23 +128,25 @@ def tracking_controller(
 
 def simulate(
     robot: Robot,
-    believed: tuple[pin.Model, Drives],
+    believed: Believed,
     truth: Truth,
     trajectory: Trajectory,
     duration: float,
     rate_hz: float,
     progress: Progress | None = None,
+    noise: ReadingNoise | None = None,
 ) -> Run:
     """Let the true arm follow a trajectory under a controller that believes another one.
 
     Args:
         robot: The arm, for its names and torque limits.
-        believed: Model, rotor inertia as armature, and friction of the controller.
+        believed: What the controller believes.
         truth: The physics of the arm.
         trajectory: Desired motion; starts at rest, where the arm starts too.
         duration: Length of the run [s].
         rate_hz: Rate at which the state is kept, every step where the recorder is late [Hz].
         progress: Called with the fraction done.
+        noise: Of what the controller reads.
 
     Raises:
         BadInput: The trajectory starts in motion, or the arm could not follow it at all.
@@ -132,7 +172,7 @@ def simulate(
     for first in range(0, steps, _CHUNK):
         count = min(_CHUNK, steps - first)
         t = np.minimum((first + np.arange(2 * count + 1) / 2) * h, duration)
-        control = tracking_controller(robot, *believed, trajectory, t)
+        control = tracking_controller(robot, believed, trajectory, t, noise)
         for k in range(count):
             if (first + k) % every == 0:
                 kept.append(arm.seen(state, control, 2 * k))

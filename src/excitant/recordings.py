@@ -69,6 +69,7 @@ def identify(
     estimator: str | None = None,
     trajectory: str | None = None,
     knowledge: str | None = None,
+    length_std: Numbers = None,
     formats: Names = None,
     force: bool = False,
     online: bool = False,
@@ -90,6 +91,9 @@ def identify(
             enough for the torque of its harmonics.
         knowledge: YAML with what is known of the bodies: masses, their sum, where centres of mass
             lie.
+        length_std: Lengths that are assumed, not measured: standard deviation [m] of where joints
+            sit in their links, one for all or one per joint S1,S2,...; default: that of robot.yaml,
+            else 0. It widens what is said of parameters and torque.
         formats: Files of the model beside URDF and model.yaml; default: mjcf,sdf.
         force: Publish the model even if the given one, or none, predicts the hold-out better.
         online: Sample by sample, as in a control loop: estimates over time.
@@ -103,7 +107,8 @@ def identify(
     from excitant.identify.rows import fitted
 
     chosen = effects == ["auto"]
-    whole = {"estimator": estimator, "knowledge": knowledge, "trajectory": trajectory}
+    whole: dict[str, Any] = {"estimator": estimator, "knowledge": knowledge}
+    whole |= {"trajectory": trajectory, "length-std": length_std}
     _refuse_contradictions(load, chosen, online, link_by_link, forgetting, whole)
     UnknownName.refuse("estimator", [estimator] if estimator else (), ESTIMATORS)
     UnknownName.refuse("format", formats or (), FORMATS)
@@ -134,7 +139,7 @@ def identify(
         else:
             known = identification.load_knowledge(knowledge, arm.links) if knowledge else None
             highest = _highest_harmonic(trajectory, arm) if trajectory else None
-            options |= {"knowledge": known, "harmonics_hz": highest}
+            options |= {"knowledge": known, "harmonics_hz": highest, "length_std": length_std}
             found = identification.identify_robot(arm, fit, **options, estimator=estimator or "wls")
     estimate: Estimate = getattr(found, "estimate", found)
     result = found.result()
@@ -144,6 +149,11 @@ def identify(
             unloaded = drive.torque(unloaded)
         carried = identification.identify_payload(arm, fit, unloaded=unloaded, effects=named)
         result["payload"] = carried.result()
+    if arm.length_std and (online or link_by_link or load.payload):
+        notes.append(
+            "length_std of the robot counts where all rows are fitted at once: not on-line, link "
+            "by link, or in a payload"
+        )
     result |= said
     published = identification.publication(
         estimate, formats=formats or FORMATS, force=force, faults=proven(said["faults"])
@@ -156,7 +166,7 @@ def identify(
 
 def _refuse_contradictions(
     load: Load, chosen: bool, online: bool, by_link: bool, forgetting: float | None,
-    whole: dict[str, str | None],
+    whole: dict[str, Any],
 ) -> None:  # fmt: skip
     com, another = load.payload_com, online or by_link
     alone = load.unloaded and not load.payload

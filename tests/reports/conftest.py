@@ -175,7 +175,20 @@ def rehearse_run() -> Run:
     result |= {"items": items, "advice": ["Move wrist_roll_joint faster."]}
     result |= {"effect": {"effect": "payload", "joint": JOINTS[1]}}
     result |= {"limit_values": designed["limit_values"]}
-    return result, {key: series[key] for key in ("t", "q", "dq", "tau")}
+    result |= {"tracking": {"duration": 3.0, "harmonics": 3, "bandwidth_hz": 6.37}}
+    shown = {key: series[key] for key in ("t", "q", "dq", "tau")}
+    shown["tracking_t"] = t = np.linspace(0, 3, 300, endpoint=False)
+    sizes = {"given": 2e-3, "identified": 1e-3, "extended": 1e-4}
+    for when, best in (("before", "identified"), ("after", "extended")):
+        rms = {name: size for name, size in sizes.items() if size >= sizes[best]}
+        ratio = rms["given"] / rms[best]
+        result["tracking"][when] = [
+            {"name": joint, "unit": "rad", "rms": rms, "ratio": ratio} for joint in JOINTS
+        ]
+        for name, size in rms.items():
+            error = size * np.sqrt(2) * np.sin(2 * np.pi * t)
+            shown[f"{when}_{name}"] = np.tile(error[:, None], (1, NV))
+    return result, shown
 
 
 def _holdout(rng: np.random.Generator) -> tuple[np.ndarray, ...]:

@@ -127,9 +127,8 @@ def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter(planar: Robot) -
     nominal = nominal_truth(bare)
     friction = hidden("viscous_friction", Fv=0.6), hidden("coulomb_friction", Fc=0.8)
     step = plant_arm.Arm(plant(nominal, bare.joints, friction), 5e-4)
-    control = plant_arm.tracking_controller(
-        bare, nominal.model, nominal.drives, swing(bare), np.zeros(1)
-    )
+    believed = plant_arm.Believed(nominal.model, nominal.drives)
+    control = plant_arm.tracking_controller(bare, believed, swing(bare), np.zeros(1))
     state = (np.zeros(2), np.array([1.0, -2.0]), np.zeros(2))
     speeds = []
     for _ in range(4000):
