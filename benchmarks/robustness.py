@@ -474,7 +474,7 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
         found = "traceback"
     elif how != signal.SIGKILL and status not in (0, 1, 130):
         found = f"status {status}"
-    elif amid and not (whole or how == signal.SIGKILL and not (RUN - {*amid})):
+    elif amid and not (whole or (how == signal.SIGKILL and not (RUN - {*amid}))):
         found = "half-written"
     elif amid and not fresh and untouched not in (set(), changing):
         found = "mixed"

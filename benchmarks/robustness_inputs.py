@@ -28,7 +28,13 @@ VALUES = (
     "${__import__('os').system('touch ran')}", "${9**9**8}", "$(env HOME)", "/dev/zero",
     '!!python/object/apply:os.system ["touch ran"]', "-9223372036854775809",
 )  # fmt: skip
-PATTERNS = (r"-?\d+\.?\d*(?:e[-+]?\d+)?", r'(?<=")[^"]*(?=")', r"[A-Za-z_]+", r"[^\n]*\n", r"<[^>]*>")
+PATTERNS = (
+    r"-?\d+\.?\d*(?:e[-+]?\d+)?",
+    r'(?<=")[^"]*(?=")',
+    r"[A-Za-z_]+",
+    r"[^\n]*\n",
+    r"<[^>]*>",
+)
 
 
 def damaged_text(rng: Rng, content: bytes) -> bytes:
@@ -302,7 +308,9 @@ def extreme_arm(rng: Rng) -> ExtremeArm:
         link: dict[str, Any] = {"k": k + 1, "p": k, "kind": kinds[k], "axis": axis, "limit": limit}
         link |= {"xyz": "{:.4f} {:.4f} {:.4f}".format(*rng.uniform(-0.3, 0.3, 3))}
         link |= {"mimic": '<mimic joint="j1"/>' if mimic and k == n - 1 else ""}
-        told.append(link | {"rpy": f"{angle} 0 0", "body": "" if k in empty else BODY.format(**body)})
+        told.append(
+            link | {"rpy": f"{angle} 0 0", "body": "" if k in empty else BODY.format(**body)}
+        )
         whole = BODY.format(**(small if k in empty else body))
         kind = kinds[k].replace("continuous", "revolute")  # as many positions as speeds
         true.append(link | {"rpy": f"{ANGLES[angle]!r} 0 0", "body": whole, "kind": kind})

@@ -248,19 +248,22 @@ def saved(save, *args, **kwargs):
 
 
 @pytest.mark.parametrize(
-    ("culprit", "content"),  # None: missing, "cut": its first bytes
+    ("culprit", "content"),  # None: missing
     [
         *(("result.json", c) for c in (None, "cut", b"", b"\xff\xfe\x00", b"[1, 2]", b"{}")),
         *(("result.json", b'{"verb": "check", "x": %s}' % c) for c in ODD),
         *(("series.npz", c) for c in (None, "cut", b"", b"no archive")),
         ("series.npz", saved(np.savez, x=np.array([{}], dtype=object))),
         ("series.npz", saved(np.save, np.zeros(3))),
+        ("series.npz", "torn"),
     ],
 )
 def test_spoilt_run_is_refused_in_one_line(culprit, content, tmp_path):
     save_run(tmp_path, {"verb": "check", "robot": "arm" * 99}, {"t": np.arange(99.0)})
     old = (tmp_path / culprit).read_bytes()
-    (tmp_path / culprit).write_bytes(old[:200] if content == "cut" else content or b"")
+    torn = bytes(b ^ 0xFF if 60 < k < 70 else b for k, b in enumerate(old))  # within packed data
+    spoilt = {"cut": old[:200], "torn": torn}.get(content, content or b"")
+    (tmp_path / culprit).write_bytes(spoilt)
     if content is None:
         (tmp_path / culprit).unlink()
     with pytest.raises(BadInput) as caught:
