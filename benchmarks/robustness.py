@@ -560,6 +560,7 @@ class Worker:
         self.begin()
 
     def begin(self) -> None:
+        """Start the process."""
         context = multiprocessing.get_context("spawn")
         self.pipe, child = context.Pipe()
         self.process = context.Process(target=serve, args=(child, *self.about), daemon=False)
@@ -567,11 +568,13 @@ class Worker:
         child.close()
 
     def give(self, case: int | None) -> None:
+        """Ask for a case; None ends the process."""
         with contextlib.suppress(OSError):
             self.case, self.last, self.since = case or 0, "", self.seconds()
             self.pipe.send(case)
 
     def seconds(self) -> float:
+        """Processor time so far, that of its ended children included [s]."""
         with contextlib.suppress(psutil.Error):
             return sum(psutil.Process(self.process.pid).cpu_times()[:4])
         return 0.0

@@ -269,6 +269,7 @@ class ExtremeArm:
         return pd.DataFrame(np.column_stack([t, noisy, tau]), columns=["t", *columns])
 
     def torque(self, states: tuple[Array, ...]) -> Array:
+        """What the arm needs for a motion."""
         return simulated(self.true, states) + rubbing(states[1], self.friction)
 
 

@@ -137,6 +137,24 @@ def test_a_step_that_fails_leaves_all_as_it_was(failing, count, error, old, tmp_
     assert old or before or not list(tmp_path.rglob(".excitant*"))
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits the size of files")
+def test_a_file_larger_than_the_system_allows_is_named_and_nothing_stays(tmp_path):
+    import resource
+
+    contents, before = {"small": "x", "large": "x" * 2_000_000}, {"small": "old"}
+    files.write_folder(tmp_path / "run", before)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
+    try:
+        for folder in ("run", "new"):
+            with pytest.raises(BadInput, match=rf"{folder}/large: cannot be written: File too la"):
+                files.write_folder(tmp_path / folder, contents)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert {path.name: path.read_text() for path in (tmp_path / "run").iterdir()} == before
+
+
 def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(FULL))
     for write in (
