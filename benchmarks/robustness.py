@@ -569,9 +569,19 @@ class Worker:
 
     def give(self, case: int | None) -> None:
         """Ask for a case; None ends the process."""
+        self.case = case or 0
+        self.heard("")
         with contextlib.suppress(OSError):
-            self.case, self.last, self.since = case or 0, "", self.seconds()
             self.pipe.send(case)
+
+    def heard(self, what: str) -> None:
+        """Note what was answered last, and when."""
+        self.last, self.since, self.at = what, self.seconds(), time.monotonic()
+
+    def hung(self, most: float) -> bool:
+        """Whether the next answer takes too long, by processor time or by the clock."""
+        waited = time.monotonic() - self.at
+        return self.seconds() - self.since > most or waited > 10 * most
 
     def seconds(self) -> float:
         """Processor time so far, that of its ended children included [s]."""
@@ -581,9 +591,10 @@ class Worker:
 
 
 def campaign(
-    part: str, cases: Sequence[int], seed: int, jobs: int, keep: Path | None, corpus: Path
+    part: str, cases: Sequence[int], seed: int, args: argparse.Namespace, corpus: Path
 ) -> list[dict[str, Any]]:
     """All cases of a part, each with its verdict."""
+    jobs, keep = args.jobs, args.keep and args.keep.resolve()
     queue, results = collections.deque(cases), list[dict[str, Any]]()
     workers = [Worker(part, seed, corpus, keep) for _ in range(min(jobs, len(cases)))]
     for worker in workers:
@@ -592,19 +603,22 @@ def campaign(
     def note(worker: Worker, what: str, found: str, said: str, peak: float = 0.0) -> None:
         entry = {"part": part, "case": worker.case, "what": what, "found": found, "said": said}
         results.append(entry | {"peak": peak})
+        if args.output:
+            with args.output.open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps(results[-1]) + "\n")
         if sys.stderr.isatty():
             print(f"\r{part}: {len(results)}, {len(queue)} to go ", end="", file=sys.stderr)
 
     while workers:
         ready = wait([worker.pipe for worker in workers], timeout=5.0)
         for worker in [*workers]:
-            hung = worker.seconds() - worker.since > HANG[part]
+            hung = worker.hung(HANG[part])
             try:
                 if worker.pipe in ready:
                     heard = worker.pipe.recv()
                     if heard is not None:
                         note(worker, *heard)
-                        worker.last, worker.since = heard[0], worker.seconds()
+                        worker.heard(heard[0])
                         continue
                 elif not hung:
                     continue
@@ -666,12 +680,10 @@ def main() -> int:
         for part, count in asked.items():
             begun = time.perf_counter()
             cases = range(1, count + 1) if args.case is None else [args.case]
-            results = campaign(part, cases, seed, args.jobs, args.keep, corpus)
+            results = campaign(part, cases, seed, args, corpus)
             print(*report(part, results), sep="\n")
             print(f"  {(time.perf_counter() - begun) / 60:.1f} min", flush=True)
             every += results
-    if args.output:
-        args.output.write_text("".join(json.dumps(each) + "\n" for each in every))
     return int(any(each["found"] not in GOOD for each in every))
 
 
