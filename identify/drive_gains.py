@@ -167,7 +167,8 @@ def _compared(
     effects = [F[:, j] for j in range(nv)]
     alike = [_stand_in(F_j, Y[:, j] @ phi) for j, F_j in enumerate(effects)]
     if None not in alike:  # as on a gantry without gravity, where rotors are like masses
-        effects = [np.delete(F_j, k, axis=1) for F_j, k in zip(effects, alike, strict=True)]
+        pairs = zip(effects, alike, strict=True)
+        effects = [np.delete(F_j, k, axis=1) for F_j, k in pairs if k is not None]
     parts = [without_effects(F_j, Y[:, j], current[:, j]) for j, F_j in enumerate(effects)]
     Y, current = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
     W, given = Y[:, :, shown], Y @ phi
