@@ -49,6 +49,7 @@ Case = Iterator[tuple[str, str, str]]  # what was tried, its verdict, what was s
 HANG = {"fuzz": 60.0, "arms": 600.0, "limits": 120.0, "kills": 600.0}  # s of processor time
 VERBS = 0.08  # share of commands among the damaged inputs; the others only read
 WRONG, CLAIMED = 0.1, 3.0  # nrmse on an unseen motion, and times the one that was reported
+MEMORY = 2.5  # GB of a process that runs cases; an idle one has 0.34, damaged inputs are small
 ORPHANS = 15.0  # s after which no process of a run that was killed is left
 GOOD = ("result", "refused")
 RUN = {"result.json", "series.npz", "summary.txt", "report.html"}
@@ -601,6 +602,7 @@ def campaign(
         worker.give(queue.popleft())
 
     def note(worker: Worker, what: str, found: str, said: str, peak: float = 0.0) -> None:
+        found = "memory" if found in GOOD and peak > MEMORY else found
         entry = {"part": part, "case": worker.case, "what": what, "found": found, "said": said}
         results.append(entry | {"peak": peak})
         if args.output:
