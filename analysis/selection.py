@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy
 
-from excitant.analysis.candidates import Observed, gather, observed
+from excitant.analysis.candidates import gather, observed
 from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
-from excitant.identify.estimate import identify_robot
+from excitant.exceptions import RankDeficient
+from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import series
@@ -301,26 +303,40 @@ def choose_effects(
     identification; effects that depend on torque take that of the arm identified so far. Progress
     is called with the fraction done and the effects found.
     """
-    standard = effects = standard_effects(robot.joints)
-    bodies = prior_parameters(robot)
-    chosen: list[Candidate] = []
-    train: Observed | None = None
+    standard, bodies = standard_effects(robot.joints), prior_parameters(robot)
+    given: dict[str, Any] = {"validate": recordings, "cutoff_hz": cutoff_hz}
+    estimate, chosen = _determined(robot, recordings, [], given)
+    train = observed(estimate.model, estimate.data.train)
+    tau = series(train.segments).measured * estimate.gains
     for k in range(_ROUNDS):
-        estimate = identify_robot(
-            robot, recordings, validate=recordings, effects=effects, cutoff_hz=cutoff_hz
-        )
-        if train is None:
-            train = observed(estimate.model, estimate.data.train)
-            tau = series(train.segments).measured * estimate.gains
         rows = train.by(estimate.model)
         evidence = gather(train.robot, rows, tau, bodies, chosen, identified=True)
-        _, chosen = select(evidence, train.robot)
-        found = (*standard, *merged(c.effect for c in chosen))
-        progress((k + 1) / _ROUNDS, ", ".join(plain(e.name) for e in found[len(standard) :]))
-        if found == effects:
+        before, (_, found) = _with(standard, chosen), select(evidence, train.robot)
+        added = ", ".join(plain(e.name) for e in _with((), found))
+        progress((k + 1) / _ROUNDS, added)
+        if _with(standard, found) == before:
             break
-        effects = found
-    return effects
+        estimate, chosen = _determined(robot, recordings, found, given)
+    return _with(standard, chosen)
+
+
+def _with(standard: Sequence[Effect], chosen: Sequence[Candidate]) -> tuple[Effect, ...]:
+    return (*standard, *merged(c.effect for c in chosen))
+
+
+def _determined(
+    robot: Robot, recordings: Sequence[Recording], chosen: list[Candidate], given: dict[str, Any]
+) -> tuple[Estimate, list[Candidate]]:
+    """The arm identified with what was chosen, less any that bodies and others can stand for."""
+    try:
+        effects = _with(standard_effects(robot.joints), chosen)
+        return identify_robot(robot, recordings, effects=effects, **given), chosen
+    except RankDeficient as error:
+        if not chosen:
+            raise
+        own = [{p.name for p in c.effect.parameters(robot)} for c in chosen]
+        kept = [c for c, names in zip(chosen, own, strict=True) if names.isdisjoint(error.names)]
+        return _determined(robot, recordings, kept if kept != chosen else chosen[:-1], given)
 
 
 def described(effects: Sequence[Effect]) -> tuple[str, ...]:

@@ -246,14 +246,14 @@ def said_first(finding: dict[str, Any], hidden: Sequence[Hidden], robot: Robot) 
     return finding["effect"] + ("" if there else " elsewhere") + doubt
 
 
-def wilson(hits: Sequence[Any]) -> str:
+def wilson(hits: Sequence[Any], digits: int = 0) -> str:
     """A share with its 95 % interval, in per cent."""
     if not (n := len(hits)):
         return "-"
     p, z = float(np.mean([bool(h) for h in hits])), 1.96
     middle, half = p + z**2 / (2 * n), z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
     low, high = (100 * (middle + s * half) / (1 + z**2 / n) for s in (-1, 1))
-    return f"{100 * p:3.0f} ({abs(low):.0f}-{high:.0f})"
+    return f"{100 * p:3.{digits}f} ({abs(low):.{digits}f}-{high:.{digits}f})"
 
 
 def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:

@@ -3,7 +3,7 @@ from .differentiators import Differentiator, LocalPolynomial, ZeroPhaseButterwor
 from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
-from .export import Publication, model_files, publication
+from .export import Publication, model_files, publication, published
 from .importers.names import ColumnMap, load_column_map
 from .knowledge import Knowledge, load_knowledge
 from .online import (
@@ -64,6 +64,7 @@ __all__ = [
     "model_files",
     "persistency",
     "publication",
+    "published",
     "raw_recording",
     "read_chunks",
     "read_recordings",

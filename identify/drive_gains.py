@@ -164,7 +164,12 @@ def _compared(
     Y: Array, F: Array, current: Array, shown: list[int], phi: Array, spread: Array
 ) -> DriveGains:
     nv = Y.shape[1]
-    parts = [without_effects(F[:, j], Y[:, j], current[:, j]) for j in range(nv)]
+    effects = [F[:, j] for j in range(nv)]
+    alike = [_stand_in(F_j, Y[:, j] @ phi) for j, F_j in enumerate(effects)]
+    if None not in alike:  # as on a gantry without gravity, where rotors are like masses
+        pairs = zip(effects, alike, strict=True)
+        effects = [np.delete(F_j, k, axis=1) for F_j, k in pairs if k is not None]
+    parts = [without_effects(F_j, Y[:, j], current[:, j]) for j, F_j in enumerate(effects)]
     Y, current = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
     W, given = Y[:, :, shown], Y @ phi
     gram = np.einsum("njr,njs->jrs", W, W, optimize=True)
@@ -194,6 +199,14 @@ def _compared(
     unsure = float(np.linalg.norm(pull) / size)
     covariance = contrasts @ apart @ contrasts.T + unsure**2
     return DriveGains(gains * abs(scale), covariance, unsure, True)
+
+
+def _stand_in(F: Array, given: Array) -> int | None:
+    """The largest of the effects that together make all the torque of the given links, if any."""
+    x = np.linalg.lstsq(F, given, rcond=None)[0]
+    if np.linalg.norm(given - F @ x) > _DEPENDENT * np.linalg.norm(given):
+        return None
+    return int(np.argmax(np.abs(x) * np.linalg.norm(F, axis=0)))
 
 
 def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple[Array, Array]:

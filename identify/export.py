@@ -21,7 +21,7 @@ import pinocchio as pin
 import yaml
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify.rows import chance_of_loss
+from excitant.identify.rows import Series, chance_of_loss
 from excitant.robots.effects import effect_entries, plain
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
@@ -321,7 +321,26 @@ def publication(
     """
     gains = estimate.gains if estimate.data.unit == "A" else None
     files = model_files(estimate.model, "identified", "model.yaml", formats, gains)
-    useless, worse, whole = _against(estimate)
+    torques = estimate.holdout, estimate.predicted, estimate.predicted_given
+    return published(files, estimate.given.joints, *torques, force=force, faults=faults)
+
+
+def published(
+    files: Mapping[str, str],
+    joints: Sequence[str],
+    rows: Series,
+    predicted: Array,
+    given: Array,
+    *,
+    force: bool = False,
+    faults: Sequence[str] = (),
+    kind: str = "identified",
+) -> Publication:
+    """The same of any model's files, by its torque and the given model's at the rows of a hold-out.
+
+    Torques have shape (n, nv).
+    """
+    useless, worse, whole = _against(joints, rows, predicted, given)
     why, advice = [*faults], list[str]()
     if faults:
         advice = ["correct the recording, with --repair where it says so"]
@@ -336,7 +355,7 @@ def publication(
     where = [f"worst at {'; '.join(worse)}"] if whole and worse and len(why) == 1 else []
     said = "; ".join([*why, *where])
     if why and not force:
-        note = f"the identified model is not published: {said}; {advice[0]}, or give --force"
+        note = f"the {kind} model is not published: {said}; {advice[0]}, or give --force"
         return Publication({}, False, note)
     note = f"published because it was forced: {said}" if why else ""
     if worse and not why:
@@ -344,25 +363,24 @@ def publication(
     return Publication(files, True, note)
 
 
-def _against(estimate: Estimate) -> tuple[list[str], list[str], str]:
+def _against(
+    joints: Sequence[str], rows: Series, predicted: Array, given: Array
+) -> tuple[list[str], list[str], str]:
     """Joints of no use and joints that got worse, with figures; all joints if these got worse."""
-    found, given, rows = estimate.validate, estimate.baseline, estimate.holdout
-    losses, joints = (
-        rows.losses(estimate.predicted, estimate.predicted_given),
-        estimate.given.joints,
-    )
+    found, before = rows.accuracy(predicted), rows.accuracy(given)
+    losses = rows.losses(predicted, given)
     useless = [
         f"{joint} (r² = {r2:.3g})"
         for joint, r2, judged in zip(joints, found.r2, rows.judged, strict=True)
         if judged and r2 < 0
     ]
     worse = [
-        f"{joint} (nrmse {before:.3g} → {after:.3g})"
-        for j, (joint, before, after) in enumerate(
-            zip(joints, given.nrmse, found.nrmse, strict=True)
+        f"{joint} (nrmse {first:.3g} → {then:.3g})"
+        for j, (joint, first, then) in enumerate(
+            zip(joints, before.nrmse, found.nrmse, strict=True)
         )
         if chance_of_loss(losses[rows.counts[:, j], j]) < _CHANCE / len(joints)
     ]
-    before, after = (float(np.nansum(x.nrmse)) for x in (given, found))
-    whole = f"nrmse summed over the joints {before:.4g} → {after:.4g}"
+    first, then = (float(np.nansum(x.nrmse)) for x in (before, found))
+    whole = f"nrmse summed over the joints {first:.4g} → {then:.4g}"
     return useless, worse, whole if chance_of_loss(losses.sum(axis=1)) < _CHANCE else ""

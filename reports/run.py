@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
@@ -93,10 +92,10 @@ def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
     directory = Path(directory)
     if not directory.is_dir():
         raise BadInput(f"{directory}: no such folder; give the folder that a run was written to")
-    result = _result(directory)
+    result, packed = _result(directory), _content(directory / SERIES)
     try:
-        series = _unpack(_content(directory / SERIES))
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        series = _unpack(packed)
+    except Exception as error:  # damaged archives make their reader raise anything
         raise BadInput(
             f"{directory / SERIES}: not an archive of arrays ({error}); run the command again"
         ) from None

@@ -40,6 +40,7 @@ __all__ = [
 ]
 
 _FRICTION_TOLERANCE = 0.05
+_SHOWS = 4.0  # times the noise of a torque: an effect of this size is seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,16 +278,20 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     At moderate speed the effect makes 8 to 20 % of the joint's typical torque and at least four
     times the noise of `industrial_sensors`. Rotor inertia is drawn only where no inertia of the
     links could pass for it; a payload weighs 7 to 16 % of the arm and hangs at its last link,
-    less if it would load a joint with more than its typical torque.
+    less if it would load a joint with more than its typical torque; one that no joint feels, as on
+    the axis of an arm's only joint, is drawn again.
     """
     kinds = ["viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset"]
     separable = separable_rotors(robot)
     kind = str(rng.choice([*kinds, "payload", *(["rotor_inertia"] if separable else [])]))
     if kind == "payload":
-        return draw_payload(robot, rng)
+        payload = draw_payload(robot, rng)
+        load = _load(robot, np.array([value for _, value in payload.parameters]))
+        felt = load >= _SHOWS * industrial_sensors(robot).torque_noise
+        return payload if felt.any() else draw_hidden_effect(robot, rng)
     joint = str(rng.choice(separable if kind == "rotor_inertia" else robot.joints))
     j = robot.joint_index(joint)
-    floor = 4 * float(industrial_sensors(robot).torque_noise[j])
+    floor = _SHOWS * float(industrial_sensors(robot).torque_noise[j])
     torque = max(float(rng.uniform(0.08, 0.2) * typical_torque(robot)[j]), floor)
     _, dq, ddq = (np.sqrt(np.mean(x[:, j] ** 2)) for x in typical_motion(robot))
     fast = min(float(robot.limits.velocity[j]), 3.0)
@@ -321,8 +326,8 @@ def draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     return HiddenEffect("payload", robot.joints[-1], values)
 
 
-def _bearable(robot: Robot, payload: Array) -> float:
-    """Share of a payload that loads no joint with more than 0.9 of its typical torque."""
+def _load(robot: Robot, payload: Array) -> Array:
+    """Root mean square torque that a payload adds at moderate speeds, shape (nv,) [N·m]."""
     loaded = robot.model.copy()
     phi = loaded.inertias[robot.nv].toDynamicParameters() + payload
     loaded.inertias[robot.nv] = pin.Inertia.FromDynamicParameters(phi)
@@ -331,10 +336,14 @@ def _bearable(robot: Robot, payload: Array) -> float:
         pin.rnea(loaded, other, *x) - pin.rnea(robot.model, one, *x)
         for x in zip(*typical_motion(robot), strict=True)
     ]
-    load = np.sqrt(np.mean(np.square(added), axis=0))
+    return read_only(np.sqrt(np.mean(np.square(added), axis=0)))
+
+
+def _bearable(robot: Robot, payload: Array) -> float:
+    """Share of a payload that loads no joint with more than 0.9 of its typical torque."""
     noise = industrial_sensors(robot).torque_noise
     bearable = 0.9 * np.maximum(typical_torque(robot), 6 * noise)
-    return min(1.0, float((bearable / np.maximum(load, 1e-12)).min()))
+    return min(1.0, float((bearable / np.maximum(_load(robot, payload), 1e-12)).min()))
 
 
 def separable_rotors(robot: Robot) -> list[str]:

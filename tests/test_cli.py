@@ -130,6 +130,34 @@ def test_what_faults_prove_wrong_is_not_published(here: Path, excitant: Any) -> 
     assert (ran.status, "(repaired)" in ran.out) == (0, True)
 
 
+def test_a_dead_torque_is_not_fitted_in_silence(here: Path, excitant: Any) -> None:
+    """It falsifies what all joints share, though a hold-out as dead agrees with it."""
+    rng = np.random.default_rng(0)
+    for name in ("one", "two"):
+        table = pd.read_csv(f"{name}.csv")
+        table["tau2"] = 0.02 * rng.standard_normal(len(table))
+        table.to_csv(f"{name}.csv", index=False)
+    ran = excitant("identify planar_2r one.csv --validate two.csv --json -o out")
+    assert (ran.status, ran.result["published"], ran.result["files"]) == (1, False, [])
+    assert "not published: one: tau of joint2 is only noise" in ran.result["notes"][-1]
+
+
+def test_an_extended_model_of_no_use_is_not_published(here: Path, excitant: Any) -> None:
+    """Of torques that belong to another motion."""
+    one, two = (pd.read_csv(f"{name}.csv") for name in ("one", "two"))
+    one[["tau1", "tau2"]] = two[["tau1", "tau2"]]
+    one.to_csv("mixed.csv", index=False)
+    words = "diagnose planar_2r mixed.csv --no-experiments -o out"
+    ran = excitant(words)
+    assert (ran.status, ran.err) == (0, "")
+    assert "the extended model is not published: it predicts the hold-out worse" in ran.out
+    result = json.loads((here / "out" / "result.json").read_text(encoding="utf-8"))
+    assert (result["published"], result["extended"]["files"]) == (False, [])
+    assert not [*(here / "out").glob("extended.*")]
+    assert excitant(f"{words} --force").status == 0
+    assert {path.suffix for path in (here / "out").glob("extended.*")} >= {".urdf", ".yaml"}
+
+
 def test_a_verb_says_where_its_report_is(here: Path, excitant: Any) -> None:
     ran = excitant("identify planar_2r one.csv --validate two.csv -o out")
     assert (ran.status, ran.err) == (0, "")

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from excitant.identify import identify_robot, load_recording
 from excitant.robots import Robot, load_robot
 
 BODY = (
@@ -113,6 +114,21 @@ def test_every_command(kind: str, here: Path, excitant: Callable[..., Any]) -> N
     causes = found["diagnose"].result["findings"]
     rubbing = {joint for f in causes if "friction" in f["effect"] for joint in f["joints"]}
     assert rubbing == {*robot.joints}
+
+
+def test_currents_where_rotors_are_like_masses_get_gains_of_the_right_size(
+    here: Path,
+) -> None:
+    """On a gantry without gravity, where the joints' gains are hardly told apart."""
+    Path("arm.urdf").write_text(description("two sliding joints"))
+    Path("arm.yaml").write_text("model: arm.urdf\ngravity: [0, 0, 0]\n")
+    robot, gains = load_robot("arm.yaml"), np.array([3.0, 7.0])
+    table, names = recorded(robot, 1), ["t", "q1", "q2", "i1", "i2"]
+    table[:, 3:] /= gains
+    np.savetxt("run.csv", table, delimiter=",", header=",".join(names), comments="")
+    found = identify_robot(robot, [load_recording("run.csv", robot)])
+    assert np.abs(np.log(found.gains / gains)).max() < np.log(3)
+    assert (found.validate.r2 > 0.99).all()
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning", "error::scipy.linalg.LinAlgWarning")

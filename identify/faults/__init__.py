@@ -170,12 +170,21 @@ class Checked:
 
 
 def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Faults of unit, sign or clock that are not repaired, a sentence each; see `Checked`."""
+    """Faults by which every figure is wrong and that are not repaired, a sentence each.
+
+    Of unit, sign or clock, or a torque that is none, which falsifies what all joints share; see
+    `Checked`.
+    """
     return [
         f"{fault['recording']}: {fault['detail']}"
         for fault in entries
-        if fault["fault"] in PROVEN and not fault["repaired"]
+        if not fault["repaired"]
+        and (fault["fault"] in PROVEN or (fault["fault"], _channel(fault)) == NO_TORQUE)
     ]
+
+
+def _channel(fault: Mapping[str, Any]) -> object:
+    return fault["evidence"].get("channel")
 
 
 def read_checked(

@@ -204,6 +204,12 @@ def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
         for name, array in arrays.items()
         if array.dtype.kind in "fiuM" and array.ndim in (1, 2) and array.size
     }
+    for name, array in arrays.items():
+        means = meaning(name)
+        if name not in numbers and array.size > 1 and means.role and not means.words:
+            kind = {"S": "bytes", "U": "text"}.get(array.dtype.kind, str(array.dtype))
+            why = f"holds {kind} instead of numbers; save it as numbers, in rows or columns"
+            raise BadRecording(path, why, column=name)
     if not numbers:
         raise BadRecording(path, "holds no array of numbers; give t, q and tau")
     times = [a for name, a in numbers.items() if meaning(name).role == "t" and 1 in a.shape]

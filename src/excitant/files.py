@@ -154,7 +154,8 @@ def _put_aside(target: Path) -> Iterator[Path]:
             if not isinstance(error, OSError):
                 raise
             why = error.strerror or str(error)
-            what = error.filename if error.errno == errno.ENOSPC else None
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+            what = error.filename if full and prefix not in str(error.filename) else None
             advice = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
             advice = f"{advice} or choose another folder".removeprefix(" or ")
             raise BadInput(f"{what or target}: cannot be written: {why}; {advice}") from error

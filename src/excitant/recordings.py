@@ -294,6 +294,7 @@ def diagnose(
     data: Data = Data(),
     experiments: Annotated[bool, Parameter(negative="--no-experiments")] = True,
     experiment_time: float | None = None,
+    force: bool = False,
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
@@ -303,13 +304,16 @@ def diagnose(
         recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
         experiments: Look for motions that would settle what is undecided.
         experiment_time: End that search after this time [s].
+        force: Publish the extended model even if the given one, or none, predicts the hold-out
+            better.
     """
     import numpy as np
 
     from excitant.analysis import diagnosis
     from excitant.analysis.discrimination import Plan
     from excitant.design import trajectory_csv, trajectory_json
-    from excitant.identify import model_files
+    from excitant.identify import model_files, published
+    from excitant.identify.faults import proven
 
     dataset = part.dataset(robot, data.map)
     fit, held, said, notes = data.read(dataset, recordings)
@@ -321,11 +325,17 @@ def diagnose(
 
         limit = np.inf if experiment_time is None else experiment_time
         plan = planned(found, np.random.default_rng(0), time_limit=limit)
-    files = model_files(found.extension.model, "extended", "extended.yaml")
     for fault in said["faults"]:
         fault["repaired"] |= found.set_up is not None and found.set_up.amends(fault)
+    model = published(
+        model_files(found.extension.model, "extended", "extended.yaml"), found.robot.joints,
+        found.held.series, found.extension.predicted, found.held.simulated,
+        force=force, faults=proven(said["faults"]), kind="extended",
+    )  # fmt: skip
+    files = dict(model.files)
     result = found.result(plan) | said
-    result["notes"] += notes
+    result["published"] = model.published
+    result["notes"] += notes + ([model.note] if model.note else [])
     if experiments and experiment_time is not None:
         result["notes"].append(
             f"experiments: searched for {experiment_time:g} s at most (--experiment-time), so that "
@@ -336,4 +346,4 @@ def diagnose(
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = trajectory_csv(motion)
         files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
-    run.finish(result, found.series(), files, folder)
+    run.finish(result, found.series(), files, folder, first="" if model.published else model.note)

@@ -12,8 +12,11 @@ import pytest
 from known_arms import write_csv
 from planted import Runs, hidden
 
+from excitant.analysis import selection
 from excitant.analysis.candidates import Observed, observed
+from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import choose_effects, described
+from excitant.exceptions import RankDeficient
 from excitant.identify import Recording, identify_robot, load_dataset
 from excitant.identify.estimate import Estimate
 from excitant.identify.regression import regression_of
@@ -69,6 +72,24 @@ def test_a_plain_arm_gets_the_standard_model(planar: Robot, runs: Runs, seed: in
     effects = choose_effects(planar, recorded(runs, planar, 10 + seed))
     assert effects == STANDARD
     assert len(described(effects)) == 1
+
+
+def test_what_the_motion_leaves_undetermined_is_not_chosen(
+    planar: Robot, two: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether the refusal names the effect itself, or only what it leaves undetermined."""
+    first, second = (kinds.Spring((joint,)) for joint in JOINTS)
+    causes = [Candidate(effect, slice(0), np.zeros((0, 0))) for effect in (first, second)]
+    monkeypatch.setattr(selection, "select", lambda evidence, robot: (evidence, causes))
+    for names in ([p.name for p in second.parameters(planar)], ["link2.m"]):
+
+        def refusing(*given: Any, effects: Any, names: list[str] = names, **options: Any) -> Any:
+            if any(e.name == "spring" and "joint2" in e.joints for e in effects):
+                raise RankDeficient(names, "undetermined")
+            return identify_robot(*given, effects=effects, **options)
+
+        monkeypatch.setattr(selection, "identify_robot", refusing)
+        assert choose_effects(planar, two[:1]) == (*STANDARD, first)
 
 
 @pytest.mark.slow

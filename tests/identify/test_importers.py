@@ -304,6 +304,8 @@ def test_npz_and_mat_hold_the_same_recording_or_are_refused(load: Load, tmp_path
         (T, Q[:-1], TAU, "is 299 × 6, but there are 300 samples"),
         (T, np.array([{}], dtype=object), TAU, "cannot be read"),
         (T[:6], Q[:6], TAU[:6], "rows or columns could be samples"),
+        (T.astype(bytes), Q, TAU, "column 't': holds bytes instead of numbers"),
+        (T, Q.astype(str), TAU, "column 'q': holds text instead of numbers"),
     ):
         np.savez(tmp_path / "a.npz", t=t, q=q, tau=tau)
         with pytest.raises(BadRecording, match=why):

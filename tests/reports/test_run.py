@@ -137,6 +137,24 @@ def test_a_step_that_fails_leaves_all_as_it_was(failing, count, error, old, tmp_
     assert old or before or not list(tmp_path.rglob(".excitant*"))
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits the size of files")
+def test_a_file_larger_than_the_system_allows_is_named_and_nothing_stays(tmp_path):
+    import resource
+
+    contents, before = {"small": "x", "large": "x" * 2_000_000}, {"small": "old"}
+    files.write_folder(tmp_path / "run", before)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
+    try:
+        for folder in ("run", "new"):
+            with pytest.raises(BadInput, match=rf"{folder}/large: cannot be written: File too la"):
+                files.write_folder(tmp_path / folder, contents)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert {path.name: path.read_text() for path in (tmp_path / "run").iterdir()} == before
+
+
 def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(FULL))
     for write in (
@@ -248,19 +266,22 @@ def saved(save, *args, **kwargs):
 
 
 @pytest.mark.parametrize(
-    ("culprit", "content"),  # None: missing, "cut": its first bytes
+    ("culprit", "content"),  # None: missing
     [
         *(("result.json", c) for c in (None, "cut", b"", b"\xff\xfe\x00", b"[1, 2]", b"{}")),
         *(("result.json", b'{"verb": "check", "x": %s}' % c) for c in ODD),
         *(("series.npz", c) for c in (None, "cut", b"", b"no archive")),
         ("series.npz", saved(np.savez, x=np.array([{}], dtype=object))),
         ("series.npz", saved(np.save, np.zeros(3))),
+        ("series.npz", "torn"),
     ],
 )
 def test_spoilt_run_is_refused_in_one_line(culprit, content, tmp_path):
     save_run(tmp_path, {"verb": "check", "robot": "arm" * 99}, {"t": np.arange(99.0)})
     old = (tmp_path / culprit).read_bytes()
-    (tmp_path / culprit).write_bytes(old[:200] if content == "cut" else content or b"")
+    torn = bytes(b ^ 0xFF if 60 < k < 70 else b for k, b in enumerate(old))  # within packed data
+    spoilt = {"cut": old[:200], "torn": torn}.get(content, content or b"")
+    (tmp_path / culprit).write_bytes(spoilt)
     if content is None:
         (tmp_path / culprit).unlink()
     with pytest.raises(BadInput) as caught:

@@ -33,12 +33,14 @@ from excitant.robots.parameters import violations
 from excitant.robots.plant import arm as plant_arm
 from excitant.robots.plant.physics import Gear
 from excitant.robots.plant.planting import KINDS, parameters_of, plant
+from excitant.robots.urdf import robot_from_urdf
 from excitant.robots.virtual_arm import (
     HiddenEffect,
     Sensors,
     draw_hidden_effect,
     industrial_sensors,
     nominal_truth,
+    typical_motion,
     typical_torque,
     virtual_arm,
 )
@@ -411,6 +413,26 @@ def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
     counts = [len(base_parameters(planar, [RotorInertia((joint,))])) for joint in planar.joints]
     assert counts == [rigid := len(base_parameters(planar)), rigid + 1]
     assert {e.joint for e in drawn if e.effect == "rotor_inertia"} == {planar.joints[1]}
+
+
+def test_a_payload_on_the_axis_of_the_only_joint_is_drawn_again() -> None:
+    """No joint would feel it, and nobody could find it."""
+    arm = robot_from_urdf(
+        """<robot name="arm"><link name="base"/><link name="bar"><inertial>
+        <origin xyz="0.05 0.02 0.1"/><mass value="3"/><inertia ixx="0.02" iyy="0.02" izz="0.02"
+        ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" type="revolute">
+        <parent link="base"/><child link="bar"/><axis xyz="0 1 0"/>
+        <limit lower="-2" upper="2" velocity="2" effort="300"/></joint></robot>""",
+        "arm",
+    )
+    drawn = [draw_hidden_effect(arm, np.random.default_rng(seed)) for seed in range(40)]
+    payloads = [np.array([x for _, x in e.parameters]) for e in drawn if e.effect == "payload"]
+    data, states = arm.model.createData(), [*zip(*typical_motion(arm), strict=True)]
+    for payload in payloads:
+        model = arm.model.copy()
+        model.inertias[1] = pin.Inertia.FromDynamicParameters(payload)
+        load = [pin.rnea(model, data, *state) for state in states]
+        assert np.sqrt(np.mean(np.square(load))) >= 4 * industrial_sensors(arm).torque_noise
 
 
 def test_recording_has_the_columns_rate_and_noise_of_its_sensors(planar: Robot) -> None:

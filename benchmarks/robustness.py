@@ -1,0 +1,693 @@
+"""Damaged inputs, extreme arms, limits and kills against what is promised; see README.md."""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import json
+import multiprocessing
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import psutil
+import yaml
+from robustness_inputs import (
+    ExtremeArm,
+    damaged_bytes,
+    damaged_table,
+    damaged_text,
+    extreme_arm,
+    heavier,
+    motion,
+    rubbing,
+    simulated,
+    write_corpus,
+)
+from worlds import wilson
+
+Rng = np.random.Generator
+Array = np.ndarray
+Case = Iterator[tuple[str, str, str]]  # what was tried, its verdict, what was said
+
+HANG = {"fuzz": 60.0, "arms": 600.0, "limits": 120.0, "kills": 600.0}  # s of processor time
+VERBS = 0.08  # share of commands among the damaged inputs; the others only read
+WRONG, CLAIMED = 0.1, 3.0  # nrmse on an unseen motion, and times the one that was reported
+MEMORY = 2.5  # GB of a process that runs cases; an idle one has 0.34, damaged inputs are small
+ORPHANS = 15.0  # s after which no process of a run that was killed is left
+GOOD = ("result", "refused")
+RUN = {"result.json", "series.npz", "summary.txt", "report.html"}
+
+
+# One command, and what is promised of it
+
+
+def command(words: str) -> tuple[int | str, str, str]:
+    """Status (or traceback) of a command run in this process, and what it and its libraries say."""
+    from excitant.cli import main
+
+    for stream in (1, 2):
+        os.ftruncate(stream, 0)
+        os.lseek(stream, 0, os.SEEK_SET)
+    status: int | str
+    try:
+        status = main(words.split())
+    except SystemExit as end:
+        status = int(end.code or 0)
+    except Exception:
+        status = traceback.format_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    out, err = (Path(f"/proc/self/fd/{stream}").read_text(errors="replace") for stream in (1, 2))
+    return status, out, err
+
+
+def verdict(status: int | str, err: str, folder: Path | None) -> str:
+    """Result or refusal in one line, with the folder whole or absent; else what is broken."""
+    lines = err.splitlines()
+    if isinstance(status, str) or "Traceback" in err or "a bug (" in err:
+        return "traceback"
+    if "Warning" in err:
+        return "warning on the terminal"
+    refusals = [line for line in lines if line.startswith("excitant: ")]
+    if status == 1 and len(refusals) > 1:
+        return "several lines"
+    if status not in (0, 1, 2):
+        return f"status {status}"
+    if folder is not None and (broken := half_written(folder)):
+        return broken
+    if folder is not None and status == 0 and not folder.exists():
+        return "nothing written"
+    return "refused" if status else "result"
+
+
+def half_written(folder: Path) -> str:
+    """What is wrong with the folder of a run; empty where it is whole or was never made."""
+    if any(folder.parent.glob(".excitant-*")):
+        return "staging left"
+    if not folder.exists():
+        return ""
+    try:
+        files = json.loads((folder / "result.json").read_text())["files"]
+    except (OSError, ValueError, KeyError):
+        return "half-written"
+    whole = RUN | {Path(file).name for file in files} <= {path.name for path in folder.iterdir()}
+    return "" if whole else "half-written"
+
+
+def off(robot: Any, states: tuple[Array, ...], truth: Array) -> Array:
+    """Error of a model's torque relative to the standard deviation of the true one, per joint."""
+    from excitant.robots import Motion, torque
+
+    found = torque(robot, Motion(np.arange(len(truth), dtype=float), *states))
+    spread = np.maximum(truth.std(axis=0), 1e-3 * truth.std(axis=0).max())
+    return np.sqrt(np.mean((found - truth) ** 2, axis=0)) / spread
+
+
+def wrong_model(folder: Path, states: tuple[Array, ...], truth: Array) -> str:
+    """How wrong a published model is on a motion that it never saw, if nothing was said of it."""
+    from excitant.robots import load_robot
+
+    result = json.loads((folder / "result.json").read_text())
+    if not result["published"] or result["faults"] or result["notes"]:
+        return ""
+    error = off(load_robot(folder / "model.yaml"), states, truth)
+    claimed = np.array([j["validate"]["nrmse"] or 0.0 for j in result["joints"]])
+    bad = error > np.maximum(WRONG, CLAIMED * claimed)
+    names = [j["name"] for j in result["joints"]]
+    return "; ".join(
+        f"{name}: {e:.2f} where {c:.2f} was claimed"
+        for name, e, c, b in zip(names, error, claimed, bad, strict=True)
+        if b
+    )
+
+
+# Damaged inputs
+
+
+def _recording(name: str) -> Callable[[Path], object]:
+    def read(folder: Path) -> object:
+        from excitant.identify import load_recording
+        from excitant.robots import load_robot
+
+        return load_recording(folder / name, load_robot("planar_2r"))
+
+    return read
+
+
+def _mapped(folder: Path) -> object:
+    from excitant.identify import load_column_map, load_recording
+    from excitant.robots import load_robot
+
+    columns = load_column_map(folder / "columns.yaml")
+    return load_recording(folder / "ms.csv", load_robot("planar_2r"), mapping=columns)
+
+
+def _robot(name: str, tip: str | None = None) -> Callable[[Path], object]:
+    def read(folder: Path) -> object:
+        from excitant.robots import load_robot
+
+        return load_robot(folder / name, tip=tip)
+
+    return read
+
+
+def _beside_arm(module: str, function: str, name: str) -> Callable[[Path], object]:
+    def read(folder: Path) -> object:
+        from importlib import import_module
+
+        from excitant.robots import load_robot
+
+        arm = load_robot("planar_2r")
+        more = {"load_obstacles": (), "load_knowledge": (arm.links,)}.get(function, (arm,))
+        return getattr(import_module(module), function)(folder / name, *more)
+
+    return read
+
+
+def _dataset(folder: Path) -> object:
+    from excitant.identify import load_dataset
+
+    return load_dataset(folder / "set").recordings(["run1.csv"])
+
+
+def _saved(folder: Path) -> object:
+    from excitant.reports import load_run, page_of
+
+    return page_of(*load_run(folder / "model"))
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    **{name: _recording(name) for name in ("log.csv", "log.parquet", "log.npz", "log.mat")},
+    **{name: _recording(name) for name in ("log.bag", "ros/ros.mcap", "sql/sql.db3")},
+    **{name: _robot(name) for name in ("planar.urdf", "arm.yaml", "model/model.yaml")},
+    **{name: _robot(name) for name in ("data/gantry.urdf", "data/tree.urdf", "data/full.xml")},
+    **{name: _robot(name) for name in ("data/slider.yaml", "data/slider.xml", "data/drill.yaml")},
+    "data/twins.urdf": _robot("data/twins.urdf", tip="left_hand"),
+    "data/gripper.xml": _robot("data/gripper.xml", tip="left"),
+    "data/pan_tilt.urdf.xacro": _robot("data/pan_tilt.urdf.xacro"),
+    "data/bars/arm/bars.urdf.xacro": _robot("data/bars/arm/bars.urdf.xacro"),
+    "data/bars/parts/links.xacro": _robot("data/bars/arm/bars.urdf.xacro"),
+    "columns.yaml": _mapped,
+    "ms.csv": _mapped,
+    "limits.yaml": _beside_arm("excitant.robots", "load_limits", "limits.yaml"),
+    "cell.yaml": _beside_arm("excitant.robots.geometry", "load_obstacles", "cell.yaml"),
+    "known.yaml": _beside_arm("excitant.identify", "load_knowledge", "known.yaml"),
+    "trajectory.csv": _beside_arm("excitant.design", "load_trajectory", "trajectory.csv"),
+    "trajectory.json": _beside_arm("excitant.design", "load_trajectory", "trajectory.json"),
+    "set/dataset.json": _dataset,
+    "model/result.json": _saved,
+    "model/series.npz": _saved,
+}  # fmt: skip
+"""Files, and what reads them."""
+
+_RUNS, _MOVE = "planar_2r run1.csv --validate run2.csv", "planar_2r trajectory.json"
+_SEARCH = "--harmonics 2 --duration 4 --starts 1 --jobs 1 --time-limit 1"
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "robots arm.yaml": ("planar.urdf", "arm.yaml"),
+    f"design arm.yaml {_SEARCH} --limits limits.yaml": ("planar.urdf", "arm.yaml", "limits.yaml"),
+    f"design planar_2r {_SEARCH} --obstacles cell.yaml": ("cell.yaml",),
+    "check planar_2r trajectory.csv --limits limits.yaml": ("trajectory.csv", "limits.yaml"),
+    f"check {_MOVE}": ("trajectory.json",),
+    f"simulate {_MOVE}": ("trajectory.json",),
+    "analyze arm.yaml --trajectory trajectory.csv": ("planar.urdf", "trajectory.csv"),
+    "analyze planar_2r --recording run1.csv": ("run1.csv",),
+    f"identify {_RUNS}": ("run1.csv", "run2.csv"),
+    f"identify {_RUNS} --knowledge known.yaml": ("known.yaml",),
+    "identify set": ("set/run1.csv", "set/dataset.json"),
+    "identify planar_2r run1.csv": ("run1.csv",),
+    "identify arm.yaml run1.csv --validate run2.csv": ("planar.urdf", "arm.yaml"),
+    "diagnose planar_2r run1.csv --no-experiments": ("run1.csv",),
+    f"rehearse {_MOVE}": ("trajectory.json",),
+    "report model": ("model/result.json", "model/series.npz"),
+}
+"""Commands, and the files of them that are damaged."""
+
+
+def fuzz(rng: Rng, folder: Path, corpus: Path) -> Case:
+    """A file is damaged and read, or given to a command."""
+    shutil.copytree(corpus, folder, dirs_exist_ok=True)
+    line = str(rng.choice([*COMMANDS])) if rng.random() < VERBS else ""
+    name = str(rng.choice([*(COMMANDS[line] if line else READERS)]))
+    kind = damage(rng, folder / name)
+    before = {*folder.rglob("*")}
+    what = f"{line or 'read'}: {name} {kind}"
+    if line:
+        out = "out.csv" if line.startswith("simulate") else "out"
+        status, _, err = command(line if line == "report model" else f"{line} -o {out}")
+        found = verdict(status, err, None if out == "out.csv" else folder / "out")
+        said = status if isinstance(status, str) else err
+        recorded = line.startswith("identify") and name.endswith(".csv")
+        if recorded and found == "result" and (wrong := _wrong_planar(rng, folder / "out")):
+            found, said = "wrong in silence", wrong
+    else:
+        found, said = attempt(READERS[name], folder)
+    new = {path.name for path in {*folder.rglob("*")} - before if "out" not in str(path)}
+    if "ran" in new:
+        found = "code was run"
+    elif found in GOOD and new and line != "report model":
+        found, said = "stray files", " ".join(sorted(new))
+    yield what, found, said
+
+
+def damage(rng: Rng, path: Path) -> str:
+    """Damage a file as its kind can be damaged; how, in a word."""
+    content = path.read_bytes()
+    if path.name.startswith("run") and rng.random() < 0.8:
+        words, table = damaged_table(rng, pd.read_csv(path))
+        table.to_csv(path, index=False)
+        return words
+    binary = b"\0" in content or rng.random() < 0.1
+    path.write_bytes((damaged_bytes if binary else damaged_text)(rng, content))
+    return "bytes" if binary else "words"
+
+
+def attempt(read: Callable[[Path], object], folder: Path) -> tuple[str, str]:
+    """Whether a reader gives a result or refuses in one line, without another word."""
+    from excitant.exceptions import ExcitantError, FaultWarning
+
+    os.ftruncate(2, 0)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", FaultWarning)
+            read(folder)
+    except ExcitantError as error:
+        return ("several lines" if "\n" in str(error) else "refused"), str(error)
+    except Exception:
+        return "traceback", traceback.format_exc()
+    sys.stderr.flush()
+    noise = Path("/proc/self/fd/2").read_text(errors="replace")
+    return ("noise of a library", noise) if noise else ("result", "")
+
+
+def _wrong_planar(rng: Rng, folder: Path) -> str:
+    from excitant.robots import load_robot
+
+    model = pin.buildModelFromXML(load_robot("planar_2r").urdf)
+    states = motion(rng, np.arange(0, 8, 0.01), np.ones(2))
+    truth = simulated(heavier(model, 1.08), states) + rubbing(states[1], np.array([2.0, 1.0]))
+    return wrong_model(folder, states, truth)
+
+
+# Extreme arms
+
+
+def arms(rng: Rng, folder: Path, _: Path) -> Case:
+    """Every verb on one extreme arm."""
+    arm = extreme_arm(rng)
+    for name, text in arm.files.items():
+        (folder / name).write_text(text)
+    for name in ("run1", "run2"):
+        arm.table(rng).to_csv(folder / f"{name}.csv", index=False)
+    search = "--harmonics 3 --duration 6 --starts 1 --jobs 1 --time-limit 4 --ignore-collisions"
+    move, runs = "arm.yaml design/trajectory.json", "arm.yaml run1.csv --validate run2.csv"
+    lines = {
+        "robots": "robots arm.yaml",
+        "analyze": "analyze arm.yaml",
+        "design": f"design arm.yaml {search}",
+        "check": f"check {move} --ignore-collisions",
+        "simulate": f"simulate {move} -o simulated.csv",
+        "identify": f"identify {runs}",
+        "auto": f"identify {runs} --effects auto",
+        "diagnose": f"diagnose {runs} --no-experiments",
+        "rehearse": f"rehearse {move}",
+        "report": "report identify",
+    }
+    for verb, line in lines.items():
+        needs = {"check": "design", "simulate": "design", "rehearse": "design"}.get(verb, "")
+        needs = "identify" if verb == "report" else needs
+        if needs and not (folder / needs).exists():
+            continue
+        own = verb not in ("simulate", "report")
+        status, _out, err = command(f"{line} -o {verb}" if own else line)
+        found = verdict(status, err, folder / verb if own else None)
+        said = status if isinstance(status, str) else err
+        if found == "refused" and verb in ("check", "rehearse") and (folder / verb).exists():
+            found = "result"  # it was not passed
+        if found == "result" and (wrong := _wrong_of_arm(rng, arm, folder, verb)):
+            found, said = "wrong in silence", wrong
+        yield f"{verb}: {arm.words}", found, said
+
+
+def _wrong_of_arm(rng: Rng, arm: ExtremeArm, folder: Path, verb: str) -> str:
+    if verb in ("identify", "auto"):
+        states = motion(rng, np.arange(0, 10, 0.02), arm.scale)
+        return wrong_model(folder / verb, states, arm.torque(states))
+    if verb == "diagnose":
+        findings = json.loads((folder / verb / "result.json").read_text())["findings"]
+        true = {"friction", "inertial_parameters", "payload", "rotor_inertia"}
+        names = {f["effect"] for f in findings if f["verdict"] == "named"}
+        wrong = sorted(n for n in names - true if not n.endswith("_friction"))
+        return f"{', '.join(wrong)} named, which is not there" if wrong else ""
+    return ""
+
+
+# Limits
+
+
+BUILT_IN = ("planar_2r", "ur10", "panda", "puma560", "scara")
+
+
+def limits(rng: Rng, folder: Path, _: Path) -> Case:
+    """A design within drawn limits, judged at 10 kHz by its file, differences and Pinocchio."""
+    from excitant.robots import load_robot
+
+    arm = load_robot(name := str(rng.choice(BUILT_IN)))
+    low, high = np.clip(arm.limits.position, -3, 3).T
+    middle, half = (low + high) / 2, (high - low) / 2 * rng.uniform(0.05, 1, arm.nv)
+    middle = middle + (((high - low) / 2) - half) * rng.uniform(-1, 1, arm.nv)
+    speed = np.minimum(arm.limits.velocity, 4.0) * 10 ** rng.uniform(-1.5, 0, arm.nv)
+    given: dict[str, Array] = {
+        "position": np.column_stack([middle - half, middle + half]),
+        "velocity": speed,
+        "acceleration": speed * 10 ** rng.uniform(0, 1.3, arm.nv),
+    }
+    if rng.random() < 0.4:
+        given["jerk"] = given["acceleration"] * 10 ** rng.uniform(0.3, 1.5, arm.nv)
+    if rng.random() < 0.6:
+        given["torque"] = np.minimum(arm.limits.torque, 1e3) * rng.uniform(0.2, 1, arm.nv)
+    file = {quantity: value.tolist() for quantity, value in given.items()}
+    (folder / "limits.yaml").write_text(yaml.safe_dump(file))
+    series = str(rng.choice(["fourier", "spline"], p=[0.8, 0.2]))
+    harmonics, duration = int(rng.integers(2, 6)), int(rng.integers(4, 13))
+    line = (
+        f"design {name} --limits limits.yaml --series {series} --harmonics {harmonics} --rate 10000"
+        f" --duration {duration} --starts 1 --jobs 1 --time-limit 3 --ignore-collisions --use 1"
+    )
+    status, _out, err = command(f"{line} -o out")
+    found = verdict(status, err, folder / "out")
+    said = status if isinstance(status, str) else err
+    if found == "result":
+        beyond = violations(arm, given, folder / "out" / "trajectory.csv")
+        found, said = ("limit violated", beyond) if beyond else ("result", "")
+    yield f"{line}: {', '.join(given)}", found, said
+
+
+def violations(arm: Any, given: dict[str, Array], file: Path) -> str:
+    """Limits that the samples of a trajectory exceed, derivatives by differences too."""
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    t, (q, dq, ddq) = table[:, 0], np.split(table[:, 1:], 3, axis=1)
+    step = t[1] - t[0]
+    rnea = simulated(arm.model, (q, dq, ddq))
+    from excitant.robots import Motion
+
+    tau = rnea + sum(e.torque(arm, Motion(t, q, dq, ddq)) for e in arm.effects)
+    low, high = given["position"].T
+    used = {
+        "position": np.abs(q - (low + high) / 2) / ((high - low) / 2),
+        "velocity": np.abs(dq) / given["velocity"],
+        "velocity of positions": np.abs(np.diff(q, axis=0)) / step / given["velocity"],
+        "acceleration": np.abs(ddq) / given["acceleration"],
+        "acceleration of speeds": np.abs(np.diff(dq, axis=0)) / step / given["acceleration"],
+        "torque": np.abs(tau) / given.get("torque", arm.limits.torque),
+    }
+    if "jerk" in given:
+        used["jerk"] = np.abs(np.diff(ddq, axis=0)) / step / given["jerk"]
+    rounding = 1e-6  # of a difference of two numbers in a file
+    worst = {name: float(use.max()) for name, use in used.items()}
+    return "; ".join(f"{name} {use:.8f}" for name, use in worst.items() if use > 1 + rounding)
+
+
+# Kills
+
+_MADE = "planar_2r --harmonics 3 --duration 6 --starts 4 --jobs 2"
+KILLED = {  # the command, and what makes an old run and a new one of it
+    "robots": ("robots planar_2r", "--mass 8", "--mass 9"),
+    "design": (f"design {_MADE}", "--seed 1", "--seed 2"),
+    "check": ("check planar_2r", "trajectory.json", "trajectory.csv"),
+    "simulate": (f"simulate {_MOVE}", "--seed 1", "--seed 2"),
+    "analyze": ("analyze planar_2r", "", "--trajectory trajectory.csv"),
+    "identify": (f"identify {_RUNS}", "--cutoff 8", "--cutoff 9"),
+    "diagnose": (f"diagnose {_RUNS} --no-experiments", "--cutoff 8", "--cutoff 9"),
+    "rehearse": (f"rehearse {_MOVE}", "--seed 1", "--seed 2"),
+    "report": ("report", "model set/model", "set/model model"),
+    "demo": ("demo --robot planar_2r", "--seed 1", "--seed 2"),
+}
+
+
+def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
+    """A command is ended at a random moment, over an old run or none, and then run again."""
+    shutil.copytree(corpus, folder, dirs_exist_ok=True)
+    shutil.copytree(folder / "model", folder / "set" / "model")
+    verb = verb or str(rng.choice([*KILLED]))
+    line, old, new = KILLED[verb]
+    out = folder / "out"
+    into = "-o out/run.csv" if verb == "simulate" else "-o out"
+    begun = time.monotonic()
+    status, err, _ = ended(f"{line} {old} {into}", folder)
+    took = time.monotonic() - begun
+    before = contents(out)
+    if not before:
+        yield f"{verb}: before", "nothing written", f"status {status}: {err}"
+        return
+    if fresh := rng.random() < 0.5:
+        shutil.rmtree(out)
+    how = signal.Signals(rng.choice([signal.SIGKILL, signal.SIGINT, signal.SIGTERM]))
+    after = float(rng.uniform(0, 1.05 * took))
+    status, err, orphans = ended(f"{line} {new} {into}", folder, how, after)
+    amid, whole = contents(out), verb == "simulate" or not half_written(out)
+    status_again, err_again, _ = ended(f"{line} {new} {into}", folder)
+    again = contents(out)
+    changing = {name for name in {*before, *again} if before.get(name) != again.get(name)}
+    untouched = {name for name in changing if amid.get(name) == before.get(name)}
+    left = [path.name for path in folder.glob(".excitant-*")]
+    found = "refused" if status else "result"
+    if orphans:
+        found = "orphan"
+    elif "Traceback" in err or "a bug (" in err:
+        found = "traceback"
+    elif how != signal.SIGKILL and status not in (0, 1, 130):
+        found = f"status {status}"
+    elif amid and not (whole or (how == signal.SIGKILL and not (RUN - {*amid}))):
+        found = "half-written"
+    elif amid and not fresh and untouched not in (set(), changing):
+        found = "mixed"
+    elif status_again not in (0, 1) or not again or left:
+        found, err = "not run again", f"status {status_again}, {left}: {err_again}"
+    where = "a fresh folder" if fresh else "an old run"
+    yield f"{verb}: {how.name} after {after:.2f} of {took:.2f} s, over {where}", found, err
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.glob("*") if path.is_file()}
+
+
+def ended(
+    words: str, folder: Path, how: signal.Signals | None = None, after: float = 0.0
+) -> tuple[int, str, list[str]]:
+    """Exit status and error stream of a command that may be ended, and processes it left."""
+    with (folder / "stderr").open("w+") as err:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "excitant", *words.split()], cwd=folder, stderr=err,
+            stdout=subprocess.DEVNULL, start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )  # fmt: skip
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(after if how else None)
+        if how and process.poll() is None:
+            # Ctrl-C is heard by all processes at a terminal
+            (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
+            process.wait(HANG["kills"])
+        end = time.monotonic() + ORPHANS
+        while (family := session(process.pid)) and time.monotonic() < end:
+            time.sleep(0.1)
+        orphans = [" ".join(each.cmdline()[-3:]) for each in family]
+        for each in family:
+            each.kill()
+        err.seek(0)
+        return process.returncode, err.read(), orphans
+
+
+def session(leader: int) -> list[psutil.Process]:
+    """Living processes of a session."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, ProcessLookupError, PermissionError):
+            if os.getsid(process.pid) == leader and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
+
+
+# The campaign
+
+PARTS: dict[str, Callable[[Rng, Path, Path], Case]] = {
+    "fuzz": fuzz, "arms": arms, "limits": limits, "kills": kills,
+}  # fmt: skip
+
+
+def serve(todo: Connection, part: str, seed: int, corpus: Path, keep: Path | None) -> None:
+    """Run the cases of a part that are asked for, in a process of its own."""
+    os.environ |= {"OMP_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as home:
+        for stream in (1, 2):
+            with (Path(home) / str(stream)).open("w+") as file:
+                os.dup2(file.fileno(), stream)
+        while (k := todo.recv()) is not None:
+            folder = keep or Path(home) / "case"
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+            os.chdir(folder)
+            rng = np.random.default_rng([seed, [*PARTS].index(part), k])
+            for what, found, said in PARTS[part](rng, folder, corpus):
+                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+                todo.send((what, found, said, peak))
+            todo.send(None)
+            os.chdir(home)
+    todo.send(None)
+
+
+class Worker:
+    """A process that runs cases; when it hangs or dies, another takes its place."""
+
+    def __init__(self, *about: Any) -> None:
+        self.about, self.case, self.last = about, 0, ""
+        self.begin()
+
+    def begin(self) -> None:
+        """Start the process."""
+        context = multiprocessing.get_context("spawn")
+        self.pipe, child = context.Pipe()
+        self.process = context.Process(target=serve, args=(child, *self.about), daemon=False)
+        self.process.start()
+        child.close()
+
+    def give(self, case: int | None) -> None:
+        """Ask for a case; None ends the process."""
+        self.case = case or 0
+        self.heard("")
+        with contextlib.suppress(OSError):
+            self.pipe.send(case)
+
+    def heard(self, what: str) -> None:
+        """Note what was answered last, and when."""
+        self.last, self.since, self.at = what, self.seconds(), time.monotonic()
+
+    def hung(self, most: float) -> bool:
+        """Whether the next answer takes too long, by processor time or by the clock."""
+        waited = time.monotonic() - self.at
+        return self.seconds() - self.since > most or waited > 10 * most
+
+    def seconds(self) -> float:
+        """Processor time so far, that of its ended children included [s]."""
+        with contextlib.suppress(psutil.Error):
+            return sum(psutil.Process(self.process.pid).cpu_times()[:4])
+        return 0.0
+
+
+def campaign(
+    part: str, cases: Sequence[int], seed: int, args: argparse.Namespace, corpus: Path
+) -> list[dict[str, Any]]:
+    """All cases of a part, each with its verdict."""
+    jobs, keep = args.jobs, args.keep and args.keep.resolve()
+    queue, results = collections.deque(cases), list[dict[str, Any]]()
+    workers = [Worker(part, seed, corpus, keep) for _ in range(min(jobs, len(cases)))]
+    for worker in workers:
+        worker.give(queue.popleft())
+
+    def note(worker: Worker, what: str, found: str, said: str, peak: float = 0.0) -> None:
+        found = "memory" if found in GOOD and peak > MEMORY else found
+        entry = {"part": part, "case": worker.case, "what": what, "found": found, "said": said}
+        results.append(entry | {"peak": peak})
+        if args.output:
+            with args.output.open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps(results[-1]) + "\n")
+        if sys.stderr.isatty():
+            print(f"\r{part}: {len(results)}, {len(queue)} to go ", end="", file=sys.stderr)
+
+    while workers:
+        ready = wait([worker.pipe for worker in workers], timeout=5.0)
+        for worker in [*workers]:
+            hung = worker.hung(HANG[part])
+            try:
+                if worker.pipe in ready:
+                    heard = worker.pipe.recv()
+                    if heard is not None:
+                        note(worker, *heard)
+                        worker.heard(heard[0])
+                        continue
+                elif not hung:
+                    continue
+                else:
+                    raise EOFError
+            except (EOFError, OSError):
+                worker.process.kill()
+                worker.process.join()
+                why = "hang" if hung else "crash"
+                said = f"after '{worker.last}'; exit code {worker.process.exitcode}"
+                note(worker, "the worker", why, said)
+                worker.begin()
+            if queue:
+                worker.give(queue.popleft())
+            else:
+                worker.give(None)
+                worker.process.join()
+                workers.remove(worker)
+    return results
+
+
+def report(part: str, results: Sequence[dict[str, Any]]) -> Iterator[str]:
+    n, counts = len(results), Counter(each["found"] for each in results)
+    yield f"\n{part}: {n} answers to {len({each['case'] for each in results})} cases"
+    broken = sum(count for word, count in counts.items() if word not in GOOD)
+    for word, count in [*counts.most_common(), ("broken in any way", broken)]:
+        yield f"  {word:24s} {count:6d} {wilson([True] * count + [False] * (n - count), 2):>20s} %"
+    verbs = Counter((each["what"].split(":")[0].split()[0], each["found"]) for each in results)
+    told = [f"{verb} {n} {word}" for (verb, word), n in sorted(verbs.items())]
+    yield "  " + ", ".join(told)
+    yield f"  peak memory {max((each['peak'] for each in results), default=0.0):.2f} GB"
+    for each in results:
+        if each["found"] not in GOOD:
+            yield f"  --{part} --case {each['case']}: {each['what']}: {each['found'].upper()}"
+            yield "    " + "\n    ".join(each["said"].strip().splitlines()[-6:])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    full = {"fuzz": 10_000, "arms": 200, "limits": 300, "kills": 100}
+    for part, count in full.items():
+        parser.add_argument(f"--{part}", type=int, nargs="?", const=count, help=f"of {count}")
+    parser.add_argument("--seed", type=int, help="default: a new one, which is printed")
+    parser.add_argument("--case", type=int, help="only this one of the parts that are named")
+    parser.add_argument("--keep", type=Path, help="folder in which the files of a case are left")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("-o", "--output", type=Path, help="every answer as a line of JSON")
+    args = parser.parse_args()
+    asked = {part: getattr(args, part) for part in full if getattr(args, part)} or full
+    seed = args.seed
+    if seed is None:
+        seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"seed {seed}", flush=True)
+    every = list[dict[str, Any]]()
+    with tempfile.TemporaryDirectory() as home:
+        corpus = Path(home) / "corpus"
+        with contextlib.redirect_stdout(None):
+            write_corpus(corpus)
+        for part, count in asked.items():
+            begun = time.perf_counter()
+            cases = range(1, count + 1) if args.case is None else [args.case]
+            results = campaign(part, cases, seed, args, corpus)
+            print(*report(part, results), sep="\n")
+            print(f"  {(time.perf_counter() - begun) / 60:.1f} min", flush=True)
+            every += results
+    return int(any(each["found"] not in GOOD for each in every))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
