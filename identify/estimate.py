@@ -123,7 +123,8 @@ class Estimate:
 
     Attributes:
         given: The robot as given.
-        model: The identified robot: physically consistent inertias, and effects with values.
+        model: The identified robot: physically consistent inertias, effects with values, and the
+            covariance of both.
         base: Base parameters of links and effects together.
         least_squares: Estimate of the base parameters.
         physical: Physically consistent fit of all parameters.
@@ -285,7 +286,7 @@ class Estimate:
         }
 
     def save(self, path: str | Path) -> list[Path]:
-        """Write the model as .urdf, .xml (MJCF), .sdf, or .yaml with the URDF that it refers to.
+        """Write the model as .urdf, .xml (MJCF), .sdf, or .yaml with the files it refers to.
 
         Raises:
             UnknownName: Another suffix.
@@ -295,7 +296,8 @@ class Estimate:
         path, gains = Path(path), self.gains if self.data.unit == "A" else None
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
         UnknownName.refuse("format", [path.suffix], (Path(name).suffix for name in files))
-        written = [path] + [path.with_suffix(".urdf")] * (path.suffix == ".yaml")
+        beside = [path.with_suffix(".urdf"), path.with_name(f"{path.stem}-covariance.csv")]
+        written = [path] + beside * (path.suffix == ".yaml")
         for file in written:
             write_file(file, files[file.name])
         return written
@@ -468,6 +470,7 @@ def judged(
         factors = np.array([factor for factor, _ in _told(robot, rows.effects, drive)])
         std = np.where(factors == 1, np.sqrt(np.diag(wider)), factors * std)
     model = identified_robot(robot, rows.effects, physical.x)
+    model = replace(model, covariance=read_only(physical.covariance))
     predicted = rows.regression.torque(physical.x) / rows.gains
     train = series(rows.data.train).accuracy(predicted)
     notes += () if drive is None else (drive.sentence(robot.joints),)

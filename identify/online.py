@@ -57,7 +57,7 @@ _BETWEEN = 1.0  # s set between recordings that follow each other
 _FEWEST = 5  # samples without a gap
 _STATES = 100  # random ones, for the structure of the columns
 _LOOKED_AT = 8.0  # s of motion that the monitor looks at
-_PERIOD = 0.5  # s between two looks
+PERIOD = 0.5  # s between two looks
 _KEPT = 100  # looks written to result.json
 _REFERENCE = 10.0  # s of reference motion over which the uncertainty of the torque is taken
 
@@ -495,7 +495,7 @@ def identify_online(
         estimator.push(float(t), q, tau)
         if t >= due and estimator.rows:
             looks.append(monitor.look())
-            due = t + _PERIOD
+            due = t + PERIOD
             if progress is not None:
                 progress(k / len(samples[0]))
     if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:

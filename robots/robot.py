@@ -54,6 +54,7 @@ class Robot:
     zeros: tuple[tuple[str, float], ...] = ()  # angles added to the readings of joints [rad]
     packages: tuple[str, ...] = ()  # folders, beside its own, in which its meshes may lie
     described: bool = True  # whether the description states its inertias and friction
+    covariance: Array | None = None  # of phi, then of the effects' values, (p, p), where known
 
     @cached_property
     def urdf(self) -> str:
@@ -117,7 +118,7 @@ class Robot:
         model = self.model.copy()
         for j, values in enumerate(np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1):
             model.inertias[j] = inertia(values)
-        return replace(self, model=model, described=False)
+        return replace(self, model=model, described=False, covariance=None)
 
     def with_gravity(self, gravity: npt.ArrayLike) -> Robot:
         """The same arm under another gravity vector in the base frame, shape (3,) [m/s²]."""
@@ -133,11 +134,12 @@ class Robot:
         model.jointPlacements[j] = model.jointPlacements[j] * turn.M
         zeros = dict(self.zeros)
         zeros[joint] = zeros.get(joint, 0.0) + angle
-        return replace(self, model=model, zeros=tuple(zeros.items()), described=False)
+        changed = replace(self, model=model, zeros=tuple(zeros.items()), described=False)
+        return replace(changed, covariance=None)
 
     def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same arm with these effects instead of its own."""
-        return replace(self, effects=tuple(effects), described=False)
+        return replace(self, effects=tuple(effects), described=False, covariance=None)
 
     def with_limits(self, limits: Limits) -> Robot:
         """The same arm with other limits."""

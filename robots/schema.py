@@ -113,6 +113,7 @@ class RobotRecord(msgspec.Struct, frozen=True):
     packages: tuple[str, ...] | None = None
     limits: LimitsRecord | None = None
     effects: list[dict[str, Any]] | None = None
+    covariance: str | None = None
     drive: Any = None
     about: AboutRecord | None = None
     sources: str = ""

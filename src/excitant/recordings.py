@@ -35,7 +35,10 @@ class Load:
     """Payload of the arm, known or sought."""
 
     payload: bool = False
-    "Also what the last link carries in these recordings, on top of the model given or --unloaded."
+    (
+        "Also what the last link carries in these recordings, on top of the model given (an "
+        "identified model.yaml keeps its covariance) or --unloaded; over time with --online."
+    )
     unloaded: Files = None
     "With --payload: the arm without load, any motion."
     payload_recording: Files = None
@@ -142,7 +145,10 @@ def identify(
         unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
         if drive is not None:
             unloaded = drive.torque(unloaded)
-        carried = identification.identify_payload(arm, fit, unloaded=unloaded, effects=named)
+        over: dict[str, Any] = {"forgetting": forgetting, "over_time": online}
+        carried = identification.identify_payload(
+            arm, fit, unloaded=unloaded, effects=named, **over
+        )
         result["payload"] = carried.result()
     result |= said
     published = identification.publication(
