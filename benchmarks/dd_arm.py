@@ -33,7 +33,7 @@ from excitant.robots import (
     regressor,
     robot_from_dh,
 )
-from excitant.robots.effects import CoulombFriction, ViscousFriction
+from excitant.robots.effects import CoulombFriction, Effect, ViscousFriction
 from excitant.robots.parameters import (
     STANDARD,
     UNITS,
@@ -96,8 +96,12 @@ def simulated(truth: Robot, rng: np.random.Generator, seconds: float) -> list[Re
     return found
 
 
-def fitted(given: Robot, recordings: Sequence[Recording]) -> FitRows:
-    effects = (ViscousFriction(given.joints), CoulombFriction(given.joints))
+def fitted(
+    given: Robot, recordings: Sequence[Recording], effects: Sequence[Effect] | None = None
+) -> FitRows:
+    """Rows of recordings, for bodies and effects; for viscous and Coulomb friction when None."""
+    if effects is None:
+        effects = (ViscousFriction(given.joints), CoulombFriction(given.joints))
     train = tuple(segment for recording in recordings for segment in prepare(recording))
     data = Data(train, (), "N·m", train[0].cutoff_hz, "nothing held out")
     return fit_rows(given, effects, base_parameters(given, effects), data)

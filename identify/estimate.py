@@ -43,6 +43,7 @@ from excitant.identify.rows import (
     told,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
+from excitant.robots.base_estimate import BaseEstimate
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
@@ -123,8 +124,8 @@ class Estimate:
 
     Attributes:
         given: The robot as given.
-        model: The identified robot: physically consistent inertias, effects with values, and the
-            covariance of both.
+        model: The identified robot: physically consistent inertias, effects with values, and its
+            base parameters with their covariance.
         base: Base parameters of links and effects together.
         least_squares: Estimate of the base parameters.
         physical: Physically consistent fit of all parameters.
@@ -296,7 +297,7 @@ class Estimate:
         path, gains = Path(path), self.gains if self.data.unit == "A" else None
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
         UnknownName.refuse("format", [path.suffix], (Path(name).suffix for name in files))
-        beside = [path.with_suffix(".urdf"), path.with_name(f"{path.stem}-covariance.csv")]
+        beside = [path.with_suffix(".urdf"), path.with_name(f"{path.stem}-estimate.csv")]
         written = [path] + beside * (path.suffix == ".yaml")
         for file in written:
             write_file(file, files[file.name])
@@ -470,7 +471,8 @@ def judged(
         factors = np.array([factor for factor, _ in _told(robot, rows.effects, drive)])
         std = np.where(factors == 1, np.sqrt(np.diag(wider)), factors * std)
     model = identified_robot(robot, rows.effects, physical.x)
-    model = replace(model, covariance=read_only(physical.covariance))
+    if np.isfinite(widened).all():
+        model = replace(model, estimate=BaseEstimate(rows.base.leading, fit.beta, widened))
     predicted = rows.regression.torque(physical.x) / rows.gains
     train = series(rows.data.train).accuracy(predicted)
     notes += () if drive is None else (drive.sentence(robot.joints),)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +22,6 @@ import yaml
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.rows import chance_of_loss
-from excitant.robots.covariance import covariance_csv
 from excitant.robots.effects import effect_entries, plain
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
@@ -45,10 +44,10 @@ def model_files(
     formats: Sequence[str] = FORMATS,
     gains: Array | None = None,
 ) -> dict[str, str]:
-    """A robot as files; URDF and YAML always, and its covariance where that is known.
+    """A robot as files; URDF and YAML always, and its base parameters with covariance where known.
 
     The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
-    same torque and the same covariance. The others are ``.xml`` (MJCF) and ``.sdf``. Gains, shape
+    same torque and the same estimate. The others are ``.xml`` (MJCF) and ``.sdf``. Gains, shape
     (nv,) [N·m/A], are given where torque was measured as current.
 
     Raises:
@@ -57,14 +56,14 @@ def model_files(
     """
     UnknownName.refuse("format", formats, FORMATS)
     arm, drives = folded(model)
-    covariance = f"{yaml_name.removesuffix('.yaml')}-covariance.csv"
-    beside = {} if arm.covariance is None else {"covariance": covariance}
+    table = f"{yaml_name.removesuffix('.yaml')}-estimate.csv"
+    beside = {} if model.estimate is None else {"estimate": table}
     files = {
         f"{stem}.urdf": _urdf(arm, yaml_name),
         yaml_name: _yaml(arm, {"model": f"{stem}.urdf"} | beside, gains),
     }
-    if arm.covariance is not None:
-        files[covariance] = covariance_csv(arm, arm.covariance)
+    if model.estimate is not None:  # the same with or without bodies folded into links
+        files[table] = model.estimate.csv()
     if "mjcf" in formats:
         files[f"{stem}.xml"] = _mjcf(arm, drives, yaml_name, gains)
     if "sdf" in formats:
@@ -84,24 +83,7 @@ def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
         elif effect.joint_property:
             drives[effect.joint_property][effect.rows(robot)] += effect.values
     kept = [effect for effect in given.effects if effect.role == "torque"]
-    if robot is given:
-        return robot, drives
-    return replace(robot.with_effects(kept), covariance=_folded_covariance(given)), drives
-
-
-def _folded_covariance(robot: Robot) -> Array | None:
-    """Covariance of the parameters that remain when bodies among effects are added to links."""
-    if robot.covariance is None:
-        return None
-    J, start, kept = np.eye(len(robot.covariance)), 10 * robot.nv, list(range(10 * robot.nv))
-    for effect in robot.effects:
-        own = list(range(start, start := start + len(effect.parameters(robot))))
-        if effect.role == "torque":
-            kept += own
-        else:
-            links = [10 * j + k for j in effect.rows(robot) for k in range(10)]
-            J[links, own] = 1.0
-    return np.asarray(J[kept] @ robot.covariance @ J[kept].T, float)
+    return (robot if robot is given else robot.with_effects(kept)), drives
 
 
 def comment(robot: Robot, file_format: str, complete: str) -> str:

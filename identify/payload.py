@@ -27,7 +27,6 @@ from excitant.identify.prior import (
     BodyPrior,
     EffectPrior,
     base_prior,
-    identified_prior,
     prior_parameters,
 )
 from excitant.identify.recording import Recording
@@ -142,7 +141,7 @@ class PayloadEstimator:
     A sample costs what it costs an `OnlineEstimator`, an estimate some milliseconds.
 
     Args:
-        robot: The unloaded arm; as identified, it keeps its covariance.
+        robot: The unloaded arm; as identified, it keeps its estimate.
         rate_hz: Rate of the samples.
         effects: Effects of the arm; as in `identify_payload` when None.
         options: Of the `OnlineEstimator`, as ``forgetting``, the time constant [s] within which a
@@ -177,7 +176,7 @@ class PayloadEstimator:
 def _own_effects(robot: Robot, effects: Sequence[Effect] | None) -> tuple[Effect, ...]:
     if effects is not None:
         return tuple(effects)
-    known = robot.covariance is not None
+    known = robot.estimate is not None
     return robot.effects if known else standard_effects(robot.joints)
 
 
@@ -185,15 +184,21 @@ def _given_arm(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters
 ) -> tuple[Information, str]:
     """What a model says of the unloaded arm, and how sure it is taken to be, as a sentence."""
-    if robot.covariance is not None:
-        return identified_prior(robot, effects, base).information(), (
+    if (found := robot.estimate) is not None:
+        if found.names != base.leading:
+            raise BadInput(
+                f"payload: {robot.name} was identified with other effects "
+                f"({', '.join(effect.name for effect in robot.effects)}) or another geometry; "
+                "leave --effects out, or record the arm without load (--unloaded)"
+            )
+        return gaussian(found.value, found.covariance), (
             "the given model stands for the unloaded arm, as sure as its covariance says"
         )
     prior = base_prior(robot, effects, base)
     return gaussian(prior.mean, _MODEL_ERROR**2 * prior.covariance), (
         f"the given model stands for the unloaded arm, taken to be right to "
         f"{100 * _MODEL_ERROR:g} %; record the arm without load (--unloaded), or give an "
-        "identified model.yaml, which keeps its covariance, to know better"
+        "identified model.yaml, which keeps its estimate, to know better"
     )
 
 
@@ -210,11 +215,11 @@ def identify_payload(
     """Payload of the arm in some recordings.
 
     Args:
-        robot: The arm; without unloaded recordings it stands for the unloaded one, as sure as its
-            covariance says where it keeps one, as an identified one does.
+        robot: The arm; without unloaded recordings it stands for the unloaded one, as sure as
+            its covariance says where it was identified.
         loaded: The arm with the payload.
         unloaded: The same arm without it, any motion.
-        effects: Effects of the arm; those of a robot with covariance when None, else friction,
+        effects: Effects of the arm; those of an identified robot when None, else friction,
             offset and rotor inertia.
         forgetting: Time constant of forgetting what is loaded [s]; nothing is forgotten when None.
         over_time: Also the estimates on the way, every half second.

@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from excitant.exceptions import BadInput, BadRobot
+from excitant.exceptions import BadRobot
 from excitant.identify.information import Information, gaussian
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
@@ -45,7 +45,7 @@ from excitant.robots.parameters import (
     pseudo_inertia,
 )
 from excitant.robots.robot import Robot
-from excitant.robots.torque import column_names, effect_values, observation_columns, torque
+from excitant.robots.torque import effect_values, observation_columns, torque
 
 _NO_MASS = 1e-3  # kg a link: an arm so light has no masses
 _BALL = 0.1  # m: radius of gyration about each axis of a link of which nothing is known
@@ -252,27 +252,6 @@ def base_prior(
     B = base.regrouping
     total = B @ covariance @ B.T
     return BasePrior(B @ mean, (total + total.T) / 2)
-
-
-def identified_prior(robot: Robot, effects: Sequence[Effect], base: BaseParameters) -> BasePrior:
-    """An identified robot, which keeps its covariance, as a prior of its base parameters.
-
-    Coefficients of effects that it does not have are as in `base_prior`.
-
-    Raises:
-        BadInput: The robot's covariance is not known.
-    """
-    if robot.covariance is None:
-        raise BadInput(f"{robot.name}: the covariance of its parameters is not known; identify it")
-    own = {name: k for k, name in enumerate(column_names(robot, robot.effects))}
-    x = np.concatenate([robot.phi, *(effect.values or () for effect in robot.effects)])
-    known = [k for k, name in enumerate(base.names) if name in own]
-    at = [own[base.names[k]] for k in known]
-    spread = np.concatenate([np.zeros(10 * robot.nv), _effect_sizes(robot, effects)])
-    mean, covariance = np.zeros(len(spread)), np.diag(spread**2)
-    mean[known], covariance[np.ix_(known, known)] = x[at], robot.covariance[np.ix_(at, at)]
-    total = base.regrouping @ covariance @ base.regrouping.T
-    return BasePrior(base.regrouping @ mean, (total + total.T) / 2)
 
 
 def needed_torque(robot: Robot, motion: Motion) -> Array:

@@ -66,6 +66,11 @@ class BaseParameters:
         return len(self.columns)
 
     @property
+    def leading(self) -> tuple[str, ...]:
+        """The parameter that each base parameter is written with."""
+        return tuple(self.names[column] for column in self.columns)
+
+    @property
     def expressions(self) -> tuple[str, ...]:
         """Each base parameter as text, e.g. ``link1.Izz + 0.36·link2.m``."""
         return tuple(

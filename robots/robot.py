@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from excitant.robots.base_estimate import BaseEstimate
 from excitant.robots.html_table import html_table
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
@@ -54,7 +55,7 @@ class Robot:
     zeros: tuple[tuple[str, float], ...] = ()  # angles added to the readings of joints [rad]
     packages: tuple[str, ...] = ()  # folders, beside its own, in which its meshes may lie
     described: bool = True  # whether the description states its inertias and friction
-    covariance: Array | None = None  # of phi, then of the effects' values, (p, p), where known
+    estimate: BaseEstimate | None = None  # of its base parameters, where it was identified
 
     @cached_property
     def urdf(self) -> str:
@@ -118,7 +119,7 @@ class Robot:
         model = self.model.copy()
         for j, values in enumerate(np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1):
             model.inertias[j] = inertia(values)
-        return replace(self, model=model, described=False, covariance=None)
+        return replace(self, model=model, described=False, estimate=None)
 
     def with_gravity(self, gravity: npt.ArrayLike) -> Robot:
         """The same arm under another gravity vector in the base frame, shape (3,) [m/s²]."""
@@ -135,11 +136,11 @@ class Robot:
         zeros = dict(self.zeros)
         zeros[joint] = zeros.get(joint, 0.0) + angle
         changed = replace(self, model=model, zeros=tuple(zeros.items()), described=False)
-        return replace(changed, covariance=None)
+        return replace(changed, estimate=None)
 
     def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same arm with these effects instead of its own."""
-        return replace(self, effects=tuple(effects), described=False, covariance=None)
+        return replace(self, effects=tuple(effects), described=False, estimate=None)
 
     def with_limits(self, limits: Limits) -> Robot:
         """The same arm with other limits."""

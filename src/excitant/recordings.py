@@ -37,7 +37,7 @@ class Load:
     payload: bool = False
     (
         "Also what the last link carries in these recordings, on top of the model given (an "
-        "identified model.yaml keeps its covariance) or --unloaded; over time with --online."
+        "identified model.yaml knows how sure it is) or --unloaded; over time with --online."
     )
     unloaded: Files = None
     "With --payload: the arm without load, any motion."
