@@ -37,6 +37,7 @@ def analyze_section(result: Result, series: Series) -> p.Section:
             ("Key figures", [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")]),
             ("Data faults", [fault_table(result)]),
             ("Parameters by link", [_matrix(links)]),
+            ("Singular values", [_singular(result)]),
             ("With the given motion", _motion(result, series)),
             ("Least determined by the motion", [_weakest(result)]),
             *(
@@ -124,6 +125,31 @@ def _matrix(links: list[Result]) -> p.Matrix | None:
         "the joint frame; links near the base show few of theirs because they move little."
     )
     return p.Matrix("Link", STANDARD, tuple(rows), caption, _LEGEND) if links else None
+
+
+def _singular(result: Result) -> p.Table | None:
+    """What Denavit-Hartenberg frames are asked for: the decomposition that categories rest on."""
+    if v.text(result, "structure", "frames") != "dh":
+        return None
+    values = v.reals(result, "structure", "singular_values")
+    words, rank = v.words(result, "structure", "singular_vectors"), v.at(result, "base_parameters")
+    rows = [
+        {"k": k, "value": value, "vector": text, "seen": k <= rank}
+        for k, (value, text) in enumerate(zip(values, words, strict=False), start=1)
+    ]
+    return p.table(
+        rows,
+        [
+            ("number:No.", "k", v.whole),
+            ("number:Singular value", "value"),
+            ("text:Torque", "seen", lambda seen: "shows it" if seen else "does not contain it"),
+            ("expression:Right singular vector, by its largest members", "vector"),
+        ],
+        "Of the columns of all parameters over random states, in units of the arm. A parameter is "
+        "identifiable by itself where it is orthogonal to all vectors of singular value zero, and "
+        "unidentifiable where it is one of them.",
+        p.folded(f"All {len(rows)} singular values", len(rows)),
+    )
 
 
 def _motion(result: Result, series: Series) -> p.Blocks:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -219,6 +219,7 @@ def analyze(
     moving: Names = None,
     measured: Names = None,
     columns: Columns = "friction",
+    frames: Literal["joint", "dh"] = "joint",
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
@@ -231,6 +232,8 @@ def analyze(
         moving: Joints that move, J1,J2,...; default: all, or as the motion says.
         measured: Joints whose torque is measured; default: all.
         columns: All that identify estimates, or the links only.
+        frames: Frames that the links' inertias are about: their joints', or Denavit-Hartenberg's
+            (distal) as in Khosla (1987).
     """
     from excitant.analysis import identifiability
     from excitant.robots.effects import standard_effects
@@ -240,7 +243,12 @@ def analyze(
     dataset = part.dataset(robot, data.map) if recording or Path(robot).is_dir() else None
     arm = part.robot(robot) if dataset is None else dataset.robot
     effects = standard_effects(arm.joints) if columns == "friction" else ()
-    given: dict[str, Any] = {"noise": noise, "moving": moving, "measured": measured}
+    given: dict[str, Any] = {
+        "noise": noise,
+        "moving": moving,
+        "measured": measured,
+        "frames": frames,
+    }
     notes, said = list[str](), dict[str, Any]()
     if dataset is not None and recording:
         import numpy as np
