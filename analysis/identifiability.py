@@ -143,11 +143,6 @@ class Identifiability:
         return self.structure.base
 
     @property
-    def frames(self) -> str:
-        """Frames that inertias are about."""
-        return "joint" if self.structure.frames is None else "dh"
-
-    @property
     def practical(self) -> tuple[Practical, ...]:
         """Each base parameter under the motion; empty without one."""
         return self.motion.practical if self.motion else ()
@@ -166,10 +161,7 @@ class Identifiability:
                 "circumstances": self.structure.circumstances,
                 "close": self.structure.close,
                 "marginal": self.structure.marginal,
-                "frames": self.frames,
-                "rank": len(self.base),
-                "singular_values": self.structure.singular_values.tolist(),
-                "singular_vectors": self.structure.vectors,
+                **self.structure.decomposition(),
             },
             "links": [self._link(link, joint) for link, joint in links],
             "follow_each_other": self.follow,
@@ -194,12 +186,12 @@ class Identifiability:
         }
 
     def series(self) -> dict[str, Array]:
-        """For figures: structural singular values (p,), vectors (p, p), under a motion values."""
-        shown = {"singular_values": self.motion.singular_values} if self.motion else {}
-        return shown | {
-            "structural_values": self.structure.singular_values,
-            "structural_vectors": self.structure.singular_vectors,
-        }
+        """For figures: singular values under a motion (r,), or of the structure with vectors."""
+        found = self.structure
+        if found.frames is not None:
+            values, vectors = found.singular_values, found.singular_vectors
+            return {"structural_values": values, "structural_vectors": vectors}
+        return {"singular_values": self.motion.singular_values} if self.motion else {}
 
     def _repr_html_(self) -> str:
         title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"
@@ -224,6 +216,7 @@ def analyze(
     moving: Sequence[str] | None = None,
     measured: Sequence[str] | None = None,
     frames: Literal["joint", "dh"] = "joint",
+    window: float | None = None,
     rng: np.random.Generator | None = None,
 ) -> Identifiability:
     """Identifiability of an arm's parameters.
@@ -238,6 +231,7 @@ def analyze(
         measured: Joints whose torque is measured; all if None, and for an estimate.
         frames: Frames that the links' parameters are about: those of their joints, or those of the
             standard Denavit-Hartenberg convention, in which Khosla (1987) counts.
+        window: Length [s] of the windows in which excitation is judged; the whole motion if None.
         rng: Draws perturbed priors for refits of an estimate; without it, the influence of the
             prior follows from linear theory.
 
@@ -260,6 +254,7 @@ def analyze(
         "frames: a motion is judged in joint frames; leave one of both out": (
             frames == "dh" and shown
         ),
+        "window: give a trajectory or recording too": window is not None and not shown,
         "moving: name at least one joint": moving is not None and not moving,
         "measured: name at least one joint": measured is not None and not measured,
     }
@@ -291,7 +286,7 @@ def analyze(
     if given is None:
         said = [] if places is None else [_contained(robot, found)]
         return Identifiability(robot, effects, found, table, follow, notes=tuple(said))
-    under = _under_motion(robot, effects, found.base, given, candidates)
+    under = _under_motion(robot, effects, found.base, given, candidates, window)
     notes = (*_notes(found, under, table), *given.notes)
     return Identifiability(robot, effects, found, table, follow, under, notes)
 
@@ -323,12 +318,14 @@ def _under_motion(
     base: BaseParameters,
     given: Experiment,
     candidates: Mapping[str, Array],
+    window: float | None,
 ) -> PracticalIdentifiability:
     from excitant.identify.excitation import persistency
 
     excitation = None
     if len(given.sigma) == robot.nv:
-        excitation = persistency(robot, given.motion, effects, sigma=given.sigma)
+        noise = given.sigma
+        excitation = persistency(robot, given.motion, effects, sigma=noise, window=window)
     columns, seen = list(base.columns), given.information
     lengths = np.linalg.norm(seen.R[:, columns], axis=0)
     scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)

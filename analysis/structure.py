@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -53,10 +53,13 @@ class Structure:
     def __post_init__(self) -> None:
         freeze(self, "margin", "flips_at", "singular_values", "singular_vectors")
 
-    @property
-    def vectors(self) -> list[str]:
-        """Each singular vector by its members, the largest first, as text."""
-        return [_members(row, self.base.names) for row in self.singular_vectors]
+    def decomposition(self) -> dict[str, Any]:
+        """Frames and, in those of Denavit and Hartenberg, singular values and vectors in words."""
+        if self.frames is None:
+            return {"frames": "joint"}
+        vectors = [_members(row, self.base.names) for row in self.singular_vectors]
+        values = self.singular_values.tolist()
+        return {"frames": "dh", "singular_values": values, "singular_vectors": vectors}
 
     @property
     def marginal(self) -> str | None:

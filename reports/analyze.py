@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
+from excitant.reports.design import excitation_sentence
 from excitant.reports.identify import fault_table
 from excitant.reports.motion_figures import spectrum_figure
 from excitant.reports.values import NONE, Result, Series
@@ -153,9 +154,6 @@ def _singular(result: Result) -> p.Table | None:
 
 
 def _motion(result: Result, series: Series) -> p.Blocks:
-    said = v.text(result, "persistency", "sentence")
-    if isinstance(v.at(result, "persistency", "persistent"), bool):
-        said = f"this motion is {said}"
     resting = v.words(result, "resting_joints")
     missing = p.table(
         v.records(result, "not_shown"),
@@ -176,7 +174,7 @@ def _motion(result: Result, series: Series) -> p.Blocks:
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above.",
         p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
-    return [p.notes([v.sentence(said)] * bool(said)), missing, spectrum_figure(series), practical]
+    return [p.notes(excitation_sentence(result)), missing, spectrum_figure(series), practical]
 
 
 def _determined(row: Result) -> p.Cell:

@@ -20,6 +20,7 @@ from excitant.options import (
     Part,
     RobotOrFolder,
     Run,
+    Window,
 )
 from excitant.progress import progress_bar
 
@@ -220,6 +221,7 @@ def analyze(
     measured: Names = None,
     columns: Columns = "friction",
     frames: Literal["joint", "dh"] = "joint",
+    window: Window = None,
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
