@@ -13,6 +13,7 @@ from known_arms import smooth_motion, write_csv
 
 from excitant.exceptions import BadInput
 from excitant.identify import LocalPolynomial, Monitor, OnlineEstimator, Recording
+from excitant.identify.information import InformationFilter
 from excitant.identify.online import replayable
 from excitant.identify.prior import base_prior
 from excitant.robots import Motion, Robot, base_parameters, torque
@@ -84,6 +85,26 @@ def test_the_last_estimate_is_weighted_least_squares(
     beta, covariance = scipy.linalg.lstsq(A, b)[0], np.linalg.inv(A.T @ A)
     np.testing.assert_allclose(found.beta, beta, atol=1e-8 * np.abs(beta).max())
     np.testing.assert_allclose(found.covariance, covariance, atol=1e-7 * np.abs(covariance).max())
+
+
+def test_no_sample_takes_rows_of_more_than_one_joint(
+    planar: Robot, motion: Motion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the slowest costs little more than the others (`benchmarks/payload.py`)."""
+    taken, take = [0], InformationFilter.take
+
+    def counted(self: InformationFilter) -> None:
+        taken[0] += self.waiting > 0
+        take(self)
+
+    monkeypatch.setattr(InformationFilter, "take", counted)
+    online, most = estimator(planar, block=5), 0
+    for k in range(1000):
+        before = taken[0]
+        online.push(T[k], motion.q[k], motion.q[k])
+        most = max(most, taken[0] - before)
+    assert most == 1
+    assert taken[0] < online.rows  # several rows of a joint at once
 
 
 def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot, motion: Motion) -> None:
