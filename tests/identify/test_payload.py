@@ -189,13 +189,16 @@ def planar_runs(planar: Robot, exact: Callable[..., Recording]) -> Runs:
 
 
 def test_a_model_keeps_what_it_knows_and_a_payload_is_told_over_time_on_top_of_it(
-    planar_runs: Runs, tmp_path: Path, excitant: Callable[..., Any]
+    planar: Robot, planar_runs: Runs, tmp_path: Path, excitant: Callable[..., Any]
 ) -> None:
-    held, free = (write_csv(tmp_path / f"{k}.csv", run) for k, run in enumerate(planar_runs))
-    assert excitant("identify planar_2r", free, "--force", "-o", tmp_path / "model").status == 0
-    file = tmp_path / "model" / "model.yaml"
-    model = load_robot(file)
-    assert model.estimate is not None
+    held, file = write_csv(tmp_path / "held.csv", planar_runs[0]), tmp_path / "model.yaml"
+    identified = identify_robot(planar, planar_runs[1:])
+    names = {path.name for path in identified.save(file)}
+    assert names == {"model.yaml", "model.urdf", "model-estimate.csv"}
+    model, estimate = load_robot(file), identified.model.estimate
+    assert model.estimate.names == estimate.names
+    assert (model.estimate.value == estimate.value).all()
+    assert (model.estimate.covariance == estimate.covariance).all()
     words = ("--payload", "--online", "--force", "--json", "-o", tmp_path / "run")
     found = excitant(f"identify {file}", held, *words).result["payload"]
     assert "as sure as its covariance says" in found["notes"][0]
