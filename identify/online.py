@@ -277,19 +277,27 @@ class OnlineEstimator:
         return data, data if self.prior is None else combined([data, self.prior])
 
     def _noise(self, parts: list[Information]) -> tuple[Array, Array]:
-        """Noise of each joint and the estimate under it, by turns until they agree."""
+        """Noise of each joint and the estimate under it, by turns until they agree.
+
+        Its squares are shared by the rows of the joint less what the fit took out of them; a joint
+        whose rows the fit can follow all is taken to be as uncertain as its torque is large.
+        """
         if self._sigma is not None:
             return self._sigma, self._total(parts, self._sigma)[1].solve()
         count = np.maximum(self._weight, 1.0)
-        share = count.sum() / max(count.sum() - len(self.base), 0.1 * count.sum())
         torque = np.sqrt([p.squares(np.zeros(len(p.z))) for p in parts]) / np.sqrt(count)
         floor = 1e-9 * torque + 1e-12  # data without noise
         rest = np.array([part.rest for part in parts])
         sigma = np.sqrt(rest / count) if self._last_sigma is None else self._last_sigma
         for _ in range(_ROUNDS):
-            beta = self._total(parts, np.maximum(sigma, floor))[1].solve()
+            sigma = np.maximum(sigma, floor)
+            total = self._total(parts, sigma)[1]
+            beta, half = total.solve(), np.linalg.pinv(total.R, rcond=1e-12)
             squares = np.array([part.squares(beta) for part in parts])
-            sigma = np.maximum(np.sqrt(share * squares / count), floor)
+            taken = np.array([np.sum((part.R @ half) ** 2) for part in parts]) / sigma**2
+            left = count - taken
+            sigma = np.where(left >= 1, np.sqrt(squares / np.maximum(left, 1.0)), torque)
+        sigma = np.maximum(sigma, floor)
         self._last_sigma = sigma
         return sigma, beta
 

@@ -124,6 +124,15 @@ def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot, motion: Motio
     assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 20)
 
 
+def test_rows_that_the_fit_can_follow_all_say_nothing_of_their_noise(
+    planar: Robot, motion: Motion
+) -> None:
+    tau = noisy(planar.with_effects(()), motion, SIGMA)
+    online = estimator(planar, sigma=None, block=1)
+    online.extend(T[:13], motion.q[:13], tau[:13])  # three rows of each joint
+    assert (online.estimate().sigma > 0.5 * SIGMA).all()
+
+
 @pytest.mark.parametrize("shift", [-1, 0, 1])
 def test_torque_and_regressor_speak_of_one_instant(
     planar: Robot, motion: Motion, shift: int
