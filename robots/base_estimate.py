@@ -33,6 +33,8 @@ class BaseEstimate:
     covariance: Array
 
     def __post_init__(self) -> None:
+        symmetric = (self.covariance + self.covariance.T) / 2  # but for rounding it is
+        object.__setattr__(self, "covariance", symmetric)
         freeze(self, "value", "covariance")
 
     def csv(self) -> str:
@@ -75,4 +77,4 @@ def read_base_estimate(path: Path) -> BaseEstimate:
     unit = covariance / np.sqrt(np.outer(variance, variance))
     if np.abs(unit - unit.T).max() > _ROUNDING or np.linalg.eigvalsh(unit)[0] <= 0:
         raise BadRobot(path, f"its covariance is not symmetric and positive definite; {_AGAIN}")
-    return BaseEstimate(names, value, (covariance + covariance.T) / 2)
+    return BaseEstimate(names, value, covariance)
