@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -25,10 +25,11 @@ from excitant.analysis.uncertainty import (
 )
 from excitant.exceptions import BadInput
 from excitant.robots.base_parameters import BaseParameters
+from excitant.robots.dh import distal_frames
 from excitant.robots.effects import Effect
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
-from excitant.robots.parameters import UNITS
+from excitant.robots.parameters import UNITS, moved_parameters
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
@@ -160,6 +161,7 @@ class Identifiability:
                 "circumstances": self.structure.circumstances,
                 "close": self.structure.close,
                 "marginal": self.structure.marginal,
+                **self.structure.decomposition(),
             },
             "links": [self._link(link, joint) for link, joint in links],
             "follow_each_other": self.follow,
@@ -184,7 +186,11 @@ class Identifiability:
         }
 
     def series(self) -> dict[str, Array]:
-        """Arrays for figures under a motion: singular values (r,)."""
+        """For figures: singular values under a motion (r,), or of the structure with vectors."""
+        found = self.structure
+        if found.frames is not None:
+            values, vectors = found.singular_values, found.singular_vectors
+            return {"structural_values": values, "structural_vectors": vectors}
         return {"singular_values": self.motion.singular_values} if self.motion else {}
 
     def _repr_html_(self) -> str:
@@ -209,6 +215,8 @@ def analyze(
     noise: Sequence[float] | None = None,
     moving: Sequence[str] | None = None,
     measured: Sequence[str] | None = None,
+    frames: Literal["joint", "dh"] = "joint",
+    window: float | None = None,
     rng: np.random.Generator | None = None,
 ) -> Identifiability:
     """Identifiability of an arm's parameters.
@@ -221,6 +229,9 @@ def analyze(
         noise: Torque noise of each joint [N·m]; 1 % of each joint's limit if None.
         moving: Joints that move, where no motion is given; all if None.
         measured: Joints whose torque is measured; all if None, and for an estimate.
+        frames: Frames that the links' parameters are about: those of their joints, or those of the
+            standard Denavit-Hartenberg convention, in which Khosla (1987) counts.
+        window: Length [s] of the windows in which excitation is judged; the whole motion if None.
         rng: Draws perturbed priors for refits of an estimate; without it, the influence of the
             prior follows from linear theory.
 
@@ -240,6 +251,10 @@ def analyze(
         "noise: give a trajectory too; the noise of a recording is estimated": (
             noise is not None and motion is None
         ),
+        "frames: a motion is judged in joint frames; leave one of both out": (
+            frames == "dh" and shown
+        ),
+        "window: give a trajectory or recording too": window is not None and not shown,
         "moving: name at least one joint": moving is not None and not moving,
         "measured: name at least one joint": measured is not None and not measured,
     }
@@ -247,7 +262,8 @@ def analyze(
         if wrong:
             raise BadInput(why)
     effects = tuple(effects) if estimate is None else estimate.model.effects
-    found = structure(robot, effects, moving=moving, measured=measured)
+    places = distal_frames(robot) if frames == "dh" else None
+    found = structure(robot, effects, moving=moving, measured=measured, frames=places)
     rows = [j for j, name in enumerate(robot.joints) if measured is None or name in measured]
     given: Experiment | None = None
     if estimate is not None:
@@ -268,10 +284,22 @@ def analyze(
     R = found.base.regrouping if given is None else given.information.R
     follow = tuple(tuple(found.base.names[k] for k in group) for group in dependent_groups(R))
     if given is None:
-        return Identifiability(robot, effects, found, table, follow)
-    under = _under_motion(robot, effects, found.base, given, candidates)
+        said = [] if places is None else [_contained(robot, found)]
+        return Identifiability(robot, effects, found, table, follow, notes=tuple(said))
+    under = _under_motion(robot, effects, found.base, given, candidates, window)
     notes = (*_notes(found, under, table), *given.notes)
     return Identifiability(robot, effects, found, table, follow, under, notes)
+
+
+def _contained(robot: Robot, found: Structure) -> str:
+    """How many of each link's ten parameters torque contains, as a sentence."""
+    seen = np.array(found.category[: 10 * robot.nv]) != "unidentifiable"
+    counts = seen.reshape(-1, 10).sum(axis=1)
+    each = ", ".join(f"{name} {count}" for name, count in zip(robot.links, counts, strict=True))
+    return (
+        "inertias are about the links' Denavit-Hartenberg frames (distal); of the ten parameters "
+        f"of each link, torque contains: {each}"
+    )
 
 
 def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -> Array:
@@ -290,12 +318,14 @@ def _under_motion(
     base: BaseParameters,
     given: Experiment,
     candidates: Mapping[str, Array],
+    window: float | None,
 ) -> PracticalIdentifiability:
     from excitant.identify.excitation import persistency
 
     excitation = None
     if len(given.sigma) == robot.nv:
-        excitation = persistency(robot, given.motion, effects, sigma=given.sigma)
+        noise = given.sigma
+        excitation = persistency(robot, given.motion, effects, sigma=noise, window=window)
     columns, seen = list(base.columns), given.information
     lengths = np.linalg.norm(seen.R[:, columns], axis=0)
     scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)
@@ -379,6 +409,9 @@ def _entries(
 ) -> tuple[ParameterIdentifiability, ...]:
     base, units, unique = found.base, _units(robot, effects), np.array(found.category) == "unique"
     before = known_values(robot, effects)
+    if found.frames is not None:
+        bodies = robot.phi.reshape(-1, 10)
+        before[: 10 * robot.nv] = moved_parameters(bodies, np.linalg.inv(found.frames)).ravel()
     R, size = base.regrouping, np.zeros(len(units))
     said: dict[str, Sequence[Any]] = {"value": before, "prior": before}
     if given is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,6 +31,7 @@ Held = Mapping[str, float] | Literal["any"]
 
 MARGIN = 1e3  # factor on the tolerance that must not change a category
 _STEPS = 6  # half decades to there
+_LISTED = 6  # members of a vector that are spelt out
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +44,22 @@ class Structure:
     circumstances: tuple[str, ...]  # under which it holds, as sentences
     close: tuple[str, ...]  # names of those whose margin is below `MARGIN`
     flips_at: Array  # tolerance at which the category changes, nan where it does not, shape (p,)
+    # of the columns of all parameters, in units of the arm: greatest first, shape (p,), and what
+    # each is seen of, one vector a row, shape (p, p); the last p − r span the null space
+    singular_values: Array
+    singular_vectors: Array
+    frames: Array | None = None  # of the links, in their joint frames, (nv, 4, 4); those when None
 
     def __post_init__(self) -> None:
-        freeze(self, "margin", "flips_at")
+        freeze(self, "margin", "flips_at", "singular_values", "singular_vectors")
+
+    def decomposition(self) -> dict[str, Any]:
+        """Frames and, in those of Denavit and Hartenberg, singular values and vectors in words."""
+        if self.frames is None:
+            return {"frames": "joint"}
+        vectors = [_members(row, self.base.names) for row in self.singular_vectors]
+        values = self.singular_values.tolist()
+        return {"frames": "dh", "singular_values": values, "singular_vectors": vectors}
 
     @property
     def marginal(self) -> str | None:
@@ -68,23 +82,49 @@ def structure(
     moving: Sequence[str] | None = None,
     measured: Sequence[str] | None = None,
     held: Held | None = None,
+    frames: Array | None = None,
 ) -> Structure:
     """Structural identifiability of an arm's parameters; gravity and locked joints count.
 
     All joints move and are measured if None; ``held`` has the others' positions, 0 by default.
+    Parameters are about the joint frames, or about frames in these, shape (nv, 4, 4).
     """
     positions = held if isinstance(held, Mapping) else {}
     UnknownName.refuse("joint", (*(moving or ()), *(measured or ()), *positions), robot.joints)
     motion = _circumstantial(robot, moving, {} if held is None else held)
     rows = None if measured is None else np.isin(robot.joints, measured)
-    seen = observe(robot, effects, motion, rows)
+    seen = observe(robot, effects, motion, rows, frames)
     base = regroup(seen)
     category = categories(base)
     flips_at = _flips(seen, category)
     margin = np.nan_to_num(np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=MARGIN)
     close = tuple(np.array(base.names)[np.isfinite(flips_at)].tolist())
     circumstances = _circumstances(robot, moving, measured, held)
-    return Structure(base, category, margin, circumstances, close, flips_at)
+    found = base, category, margin, circumstances, close, flips_at
+    return Structure(*found, *_decomposed(seen.R, category), frames)
+
+
+def _decomposed(R: Array, category: Sequence[str]) -> tuple[Array, Array]:
+    """Singular values (p,) and right singular vectors (p, p), those of absent columns last."""
+    shown = np.array(category) != "unidentifiable"
+    _, s, Vt = np.linalg.svd(R[:, shown], full_matrices=True)
+    values, vectors = np.zeros(len(shown)), np.zeros((len(shown), len(shown)))
+    values[: len(s)] = s
+    vectors[: len(Vt), shown] = Vt
+    vectors[len(Vt) :, ~shown] = np.eye(int((~shown).sum()))
+    return values, vectors
+
+
+def _members(vector: Array, names: Sequence[str]) -> str:
+    """Members of a unit vector that make nine tenths of it, six at most; the first is positive."""
+    order = np.argsort(-np.abs(vector), kind="stable")
+    count = int(np.searchsorted(np.cumsum(vector[order] ** 2), 0.9)) + 1
+    text, first = "", vector[order[0]]
+    for k in order[: min(count, _LISTED)]:
+        sign = (" − " if vector[k] * first < 0 else " + ") if text else ""
+        size = f"{abs(vector[k]):.2g}"
+        text += sign + ("" if size == "1" else f"{size}·") + names[k]
+    return text + " + …" * (count > _LISTED)
 
 
 def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> Motion:

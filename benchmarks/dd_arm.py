@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import scipy.linalg
@@ -33,7 +34,7 @@ from excitant.robots import (
     regressor,
     robot_from_dh,
 )
-from excitant.robots.effects import CoulombFriction, ViscousFriction
+from excitant.robots.effects import CoulombFriction, Effect, ViscousFriction
 from excitant.robots.parameters import (
     STANDARD,
     UNITS,
@@ -51,6 +52,7 @@ COULOMB = np.array([1.5, 0.8, 0.4, 0.25, 0.15, 0.08])  # N·m, assumed
 PRIOR_STEP = 0.2  # of a link's inertia: how far the prior is moved
 DRAWS = 4
 DATA, PRIOR = 0.1, 0.7  # std after over std before, below and above which one of them decides
+AGREE = 0.05  # difference up to which the paper's results count as the same
 MARGIN = 1e-4  # smallest eigenvalue of Q, as in the fit
 
 
@@ -96,8 +98,12 @@ def simulated(truth: Robot, rng: np.random.Generator, seconds: float) -> list[Re
     return found
 
 
-def fitted(given: Robot, recordings: Sequence[Recording]) -> FitRows:
-    effects = (ViscousFriction(given.joints), CoulombFriction(given.joints))
+def fitted(
+    given: Robot, recordings: Sequence[Recording], effects: Sequence[Effect] | None = None
+) -> FitRows:
+    """Rows of recordings, for bodies and effects; for viscous and Coulomb friction when None."""
+    if effects is None:
+        effects = (ViscousFriction(given.joints), CoulombFriction(given.joints))
     train = tuple(segment for recording in recordings for segment in prepare(recording))
     data = Data(train, (), "N·m", train[0].cutoff_hz, "nothing held out")
     return fit_rows(given, effects, base_parameters(given, effects), data)
@@ -161,6 +167,90 @@ def recovery(seconds: float = 60.0, *, likely: bool = True, seed: int = 0) -> Re
         std,
         float(np.abs(moves @ B.T / std).max()),
     )
+
+
+class TwoByTwo(NamedTuple):
+    """Table entries and base parameters by two motions from two sets of initial values.
+
+    Arrays are indexed by motion, by set of initial values, and by entry or parameter.
+    """
+
+    entries: np.ndarray  # (2, 2, 46)
+    truth: np.ndarray  # (46,)
+    base: np.ndarray  # (2, 2, r)
+    base_truth: np.ndarray  # (r,), those of the links
+
+    def spreads(self, of_base: bool = False) -> np.ndarray:
+        """Relative difference between motions, and between initial values, shape (2, ...)."""
+        values, truth = (self.base, self.base_truth) if of_base else (self.entries, self.truth)
+        across = [np.abs(np.diff(values, axis=k)).max(axis=(0, 1)) for k in (0, 1)]
+        return np.asarray(across) / np.abs(truth)
+
+
+def two_by_two(seconds: float = 20.0, seed: int = 0) -> TwoByTwo:
+    """The paper's proof: each of two motions identified from two sets of initial values.
+
+    The first set is that of the tables, the second the same bodies at half their density.
+    """
+    truth, rng, columns = dd_arm("estimated", likely=True), np.random.default_rng(seed), tables()
+    entries, base = [], []
+    for motion in (simulated(truth, rng, seconds) for _ in range(2)):
+        for density in (1.0, 0.5):
+            given = dd_arm("initial").with_parameters(density * dd_arm("initial").phi)
+            rows = fitted(given, motion)
+            R, z = rows.regression.factor(weighted_least_squares(rows.reduced).weight)
+            x = fit_physical(R, z, prior_parameters(given), rows.open_prior).x
+            entries.append(columns.values(x[:60]))
+            B = rows.base.regrouping[np.array(rows.base.columns) < 60]
+            base.append(B @ x)
+    known = B[:, :60] @ truth.phi
+    shape = (2, 2, -1)
+    return TwoByTwo(
+        np.reshape(entries, shape), columns.values(truth.phi), np.reshape(base, shape), known
+    )
+
+
+def two_by_two_lines(found: TwoByTwo) -> Iterator[str]:
+    error = np.abs(found.entries / found.truth - 1).max(axis=(0, 1))
+    for words, of_base in ((f"{len(found.truth)} table entries", False), ("base parameters", True)):
+        motions, initial = found.spreads(of_base)
+        both = (np.maximum(motions, initial) < AGREE).sum()
+        yield (
+            f"{words}: {(motions < AGREE).sum()} agree within 5 % between motions, "
+            f"{(initial < AGREE).sum()} between initial values, {both} between both"
+        )
+    agreeing = found.spreads()[0] < AGREE
+    yield (
+        f"of those {agreeing.sum()} entries that agree between motions, "
+        f"{(agreeing & (error > AGREE)).sum()} are more than 5 % off the truth"
+    )
+
+
+def draw_two_by_two(found: TwoByTwo, path: str) -> None:
+    """Difference between motions against difference between initial values, entry by entry."""
+    figure, axes = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
+    names = [entry.name for entry in dd_arm_tables()]
+    for of_base, words, colour, marker in (
+        (True, "base parameter of the links", "#1b4965", "x"),
+        (False, "entry of Tables 2 to 4", "#ca6702", "o"),
+    ):
+        x, y = np.clip(100 * found.spreads(of_base), 1e-2, 1e3)
+        axes.loglog(x, y, marker, color=colour, ms=5, mfc="none", label=words)
+    labelled: list[np.ndarray] = []
+    for name, u, w in zip(names, x, y, strict=True):
+        place = np.log10([u, w]) / [0.35, 0.08]  # what a label takes
+        free = all(np.abs(place - other).max() > 1 for other in labelled)
+        if u < 100 * AGREE < w and free:
+            axes.annotate(name, (u, w), (3, 3), textcoords="offset points", fontsize=7)
+            labelled.append(place)
+    for line in (axes.axvline, axes.axhline):
+        line(100 * AGREE, color="0.6", ls="--", lw=1)
+    axes.text(1.1e-2, 100 * AGREE, "5 %", fontsize=8, color="0.4", va="bottom")
+    axes.set_xlabel("difference between two motions [% of the truth]")
+    axes.set_ylabel("difference between two sets of initial values [%]")
+    axes.legend(loc="lower right", fontsize=8)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
 
 
 def null_steps(prior: np.ndarray, rows: FitRows, rng: np.random.Generator) -> list[np.ndarray]:
@@ -311,9 +401,15 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="recorded, 10 s a run")
     parser.add_argument("--as-read", action="store_true", help="doubtful digits as the print shows")
+    parser.add_argument("--two-by-two", metavar="PNG", help="two motions, two sets of values")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args(words)
     with threadpool_limits(1):
+        if args.two_by_two:
+            both = two_by_two(args.seconds, args.seed)
+            draw_two_by_two(both, args.two_by_two)
+            print("\n".join(two_by_two_lines(both)))
+            return
         print("\n".join(count_lines(np.random.default_rng(args.seed))), end="\n\n")
         print("\n".join(body_lines()), end="\n\n")
         found = recovery(args.seconds, likely=not args.as_read, seed=args.seed)

@@ -7,6 +7,7 @@ and what is assumed (all lengths are).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -49,11 +50,13 @@ class TableEntry:
         return self.initial if column == "initial" else self.estimated
 
 
+@cache
 def dd_arm_tables() -> tuple[TableEntry, ...]:
     """The 46 rows of Tables 2 to 4, link 6 first, doubtful digits marked."""
     return tuple(TableEntry(**row) for row in builtin_record(_NAME).tables or ())
 
 
+@cache
 def dd_arm_chain() -> DHChain:
     """The arm in the paper's frames (standard Denavit-Hartenberg); lengths are assumed."""
     return chain_from_record(builtin_record(_NAME), _NAME, Angles())
@@ -90,6 +93,7 @@ def _about_frame(phi: Array, known: int, other: int, central: bool = False) -> A
     return body
 
 
+@cache
 def dd_arm(column: Column = "initial", *, likely: bool = False) -> Robot:
     phi = parameter_map(dd_arm_chain()) @ dd_arm_parameters(column, likely=likely)
     return load_robot(_NAME).with_parameters(phi)

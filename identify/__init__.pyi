@@ -15,6 +15,7 @@ from .online import (
 )
 from .payload import (
     PayloadEstimate,
+    PayloadEstimator,
     estimate_payload,
     identify_drive_gains,
     identify_payload,
@@ -46,6 +47,7 @@ __all__ = [
     "OnlineEstimator",
     "OnlineIdentification",
     "PayloadEstimate",
+    "PayloadEstimator",
     "Persistency",
     "Publication",
     "Recording",

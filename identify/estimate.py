@@ -44,6 +44,7 @@ from excitant.identify.rows import (
     told,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
+from excitant.robots.base_estimate import BaseEstimate
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
@@ -124,7 +125,8 @@ class Estimate:
 
     Attributes:
         given: The robot as given.
-        model: The identified robot: physically consistent inertias, and effects with values.
+        model: The identified robot: physically consistent inertias, effects with values, and its
+            base parameters with their covariance.
         base: Base parameters of links and effects together.
         least_squares: Estimate of the base parameters.
         physical: Physically consistent fit of all parameters.
@@ -294,7 +296,7 @@ class Estimate:
         }
 
     def save(self, path: str | Path) -> list[Path]:
-        """Write the model as .urdf, .xml (MJCF), .sdf, or .yaml with the URDF that it refers to.
+        """Write the model as .urdf, .xml (MJCF), .sdf, or .yaml with the files it refers to.
 
         Raises:
             UnknownName: Another suffix.
@@ -304,7 +306,8 @@ class Estimate:
         path, gains = Path(path), self.gains if self.data.unit == "A" else None
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
         UnknownName.refuse("format", [path.suffix], (Path(name).suffix for name in files))
-        written = [path] + [path.with_suffix(".urdf")] * (path.suffix == ".yaml")
+        beside = [path.with_suffix(".urdf"), path.with_name(f"{path.stem}-estimate.csv")]
+        written = [path] + beside * (path.suffix == ".yaml")
         for file in written:
             write_file(file, files[file.name])
         return written
@@ -487,6 +490,8 @@ def judged(
         factors = np.array([factor for factor, _ in _told(robot, rows.effects, drive)])
         std = np.where(factors == 1, np.sqrt(np.diag(wider)), factors * std)
     model = identified_robot(robot, rows.effects, physical.x)
+    if np.isfinite(widened).all():
+        model = replace(model, estimate=BaseEstimate(rows.base.leading, fit.beta, widened))
     predicted = rows.regression.torque(physical.x) / rows.gains
     train = series(rows.data.train).accuracy(predicted)
     notes += () if drive is None else (drive.sentence(robot.joints),)

@@ -53,6 +53,8 @@ class WindowExcitation:
     levels: Array  # of each visible direction, ascending, shape (v,)
     weak: tuple[WeakDirection, ...] = ()  # those below level 1, the weakest first, at most six
     joints: tuple[str, ...] = ()  # whose motion is missing, that which would help most first
+    shown: int = 0  # of all combinations, those better known from the window than from the prior
+    combinations: int = 0  # base parameters of links and effects, whether a motion can show them
 
     def __post_init__(self) -> None:
         freeze(self, "levels")
@@ -76,11 +78,16 @@ class WindowExcitation:
     def sentence(self) -> str:
         """The finding in words."""
         if self.enough:
-            return f"exciting: all {len(self.levels)} visible directions (level {self.level:.3g})"
+            return f"exciting: shows {self.count} (level {self.level:.3g})"
         return (
-            f"not exciting enough since {self.start:.1f} s: {self.missing} of "
-            f"{len(self.levels)} visible directions missing{self.advice}"
+            f"not exciting enough since {self.start:.1f} s: shows {self.count}, {self.missing} of "
+            f"the {len(self.levels)} that a motion can show are missing{self.advice}"
         )
+
+    @property
+    def count(self) -> str:
+        """How many of all combinations it shows, in words."""
+        return f"{self.shown} of {self.combinations} combinations"
 
     @property
     def advice(self) -> str:
@@ -96,11 +103,12 @@ class ExcitationJudge:
     effects: tuple[Effect, ...]
     base: BaseParameters
     sigma: Array  # noise of an independent row, shape (nv,) [torque unit]
-    basis: Array  # visible directions, columns of L V, shape (r, v)
+    basis: Array  # directions, columns of L V, shape (r, r)
+    hidden: int  # the first of them, which no motion shows above the noise; others are visible
     reference: Motion  # as long as the window
 
     def whitened(self, W: Array) -> Array:
-        """Rows of base parameters, (n, nv, r), so that squares are levels, (n, nv, v)."""
+        """Rows of base parameters, (n, nv, r), in directions, so that squares are levels."""
         return np.asarray(W / self.sigma[:, None] @ self.basis, float)
 
     def rows(self, motion: Motion) -> Array:
@@ -109,9 +117,16 @@ class ExcitationJudge:
         return self.whitened(W[:, :, self.base.columns])
 
     def judge(self, motion: Motion, rows: Array) -> WindowExcitation:
-        """Evenly spread states of one window and their whitened rows, (n, nv, v)."""
-        levels, V = np.linalg.eigh(_information(motion, rows))
-        found = WindowExcitation(float(motion.t[0]), float(motion.t[-1]), np.maximum(levels, 0))
+        """Evenly spread states of one window and their whitened rows, (n, nv, r)."""
+        J = _information(motion, rows)
+        levels, V = np.linalg.eigh(J[self.hidden :, self.hidden :])
+        found = WindowExcitation(
+            float(motion.t[0]),
+            float(motion.t[-1]),
+            np.maximum(levels, 0),
+            shown=int((np.linalg.eigvalsh(J) >= _ENOUGH).sum()),
+            combinations=len(self.base),
+        )
         if found.enough:
             return found
         robot, weak, helpers = self.robot, V[:, : found.missing], list[tuple[str, ...]]()
@@ -136,14 +151,15 @@ class ExcitationJudge:
             parts = [np.array(x) for x in (thin.q, thin.dq, thin.ddq)]
             for own, values in zip(parts, (reference.q, reference.dq, reference.ddq), strict=True):
                 own[:, j] = values[:, j]
-            seen = self.rows(Motion(reference.t, *parts)) @ V
+            seen = self.rows(Motion(reference.t, *parts))[:, :, self.hidden :] @ V
             levels[j] = _share(reference) * (seen**2).sum(axis=(0, 1))
         return levels
 
     def _leading(self, v: Array) -> tuple[str, ...]:
         """Base parameters that make nine tenths of a direction, in units of prior spread."""
-        spread = np.linalg.norm(self.basis, axis=1)
-        share = (self.basis @ v / np.where(spread > 0, spread, 1.0)) ** 2
+        visible = self.basis[:, self.hidden :]
+        spread = np.linalg.norm(visible, axis=1)
+        share = (visible @ v / np.where(spread > 0, spread, 1.0)) ** 2
         order = np.argsort(-share)
         count = int(np.searchsorted(np.cumsum(share[order]), 0.9 * share.sum())) + 1
         return tuple(self.base.names[self.base.columns[k]] for k in order[: min(count, 3)])
@@ -173,35 +189,41 @@ def excitation_judge(
     if sigma is None:
         sigma = _NOISE_SHARE * needed_torque(robot, reference)
     L = square_root(prior.covariance)
-    judge = ExcitationJudge(robot, effects, base, sigma, L, reference)
+    judge = ExcitationJudge(robot, effects, base, sigma, L, 0, reference)
     levels, V = scipy.linalg.eigh(_information(reference, judge.rows(reference)))
-    return replace(judge, basis=L @ V[:, levels >= _VISIBLE])
+    return replace(judge, basis=L @ V, hidden=int((levels < _VISIBLE).sum()))
 
 
 @dataclass(frozen=True, eq=False)
 class Persistency(WindowExcitation):
-    """Excitation of a whole motion, and the shortest length tried whose windows all suffice [s]."""
+    """Excitation of a whole motion, or in the weakest of its windows where these are asked for."""
 
-    shortest: float | None = None
+    shortest: float | None = None  # length tried whose windows all suffice [s]
+    windows: int = 1  # that were looked at, of the same length
 
     @property
     def sentence(self) -> str:
         """The finding in words."""
-        visible, length = len(self.levels), self.end - self.start
+        visible, length = len(self.levels), f"{self.end - self.start:.3g} s"
         if not visible:
             return "no motion of this arm shows any parameter above the noise"
+        over = f"windows of {length}" if self.windows > 1 else length
+        least = "at least " * (self.windows > 1)
         if self.enough:
             text = (
-                f"persistently exciting over {length:.3g} s at level {self.level:.3g}: all "
-                f"{visible} visible combinations become better known than they were"
+                f"persistently exciting over {over} at level {self.level:.3g}: {least}{self.count} "
+                "become better known than they were"
             )
-            if self.shortest is not None and self.shortest < length:
+            if rest := self.combinations - self.shown:
+                text += f"; the other {rest} no motion of this arm shows in that time"
+            if self.shortest is not None and self.shortest < self.end - self.start:
                 text += f"; windows of {self.shortest:.3g} s are enough"
             return text
         return (
-            f"not persistently exciting over {length:.3g} s: from {self.start:.3g} to "
-            f"{self.end:.3g} s {self.missing} of {visible} visible combinations are missing "
-            f"(level {self.level:.2g}), first of all {self.weak[0].parameters[0]}{self.advice}"
+            f"not persistently exciting over {over}: from {self.start:.3g} to {self.end:.3g} s "
+            f"{self.count} become better known than they were; of the {visible} that a motion "
+            f"can show, {self.missing} are missing (level {self.level:.2g}), first of all "
+            f"{self.weak[0].parameters[0]}{self.advice}"
         )
 
     def result(self) -> dict[str, Any]:
@@ -211,6 +233,9 @@ class Persistency(WindowExcitation):
             "level": self.level,
             "window_s": self.end - self.start,
             "shortest_window_s": self.shortest,
+            "windows": self.windows,
+            "combinations": self.combinations,
+            "shown": self.shown,
             "visible": len(self.levels),
             "missing": self.missing,
             "joints": self.joints,
@@ -225,15 +250,18 @@ def persistency(
     effects: Sequence[Effect] | None = None,
     *,
     sigma: Array | None = None,
+    window: float | None = None,
 ) -> Persistency:
     """Whether a motion, evenly sampled, is persistently exciting, and over which windows.
+
+    With a window [s], the weakest of all windows of that length is told, which overlap by half.
 
     The robot's inertias are the prior; effects are friction, offset and rotor inertia when None;
     sigma, the noise of an independent row of torque, shape (nv,) [torque unit], is 1 % of the
     torque of a reference motion when None.
 
     Raises:
-        BadInput: A motion without duration.
+        BadInput: A motion without duration, or a window that does not fit it.
     """
     duration = float(motion.t[-1] - motion.t[0])
     if not duration > 0:
@@ -241,9 +269,20 @@ def persistency(
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects)
     prior = base_prior(robot, effects, base)
-    judge = excitation_judge(robot, effects, window=duration, sigma=sigma, base=base, prior=prior)
+    length = duration if window is None else window
     thin = motion[:: max(1, int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND)))]
+    if not _SHORTEST * duration / len(thin) <= length <= duration:
+        least = _SHORTEST * duration / len(thin)
+        raise BadInput(
+            f"excitation: a window of {length:g} s in a motion of {duration:.4g} s; give "
+            f"{least:.2g} to {duration:.4g} s"
+        )
+    judge = excitation_judge(robot, effects, window=length, sigma=sigma, base=base, prior=prior)
     rows = judge.rows(thin)
+    if window is not None:
+        each = list(_windows(judge, thin, rows, window))
+        weakest = min(each, key=lambda found: (found.enough, found.shown, found.level))
+        return Persistency(**vars(weakest), windows=len(each))
     found, shortest = judge.judge(thin, rows), None
     for length in duration / 2.0 ** np.arange(max(1, int(np.log2(len(thin) / _SHORTEST)))):
         if not all(each.enough for each in _windows(judge, thin, rows, float(length))):

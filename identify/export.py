@@ -44,11 +44,11 @@ def model_files(
     formats: Sequence[str] = FORMATS,
     gains: Array | None = None,
 ) -> dict[str, str]:
-    """A robot as files; URDF and YAML always.
+    """A robot as files; URDF and YAML always, and its base parameters with covariance where known.
 
     The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
-    same torque. The others are ``.xml`` (MJCF) and ``.sdf``. Gains, shape (nv,) [N·m/A], are given
-    where torque was measured as current.
+    same torque and the same estimate. The others are ``.xml`` (MJCF) and ``.sdf``. Gains, shape
+    (nv,) [N·m/A], are given where torque was measured as current.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -56,10 +56,14 @@ def model_files(
     """
     UnknownName.refuse("format", formats, FORMATS)
     arm, drives = folded(model)
+    table = f"{yaml_name.removesuffix('.yaml')}-estimate.csv"
+    beside = {} if model.estimate is None else {"estimate": table}
     files = {
         f"{stem}.urdf": _urdf(arm, yaml_name),
-        yaml_name: _yaml(arm, f"{stem}.urdf", gains),
+        yaml_name: _yaml(arm, {"model": f"{stem}.urdf"} | beside, gains),
     }
+    if model.estimate is not None:  # the same with or without bodies folded into links
+        files[table] = model.estimate.csv()
     if "mjcf" in formats:
         files[f"{stem}.xml"] = _mjcf(arm, drives, yaml_name, gains)
     if "sdf" in formats:
@@ -115,12 +119,12 @@ def _urdf(arm: Robot, complete: str) -> str:
     return _text_of(root, declared=True)
 
 
-def _yaml(arm: Robot, urdf: str, gains: Array | None) -> str:
+def _yaml(arm: Robot, beside: Mapping[str, str], gains: Array | None) -> str:
     limits = arm.limits
     names = ["position", "velocity", "acceleration", "torque"]
     names += ["jerk"] if np.isfinite(limits.jerk).any() else []
     content: dict[str, Any] = {
-        "model": urdf,
+        **beside,
         "joints": list(arm.joints),
         "gravity": arm.gravity.tolist(),
         "limits": {name: getattr(limits, name).tolist() for name in names},

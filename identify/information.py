@@ -16,7 +16,8 @@ from scipy.linalg import lapack
 
 from excitant.robots.motion import Array, freeze
 
-_PANEL = 32  # columns that LAPACK takes at a time
+TOGETHER = 8  # rows that are taken at once
+_PANEL = 8  # columns that LAPACK takes at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,26 +82,45 @@ def gaussian(mean: Array, covariance: Array) -> Information:
 
 
 class InformationFilter:
-    """Information about some of p parameters that grows row by row and may be forgotten."""
+    """Information about some of p parameters that grows row by row and may be forgotten.
+
+    Rows wait until several can be taken at once, which costs hardly more than one.
+    """
 
     def __init__(self, columns: npt.NDArray[np.intp], p: int) -> None:
         self.columns, self.p = columns, p
+        self._picked = np.append(columns, -1)
         self._size = len(columns) + 1
         self._factor = np.zeros((self._size, self._size), order="F")
+        self._scale = 1.0  # of the factor, by which what it holds is forgotten
+        self._rows, self.waiting = np.zeros((2 * TOGETHER, self._size)), 0
 
-    def update(self, rows: Array) -> None:
-        """Add rows [A, b] of the chosen columns, shape (m, columns + 1); the rows are used up."""
-        stacked, block = np.asfortranarray(rows), min(_PANEL, self._size)
-        self._factor = lapack.dtpqrt(0, block, self._factor, stacked, 1, 1)[0]
+    def add(self, row: Array) -> None:
+        """Let a row [a, b] of all parameters wait, shape (p + 1,)."""
+        if self.waiting == len(self._rows):
+            self.take()
+        self._rows[self.waiting] = row[self._picked]
+        self.waiting += 1
+
+    def take(self) -> None:
+        """Take the rows that wait."""
+        if self.waiting:
+            stacked = np.asfortranarray(self._rows[: self.waiting])
+            factor = self._factor if self._scale == 1.0 else self._scale * self._factor
+            panel = min(_PANEL, self._size)
+            self._factor = lapack.dtpqrt(0, panel, factor, stacked, 1, 1)[0]
+            self._scale, self.waiting = 1.0, 0
 
     def forget(self, factor: float) -> None:
         """Weigh everything so far by a factor on the information, 0 < factor ≤ 1."""
-        self._factor *= np.sqrt(factor)
+        self._scale *= np.sqrt(factor)
+        self._rows[: self.waiting] *= np.sqrt(factor)
 
     def information(self) -> Information:
         """Information of the rows so far on all p parameters."""
-        n = self._size - 1
+        self.take()
+        n, own = self._size - 1, self._scale * self._factor
         R = np.zeros((n, self.p))
-        R[:, self.columns] = self._factor[:n, :n]
-        full = information_of(R, self._factor[:n, n])
-        return Information(full.R, full.z, full.rest + float(self._factor[n, n] ** 2))
+        R[:, self.columns] = own[:n, :n]
+        full = information_of(R, own[:n, n])
+        return Information(full.R, full.z, full.rest + float(own[n, n] ** 2))

@@ -18,12 +18,18 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.differentiators import LocalPolynomial, causal_polynomial, position_spectrum
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
-from excitant.identify.information import Information, InformationFilter, combined
+from excitant.identify.information import (
+    TOGETHER,
+    Information,
+    InformationFilter,
+    combined,
+)
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
 from excitant.identify.physical import fit_physical
@@ -33,6 +39,7 @@ from excitant.identify.recording import Recording
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects.base import Law
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
@@ -50,7 +57,7 @@ _BETWEEN = 1.0  # s set between recordings that follow each other
 _FEWEST = 5  # samples without a gap
 _STATES = 100  # random ones, for the structure of the columns
 _LOOKED_AT = 8.0  # s of motion that the monitor looks at
-_PERIOD = 0.5  # s between two looks
+PERIOD = 0.5  # s between two looks
 _KEPT = 100  # looks written to result.json
 _REFERENCE = 10.0  # s of reference motion over which the uncertainty of the torque is taken
 
@@ -131,9 +138,34 @@ class OnlineEstimator:
         self._kernels = np.array([self.differentiator.kernel(k) * rate_hz**k for k in range(3)])
         self.span = self._kernels.shape[1] + self.block - 1  # samples that a row depends on
         self._samples, self._filled = np.zeros((self.span, 2 * robot.nv)), 0
-        self._clock, self._instants = -np.inf, list[tuple[float, Array, Array]]()
+        self._corners = np.linspace(-self.span, -1, _CORNERS).astype(int)
+        self._clock, self._turn, self._data = -np.inf, 0, robot.model.createData()
+        # of the instants of a block so far: how many, states, sums of columns and torque
+        self._count, self._start = 0, 0.0
+        self._states = np.zeros((self.block, 3, robot.nv))
+        self._sort_effects()
         most = max(64, round(_RECENT / self.row_period))
         self._recent: deque[tuple[float, Array, Array, Mask]] = deque(maxlen=most)
+
+    def _sort_effects(self) -> None:
+        """Sort effects by what they depend on: a joint's own state at an instant, or more."""
+        places, end = list[Array](), 10 * self.robot.nv
+        self._laws, self._others = list[tuple[Law, Any]](), list[tuple[Effect, slice]]()
+        for effect in self.effects:
+            own = np.arange(end, end := end + len(effect.parameters(self.robot)))
+            if effect.law is None:
+                self._others.append((effect, slice(own[0], end)))
+            else:  # terms of one joint after those of another
+                rows, of_joints = effect.rows(self.robot), own.reshape(len(effect.joints), -1)
+                all_joints = rows == list(range(self.robot.nv))
+                self._laws.append((effect.law, slice(None) if all_joints else np.array(rows)))
+                places += [np.array([rows, k]) for k in of_joints.T]
+        self._picked = np.array([*self.base.columns, end])
+        self._row = np.zeros((self.robot.nv, end + 1))
+        self._Y, self._tau = np.zeros((self.robot.nv, 10 * self.robot.nv)), np.zeros(self.robot.nv)
+        self._places = np.concatenate(places, axis=1) if places else np.zeros((2, 0), int)
+        self._terms = np.zeros(self._places.shape[1])
+        self._each = np.split(self._terms, np.cumsum([place.shape[1] for place in places])[:-1])
 
     @property
     def row_period(self) -> float:
@@ -154,46 +186,69 @@ class OnlineEstimator:
         if not t > self._clock:
             raise BadInput(f"on-line estimation: time {t:g} s after {self._clock:g} s goes back")
         if (t - self._clock) * self.rate_hz > _PAUSE:
-            self._filled, self._instants = 0, []
+            self._filled, self._count = 0, 0
         self._clock = t
         nv, width = self.robot.nv, self._kernels.shape[1]
         self._samples[:-1] = self._samples[1:]
         self._samples[-1, :nv], self._samples[-1, nv:] = q, tau
         self._filled += 1
         if self._filled >= width:
-            window = self._samples[-width:]
-            state, torque = self._kernels @ window[:, :nv], window[width // 2, nv:].copy()
-            self._instants.append((t - self.delay, state, torque))
-        if len(self._instants) == self.block:
+            self._take_instant(t - self.delay, self._samples[-width:])
+        if self._count == self.block:
             self._finish_block()
+        else:  # one joint at a time, so that no sample takes long
+            grown = self._filters[self._turn]
+            self._turn = (self._turn + 1) % nv
+            if grown.waiting >= TOGETHER:
+                grown.take()
 
     def extend(self, t: Array, q: Array, tau: Array) -> None:
         """Take many samples, shapes (n,), (n, nv) and (n, nv)."""
         for k in range(len(t)):
             self.push(float(t[k]), q[k], tau[k])
 
+    def _take_instant(self, t: float, window: Array) -> None:
+        k, nv = self._count, self.robot.nv
+        if k == 0:
+            self._start, self._Y[:], self._tau[:], self._terms[:] = t, 0.0, 0.0, 0.0
+        q, dq, ddq = self._states[k] = self._kernels @ window[:, :nv]
+        self._Y += pin.computeJointTorqueRegressor(self.robot.model, self._data, q, dq, ddq)
+        self._tau += window[len(window) // 2, nv:]
+        sums = iter(self._each)
+        for law, own in self._laws:
+            for values in law(q[own], dq[own], ddq[own]):
+                total = next(sums)
+                total += values
+        self._count = k + 1
+
     def _finish_block(self) -> None:
-        t, states, tau = (np.array(each) for each in zip(*self._instants, strict=True))
-        self._instants = []
-        motion = Motion(t, *states.transpose(1, 0, 2))
-        W = observation_columns(self.robot, self.effects, motion)[:, :, self.base.columns]
-        rows = np.column_stack([W.mean(axis=0), tau.mean(axis=0)])
+        row, motion, self._count = self._row, None, 0
+        row[:, : 10 * self.robot.nv], row[:, -1] = self._Y, self._tau
+        row[*self._places] = self._terms
+        for effect, own in self._others:
+            t = self._start + np.arange(self.block) / self.rate_hz
+            motion = motion or Motion(t, *self._states.transpose(1, 0, 2))
+            row[:, own] = effect.columns(self.robot, motion).sum(axis=0)
+        rows = row[:, self._picked] / self.block
         if not np.isfinite(rows).all():
             raise BadInput(f"on-line estimation: a value before {self._clock:g} s is not a number")
         used = self._goes_one_way() | ~self._dry
         self._weight = self._fade * self._weight + used
         for row, counts, grown in zip(rows, used, self._filters, strict=True):
-            grown.forget(self._fade)
+            if self._fade < 1:
+                grown.forget(self._fade)
             if counts:
-                grown.update(row[None, [*grown.columns, -1]])
-        self._recent.append((float(t.mean()), states[self.block // 2], rows, used))
+                grown.add(row)
+        middle = (self._start + self._clock - self.delay) / 2
+        self._recent.append((middle, self._states[self.block // 2].copy(), rows, used))
         self.rows += 1
 
     def _goes_one_way(self) -> Mask:
-        corners = np.linspace(-self.span, -1, _CORNERS).astype(int)
-        steps = np.diff(self._samples[corners, : self.robot.nv], axis=0)
-        one_way = (steps > self._still).all(axis=0) | (steps < -self._still).all(axis=0)
-        return np.asarray(one_way, bool)
+        corners = self._samples[self._corners, : self.robot.nv]
+        steps = corners[1:] - corners[:-1]
+        return np.asarray(
+            (steps.min(axis=0) > self._still) | (steps.max(axis=0) < -self._still), bool
+        )
 
     def recent(self) -> RecentRows:
         """Rows of the last ten seconds; refuses when there are none yet."""
@@ -222,19 +277,27 @@ class OnlineEstimator:
         return data, data if self.prior is None else combined([data, self.prior])
 
     def _noise(self, parts: list[Information]) -> tuple[Array, Array]:
-        """Noise of each joint and the estimate under it, by turns until they agree."""
+        """Noise of each joint and the estimate under it, by turns until they agree.
+
+        Its squares are shared by the rows of the joint less what the fit took out of them; a joint
+        whose rows the fit can follow all is taken to be as uncertain as its torque is large.
+        """
         if self._sigma is not None:
             return self._sigma, self._total(parts, self._sigma)[1].solve()
         count = np.maximum(self._weight, 1.0)
-        share = count.sum() / max(count.sum() - len(self.base), 0.1 * count.sum())
         torque = np.sqrt([p.squares(np.zeros(len(p.z))) for p in parts]) / np.sqrt(count)
         floor = 1e-9 * torque + 1e-12  # data without noise
         rest = np.array([part.rest for part in parts])
         sigma = np.sqrt(rest / count) if self._last_sigma is None else self._last_sigma
         for _ in range(_ROUNDS):
-            beta = self._total(parts, np.maximum(sigma, floor))[1].solve()
+            sigma = np.maximum(sigma, floor)
+            total = self._total(parts, sigma)[1]
+            beta, half = total.solve(), np.linalg.pinv(total.R, rcond=1e-12)
             squares = np.array([part.squares(beta) for part in parts])
-            sigma = np.maximum(np.sqrt(share * squares / count), floor)
+            taken = np.array([np.sum((part.R @ half) ** 2) for part in parts]) / sigma**2
+            left = count - taken
+            sigma = np.where(left >= 1, np.sqrt(squares / np.maximum(left, 1.0)), torque)
+        sigma = np.maximum(sigma, floor)
         self._last_sigma = sigma
         return sigma, beta
 
@@ -440,7 +503,7 @@ def identify_online(
         estimator.push(float(t), q, tau)
         if t >= due and estimator.rows:
             looks.append(monitor.look())
-            due = t + _PERIOD
+            due = t + PERIOD
             if progress is not None:
                 progress(k / len(samples[0]))
     if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:

@@ -21,9 +21,14 @@ import pinocchio as pin
 from excitant.exceptions import BadInput
 from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
 from excitant.identify.information import Information, gaussian, information_of
-from excitant.identify.online import replayable
+from excitant.identify.online import PERIOD, OnlineEstimator, replayable
 from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
-from excitant.identify.prior import BodyPrior, EffectPrior, base_prior, prior_parameters
+from excitant.identify.prior import (
+    BodyPrior,
+    EffectPrior,
+    base_prior,
+    prior_parameters,
+)
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
@@ -56,6 +61,7 @@ class PayloadEstimate:
     fit: PhysicalFit  # of its standard parameters
     notes: tuple[str, ...] = ()
     scale_std: float = 0.0  # relative, of the scale of drive gains on which its mass rests
+    history: tuple[tuple[float, PayloadEstimate], ...] = ()  # time [s] and estimate on the way
 
     @property
     def phi(self) -> Array:
@@ -114,6 +120,10 @@ class PayloadEstimate:
         for entry, share in zip(parameters, self.fit.prior_share, strict=True):
             entry["prior_dominated"] = bool(share > 0.5)
         centre, std = self.centre.tolist(), self.centre_std.tolist()
+        history: dict[str, Any] = {"t": [t for t, _ in self.history]}
+        for key in ("mass", "centre", "centre_std"):
+            history[key] = [np.asarray(getattr(each, key)).tolist() for _, each in self.history]
+        history["mass_std"] = [float(each.std[0]) for _, each in self.history]
         return {
             "link": self.link,
             "mass": {"value": self.mass, "std": float(self.std[0]), "unit": "kg"},
@@ -121,7 +131,75 @@ class PayloadEstimate:
             "parameters": parameters,
             "shortcomings": list(self.shortcomings),
             "notes": list(self.notes),
+            **({"history": history} if self.history else {}),
         }
+
+
+class PayloadEstimator:
+    """Payload inside a control loop: `push` each sample, `estimate` beside the loop.
+
+    A sample costs what it costs an `OnlineEstimator`, an estimate some milliseconds.
+
+    Args:
+        robot: The unloaded arm; as identified, it keeps its estimate.
+        rate_hz: Rate of the samples.
+        effects: Effects of the arm; as in `identify_payload` when None.
+        options: Of the `OnlineEstimator`, as ``forgetting``, the time constant [s] within which a
+            load that is picked up or set down shows.
+
+    Raises:
+        BadInput: Options that do not fit, or an effect that depends on the past.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        rate_hz: float,
+        effects: Sequence[Effect] | None = None,
+        **options: Any,
+    ) -> None:
+        effects = _own_effects(robot, effects)
+        self.arm = OnlineEstimator(robot, effects, rate_hz=rate_hz, prior=False, **options)
+        self._known, _ = _given_arm(robot, effects, self.arm.base)
+
+    def push(self, t: float, q: Array, tau: Array) -> None:
+        """Take one sample, shapes (nv,), as `OnlineEstimator.push`."""
+        self.arm.push(t, q, tau)
+
+    def estimate(self) -> PayloadEstimate:
+        """The payload by all samples so far; refuses before the first row."""
+        known = self.arm.estimate().data
+        return estimate_payload(self.arm.robot, self.arm.base, known, self._known)
+
+
+def _own_effects(robot: Robot, effects: Sequence[Effect] | None) -> tuple[Effect, ...]:
+    if effects is not None:
+        return tuple(effects)
+    known = robot.estimate is not None
+    return robot.effects if known else standard_effects(robot.joints)
+
+
+def _given_arm(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters
+) -> tuple[Information, str]:
+    """What a model says of the unloaded arm, and how sure it is taken to be, as a sentence."""
+    if (found := robot.estimate) is not None:
+        if found.names != base.leading:
+            raise BadInput(
+                f"payload: {robot.name} was identified with other effects "
+                f"({', '.join(effect.name for effect in robot.effects)}) or another geometry; "
+                "leave --effects out, or record the arm without load (--unloaded)"
+            )
+        return gaussian(found.value, found.covariance), (
+            "the given model stands for the unloaded arm, as sure as its covariance says"
+        )
+    prior = base_prior(robot, effects, base)
+    return gaussian(prior.mean, _MODEL_ERROR**2 * prior.covariance), (
+        f"the given model stands for the unloaded arm, taken to be right to "
+        f"{100 * _MODEL_ERROR:g} %; record the arm without load (--unloaded), or give an "
+        "identified model.yaml, which keeps its estimate, to know better"
+    )
 
 
 @on_one_thread
@@ -131,17 +209,26 @@ def identify_payload(
     *,
     unloaded: Sequence[Recording] = (),
     effects: Sequence[Effect] | None = None,
+    forgetting: float | None = None,
+    over_time: bool = False,
 ) -> PayloadEstimate:
     """Payload of the arm in some recordings.
 
-    Unloaded are recordings of the same arm without it, any motion; else the given model stands.
-    Effects of the arm are friction, offset and rotor inertia when None.
+    Args:
+        robot: The arm; without unloaded recordings it stands for the unloaded one, as sure as
+            its covariance says where it was identified.
+        loaded: The arm with the payload.
+        unloaded: The same arm without it, any motion.
+        effects: Effects of the arm; those of an identified robot when None, else friction,
+            offset and rotor inertia.
+        forgetting: Time constant of forgetting what is loaded [s]; nothing is forgotten when None.
+        over_time: Also the estimates on the way, every half second.
 
     Raises:
         BadInput: Currents of a loaded arm with nothing to compare them with.
         BadRecording: Recordings that cannot be used.
     """
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    effects = _own_effects(robot, effects)
     base = base_parameters(robot, effects)
     unit, drive = loaded[0].unit, loaded[0].drive
     if not unloaded and unit == "A":
@@ -154,27 +241,32 @@ def identify_payload(
     if unit == "A":
         drive = fit_rows(robot, effects, base, split(unloaded, unloaded)).drive
     gains = drive.gains if drive is not None and unit == "A" else np.ones(robot.nv)
-
-    def data_alone(recordings: Sequence[Recording]) -> Information:
-        """Estimate of the base parameters from recordings, without a prior."""
-        estimator, samples, _ = replayable(
-            robot, recordings, effects, base, gains=gains, prior=False
-        )
-        estimator.extend(*samples)
-        return estimator.estimate().data
-
+    replay: dict[str, Any] = {"gains": gains, "prior": False}
     if unloaded:
-        known, note = data_alone(unloaded), "the unloaded arm was recorded"
+        estimator, samples, _ = replayable(robot, unloaded, effects, base, **replay)
+        estimator.extend(*samples)
+        known, note = estimator.estimate().data, "the unloaded arm was recorded"
     else:
-        prior = base_prior(robot, effects, base)
-        known = gaussian(prior.mean, _MODEL_ERROR**2 * prior.covariance)
-        note = (
-            f"the given model stands for the unloaded arm, taken to be right to "
-            f"{100 * _MODEL_ERROR:g} %; record the arm without load (--unloaded) to know better"
-        )
-    found = estimate_payload(robot, base, data_alone(loaded), known)
+        known, note = _given_arm(robot, effects, base)
+    replay["forgetting"] = forgetting
+    estimator, samples, _ = replayable(robot, loaded, effects, base, **replay)
+    scale, history = (
+        0.0 if drive is None else drive.scale_std,
+        list[tuple[float, PayloadEstimate]](),
+    )
+
+    def found() -> PayloadEstimate:
+        body = estimate_payload(robot, base, estimator.estimate().data, known)
+        return replace(body, scale_std=scale)
+
+    due = samples[0][0] + PERIOD
+    for t, q, tau in zip(*samples, strict=True):
+        estimator.push(float(t), q, tau)
+        if over_time and t >= due and estimator.rows:
+            history.append((float(t), found()))
+            due = t + PERIOD
     notes = (note, *([_CURRENT] if unit == "A" else []))
-    return replace(found, notes=notes, scale_std=0.0 if drive is None else drive.scale_std)
+    return replace(found(), notes=notes, history=tuple(history))
 
 
 def estimate_payload(

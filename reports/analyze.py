@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
+from excitant.reports.design import excitation_sentence
 from excitant.reports.identify import fault_table
 from excitant.reports.motion_figures import spectrum_figure
 from excitant.reports.values import NONE, Result, Series
@@ -37,6 +38,7 @@ def analyze_section(result: Result, series: Series) -> p.Section:
             ("Key figures", [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")]),
             ("Data faults", [fault_table(result)]),
             ("Parameters by link", [_matrix(links)]),
+            ("Singular values", [_singular(result)]),
             ("With the given motion", _motion(result, series)),
             ("Least determined by the motion", [_weakest(result)]),
             *(
@@ -126,10 +128,32 @@ def _matrix(links: list[Result]) -> p.Matrix | None:
     return p.Matrix("Link", STANDARD, tuple(rows), caption, _LEGEND) if links else None
 
 
+def _singular(result: Result) -> p.Table | None:
+    """What Denavit-Hartenberg frames are asked for: the decomposition that categories rest on."""
+    if v.text(result, "structure", "frames") != "dh":
+        return None
+    values = v.reals(result, "structure", "singular_values")
+    words, rank = v.words(result, "structure", "singular_vectors"), v.at(result, "base_parameters")
+    rows = [
+        {"k": k, "value": value, "vector": text, "seen": k <= rank}
+        for k, (value, text) in enumerate(zip(values, words, strict=False), start=1)
+    ]
+    return p.table(
+        rows,
+        [
+            ("number:No.", "k", v.whole),
+            ("number:Singular value", "value"),
+            ("text:Torque", "seen", lambda seen: "shows it" if seen else "does not contain it"),
+            ("expression:Right singular vector, by its largest members", "vector"),
+        ],
+        "Of the columns of all parameters over random states, in units of the arm. A parameter is "
+        "identifiable by itself where it is orthogonal to all vectors of singular value zero, and "
+        "unidentifiable where it is one of them.",
+        p.folded(f"All {len(rows)} singular values", len(rows)),
+    )
+
+
 def _motion(result: Result, series: Series) -> p.Blocks:
-    said = v.text(result, "persistency", "sentence")
-    if isinstance(v.at(result, "persistency", "persistent"), bool):
-        said = f"this motion is {said}"
     resting = v.words(result, "resting_joints")
     missing = p.table(
         v.records(result, "not_shown"),
@@ -150,7 +174,7 @@ def _motion(result: Result, series: Series) -> p.Blocks:
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above.",
         p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
-    return [p.notes([v.sentence(said)] * bool(said)), missing, spectrum_figure(series), practical]
+    return [p.notes(excitation_sentence(result)), missing, spectrum_figure(series), practical]
 
 
 def _determined(row: Result) -> p.Cell:

@@ -57,6 +57,14 @@ def design_section(result: Result, series: Series) -> p.Section:
     )
 
 
+def excitation_sentence(result: Result) -> list[str]:
+    """How many of all combinations a motion shows, as a sentence; none where not judged."""
+    said = v.text(result, "persistency", "sentence")
+    if isinstance(v.at(result, "persistency", "persistent"), bool):
+        said = f"this motion is {said}"
+    return [v.sentence(said)] * bool(said)
+
+
 def check_section(result: Result, series: Series) -> p.Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
     kappa, said = v.at(result, "condition_number"), v.words(result, "verdicts")
@@ -77,6 +85,7 @@ def check_section(result: Result, series: Series) -> p.Section:
         [
             ("Key figures", [key_figures]),
             ("Verdicts", [p.notes([v.sentence(verdict) for verdict in said])]),
+            ("Excitation", [p.notes(excitation_sentence(result))]),
             *_motion(result, series),
         ],
         (
@@ -85,8 +94,19 @@ def check_section(result: Result, series: Series) -> p.Section:
                 for k, verdict in enumerate(said)
             ),
             ("", f"condition number {v.number(kappa)} ({v.text(result, 'columns')} columns)"),
+            *[("", found) for found in _shown(result)],
         ),
     )
+
+
+def _shown(result: Result) -> list[str]:
+    found = v.at(result, "persistency")
+    shown, of = v.real(found, "shown"), v.real(found, "combinations")
+    if shown is None or of is None:
+        return []
+    windows, length = v.real(found, "windows") or 1, v.quantity(v.at(found, "window_s"), "s")
+    over = f" in every window of {length}" if windows > 1 else ""
+    return [f"shows {shown:.0f} of {of:.0f} combinations{over}"]
 
 
 def _unchecked(result: Result) -> str:

@@ -14,6 +14,7 @@ from excitant.reports.motion_figures import (
     estimates_figure,
     excitation_figure,
     excitation_levels,
+    payload_figure,
 )
 from excitant.reports.values import Result, Series
 
@@ -323,6 +324,7 @@ def _payload(payload: Result | None) -> p.Blocks:
         _payload_facts(payload),
         p.notes([v.sentence(each) for each in v.words(payload, "shortcomings")], p.FAIR),
         p.notes([v.sentence(each) for each in v.words(payload, "notes")]),
+        payload_figure(payload),
         p.table(
             v.records(payload, "parameters"),
             [

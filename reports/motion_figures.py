@@ -265,6 +265,24 @@ def estimates_figure(result: Result, series: Series) -> Figure | None:
     return figure(panels, caption, [Key("line", draw.FITTED, "estimate"), band])
 
 
+def payload_figure(payload: Result | None) -> Figure | None:
+    """Mass and centre of mass of a payload over time, each with its band."""
+    history = v.at(payload, "history")
+    t, mass, std = (v.reals(history, key) for key in ("t", "mass", "mass_std"))
+    if len(t) < 2 or not len(t) == len(mass) == len(std):
+        return None
+    panels = [_estimate_panel(t, mass, std, "mass", "kg")]
+    centre, spread = (np.array(v.items(history, key)) for key in ("centre", "centre_std"))
+    if centre.shape == spread.shape == (len(t), 3):
+        panels += [
+            _estimate_panel(t, centre[:, k], spread[:, k], f"centre of mass, {axis}", "m")
+            for k, axis in enumerate("xyz")
+        ]
+    caption = "The payload as it was known at each instant; the band holds it 95 times out of 100."
+    band = Key("box", draw.BAND, f"± {_BAND:g} standard deviations")
+    return figure(panels, caption, [Key("line", draw.FITTED, "estimate"), band])
+
+
 def _chosen(value: Array, std: Array, names: Sequence[str]) -> list[int]:
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.log(std[0] / std[-1])

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.parameters import moved_parameters
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, observation_columns
 
@@ -64,6 +65,11 @@ class BaseParameters:
 
     def __len__(self) -> int:
         return len(self.columns)
+
+    @property
+    def leading(self) -> tuple[str, ...]:
+        """The parameter that each base parameter is written with."""
+        return tuple(self.names[column] for column in self.columns)
 
     @property
     def expressions(self) -> tuple[str, ...]:
@@ -147,13 +153,18 @@ def observe(
     effects: Sequence[Effect],
     motion: Motion,
     rows: npt.NDArray[np.bool_] | None = None,
+    frames: Array | None = None,
 ) -> Observation:
     """Columns of all parameters over states, in units of the arm, ready for `regroup`.
 
-    ``rows`` says which joints' torques are known, shape (nv,); all when None.
+    ``rows`` says which joints' torques are known, shape (nv,); all when None. Parameters are about
+    the joint frames, or about frames of the links, poses in these, shape (nv, 4, 4).
     """
     length, p = arm_length(robot), 10 * robot.nv
     W = observation_columns(robot, effects, motion)
+    for link, T in enumerate(() if frames is None else frames):
+        own = W[:, :, 10 * link : 10 * link + 10]
+        own[:] = own @ moved_parameters(np.eye(10), T).T
     W *= np.where(robot.revolute, 1.0, length)[:, None]  # forces as torques
     W[:, :, :p] *= np.tile(length ** (LENGTH_POWERS - 2.0), robot.nv)
     sizes = np.abs(W[:, :, :p]).max(axis=(1, 2), keepdims=True)

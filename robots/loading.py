@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from excitant.exceptions import BadRobot, UnknownName
 from excitant.robots.angles import Angles
+from excitant.robots.base_estimate import read_base_estimate
 from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import chain_from_record, urdf_of_chain
 from excitant.robots.effects import (
@@ -130,6 +131,9 @@ def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
             own = replace(own, joints=spec.joints, base=spec.base, tip=spec.tip)
             spec = RobotSpec(path)
         robot = _supplemented(_from_model(own, record.gravity), record, str(path))
+        if record.estimate is not None and not spec.is_part and not spec.lock:
+            file = within(path.parent / record.estimate, path, own.packages)
+            robot = replace(robot, estimate=read_base_estimate(file))
     else:
         raise BadRobot(
             path,

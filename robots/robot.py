@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from excitant.robots.base_estimate import BaseEstimate
 from excitant.robots.html_table import html_table
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
@@ -55,6 +56,7 @@ class Robot:
     packages: tuple[str, ...] = ()  # folders, beside its own, in which its meshes may lie
     described: bool = True  # whether the description states its inertias and friction
     length_std: float = 0.0  # of each coordinate of each joint's place in its parent link [m]
+    estimate: BaseEstimate | None = None  # of its base parameters, where it was identified
 
     @cached_property
     def urdf(self) -> str:
@@ -118,7 +120,7 @@ class Robot:
         model = self.model.copy()
         for j, values in enumerate(np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1):
             model.inertias[j] = inertia(values)
-        return replace(self, model=model, described=False)
+        return replace(self, model=model, described=False, estimate=None)
 
     def with_gravity(self, gravity: npt.ArrayLike) -> Robot:
         """The same arm under another gravity vector in the base frame, shape (3,) [m/s²]."""
@@ -134,11 +136,12 @@ class Robot:
         model.jointPlacements[j] = model.jointPlacements[j] * turn.M
         zeros = dict(self.zeros)
         zeros[joint] = zeros.get(joint, 0.0) + angle
-        return replace(self, model=model, zeros=tuple(zeros.items()), described=False)
+        changed = replace(self, model=model, zeros=tuple(zeros.items()), described=False)
+        return replace(changed, estimate=None)
 
     def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same arm with these effects instead of its own."""
-        return replace(self, effects=tuple(effects), described=False)
+        return replace(self, effects=tuple(effects), described=False, estimate=None)
 
     def with_limits(self, limits: Limits) -> Robot:
         """The same arm with other limits."""

@@ -113,6 +113,7 @@ class RobotRecord(msgspec.Struct, frozen=True):
     packages: tuple[str, ...] | None = None
     limits: LimitsRecord | None = None
     effects: list[dict[str, Any]] | None = None
+    estimate: str | None = None
     drive: Any = None
     length_std: Annotated[float, msgspec.Meta(ge=0, le=1e9)] = 0.0
     about: AboutRecord | None = None

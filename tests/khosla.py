@@ -11,7 +11,8 @@ i − 1 exerts on link i, with the moment about the origin of frame i − 1, obe
 
 so that g = (block upper-triangular) φ, and the joint's component of each g_i gives τ = M φ (18).
 [·ω] is the 3 × 6 matrix with [·ω] (I_xx..I_zz) = I ω. This K_i is as it must read: the printed
-one lacks brackets and dots, and a 3 × 6 block cannot be [ω×][ω×].
+one lacks brackets and dots, and a 3 × 6 block cannot be [ω×][ω×]. Nor can (17) stay as printed: it
+selects the force where σ = 1, "rotary", but a rotary joint's torque is the moment about its axis.
 
 The paper's frames are distal (standard Denavit-Hartenberg): p = p_i leads from the origin of frame
 i − 1 to that of frame i, and [p×]v̇ is part of the moment. In proximal frames (modified; An,
@@ -120,13 +121,20 @@ def _times(A: Array, x: Array) -> Array:
 
 
 def torque_matrix(
-    chain: DHChain, q: Array, dq: Array, ddq: Array, *, printed: bool = False, lever: bool = True
+    chain: DHChain,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    *,
+    printed: bool = False,
+    lever: bool = True,
+    force: bool = False,
 ) -> Array:
     """M with τ = M φ, φ about the link frames of the chain, shape (n, nv, 10 nv).
 
     Row i is zero before column 10 i (Property 4: the equations of links i + 1 .. nv contain
     nothing of link i). ``printed``: with the moment of K as printed, [p×][ω×] − [v̇×]; ``lever``:
-    with [p×]v̇.
+    with [p×]v̇; ``force``: with (17) as printed.
     """
     T, distal = chain.poses(q).swapaxes(0, 1), chain.convention == "standard"
     turn, back, p = T[..., :3, :3], T[..., :3, :3].swapaxes(-1, -2), T[..., :3, 3]
@@ -166,6 +174,6 @@ def torque_matrix(
             R[:, 3:, :3] = _cross_matrix(reach[i]) @ turn[i + 1]
             stack = R @ stack
         stack[:, :, 10 * i : 10 * i + 10] = kinematics[i]
-        part = stack[:, 3:] if chain.revolute[i] else stack[:, :3]
+        part = stack[:, 3:] if bool(chain.revolute[i]) != force else stack[:, :3]
         M[:, i] = np.einsum("nj,njp->np", axes[i], part)
     return M

@@ -386,7 +386,8 @@ class JointwiseEffect(Effect):
         """Torque per unit of each term for joint j, each of shape (n,)."""
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        columns = np.zeros((len(motion), robot.nv, len(self.parameters(robot))))
+        count = len(self.own_terms) * len(self.joints)
+        columns = np.zeros((len(motion), robot.nv, count))
         per_joint = [(j, values) for j in self.rows(robot) for values in self.at(robot, motion, j)]
         for column, (j, values) in enumerate(per_joint):
             columns[:, j, column] = values

@@ -62,7 +62,7 @@ class TorqueOffset(StandardEffect):
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        return (np.ones_like(dq),)
+        return (np.ones(dq.shape),)
 
 
 @registered

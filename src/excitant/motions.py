@@ -25,6 +25,7 @@ from excitant.options import (
     Seed,
     Surroundings,
     TrajectoryFile,
+    Window,
     print_json,
 )
 from excitant.progress import progress_bar
@@ -244,6 +245,7 @@ def check(
     /,
     *,
     columns: Columns = "friction",
+    window: Window = None,
     surroundings: Surroundings = Surroundings(),
     part: Part = Part(),
     run: Run = Run(),
@@ -257,17 +259,33 @@ def check(
         OutsideLimits: A limit is exceeded, or bodies come too close; after the run is saved.
     """
     import excitant.design as designs
+    from excitant.identify import persistency
+    from excitant.robots.effects import standard_effects
 
     arm = surroundings.robot(part, robot)
     planned = designs.load_trajectory(trajectory, arm)
     motion, path = path_of(planned)
+    effects = standard_effects(arm.joints) if columns == "friction" else ()
+    shown = persistency(arm, _evenly(path, motion), effects, window=window)
     scene, least = surroundings.scene(arm)
     report = designs.check(arm, planned)
     near = None if scene is None else designs.clearance(scene, path)
     asked = designs.information(arm, columns)
     found = designs.TrajectoryCheck(asked, motion, report, scene, near, least)
-    run.finish(found.result() | {"trajectory": trajectory}, found.series())
+    result = found.result() | {"trajectory": trajectory, "persistency": shown.result()}
+    run.finish(result, found.series())
     found.require()
+
+
+def _evenly(path: Trajectory | HermiteTrajectory, motion: Motion) -> Motion:
+    """A motion at even steps, whatever those of its samples are."""
+    import numpy as np
+
+    from excitant.robots import Motion
+
+    steps = max(4, int((motion.t[-1] - motion.t[0]) * _DENSE_HZ))
+    t = np.linspace(motion.t[0], motion.t[-1], steps + 1)
+    return Motion(t, path(t), path(t, 1), path(t, 2))
 
 
 def simulate(

@@ -62,6 +62,10 @@ Numbers = Annotated[list[float] | None, _comma(_numbers)]
 Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 Seed = Annotated[int, Parameter(validator=Number(gte=0))]
 Columns = Literal["friction", "inertial"]
+Window = Annotated[
+    float | None,
+    Parameter(help="Judge excitation in windows of this length [s]; default: the whole motion."),
+]
 
 
 @Parameter(name="*")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -20,6 +20,7 @@ from excitant.options import (
     Part,
     RobotOrFolder,
     Run,
+    Window,
 )
 from excitant.progress import progress_bar
 
@@ -35,7 +36,10 @@ class Load:
     """Payload of the arm, known or sought."""
 
     payload: bool = False
-    "Also what the last link carries in these recordings, on top of the model given or --unloaded."
+    (
+        "Also what the last link carries in these recordings, on top of the model given (an "
+        "identified model.yaml knows how sure it is) or --unloaded; over time with --online."
+    )
     unloaded: Files = None
     "With --payload: the arm without load, any motion."
     payload_recording: Files = None
@@ -147,7 +151,10 @@ def identify(
         unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
         if drive is not None:
             unloaded = drive.torque(unloaded)
-        carried = identification.identify_payload(arm, fit, unloaded=unloaded, effects=named)
+        over: dict[str, Any] = {"forgetting": forgetting, "over_time": online}
+        carried = identification.identify_payload(
+            arm, fit, unloaded=unloaded, effects=named, **over
+        )
         result["payload"] = carried.result()
     if arm.length_std and (online or link_by_link or load.payload):
         notes.append(
@@ -223,6 +230,8 @@ def analyze(
     moving: Names = None,
     measured: Names = None,
     columns: Columns = "friction",
+    frames: Literal["joint", "dh"] = "joint",
+    window: Window = None,
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
@@ -235,6 +244,8 @@ def analyze(
         moving: Joints that move, J1,J2,...; default: all, or as the motion says.
         measured: Joints whose torque is measured; default: all.
         columns: All that identify estimates, or the links only.
+        frames: Frames that the links' inertias are about: their joints', or Denavit-Hartenberg's
+            (distal) as in Khosla (1987).
     """
     from excitant.analysis import identifiability
     from excitant.robots.effects import standard_effects
@@ -244,7 +255,12 @@ def analyze(
     dataset = part.dataset(robot, data.map) if recording or Path(robot).is_dir() else None
     arm = part.robot(robot) if dataset is None else dataset.robot
     effects = standard_effects(arm.joints) if columns == "friction" else ()
-    given: dict[str, Any] = {"noise": noise, "moving": moving, "measured": measured}
+    given: dict[str, Any] = {
+        "noise": noise,
+        "moving": moving,
+        "measured": measured,
+        "frames": frames,
+    }
     notes, said = list[str](), dict[str, Any]()
     if dataset is not None and recording:
         import numpy as np

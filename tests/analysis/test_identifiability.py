@@ -19,13 +19,13 @@ from excitant.analysis.experiment import identify_shown, prior_influence, prior_
 from excitant.analysis.identifiability import Identifiability, ParameterIdentifiability, analyze
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot
-from excitant.identify.excitation import persistency
+from excitant.identify.excitation import ROWS_PER_SECOND, persistency
 from excitant.identify.physical import fit_physical
-from excitant.identify.prior import BodyPrior, prior_parameters
+from excitant.identify.prior import BodyPrior, base_prior, prior_parameters
 from excitant.identify.rows import fit_rows
 from excitant.reports.run import as_saved
 from excitant.robots import Motion, Robot, load_robot
-from excitant.robots.base_parameters import BaseParameters
+from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import standard_effects
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 from excitant.robots.regressor import regressor
@@ -164,6 +164,28 @@ def test_level_is_information_per_noise(planar: Robot) -> None:
     # halving the noise makes four times the information, in at least as many directions
     assert len(half.levels) >= len(one.levels)
     assert half.levels[-1] == pytest.approx(4 * one.levels[-1], rel=1e-6)
+
+
+def test_what_is_shown_is_counted_of_all_combinations(planar: Robot) -> None:
+    """Against the information itself; windows show no more than the whole."""
+    sigma, effects = np.array([20.0, 10.0]), standard_effects(planar.joints)
+    base, counts = base_parameters(planar, effects), list[int]()
+    prior = base_prior(planar, effects, base).covariance
+    for motion in (motion_of(planar), motion_of(planar, resting=[1])):
+        W = observation_columns(planar, effects, motion)[:, :, base.columns] / sigma[:, None]
+        step = (motion.t[-1] - motion.t[0]) / (len(motion) - 1)
+        J = min(1.0, ROWS_PER_SECOND * step) * np.einsum("njr,njs->rs", W, W)
+        expected = int((np.linalg.eigvals(prior @ J).real >= 1).sum())
+        whole = persistency(planar, motion, sigma=sigma)
+        assert (whole.shown, whole.combinations) == (expected, len(base))
+        assert f"{expected} of {len(base)} combinations" in whole.sentence
+        half = persistency(planar, motion, sigma=sigma, window=5.0)
+        assert (half.shown <= whole.shown, half.windows) == (True, 3)
+        counts.append(expected)
+    assert len(base) > counts[0] > counts[1] > 0
+    for window in (0.0, 0.01, 11.0):
+        with pytest.raises(BadInput, match="a window of"):
+            persistency(planar, motion_of(planar), window=window)
 
 
 def test_windows_of_six_seconds_are_enough_for_two_joints(planar: Robot) -> None:

@@ -17,7 +17,10 @@ from hypothesis import strategies as st
 from khosla import dh_from_robot
 from second_opinion import grouping, largest_count, parameter_nullspace
 
+from excitant.analysis import analyze
 from excitant.analysis.structure import MARGIN, Structure, structure
+from excitant.exceptions import BadInput
+from excitant.identify.prior import reference_motion
 from excitant.robots import (
     DHChain,
     Robot,
@@ -28,6 +31,7 @@ from excitant.robots import (
 )
 from excitant.robots.base_parameters import LENGTH_POWERS, TOLERANCE, arm_length
 from excitant.robots.chains import RobotSpec
+from excitant.robots.dh import distal_frames, joint_frames
 from excitant.robots.effects import standard_effects
 from excitant.robots.urdf import robot_from_urdf
 
@@ -313,3 +317,71 @@ def test_arms_of_example_robot_data(file: str, joints: int, count: int) -> None:
     robot = robot_from_urdf(text, RobotSpec(file, joints=names))
     assert len(structure(robot).base) == count
     assert angle_between_methods(robot) < 1e-6
+
+
+def test_table_4_of_the_seed_paper_in_its_frames() -> None:
+    """Links 1 and 2: seven of twenty, about distal frames, with the values as printed."""
+    arm = load_robot("cmu_dd_arm_ii")
+    found = analyze(arm, frames="dh").result()
+    first = [row for link in found["links"][:2] for row in link["parameters"]]
+    shown = {row["name"]: row["value"] for row in first if row["category"] != "unidentifiable"}
+    assert len(first) == 20
+    assert shown == pytest.approx(
+        {
+            "link1.m": 19.753,
+            "link1.mcx": -5.9259,
+            "link1.Izz": 1.193645 + 5.9259**2 / 19.753,  # printed about the centre of mass
+            "link2.m": 7.894,
+            "link2.mcx": -1.039971,
+            "link2.mcz": 0.008722,
+            "link2.Iyy": 0.264736,
+        },
+        abs=1e-6,
+    )
+    assert "link1 3, link2 4, link3 10" in found["notes"][0]
+    in_joint_frames = analyze(arm).result()
+    assert in_joint_frames["base_parameters"] == found["base_parameters"] == 32
+    assert in_joint_frames["structure"]["frames"] == "joint"
+    with pytest.raises(BadInput, match="joint frames"):
+        analyze(arm, frames="dh", motion=reference_motion(arm, 1.0, 50.0))
+
+
+@pytest.mark.parametrize("name", ["cmu_dd_arm_ii", "puma560", "scara"])
+def test_categories_are_those_of_the_singular_vectors(name: str) -> None:
+    """Unique: orthogonal to the null vectors; unidentifiable: among them (Khosla 1987, 5.4)."""
+    arm = load_robot(name)
+    found = structure(arm, frames=distal_frames(arm))
+    r, V = len(found.base), found.singular_vectors
+    np.testing.assert_allclose(V @ V.T, np.eye(len(V)), atol=1e-12)
+    assert found.singular_values[r - 1] > 1e-6
+    assert found.singular_values[r:].max() < 1e-10
+    hidden = np.linalg.norm(V[r:], axis=0)
+    kinds = np.where(hidden < 1e-8, "unique", np.where(hidden > 1 - 1e-12, "unidentifiable", ""))
+    assert found.category == tuple(kind or "combined" for kind in kinds.tolist())
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda", "puma560", "cylindrical"])
+def test_distal_frames_of_any_arm(name: str) -> None:
+    """x of frame i meets the axis of joint i at a right angle; z is the axis of joint i + 1."""
+    arm = load_robot(name)
+    placed, data = distal_frames(arm), arm.model.createData()
+    axes = arm.axes(np.zeros(arm.nv), data)
+    for j, T in enumerate(placed):
+        world = data.oMi[j + 1].homogeneous @ T
+        origin = world[:3, 3] - data.oMi[j + 1].translation
+        assert abs(axes[j] @ world[:3, 0]) < 1e-9
+        assert abs(np.cross(axes[j], world[:3, 0]) @ origin) < 1e-9
+        if j + 1 < arm.nv:
+            np.testing.assert_allclose(world[:3, 2], axes[j + 1], atol=1e-9)
+            to_next = world[:3, 3] - data.oMi[j + 2].translation
+            assert np.linalg.norm(np.cross(axes[j + 1], to_next)) < 1e-9
+
+
+def test_frames_of_a_chain_are_its_own(random_chain: Callable[..., DHChain]) -> None:
+    for seed in range(5):
+        chain = random_chain(seed, 5)
+        np.testing.assert_allclose(
+            distal_frames(robot_from_dh(replace(chain, tool=np.eye(4)))),
+            joint_frames(chain),
+            atol=1e-9,
+        )

@@ -116,3 +116,16 @@ def test_the_truth_as_read_cannot_be_followed() -> None:
     truth = {e.entry.name: e.truth for e in read.entries}
     assert truth["I5xx"] == 0.002602
     assert truth["I5xx"] > truth["I5yy"] + truth["I5zz"]
+
+
+@pytest.mark.slow
+def test_two_motions_agree_on_what_the_prior_decides() -> None:
+    """So agreement proves nothing of an entry; base parameters agree by the data alone."""
+    both = benchmark.two_by_two(10.0)
+    motions, initial = both.spreads()
+    assert ((motions < 0.05) & (initial > 0.1)).sum() > 5
+    motions, initial = both.spreads(of_base=True)
+    assert motions.shape == (32,)
+    known = motions < 0.01
+    assert known.sum() > 5
+    assert (initial[known] < 0.02).all()

@@ -342,7 +342,8 @@ def test_a_model_worse_than_another_or_none_is_published_only_when_forced(
     model = judged(estimate, erring(estimate, *found), erring(estimate, *given, seed=1))
     plain, forced = publication(model), publication(model, force=True)
     assert forced.published
-    assert set(forced.files) == {*(f"identified.{x}" for x in SUFFIXES), "model.yaml"}
+    beside = {"model.yaml", "model-estimate.csv"}
+    assert set(forced.files) == {*(f"identified.{x}" for x in SUFFIXES), *beside}
     assert plain.published == published
     assert plain.files == (forced.files if published else {})
     assert all(words in plain.note for words in said)

@@ -13,6 +13,7 @@ from known_arms import smooth_motion, write_csv
 
 from excitant.exceptions import BadInput
 from excitant.identify import LocalPolynomial, Monitor, OnlineEstimator, Recording
+from excitant.identify.information import InformationFilter
 from excitant.identify.online import replayable
 from excitant.identify.prior import base_prior
 from excitant.robots import Motion, Robot, base_parameters, torque
@@ -86,6 +87,26 @@ def test_the_last_estimate_is_weighted_least_squares(
     np.testing.assert_allclose(found.covariance, covariance, atol=1e-7 * np.abs(covariance).max())
 
 
+def test_no_sample_takes_rows_of_more_than_one_joint(
+    planar: Robot, motion: Motion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the slowest costs little more than the others (`benchmarks/payload.py`)."""
+    taken, take = [0], InformationFilter.take
+
+    def counted(self: InformationFilter) -> None:
+        taken[0] += self.waiting > 0
+        take(self)
+
+    monkeypatch.setattr(InformationFilter, "take", counted)
+    online, most = estimator(planar, block=5), 0
+    for k in range(1000):
+        before = taken[0]
+        online.push(T[k], motion.q[k], motion.q[k])
+        most = max(most, taken[0] - before)
+    assert most == 1
+    assert taken[0] < online.rows  # several rows of a joint at once
+
+
 def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot, motion: Motion) -> None:
     effects, z, sigma = estimator(planar).effects, [], []
     arm = planar.with_effects([e.with_values(np.full(2, 0.3)) for e in effects])
@@ -101,6 +122,15 @@ def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot, motion: Motio
     inside = np.mean(np.abs(z) < 1.96)
     # the parameters of one run are correlated: count the runs as the independent ones
     assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 20)
+
+
+def test_rows_that_the_fit_can_follow_all_say_nothing_of_their_noise(
+    planar: Robot, motion: Motion
+) -> None:
+    tau = noisy(planar.with_effects(()), motion, SIGMA)
+    online = estimator(planar, sigma=None, block=1)
+    online.extend(T[:13], motion.q[:13], tau[:13])  # three rows of each joint
+    assert (online.estimate().sigma > 0.5 * SIGMA).all()
 
 
 @pytest.mark.parametrize("shift", [-1, 0, 1])

@@ -9,17 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import payload as benchmark
 import pinocchio as pin
 import pytest
 from estimators import TrueArm
 from known_arms import smooth_motion, write_csv
 from scipy.interpolate import BPoly
+from scipy.stats import binom
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
 from excitant.identify import (
     KnownPayload,
     PayloadEstimate,
+    PayloadEstimator,
     Recording,
     identify_drive_gains,
     identify_payload,
@@ -170,6 +173,87 @@ def test_command_on_an_arm_of_two_parallel_axes(
     assert values["mcy"]["prior_dominated"]
     for name, true in (("mcx", PHI[1]), ("mcz", PHI[3])):
         assert values[name]["value"] == pytest.approx(true, rel=0.02)
+
+
+def noisy(recording: Recording, seed: int, sigma: float = 0.05) -> Recording:
+    noise = sigma * np.random.default_rng(seed).standard_normal(recording.tau.shape)
+    return replace(recording, tau=recording.tau + noise)
+
+
+@pytest.fixture(scope="module")
+def planar_runs(planar: Robot, exact: Callable[..., Recording]) -> Runs:
+    """Two joints with the payload, and without, on different motions."""
+    load, t = Payload(planar.joints[-1:]).with_values(PHI), np.arange(0, 10, 0.004)
+    carrying = planar.with_effects([*planar.effects, load])
+    return noisy(exact(carrying, t, 1), 1), noisy(exact(planar, t, 2), 2)
+
+
+def test_a_model_keeps_what_it_knows_and_a_payload_is_told_over_time_on_top_of_it(
+    planar: Robot, planar_runs: Runs, tmp_path: Path, excitant: Callable[..., Any]
+) -> None:
+    held, file = write_csv(tmp_path / "held.csv", planar_runs[0]), tmp_path / "model.yaml"
+    identified = identify_robot(planar, planar_runs[1:])
+    names = {path.name for path in identified.save(file)}
+    assert names == {"model.yaml", "model.urdf", "model-estimate.csv"}
+    model, estimate = load_robot(file), identified.model.estimate
+    assert model.estimate.names == estimate.names
+    assert (model.estimate.value == estimate.value).all()
+    assert (model.estimate.covariance == estimate.covariance).all()
+    words = ("--payload", "--online", "--force", "--json", "-o", tmp_path / "run")
+    found = excitant(f"identify {file}", held, *words).result["payload"]
+    assert "as sure as its covariance says" in found["notes"][0]
+    mass, std = found["mass"]["value"], found["mass"]["std"]
+    assert abs(mass - MASS) < min(4 * std, 0.02 * MASS)
+    without = identify_payload(replace(model, estimate=None), planar_runs[:1])
+    assert std < 0.5 * without.std[0]
+    history = found["history"]
+    sizes = {len(history[key]) for key in ("t", "mass", "mass_std", "centre", "centre_std")}
+    assert len(sizes) == 1
+    assert min(sizes) > 10
+    assert (np.diff(history["t"]) > 0).all()
+    assert history["mass_std"][-1] < 0.5 * history["mass_std"][0]
+    z = (np.array(history["mass"]) - MASS) / np.array(history["mass_std"])
+    assert np.abs(z).max() < 5
+    assert "centre of mass, x" in (tmp_path / "run" / "report.html").read_text("utf-8")
+
+
+def test_what_is_kept_is_of_that_model_alone(planar: Robot, planar_runs: Runs) -> None:
+    model = identify_robot(planar, planar_runs[1:]).model
+    assert model.estimate is not None
+    for other in (
+        model.with_parameters(model.phi),
+        model.with_effects(()),
+        model.with_zero("joint1", 0.1),
+    ):
+        assert other.estimate is None
+    viscous = standard_effects(planar.joints)[:1]
+    with pytest.raises(BadInput, match="other effects"):
+        identify_payload(model, planar_runs[:1], effects=viscous)
+
+
+def test_a_payload_in_a_loop_is_seen_when_it_is_picked_up(planar_runs: Runs, planar: Robot) -> None:
+    """On top of the unloaded arm, forgetting within a second."""
+    held, free = planar_runs
+    model = identify_robot(planar, [free]).model
+    loop = PayloadEstimator(model, rate_hz=250.0, forgetting=1.0)
+    for t, q, tau in zip(free.t, free.q, free.tau, strict=True):
+        loop.push(float(t), q, tau)
+    before = loop.estimate()
+    for t, q, tau in zip(held.t, held.q, held.tau, strict=True):
+        loop.push(float(t) + 20.0, q, tau)
+    after = loop.estimate()
+    assert before.mass < max(4 * before.std[0], 0.05)
+    assert abs(after.mass - MASS) < min(4 * after.std[0], 0.1 * MASS)
+
+
+@pytest.mark.slow
+def test_intervals_on_an_arm_identified_off_line_are_honest() -> None:
+    """`benchmarks/payload.py` has two hundred of them."""
+    runs = [benchmark.run(seed) for seed in range(8)]
+    z = np.array([(run.found[-2:] - run.mass) / run.std[-2:] for run in runs])
+    assert np.abs(z).max() < 4
+    assert (np.abs(z[:, -1]) < 1.96).sum() >= binom.ppf(1e-3, len(runs), 0.95)
+    assert max(abs(run.found[-1] / run.mass - 1) for run in runs) < 0.02
 
 
 class Bench:

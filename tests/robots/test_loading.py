@@ -22,6 +22,7 @@ from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design_trajectory
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Limits, Motion, Robot, load_limits, load_robot, rigid_body_torque
+from excitant.robots.base_estimate import BaseEstimate
 from excitant.robots.chains import RobotSpec
 from excitant.robots.limits import require_limits
 from excitant.robots.torque import torque
@@ -314,3 +315,52 @@ def test_bad_limits_are_refused_in_one_line(
 ) -> None:
     said = refused(BAD_LIMITS[text], limits_of, tmp_path, text, planar, error=BadInput)
     assert str(tmp_path / "limits.yaml") in said
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Path:
+    """A robot.yaml that keeps its estimate of two parameters."""
+    C = np.array([[4.0, 1.0], [1.0, 2.0]])
+    text = BaseEstimate(("link1.mcx", "link,2.m"), np.array([0.5, -1 / 3]), C).csv()
+    (tmp_path / "arm-estimate.csv").write_text(text)
+    (tmp_path / "arm.urdf").write_text(load_robot("planar_2r").urdf)
+    path = tmp_path / "arm.yaml"
+    path.write_text("model: arm.urdf\nestimate: arm-estimate.csv\n")
+    return path
+
+
+def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
+    found = load_robot(kept).estimate
+    assert found.names == ("link1.mcx", "link,2.m")
+    assert found.value.tolist() == [0.5, -1 / 3]
+    assert found.covariance.tolist() == [[4.0, 1.0], [1.0, 2.0]]
+    assert load_robot(kept, lock={"joint2": 0.3}).estimate is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("parameter,", "name,", "not a table"),
+        ("0.5", "half", "line 2 does not hold 3 numbers"),
+        ("0.5", "nan", "not finite"),
+        ("4.0", "-4.0", "variances not positive"),
+        ("4.0,1.0", "4.0,1.5", "not symmetric"),
+        ("2.0\n", "0.25\n", "positive definite"),
+        ("\nlink1.mcx", "\nlink1.mcy", "line 2 is of 'link1.mcy', not of 'link1.mcx'"),
+    ],
+)
+def test_an_estimate_that_is_none_is_refused(kept: Path, old: str, new: str, why: str) -> None:
+    file = kept.with_name("arm-estimate.csv")
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new, 1))
+    with pytest.raises(BadRobot, match=re.escape(why)) as refused:
+        load_robot(kept)
+    assert "arm-estimate.csv" in str(refused.value)
+    assert "write the model again" in str(refused.value)
+
+
+def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path) -> None:
+    for name, why in (("../x.csv", "outside its folder"), ("none.csv", "cannot be read")):
+        kept.write_text(f"model: arm.urdf\nestimate: {name}\n")
+        with pytest.raises(BadRobot, match=why):
+            load_robot(kept)
