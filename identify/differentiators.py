@@ -20,6 +20,7 @@ from math import factorial
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadInput
@@ -29,7 +30,7 @@ Differentiator = Callable[[Array, Array], Motion]
 """Motion at samples: of time, shape (n,) [s], and positions, shape (n, nv)."""
 
 _IRREGULAR = 1e-3  # of a step: what counts as the same step
-_BUTTERWORTH_ORDER = 4
+BUTTERWORTH_ORDER = 4
 _FEWEST = 64  # samples of a spectrum
 _FLOOR_SHARE = 1 / 3  # of the frequency axis, its upper end, where arms do not move
 _TIME_SPAN = (0.004, 0.3)  # s: windows of polynomials that are worth a try
@@ -122,7 +123,7 @@ def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
 @lru_cache(maxsize=64)
 def _butterworth(cutoff_hz: float, rate_hz: float) -> Array:
     """Sections of the filter; the design costs more than filtering a short recording."""
-    sections = scipy.signal.butter(_BUTTERWORTH_ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    sections = scipy.signal.butter(BUTTERWORTH_ORDER, cutoff_hz, fs=rate_hz, output="sos")
     return np.asarray(sections, float)
 
 
@@ -174,14 +175,27 @@ def position_spectrum(t: Array, q: Array) -> Spectrum:
     grid = np.linspace(t[0], t[-1], len(t))
     regular = np.column_stack([np.interp(grid, t, column) for column in q.T])
     rate = float((len(t) - 1) / (t[-1] - t[0]))
-    f, power = scipy.signal.periodogram(
-        scipy.signal.detrend(regular, axis=0), fs=rate, window="hann", axis=0
-    )
-    upper = f > (1 - _FLOOR_SHARE) * rate / 2
-    floor = np.median(power[upper], axis=0) / np.log(2)  # exponential: median = mean · ln 2
-    stands_out = power > floor * 2 * np.log(len(f))
+    f, power, floor = _density(regular, rate)
+    upper, stands_out = _upper(f), power > floor * 2 * np.log(len(f))
     signal = np.where(stands_out & ~upper[:, None], np.maximum(power - floor, 0), 0.0)
     return Spectrum(f, signal, np.sqrt(floor * rate / 2), rate, len(t))
+
+
+def white_noise(x: Array, rate_hz: float) -> Array:
+    """Standard deviation of the white noise of channels at a regular rate, (n, k) → (k,)."""
+    return np.asarray(np.sqrt(_density(x, rate_hz)[2] * rate_hz / 2), float)
+
+
+def _density(x: Array, rate_hz: float) -> tuple[Array, Array, Array]:
+    """Frequencies, power density of channels over them, and its floor."""
+    window, level = "hann", scipy.signal.detrend(x, axis=0)
+    f, power = scipy.signal.periodogram(level, fs=rate_hz, window=window, axis=0)
+    # exponential: median = mean · ln 2
+    return f, power, np.median(power[_upper(f)], axis=0) / np.log(2)
+
+
+def _upper(f: Array) -> npt.NDArray[np.bool_]:
+    return np.asarray(f > (1 - _FLOOR_SHARE) * f[-1])
 
 
 class Choice(NamedTuple):

@@ -12,18 +12,19 @@ import scipy
 
 from excitant.exceptions import BadRecording
 from excitant.identify.drive_gains import DriveGains, current_gains
-from excitant.identify.faults.fault import noise
 from excitant.identify.preprocessing import (
     CUTOFF_HZ,
     Mask,
     Segment,
     away_from_rest,
+    certain_rows,
     default_cutoff,
     prepare,
 )
 from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
+from excitant.identify.smoother import noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter
 from excitant.robots.motion import Array, read_only
@@ -161,6 +162,10 @@ class Series:
         """Rows at which an error counts: where the joint moves, all if it never does, (n, nv)."""
         return np.where(self.moves.any(axis=0), self.moves, True)
 
+    def counted(self, values: Array) -> list[Array]:
+        """Values of each joint, shape (n, nv), at its rows that count."""
+        return [column[rows] for column, rows in zip(values.T, self.counts.T, strict=True)]
+
     def rms(self, error: Array) -> Array:
         """Root mean square of an error, (n, nv), of each joint, shape (nv,)."""
         return np.asarray(np.sqrt(np.mean(error**2, axis=0, where=self.counts)), float)
@@ -226,7 +231,8 @@ class FitRows:
         effects: Effects that are estimated.
         base: Base parameters of links and effects.
         data: Segments for fitting and for validation.
-        regression: Columns of all parameters of links and effects, and torque [N·m].
+        used: Rows that count, shape (n, nv); see `certain_rows`.
+        regression: Columns of all parameters of links and effects, and torque [N·m], at those.
         drive: Drive gains, if torque was recorded as current.
     """
 
@@ -234,8 +240,13 @@ class FitRows:
     effects: tuple[Effect, ...]
     base: BaseParameters
     data: Data
+    used: Mask
     regression: Regression
     drive: DriveGains | None
+
+    def fitting(self, regression: Regression) -> Regression:
+        """Other columns at the rows that count, with the torque there."""
+        return regression.counting(self.used).with_torque(self.tau)
 
     @property
     def gains(self) -> Array:
@@ -278,12 +289,13 @@ class FitRows:
 
 
 def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
-    """The rows of the training segments."""
-    regression, drive = regression_of(robot, effects, data.train), data.drive
+    """The rows of the training segments at which no dry friction holds a joint."""
+    used, drive = certain_rows(effects, robot.joints, data.train), data.drive
+    regression = regression_of(robot, effects, data.train).counting(used)
     if data.unit == "A":
-        drive = current_gains(robot, base, regression.W, regression.tau)
+        drive = current_gains(robot, base, regression.W, regression.tau, used)
         regression = regression.with_torque(regression.tau * drive.gains)
-    return FitRows(robot, tuple(effects), base, data, regression, drive)
+    return FitRows(robot, tuple(effects), base, data, used, regression, drive)
 
 
 def gains_of(robot: Robot, data: Data, drive: DriveGains | None) -> Array:

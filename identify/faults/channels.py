@@ -17,13 +17,12 @@ from excitant.identify.faults.fault import (
     Remedy,
     Rows,
     dropped,
-    noise,
-    quantum,
     run_lengths,
     tail_bound,
     unwrap,
 )
 from excitant.identify.faults.time import hidden_gaps
+from excitant.identify.smoother import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
