@@ -233,6 +233,7 @@ class Estimate:
         error = np.abs(self.holdout.measured - self.predicted)
         inside = [each <= 0 for each in self.holdout.counted(error - half)]
         held = coverage(inside)
+        sensors, cutoff_hz = self.data.sensors, self.data.cutoff_hz
         intervals = [
             {
                 "half_width": float(half[:, j].mean()),
@@ -257,6 +258,7 @@ class Estimate:
                     "train": self.train.entry(j),
                     "validate": self.validate.entry(j) | {"interval95": intervals[j]},
                     "baseline": self.baseline.entry(j),
+                    **({} if sensors is None else {"motion": sensors.entry(j, cutoff_hz)}),
                 }
                 for j, joint in enumerate(robot.joints)
             ],
@@ -501,6 +503,10 @@ def _told(
 def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:
     """Notes on the hold-out, the cut-off and the prior."""
     robot, notes = rows.robot, [rows.data.holdout, rows.data.cutoff_why]
+    if rows.data.sensors is not None:
+        notes.append(rows.data.sensors.sentence(robot.joints))
+    if rows.rests:
+        notes.append(rows.rests)
     moved = [
         link
         for link, given, used in zip(robot.links, robot.phi.reshape(-1, 10), prior, strict=True)

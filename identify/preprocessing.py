@@ -203,7 +203,8 @@ def _segment(
     keep = slice(edge, len(grid) - edge, stride)
     passed = low_pass(tau, cutoff_hz, 1 / step)
     segment = Segment(recording.name, motion, passed, tau, cutoff_hz, keep, sensors)
-    fast = (np.abs(motion.dq) > segment.least_speed).any(axis=0)
+    inner = slice(edge, len(grid) - edge)
+    fast = (np.abs(motion.dq[inner]) > segment.least_speed).any(axis=0)
     return stilled(segment, fast | (np.ptp(q, axis=0) > sensors.span))
 
 

@@ -24,7 +24,7 @@ from excitant.identify.preprocessing import (
 from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
-from excitant.identify.smoother import noise
+from excitant.identify.smoother import SensorNoise, mean_noise, noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter
 from excitant.robots.motion import Array, read_only
@@ -33,6 +33,7 @@ from excitant.robots.torque import torque
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
 _BLOCKS = 10  # of time, whose means are as good as independent
+_TOLD = 0.05  # of a joint's rows left out: from there on it is told
 _PRODUCTS = 2.0  # times the highest harmonic of a motion: that of centrifugal torque
 
 
@@ -57,6 +58,12 @@ class Data:
     holdout: str
     cutoff_why: str = ""
     drive: DriveGains | None = None
+
+    @property
+    def sensors(self) -> SensorNoise | None:
+        """Noise of positions and speeds of the fitted recordings, rms over time."""
+        known = [s.sensors for s in self.train if s.sensors is not None]
+        return mean_noise(known, [len(s.motion) for s in self.train]) if known else None
 
 
 def split(
@@ -249,6 +256,18 @@ class FitRows:
         return regression.counting(self.used).with_torque(self.tau)
 
     @property
+    def rests(self) -> str:
+        """Joints with rows that are left out, as a sentence; empty where there are few."""
+        shares = zip(self.robot.joints, (~self.used).mean(axis=0), strict=True)
+        said = ", ".join(f"{joint} {share:.0%}" for joint, share in shares if share >= _TOLD)
+        if not said:
+            return ""
+        return (
+            "left out of the fit: rows at which a joint rests, where dry friction holds any torque "
+            f"near that of motion, or its sensors show no direction ({said})"
+        )
+
+    @property
     def gains(self) -> Array:
         """Torque per reading, shape (nv,) [N·m per reading]."""
         return gains_of(self.robot, self.data, self.drive)
@@ -289,7 +308,7 @@ class FitRows:
 
 
 def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
-    """The rows of the training segments at which no dry friction holds a joint."""
+    """The rows of the training segments at which no dry friction may hold a joint."""
     used, drive = certain_rows(effects, robot.joints, data.train), data.drive
     regression = regression_of(robot, effects, data.train).counting(used)
     if data.unit == "A":

@@ -21,7 +21,9 @@ less noise than the white one of its samples, nor, in steps of Δ, than Δ / √
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -93,6 +95,27 @@ class SensorNoise:
         """Range that positions of a joint at rest stay in, shape (nv,) [rad or m]."""
         return np.asarray(2 * _FARTHEST * self.position, float)
 
+    def entry(self, joint: int, cutoff_hz: float) -> dict[str, Any]:
+        """Entry of a joint in ``result.json``; the speed's weight is that at a cut-off [Hz]."""
+        known = bool(np.isfinite(self.speed[joint]))
+        return {
+            "position_noise": float(self.position[joint]),
+            "position_step": float(self.step[joint]) or None,
+            "speed_noise": float(self.speed[joint]) if known else None,
+            "crossover_hz": float(self.crossover_hz[joint]) if known else None,
+            "speed_weight": float(self.speed_share(cutoff_hz)[joint]),
+        }
+
+    def sentence(self, joints: Sequence[str]) -> str:
+        """From which frequency speeds count more than positions, joint by joint."""
+        if not np.isfinite(self.speed).any():
+            return "motion from positions alone: no speeds were recorded for all joints"
+        each = (f"{joint} {f:.3g}" for joint, f in zip(joints, self.crossover_hz, strict=True))
+        return (
+            "motion from positions and recorded speeds, weighed by their noise: speeds count more "
+            f"above [Hz] {', '.join(each)}"
+        )
+
     def speed_share(self, f: Array | float) -> Array:
         """Weight of speeds at frequencies [Hz], shape (..., nv); positions have the rest."""
         f = np.asarray(f, float)[..., None]
@@ -114,6 +137,17 @@ class SensorNoise:
         squares = (of_positions**2 + of_speeds**2) * passed**2
         noise = np.sqrt(2 / self.rate_hz * np.trapezoid(squares, f, axis=0))
         return np.asarray(np.maximum(jumps, _CERTAIN * noise), float)
+
+
+def mean_noise(parts: Sequence[SensorNoise], samples: Sequence[int]) -> SensorNoise:
+    """Noise of several parts of so many samples together, rms; the coarsest step."""
+
+    def rms(values: list[Array]) -> Array:
+        return np.asarray(np.sqrt(np.average(np.square(values), axis=0, weights=samples)), float)
+
+    position, speed = rms([part.position for part in parts]), rms([part.speed for part in parts])
+    step = np.max([part.step for part in parts], axis=0)
+    return SensorNoise(min(part.rate_hz for part in parts), position, speed, step)
 
 
 def smoothed(t: Array, q: Array, dq: Array | None, band_hz: float) -> tuple[Array, SensorNoise]:
