@@ -104,7 +104,7 @@ def test_identify_reports_intervals_coverage_and_essential_parameters(
         assert entry["half_width"] == pytest.approx(found.interval.half_width[:, j].mean())
         assert 0 < entry["half_width_parameters"] < entry["half_width"]
         outside = np.abs(found.holdout.measured - found.predicted) > found.interval.half_width
-        assert entry["coverage"] == pytest.approx(1 - outside[:, j].mean())
+        assert entry["coverage"] == pytest.approx(1 - found.holdout.counted(outside)[j].mean())
         assert entry["coverage"] > 0.85
     essential = result["essential"]
     assert sorted(essential["kept"] + essential["dropped"]) == sorted(found.base.expressions)
