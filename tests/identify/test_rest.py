@@ -98,13 +98,14 @@ def test_a_reading_that_toggles_has_no_direction() -> None:
     assert (segment.motion.dq[segment.keep] > segment.least_speed).all()
 
 
-@pytest.mark.parametrize("jump", [1e-15, 1e-9, 4e-6])
+@pytest.mark.parametrize("jump", [1e-12, 1e-9, 1e-8])
 def test_a_joint_that_rests_is_not_accused_of_what_nobody_sees(jump: float) -> None:
-    """A held reading that is off by rounding, once, or by little beside other joints' noise."""
-    log = run(3, moving=(0,))
-    q, rng = np.array(log.q), np.random.default_rng(0)
+    """Held readings that now and then are off by less than single precision shows."""
+    log, rng = run(3, moving=(0,)), np.random.default_rng(0)
+    q, now = np.array(log.q), rng.random(len(log)) < [[0.3], [0.002]]
     q[:, 0] += 2e-5 * rng.standard_normal(len(q))
-    q[:, 1] = 0.97973 + jump / 8 * rng.integers(0, 2, len(q))
-    q[700, 1] += jump
-    faults = find_faults(ARM, Recording("n", "f.csv", log.t, q, log.tau))
-    assert "corrupt_rows" not in [fault.fault for fault in faults]
+    for dither in (jump / 50 * rng.random(len(q)) * now[0], jump * now[1]):
+        q[:, 1] = 0.97973 + dither
+        q[700, 1] += 5 * jump
+        faults = find_faults(ARM, Recording("n", "f.csv", log.t, q, log.tau))
+        assert "corrupt_rows" not in [fault.fault for fault in faults]
