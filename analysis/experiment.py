@@ -350,5 +350,5 @@ def identify_shown(
 def _clean(rows: FitRows) -> FitRows:
     """The rows with columns that are rounding alone set to zero."""
     known = rows.regression
-    clean = dense(without_rounding(known.W), known.tau, known.names)
+    clean = dense(without_rounding(known.W), known.tau, known.names, known.used)
     return replace(rows, regression=clean)

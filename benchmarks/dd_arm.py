@@ -22,9 +22,10 @@ from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
+from excitant.identify.differentiators import LocalPolynomial
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.preprocessing import prepare
+from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.prior import link_coordinates, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
 from excitant.robots import (
@@ -42,11 +43,13 @@ from excitant.robots.parameters import (
     pseudo_inertia,
     violations,
 )
+from excitant.robots.torque import observation_columns
 
 STEP_S = 0.002  # the paper's sampling
 ENCODER = 2 * np.pi / 2**16  # rad: assumed step
 NOISE_SHARE = 0.02  # of each joint's rms torque
 PERIOD_S, HARMONICS = 10.0, 5
+TACHO = 0.001  # noise of measured velocity, of each joint's top speed
 VISCOUS = np.array([0.6, 0.3, 0.15, 0.06, 0.04, 0.02])  # N·m·s/rad, assumed
 COULOMB = np.array([1.5, 0.8, 0.4, 0.25, 0.15, 0.08])  # N·m, assumed
 PRIOR_STEP = 0.2  # of a link's inertia: how far the prior is moved
@@ -397,18 +400,85 @@ def body_lines() -> Iterator[str]:
         yield pd.DataFrame(values, STANDARD).to_string(float_format="{:.6f}".format)
 
 
+class Velocity(NamedTuple):
+    """Rms torque error on motions not fitted, by encoder and way to velocities, each (6,) [N·m]."""
+
+    bits: int
+    five_points: np.ndarray  # tacho velocity and the paper's filter of it
+    positions: np.ndarray  # `identify` without the measured velocity
+    fused: np.ndarray  # `identify` with it
+    crossover_hz: np.ndarray  # above which velocity counts more than position
+
+
+def velocities(seed: int = 0, tacho: float = TACHO, runs: int = 3) -> Iterator[Velocity]:
+    """Encoders of 12, 14 and 16 bits with a tacho of some noise, as a share of the top speed."""
+    given, truth = dd_arm("initial"), dd_arm("estimated", likely=True)
+    arm, rng = TrueArm(truth.model, VISCOUS, COULOMB), np.random.default_rng(seed)
+    paths = [random_trajectory(given, rng, PERIOD_S, HARMONICS) for _ in range(2 * runs)]
+    motions = [path.at(np.arange(0, PERIOD_S, STEP_S)) for path in paths]
+    for bits in (12, 14, 16):
+        step, recordings = 2 * np.pi / 2**bits, list[Recording]()
+        for motion in motions[:runs]:
+            tau, white = arm.torque(motion), rng.standard_normal((2, *motion.q.shape))
+            tau += NOISE_SHARE * np.sqrt((tau**2).mean(axis=0)) * white[0]
+            dq = motion.dq + tacho * np.abs(motion.dq).max(axis=0) * white[1]
+            q = step * np.round(motion.q / step)
+            recordings.append(Recording("run", "simulated", motion.t, q, tau, dq=dq))
+        alone = [replace(recording, dq=None) for recording in recordings]
+        rows = fitted(given, recordings)
+        beta = rows.base.regrouping @ np.concatenate([truth.phi, VISCOUS, COULOMB])
+        W = np.concatenate([observation_columns(given, rows.effects, m) for m in motions[runs:]])
+        W = W[:, :, list(rows.base.columns)]
+        paper = replace(rows.data, train=tuple(map(_five_points, recordings)))
+        errors = [
+            np.sqrt(((W @ (weighted_least_squares(each.reduced).beta - beta)) ** 2).mean(axis=0))
+            for each in (
+                fit_rows(given, rows.effects, rows.base, paper), fitted(given, alone), rows
+            )
+        ]  # fmt: skip
+        sensors = rows.data.sensors
+        assert sensors is not None
+        yield Velocity(bits, *errors, sensors.crossover_hz)
+
+
+def _five_points(recording: Recording) -> Segment:
+    """Measured velocity, and acceleration of it by five samples (Khosla 1987, section 5.1)."""
+    [segment] = prepare(recording)
+    inner = slice(2, -2)
+    ddq = LocalPolynomial(2, 2)(recording.t, recording.dq).dq
+    motion = Motion(recording.t[inner], recording.q[inner], recording.dq[inner], ddq)
+    keep = slice(segment.keep.start, segment.keep.stop - 4, segment.keep.step)
+    tau, raw = segment.tau[inner], segment.tau_raw[inner]
+    return replace(segment, motion=motion, tau=tau, tau_raw=raw, keep=keep)
+
+
+def velocity_lines(found: Iterator[Velocity]) -> Iterator[str]:
+    yield "rms torque error on motions not fitted, joints 1 to 6, relative to five points"
+    for each in found:
+        for name, error in (("before", each.positions), ("after", each.fused)):
+            cells = " ".join(f"{ratio:7.2f}" for ratio in error / each.five_points)
+            yield f"{each.bits} bits {name:<7}{cells}"
+        cells = " ".join(f"{f:7.2f}" for f in each.crossover_hz)
+        yield f"   velocity above [Hz] {cells}".replace("   velocity", "velocity", 1)
+
+
 def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="recorded, 10 s a run")
     parser.add_argument("--as-read", action="store_true", help="doubtful digits as the print shows")
     parser.add_argument("--two-by-two", metavar="PNG", help="two motions, two sets of values")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--velocity", action="store_true", help="measured velocity alone")
+    parser.add_argument("--tacho", type=float, default=TACHO, help="its noise, of the top speed")
     args = parser.parse_args(words)
     with threadpool_limits(1):
         if args.two_by_two:
             both = two_by_two(args.seconds, args.seed)
             draw_two_by_two(both, args.two_by_two)
             print("\n".join(two_by_two_lines(both)))
+            return
+        if args.velocity:
+            print("\n".join(velocity_lines(velocities(args.seed, args.tacho))))
             return
         print("\n".join(count_lines(np.random.default_rng(args.seed))), end="\n\n")
         print("\n".join(body_lines()), end="\n\n")

@@ -20,6 +20,7 @@ from math import factorial
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadInput
@@ -159,12 +160,26 @@ def position_spectrum(t: Array, q: Array) -> Spectrum:
     grid = np.linspace(t[0], t[-1], len(t))
     regular = np.column_stack([np.interp(grid, t, column) for column in q.T])
     rate = float((len(t) - 1) / (t[-1] - t[0]))
-    f, power = power_density(detrended(regular), rate, len(t))
-    upper = f > (1 - _FLOOR_SHARE) * rate / 2
-    floor = np.median(power[upper], axis=0) / np.log(2)  # exponential: median = mean · ln 2
-    stands_out = power > floor * 2 * np.log(len(f))
+    f, power, floor = _density(regular, rate)
+    upper, stands_out = _upper(f), power > floor * 2 * np.log(len(f))
     signal = np.where(stands_out & ~upper[:, None], np.maximum(power - floor, 0), 0.0)
     return Spectrum(f, signal, np.sqrt(floor * rate / 2), rate, len(t))
+
+
+def white_noise(x: Array, rate_hz: float) -> Array:
+    """Standard deviation of the white noise of channels at a regular rate, (n, k) → (k,)."""
+    return np.asarray(np.sqrt(_density(x, rate_hz)[2] * rate_hz / 2), float)
+
+
+def _density(x: Array, rate_hz: float) -> tuple[Array, Array, Array]:
+    """Frequencies, power density of channels over them, and its floor."""
+    f, power = power_density(detrended(x), rate_hz, len(x))
+    # exponential: median = mean · ln 2
+    return f, power, np.median(power[_upper(f)], axis=0) / np.log(2)
+
+
+def _upper(f: Array) -> npt.NDArray[np.bool_]:
+    return np.asarray(f > (1 - _FLOOR_SHARE) * f[-1])
 
 
 class Choice(NamedTuple):

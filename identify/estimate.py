@@ -26,6 +26,7 @@ from excitant.identify.least_squares import (
 )
 from excitant.identify.lengths import LengthErrors, length_deviations, length_errors
 from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
+from excitant.identify.preprocessing import Mask
 from excitant.identify.prior import decided_by, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
@@ -134,7 +135,6 @@ class Estimate:
             drive gains included.
         base_std: The same of the base parameters.
         data: What was fitted and held out.
-        train: Accuracy of the model on the fitted rows.
         notes: What the user should know, as sentences.
         drive: Drive gains, if torque was recorded as current.
         estimator: How the base parameters were estimated, in words.
@@ -151,7 +151,6 @@ class Estimate:
     std: Array
     base_std: Array
     data: Data
-    train: Accuracy
     notes: tuple[str, ...]
     drive: DriveGains | None = None
     estimator: str = ESTIMATORS["wls"]
@@ -168,6 +167,21 @@ class Estimate:
     def prior(self) -> Array:
         """Standard parameters of the prior, shape (10 nv,)."""
         return read_only(prior_parameters(self.given).ravel())
+
+    @cached_property
+    def fitted(self) -> Series:
+        """Rows of the fit."""
+        return series(self.data.train)
+
+    @cached_property
+    def predicted_fitted(self) -> Array:
+        """Torque of the model at the rows of the fit, shape (n, nv) [torque unit]."""
+        return read_only(predicted_torque(self.model, self.data.train) / self.gains)
+
+    @cached_property
+    def train(self) -> Accuracy:
+        """Accuracy of the model on the rows of the fit."""
+        return self.fitted.accuracy(self.predicted_fitted)
 
     @cached_property
     def holdout(self) -> Series:
@@ -216,18 +230,20 @@ class Estimate:
         W, fit, lengths = self.holdout_columns, self.least_squares, self.lengths
         if lengths is not None:
             W = np.concatenate([W, lengths.columns(self.data.validate)], axis=2)
-            residual, covariance = lengths.residual / self.gains, lengths.of_prediction(fit)
-            return prediction_interval(W, fit, residual, self.gains, covariance)
-        predicted = predicted_torque(self.model, self.data.train) / self.gains
-        residual = series(self.data.train).measured - predicted
-        return prediction_interval(W, fit, residual, self.gains)
+            left = [e / gain for e, gain in zip(lengths.residuals, self.gains, strict=True)]
+            return prediction_interval(W, fit, left, self.gains, lengths.of_prediction(fit))
+        residuals = self.fitted.counted(self.fitted.measured - self.predicted_fitted)
+        return prediction_interval(W, fit, residuals, self.gains)
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result of `identify`."""
         robot, fit = self.given, self.least_squares
         broken = violations(self.phi, robot.links)
         half, known = self.interval.half_width, self.interval.parameters
-        held = coverage(self.holdout.measured, self.predicted, half)
+        error = np.abs(self.holdout.measured - self.predicted)
+        inside = [each <= 0 for each in self.holdout.counted(error - half)]
+        held = coverage(inside)
+        sensors, cutoff_hz = self.data.sensors, self.data.cutoff_hz
         intervals = [
             {
                 "half_width": float(half[:, j].mean()),
@@ -253,6 +269,7 @@ class Estimate:
                     "train": self.train.entry(j),
                     "validate": self.validate.entry(j) | {"interval95": intervals[j]},
                     "baseline": self.baseline.entry(j),
+                    **({} if sensors is None else {"motion": sensors.entry(j, cutoff_hz)}),
                 }
                 for j, joint in enumerate(robot.joints)
             ],
@@ -492,14 +509,10 @@ def judged(
     model = identified_robot(robot, rows.effects, physical.x)
     if np.isfinite(widened).all():
         model = replace(model, estimate=BaseEstimate(rows.base.leading, fit.beta, widened))
-    predicted = rows.regression.torque(physical.x) / rows.gains
-    train = series(rows.data.train).accuracy(predicted)
     notes += () if drive is None else (drive.sentence(robot.joints),)
     notes += (physical.note,) if physical.note else ()
     stds = std, np.sqrt(np.diag(widened))
-    return Estimate(
-        robot, model, rows.base, fit, physical, *stds, rows.data, train, notes, drive=drive
-    )
+    return Estimate(robot, model, rows.base, fit, physical, *stds, rows.data, notes, drive=drive)
 
 
 def _told(
@@ -514,6 +527,10 @@ def _told(
 def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:
     """Notes on the hold-out, the cut-off and the prior."""
     robot, notes = rows.robot, [rows.data.holdout, rows.data.cutoff_why]
+    if rows.data.sensors is not None:
+        notes.append(rows.data.sensors.sentence(robot.joints))
+    if rows.rests:
+        notes.append(rows.rests)
     moved = [
         link
         for link, given, used in zip(robot.links, robot.phi.reshape(-1, 10), prior, strict=True)
@@ -548,7 +565,7 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
         found = fit_physical(R, z, prior, known.open_prior, knowledge=knowledge, links=robot.links)
         reference = identified_robot(robot, known.effects, found.x)
         columns = regression_of(reference, effects, rows.data.train)
-        known = replace(rows, robot=reference, regression=columns.with_torque(rows.tau))
+        known = replace(rows, robot=reference, regression=rows.fitting(columns))
     return known
 
 
@@ -615,18 +632,19 @@ def torque_std(W: Array, covariance: Array) -> Array:
 def prediction_interval(
     W: Array,
     fit: LeastSquares,
-    residual: Array,
+    residuals: Sequence[Array],
     gains: Array | float = 1.0,
     covariance: Array | None = None,
 ) -> PredictionInterval:
     """95 % intervals of readings at new rows of the base columns, shape (n, nv, r).
 
-    The residual, measured less predicted at the fitted rows, has shape (m, nv) [torque unit]. The
+    The residual of each joint, (m_j,), is measured less predicted torque at its fitted rows. The
     covariance is that of the fit, or of what W has columns of.
     """
-    left = 1 - np.minimum(fit.inflation * len(fit.beta) / residual.size, _MOST)
-    noise = np.sqrt((residual**2).mean(axis=0) / left)
-    freedom = np.array([independent_squares(e) for e in residual.T]) * left
+    size = sum(map(len, residuals))
+    left = 1 - np.minimum(fit.inflation * len(fit.beta) / size, _MOST)
+    noise = np.sqrt(np.array([(e**2).mean() for e in residuals]) / left)
+    freedom = np.array([independent_squares(e) for e in residuals]) * left
     parameters = torque_std(W, fit.covariance if covariance is None else covariance) / gains
     return PredictionInterval(parameters, noise, np.maximum(freedom, _FEWEST))
 
@@ -643,8 +661,9 @@ def independent_squares(residual: Array) -> float:
     return float(n / (1 + 2 * np.sum(rho[:end] ** 2)))
 
 
-def coverage(measured: Array, predicted: Array, half_width: Array) -> Coverage:
-    """Share of readings within their intervals, all arrays of shape (n, nv)."""
-    inside = (np.abs(measured - predicted) <= half_width).astype(float)
-    independent = np.array([len(hits) / autocorrelation_time(hits) for hits in inside.T])
-    return Coverage(inside.mean(axis=0), np.sqrt(LEVEL * (1 - LEVEL) / independent))
+def coverage(inside: Sequence[Mask]) -> Coverage:
+    """Share of readings within their intervals: whether each of a joint's is, one (n,) a joint."""
+    hits = [each.astype(float) for each in inside]
+    independent = np.array([len(each) / autocorrelation_time(each) for each in hits])
+    share = np.array([each.mean() for each in hits])
+    return Coverage(share, np.sqrt(LEVEL * (1 - LEVEL) / independent))

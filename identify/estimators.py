@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
-from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
+from excitant.identify.differentiators import ZeroPhaseButterworth
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -32,7 +32,13 @@ from excitant.identify.least_squares import (
     weighted_least_squares,
     with_covariance,
 )
-from excitant.identify.preprocessing import POSITION_RATIO, Segment, prepare
+from excitant.identify.preprocessing import (
+    POSITION_RATIO,
+    Segment,
+    certain_rows,
+    prepare,
+    uninterrupted,
+)
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, dense, joined, regression_of, triangle
@@ -71,6 +77,7 @@ _SHARES = (1.0, 0.5, 0.25, 0.1)  # of the way from the given arm to an estimate
 _MASS_MOVES = 1e-3  # as easily as other parameters where β leaves a choice
 _CAUTION = 2.0  # times the noise, lest the largest of many frequencies pass for motion
 _BLACKMAN_HARRIS = np.array([0.35875, -0.48829, 0.14128, -0.01168])  # of cosines of 0 to 3 turns
+_QUINTIC = 5  # degree of a spline
 _FLOOR = (0.5, 0.9)  # of half the rate: where positions show nothing but the noise of encoders
 
 
@@ -121,14 +128,15 @@ def irls(problem: Regression) -> LeastSquares:
         RankDeficient: The motion does not show some columns.
         Infeasible: The weights did not settle, or leave too few rows.
     """
-    start = factorised(problem, _scale(problem.tau - problem.tau.mean(axis=0), 0))
+    centred = [tau - tau.mean() for tau in problem.counted(problem.tau) if len(tau)]
+    start = factorised(problem, _scale(centred, 0))
     beta = _settled(start, start.solve(), _huber)
     beta = _settled(start, beta, _student)
     residual = problem.residual(beta)
-    sigma = _scale(residual, problem.p)
+    sigma = _scale(problem.counted(residual), problem.p)
     u = residual / sigma
     slope = (_STUDENT + 1) * (_STUDENT - u**2) / (_STUDENT + u**2) ** 2
-    flat = np.maximum(slope.mean(axis=0), _FLATTEST)
+    flat = np.maximum([each.mean() for each in problem.counted(slope)], _FLATTEST)
     factor = factorised(problem, sigma / np.sqrt(flat))
     return with_covariance(factor, beta, sigma * u * _student(u) / flat, sigma)
 
@@ -143,11 +151,12 @@ def _student(u: Array) -> Array:
     return np.asarray((_STUDENT + 1) / (_STUDENT + u**2), float)
 
 
-def _scale(residual: Array, r: int) -> Array:
-    """Standard deviation of the normal noise with this median magnitude, shape (nv,)."""
-    freedom = np.sqrt(residual.size / max(residual.size - r, 1))
-    size = np.median(np.abs(residual), axis=0) / _NORMAL * freedom
-    least = 1e-9 * noise_of(residual, r)  # most rows fit exactly
+def _scale(residuals: Sequence[Array], r: int) -> Array:
+    """Standard deviation of the normal noise with these median magnitudes, shape (nv,)."""
+    rows = sum(map(len, residuals))
+    freedom = np.sqrt(rows / max(rows - r, 1))
+    size = np.array([np.median(np.abs(e)) for e in residuals]) / _NORMAL * freedom
+    least = 1e-9 * noise_of(residuals, r)  # most rows fit exactly
     return believed(np.maximum(size, least))
 
 
@@ -160,7 +169,7 @@ def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) ->
     flat = Q.reshape(-1, problem.p)
     for _ in range(_ROUNDS):
         residual = problem.residual(beta)
-        sigma = _scale(residual, problem.p)
+        sigma = _scale(problem.counted(residual), problem.p)
         weight = influence(residual / sigma) * (start.weight / sigma) ** 2
         weighted = (Q * weight[:, :, None]).reshape(flat.shape)
         score = weighted.T @ (residual / start.weight).ravel()
@@ -202,7 +211,7 @@ def iv(problem: Regression, instruments: Regression) -> LeastSquares:
         factor = factorised(_projected(problem, instruments, sigma), sigma)
         beta = factor.solve()
         residual = problem.residual(beta)
-        sigma = noise_of(residual, len(beta))
+        sigma = noise_of(problem.counted(residual), len(beta))
     return with_covariance(factor, beta, residual, sigma)
 
 
@@ -215,7 +224,7 @@ def _projected(problem: Regression, instruments: Regression, sigma: Array) -> Re
     C = scipy.linalg.solve_triangular(R[:k, :k], R[:k, k:]) / stage.norms[:, None]
     pairs = zip(instruments.index, instruments.columns, strict=True)
     explained = np.stack([Z @ C[index] for index, Z in pairs], axis=1)
-    return dense(explained, problem.tau, problem.names)
+    return dense(explained, problem.tau, problem.names, problem.used)
 
 
 def errors_in_variables(problem: Regression, instruments: Regression) -> tuple[float, float]:
@@ -267,14 +276,20 @@ def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> 
     )
 
 
-def every_second(first: int, inner: Differentiator) -> Differentiator:
-    """A differentiator that interpolates odd samples from even ones (0), or even ones (1)."""
-    seen = slice(first, None, 2)
+def every_second(recording: Recording, first: int) -> Recording:
+    """The motion as its even samples (0) show it, or its odd ones (1), at all instants."""
+    t = recording.t
 
-    def motion(t: Array, q: Array) -> Motion:
-        return inner(t, scipy.interpolate.make_interp_spline(t[seen], q[seen], k=5)(t))
+    def shown(channel: Array) -> Array:
+        values = np.array(channel)
+        for part in uninterrupted(t):
+            if len(seen := part[first::2]) > _QUINTIC:
+                spline = scipy.interpolate.make_interp_spline(t[seen], values[seen], k=_QUINTIC)
+                values[part] = spline(t[part])
+        return values
 
-    return motion
+    dq = None if recording.dq is None else shown(recording.dq)
+    return replace(recording, q=shown(recording.q), dq=dq)
 
 
 def half_regressions(
@@ -302,8 +317,8 @@ def half_regressions(
                     f"{highest:.3g} Hz"
                 )
             inner = ZeroPhaseButterworth(min(POSITION_RATIO * cutoff_hz, highest))
-            segments += prepare(recording, cutoff_hz, every_second(first, inner))
-        half = regression_of(rows.robot, rows.effects, segments).with_torque(rows.tau)
+            segments += prepare(every_second(recording, first), cutoff_hz, inner)
+        half = rows.fitting(regression_of(rows.robot, rows.effects, segments))
         halves.append(half.select(rows.base.columns, rows.base.expressions))
     return halves[0], halves[1]
 
@@ -388,6 +403,7 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
     """
     pairs = _with_recordings(rows.data.train, recordings)
     loops = [_reference(segment, recording) for segment, recording in pairs]
+    used = certain_rows(rows.effects, rows.robot.joints, [segment for segment, *_ in loops])
     commands = [command for _, command, _ in loops]
     model_of = _completion(rows)
 
@@ -397,7 +413,7 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
             columns = observation_columns(rows.robot, rows.effects, motion)
             W = segment.filtered(columns[:, :, rows.base.columns], segment.keep)
             parts.append(dense(W, segment.tau[segment.keep] * rows.gains, rows.base.expressions))
-        return joined(parts)
+        return joined(parts).counting(used)
 
     def simulated_at(beta: Array, share: float) -> Regression:
         model = model_of(beta, share)

@@ -129,13 +129,18 @@ def weighted_least_squares(problem: Regression) -> LeastSquares:
         factor = factorised(problem, sigma)
         beta = factor.solve()
         residual = problem.residual(beta)
-        sigma = noise_of(residual, len(beta))
+        sigma = noise_of(problem.counted(residual), len(beta))
     return replace(with_covariance(factor, beta, residual, factor.weight), sigma=sigma)
 
 
-def noise_of(residual: Array, r: int) -> Array:
-    """Standard deviation of each joint's residual, shape (n, nv), after r parameters, (nv,)."""
-    variance = (residual**2).mean(axis=0) * (residual.size / max(residual.size - r, 1))
+def noise_of(residuals: Sequence[Array], r: int) -> Array:
+    """Standard deviation of each joint's residual after r parameters in all, shape (nv,).
+
+    A joint without rows has the largest noise of all.
+    """
+    rows = np.array([len(e) for e in residuals])
+    squares = np.array([e @ e for e in residuals]) / np.maximum(rows, 1)
+    variance = np.where(rows > 0, squares, squares.max()) * (rows.sum() / max(rows.sum() - r, 1))
     return believed(np.sqrt(variance))
 
 
@@ -159,8 +164,12 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
     joints = list(
         zip(problem.index, problem.columns, problem.triangles, factor.weight, strict=True)
     )
-    rows = [JointRows(index, columns / w / norms[index]) for index, columns, _, w in joints]
-    scores, freedom = score_covariances(rows, scaled / size, inverse @ inverse.T)
+    rows = [
+        JointRows(index, columns[problem.rows(j)] / w / norms[index])
+        for j, (index, columns, _, w) in enumerate(joints)
+    ]
+    counted = problem.counted(scaled / size)
+    scores, freedom = score_covariances(rows, counted, inverse @ inverse.T)
     inner = size**2 * np.array([inverse.T @ each @ inverse for each in scores])
     root = inverse / norms[:, None]
     parts = root @ inner @ root.T
@@ -212,22 +221,24 @@ class JointRows:
         """Autocovariance that the fit took, with G = W_jᵀ Γ_j, A⁻¹ and A⁻¹ Ω A⁻¹, (lags + 1,)."""
         block = np.ix_(self.used, self.used)
         H = inverse[block] @ G - both[block] @ self.W.T / 2
+        if not len(self.W):
+            return np.zeros(lags + 1)
         cross = np.einsum("uf,uf->f", self.spectrum.conj(), scipy.fft.rfft(H, self.size)).real
         return np.asarray(scipy.fft.irfft(2 * cross, self.size)[: lags + 1] / len(self.W))
 
 
 def score_covariances(
-    rows: Sequence[JointRows], residual: Array, inverse: Array
+    rows: Sequence[JointRows], residuals: Sequence[Array], inverse: Array
 ) -> tuple[Array, Array]:
     """W_jᵀ Γ_j W_j of each joint, whose sum is Ω, (nv, r, r), and degrees of freedom, (nv,).
 
-    Rows and residuals of least squares, (n, nv), are divided by the noise of their joint; the
-    inverse is A⁻¹, (r, r).
+    Rows and residuals of least squares, each (n_j,), are divided by the noise of their joint; the
+    inverse is A⁻¹, (r, r). Rows that follow after a pause are taken to follow at once.
     """
-    n = len(residual)
-    lags = min(n // 4, int(10 * np.log10(n)))
-    observed = autocovariance(residual, lags)
-    gammas = list(observed.T)
+    counts = [len(e) for e in residuals]
+    lags = [min(n // 4, int(10 * np.log10(max(n, 1)))) for n in counts]
+    observed = [autocovariance(e, k) for e, k in zip(residuals, lags, strict=True)]
+    gammas = observed.copy()
     for left in range(_GIVEN_BACK, -1, -1):
         parts = [joint.coloured(gamma) for joint, gamma in zip(rows, gammas, strict=True)]
         scores = np.zeros((len(rows), *inverse.shape))
@@ -237,8 +248,9 @@ def score_covariances(
         if left:
             both = inverse @ scores.sum(axis=0) @ inverse
             for j, joint in enumerate(rows):
-                gammas[j] = observed[:, j] + joint.taken(parts[j], inverse, both, lags)
-    return scores, np.array([_degrees_of_freedom(gamma, n) for gamma in gammas])
+                gammas[j] = observed[j] + joint.taken(parts[j], inverse, both, lags[j])
+    pairs = zip(gammas, counts, strict=True)
+    return scores, np.array([_degrees_of_freedom(gamma, n) for gamma, n in pairs])
 
 
 def _degrees_of_freedom(gamma: Array, n: int) -> float:
@@ -248,7 +260,7 @@ def _degrees_of_freedom(gamma: Array, n: int) -> float:
     σ² Γ_p⁻¹ / n, and σ² the relative variance 2 / n.
     """
     if gamma[0] <= 0:
-        return float(n)
+        return float(max(n, _FEWEST))
     a, variance = autoregression(gamma, n)
     p = len(a) - 1
     relative = 2 / n
@@ -260,9 +272,10 @@ def _degrees_of_freedom(gamma: Array, n: int) -> float:
 
 
 def autocovariance(values: Array, lags: int) -> Array:
-    """Σ_i x_i x_{i+k} / n of columns of zero mean, shape (lags + 1, columns)."""
+    """Σ_i x_i x_{i+k} / n of values of zero mean, (n,) or (n, columns), at lags 0 to k."""
     n = len(values)
-    return np.array([(values[: n - k] * values[k:]).sum(axis=0) / n for k in range(lags + 1)])
+    sums = [(values[: n - k] * values[k:]).sum(axis=0) for k in range(lags + 1)]
+    return np.array(sums) / max(n, 1)
 
 
 def autoregression(gamma: Array, n: int) -> tuple[Array, float]:

@@ -67,8 +67,8 @@ class LengthErrors:
         base: How base parameters move by one standard deviation of each coordinate, (r, 3 nv).
         full: How all parameters of links and effects do, shape (p, 3 nv).
         by_noise: Covariance of base parameters by noise alone, shape (r, r).
-        residual: What neither parameters nor such lengths explain of the fitted torque, shape
-            (n, nv) [N·m].
+        residuals: What neither parameters nor such lengths explain of the fitted torque of each
+            joint, at its rows that count [N·m].
     """
 
     std: Array
@@ -76,10 +76,10 @@ class LengthErrors:
     base: Array
     full: Array
     by_noise: Array
-    residual: Array
+    residuals: tuple[Array, ...]
 
     def __post_init__(self) -> None:
-        freeze(self, "std", "base", "full", "by_noise", "residual")
+        freeze(self, "std", "base", "full", "by_noise")
 
     @property
     def widening(self) -> Array:
@@ -144,7 +144,8 @@ def length_errors(
     p = rows.regression.p
     R, _ = wide.factor(fit.weight)
     full = physical.covariance @ (R[:, :p].T @ R[:, p:])
-    return LengthErrors(std, model, base, full, noise.covariance, residual)
+    left = tuple(problem.counted(residual))
+    return LengthErrors(std, model, base, full, noise.covariance, left)
 
 
 def _columns(robot: Robot, std: Array, segments: Sequence[Segment]) -> Array:

@@ -348,7 +348,7 @@ def replayable(
     parts = [part for part in uninterrupted(recording.t) if len(part) >= _FEWEST]
     if not parts:
         raise BadRecording(file, "no five samples without a gap", column="t")
-    pieces = zip(*(resampled(recording, part) for part in parts), strict=True)
+    pieces = zip(*(resampled(recording, part)[:3] for part in parts), strict=True)
     t, q, tau = (np.concatenate(piece) for piece in pieces)
     longest = max(uninterrupted(t), key=len)
     spectrum = position_spectrum(t[longest], q[longest])

@@ -1,11 +1,12 @@
 """From a recording to rows of the identification problem.
 
-Positions pass a zero-phase Butterworth filter and are differentiated through a quintic spline.
-Every column of the regressor and the torque then pass one and the same zero-phase filter
-("parallel filtering", Gautier 1997), friction columns too, and are decimated.
+Positions, refined by measured speeds (`smoother`), pass a zero-phase Butterworth filter and are
+differentiated through a quintic spline. Every column of the regressor and the torque then pass one
+and the same zero-phase filter ("parallel filtering", Gautier 1997), friction columns too, and are
+decimated.
 
-A joint at rest with dry friction holds any torque within ± Coulomb of what motion would need, so
-its row counts only where it certainly moves within the reach of the torque filter (`moving`).
+A joint at rest with dry friction holds any torque near what motion would need, so its row counts
+only where no rest is within the reach of the torque filter (`certain_rows`).
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ import scipy
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
 from excitant.identify.recording import MINIMUM_DURATION, Recording
+from excitant.identify.smoother import SensorNoise, smoothed
 from excitant.identify.spectra import low_pass
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.robot import Robot
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
@@ -62,6 +64,7 @@ class Segment:
         tau_raw: Unfiltered torque at the same instants, shape (n, nv).
         cutoff_hz: Cut-off of the torque filter [Hz].
         keep: Instants that become rows: edges of the filter left out, decimated.
+        sensors: Noise of the positions and speeds behind the motion; None of a motion as planned.
     """
 
     name: str
@@ -70,6 +73,7 @@ class Segment:
     tau_raw: Array
     cutoff_hz: float
     keep: slice
+    sensors: SensorNoise | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "tau", "tau_raw")
@@ -80,6 +84,14 @@ class Segment:
         return float(1 / (self.motion.t[1] - self.motion.t[0]))
 
     @cached_property
+    def least_speed(self) -> Array:
+        """Speed up to which a joint may as well be at rest, for all its sensor says, (nv,)."""
+        if self.sensors is None:
+            return read_only(np.zeros(self.tau.shape[1]))
+        band = position_cutoff(self.cutoff_hz, self.sensors.rate_hz)
+        return read_only(self.sensors.least_speed(band))
+
+    @cached_property
     def thin(self) -> Segment:
         """The segment at the lowest rate that holds all that positions pass, rows as they are."""
         start, stop, step = self.keep.start, self.keep.stop, self.keep.step or 1
@@ -88,7 +100,7 @@ class Segment:
         part, first = slice(start % every, None, every), start // every
         keep = slice(first, first + -(-(stop - start) // every), step // every)
         known = (self.motion[part], self.tau[part], self.tau_raw[part])
-        return Segment(self.name, *known, self.cutoff_hz, keep)
+        return Segment(self.name, *known, self.cutoff_hz, keep, self.sensors)
 
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
         """Filtered and decimated columns of the motion, shape (rows, ...).
@@ -149,10 +161,11 @@ def prepare(
             f"cut-off {cutoff_hz:g} Hz does not fit its rate of {1 / step:.4g} Hz; "
             f"choose one up to {highest:.3g} Hz",
         )
-    differentiator = differentiator or ZeroPhaseButterworth(position_cutoff(cutoff_hz, 1 / step))
+    band = position_cutoff(cutoff_hz, 1 / step)
+    differentiator = differentiator or ZeroPhaseButterworth(band)
     parts = uninterrupted(t)
     segments = [
-        _segment(recording, part, step, cutoff_hz, differentiator)
+        _segment(recording, part, step, cutoff_hz, band, differentiator)
         for part in parts
         if len(part) > 20 and t[part[-1]] - t[part[0]] >= MINIMUM_DURATION
     ]
@@ -178,16 +191,22 @@ def _segment(
     part: Index,
     step: float,
     cutoff_hz: float,
+    band_hz: float,
     differentiator: Differentiator,
 ) -> Segment:
-    grid, q, tau = resampled(recording, part)
+    grid, q, tau, dq = resampled(recording, part)
+    q, sensors = smoothed(grid, q, dq, band_hz)
     motion = differentiator(grid, q)
     if len(motion) < len(grid):
         raise BadInput("a causal differentiator is for loops; give one without delay")
     edge = round(1 / (cutoff_hz * step))
     stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(grid) // _MOST_ROWS), 1)
     keep = slice(edge, len(grid) - edge, stride)
-    return Segment(recording.name, motion, low_pass(tau, cutoff_hz, 1 / step), tau, cutoff_hz, keep)
+    passed = low_pass(tau, cutoff_hz, 1 / step)
+    segment = Segment(recording.name, motion, passed, tau, cutoff_hz, keep, sensors)
+    inner = slice(edge, len(grid) - edge)
+    fast = (np.abs(motion.dq[inner]) > segment.least_speed).any(axis=0)
+    return stilled(segment, fast | (np.ptp(q, axis=0) > sensors.span))
 
 
 def default_cutoff(recording: Recording) -> float:
@@ -214,13 +233,17 @@ def longest_step(step: float) -> float:
     return max(_GAP_STEPS * step, _GAP_TIME)
 
 
-def resampled(recording: Recording, part: Index) -> tuple[Array, Array, Array]:
-    """Time, positions and torque of a part at a regular rate, the median of the recording's."""
+def resampled(recording: Recording, part: Index) -> tuple[Array, Array, Array, Array | None]:
+    """Time, positions, torque and speeds of a part at a regular rate, that of the median step."""
     rows = slice(int(part[0]), int(part[-1]) + 1)  # no copy of a long recording
     t, step = recording.t[rows], float(np.median(np.diff(recording.t)))
     refuse_bursts(t, step, recording.file)
     grid = np.arange(t[0], t[-1] + _SAME * step, step)
-    return grid, *at_instants(t, recording.q[rows], recording.tau[rows], grid)
+    q, tau = at_instants(t, recording.q[rows], recording.tau[rows], grid)
+    if recording.dq is None:
+        return grid, q, tau, None
+    dq, _ = at_instants(t, recording.dq[rows], recording.tau[rows], grid)
+    return grid, q, tau, dq
 
 
 def refuse_bursts(t: Array, step: float, file: str) -> None:
@@ -271,7 +294,8 @@ def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
         width = 2 * round(segment.rate_hz / (2 * segment.cutoff_hz)) + 1
         near = scipy.ndimage.maximum_filter1d(speed, width, axis=0)
         travels = np.ptp(segment.motion.q, axis=0) > _TRAVEL
-        masks.append(np.asarray((near > slow) & travels, bool))
+        shown = near > np.maximum(slow, segment.least_speed)
+        masks.append(np.asarray(shown & travels, bool))
     return masks
 
 
@@ -283,13 +307,14 @@ def top_speed(segments: Sequence[Segment]) -> Array:
 def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
     """Rows that no rest of a joint affects through the filter, shape (rows, nv).
 
-    A joint rests while slow relative to its top speed, here or, if given, elsewhere; reversals
-    without a rest count. `moving` marks where a joint takes part in a motion.
+    A joint rests while slow relative to its top speed, here or, if given, elsewhere, or so slow
+    that its sensors show no direction (`SensorNoise.least_speed`); reversals without a rest count.
+    `moving` marks where a joint takes part in a motion.
     """
     fastest = np.maximum(fastest, top_speed(segments))
     masks = []
     for s in segments:
-        slow = np.abs(s.motion.dq) <= _SLOW * fastest
+        slow = np.abs(s.motion.dq) <= np.maximum(_SLOW * fastest, s.least_speed)
         least = max(1, round(_RESTS_S * s.rate_hz))
         reach = max(1, round(_REACH * s.rate_hz / s.cutoff_hz))
         # a rest is the union of windows of its least length in which a joint is slow throughout
@@ -302,9 +327,22 @@ def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) ->
     return np.concatenate(masks)
 
 
+def certain_rows(
+    effects: Sequence[Effect], joints: Sequence[str], segments: Sequence[Segment]
+) -> Mask:
+    """Rows that can be fitted: the direction of a joint with dry friction is certain, (rows, nv).
+
+    At rest dry friction holds any torque within its breakaway torque, which is more than Coulomb's
+    and not known, so that not even bounds on the torque follow from a model of sliding friction.
+    """
+    return away_from_rest(segments) | ~dry_joints(effects, joints)
+
+
 def stilled(segment: Segment, moves: Mask) -> Segment:
-    """The segment with joints that never move in it held exactly, at their mean position."""
-    motion, still = segment.motion, ~moves.any(axis=0)
+    """The segment with joints that do not move, (nv,), held exactly, at their mean position."""
+    motion, still = segment.motion, ~moves
+    if not still.any():
+        return segment
     q, dq, ddq = (np.array(values) for values in (motion.q, motion.dq, motion.ddq))
     q[:, still] = q[:, still].mean(axis=0)
     dq[:, still] = ddq[:, still] = 0.0

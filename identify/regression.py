@@ -43,12 +43,14 @@ class Regression:
         index: For each joint, which columns act on it, u of them.
         columns: For each joint, those columns, shape (n, u).
         tau: Torque, shape (n, nv) [N·m].
+        used: Rows that count, shape (n, nv), the others zero; None where all do.
     """
 
     names: tuple[str, ...]
     index: tuple[Index, ...]
     columns: tuple[Array, ...]
     tau: Array
+    used: Mask | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "tau")
@@ -76,6 +78,14 @@ class Regression:
             found[:, j, index] = columns
         return found
 
+    def rows(self, joint: int) -> Mask | slice:
+        """Rows of a joint that count."""
+        return slice(None) if self.used is None else self.used[:, joint]
+
+    def counted(self, values: Array) -> list[Array]:
+        """Values of each joint, shape (n, nv), at its rows that count."""
+        return [values[self.rows(j), j] for j in range(self.nv)]
+
     def torque(self, x: Array) -> Array:
         """W x, shape (p,) → (n, nv)."""
         parts = zip(self.index, self.columns, strict=True)
@@ -101,6 +111,7 @@ class Regression:
     def with_columns(self, more: Array, names: Sequence[str]) -> Regression:
         """The problem with further columns, shape (n, nv, k)."""
         index, wider = [], []
+        more = more if self.used is None else more * self.used[:, :, None]
         for j, (own, values) in enumerate(zip(self.index, self.columns, strict=True)):
             acting = np.flatnonzero(more[:, j].any(axis=0))
             index.append(np.concatenate([own, self.p + acting]))
@@ -109,17 +120,20 @@ class Regression:
 
     def counting(self, rows: Mask) -> Regression:
         """The problem with rows of joints that do not count set to zero, shape (n, nv)."""
-        columns = (v * rows[:, [j]] for j, v in enumerate(self.columns))
-        return replace(self, columns=tuple(map(read_only, columns)), tau=self.tau * rows)
+        used = rows if self.used is None else rows & self.used
+        columns = (v * used[:, [j]] for j, v in enumerate(self.columns))
+        tau = self.tau * used
+        return replace(self, columns=tuple(map(read_only, columns)), tau=tau, used=used)
 
     def at(self, instants: slice) -> Regression:
         """The problem at some instants."""
         columns = tuple(read_only(values[instants]) for values in self.columns)
-        return replace(self, columns=columns, tau=self.tau[instants])
+        used = None if self.used is None else self.used[instants]
+        return replace(self, columns=columns, tau=self.tau[instants], used=used)
 
     def with_torque(self, tau: Array) -> Regression:
         """The same columns for another torque, shape (n, nv)."""
-        return replace(self, tau=tau)
+        return replace(self, tau=tau if self.used is None else tau * self.used)
 
     @cached_property
     def grams(self) -> tuple[Array, ...]:
@@ -181,7 +195,7 @@ def triangle(A: Array) -> Array:
     return np.asarray(scipy.linalg.qr(A, mode="r")[0][: A.shape[1]], float)
 
 
-def dense(W: Array, tau: Array, names: Sequence[str]) -> Regression:
+def dense(W: Array, tau: Array, names: Sequence[str], used: Mask | None = None) -> Regression:
     """The problem of columns of shape (n, nv, p) and torque of shape (n, nv)."""
     if W.ndim != 3 or tau.shape != W.shape[:2] or len(names) != W.shape[2]:
         raise BadInput(
@@ -190,7 +204,7 @@ def dense(W: Array, tau: Array, names: Sequence[str]) -> Regression:
         )
     index = tuple(np.flatnonzero(W[:, j].any(axis=0)) for j in range(W.shape[1]))
     columns = tuple(read_only(W[:, j, own]) for j, own in enumerate(index))
-    return Regression(tuple(names), index, columns, tau)
+    return Regression(tuple(names), index, columns, tau, used)
 
 
 def regression_of(

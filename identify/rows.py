@@ -12,18 +12,19 @@ import scipy
 
 from excitant.exceptions import BadRecording
 from excitant.identify.drive_gains import DriveGains, current_gains
-from excitant.identify.faults.fault import noise
 from excitant.identify.preprocessing import (
     CUTOFF_HZ,
     Mask,
     Segment,
     away_from_rest,
+    certain_rows,
     default_cutoff,
     prepare,
 )
 from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
+from excitant.identify.smoother import SensorNoise, mean_noise, noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter
 from excitant.robots.motion import Array, read_only
@@ -32,6 +33,7 @@ from excitant.robots.torque import torque
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
 _BLOCKS = 10  # of time, whose means are as good as independent
+_TOLD = 0.05  # of a joint's rows left out: from there on it is told
 _PRODUCTS = 2.0  # times the highest harmonic of a motion: that of centrifugal torque
 
 
@@ -56,6 +58,12 @@ class Data:
     holdout: str
     cutoff_why: str = ""
     drive: DriveGains | None = None
+
+    @property
+    def sensors(self) -> SensorNoise | None:
+        """Noise of positions and speeds of the fitted recordings, rms over time."""
+        known = [s.sensors for s in self.train if s.sensors is not None]
+        return mean_noise(known, [len(s.motion) for s in self.train]) if known else None
 
 
 def split(
@@ -161,6 +169,10 @@ class Series:
         """Rows at which an error counts: where the joint moves, all if it never does, (n, nv)."""
         return np.where(self.moves.any(axis=0), self.moves, True)
 
+    def counted(self, values: Array) -> list[Array]:
+        """Values of each joint, shape (n, nv), at its rows that count."""
+        return [column[rows] for column, rows in zip(values.T, self.counts.T, strict=True)]
+
     def rms(self, error: Array) -> Array:
         """Root mean square of an error, (n, nv), of each joint, shape (nv,)."""
         return np.asarray(np.sqrt(np.mean(error**2, axis=0, where=self.counts)), float)
@@ -226,7 +238,8 @@ class FitRows:
         effects: Effects that are estimated.
         base: Base parameters of links and effects.
         data: Segments for fitting and for validation.
-        regression: Columns of all parameters of links and effects, and torque [N·m].
+        used: Rows that count, shape (n, nv); see `certain_rows`.
+        regression: Columns of all parameters of links and effects, and torque [N·m], at those.
         drive: Drive gains, if torque was recorded as current.
     """
 
@@ -234,8 +247,25 @@ class FitRows:
     effects: tuple[Effect, ...]
     base: BaseParameters
     data: Data
+    used: Mask
     regression: Regression
     drive: DriveGains | None
+
+    def fitting(self, regression: Regression) -> Regression:
+        """Other columns at the rows that count, with the torque there."""
+        return regression.counting(self.used).with_torque(self.tau)
+
+    @property
+    def rests(self) -> str:
+        """Joints with rows that are left out, as a sentence; empty where there are few."""
+        shares = zip(self.robot.joints, (~self.used).mean(axis=0), strict=True)
+        said = ", ".join(f"{joint} {share:.0%}" for joint, share in shares if share >= _TOLD)
+        if not said:
+            return ""
+        return (
+            "left out of the fit: rows at which a joint rests, where dry friction holds any torque "
+            f"near that of motion, or its sensors show no direction ({said})"
+        )
 
     @property
     def gains(self) -> Array:
@@ -278,12 +308,13 @@ class FitRows:
 
 
 def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
-    """The rows of the training segments."""
-    regression, drive = regression_of(robot, effects, data.train), data.drive
+    """The rows of the training segments at which no dry friction may hold a joint."""
+    used, drive = certain_rows(effects, robot.joints, data.train), data.drive
+    regression = regression_of(robot, effects, data.train).counting(used)
     if data.unit == "A":
-        drive = current_gains(robot, base, regression.W, regression.tau)
+        drive = current_gains(robot, base, regression.W, regression.tau, used)
         regression = regression.with_torque(regression.tau * drive.gains)
-    return FitRows(robot, tuple(effects), base, data, regression, drive)
+    return FitRows(robot, tuple(effects), base, data, used, regression, drive)
 
 
 def gains_of(robot: Robot, data: Data, drive: DriveGains | None) -> Array:

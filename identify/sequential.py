@@ -34,7 +34,6 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import RankDeficient
-from excitant.identify.drive_gains import current_gains
 from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
 from excitant.identify.information import Information, gaussian, square_root
 from excitant.identify.knowledge import Knowledge
@@ -45,11 +44,10 @@ from excitant.identify.least_squares import (
     student_width,
 )
 from excitant.identify.physical import fit_physical
-from excitant.identify.preprocessing import Mask, dry_joints, moving, stilled
+from excitant.identify.preprocessing import Mask, moving, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import regression_of
-from excitant.identify.rows import Data, FitRows, split
+from excitant.identify.rows import Data, FitRows, fit_rows, split
 from excitant.robots.base_parameters import base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze
@@ -153,7 +151,7 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
     floor = 1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12  # data without noise
     sigma = max(float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor)
     scores, freedom = score_covariances(
-        [JointRows(np.arange(m), every)], residual[:, None] / sigma, np.eye(m)
+        [JointRows(np.arange(m), every)], [residual / sigma], np.eye(m)
     )
     T = every.T @ U
     covariance = sigma**2 * student_width(freedom[0]) ** 2 * (T.T @ scores[0] @ T)
@@ -193,10 +191,9 @@ def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class LinkRows(FitRows):
-    """Rows of recordings, and which count; a joint still in all of a segment is held exactly."""
+    """Rows of recordings; a joint still in all of a segment is held exactly."""
 
     moves: tuple[Mask, ...]  # instants at which joints move, per segment at its full rate, (n, nv)
-    used: Mask  # rows that count: of moving joints, and of those without dry friction, (n, nv)
     last: npt.NDArray[np.intp]  # joint, the last whose row holds each base parameter, shape (r,)
     scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
 
@@ -241,19 +238,14 @@ class LinkRows(FitRows):
 def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows:
     """Rows of the training segments, see `LinkRows`."""
     moves = tuple(moving(robot, data.train))
-    train = tuple(stilled(s, m) for s, m in zip(data.train, moves, strict=True))
-    base, regression = base_parameters(robot, effects), regression_of(robot, effects, train)
-    used = np.concatenate([m[s.keep] for s, m in zip(train, moves, strict=True)])
-    used = used | ~dry_joints(effects, robot.joints)
-    drive = data.drive
-    if data.unit == "A":
-        drive = current_gains(robot, base, regression.W, regression.tau, used)
-        regression = regression.with_torque(regression.tau * drive.gains)
+    train = tuple(
+        stilled(s, np.asarray(m.any(axis=0))) for s, m in zip(data.train, moves, strict=True)
+    )
+    base = base_parameters(robot, effects)
+    rows = fit_rows(robot, effects, base, replace(data, train=train))
     scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
-    return LinkRows(
-        robot, effects, base, replace(data, train=train), regression, drive,
-        moves, used, last_rows(robot, effects, base), scale,
-    )  # fmt: skip
+    last = last_rows(robot, effects, base)
+    return LinkRows(**vars(rows), moves=moves, last=last, scale=scale)
 
 
 @dataclass(frozen=True)
@@ -367,7 +359,7 @@ def identify_link_by_link(
     except RankDeficient as error:  # then with the given robot as prior, the noise of the stages
         refusal = str(error)
         weight = replace(fit, sigma=np.where(np.isfinite(noise), noise, np.inf)).weight
-        R, z = rows.regression.counting(rows.used).factor(weight)
+        R, z = rows.regression.factor(weight)
         free = fit_physical(R, z, prior, rows.open_prior, about, robot.links)
         whole = judged(robot, rows, fit, free, ())
     return LinkByLink(estimate, cascade, stages, whole, refusal)

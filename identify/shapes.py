@@ -108,7 +108,7 @@ class Shapes:
             rows,
             effects=self.effects,
             base=base_parameters(rows.robot, self.effects),
-            regression=columns.with_torque(rows.tau),
+            regression=rows.fitting(columns),
         )
 
     def widened(
@@ -173,7 +173,8 @@ class _Search:
         """Whitened columns of an effect at the rows, shape (rows, k)."""
         segments = self.fitted.data.train
         parts = [s.rows(lambda motion: effect.columns(self.robot, motion)) for s in segments]
-        found = np.concatenate(parts)[self.some] * self.weight[:, None]
+        found = np.concatenate(parts) * self.fitted.used[:, :, None]
+        found = found[self.some] * self.weight[:, None]
         return np.asarray(found.reshape(len(self.z), -1), float)
 
     def refined(self, prior: Array, knowledge: Knowledge) -> Shapes:

@@ -9,7 +9,7 @@ import scipy
 
 from excitant.robots.motion import Array
 
-_ORDER = 4  # of the Butterworth filter, each way
+BUTTERWORTH_ORDER = 4  # of the filter, each way
 _FORGOTTEN = 6.0  # periods of its cut-off, after which it has forgotten
 
 
@@ -43,7 +43,7 @@ def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
 def _gain(size: int, cutoff: float) -> Array:
     """1 / (1 + (tan πf / tan πf_c)⁸) at the frequencies of so many samples; one half at f_c."""
     tangent = np.tan(np.pi * np.arange(size // 2 + 1) / size) / np.tan(np.pi * cutoff)
-    return np.asarray(1 / (1 + tangent ** (2 * _ORDER)), float)
+    return np.asarray(1 / (1 + tangent ** (2 * BUTTERWORTH_ORDER)), float)
 
 
 def detrended(values: Array) -> Array:

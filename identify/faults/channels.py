@@ -17,13 +17,12 @@ from excitant.identify.faults.fault import (
     Remedy,
     Rows,
     dropped,
-    noise,
-    quantum,
     run_lengths,
     tail_bound,
     unwrap,
 )
 from excitant.identify.faults.time import hidden_gaps
+from excitant.identify.smoother import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -42,6 +41,7 @@ _AROUND = 101  # samples that say what is usual around one
 _WINDOW = 11  # samples of the running median
 _JOLT = 5  # samples to either side that a jolt may disturb
 _GAP = 1.75  # steps: the interpolation does not reach across
+_SINGLE = float(np.finfo(np.float32).eps)  # of a value: rounding of a log in single precision
 _MANY = 0.5  # of all channels: the row is at fault, not a channel
 
 
@@ -285,8 +285,8 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
         for values in r.values():
             values[around] = 0.0
     alarm = ALARM / (log.nv * len(r))
-    far = {name: _far(x, r[name], alarm) for name, x in log.channels()}
-    far["q"] &= _impossible(log, r["q"])
+    far = {name: _far(x, r[name], alarm, name != "tau") for name, x in log.channels()}
+    far["q"] &= _impossible(log, r["q"]) & log.moving.any(axis=0)  # a held joint's grain is none
     for name, x in log.channels()[1:]:
         apart = np.abs(x - _running_median(x, _WINDOW)) > 0.5 * np.abs(r[name])
         reach = _WINDOW // 2
@@ -315,13 +315,20 @@ def _running_median(x: Array, window: int) -> Array:
     return np.column_stack(columns)
 
 
-def _far(x: Array, r: Array, alarm: float) -> Mask:
-    """Whether values are farther off than by chance, and by more than their resolution."""
+def _far(x: Array, r: Array, alarm: float, alike: bool) -> Mask:
+    """Whether values are farther off than by chance, and by more than their resolution.
+
+    Of sensors that are alike, that of a joint at rest, which may show no noise at all, is not taken
+    for finer than the finest of the others.
+    """
     span, size = np.ptp(x, axis=0), np.abs(r)
     usual = np.maximum(_running_median(size, _AROUND), 0.2 * np.quantile(size, 0.75, axis=0))
     z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
     bound = [tail_bound(column[column > 0], alarm) for column in z.T]
-    floor = np.maximum([quantum(column) for column in x.T], 1e-9 * span)
+    floor = np.maximum([quantum(column) for column in x.T], _SINGLE * np.abs(x).max(axis=0))
+    if alike:
+        seen = np.quantile(size, 0.75, axis=0)
+        floor = np.maximum(floor, seen[seen > 0].min(initial=np.inf) if seen.any() else 0.0)
     return np.asarray((z > bound) & (size > 3 * floor), bool)
 
 

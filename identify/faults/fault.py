@@ -13,6 +13,7 @@ import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.recording import Recording
+from excitant.identify.smoother import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -237,21 +238,6 @@ def unwrap(x: Array, size: float, position: bool) -> Array:
     if position:
         return np.asarray(np.unwrap(x, period=size), float)
     return np.asarray(np.where(x > size / 2, x - size, x), float)
-
-
-def noise(x: Array) -> float:
-    """Standard deviation of white noise on a smooth signal, from its fourth differences."""
-    if len(x) < 10:
-        return 0.0
-    return float(np.median(np.abs(np.diff(x, 4))) / 0.6745 / np.sqrt(70.0))
-
-
-def quantum(x: Array) -> float:
-    """Step of a quantised channel, the lower decile of the distances of its levels; or 0."""
-    levels = np.unique(x[np.isfinite(x)])
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-9 * max(float(np.ptp(levels)), 1e-300)] if len(gaps) else gaps
-    return float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
 
 
 def tail_bound(values: Array, alarm: float = ALARM) -> float:

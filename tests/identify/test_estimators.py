@@ -30,6 +30,7 @@ from excitant.identify.least_squares import (
     weighted_least_squares,
 )
 from excitant.identify.physical import fit_physical
+from excitant.identify.preprocessing import prepare
 from excitant.identify.prior import prior_parameters
 from excitant.identify.regression import dense
 from excitant.identify.rows import fit_rows, split
@@ -206,12 +207,22 @@ def test_missing_physics_is_no_error_of_columns() -> None:
 def test_even_and_odd_samples_see_one_motion_with_independent_noise() -> None:
     t = np.arange(3000) / 200.0
     inner = ZeroPhaseButterworth(15.0)
-    each = every_second(0, inner), every_second(1, inner), inner
+
+    def seen(values: np.ndarray, speeds: np.ndarray | None = None) -> list[np.ndarray]:
+        """Accelerations by even, by odd, and by all samples."""
+        log = Recording("log", "log.csv", t, values, 0 * values, dq=speeds)
+        logs = every_second(log, 0), every_second(log, 1), log
+        return [prepare(each, 7.0, inner)[0].motion.ddq[200:-200, 0] for each in logs]
+
     q = np.sin(2 * np.pi * 0.7 * t)[:, None]
-    even, odd, _ = (look(t, q).ddq[200:-200] for look in each)
+    even, odd, _ = seen(q)
     np.testing.assert_allclose(even, odd, atol=1e-3)
-    noise = 1e-3 * np.random.default_rng(12).standard_normal((len(t), 1))
-    a, b, both = (look(t, noise).ddq[200:-200, 0] for look in each)
+    noise, drift = 1e-3 * np.random.default_rng(12).standard_normal((2, len(t), 1))
+    even, odd, _ = (
+        each - seen(q)[2] for each in seen(q + noise, np.gradient(q, t, axis=0) + drift)
+    )
+    assert abs(np.corrcoef(even, odd)[0, 1]) < 4 / np.sqrt(len(even) * 2 * 15 / 200)
+    a, b, both = (each - seen(q)[2] for each in seen(q + noise))
     independent = len(a) * 2 * 15 / 200  # samples that a band of 15 Hz leaves
     assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(independent)
     # half the samples: twice the density of noise

@@ -137,10 +137,13 @@ def test_what_rests_on_drive_gains_carries_their_uncertainty(
     ur10: Robot, nominal: list[Recording]
 ) -> None:
     """Bodies to 30 % fix the common scale of currents to some per cent, and all that follows it."""
-    excitation, holdout = in_amperes(nominal, 10.0)
+    rng = np.random.default_rng(0)
+    noisy = [
+        replace(run, tau=run.tau + 0.01 * rng.standard_normal(run.tau.shape)) for run in nominal
+    ]
     torque, current = (
         identify_robot(ur10, [fit], validate=[held])
-        for fit, held in (nominal, (excitation, holdout))
+        for fit, held in (noisy, in_amperes(noisy, 10.0))
     )
     drive = current.drive
     assert drive is not None

@@ -119,7 +119,7 @@ def test_uncorrected_residuals_would_be_too_sure() -> None:
     for _ in range(draws):
         noise = (root @ rng.standard_normal((400, 2))).ravel()
         residual = (noise - flat @ (inverse @ (flat.T @ noise))).reshape(400, 2)
-        scores, _ = score_covariances(joints, residual, inverse)
+        scores, _ = score_covariances(joints, list(residual.T), inverse)
         found += np.einsum("rs,jsr->j", inverse, scores) / draws
         for j, gamma_j in enumerate(autocovariance(residual, 26).T):
             part = inverse[np.ix_(used[j], used[j])]
