@@ -322,7 +322,8 @@ class Estimate:
 
         path, gains = Path(path), self.gains if self.data.unit == "A" else None
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
-        UnknownName.refuse("format", [path.suffix], (Path(name).suffix for name in files))
+        formats = {Path(name).suffix for name in files} - {".csv"}
+        UnknownName.refuse("format", [path.suffix], sorted(formats))
         beside = [path.with_suffix(".urdf"), path.with_name(f"{path.stem}-estimate.csv")]
         written = [path] + beside * (path.suffix == ".yaml")
         for file in written:

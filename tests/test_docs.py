@@ -34,7 +34,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 EFFECT_PAGE = "add-an-effect.md"  # followed in a test of its own
-OTHERS = {"--nthreads", "--seconds"}  # of programs that pages mention beside excitant
+OTHERS = {"--nthreads", "--seconds", "--tacho"}  # of programs that pages mention beside excitant
 
 BLOCK = re.compile(r"^```(\w+)(?: title=\"(.*?)\")?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^\$ excitant ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", re.MULTILINE)

@@ -371,13 +371,14 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
     model, motion = estimate.model, states(estimate.model, 20)
     (tmp_path / "text.urdf").write_text(model.urdf, encoding="utf-8")
     [mjcf] = estimate.save(tmp_path / "arm.xml")
-    files = [tmp_path / "text.urdf", *estimate.save(tmp_path / "arm.yaml")]
-    for file in files:
+    *models, base = estimate.save(tmp_path / "arm.yaml")
+    assert base.name == "arm-estimate.csv"
+    for file in (tmp_path / "text.urdf", *models):
         check(rigid_body_torque(load_robot(file), motion), rigid_body_torque(model, motion))
     check(torque(load_robot(tmp_path / "arm.yaml"), motion), torque(model, motion))
     assert mujoco.MjModel.from_xml_path(str(mjcf)).nv == model.nv
     assert {path.name for path in tmp_path.iterdir()} == {
-        *("text.urdf", "arm.xml", "arm.yaml", "arm.urdf"),
+        *("text.urdf", "arm.xml", "arm.yaml", "arm.urdf", "arm-estimate.csv"),
     }
     with pytest.raises(UnknownName, match=r"unknown format '\.step'"):
         estimate.save(tmp_path / "arm.step")
@@ -418,7 +419,10 @@ def test_command_writes_result_but_no_model_when_it_got_worse(
     options = ("--force", "--formats", "sdf", "--json", "-o", tmp_path / "forced")
     result = excitant(*words, *options).result
     assert result["published"] is True
-    assert {Path(file).suffix for file in result["files"]} == {".urdf", ".yaml", ".sdf"}
+    assert {Path(file).suffix for file in result["files"]} == {
+        *(".urdf", ".yaml", ".sdf"),
+        ".csv",
+    }
 
 
 def test_an_effect_without_values_is_refused(planar: Robot) -> None:
