@@ -45,7 +45,7 @@ from excitant.identify.rows import (
     told,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
-from excitant.robots.base_estimate import BaseEstimate
+from excitant.robots.base_estimate import BaseEstimate, is_covariance
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
@@ -508,7 +508,7 @@ def judged(
         factors = np.array([factor for factor, _ in _told(robot, rows.effects, drive)])
         std = np.where(factors == 1, np.sqrt(np.diag(wider)), factors * std)
     model = identified_robot(robot, rows.effects, physical.x)
-    if np.isfinite(widened).all():
+    if is_covariance(widened):
         model = replace(model, estimate=BaseEstimate(rows.base.leading, fit.beta, widened))
     notes += () if drive is None else (drive.sentence(robot.joints),)
     notes += (physical.note,) if physical.note else ()

@@ -71,10 +71,16 @@ def read_base_estimate(path: Path) -> BaseEstimate:
         if row[0] != name:
             raise BadRobot(path, f"line {line} is of '{row[0]}', not of '{name}'; {_AGAIN}")
     value, covariance = numbers[:, 0], numbers[:, 1:]
-    variance = np.diag(covariance)
-    if not np.isfinite(numbers).all() or not (variance > 0).all():
-        raise BadRobot(path, f"values are not finite, or variances not positive; {_AGAIN}")
-    unit = covariance / np.sqrt(np.outer(variance, variance))
-    if np.abs(unit - unit.T).max() > _ROUNDING or np.linalg.eigvalsh(unit)[0] <= 0:
-        raise BadRobot(path, f"its covariance is not symmetric and positive definite; {_AGAIN}")
+    if not np.isfinite(value).all() or not is_covariance(covariance):
+        why = "its values are not finite, or its covariance not symmetric and positive definite"
+        raise BadRobot(path, f"{why}; {_AGAIN}")
     return BaseEstimate(names, value, covariance)
+
+
+def is_covariance(matrix: Array) -> bool:
+    """Whether a matrix, (r, r), is finite, symmetric and, as correlations, positive definite."""
+    variance = np.diag(matrix)
+    if not np.isfinite(matrix).all() or not (variance > 0).all():
+        return False
+    unit = matrix / np.sqrt(np.outer(variance, variance))
+    return bool(np.abs(unit - unit.T).max() <= _ROUNDING and np.linalg.eigvalsh(unit)[0] > 0)
