@@ -70,7 +70,7 @@ _LEAST_GAIN, _NEAR = 0.2, 0.5  # of the gain assumed: least that is believed, th
 _LACKS = 0.5  # of the friction found: a model with less lacks it
 _MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
 _LITTLE = 0.01  # of the squared error: a round that gains less is the last
-_ROUNDS = 3  # of the search at most, as effects may depend on the model that it finds
+_ROUNDS = 5  # of the search at most, as effects may depend on the model that it finds
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,7 @@ _DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
 _LONGEST = 0.04  # s, of a delay where another is at work
 _ORDERS = 3  # of ripple at each joint, the best of all
 _MOST_ORDERS = 600
+_RIDGE = 1e-8  # of the determinant of two columns: nothing is left of them
 _SLOWEST = 1e-3  # rad/s
 
 
@@ -178,10 +179,9 @@ class TorqueRipple(JointEffect):
         if not len(orders := _orders(facts)):
             return []
         q, step = facts.q, _step(facts)
-        local = np.column_stack([np.ones_like(q), q, np.cos(q), np.sin(q)])
-        e = facts.unexplained
-        e = e - local @ np.linalg.lstsq(local, e, rcond=None)[0]
-        gains = np.concatenate([_gains(part, q, e) for part in np.array_split(orders, 20)])
+        local, _ = np.linalg.qr(np.column_stack([np.ones_like(q), q, np.cos(q), np.sin(q)]))
+        parts = np.array_split(orders, 20)
+        gains = np.concatenate([_gains(part, q, facts.unexplained, local) for part in parts])
         found: list[float] = []
         for order in orders[np.argsort(-gains)].tolist():
             if len(found) < _ORDERS and all(abs(order - known) > 3 * step for known in found):
@@ -195,9 +195,12 @@ class TorqueRipple(JointEffect):
         return [(effect, looked[effect.joints[0]]) for effect, _ in super().proposed(robot, facts)]
 
     def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
-        """Orders at thirds of the way to the next ones that would be looked at."""
-        next_ones = (self.order - _step(facts), self.order + _step(facts))
-        return super().refined([self.reshaped("order", order) for order in next_ones], facts)
+        """Orders at thirds of the way to the next ones that would be looked at, and at ninths."""
+        far, close = (
+            [self.reshaped("order", self.order + sign * step) for sign in (-1, 1)]
+            for step in (_step(facts), _step(facts) / 3)
+        )
+        return super().refined(far, facts) + super().refined(close, facts)
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
@@ -218,24 +221,32 @@ def _step(facts: JointFacts) -> float:
 
 
 def _orders(facts: JointFacts) -> Array:
-    """Orders of ripple to look at: those that pass the torque filter, by half what q resolves."""
+    """Orders of ripple to look at, by half of what q resolves.
+
+    From where they differ from a spring, which is of order 1 where it pulls a lever, to where they
+    no longer pass the torque filter.
+    """
     if not len(facts.unexplained):
         return np.zeros(0)
     step = _step(facts)
-    first = max(1.0, 6 * step) if np.ptp(facts.q) < 1.5 * np.pi else 1.0
+    first = 1.0 + step
     last = 2 * np.pi * facts.cutoff_hz / max(float(np.median(np.abs(facts.dq))), _SLOWEST)
     count = min(_MOST_ORDERS, max(0, int((last - first) / step) + 1))
     return np.asarray(first + step * np.arange(count), float)
 
 
-def _gains(orders: Array, q: Array, e: Array) -> Array:
-    """Fall of ‖e‖² by a cosine and a sine of each order, shape (orders,)."""
+def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
+    """Fall of ‖e‖² by a cosine and a sine of each order, shape (orders,).
+
+    Beside orthonormal columns, (n, k), that are free; none where these leave nothing of the two.
+    """
     angle = np.outer(q, orders)
     c, s = np.cos(angle), np.sin(angle)
+    c, s = c - beside @ (beside.T @ c), s - beside @ (beside.T @ s)
     cc, ss, cs = (c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)
-    a, b = e @ c, e @ s
-    determinant = np.maximum(cc * ss - cs**2, 1e-12)
-    return np.asarray((ss * a**2 - 2 * cs * a * b + cc * b**2) / determinant, float)
+    a, b, determinant = e @ c, e @ s, cc * ss - cs**2
+    fall = (ss * a**2 - 2 * cs * a * b + cc * b**2) / np.maximum(determinant, _RIDGE * len(q) ** 2)
+    return np.asarray(np.where(determinant > _RIDGE * len(q) ** 2, fall, 0.0), float)
 
 
 @registered

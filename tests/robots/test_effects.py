@@ -299,3 +299,20 @@ def test_presliding_is_a_good_part_of_dry_friction_over_more_than_a_blurred_reve
     distances = [each.distance for each in fx.PreslidingHysteresis.candidates("joint1", facts)]
     assert distances
     assert min(distances) >= 0.01
+
+
+@pytest.mark.parametrize("order", [2.0, 3.0, 7.0])
+def test_ripple_of_any_order_is_proposed_beside_a_spring(order: float) -> None:
+    """Within a third of a turn, where two or three periods in a turn look much like a spring."""
+    t = np.linspace(0.0, 40.0, 1500)
+    q, dq = np.sin(t) * 1.1, np.cos(t) * 1.1
+    spring = 3.0 + 2.0 * q - np.cos(q + 0.4)
+    e = spring + 0.3 * np.sin(order * q + 0.7) + 0.01 * np.random.default_rng(0).normal(size=len(t))
+    facts = fx.JointFacts(q=q, dq=dq, unexplained=e, cutoff_hz=10.0)
+    step = np.pi / (2 * np.ptp(q))
+    found = [effect.order for effect in fx.TorqueRipple.candidates("joint1", facts)]
+    assert abs(found[0] - order) <= step / 2 * (1 + 1e-9)
+    best = fx.TorqueRipple.candidates("joint1", facts)[0]
+    for _ in range(4):  # as each round of a diagnosis does
+        best = min([best, *best.refined([], facts)], key=lambda effect: abs(effect.order - order))
+    assert abs(best.order - order) <= step / 18 * 1.01
