@@ -45,7 +45,7 @@ from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.faults import warn_of_faults
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.rows import (
@@ -413,7 +413,8 @@ def diagnose(
     if data.unit == "A":
         usual = standard_effects(robot.joints)
         base = base_parameters(robot, usual)
-        drive = current_gains(robot, base, train.matrix(usual), measured)
+        moves = certain_rows(usual, robot.joints, data.train)
+        drive = current_gains(robot, base, train.matrix(usual), measured, moves)
     tau = measured * gains_of(robot, data, drive)
     mounted = refined(mounted, data.train, tau, prior)
     if mounted.robot is not robot:

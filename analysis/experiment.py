@@ -29,6 +29,7 @@ from excitant.identify.estimate import Estimate, judged
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical
+from excitant.identify.preprocessing import certain_rows
 from excitant.identify.prior import (
     KINDS,
     PRIOR_SIGMA,
@@ -337,7 +338,8 @@ def identify_shown(
     prior = prior_parameters(robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz)
-    W = without_rounding(regression_of(robot, effects, data.train).W)
+    used = certain_rows(effects, robot.joints, data.train)
+    W = without_rounding(regression_of(robot, effects, data.train).counting(used).W)
     rows = _clean(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)

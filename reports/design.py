@@ -182,7 +182,8 @@ def _tracking(result: Result, series: Series) -> p.Blocks:
     if found is None:
         return []
     before, after = (v.records(found, when) for when in ("before", "after"))
-    rows = [{**row, "changed": later} for row, later in zip(before, after, strict=True)]
+    later = {v.text(row, "name"): row for row in after}
+    rows = [{**row, "changed": later.get(v.text(row, "name"), {})} for row in before]
 
     def error(*keys: str) -> Callable[[Result], p.Cell]:
         def cell(row: Result) -> p.Cell:

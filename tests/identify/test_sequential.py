@@ -121,7 +121,7 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
     assert spread[-1] < 1.5
 
 
-@pytest.mark.parametrize(("name", "draws"), [("planar_2r", 12), *(slow(name, 6) for name in SIX)])
+@pytest.mark.parametrize(("name", "draws"), [("planar_2r", 12), *(slow(name, 18) for name in SIX)])
 def test_values_are_within_two_standard_deviations_as_often_as_they_should(
     name: str, draws: int
 ) -> None:
@@ -261,4 +261,5 @@ def test_real_joints_moving_one_at_a_time(data_folder: Path) -> None:
     assert all(stage.needed for stage in found.stages[:-1])
     rms, given = found.estimate.validate.rms, found.estimate.baseline.rms
     assert (rms < 0.5 * given).all()
-    assert (rms < found.all_at_once.validate.rms).all()
+    at_once = found.all_at_once.validate.rms  # from the same rows: nothing that rests spoils it
+    assert (np.abs(rms / at_once - 1) < 0.1).all()
