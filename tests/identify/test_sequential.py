@@ -121,7 +121,7 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
     assert spread[-1] < 1.5
 
 
-@pytest.mark.parametrize(("name", "draws"), [("planar_2r", 12), *(slow(name, 18) for name in SIX)])
+@pytest.mark.parametrize(("name", "draws"), [("planar_2r", 12), *(slow(name, 6) for name in SIX)])
 def test_values_are_within_two_standard_deviations_as_often_as_they_should(
     name: str, draws: int
 ) -> None:
@@ -135,9 +135,12 @@ def test_values_are_within_two_standard_deviations_as_often_as_they_should(
         error = known.c - known.D.T @ np.linalg.solve(known.L, beta_of(truth, robot) - known.mean)
         found.append(np.linalg.solve(np.linalg.cholesky(known.P), error))  # unit variance
         assert len(error) == sum(len(stage.determined) for stage in stages)
-    errors = np.concatenate(found)
-    assert 0.9 < np.mean(np.abs(errors) < 2) < 0.99
-    assert 0.85 < np.sqrt(np.mean(errors**2)) < 1.25
+    # errors of one draw go together: bounds allow for two standard errors over the draws
+    shares = np.array([np.mean(np.abs(errors) < 2) for errors in found])
+    squares = np.array([np.mean(errors**2) for errors in found])
+    chance = [2 * x.std(ddof=1) / np.sqrt(draws) for x in (shares, squares)]
+    assert 0.9 - chance[0] < shares.mean() < 0.99 + chance[0]
+    assert 0.85**2 - chance[1] < squares.mean() < 1.25**2 + chance[1]
 
 
 @pytest.mark.parametrize(
