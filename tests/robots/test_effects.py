@@ -192,7 +192,8 @@ def test_what_is_believed_is_considered_again_with_shapes_beside_it(
     np.testing.assert_allclose(speeds, expected, rtol=1e-12)
     orders = sorted(e.order for e in added if e.name == "torque_ripple")
     step = np.pi / 2 / facts[0].reach
-    expected = [*np.geomspace(9 - step, 9, 4)[1:], *np.geomspace(9, 9 + step, 4)[1:3]]
+    ends = [9 + sign * far for far in (step, step / 3) for sign in (-1, 1)]
+    expected = sorted({9.0, *(order for end in ends for order in np.geomspace(9, end, 4)[1:3])})
     np.testing.assert_allclose(orders, expected, rtol=1e-12)
     assert {added[e] for e in added if e.name == "torque_ripple"} == {600}
 
