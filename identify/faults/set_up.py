@@ -429,19 +429,22 @@ def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, in
         for i, k in itertools.combinations(range(len(logs)), 2)
         if (len(logs[i]), logs[i].unit) == (len(logs[k]), logs[k].unit)
     ]
+    data = {k: smooth(logs[k]) for k in dict.fromkeys(itertools.chain(*pairs))}
     odds = 2 * float(np.log(max(len(pairs), 1) / _RARE))
     for pair in pairs:
-        gains = (_with_torque_of(robot, logs[i], logs[k]) for i, k in (pair, pair[::-1]))
-        if not {*pair} & {k for taken in found for k in taken} and sum(gains) > odds:
+        if {*pair} & {k for taken in found for k in taken}:
+            continue
+        gain = 0.0
+        for i, k in (pair, pair[::-1]):
+            gain += _with_torque_of(robot, logs[i], data[i], logs[k]) if gain > -np.inf else 0.0
+        if gain > odds:
             found.append(pair)
     return found
 
 
-def _with_torque_of(robot: Robot, log: Log, other: Log) -> float:
+def _with_torque_of(robot: Robot, log: Log, data: Smooth | None, other: Log) -> float:
     """Twice the log evidence ratio of a log with another's torque; see `_evidence`."""
-    exchanged = replace(log, tau=other.tau)
-    data, moved = smooth(log), smooth(exchanged)
-    if data is None or moved is None:
+    if data is None or (moved := smooth(replace(log, tau=other.tau))) is None:
         return -np.inf
     left = (np.log(unlike(robot, each)).mean() for each in (moved, data))
     if next(left) - next(left) > np.log(HALVED):
