@@ -180,11 +180,19 @@ def _held_share(log: Log, x: Array, j: int) -> float:
     fresh = change[change > 0]
     if len(change) < 50 or len(fresh) < 25:
         return 0.0
-    none, few = len(change) - len(fresh), int((fresh <= _FRESH * np.median(fresh)).sum())
+    small = _FRESH * float(np.median(fresh))
+    few = int((fresh <= small).sum())
     if few < 5:
         return 0.0  # coarse steps: no change is as good as a small one
-    excess = none - few - 5 * np.sqrt(none + few)
-    return none / len(change) if excess > 0 and none > 0.02 * len(change) else 0.0
+    # a torque that friction rules stays for a while too, between small changes or few large ones
+    starts, lengths = run_lengths(change == 0)
+    inner = (starts > 0) & (starts + lengths < len(change))
+    starts, ends = starts[inner], (starts + lengths)[inner]
+    large = max(small, _LEVELS * quantum(x))
+    held = int(((change[starts - 1] > large) & (change[ends] > large)).sum())
+    excess = held - few - 5 * np.sqrt(held + few)
+    beyond = excess > 0 and held > 0.02 * len(change)
+    return 1 - len(fresh) / len(change) if beyond else 0.0
 
 
 def wrapped_counters(log: Log) -> Iterator[Fault]:

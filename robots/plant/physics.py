@@ -12,6 +12,8 @@ import numpy as np
 from excitant.robots.motion import Array, freeze
 from excitant.robots.plant.sensors import Encoder, Recorder
 
+_STILL = 1e-12  # rad/s or m/s: a planned velocity is 0 but for rounding, which has no direction
+
 
 @dataclass(frozen=True, eq=False)
 class Drives:
@@ -28,8 +30,9 @@ class Drives:
         freeze(self, *(field.name for field in fields(self)))
 
     def friction(self, dq: Array) -> Array:
-        """Torque of sliding friction at some velocities, shape (n, nv) [N·m]."""
-        return self.viscous * dq + self.level(dq) * np.sign(dq)
+        """Torque of sliding friction at some velocities, shape (n, nv) [N·m]; none at rest."""
+        direction = np.where(np.abs(dq) > _STILL, np.sign(dq), 0.0)
+        return self.viscous * dq + self.level(dq) * direction
 
     def level(self, dq: Array) -> Array:
         """Torque that a joint at this velocity must overcome beside the viscous one [N·m]."""
