@@ -260,8 +260,20 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield from _worlds(results)
     done = [r for r in results if "score" in r]
     groups = {c: [r["score"] for r in done if r["category"] == c] for c in CATEGORIES}
-    outside, set_up, clean = groups["outside"], groups["set-up"], groups["nothing"]
+    outside, clean = groups["outside"], groups["nothing"]
+    shown = [r for r in done if r["category"] == "set-up" and r["hidden"][0]["size"] >= BINS[1]]
+    set_up = [r["score"] for r in shown]
+    effects = [
+        (h, r["score"]["named"][k], r["score"]["found"][k], r)
+        for r in done
+        if r["category"] == "effects"
+        for k, h in enumerate(r["hidden"])
+    ]
+    large = [e for e in effects if e[0]["size"] >= BINS[2]]
     rows = (
+        ("effects of at least 5 %: named", [e[1] for e in large]),
+        ("effects of at least 5 %: named or undecided", [e[2] for e in large]),
+        ("cases with a wrong name", [r["score"]["wrong"] for r in done]),
         ("set-up: the right name first", [s["first"] for s in set_up]),
         ("set-up: a wrong name beside", [s["wrong"] for s in set_up]),
         ("outside the vocabulary: unknown said there", [s["named"][0] for s in outside]),
@@ -273,12 +285,6 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     )
     yield ""
     yield from (f"{label:44s} {wilson(hits):>12s} % of {len(hits)}" for label, hits in rows)
-    effects = [
-        (h, r["score"]["named"][k], r["score"]["found"][k], r)
-        for r in done
-        if r["category"] == "effects"
-        for k, h in enumerate(r["hidden"])
-    ]
     yield "\nsize [%]      effects     named [%]     found [%]"
     for low, high in itertools.pairwise(BINS):
         within = [e for e in effects if low <= e[0]["size"] < high]
@@ -290,6 +296,10 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
         h, *_, r = max(missed, key=lambda e: e[0]["size"])
         where = f"{h['effect']} at {', '.join(h['joints'])} of {r['arm']} ({r['world']})"
         yield f"\nlargest missed: case {r['case']}, {where}, {100 * h['size']:.0f} %"
+    for r in done:
+        if wrong := r["score"]["wrong"]:
+            what = ", ".join(h["kind"] for h in r["hidden"]) or "nothing"
+            yield f"wrong: case {r['case']}, {what} in {r['world']}: {', '.join(wrong)}"
     failed = Counter(r["no_result"].splitlines()[0] for r in results if "no_result" in r)
     yield from (f"no result, {n} times: {why}" for why, n in failed.most_common())
 

@@ -157,7 +157,7 @@ def test_bound_of_a_six_joint_arm_is_far_above_one(
     robot = limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
     pool = [random_trajectory(robot, np.random.default_rng(1), 10.0, 5).sample(200)]
     told: list[tuple[float, float, float]] = []
-    bound = lower_bound(robot, time_limit=45.0, pool=pool, progress=lambda *x: told.append(x))
+    bound = lower_bound(robot, time_limit=22.0, pool=pool, progress=lambda *x: told.append(x))
     assert bound.value > 7.6 / 4
     assert_certificate_holds(bound)
     assert len(told) > 2
