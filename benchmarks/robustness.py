@@ -44,6 +44,7 @@ from worlds import wilson
 
 Rng = np.random.Generator
 Array = np.ndarray
+Files = dict[str, bytes]  # contents by name
 Case = Iterator[tuple[str, str, str]]  # what was tried, its verdict, what was said
 
 HANG = {"fuzz": 60.0, "arms": 600.0, "limits": 120.0, "kills": 600.0}  # s of processor time
@@ -465,8 +466,6 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
     amid, whole = contents(out), verb == "simulate" or not half_written(out)
     status_again, err_again, _ = ended(f"{line} {new} {into}", folder)
     again = contents(out)
-    changing = {name for name in {*before, *again} if before.get(name) != again.get(name)}
-    untouched = {name for name in changing if amid.get(name) == before.get(name)}
     left = [path.name for path in folder.glob(".excitant-*")]
     found = "refused" if status else "result"
     if orphans:
@@ -477,7 +476,7 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
         found = f"status {status}"
     elif amid and not (whole or (how == signal.SIGKILL and not (RUN - {*amid}))):
         found = "half-written"
-    elif amid and not fresh and untouched not in (set(), changing):
+    elif amid and not fresh and mixed(before, amid, again):
         found = "mixed"
     elif status_again not in (0, 1) or not again or left:
         found, err = "not run again", f"status {status_again}, {left}: {err_again}"
@@ -485,7 +484,14 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
     yield f"{verb}: {how.name} after {after:.2f} of {took:.2f} s, over {where}", found, err
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def mixed(before: Files, amid: Files, again: Files) -> bool:
+    """Whether a folder holds some files of an old run and some of the new one."""
+    changing = {name for name in {*before, *again} if before.get(name) != again.get(name)}
+    untouched = {name for name in changing if amid.get(name) == before.get(name)}
+    return untouched not in (set(), changing)
+
+
+def contents(folder: Path) -> Files:
     return {path.name: path.read_bytes() for path in folder.glob("*") if path.is_file()}
 
 

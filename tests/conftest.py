@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +24,24 @@ from excitant.robots.virtual_arm import HiddenEffect, Sensors, ideal_sensors, vi
 
 hypothesis.settings.register_profile("excitant", deadline=None, derandomize=True, max_examples=25)
 hypothesis.settings.load_profile("excitant")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--every", type=int, default=1, help="of slow tests marked 'sampled', each N-th case"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out, and count as deselected, what ``--every`` asks to."""
+    number, kept, left = Counter[str](), list[pytest.Item](), list[pytest.Item]()
+    for item in items:
+        name = item.nodeid.partition("[")[0]
+        whole = {"sampled", "slow"} - {mark.name for mark in item.iter_markers()}
+        (kept if whole or number[name] % config.getoption("every") == 0 else left).append(item)
+        number[name] += not whole
+    config.hook.pytest_deselected(items=left)
+    items[:] = kept
 
 
 @pytest.fixture(scope="session")

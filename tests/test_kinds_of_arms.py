@@ -95,6 +95,7 @@ def prepared(kind: str) -> tuple[str, Robot]:
     return "arm.yaml", robot
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     "kind", [kind if kind in FAST else pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
 )
@@ -131,6 +132,7 @@ def test_currents_where_rotors_are_like_masses_get_gains_of_the_right_size(
     assert (found.validate.r2 > 0.99).all()
 
 
+@pytest.mark.sampled
 @pytest.mark.filterwarnings("error::RuntimeWarning", "error::scipy.linalg.LinAlgWarning")
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) for k in EVERY_VERB])
 def test_every_verb_in_every_way(kind: str, here: Path, excitant: Callable[..., Any]) -> None:

@@ -141,7 +141,7 @@ def test_tighter_limits_never_lower_the_bound(planar: Robot) -> None:
             name: share * getattr(planar.limits, name) for name in ("velocity", "acceleration")
         }
         robot = limited(planar, position=[-2 * share, 2 * share], **rates)
-        bounds.append(lower_bound(robot, harmonics=harmonics, time_limit=10.0))
+        bounds.append(lower_bound(robot, harmonics=harmonics, time_limit=5.0))
     for looser, tighter in itertools.pairwise(bounds):
         assert tighter.without_repair >= looser.value * (1 - 1e-9)
         assert tighter.value >= looser.value * (1 - 0.02)

@@ -116,6 +116,7 @@ def _cut(value, most):
     return [_cut(item, most) for item in value[:most]] if isinstance(value, list) else value
 
 
+@pytest.mark.sampled
 @pytest.mark.slow
 @pytest.mark.parametrize("most", [1, 2])
 @pytest.mark.parametrize("verb", [*VERBS, "compare"])
@@ -134,6 +135,7 @@ def test_any_value_may_be_null(verb, most, make, show, undrawn):
         summary(page_of(spoilt, {}))
 
 
+@pytest.mark.sampled
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_any_series_may_be_missing_or_spoilt(verb, make, show, undrawn):

@@ -60,6 +60,7 @@ SLOW += [
 ]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("name", "kind", "size", "seed"), FAST + SLOW)
 def test_drawn_effects_show_as_much_as_wanted(name: str, kind: str, size: float, seed: int) -> None:
     robot, rng = load_robot(name), np.random.default_rng(seed)
