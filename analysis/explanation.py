@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _SMALL = 0.1  # of what a cause of roughly known shape, or another curve of friction, explains
 _LITTLE = 0.05  # of the squared torque of a cause that acts on several joints
 _MATTERS = 0.3  # of a cause's torque at the joint where it is largest
+_LEFT = 0.5  # of the squared torque of either of two causes: less, and they take each other back
 _MOSTLY = 0.5  # of what findings explain, or of a joint's squared error
 _COMMON = 2.0  # standard deviations of the given masses, by which all may be off alike
 _PLAINLY = 3.0  # times the noise
@@ -70,6 +71,8 @@ def reason_to_downgrade(
             "explains"
         )
     for other in others:
+        if other is not found and _taken_back(found, other):
+            return f"it and {plain(other.effect.name)} mostly take each other back"
         same = {*effect.joints} <= {*other.effect.joints}
         if same and other.effect.shapes and found.explained < _SMALL * other.explained:
             name = plain(other.effect.name)
@@ -78,6 +81,17 @@ def reason_to_downgrade(
         if same and curves and _SMALL * found.explained < other.explained:
             return f"it shares the friction curve of the joint with {plain(other.effect.name)}"
     return ""
+
+
+def _taken_back(one: Finding, other: Finding) -> bool:
+    """Whether two causes together make much less torque than either; bodies may well do so."""
+    apart = not {*one.effect.joints} & {*other.effect.joints}
+    if apart or "torque" not in (one.effect.role, other.effect.role):
+        return False
+    both, *each = (
+        float((x**2).sum()) for x in (one.torque + other.torque, one.torque, other.torque)
+    )
+    return both < _LEFT * min(each)
 
 
 def placeholders(diagnosis: Diagnosis) -> str:

@@ -250,9 +250,9 @@ def fuzz(rng: Rng, folder: Path, corpus: Path) -> Case:
     before = {*folder.rglob("*")}
     what = f"{line or 'read'}: {name} {kind}"
     if line:
-        out = "out.csv" if line.startswith("simulate") else "out"
-        status, _, err = command(line if line == "report model" else f"{line} -o {out}")
-        found = verdict(status, err, None if out == "out.csv" else folder / "out")
+        into = {"simulate": "out.csv", "report": ""}.get(line.split()[0], "out")
+        status, _, err = command(f"{line} -o {into}" if into else line)
+        found = verdict(status, err, folder / "out" if into == "out" else None)
         said = status if isinstance(status, str) else err
         recorded = line.startswith("identify") and name.endswith(".csv")
         if recorded and found == "result" and (wrong := _wrong_planar(rng, folder / "out")):

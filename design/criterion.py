@@ -119,7 +119,7 @@ def information(
 def condition_number(M: Array) -> float:
     """cond₂(W) from M = WᵀW / n: √(λmax / λmin)."""
     eigenvalues = np.linalg.eigvalsh(M)
-    return float(np.sqrt(eigenvalues[-1] / max(float(eigenvalues[0]), 1e-300)))
+    return float(np.sqrt(eigenvalues[-1]) / np.sqrt(max(float(eigenvalues[0]), 1e-300)))
 
 
 def speed_scale(robot: Robot) -> Array:

@@ -358,6 +358,33 @@ def test_what_shares_a_curve_or_is_faint_is_not_decided(
     assert bool(said) == bool(reason)
 
 
+@pytest.mark.parametrize(
+    ("factor", "joint", "said"),
+    [
+        (-0.9, "joint1", "take each other back"),
+        (-0.4, "joint1", ""),
+        (1.0, "joint1", ""),
+        (-0.9, "joint2", ""),
+    ],
+)
+def test_causes_that_take_each_other_back_are_not_decided(
+    factor: float, joint: str, said: str
+) -> None:
+    """A spring, and a torque gain that makes some of its torque, backward or forward."""
+    torque = np.sin(np.arange(100.0))[:, None] * (1.0, 0.0)
+    found, other = (
+        cast(Finding, SimpleNamespace(effect=effect, torque=x, share=1.0, explained=2.0))
+        for effect, x in (
+            (EFFECTS["spring"](("joint1",)), torque),
+            (TorqueGain((joint,)), factor * torque),
+        )
+    )
+    robot = load_robot("planar_2r")
+    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
+    assert said in (reason := reason_to_downgrade(robot, found, [found, other], left, 0.1))
+    assert bool(said) == bool(reason)
+
+
 @pytest.mark.parametrize(("size", "open_"), [(0.12, True), (0.25, False)])
 def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, open_: bool) -> None:
     robot = load_robot("planar_2r")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from limit_use import limited
 
-from excitant.design import build_design, check, random_trajectory
+from excitant.design import build_design, check, condition_number, random_trajectory
 from excitant.design.criterion import objective, smooth_model
 from excitant.design.peaks import torque_peaks, torque_rows
 from excitant.design.result import lone_torque, scaled_condition_number
@@ -106,3 +106,8 @@ def test_columns_that_say_nothing_of_their_own() -> None:
     assert lone_torque(W.T @ W / 30).max() < 1e-6
     W[:, 2] = 0.0
     assert scaled_condition_number(W.T @ W) is None
+
+
+@pytest.mark.filterwarnings("error")
+def test_condition_number_of_a_singular_matrix_is_huge() -> None:
+    assert 1e150 < condition_number(np.diag([1e76, 0.0])) < np.inf
