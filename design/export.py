@@ -27,6 +27,7 @@ _MESSAGE = "trajectory_msgs/msg/JointTrajectory"
 _FIELDS = ("positions", "velocities", "accelerations")
 _SERVOJ = "lookahead_time=0.1, gain=300"
 _FIRST = "a=0.3, v=0.2"  # rad/s² and rad/s of the move to the first pose
+_LARGEST = 1e9  # rad, rad/s, rad/s²: a sample beyond it is damaged
 _UNEVEN = 1e-6  # relative difference of sampling intervals that counts as one rate
 
 
@@ -166,7 +167,9 @@ def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
     for name in _columns(nv):
         for k, cell in enumerate(row[header.index(name)] for row in rows):
             try:
-                why = None if np.isfinite(float(cell)) else f"{float(cell)} is not finite"
+                value = float(cell)
+                beyond = "is more than an arm does" if np.isfinite(value) else "is not finite"
+                why = None if abs(value) <= _LARGEST else f"{value:g} {beyond}"
             except ValueError:
                 why = f"'{cell}' is not a number"
             if why:

@@ -60,6 +60,10 @@ BAD_CSV = (
     ([HEADER.replace("t,", "time,"), *ROWS], "column 't' is missing"),
     ([HEADER + ",q3", *(row + ",0" for row in ROWS)], "3 joint columns q1..q3"),
     ([HEADER, ROWS[0], "0.1,0,nan,0,0,0,0", ROWS[2]], "row 1, column 'q2': nan is not finite"),
+    (
+        [HEADER, ROWS[0], "0.1,1e308,0,0,0,0,0", ROWS[2]],
+        "row 1, column 'q1': 1e+308 is more than an arm does",
+    ),
     ([HEADER, *ROWS[:2], "0.2,0,0,0,0,inf,0"], "row 2, column 'ddq1': inf is not finite"),
     ([HEADER, ROWS[0], "0.1,0,0,x,0,0,0"], "row 1, column 'dq1': 'x' is not a number"),
     ([HEADER, ROWS[0], "0.1,0,0"], "row 1 has 3 values, the header 7"),
