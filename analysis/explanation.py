@@ -78,8 +78,10 @@ def reason_to_downgrade(
             name = plain(other.effect.name)
             return f"it is small compared with {name}, whose shape is only roughly known"
         curves = other is not found and all(f.effect.is_friction_curve for f in (found, other))
-        if same and curves and _SMALL * found.explained < other.explained:
-            return f"it shares the friction curve of the joint with {plain(other.effect.name)}"
+        positions = other is not found and all(f.effect.is_position_curve for f in (found, other))
+        if same and (curves or positions) and _SMALL * found.explained < other.explained:
+            curve = "friction" if curves else "position"
+            return f"it shares the {curve} curve of the joint with {plain(other.effect.name)}"
     return ""
 
 

@@ -15,9 +15,10 @@ from excitant.design.constraints import check, within_limits
 from excitant.design.criterion import CRITERIA, condition_number, information, objective
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
-from excitant.design.search import Effort, SearchState, best_solutions, connect, search
+from excitant.design.search import Effort, SearchState, best_solutions, search
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.processes import connect
 from excitant.robots import Motion, Robot
 from excitant.robots.geometry import CLEARANCE, Scene
 from excitant.robots.threads import on_one_thread

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-import joblib
 import numpy as np
 
 from excitant.design.constraints import within_limits
@@ -17,8 +16,8 @@ from excitant.design.criterion import condition_number, objective
 from excitant.design.peaks import worst_use
 from excitant.design.problem import DesignProblem
 from excitant.design.step import PENALTY, local_model, solve_step
-from excitant.exceptions import BadInput, Infeasible
-from excitant.processes import deaf_to_interrupts, owned
+from excitant.exceptions import Infeasible
+from excitant.processes import unordered
 from excitant.robots import Array
 from excitant.robots.threads import on_one_thread
 
@@ -48,7 +47,6 @@ _FIRST, _SHARE = 0.1, 0.35  # of the remaining time for the first and each furth
 _SAMPLED = 6  # starts that compare periods
 _PERIODS, _COMPARING = 5, 0.3  # periods compared, and the share of the time for that
 
-_PATIENCE = "20s"  # for a cluster to answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,49 +350,12 @@ class _MultiStart:
                 self.states[state.index] = replace(state, status=status)
 
 
-def connect(address: str) -> Any:
-    """Client of the Dask scheduler at an address such as ``tcp://10.0.0.5:8786``.
-
-    Raises:
-        BadInput: Dask is not installed, nothing answers there, or it has no workers.
-    """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise BadInput("--cluster needs Dask: pip install 'excitant[cluster]'") from None
-    try:
-        client: Any = Client(  # type: ignore[no-untyped-call]
-            address, timeout=_PATIENCE, set_as_default=False
-        )
-    except (OSError, ValueError, TimeoutError) as error:
-        raise BadInput(f"cluster {address}: no Dask scheduler answers there ({error})") from None
-    if not client.scheduler_info()["workers"]:
-        client.close()
-        raise BadInput(f"cluster {address}: the scheduler has no workers; start 'dask worker'")
-    return client
-
-
 def _results(
     problem: DesignProblem, tasks: Sequence[Task], effort: Effort
 ) -> Iterable[SearchState]:
-    if not tasks:
-        return
     packed = pickle.dumps(problem)
-    options: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1}
-    jobs, perform = min(effort.jobs, len(tasks)), owned(_perform)
-    if effort.client is not None:
-        perform = _perform
-        options, jobs = {"backend": "dask", "client": effort.client}, -1
-    elif jobs == 1:
-        options = {"backend": "sequential"}
-    with joblib.parallel_config(**options):
-        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-        with deaf_to_interrupts(jobs != 1):  # here the processes start
-            found = parallel(
-                joblib.delayed(perform)(packed, task, effort.seed, effort.deadline)
-                for task in tasks
-            )
-        yield from found
+    each = [(packed, task, effort.seed, effort.deadline) for task in tasks]
+    return unordered(_perform, each, effort.jobs, effort.client)
 
 
 _unpacked = lru_cache(maxsize=1)(pickle.loads)

@@ -7,8 +7,11 @@ and positions are filtered at twice that, so 160 samples a second say all that i
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +45,7 @@ _USUAL = (".parquet", ".csv")
 _PASSED_HZ = POSITION_RATIO * CUTOFF_HZ
 _RATE_HZ = 8 * _PASSED_HZ
 _STOPPED_DB = 80.0  # what is folded onto the band that is passed
+_DATE = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 _START = 1 << 16  # bytes of a text file, whose lines stand for all
 
 
@@ -58,6 +62,8 @@ class _Torque(msgspec.Struct, frozen=True):
 class _Sidecar(msgspec.Struct, frozen=True):
     """Entries read from a ``dataset.json``; others are ignored."""
 
+    arm: str | None = None  # serial number, or what else tells it from others of its type
+    date: date | None = None
     kinematics: _Kinematics | None = None
     torque: _Torque | None = None
     units: Any = None
@@ -149,6 +155,32 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
     if given.drive is None and isinstance(torque.gains, list):
         given = replace(given, drive=drive_of({"gain_Nm_per_A": torque.gains}, str(sidecar)))
     return Dataset(robot, folder, replace(_with_drive(given, model), torque=torque.column))
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder holds a robot or recordings, be they readable or not."""
+    names = {path.name for path in folder.iterdir()}
+    return bool(names & {"dataset.json", "robot.urdf", "robot.yaml"}) or any(
+        Path(name).suffix in SUFFIXES for name in names
+    )
+
+
+def origin(folder: Path, name: str) -> tuple[str, date | None]:
+    """Arm and date of a data set: those of its ``dataset.json``, else what its name says.
+
+    A name such as ``cell3/2026-03-01`` or ``cell3-20260301`` is that of the arm with the date.
+
+    Raises:
+        BadInput: A ``dataset.json`` that cannot be read.
+    """
+    sidecar = folder / "dataset.json"
+    known = read_yaml(sidecar, _Sidecar, "a data set") if sidecar.is_file() else _Sidecar()
+    arm, day = name, None
+    for found in _DATE.finditer(name):
+        with suppress(ValueError):
+            day = date(*map(int, found.groups()))
+            arm = (name[: found.start()] + name[found.end() :]).strip("/_-. ") or name
+    return known.arm or arm, known.date or day
 
 
 def _with_drive(given: ColumnMap, model: Path) -> ColumnMap:

@@ -19,6 +19,7 @@ from excitant.reports.analyze import analyze_section, links_folded
 from excitant.reports.design import check_section, design_section, rehearse_section
 from excitant.reports.diagnose import diagnose_section
 from excitant.reports.drawing import style
+from excitant.reports.fleet import fleet_section
 from excitant.reports.identify import identify_section
 from excitant.reports.page import Cell, Fact, Page, Section
 from excitant.reports.robot import robot_section
@@ -32,6 +33,7 @@ _SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "diagnose": diagnose_section,
     "robots": robot_section,
     "rehearse": rehearse_section,
+    "fleet": fleet_section,
 }
 COMPARE = "compare"
 _VERBS = (*_SECTIONS, "demo", COMPARE)

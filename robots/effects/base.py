@@ -258,6 +258,11 @@ class Effect(ABC):
         """Whether it is friction by the joint's velocity alone, finer than the usual."""
         return self.family == "friction" and self.law is not None and not self.standard
 
+    @property
+    def is_position_curve(self) -> bool:
+        """Whether it is a smooth torque by the joint's position alone, beside that of the bodies."""
+        return False
+
     def is_common(self, robot: Robot) -> bool:
         """Whether it acts on all joints of an arm by the same coefficients."""
         return robot.nv > 1 and {*self.joints} == {*robot.joints}

@@ -35,6 +35,7 @@ _DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
 _LONGEST = 0.04  # s, of a delay where another is at work
 _ORDERS = 3  # of ripple at each joint, the best of all
 _MOST_ORDERS = 600
+_WAVES = 3.0  # periods per turn, below which a ripple is as smooth as a spring
 _RIDGE = 1e-8  # of the determinant of two columns: nothing is left of them
 _SLOWEST = 1e-3  # rad/s
 
@@ -207,6 +208,10 @@ class TorqueRipple(JointEffect):
         """Amplitudes, named after the order."""
         return tuple(Parameter(f"{term.name}{self.order:.4g}", term.unit) for term in self.terms)
 
+    @property
+    def is_position_curve(self) -> bool:
+        return self.order < _WAVES
+
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
         period = 2 * np.pi / self.order
         return "joint position within one period of the ripple [rad]", np.mod(x, period)
@@ -275,6 +280,10 @@ class Spring(JointEffect):
     def own_terms(self) -> tuple[Parameter, ...]:
         lever = tuple(Parameter(f"spring_{s}", "N·m") for s in ("cos", "sin"))
         return lever if self.lever else self.terms
+
+    @property
+    def is_position_curve(self) -> bool:
+        return True
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         return (np.cos(q), np.sin(q)) if self.lever else (q, np.ones_like(q))

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from cyclopts import App, CycloptsError, Parameter
 from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
 
-from excitant import motions, recordings
+from excitant import fleets, motions, recordings
 from excitant.exceptions import BadInput, ExcitantError, FaultWarning
 from excitant.names import one_line
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
@@ -240,6 +240,10 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
     motions.rehearse: (
         "rehearse ur10 trajectory.csv",
         "rehearse my_arm.urdf trajectory.json --limits limits.yaml --seed 3",
+    ),
+    fleets.fleet: (
+        "fleet recordings/ -o runs/fleet",
+        "fleet cell1 cell2 cell3 --cluster tcp://10.0.0.5:8786",
     ),
     report: ("report runs/demo", "report runs/before runs/after -o runs/both"),
     completion: (

@@ -94,3 +94,13 @@ class RankDeficient(ExcitantError):
     def __init__(self, names: Sequence[str], why: str) -> None:
         self.names = tuple(names)
         super().__init__(f"{why}: {', '.join(self.names)}")
+
+
+class WorkerDied(ExcitantError):
+    """A process of many ended before its work was done."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "a worker process was ended from outside, as by a system that runs out of memory; "
+            "free some, or use fewer processes (--jobs)"
+        )

@@ -1,4 +1,7 @@
-"""Worker processes: they leave Ctrl-C to the process that started them, and end with it."""
+"""Work on processes of this machine or of a Dask cluster.
+
+Processes here leave Ctrl-C to the one that started them, and end with it.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,77 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from functools import cache, partial
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
+
+from excitant.exceptions import BadInput, WorkerDied
 
 P = ParamSpec("P")
 T = TypeVar("T")
 _LOOK = 0.5  # s between looks for the process that started this one
+_PATIENCE = "20s"  # for a cluster to answer
+
+
+def connect(address: str) -> Any:
+    """Client of the Dask scheduler at an address such as ``tcp://10.0.0.5:8786``.
+
+    Raises:
+        BadInput: Dask is not installed, nothing answers there, or it has no workers.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BadInput("--cluster needs Dask: pip install 'excitant[cluster]'") from None
+    try:
+        client: Any = Client(  # type: ignore[no-untyped-call]
+            address, timeout=_PATIENCE, set_as_default=False
+        )
+    except (OSError, ValueError, TimeoutError) as error:
+        raise BadInput(f"cluster {address}: no Dask scheduler answers there ({error})") from None
+    if not client.scheduler_info()["workers"]:
+        client.close()
+        raise BadInput(f"cluster {address}: the scheduler has no workers; start 'dask worker'")
+    return client
+
+
+def unordered(
+    function: Callable[..., T],
+    tasks: Sequence[tuple[Any, ...]],
+    jobs: int,
+    client: Any = None,
+    *,
+    apart: bool = False,
+) -> Iterator[T]:
+    """A function of the arguments of each task, as they come, by processes here or of a cluster.
+
+    One job or one task is done in this process, unless it has to be ``apart``.
+
+    Raises:
+        WorkerDied: A process ended; tasks without a result may have been done or not.
+    """
+    import joblib
+
+    if not tasks:
+        return
+    options: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1}
+    jobs, perform = max(min(jobs, len(tasks)), 1 + apart), owned(function)
+    if client is not None:
+        options, jobs, perform = {"backend": "dask", "client": client}, -1, function
+    elif jobs == 1:
+        options = {"backend": "sequential"}
+    try:
+        with joblib.parallel_config(**options):
+            parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+            with deaf_to_interrupts(jobs != 1):  # here the processes start
+                found = parallel(joblib.delayed(perform)(*task) for task in tasks)
+            yield from found
+    except Exception as error:
+        if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
+            raise WorkerDied() from None
+        raise
 
 
 def owned(function: Callable[P, T]) -> Callable[P, T]:

@@ -22,7 +22,13 @@ from excitant.identify import model_files
 from excitant.identify.preprocessing import away_from_rest
 from excitant.identify.rows import series
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import EFFECTS, StribeckFriction, TorqueGain, ViscousFriction
+from excitant.robots.effects import (
+    EFFECTS,
+    StribeckFriction,
+    TorqueGain,
+    TorqueRipple,
+    ViscousFriction,
+)
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -356,6 +362,25 @@ def test_what_shares_a_curve_or_is_faint_is_not_decided(
     reason = reason_to_downgrade(robot, found, [found, other], left, 0.1)
     assert said in reason
     assert bool(said) == bool(reason)
+
+
+@pytest.mark.parametrize(
+    ("order", "joint", "said"),
+    [(1.4, "joint1", "shares the position curve"), (20.0, "joint1", ""), (1.4, "joint2", "")],
+)
+def test_a_slow_ripple_beside_a_spring_is_not_decided(order: float, joint: str, said: str) -> None:
+    """Both are smooth curves of the position, as are a hose or a bumper, which are neither."""
+    same = {"torque": np.ones((10, 1)) * (1.0, 0.0), "share": 1.0, "explained": 0.5}
+    ripple, spring = (
+        cast(Finding, SimpleNamespace(**same, effect=effect))
+        for effect in (TorqueRipple(("joint1",), order=order), EFFECTS["spring"]((joint,)))
+    )
+    robot = load_robot("planar_2r")
+    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
+    for found in (ripple, spring):
+        reason = reason_to_downgrade(robot, found, [ripple, spring], left, 0.1)
+        assert said in reason
+        assert bool(said) == bool(reason)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,387 @@
+"""Arms of one type beside each other, and each arm over time.
+
+A base parameter, identified from data set d of arm a at time t with a standard deviation s, is
+
+    x_ad = μ + δ_a + β_a (t_ad − t̄_a) + ε_ad,   ε ~ N(0, s_ad² + ω²),   δ ~ N(0, τ²).
+
+ω is what data sets of one arm differ by beyond s, the same for all arms of a type; τ is by how much
+sound arms differ. Both are such that what is left has the size expected of it (Paule, Mandel 1982),
+ω from lines through the dates of each arm, τ from the means of the arms.
+
+An arm *differs* where δ_a is an extreme Studentised deviate of its type (the generalised test of
+Rosner 1983, which up to a quarter of odd arms do not hide from each other). It *changes* where β_a
+is not 0 by Student's t. Chances are those of the whole fleet (Bonferroni): where all arms are sound
+and steady, anything at all is said in at most 5 % of fleets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from dataclasses import asdict, dataclass
+from datetime import date
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from excitant.robots.motion import Array
+
+Mask = npt.NDArray[np.bool_]
+
+CHANCE = 0.05  # of a false alarm in a fleet
+FEWEST_ARMS, FEWEST_DATES = 4, 3  # of which one can be told from the others, or a line drawn
+_ODD = 4  # of so many arms one may be odd
+_TINY = 1e-9  # of a parameter's size: a standard deviation is no less
+YEAR = 365.25  # days
+
+
+class Value(NamedTuple):
+    """An estimate, its standard deviation and its unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What one data set came to.
+
+    Attributes:
+        name: Of the data set.
+        arm: Which arm it is of.
+        day: When it was recorded; None where nobody says.
+        kind: Type of the arm; only arms of one type are compared.
+        failed: Why there is no model, as one line; empty where there is one.
+        values: Base parameters by name.
+        found: What the diagnosis says, and faults of the data, as short lines.
+    """
+
+    name: str
+    arm: str
+    day: date | None = None
+    kind: str = ""
+    failed: str = ""
+    values: Mapping[str, Value] | None = None
+    found: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A parameter by which an arm differs from the others of its type.
+
+    Attributes:
+        arm, parameter, unit: Which.
+        value, std: Of the arm, over its data sets.
+        siblings, spread: Mean of the other arms and their standard deviation.
+        difference, difference_std: Of the arm from that mean.
+        count: Number of the other arms.
+        ratio: Of the difference to what chance allows.
+    """
+
+    arm: str
+    parameter: str
+    unit: str
+    value: float
+    std: float
+    siblings: float
+    spread: float
+    difference: float
+    difference_std: float
+    count: int
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A parameter of an arm that changes with time.
+
+    Attributes:
+        arm, parameter, unit: Which.
+        per_year, std: Its slope [unit per year].
+        first, last: Dates between which it changes.
+        before, after: Values of the line at these.
+        count: Number of data sets.
+        chance: Probability, in a fleet without any change, of one as clear.
+    """
+
+    arm: str
+    parameter: str
+    unit: str
+    per_year: float
+    std: float
+    first: date
+    last: date
+    before: float
+    after: float
+    count: int
+    chance: float
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Data sets of many arms, the arms that differ, and what changes."""
+
+    examined: tuple[Examined, ...]
+    deviations: tuple[Deviation, ...]
+    drifts: tuple[Drift, ...]
+
+    def result(self) -> dict[str, Any]:
+        """Entries of ``result.json``."""
+        done = [each for each in self.examined if not each.failed]
+        return {
+            "verb": "fleet",
+            "of": f"{len(self.examined)} data sets",
+            "arms": len({(e.kind, e.arm) for e in done}),
+            "types": sorted({e.kind for e in done}),
+            "data_sets": [_entry(each) for each in self.examined],
+            "deviations": [asdict(each) for each in self.deviations],
+            "drifts": [
+                asdict(each) | {"first": str(each.first), "last": str(each.last)}
+                for each in self.drifts
+            ],
+            "notes": list(_notes(done)),
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Dates [days since 1970], values and standard deviations behind each drift."""
+        found: dict[str, Array] = {}
+        for k, drift in enumerate(self.drifts):
+            own = [e for e in self.examined if e.arm == drift.arm and e.day and e.values]
+            rows = [
+                (_days(e.day), *e.values[drift.parameter][:2])
+                for e in own
+                if e.day and e.values and drift.parameter in e.values
+            ]
+            for name, column in zip(
+                ("days", "value", "std"), np.array(sorted(rows)).T, strict=True
+            ):
+                found[f"drift{k}/{name}"] = column
+        return found
+
+
+def _entry(each: Examined) -> dict[str, Any]:
+    return {
+        "name": each.name,
+        "arm": each.arm,
+        "date": str(each.day) if each.day else None,
+        "type": each.kind or None,
+        "failed": each.failed or None,
+        "found": list(each.found),
+    }
+
+
+def _notes(done: Sequence[Examined]) -> Iterator[str]:
+    for kind in sorted({each.kind for each in done}):
+        own = [each for each in done if each.kind == kind]
+        arms = {each.arm for each in own}
+        if len(arms) < FEWEST_ARMS:
+            yield (
+                f"{kind}: {len(arms)} arm{'s' * (len(arms) > 1)}; from {FEWEST_ARMS} of a type on "
+                "one can be told from the others"
+            )
+        dates = max(sum(e.arm == arm and e.day is not None for e in own) for arm in arms)
+        if dates < FEWEST_DATES:
+            yield (
+                f"{kind}: at most {dates} dated data sets of an arm; from {FEWEST_DATES} on it is "
+                'seen what changes (put "date": "2026-03-01" into dataset.json, or a date into '
+                "the folder's name)"
+            )
+
+
+def compare_arms(examined: Sequence[Examined]) -> Fleet:
+    """The arms of a fleet beside each other and over time."""
+    groups = list(_groups([each for each in examined if each.values]))
+    chance, lines = CHANCE / 2, sum(len(group.lines) for group in groups)
+    drifts = sorted(
+        (d for group in groups for d in group.drifts(lines) if d.chance <= chance),
+        key=lambda d: d.chance,
+    )
+    steady = [
+        group.without({d.arm for d in drifts if d.parameter == group.name}) for group in groups
+    ]
+    compared = [group for group in steady if len(group.arms) >= FEWEST_ARMS]
+    deviations = [d for group in compared for d in group.deviations(chance / len(compared))]
+    deviations.sort(key=lambda d: -d.ratio)
+    return Fleet(tuple(examined), tuple(deviations), tuple(drifts))
+
+
+class _Fit(NamedTuple):
+    """A line over time through the data sets of each arm, or their mean; shapes (arms,)."""
+
+    mean: Array
+    variance: Array  # of the mean
+    middle: Array  # date that it belongs to [days]
+    slope: Array  # per year; 0 without a line
+    slope_variance: Array  # infinite without a line
+    squares: float  # weighted, of what is left
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """One parameter of all arms of a type; data sets in the order of time within an arm."""
+
+    name: str
+    unit: str
+    arms: tuple[str, ...]
+    arm: npt.NDArray[np.intp]  # of each data set
+    days: Array  # since 1970, nan where unknown
+    x: Array
+    variance: Array  # s²
+
+    @cached_property
+    def dated(self) -> Mask:
+        """Data sets through which a line is drawn."""
+        known = np.isfinite(self.days)
+        pairs = np.unique(np.column_stack([self.arm[known], self.days[known]]), axis=0)
+        dates = np.bincount(pairs[:, 0].astype(np.intp), minlength=len(self.arms))
+        return np.asarray(known & (dates >= FEWEST_DATES)[self.arm], bool)
+
+    @property
+    def lines(self) -> npt.NDArray[np.intp]:
+        """Arms with a line."""
+        return np.unique(self.arm[self.dated])
+
+    def without(self, arms: Set[str]) -> _Group:
+        """The group without some arms."""
+        names = tuple(arm for arm in self.arms if arm not in arms)
+        place = np.array([names.index(arm) if arm in names else -1 for arm in self.arms])
+        kept = place[self.arm] >= 0
+        arm, days, x, variance = place[self.arm][kept], self.days, self.x, self.variance
+        return _Group(self.name, self.unit, names, arm, days[kept], x[kept], variance[kept])
+
+    def fit(self, more: float) -> _Fit:
+        """Lines and means, where data sets vary by so much more than their variance says."""
+        # undated data sets of an arm with a line are left to those that are not
+        used = self.dated | ~np.isin(self.arm, self.lines)
+        w = used / (self.variance + more)
+        days = np.where(self.dated, self.days, 0.0)
+
+        def per_arm(values: Array) -> Array:
+            return np.asarray(np.bincount(self.arm, w * values, len(self.arms)), float)
+
+        weight = per_arm(np.ones(len(w)))
+        mean, middle = per_arm(self.x) / weight, per_arm(days) / weight
+        t = np.where(self.dated, days - middle[self.arm], 0.0) / YEAR
+        apart = self.x - mean[self.arm]
+        spread = per_arm(t**2)
+        safe = np.where(spread > 0, spread, 1.0)
+        slope = per_arm(t * apart) / safe
+        left = float(w @ (apart - slope[self.arm] * t) ** 2)
+        of_slope = np.where(spread > 0, 1 / safe, np.inf)
+        return _Fit(mean, 1 / weight, middle, slope, of_slope, left)
+
+    @cached_property
+    def within(self) -> tuple[float, int]:
+        """ω², and the degrees of freedom that it is estimated with."""
+        used = self.dated | ~np.isin(self.arm, self.lines)
+        freedom = int(used.sum()) - len(self.arms) - len(self.lines)
+        return _excess(lambda more: self.fit(more).squares, freedom) if freedom else 0.0, freedom
+
+    def drifts(self, tested: int) -> Iterator[Drift]:
+        """Lines of all arms, with the chance among so many that were tested."""
+        (more, freedom), lines = self.within, self.lines
+        fit = self.fit(more)
+        t = np.abs(fit.slope) / np.sqrt(fit.slope_variance)
+        chance = np.minimum(1.0, 2 * tested * scipy.special.stdtr(freedom, -t))
+        for k in lines:
+            days = self.days[(self.arm == k) & self.dated]
+            ends = np.array([days.min(), days.max()])
+            before, after = fit.mean[k] + fit.slope[k] * (ends - fit.middle[k]) / YEAR
+            first, last = (date.fromordinal(_EPOCH + round(end)) for end in ends)
+            yield Drift(
+                self.arms[k], self.name, self.unit, float(fit.slope[k]),
+                float(np.sqrt(fit.slope_variance[k])), first, last, float(before), float(after),
+                len(days), float(chance[k]),
+            )  # fmt: skip
+
+    def deviations(self, chance: float) -> Iterator[Deviation]:
+        """Arms that differ, at a chance that any does where none is odd."""
+        fit = self.fit(self.within[0])
+        mean, variance = fit.mean, fit.variance
+        odd = odd_ones(mean, variance, chance)
+        rest = np.setdiff1d(np.arange(len(mean)), [k for k, _ in odd])
+        between = _between(mean[rest], variance[rest])
+        siblings, of_mean, _ = _about_mean(mean[rest], variance[rest] + between)
+        for k, ratio in odd:
+            yield Deviation(
+                self.arms[k], self.name, self.unit, float(mean[k]), float(np.sqrt(variance[k])),
+                siblings, float(np.sqrt(between)), float(mean[k] - siblings),
+                float(np.sqrt(variance[k] + of_mean)), len(rest), ratio,
+            )  # fmt: skip
+
+
+def odd_ones(x: Array, variance: Array, chance: float) -> list[tuple[int, float]]:
+    """Values that are none of their kind, with how far they are beyond what chance allows.
+
+    Generalised extreme Studentised deviates (Rosner 1983) of values that have variances of their
+    own; any is found by a chance where none is odd. At most every fourth can be.
+    """
+    kept, removed, count = np.arange(len(x)), list[tuple[int, float]](), 0
+    for _ in range(len(x) // _ODD):
+        between = _between(x[kept], variance[kept])
+        mean, _, _ = _about_mean(x[kept], variance[kept] + between)
+        far = np.abs(x[kept] - mean) / np.sqrt(variance[kept] + between)
+        k, n = int(np.argmax(far)), len(kept)
+        t = float(scipy.special.stdtrit(n - 2, 1 - chance / (2 * n)))
+        ratio = float(far[k]) / ((n - 1) * t / np.sqrt((n - 2 + t**2) * n))
+        removed.append((int(kept[k]), float(ratio)))
+        kept = np.delete(kept, k)
+        if ratio > 1:
+            count = len(removed)
+    return removed[:count]
+
+
+def _about_mean(x: Array, variance: Array) -> tuple[float, float, float]:
+    """Weighted mean, its variance, and the weighted squares about it."""
+    w = 1 / variance
+    mean = float(w @ x / w.sum())
+    return mean, float(1 / w.sum()), float(w @ (x - mean) ** 2)
+
+
+def _between(x: Array, variance: Array) -> float:
+    """τ² with which values differ as much as their variances say."""
+    return _excess(lambda more: _about_mean(x, variance + more)[2], len(x) - 1)
+
+
+def _excess(left: Callable[[float], float], freedom: int) -> float:
+    """Variance to add, so that the weighted squares are as many as their degrees of freedom."""
+    if left(0.0) <= freedom:
+        return 0.0
+    high = 1e-30
+    while left(high) > freedom:
+        high *= 10.0
+    return float(scipy.optimize.brentq(lambda more: left(more) - freedom, 0.0, high, rtol=1e-6))
+
+
+_EPOCH = date(1970, 1, 1).toordinal()
+
+
+def _days(day: date | None) -> float:
+    return np.nan if day is None else float(day.toordinal() - _EPOCH)
+
+
+def _groups(examined: Sequence[Examined]) -> Iterator[_Group]:
+    for kind in sorted({each.kind for each in examined}):
+        own = sorted(
+            (each for each in examined if each.kind == kind),
+            key=lambda each: (each.arm, each.day or date.max, each.name),
+        )
+        for name in dict.fromkeys(name for each in own for name in each.values or ()):
+            having = [
+                (each, each.values[name]) for each in own if each.values and name in each.values
+            ]
+            arms = tuple(dict.fromkeys(each.arm for each, _ in having))
+            place = {arm: k for k, arm in enumerate(arms)}
+            x, std = np.array([value[:2] for _, value in having], float).T
+            yield _Group(
+                name,
+                having[0][1].unit,
+                arms,
+                np.array([place[each.arm] for each, _ in having]),
+                np.array([_days(each.day) for each, _ in having]),
+                x,
+                np.maximum(std, _TINY * np.abs(x).max() + 1e-300) ** 2,
+            )

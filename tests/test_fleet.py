@@ -1,0 +1,239 @@
+"""Many arms by one command: it goes on where it was, and no arm spoils the others."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from excitant import fleets
+from excitant.design import random_trajectory
+from excitant.exceptions import BadInput, WorkerDied
+from excitant.identify.dataset import origin
+from excitant.processes import unordered
+from excitant.robots import load_robot
+from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
+
+ROBOT = load_robot("planar_2r")
+
+
+def data_set(folder: Path, seed: int, coulomb: float = 0.0, runs: int = 2) -> Path:
+    """An arm of a seed, with more friction at joint 2."""
+    folder.mkdir(parents=True)
+    hidden = [HiddenEffect("coulomb_friction", "joint2", (("Fc", coulomb),))] * (coulomb > 0)
+    arm = virtual_arm(ROBOT, np.random.default_rng(seed), hidden=hidden)
+    rng = np.random.default_rng([seed, round(10 * coulomb)])
+    for k in range(runs):
+        table = arm.record(random_trajectory(ROBOT, rng, 8.0, 4), 8.0, rng)
+        table.to_parquet(folder / f"run{k}.parquet", index=False)
+    (folder / "robot.urdf").write_text(ROBOT.urdf)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sound data sets and two that are not."""
+    root = tmp_path_factory.mktemp("fleet")
+    for k in range(2):
+        data_set(root / f"arm{k}" / "2026-03-01", k, runs=1)
+    shutil.copytree(root / "arm0", root / "broken")
+    (root / "broken" / "2026-03-01" / "robot.urdf").write_text("<robot>")
+    (root / "lost").mkdir()
+    shutil.copy(root / "arm0" / "2026-03-01" / "run0.parquet", root / "lost")
+    return root
+
+
+def made(folder: Path) -> dict[str, float]:
+    """When each file below a folder of results was written."""
+    files = (path for path in (folder / "arms").rglob("*") if path.is_file())
+    return {str(path.relative_to(folder / "arms")): path.stat().st_mtime for path in files}
+
+
+def test_it_goes_on_where_it_was_and_names_what_is_broken(
+    two: Path, here: Path, excitant: Callable[..., Any]
+) -> None:
+    shutil.copytree(two, here / "all")
+    ran = excitant("fleet all --jobs 1 -o out --json")
+    assert ran.status == 0, ran.err
+    sets = {each["name"]: each for each in ran.result["data_sets"]}
+    assert [*sets] == ["arm0/2026-03-01", "arm1/2026-03-01", "broken/2026-03-01", "lost"]
+    assert sets["arm1/2026-03-01"]["arm"] == "arm1"
+    assert sets["arm1/2026-03-01"]["date"] == "2026-03-01"
+    assert sets["arm1/2026-03-01"]["failed"] is None
+    assert "robot.urdf" in sets["broken/2026-03-01"]["failed"]
+    assert "no robot model" in sets["lost"]["failed"]
+    assert ran.result["arms"] == 2
+    table = pd.read_parquet("out/parameters.parquet")
+    assert set(table.arm) == {"arm0", "arm1"}
+    assert {"joint1", "joint2", "link1", "link2"} <= set(table.joint)
+    assert (table.low < table.value).all()
+    assert set(table[table.parameter == "joint2.Fc"].unit) == {"N·m"}
+    before = made(here / "out")
+    assert excitant("fleet all --jobs 1 -o out").status == 0
+    assert made(here / "out") == before
+    shutil.copy(two / "arm1/2026-03-01/run0.parquet", here / "all/arm0/2026-03-01/run0.parquet")
+    (here / "all/broken/2026-03-01/robot.urdf").write_text(ROBOT.urdf)
+    ran = excitant("fleet all --jobs 1 -o out --json")
+    again = {name.split("/")[0] for name, t in made(here / "out").items() if before.get(name) != t}
+    assert again == {"arm0", "broken"}
+    assert [e["name"] for e in ran.result["data_sets"] if e["failed"]] == ["lost"]
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("fleet", "no folder given"),
+        ("fleet nowhere", "nowhere: no such folder"),
+        ("fleet empty", "empty: no data set in it"),
+        ("fleet a/x b/x a/x", "another data set is called x/x"),
+    ],
+)
+def test_what_is_no_fleet_is_refused(
+    line: str, said: str, here: Path, excitant: Callable[..., Any]
+) -> None:
+    for name in ("empty", "a/x", "b/x"):
+        (here / name).mkdir(parents=True)
+    for name in "ab":
+        (here / name / "x" / "robot.urdf").touch()
+    ran = excitant(line)
+    assert ran.status == 1
+    assert said in ran.err
+    assert not (here / "runs").exists()
+
+
+def test_a_fleet_without_any_model_is_a_failure(here: Path, excitant: Callable[..., Any]) -> None:
+    (here / "x").mkdir()
+    (here / "x" / "robot.urdf").write_text("<robot>")
+    assert excitant("fleet x -o out").status == 1
+    assert json.loads((here / "out/result.json").read_text())["data_sets"][0]["failed"]
+
+
+@pytest.mark.parametrize(
+    ("name", "arm", "day"),
+    [
+        ("cell3/2026-03-01", "cell3", date(2026, 3, 1)),
+        ("cell3-20260301", "cell3", date(2026, 3, 1)),
+        ("2026-03-01_ur10_sn17", "ur10_sn17", date(2026, 3, 1)),
+        ("2026-13-01", "2026-13-01", None),
+        ("2026-03-01", "2026-03-01", date(2026, 3, 1)),
+        ("sn20260301123", "sn20260301123", None),
+        ("ur10", "ur10", None),
+    ],
+)
+def test_arm_and_date_by_name(name: str, arm: str, day: date | None, tmp_path: Path) -> None:
+    assert origin(tmp_path, name) == (arm, day)
+
+
+def test_arm_and_date_by_file(tmp_path: Path) -> None:
+    sidecar = tmp_path / "dataset.json"
+    sidecar.write_text('{"arm": "sn 17", "date": "2026-02-03"}')
+    assert origin(tmp_path, "cell3/2026-03-01") == ("sn 17", date(2026, 2, 3))
+    sidecar.write_text('{"date": "yesterday"}')
+    with pytest.raises(BadInput, match=r"dataset\.json.*date"):
+        origin(tmp_path, "cell3")
+
+
+def test_a_process_that_dies_is_told() -> None:
+    here = os.getpid()
+
+    def work(k: int) -> int:
+        assert os.getpid() != here
+        if k == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return k
+
+    with pytest.raises(WorkerDied):
+        list(unordered(work, [(k,) for k in range(6)], 2))
+
+
+def test_a_data_set_that_ends_its_process_is_left_and_the_rest_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sets, here = [], os.getpid()
+    for name in ("a", "b", "bad", "c"):
+        (tmp_path / name).mkdir()
+        sets.append(fleets._DataSet(name, str(tmp_path / name), str(tmp_path / "out" / name)))
+
+    def examine(name: str, folder: str, out: str) -> str:
+        assert os.getpid() != here
+        if name == "bad":
+            os.kill(os.getpid(), signal.SIGKILL)
+        with (tmp_path / f"{name}.done").open("a") as file:
+            file.write("x")
+        return name
+
+    monkeypatch.setattr(fleets, "_examine", examine)
+    fleets._examine_all(sets, 2, None, lambda share, words: None)
+    assert {path.stem for path in tmp_path.glob("*.done")} == {"a", "b", "c"}
+    assert "ended twice" in fleets._noted(str(tmp_path / "out" / "bad"))["failed"]
+
+
+@pytest.mark.slow
+def test_odd_and_changing_arms_are_found(here: Path, excitant: Callable[..., Any]) -> None:
+    for arm in range(6):
+        for k, month in enumerate((1, 3, 5)):
+            more = {1: 3.0, 2: 1.0 * k}.get(arm, 0.0)
+            data_set(here / "all" / f"arm{arm}" / f"2026-0{month}-01", arm, more, runs=1)
+    ran = excitant("fleet all -o out --json")
+    [odd], [drift] = ran.result["deviations"], ran.result["drifts"]
+    assert (odd["arm"], odd["parameter"]) == ("arm1", "joint2.Fc")
+    assert odd["difference"] == pytest.approx(3.0, abs=0.15)
+    assert (drift["arm"], drift["parameter"]) == ("arm2", "joint2.Fc")
+    assert drift["per_year"] / 12 == pytest.approx(0.5, rel=0.1)
+    assert (drift["first"], drift["last"]) == ("2026-01-01", "2026-05-01")
+    page = (here / "out/report.html").read_text()
+    assert "arm2: joint2.Fc" in page
+    assert "1 differs from its siblings, 1 changes with time" in page
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_what_is_done(two: Path, here: Path, excitant: Callable[..., Any]) -> None:
+    shutil.copytree(two, here / "all")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "excitant", *["fleet", "all", "--jobs", "1", "-o", "out"]],
+        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    end = time.monotonic() + 120
+    while not list(here.glob("out/arms/*/*/input.json")) and time.monotonic() < end:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "1 of 4 data sets are done and kept; the same command goes on" in err
+    before = made(here / "out")
+    assert excitant("fleet all --jobs 1 -o out").status == 0
+    assert {name: made(here / "out")[name] for name in before} == before
+
+
+@pytest.mark.slow
+def test_a_cluster_comes_to_the_same(two: Path, here: Path, excitant: Callable[..., Any]) -> None:
+    from distributed import LocalCluster
+
+    shutil.copytree(two, here / "all")
+    alone = excitant("fleet all --jobs 1 -o alone --json").result
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        ran = excitant(f"fleet all --cluster {cluster.scheduler_address} -o there --json")
+    assert ran.status == 0, ran.err
+    assert ran.result["data_sets"] == alone["data_sets"]
+    one, other = (pd.read_parquet(f"{x}/parameters.parquet") for x in ("alone", "there"))
+    pd.testing.assert_frame_equal(one, other)
+
+
+def test_every_data_set_has_a_folder_of_its_own() -> None:
+    names = ["a/b", "a/b c", "a/b_c", "x" * 80, "x" * 81, "../a", "a"]
+    assert fleets._safe("cell3/2026-03-01") == "cell3/2026-03-01"
+    assert len({fleets._safe(name) for name in names}) == len(names)
+    assert not any(".." in fleets._safe(name) for name in names)
