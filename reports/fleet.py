@@ -31,8 +31,18 @@ def fleet_section(result: Result, series: Series) -> p.Section:
         f"{said}.",
         [
             ("Key figures", [_facts(result, arms, changing, len(failed))]),
-            ("Arms that differ", [_odd(odd)]),
-            ("What changes with time", [_drifts(drifts), _figure(drifts, series)]),
+            (
+                "Arms that differ",
+                [p.notes([_differs(row) for row in odd], brief="differs"), _odd(odd)],
+            ),
+            (
+                "What changes with time",
+                [
+                    p.notes([_changes(row) for row in drifts], brief="changes"),
+                    _figure(drifts, series),
+                    _drifts(drifts),
+                ],
+            ),
             ("Without a model", [_failed(failed)]),
             ("Data sets", [_sets(sets)]),
             ("Notes", [p.notes(v.words(result, "notes"), brief="note")]),
@@ -56,6 +66,32 @@ def _facts(result: Result, odd: int, changing: int, failed: int) -> p.Facts | No
     )
 
 
+def _differs(row: Result) -> str:
+    more = "less" if (v.real(row, "difference") or 0.0) < 0 else "more"
+    value, apart, others = (
+        " ± ".join(v.value_and_std(*(v.at(row, key) for key in keys)))
+        for keys in (("value", "std"), ("difference", "difference_std"), ("siblings", "spread"))
+    )
+    name, unit = v.text(row, "parameter"), v.text(row, "unit")
+    return (
+        f"{v.text(row, 'arm')}: {name} is {value} {unit}, {apart.lstrip('−-')} {more} than that of "
+        f"its {v.whole(v.at(row, 'count'))} siblings ({others})"
+    )
+
+
+def _changes(row: Result) -> str:
+    slope, std = ((v.real(row, key) or 0.0) / _MONTHS for key in ("per_year", "std"))
+    way, size = "falls" if slope < 0 else "rises", " ± ".join(v.value_and_std(abs(slope), std))
+    ends = (v.number(v.at(row, key)) for key in ("before", "after"))
+    before, after = (
+        f"{x} on {v.text(row, key)}" for x, key in zip(ends, ("first", "last"), strict=True)
+    )
+    return (
+        f"{v.text(row, 'arm')}: {v.text(row, 'parameter')} {way} by {size} {v.text(row, 'unit')} a "
+        f"month, from {before} to {after}"
+    )
+
+
 def _odd(odd: list[Result]) -> p.Table | None:
     def siblings(row: Result) -> str:
         mean, spread = v.value_and_std(v.at(row, "siblings"), v.at(row, "spread"))
@@ -73,7 +109,6 @@ def _odd(odd: list[Result]) -> p.Table | None:
         ],
         "The most certain first. Of the siblings: mean and standard deviation from arm to arm. A "
         "fleet of sound arms has any entry here or below in at most 5 % of cases.",
-        brief="differs",
     )
 
 
@@ -101,7 +136,6 @@ def _drifts(drifts: list[Result]) -> p.Table | None:
             ("number:Data sets", "count", v.whole),
         ],
         "Slope of a line through all dates, and its ends.",
-        brief="changes",
     )
 
 
@@ -134,7 +168,9 @@ def _panel(k: int, row: Result, series: Series) -> Panel | None:
     ax.plot([np.nanmin(days), np.nanmax(days)], ends, color=draw.FITTED)
     ticks = np.linspace(np.nanmin(days), np.nanmax(days), 3)
     ax.set_xticks(ticks, [str(np.datetime64(0, "D") + round(day)) for day in ticks])
-    draw.label_y(ax, v.text(row, "unit"))
+    for label, side in zip(ax.get_xticklabels(), ("left", "center", "right"), strict=True):
+        label.set_horizontalalignment(side)
+    draw.label_y(ax, f"value [{v.text(row, 'unit')}]")
     return draw.panel(ax, f"{name} of {arm} over time", f"{arm}: {name}")
 
 

@@ -260,7 +260,7 @@ class Effect(ABC):
 
     @property
     def is_position_curve(self) -> bool:
-        """Whether it is a smooth torque by the joint's position alone, beside that of the bodies."""
+        """Whether it is a smooth torque by the joint's position alone."""
         return False
 
     def is_common(self, robot: Robot) -> bool:

@@ -377,7 +377,36 @@ def _saved(build: Callable[[], Run]) -> Run:
     return as_saved(result, {})[0], copy.deepcopy(series)
 
 
-_VERBS = (robots_run, design_run, check_run, rehearse_run, identify_run, analyze_run, diagnose_run)
+def fleet_run() -> Run:
+    name, unit = f"{JOINTS[2]}.Fc", "N·m"
+    odd = {"arm": "cell 3", "parameter": name, "unit": unit, "value": 3.4, "std": 0.009}
+    odd |= {"siblings": 0.4, "spread": 0.02, "difference": 3.0, "difference_std": 0.01}
+    odd |= {"count": 4, "ratio": 1.2}
+    drift = {"arm": "cell 2", "parameter": "link1.mcx + 0.5·link2.m", "unit": "kg·m"}
+    drift |= {"per_year": -6.0, "std": 0.1, "before": 2.4, "after": 0.4, "count": 5}
+    drift |= {"first": "2026-01-01", "last": "2026-05-01", "chance": 1e-5}
+    told = ["The forearm carries 2 kg more than the model has.", "fault: q of joint 2 is held"]
+    sets = [
+        {"name": f"cell {k}/2026-0{month}-01", "arm": f"cell {k}", "date": f"2026-0{month}-01"}
+        | {"type": "made_up_arm", "failed": None, "found": told[: k % 3]}
+        for k in range(5)
+        for month in (1, 3, 5)
+    ]
+    failed = {"name": "lost", "arm": "lost", "date": None, "type": None, "found": []}
+    sets.append(failed | {"failed": "lost: no robot model (robot.urdf or robot.yaml); add one"})
+    result = {"verb": "fleet", "of": f"{len(sets)} data sets", "arms": 5, "types": ["made_up_arm"]}
+    result |= {"data_sets": sets, "deviations": [odd, odd], "drifts": [drift]}
+    result |= {"notes": ["other: 1 arm; from 4 of a type on one can be told from the others"]}
+    days = 20454 + 30.0 * np.arange(5)
+    x = np.linspace(2.4, 0.4, 5)
+    series = {"drift0/days": days, "drift0/value": x, "drift0/std": np.full(5, 0.02)}
+    return result | {"files": ["runs/fleet/parameters.parquet"]}, series
+
+
+_VERBS = (
+    *(robots_run, design_run, check_run, rehearse_run, identify_run, analyze_run, diagnose_run),
+    fleet_run,
+)
 BUILDERS: dict[str, Callable[[], Run]] = {
     build.__name__.removesuffix("_run"): partial(_saved, build)
     for build in (*_VERBS, demo_run, compare_run)

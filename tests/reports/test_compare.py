@@ -36,7 +36,8 @@ def rows(result):
 
 
 @pytest.mark.parametrize(
-    "verb", ["robots", "design", "check", "rehearse", "identify", "analyze", "diagnose", "demo"]
+    "verb",
+    ["robots", "design", "check", "rehearse", "identify", "analyze", "diagnose", "fleet", "demo"],
 )
 def test_a_run_does_not_differ_from_itself(verb, make):
     run = SavedRun("runs/one", *make[verb]())

@@ -12,7 +12,7 @@ import pytest
 
 from excitant.reports import page_of, summary
 
-VERBS = ("robots", "design", "check", "rehearse", "identify", "analyze", "diagnose")
+VERBS = ("robots", "design", "check", "rehearse", "identify", "analyze", "diagnose", "fleet")
 
 
 def test_page_needs_no_network_and_only_its_own_script_may_run(page):
