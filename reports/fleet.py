@@ -168,8 +168,9 @@ def _panel(k: int, row: Result, series: Series) -> Panel | None:
     ax.plot([np.nanmin(days), np.nanmax(days)], ends, color=draw.FITTED)
     ticks = np.linspace(np.nanmin(days), np.nanmax(days), 3)
     ax.set_xticks(ticks, [str(np.datetime64(0, "D") + round(day)) for day in ticks])
-    for label, side in zip(ax.get_xticklabels(), ("left", "center", "right"), strict=True):
-        label.set_horizontalalignment(side)
+    first, _, last = ax.get_xticklabels()
+    first.set_horizontalalignment("left")
+    last.set_horizontalalignment("right")
     draw.label_y(ax, f"value [{v.text(row, 'unit')}]")
     return draw.panel(ax, f"{name} of {arm} over time", f"{arm}: {name}")
 

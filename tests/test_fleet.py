@@ -181,24 +181,6 @@ def test_a_data_set_that_ends_its_process_is_left_and_the_rest_is_done(
 
 
 @pytest.mark.slow
-def test_odd_and_changing_arms_are_found(here: Path, excitant: Callable[..., Any]) -> None:
-    for arm in range(6):
-        for k, month in enumerate((1, 3, 5)):
-            more = {1: 3.0, 2: 1.0 * k}.get(arm, 0.0)
-            data_set(here / "all" / f"arm{arm}" / f"2026-0{month}-01", arm, more, runs=1)
-    ran = excitant("fleet all -o out --json")
-    [odd], [drift] = ran.result["deviations"], ran.result["drifts"]
-    assert (odd["arm"], odd["parameter"]) == ("arm1", "joint2.Fc")
-    assert odd["difference"] == pytest.approx(3.0, abs=0.15)
-    assert (drift["arm"], drift["parameter"]) == ("arm2", "joint2.Fc")
-    assert drift["per_year"] / 12 == pytest.approx(0.5, rel=0.1)
-    assert (drift["first"], drift["last"]) == ("2026-01-01", "2026-05-01")
-    page = (here / "out/report.html").read_text()
-    assert "arm2: joint2.Fc" in page
-    assert "1 differs from its siblings, 1 changes with time" in page
-
-
-@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done(two: Path, here: Path, excitant: Callable[..., Any]) -> None:
     shutil.copytree(two, here / "all")
     process = subprocess.Popen(
