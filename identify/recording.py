@@ -14,6 +14,7 @@ import pandas as pd
 from excitant.exceptions import BadInput, BadRecording
 from excitant.files import size_of
 from excitant.identify.importers import tables
+from excitant.identify.importers.arrays import refuse_size
 from excitant.identify.importers.columns import Channel, Columns, resolve
 from excitant.identify.importers.names import ColumnMap
 from excitant.identify.importers.text import text_table
@@ -202,7 +203,7 @@ def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     elif suffix in SUFFIXES:
         try:
             if suffix in (".npz", ".mat"):  # which are read whole
-                tables.refuse_size(size)
+                refuse_size(size)
             if suffix in _BAGS:
                 return tables.bag_table(path, mapping.topic if mapping else None)
             return _READERS[suffix](path)

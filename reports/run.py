@@ -15,7 +15,7 @@ import numpy as np
 
 from excitant.exceptions import BadInput
 from excitant.files import read_bytes, write_file, write_folder
-from excitant.identify.importers.tables import read_arrays
+from excitant.identify.importers.arrays import read_arrays
 from excitant.reports.page import Page
 from excitant.reports.pages import page_of
 from excitant.reports.render import html, summary

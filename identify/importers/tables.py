@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import math
 import struct
-import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
-from io import BytesIO
 from itertools import islice
 from numbers import Real
 from pathlib import Path
@@ -24,22 +22,17 @@ import numpy as np
 import pandas as pd
 
 from excitant.exceptions import BadRecording
+from excitant.identify.importers.arrays import MOST, read_arrays, refuse_size
 from excitant.identify.importers.names import Unit, factor, meaning
 from excitant.robots.motion import Array
 
 Frames = Callable[[int | None, Sequence[str] | None], Iterator[pd.DataFrame]]
 ISO = "ISO 8601"
-MOST = 2 << 30
-"""Bytes of the numbers of a log that is read at once."""
 
 _BUFFER = 1 << 18  # bytes of a Parquet column at a time: row groups may be larger than memory
 _PIECE = 1 << 20  # bytes unpacked at a time
 _BYTES = {"double": 8, "single": 4} | {f"{u}int{8 * k}": k for u in ("", "u") for k in (1, 2, 4, 8)}
 _COMPRESSED = 15  # type of an element of a MAT file
-_READ_HEADER = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
 _ROS1 = b"#ROSBAG V2.0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MESSAGE = "sensor_msgs/msg/JointState"
@@ -119,33 +112,6 @@ def parquet_table(path: Path) -> Table:
 def npz_table(path: Path) -> Table:
     """The log in an NPZ file; an array ``q`` of shape (n, nv) becomes ``q[0]``, ``q[1]``, ..."""
     return _table_of_arrays(read_arrays(path), path)
-
-
-def read_arrays(source: Path | bytes) -> dict[str, Any]:
-    """Arrays of an NPZ file by name; ValueError before more than `MOST` is taken for them.
-
-    An array takes what its header claims, whatever the file then holds.
-    """
-    arrays = {}
-    with zipfile.ZipFile(BytesIO(source) if isinstance(source, bytes) else source) as archive:
-        refuse_size(sum(member.file_size for member in archive.infolist()))
-        for member in archive.infolist():
-            with archive.open(member) as stream:
-                version = np.lib.format.read_magic(stream)
-                shape, _, dtype = _READ_HEADER[version](stream)
-            if not dtype.hasobject and math.prod(shape) * dtype.itemsize > member.file_size:
-                raise ValueError(f"{member.filename} is shorter than its header says")
-            with archive.open(member) as stream:
-                found = np.lib.format.read_array(stream, allow_pickle=False)
-            arrays[member.filename.removesuffix(".npy")] = found
-    return arrays
-
-
-def refuse_size(size: float) -> None:
-    """Refuse, as ValueError, data of so many bytes where they would not fit into memory."""
-    if size > MOST:
-        most = f"at most {MOST / 1e9:.3g} GB are read at once"
-        raise ValueError(f"holds {size / 1e9:.3g} GB, {most}: cut it, or save it as Parquet")
 
 
 def mat_table(path: Path) -> Table:

@@ -15,8 +15,9 @@ from typing import Any, TextIO
 import pandas as pd
 
 from excitant.exceptions import BadRecording
+from excitant.identify.importers.arrays import refuse_size
 from excitant.identify.importers.names import spelled
-from excitant.identify.importers.tables import Table, refuse_size, unreadable
+from excitant.identify.importers.tables import Table, unreadable
 
 _COMMENTS = ("#", "%", "//")
 _SEPARATORS = ("\t", ";", "|", ",", " ")

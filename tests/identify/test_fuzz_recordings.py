@@ -323,7 +323,8 @@ def test_huge_files_and_what_is_none_are_refused_at_once(
 ) -> None:
     name, write = HUGE[kind]
     write(tmp_path / name)
-    monkeypatch.setattr("excitant.identify.importers.tables.MOST", 1 << 24)
+    for module in ("arrays", "tables"):
+        monkeypatch.setattr(f"excitant.identify.importers.{module}.MOST", 1 << 24)
     tracemalloc.start()
     try:
         assert attempt(tmp_path / name) is None

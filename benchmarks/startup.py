@@ -1,0 +1,94 @@
+"""Time, time spent on imports, and peak memory of each command as a process; see README.md."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+DATA = Path(os.environ.get("EXCITANT_DATA", Path(__file__).parents[2] / "shared" / "data"))
+RECORDED = DATA / "ur10"
+COMMANDS = {
+    "--help": "",
+    "robots": "",
+    "robots panda": "",
+    "analyze panda": "-o analyzed",
+    "design planar_2r": "--starts 1 --jobs 1 --duration 8 --harmonics 3 -o motion",
+    "check planar_2r": "motion/trajectory.csv",
+    "simulate planar_2r": "motion/trajectory.csv -o run.csv",
+    "identify planar_2r": "run.csv -o model",
+    f"identify {RECORDED.name} set": "",
+    "diagnose planar_2r": "run.csv --no-experiments -o diagnosis",
+    "report": "model",
+}
+
+
+class Took(NamedTuple):
+    """What a process took [s]."""
+
+    wall: float
+    cpu: float
+
+
+def run(words: list[str], folder: Path) -> Took:
+    begun, before = time.perf_counter(), os.times()
+    process = subprocess.Popen(words, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    _, err = process.communicate()
+    if process.returncode:
+        sys.exit(err.decode())
+    wall, after = time.perf_counter() - begun, os.times()
+    cpu = after.children_user + after.children_system
+    cpu -= before.children_user + before.children_system
+    return Took(wall, cpu)
+
+
+def peak(words: list[str], folder: Path) -> float:
+    """Peak memory [MB], that of the process itself and of none before it."""
+    code = (
+        "import resource, subprocess, sys;"
+        "subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL);"
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], cwd=folder, capture_output=True, check=True
+    )
+    return float(done.stdout)
+
+
+def imports(words: list[str], folder: Path) -> float:
+    """Time spent on imports [s]."""
+    line = [words[0], "-X", "importtime", *words[1:]]
+    done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
+    rows = [x.split("|") for x in done.stderr.splitlines() if x.startswith("import time:")]
+    return (
+        sum(int(row[0].split(":")[1]) for row in rows if row[0].split(":")[1].strip().isdigit())
+        / 1e6
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=3, help="of which the least counts")
+    args = parser.parse_args()
+    print(f"{'command':24s} {'wall s':>7s} {'CPU s':>7s} {'imports s':>10s} {'peak MB':>8s}")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for command, more in COMMANDS.items():
+            words = [sys.executable, "-m", "excitant", *command.split(), *more.split()]
+            if command.endswith(" set"):
+                if not RECORDED.is_dir():
+                    print(f"{command:24s} {RECORDED} is not there; set EXCITANT_DATA")
+                    continue
+                words[3:] = ["identify", str(RECORDED), "-o", "recorded"]
+            least = min((run(words, folder) for _ in range(args.repeats)), key=lambda x: x.wall)
+            share, memory = imports(words, folder), peak(words, folder)
+            print(f"{command:24s} {least.wall:7.2f} {least.cpu:7.2f} {share:10.2f} {memory:8.0f}")
+
+
+if __name__ == "__main__":
+    main()
