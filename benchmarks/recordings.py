@@ -87,7 +87,11 @@ def unconstrained(estimate: Estimate) -> Accuracy:
 
 
 def report(split: Split, folder: Path, chosen: bool) -> None:
-    robot, fit, judge = loaded(split, folder)
+    try:
+        robot, fit, judge = loaded(split, folder)
+    except ExcitantError as error:
+        print(f"\n{split.dataset}: left out, {error}")
+        return
     start = time.perf_counter()
     standard = identify_robot(robot, fit, validate=judge, cutoff_hz=split.cutoff_hz)
     rows = {
