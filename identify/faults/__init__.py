@@ -209,9 +209,10 @@ def read_checked(
     copies = find_copies({raw.name: raw for raw in raws})
     put_back, swaps = find_swapped(robot, raws)
     found = {raw.name: raw for raw in put_back}
+    own = {name: faults_of(robot, raw) for name, raw in found.items()}
     faults = {
-        name: (*(of[name] for of in (copies, swaps) if name in of), *find_faults(robot, raw))
-        for name, raw in found.items()
+        name: (*(of[name] for of in (copies, swaps) if name in of), *mine)
+        for name, mine in own.items()
     }
     notes, recordings = list[str](), [] if repaired else raws
     for name, raw in found.items() if repaired else ():
