@@ -117,11 +117,11 @@ def _examine_all(sets: Sequence[_DataSet], jobs: int, client: Any, advance: Adva
     """Examine data sets side by side; one that ends its process twice is left to itself."""
     left = dict.fromkeys(each.name for each in sets)
     try:
-        for alone in (False, False, True):
+        for apart, alone in ((False, False), (True, False), (True, True)):
             for some in [[each] for each in sets] if alone else [sets]:
                 tasks = [tuple(each) for each in some if each.name in left]
                 try:
-                    for name in unordered(_examine, tasks, jobs, client, apart=alone):
+                    for name in unordered(_examine, tasks, jobs, client, apart=apart):
                         del left[name]
                         advance(1 - len(left) / len(sets), name)
                 except WorkerDied:
