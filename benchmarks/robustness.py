@@ -470,6 +470,8 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
     found = "refused" if status else "result"
     if orphans:
         found = "orphan"
+    elif "Fatal Python error: init_" in err:  # Python itself had not begun yet
+        found = "refused"
     elif "Traceback" in err or "a bug (" in err:
         found = "traceback"
     elif how != signal.SIGKILL and status not in (0, 1, 130):

@@ -94,6 +94,21 @@ def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.rglob("*")] == ["slow.json"]
 
 
+def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> None:
+    """Python ends itself by the signal where that came while exec() ran a text, caught or not."""
+    code = (
+        "import os, signal, excitant.cli, excitant.__main__\n"
+        "def main():\n"
+        "    try: exec('os.kill(os.getpid(), signal.SIGINT)')\n"
+        "    except KeyboardInterrupt: return 130\n"
+        "excitant.cli.main = main\n"
+        "excitant.__main__.run()\n"
+    )
+    (tmp_path / "amid.py").write_text(code)
+    done = subprocess.run([sys.executable, "-m", "amid"], cwd=tmp_path, check=False)
+    assert done.returncode == 130
+
+
 @pytest.mark.slow
 def test_workers_end_with_a_process_that_is_killed(tmp_path: Path) -> None:
     words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"

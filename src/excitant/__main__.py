@@ -1,7 +1,10 @@
 """The process around a command: ``python -m excitant`` and the script ``excitant``."""
 
+import atexit
+import os
 import signal
 import sys
+from contextlib import suppress
 
 
 def run() -> None:
@@ -16,6 +19,13 @@ def run() -> None:
         print("excitant: interrupted; nothing was written", file=sys.stderr)
     for each in (signal.SIGINT, signal.SIGTERM):  # nothing is left to interrupt
         signal.signal(each, signal.SIG_IGN)
+    if status == 130:
+        # Ctrl-C amid exec(), as of a dataclass, would end Python by that signal, whoever caught it
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):
+                stream.flush()
+        os._exit(status)
     sys.exit(status)
 
 
