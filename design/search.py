@@ -48,7 +48,6 @@ _SAMPLED = 6  # starts that compare periods
 _PERIODS, _COMPARING = 5, 0.3  # periods compared, and the share of the time for that
 
 
-
 @dataclass(frozen=True, eq=False)
 class SearchState:
     """State of a search from one start."""
