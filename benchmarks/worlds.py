@@ -196,6 +196,10 @@ def score(
         name or any(is_it(each, h, robot) for f in findings for each in (f, *f["rivals"]))
         for name, h in zip(named, hidden, strict=True)
     ]
+    settled = [
+        name or any(_only_names(f, h, robot) for f in findings)
+        for name, h in zip(named, hidden, strict=True)
+    ]
     wrong = [
         f"{f['effect']}@{'+'.join(f['joints'][:2])}"
         for f in findings
@@ -217,7 +221,7 @@ def score(
     )
     near = [f["effect"] for f in sure for h in hidden if f["effect"] in NEAR.get(h.kind, ())]
     word = said_first(own[0], hidden, robot) if own else "nothing"
-    judged = {"named": named, "found": found, "wrong": wrong, "first": first}
+    judged = {"named": named, "settled": settled, "found": found, "wrong": wrong, "first": first}
     return judged | {"silent": silent, "near": near, "word": word}
 
 
@@ -231,6 +235,18 @@ def is_it(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:
     first = " at the first joint" if hidden.joints == robot.joints[:1] else ""
     names = (hidden.effect, *SAME.get(hidden.effect, ()), *SAME.get(hidden.effect + first, ()))
     return finding["effect"] in names and bool(set(finding["joints"]) & set(hidden.joints))
+
+
+def _only_names(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:
+    """Whether a finding is what is hidden, and its rivals are other names of the same torque."""
+
+    def same(each: dict[str, Any]) -> bool:
+        there = bool(set(each["joints"]) & set(hidden.joints))
+        wider = there and hidden.effect in SAME.get(each["effect"], ())
+        return wider or is_it(each, hidden, robot)
+
+    rivals = finding["rivals"]
+    return bool(rivals) and all(map(same, (finding, *rivals)))
 
 
 def of_the_world(effect: str, off: float, hidden: Sequence[Hidden]) -> bool:
@@ -264,7 +280,7 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     shown = [r for r in done if r["category"] == "set-up" and r["hidden"][0]["size"] >= BINS[1]]
     set_up = [r["score"] for r in shown]
     effects = [
-        (h, r["score"]["named"][k], r["score"]["found"][k], r)
+        (h, r["score"]["named"][k], r["score"]["found"][k], r, r["score"]["settled"][k])
         for r in done
         if r["category"] == "effects"
         for k, h in enumerate(r["hidden"])
@@ -272,6 +288,7 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     large = [e for e in effects if e[0]["size"] >= BINS[2]]
     rows = (
         ("effects of at least 5 %: named", [e[1] for e in large]),
+        ("  or only the name of that torque is open", [e[4] for e in large]),
         ("effects of at least 5 %: named or undecided", [e[2] for e in large]),
         ("cases with a wrong name", [r["score"]["wrong"] for r in done]),
         ("set-up: the right name first", [s["first"] for s in set_up]),
@@ -293,7 +310,7 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield from _confusion(done)
     missed = [e for e in effects if not e[2]]
     if missed:
-        h, *_, r = max(missed, key=lambda e: e[0]["size"])
+        h, _, _, r, _ = max(missed, key=lambda e: e[0]["size"])
         where = f"{h['effect']} at {', '.join(h['joints'])} of {r['arm']} ({r['world']})"
         yield f"\nlargest missed: case {r['case']}, {where}, {100 * h['size']:.0f} %"
     for r in done:
