@@ -14,6 +14,7 @@ from excitant.exceptions import (
     OutsideLimits,
     RankDeficient,
     UnknownName,
+    WorkerDied,
 )
 
 ERRORS = [
@@ -24,6 +25,7 @@ ERRORS = [
     OutsideLimits("elbow", "velocity", 3.2, 3.1, 0.5),
     RankDeficient(["elbow.Ia"], "not determined"),
     UnknownName("robot", "ur01", ["ur10"]),
+    WorkerDied(),
 ]
 
 
