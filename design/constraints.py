@@ -197,7 +197,8 @@ def within_limits(
 def _use(robot: Robot, quantity: str, found: Extrema, middle: Array, bound: Array) -> LimitUse:
     low, t_low, high, t_high = found
     below = middle - low > high - middle
-    ratios = np.where(below, middle - low, high - middle) / bound
+    with np.errstate(over="ignore"):  # of a limit that is hardly any
+        ratios = np.where(below, middle - low, high - middle) / bound
     times = np.where(below, t_low, t_high)
     limits = np.stack([middle - bound, middle + bound], axis=1)
     return LimitUse(quantity, ratios, times, low, high, limits, robot.joints)

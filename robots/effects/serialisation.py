@@ -53,7 +53,7 @@ def _effect(entry: dict[str, Any], robot: Robot, source: str) -> Effect:
         effect = EFFECTS[name](joints=joints, **shape).with_values(values)
     except (BadInput, UnknownName) as error:
         raise BadInput(f"{source}: {error}") from None
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise BadInput(
             f"{source}: effect {name} needs 'values: [numbers]' and takes {', '.join(defaults)}"
         ) from None

@@ -73,6 +73,14 @@ def test_no_limit_is_never_exceeded(planar: Robot) -> None:
     assert (report.worst.ratio, report.hold) == (0.0, True)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_limit_that_is_hardly_any_is_exceeded_beyond_all_numbers(planar: Robot) -> None:
+    trajectory = random_trajectory(planar, np.random.default_rng(0), 5.0, 3)
+    report = check(limited(planar, acceleration=1e-308), trajectory)
+    assert report.worst.quantity == "acceleration"
+    assert report.worst.ratio > 1e300
+
+
 def test_refuses_another_number_of_joints(planar: Robot, ur10: Robot) -> None:
     trajectory = random_trajectory(planar, np.random.default_rng(0), 5.0, 3)
     with pytest.raises(BadInput, match="2 joints, robot ur10 has 6"):

@@ -269,6 +269,7 @@ TWICE = ["joint1", "joint1"]
         ("rotor_inertia", {}, "needs 'values: "),
         ("rotor_inertia", {"values": [1] * 99}, "99 values"),
         ("rotor_inertia", {"values": ["much"]}, "needs 'values: "),
+        ("rotor_inertia", {"values": [10**400]}, "needs 'values: "),
         ("torque_gain", {"values": [float("nan")]}, "all finite"),
         ("rotor_inertia", {"values": [1], "velocity": 1}, "rotor_inertia"),
         ("friction_coupling", {"joints": ["joint1"], "values": [1, 1]}, "2 joints"),
