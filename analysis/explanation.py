@@ -71,17 +71,18 @@ def reason_to_downgrade(
             "explains"
         )
     for other in others:
-        if other is not found and _taken_back(found, other):
-            return f"it and {plain(other.effect.name)} mostly take each other back"
-        same = {*effect.joints} <= {*other.effect.joints}
+        if other is found:
+            continue
+        name, same = plain(other.effect.name), {*effect.joints} <= {*other.effect.joints}
+        if _taken_back(found, other):
+            return f"it and {name} mostly take each other back"
         if same and other.effect.shapes and found.explained < _SMALL * other.explained:
-            name = plain(other.effect.name)
             return f"it is small compared with {name}, whose shape is only roughly known"
-        curves = other is not found and all(f.effect.is_friction_curve for f in (found, other))
-        positions = other is not found and all(f.effect.is_position_curve for f in (found, other))
-        if same and (curves or positions) and _SMALL * found.explained < other.explained:
-            curve = "friction" if curves else "position"
-            return f"it shares the {curve} curve of the joint with {plain(other.effect.name)}"
+        if same and _SMALL * found.explained < other.explained:
+            if effect.is_friction_curve and other.effect.is_friction_curve:
+                return f"it shares the friction curve of the joint with {name}"
+            if effect.is_position_curve and other.effect.is_position_curve:
+                return f"it shares the position curve of the joint with {name}"
     return ""
 
 

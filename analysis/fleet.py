@@ -195,14 +195,13 @@ def compare_arms(examined: Sequence[Examined]) -> Fleet:
     """The arms of a fleet beside each other and over time."""
     groups = list(_groups([each for each in examined if each.values]))
     chance, lines = CHANCE / 2, sum(len(group.lines) for group in groups)
-    drifts = sorted(
-        (d for group in groups for d in group.drifts(lines) if d.chance <= chance),
-        key=lambda d: d.chance,
-    )
-    steady = [
-        group.without({d.arm for d in drifts if d.parameter == group.name}) for group in groups
-    ]
-    compared = [group for group in steady if len(group.arms) >= FEWEST_ARMS]
+    drifts, compared = list[Drift](), list[_Group]()
+    for group in groups:
+        own = [d for d in group.drifts(lines) if d.chance <= chance]
+        steady = group.without({d.arm for d in own})
+        drifts += own
+        compared += [steady] * (len(steady.arms) >= FEWEST_ARMS)
+    drifts.sort(key=lambda d: d.chance)
     deviations = [d for group in compared for d in group.deviations(chance / len(compared))]
     deviations.sort(key=lambda d: -d.ratio)
     return Fleet(tuple(examined), tuple(deviations), tuple(drifts))
@@ -239,10 +238,15 @@ class _Group:
         dates = np.bincount(pairs[:, 0].astype(np.intp), minlength=len(self.arms))
         return np.asarray(known & (dates >= FEWEST_DATES)[self.arm], bool)
 
-    @property
+    @cached_property
     def lines(self) -> npt.NDArray[np.intp]:
         """Arms with a line."""
         return np.unique(self.arm[self.dated])
+
+    @cached_property
+    def used(self) -> Mask:
+        """Data sets that count: beside a line, those without a date do not."""
+        return np.asarray(self.dated | ~np.isin(self.arm, self.lines), bool)
 
     def without(self, arms: Set[str]) -> _Group:
         """The group without some arms."""
@@ -254,9 +258,7 @@ class _Group:
 
     def fit(self, more: float) -> _Fit:
         """Lines and means, where data sets vary by so much more than their variance says."""
-        # undated data sets of an arm with a line are left to those that are not
-        used = self.dated | ~np.isin(self.arm, self.lines)
-        w = used / (self.variance + more)
+        w = self.used / (self.variance + more)
         days = np.where(self.dated, self.days, 0.0)
 
         def per_arm(values: Array) -> Array:
@@ -276,8 +278,7 @@ class _Group:
     @cached_property
     def within(self) -> tuple[float, int]:
         """ω², and the degrees of freedom that it is estimated with."""
-        used = self.dated | ~np.isin(self.arm, self.lines)
-        freedom = int(used.sum()) - len(self.arms) - len(self.lines)
+        freedom = int(self.used.sum()) - len(self.arms) - len(self.lines)
         return _excess(lambda more: self.fit(more).squares, freedom) if freedom else 0.0, freedom
 
     def drifts(self, tested: int) -> Iterator[Drift]:

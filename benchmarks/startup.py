@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -29,46 +30,28 @@ COMMANDS = {
 
 
 class Took(NamedTuple):
-    """What a process took [s]."""
+    """What a process took."""
 
-    wall: float
-    cpu: float
+    wall: float  # s
+    cpu: float  # s
+    memory: float  # MB at the peak
 
 
 def run(words: list[str], folder: Path) -> Took:
-    begun, before = time.perf_counter(), os.times()
-    process = subprocess.Popen(words, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    _, err = process.communicate()
-    if process.returncode:
-        sys.exit(err.decode())
-    wall, after = time.perf_counter() - begun, os.times()
-    cpu = after.children_user + after.children_system
-    cpu -= before.children_user + before.children_system
-    return Took(wall, cpu)
-
-
-def peak(words: list[str], folder: Path) -> float:
-    """Peak memory [MB], that of the process itself and of none before it."""
-    code = (
-        "import resource, subprocess, sys;"
-        "subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL);"
-        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, *words], cwd=folder, capture_output=True, check=True
-    )
-    return float(done.stdout)
+    begun = time.perf_counter()
+    process = subprocess.Popen(words, cwd=folder, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    if status:
+        sys.exit(f"failed: {' '.join(words)}")
+    wall = time.perf_counter() - begun
+    return Took(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
 def imports(words: list[str], folder: Path) -> float:
     """Time spent on imports [s]."""
     line = [words[0], "-X", "importtime", *words[1:]]
     done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
-    rows = [x.split("|") for x in done.stderr.splitlines() if x.startswith("import time:")]
-    return (
-        sum(int(row[0].split(":")[1]) for row in rows if row[0].split(":")[1].strip().isdigit())
-        / 1e6
-    )
+    return sum(map(int, re.findall(r"^import time: +(\d+) ", done.stderr, re.MULTILINE))) / 1e6
 
 
 def main() -> None:
@@ -86,8 +69,9 @@ def main() -> None:
                     continue
                 words[3:] = ["identify", str(RECORDED), "-o", "recorded"]
             least = min((run(words, folder) for _ in range(args.repeats)), key=lambda x: x.wall)
-            share, memory = imports(words, folder), peak(words, folder)
-            print(f"{command:24s} {least.wall:7.2f} {least.cpu:7.2f} {share:10.2f} {memory:8.0f}")
+            share = imports(words, folder)
+            cells = f"{least.wall:7.2f} {least.cpu:7.2f} {share:10.2f} {least.memory:8.0f}"
+            print(f"{command:24s} {cells}")
 
 
 if __name__ == "__main__":

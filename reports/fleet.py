@@ -12,7 +12,6 @@ from excitant.reports.values import Result, Series
 
 _DRAWN = 6  # changes that are drawn
 _MONTHS = 12.0
-_YEAR = 365.25
 
 
 def fleet_section(result: Result, series: Series) -> p.Section:
@@ -79,8 +78,14 @@ def _differs(row: Result) -> str:
     )
 
 
+def _monthly(row: Result) -> tuple[float, float]:
+    """Slope a month, and its standard deviation."""
+    per_year, std = (v.real(row, key) or 0.0 for key in ("per_year", "std"))
+    return per_year / _MONTHS, std / _MONTHS
+
+
 def _changes(row: Result) -> str:
-    slope, std = ((v.real(row, key) or 0.0) / _MONTHS for key in ("per_year", "std"))
+    slope, std = _monthly(row)
     way, size = "falls" if slope < 0 else "rises", " ± ".join(v.value_and_std(abs(slope), std))
     ends = (v.number(v.at(row, key)) for key in ("before", "after"))
     before, after = (
@@ -119,7 +124,7 @@ def _pair(row: Result, value: str, std: str) -> p.Cell:
 
 def _drifts(drifts: list[Result]) -> p.Table | None:
     def slope(row: Result) -> p.Cell:
-        pair = [(v.real(row, key) or 0.0) / _MONTHS for key in ("per_year", "std")]
+        pair = _monthly(row)
         return p.Cell(" ± ".join(v.value_and_std(*pair)), p.PLAIN, pair[0])
 
     return p.table(
@@ -152,20 +157,17 @@ def _figure(drifts: list[Result], series: Series) -> Figure | None:
 
 
 def _panel(k: int, row: Result, series: Series) -> Panel | None:
-    days, x, std = (v.array(series, f"drift{k}/{key}", None) for key in ("days", "value", "std"))
-    ends = v.reals({"ends": [v.at(row, key) for key in ("before", "after")]}, "ends")
-    if (
-        days is None
-        or x is None
-        or std is None
-        or not np.isfinite(ends).all()
-        or not len(days) == len(x) == len(std)
-    ):
+    before, after = v.real(row, "before"), v.real(row, "after")
+    days = v.array(series, f"drift{k}/days", None)
+    if days is None or before is None or after is None:
+        return None
+    x, std = (v.array(series, f"drift{k}/{key}", len(days)) for key in ("value", "std"))
+    if x is None or std is None:
         return None
     arm, name = v.text(row, "arm"), v.text(row, "parameter")
     [ax] = draw.axes(1.7)
     ax.errorbar(days, x, std, fmt="o", ms=4, lw=1.0, color=draw.MEASURED)
-    ax.plot([np.nanmin(days), np.nanmax(days)], ends, color=draw.FITTED)
+    ax.plot([np.nanmin(days), np.nanmax(days)], [before, after], color=draw.FITTED)
     ticks = np.linspace(np.nanmin(days), np.nanmax(days), 3)
     ax.set_xticks(ticks, [str(np.datetime64(0, "D") + round(day)) for day in ticks])
     first, _, last = ax.get_xticklabels()

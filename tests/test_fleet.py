@@ -25,22 +25,19 @@ from excitant.exceptions import BadInput, WorkerDied
 from excitant.identify.dataset import origin
 from excitant.processes import unordered
 from excitant.robots import load_robot
-from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
+from excitant.robots.virtual_arm import virtual_arm
 
 ROBOT = load_robot("planar_2r")
 
 
-def data_set(folder: Path, seed: int, coulomb: float = 0.0, runs: int = 2) -> Path:
-    """An arm of a seed, with more friction at joint 2."""
+def data_set(folder: Path, seed: int) -> None:
+    """One recording of an arm, and its description."""
     folder.mkdir(parents=True)
-    hidden = [HiddenEffect("coulomb_friction", "joint2", (("Fc", coulomb),))] * (coulomb > 0)
-    arm = virtual_arm(ROBOT, np.random.default_rng(seed), hidden=hidden)
-    rng = np.random.default_rng([seed, round(10 * coulomb)])
-    for k in range(runs):
-        table = arm.record(random_trajectory(ROBOT, rng, 8.0, 4), 8.0, rng)
-        table.to_parquet(folder / f"run{k}.parquet", index=False)
+    arm = virtual_arm(ROBOT, np.random.default_rng(seed), hidden=())
+    rng = np.random.default_rng([seed, 0])
+    table = arm.record(random_trajectory(ROBOT, rng, 8.0, 4), 8.0, rng)
+    table.to_parquet(folder / "run0.parquet", index=False)
     (folder / "robot.urdf").write_text(ROBOT.urdf)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +45,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two sound data sets and two that are not."""
     root = tmp_path_factory.mktemp("fleet")
     for k in range(2):
-        data_set(root / f"arm{k}" / "2026-03-01", k, runs=1)
+        data_set(root / f"arm{k}" / "2026-03-01", k)
     shutil.copytree(root / "arm0", root / "broken")
     (root / "broken" / "2026-03-01" / "robot.urdf").write_text("<robot>")
     (root / "lost").mkdir()

@@ -215,9 +215,13 @@ def _values(model: Mapping[str, Any]) -> dict[str, Value]:
     found = {}
     for row in model["base_parameters"]:
         name = row["expression"]
-        leading = name.split()[0].rpartition("·")[2]
-        found[name] = Value(row["value"], row["std"], units.get(leading, ""))
+        found[name] = Value(row["value"], row["std"], units.get(_leading(name), ""))
     return found
+
+
+def _leading(expression: str) -> str:
+    """The parameter that a base parameter begins with."""
+    return expression.split()[0].rpartition("·")[2]
 
 
 def _parameters(examined: Sequence[Examined]) -> bytes:
@@ -228,7 +232,7 @@ def _parameters(examined: Sequence[Examined]) -> bytes:
     rows = [
         {
             "data_set": each.name, "arm": each.arm, "date": each.day, "type": each.kind,
-            "joint": name.split()[0].rpartition("·")[2].rpartition(".")[0], "parameter": name,
+            "joint": _leading(name).rpartition(".")[0], "parameter": name,
             "value": value, "std": std, "low": value - 1.96 * std, "high": value + 1.96 * std,
             "unit": unit,
         }

@@ -10,7 +10,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, ParamSpec, TypeVar
@@ -60,6 +59,8 @@ def unordered(
     Raises:
         WorkerDied: A process ended; tasks without a result may have been done or not.
     """
+    from concurrent.futures import BrokenExecutor
+
     import joblib
 
     if not tasks:
