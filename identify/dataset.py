@@ -1,12 +1,10 @@
 """Dataset: a folder of recordings with its robot, described by ``dataset.json``.
 
-Logs too long to hold are low-passed and decimated while they are read. Torque is judged up to 10 Hz
-and positions are filtered at twice that, so 160 samples a second say all that identification uses.
+Of logs of hours, all rows are read and checked, and windows at equal distances are kept.
 """
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -19,32 +17,22 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
-import scipy
 
-from excitant.exceptions import BadInput, BadRecording, UnknownName
+from excitant.exceptions import BadInput, UnknownName
 from excitant.files import size_of
 from excitant.identify.importers.names import ColumnMap, column_map, drive_of, load_column_map
-from excitant.identify.preprocessing import (
-    CUTOFF_HZ,
-    POSITION_RATIO,
-    at_instants,
-    refuse_bursts,
-    uninterrupted,
-)
 from excitant.identify.recording import SUFFIXES, Recording, load_recording, read_chunks
 from excitant.robots.files import within
 from excitant.robots.loading import load_robot
-from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.schema import RobotRecord, read_yaml
 
-LONG = 1_000_000
-"""Samples of recordings together from which they are read in pieces and decimated."""
+LONG = 300_000
+"""Samples of recordings together, of which no more are kept: more rows than a fit uses."""
+WINDOW_S = 30.0
+"""Length of the windows that are kept of longer ones [s]."""
 
 _USUAL = (".parquet", ".csv")
-_PASSED_HZ = POSITION_RATIO * CUTOFF_HZ
-_RATE_HZ = 8 * _PASSED_HZ
-_STOPPED_DB = 80.0  # what is folded onto the band that is passed
 _DATE = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
 _START = 1 << 16  # bytes of a text file, whose lines stand for all
 
@@ -195,10 +183,11 @@ def read_recordings(
 ) -> list[Recording]:
     """Recordings from logs, in order; see `load_recording`.
 
-    Logs that are too long to hold are low-passed and decimated as they are read.
+    Of logs that are too long to hold, windows at equal distances are kept (`excerpt`).
     """
-    if sum(_samples(Path(path)) for path in paths) > LONG:
-        return [decimated(read_chunks(path, robot, mapping=mapping)) for path in paths]
+    share = LONG / max(1, sum(_samples(Path(path)) for path in paths))
+    if share < 1:
+        return [excerpt(read_chunks(path, robot, mapping=mapping), share) for path in paths]
     return [load_recording(path, robot, mapping=mapping) for path in paths]
 
 
@@ -219,74 +208,23 @@ def _samples(path: Path) -> int:
     return 0
 
 
-def decimated(pieces: Iterable[Recording]) -> Recording:
-    """One recording of consecutive pieces, decimated to 160 Hz or a little above.
+def excerpt(pieces: Iterable[Recording], share: float) -> Recording:
+    """About this share of consecutive pieces: windows of 30 s at equal distances, every sample.
 
-    Time keeps its gaps; at both ends of an uninterrupted part half the filter's length is lost.
-    A log whose rate is below twice that is only put together.
-
-    Raises:
-        BadRecording: No uninterrupted part is longer than the filter.
+    The first window begins with the log. A log that ends within its first window is kept whole.
     """
-    pieces = iter(pieces)
-    first = next(pieces)
-    passed, nv = _Filter(float(np.median(np.diff(first.t)))), first.nv
-    kept, count = [np.empty(0), np.empty((0, nv)), np.empty((0, nv))], 0
-    rest: tuple[Array, ...] = (first.t[:0], first.q[:0], first.tau[:0])
-    for piece in itertools.chain([first], pieces):
-        now = [
-            np.concatenate(pair) for pair in zip(rest, (piece.t, piece.q, piece.tau), strict=True)
-        ]
-        for part in uninterrupted(now[0]):
-            refuse_bursts(now[0][part], passed.step, first.file)
-            found, used = passed(*(values[part] for values in now))
-            total = count + len(found[0])
-            for values, more in zip(kept, found, strict=True):
-                if total > len(values):  # in place: no second copy of a long log
-                    values.resize((total + total // 4, *values.shape[1:]), refcheck=False)
-                values[count:total] = more
-            count = total
-            rest = tuple(values[part][used:] for values in now)
-    if not count:
-        raise BadRecording(first.file, "no uninterrupted part is long enough", column="t")
-    for values in kept:
-        values.resize((count, *values.shape[1:]), refcheck=False)
-        values.setflags(write=False)
-    note = f"read in pieces, low-passed and decimated to {passed.rate_hz:.4g} Hz, for it is long"
-    t, q, tau = kept
-    return replace(first, t=t, q=q, tau=tau, dq=None, extras={}, notes=(*first.notes, note))
-
-
-class _Filter:
-    """Low-pass and decimation of samples every ``step`` [s]; keeps its grid from call to call."""
-
-    def __init__(self, step: float) -> None:
-        self.step, self.factor = step, max(1, int(1 / (step * _RATE_HZ)))
-        self.rate_hz = 1 / (self.factor * step)  # of what comes out
-        stop = self.rate_hz - _PASSED_HZ
-        width = (stop - _PASSED_HZ) * 2 * step
-        taps, beta = scipy.signal.kaiserord(_STOPPED_DB, min(max(width, 1e-3), 0.99))
-        self.half, self.h = 0, np.ones(1)
-        if self.factor > 1:
-            self.half, cutoff = -(-taps // 2), (stop + _PASSED_HZ) / 2
-            window = ("kaiser", beta)
-            self.h = scipy.signal.firwin(2 * self.half + 1, cutoff, window=window, fs=1 / step)
-        self.next: float | None = None  # when the next sample is due [s]
-
-    def __call__(self, t: Array, q: Array, tau: Array) -> tuple[tuple[Array, ...], int]:
-        """Samples t, q, τ that these determine, and how many of these are used up."""
-        reach, every = self.half * self.step, self.factor * self.step
-        if self.next is None or not t[0] - self.step < self.next - reach < t[-1]:
-            self.next = float(t[0]) + reach
-        count = int((t[-1] - reach - self.next) / every + 1 + 1e-6)
-        if len(t) < 4 or count < 1:
-            return (t[:0], q[:0], tau[:0]), 0
-        n = (count - 1) * self.factor + 2 * self.half + 1
-        grid = self.next - reach + self.step * np.arange(n)
-        some = at_instants(t, q, tau, np.clip(grid, t[0], t[-1]))
-        h = self.h[:, None]
-        q, tau = (scipy.signal.oaconvolve(x, h, mode="valid", axes=0)[:: self.factor] for x in some)
-        times = np.asarray(self.next + every * np.arange(count), float)
-        self.next = float(times[-1] + every)
-        used = int(np.searchsorted(t, self.next - reach - 3 * self.step))
-        return (times, q, tau), used
+    every = WINDOW_S / share
+    kept = []
+    for piece in pieces:
+        rows = np.flatnonzero(np.mod(piece.t, every) < WINDOW_S)
+        if len(rows):
+            kept.append(piece.take(rows))
+    first = min(kept, key=lambda part: len(part.channels()))  # speeds may end within the log
+    names = ("t", *(name for name, _ in first.channels()))
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in kept]) for name in names
+    }
+    t = arrays["t"]
+    starts = tuple(every * np.arange(1, 1 + t[-1] // every))
+    note = f"{share:.2g} of a long log: windows of {WINDOW_S:g} s, every {every:.4g} s, are used"
+    return replace(first, **arrays, starts=starts, notes=(*first.notes, note))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -51,6 +51,7 @@ from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, inertia, violations
+from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
@@ -66,6 +67,7 @@ _WHO = {
     "both": "between data and prior",
     "prior": "as shared out by the prior",
 }
+_MOVED = 0.01  # standard errors by which columns at a lower rate may move a base parameter
 _ROUNDS = 2  # until the torque that columns hold is that of the identified arm
 
 
@@ -463,27 +465,58 @@ def identify_robot(
     warn_of_faults(robot, recordings)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
-    rows = fit_rows(robot, effects, base_parameters(robot, effects), data)
-    rows = with_own_torque(rows, prior, known)
-    notes = notes_on(rows, prior)
-    shapes = refined_shapes(rows, prior, known)
-    if shapes is not None:
-        rows = shapes.rows(rows) if shapes.better else rows
-        notes += (shapes.sentence,)
-    fit, estimator, said = estimated(rows, fitted(recordings, validate), estimator)
-    R, z = rows.regression.factor(fit.weight)
-    if estimator != "wls":
-        z = R[:, rows.base.columns] @ fit.beta
-    physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
-    lengths = length_errors(rows, fit, physical, unsure) if unsure[1:].any() else None
-    if lengths is not None:
-        fit, physical = lengths.widened(fit, physical)
-        said += (lengths.sentence,)
-    if shapes is not None and shapes.better:
-        fit, physical = shapes.widened(fit, physical, rows.base)
-    found = judged(robot, rows, fit, physical, (*notes, *said))
-    found = replace(found, estimator=ESTIMATORS[estimator], knowledge=known)
-    return replace(found, shapes=shapes, lengths=lengths)
+
+    def fitted_to(data: Data) -> tuple[Estimate, float]:
+        rows = fit_rows(robot, effects, base_parameters(robot, effects), data)
+        rows = with_own_torque(rows, prior, known)
+        notes = notes_on(rows, prior)
+        shapes = refined_shapes(rows, prior, known)
+        if shapes is not None:
+            rows = shapes.rows(rows) if shapes.better else rows
+            notes += (shapes.sentence,)
+        fit, name, said = estimated(rows, fitted(recordings, validate), estimator)
+        R, z = rows.regression.factor(fit.weight)
+        if name != "wls":
+            z = R[:, rows.base.columns] @ fit.beta
+        physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
+        lengths = length_errors(rows, fit, physical, unsure) if unsure[1:].any() else None
+        if lengths is not None:
+            fit, physical = lengths.widened(fit, physical)
+            said += (lengths.sentence,)
+        if shapes is not None and shapes.better:
+            fit, physical = shapes.widened(fit, physical, rows.base)
+        found = judged(robot, rows, fit, physical, (*notes, *said))
+        found = replace(found, estimator=ESTIMATORS[name], knowledge=known)
+        return replace(found, shapes=shapes, lengths=lengths), _moved_by_rate(rows, fit, physical.x)
+
+    found, moved = fitted_to(data)
+    if moved > _MOVED:
+        found, _ = fitted_to(data.whole)
+        return found
+    rates = {f"{s.thin.rate_hz:.4g}" for s in data.train if s.thin is not s}
+    if not rates:
+        return found
+    said = (
+        f"smooth columns are evaluated at {' and '.join(sorted(rates))} Hz, which moves no base "
+        f"parameter by more than {max(moved, 1e-4):.1g} of its standard error"
+    )
+    return replace(found, notes=(*found.notes, said))
+
+
+def _moved_by_rate(rows: FitRows, fit: LeastSquares, x: Array) -> float:
+    """Largest change of a base parameter by columns at a lower rate, in standard errors.
+
+    The columns lack what separates the torque of the identified bodies at every sample from that
+    at the lower rate; x as in `PhysicalFit`.
+    """
+    if all(s.thin is s for s in rows.data.train):
+        return 0.0
+    bodies = partial(rigid_body_torque, identified_robot(rows.robot, rows.effects, x))
+    lacking = [s.rows(bodies) - s.thin.rows(bodies) for s in rows.data.train]
+    G = rows.reduced.with_torque(np.concatenate(lacking)).gram(fit.weight**2)
+    change = np.abs(np.linalg.lstsq(G[:-1, :-1], G[:-1, -1], rcond=None)[0])
+    std = np.sqrt(np.diag(fit.covariance))
+    return float(np.max(change / np.maximum(std, np.finfo(float).tiny), initial=0.0))
 
 
 def judged(

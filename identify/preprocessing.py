@@ -35,8 +35,9 @@ _TOGETHER = 4  # columns filtered together: they fit into the processor's cache
 _AT_ONCE = 10_000  # instants whose columns are evaluated together, of a segment thrice as long
 _HELD = 8.0  # times the cut-off: sampling rate at which positions and their products are held
 _REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten
-_MOST_ROWS = 15_000  # of a segment: evenly taken of a longer one
+_MOST_ROWS = 15_000  # of a recording: evenly taken of a longer one
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
+_EDGE = 3.0  # periods of its cut-off at either end, where filters know one side only
 _SAME = 1e-5  # of a step: samples at regular time
 _GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
 _BURSTS = 10.0  # times the median step: a mean step beyond it has no regular rate
@@ -65,6 +66,7 @@ class Segment:
         cutoff_hz: Cut-off of the torque filter [Hz].
         keep: Instants that become rows: edges of the filter left out, decimated.
         sensors: Noise of the positions and speeds behind the motion; None of a motion as planned.
+        whole: Smooth columns are evaluated at every sample, too.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Segment:
     cutoff_hz: float
     keep: slice
     sensors: SensorNoise | None = None
+    whole: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, "tau", "tau_raw")
@@ -95,8 +98,9 @@ class Segment:
     def thin(self) -> Segment:
         """The segment at the lowest rate that holds all that positions pass, rows as they are."""
         start, stop, step = self.keep.start, self.keep.stop, self.keep.step or 1
-        most = max(1, int(self.rate_hz / (_HELD * self.cutoff_hz)))
-        every = max(d for d in range(1, most + 1) if step % d == 0)
+        every = _every(self.rate_hz, self.cutoff_hz)
+        if every == 1 or step % every or self.whole:
+            return self
         part, first = slice(start % every, None, every), start // every
         keep = slice(first, first + -(-(stop - start) // every), step // every)
         known = (self.motion[part], self.tau[part], self.tau_raw[part])
@@ -132,6 +136,11 @@ class Segment:
     def t(self) -> Array:
         """Times of the rows [s]."""
         return self.motion.t[self.keep]
+
+
+def _every(rate_hz: float, cutoff_hz: float) -> int:
+    """Of how many samples one suffices for what positions pass and its products."""
+    return max(1, int(rate_hz / (_HELD * cutoff_hz) + _TIE))
 
 
 def prepare(
@@ -199,8 +208,9 @@ def _segment(
     motion = differentiator(grid, q)
     if len(motion) < len(grid):
         raise BadInput("a causal differentiator is for loops; give one without delay")
-    edge = round(1 / (cutoff_hz * step))
-    stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(grid) // _MOST_ROWS), 1)
+    edge = min(round(_EDGE / (cutoff_hz * step)), len(grid) // 4)
+    stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(recording) // _MOST_ROWS), 1)
+    stride -= stride % _every(1 / step, cutoff_hz)
     keep = slice(edge, len(grid) - edge, stride)
     passed = low_pass(tau, cutoff_hz, 1 / step)
     segment = Segment(recording.name, motion, passed, tau, cutoff_hz, keep, sensors)

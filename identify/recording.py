@@ -54,6 +54,7 @@ class Recording:
         notes: How columns were understood and what was left out, one line each.
         extras: Other numeric columns by name, as logged, each shape (n,).
         drive: Drive gains on which the torque rests, where it was recorded as current.
+        starts: Times at which further windows of a longer log begin [s]; nothing is lost before.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Recording:
     start: tuple[float, float] = (0.0, 0.0)  # of time as logged, whole and remaining seconds
     unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)  # by row and column
     drive: DriveGains | None = None
+    starts: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "t", *(name for name, _ in self.channels()))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,9 @@ from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, freeze, read_only
+from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
-from excitant.robots.torque import column_names, observation_columns
+from excitant.robots.torque import column_names
 
 _SILENT = 1e-10  # of the longest column
 _DEPENDENT = 1e-9  # of the largest singular value, columns of unit length
@@ -212,15 +213,18 @@ def regression_of(
 ) -> Regression:
     """Columns of links and effects at the rows of segments, with the torque measured there.
 
-    Effects that rest on the torque of the arm take it from the robot.
+    Smooth columns are evaluated at the rate that positions need (`Segment.thin`), those that jump
+    at every sample. Effects that rest on the torque of the arm take it from the robot.
     """
     names = column_names(robot, effects)
-    return joined(
-        [
-            dense(s.rows(lambda m: observation_columns(robot, effects, m)), s.tau[s.keep], names)
-            for s in segments
-        ]
-    )
+    parts = []
+    for s in segments:
+        columns = [s.thin.rows(partial(regressor, robot))]
+        for effect in effects:
+            held = s.thin if effect.smooth else s
+            columns.append(held.rows(partial(effect.columns, robot)))
+        parts.append(dense(np.concatenate(columns, axis=2), s.tau[s.keep], names))
+    return joined(parts)
 
 
 def joined(parts: Sequence[Regression]) -> Regression:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -58,6 +58,11 @@ class Data:
     holdout: str
     cutoff_why: str = ""
     drive: DriveGains | None = None
+
+    @property
+    def whole(self) -> Data:
+        """The data with smooth columns at every sample, too."""
+        return replace(self, train=tuple(replace(s, whole=True) for s in self.train))
 
     @property
     def sensors(self) -> SensorNoise | None:

@@ -49,16 +49,20 @@ def noise(x: Array) -> float:
 
 def quantum(x: Array) -> float:
     """Step of a quantised channel, the lower decile of the distances of its levels; or 0."""
-    gaps = _gaps(x)
-    return float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
+    return _low(_gaps(x))
 
 
 def resolution(x: Array) -> float:
     """Step of a channel all of whose values are multiples of it; 0 of any other."""
-    gaps, step = _gaps(x), quantum(x)
+    gaps = _gaps(x)
+    step = _low(gaps)
     if not step or np.abs(gaps / step - np.round(gaps / step)).mean() > _LATTICE:
         return 0.0
     return step
+
+
+def _low(gaps: Array) -> float:
+    return float(np.quantile(gaps, 0.1)) if len(gaps) else 0.0
 
 
 def _gaps(x: Array) -> Array:

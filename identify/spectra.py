@@ -41,9 +41,12 @@ def low_pass(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
 
 @lru_cache(maxsize=64)
 def _gain(size: int, cutoff: float) -> Array:
-    """1 / (1 + (tan πf / tan πf_c)⁸) at the frequencies of so many samples; one half at f_c."""
-    tangent = np.tan(np.pi * np.arange(size // 2 + 1) / size) / np.tan(np.pi * cutoff)
-    return np.asarray(1 / (1 + tangent ** (2 * BUTTERWORTH_ORDER)), float)
+    """1 / (1 + (f / f_c)⁸) at the frequencies of so many samples; one half at f_c.
+
+    That of the analogue filter, so that it is the same at every sampling rate.
+    """
+    ratio = np.arange(size // 2 + 1) / (size * cutoff)
+    return np.asarray(1 / (1 + ratio ** (2 * BUTTERWORTH_ORDER)), float)
 
 
 def detrended(values: Array) -> Array:

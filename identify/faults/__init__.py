@@ -67,7 +67,7 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     note(*stamps)
     if starts is None:
         return tuple(found)
-    parts = log.t[np.isin(rows, starts)]
+    parts = np.union1d(log.t[np.isin(rows, starts)], recording.starts)
     if len(log) >= _SHORTEST:
         note(*gap_faults(log, parts))
     tests = (repeated_rows, wrapped_counters, held_channels, jumps_and_outliers)

@@ -108,8 +108,10 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
     n = len(rate)
     if n < 30:
         return
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(rate, ((4, 4), (0, 0)), "edge"), 9, 0)
-    speed = np.median(np.delete(around, 4, axis=-1), axis=-1)
+    speed = np.empty_like(rate)  # median of the four samples on either side
+    for j, padded in enumerate(np.pad(rate, ((4, 4), (0, 0)), "edge").T):
+        around = np.delete(np.lib.stride_tricks.sliding_window_view(padded, 9), 4, axis=1)
+        speed[:, j] = np.sort(around, axis=1)[:, 3:5].mean(axis=1)
     scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(axis=0)
     scale = np.maximum(scale, 2 * log.quantum / log.step / np.sqrt(12))
     used = scale > 0
