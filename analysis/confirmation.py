@@ -82,11 +82,15 @@ class Finding:
         return self.margin >= 0
 
     @property
+    def near_given(self) -> bool:
+        """Whether all its values are the given ones to two standard deviations."""
+        off = np.abs(np.array(self.effect.values or ()) - self.given)
+        return len(off) > 0 and bool((off < _DEVIATIONS * np.array(self.std)).all())
+
+    @property
     def as_given(self) -> bool:
         """Whether it is a value that the model has, to two standard deviations."""
-        off = np.abs(np.array(self.effect.values) - self.given)
-        given = self.effect.role == "torque" and bool(np.any(self.given))
-        return given and bool((off < _DEVIATIONS * np.array(self.std)).all())
+        return self.effect.role == "torque" and bool(np.any(self.given)) and self.near_given
 
     @property
     def refuted(self) -> bool:

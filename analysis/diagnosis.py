@@ -70,6 +70,7 @@ _LEAST_GAIN, _NEAR = 0.2, 0.5  # of the gain assumed: least that is believed, th
 _LACKS = 0.5  # of the friction found: a model with less lacks it
 _MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
 _LITTLE = 0.01  # of the squared error: a round that gains less is the last
+_HARDLY_OFF = "what it changes is known no better than by half of its size"
 _ROUNDS = 5  # of the search at most, as effects may depend on the model that it finds
 
 
@@ -454,7 +455,10 @@ def diagnose(
     if mounted.faults:
         raw = split(recordings, validate, data.cutoff_hz).validate
         first_of_all = [*_of_faults(mounted, raw, fit, held), *first_of_all]
-    first_of_all = [replace(finding, rivals=mounted.rivals) for finding in first_of_all]
+    first_of_all = [
+        replace(f, rivals=mounted.rivals, downgrade=_HARDLY_OFF if f.near_given else "")
+        for f in first_of_all
+    ]
     judged = first_of_all + [
         replace(
             f,

@@ -318,6 +318,8 @@ def half_regressions(
                 )
             inner = ZeroPhaseButterworth(min(POSITION_RATIO * cutoff_hz, highest))
             segments += prepare(every_second(recording, first), cutoff_hz, inner)
+        whole = rows.data.train[0].whole
+        segments = [replace(segment, whole=whole) for segment in segments]
         half = rows.fitting(regression_of(rows.robot, rows.effects, segments))
         halves.append(half.select(rows.base.columns, rows.base.expressions))
     return halves[0], halves[1]

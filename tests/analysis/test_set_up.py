@@ -97,7 +97,7 @@ def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: R
 
 
 def with_zero_off(robot: Robot, joint: int, angle: float) -> list[Recording]:
-    return [replace(r, q=r.q - angle * np.eye(6)[joint]) for r in recorded(robot, 2)]
+    return [replace(r, q=r.q - angle * np.eye(robot.nv)[joint]) for r in recorded(robot, 2)]
 
 
 def assert_zero_found(found: SetUp, joint: str, angle: float) -> None:
@@ -111,6 +111,18 @@ def test_a_zero_position_that_is_off_is_named_first(ur10: Robot) -> None:
     diagnosis = diagnose(robot, [fitted], validate=[held])
     assert lead(diagnosis) == f"encoder_offset {joint}"
     assert_zero_found(diagnosis.set_up, joint, np.pi / 2)
+
+
+@pytest.mark.slow
+def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(
+    ur10: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SetUp, "std_of", lambda *_: (0.9,))
+    fitted, held = with_zero_off(bare(ur10), 1, np.pi / 2)
+    first = diagnose(bare(ur10), [fitted], validate=[held]).findings[0]
+    assert (first.effect.name, first.verdict) == ("encoder_offset", "undecided")
+    assert "half of its size" in first.downgrade
+    assert not replace(first, std=(0.7,)).near_given
 
 
 @pytest.mark.parametrize(
