@@ -1,0 +1,249 @@
+"""A fleet of simulated arms, some odd, some changing, some with faulty data; see README.md."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from datetime import date, timedelta
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pandas as pd
+
+from excitant.design import random_trajectory
+from excitant.robots import Robot, load_robot
+from excitant.robots.parameters import STANDARD
+from excitant.robots.virtual_arm import HiddenEffect, typical_torque, virtual_arm
+
+ARM, DATES, SECONDS, RATE = "ur10", 5, 12.0, 125.0
+ODD, RISING = 6, 3  # arms
+SHARE = 0.1  # of a joint's typical torque: what odd and changing arms have more of friction
+PAYLOAD = 1.5  # kg, 0.1 m before the flange's frame
+START = date(2026, 1, 5)
+MEMORY = 10  # times the fleet, of which the head's memory is measured
+
+Faulty = Callable[[pd.DataFrame, Path], pd.DataFrame | None]
+
+
+def scaled(column: str, factor: float) -> Faulty:
+    return lambda table, _: table.assign(**{column: table[column] * factor})
+
+
+def swapped(one: str, other: str) -> Faulty:
+    return lambda table, _: table.assign(**{one: table[other], other: table[one]})
+
+
+def in_degrees(table: pd.DataFrame, _: Path) -> pd.DataFrame:
+    return table.assign(**{name: np.rad2deg(table[name]) for name in table if name[0] in "qd"})
+
+
+def with_holes(table: pd.DataFrame, _: Path) -> pd.DataFrame:
+    return table.assign(q2=table.q2.mask((table.index > 300) & (table.index < 330)))
+
+
+def broken_robot(table: pd.DataFrame, folder: Path) -> pd.DataFrame:
+    (folder / "robot.urdf").write_text("<robot name='lost'>")
+    return table
+
+
+def cut_file(table: pd.DataFrame, folder: Path) -> None:
+    table.to_parquet(folder / "run.parquet", index=False)
+    content = (folder / "run.parquet").read_bytes()
+    (folder / "run.parquet").write_bytes(content[: len(content) // 2])
+
+
+FAULTS: dict[str, Faulty] = {
+    "broken URDF": broken_robot,
+    "file cut in half": cut_file,
+    "no recording": lambda table, folder: None,
+    "dead torque": scaled("tau2", 0.0),
+    "torque of the other sign": scaled("tau3", -1.0),
+    "position of the other sign": scaled("q2", -1.0),
+    "torques swapped": swapped("tau2", "tau3"),
+    "degrees": in_degrees,
+    "holes": with_holes,
+    "time goes back": lambda table, _: table.assign(t=table.t.where(table.index != 700, 1.0)),
+    "column missing": lambda table, _: table.drop(columns="tau4"),
+    "no rows": lambda table, _: table[:0],
+}
+
+
+def planted(robot: Robot, arm: int, part: float) -> list[HiddenEffect]:
+    """What an arm has beside what its siblings have, at a part of the time, 0 to 1."""
+    if arm >= ODD + RISING:
+        return []
+    joint, share = arm % robot.nv, SHARE if arm < ODD else SHARE * part
+    more = float(share * typical_torque(robot)[joint])
+    if arm == 0:
+        x = np.array([PAYLOAD, 0, 0, 0.1 * PAYLOAD, *[0.012 * PAYLOAD] * 2, 0, 0, 0, 0.002])
+        x = x[[0, 1, 2, 3, 4, 6, 5, 7, 8, 9]]
+        return [HiddenEffect("payload", robot.joints[-1], tuple(zip(STANDARD, x, strict=True)))]
+    if arm == 1:
+        return [HiddenEffect("viscous_friction", robot.joints[joint], (("Fv", more),))]
+    return [HiddenEffect("coulomb_friction", robot.joints[joint], (("Fc", more),))] * (more > 0)
+
+
+def write_set(folder: Path, robot: Robot, seed: int, arm: int, k: int, fault: str) -> None:
+    """The data set of an arm at one of its dates."""
+    rng = np.random.default_rng([seed, arm])
+    true = virtual_arm(robot, rng, hidden=planted(robot, arm, k / (DATES - 1)))
+    rng = np.random.default_rng([seed, arm, k])
+    table = true.record(random_trajectory(robot, rng, SECONDS, 5), SECONDS, rng)
+    table = table[:: round(1 / (RATE * (table.t[1] - table.t[0])))].reset_index(drop=True)
+    folder.mkdir(parents=True)
+    (folder / "robot.urdf").write_text(robot.urdf)
+    table = FAULTS[fault](table, folder) if fault else table
+    if table is not None:
+        table.to_parquet(folder / "run.parquet", index=False)
+
+
+def write_fleet(root: Path, arms: int, seed: int, jobs: int) -> dict[str, str]:
+    """Data sets of all arms and dates; the faults of those that are faulty."""
+    robot, rng = load_robot(ARM), np.random.default_rng(seed)
+    names = [(arm, k) for arm in range(arms) for k in range(DATES)]
+    sound = [at for at in range(len(names)) if names[at][0] >= ODD + RISING]
+    chosen = rng.choice(sound, len(FAULTS), replace=False)
+    fault = dict(zip(chosen.tolist(), FAULTS, strict=True))
+    tasks, faulty = [], {}
+    for at, (arm, k) in enumerate(names):
+        name = f"cell{arm:02}/{START + timedelta(days=73 * k)}"
+        tasks.append((root / name, robot, seed, arm, k, fault.get(at, "")))
+        if at in fault:
+            faulty[name] = fault[at]
+    joblib.Parallel(jobs)(joblib.delayed(write_set)(*task) for task in tasks)
+    return faulty
+
+
+def command(folder: Path, out: Path, jobs: int) -> list[str]:
+    words = [sys.executable, "-m", "excitant", "fleet", str(folder)]
+    return [*words, "-o", str(out), "--jobs", str(jobs)]
+
+
+def done(out: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in out.rglob("input.json")}
+
+
+def killed_on_the_way(words: list[str], out: Path, sets: int) -> tuple[int, int]:
+    """Kill a worker after a fifth and the head after two fifths; data sets done twice and lost."""
+    process = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    kept: dict[Path, int] = {}
+    for share, worker in ((0.2, True), (0.4, False)):
+        while len(done(out)) < share * sets and process.poll() is None:
+            time.sleep(0.2)
+        if worker:
+            listed = subprocess.run(
+                ["ps", "-o", "pid=,args=", "--ppid", str(process.pid)],
+                capture_output=True, text=True, check=True,
+            ).stdout.splitlines()  # fmt: skip
+            pids = [int(line.split()[0]) for line in listed if "loky" in line]
+            kept = done(out)
+            os.kill(pids[-1], signal.SIGKILL)
+        else:
+            kept = done(out)
+            process.kill()
+        print(f"killed {'a worker' if worker else 'the head'} after {len(kept)} data sets")
+    process.wait()
+    time.sleep(2.0)
+    before = done(out)
+    subprocess.run(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=False)
+    after = done(out)
+    return sum(after[path] != at for path, at in before.items()), sets - len(after)
+
+
+def judged(result: dict[str, Any], faulty: dict[str, str]) -> None:
+    """Print what was found of what was planted, and what else was said."""
+    sets = {each["name"]: each for each in result["data_sets"]}
+    told = {
+        name: each["failed"] or next((x for x in each["found"] if "fault" in x), "")
+        for name, each in sets.items()
+    }
+    missed = [fault for name, fault in faulty.items() if not told[name]]
+    accused = [name for name, said in told.items() if said and name not in faulty]
+    print(f"faulty data sets told        {len(faulty) - len(missed)} of {len(faulty)} {missed}")
+    print(f"sound data sets accused      {len(accused)} of {len(sets) - len(faulty)} {accused[:5]}")
+    for kind, arms in (("deviations", range(ODD)), ("drifts", range(ODD, ODD + RISING))):
+        said = {each["arm"] for each in result[kind]}
+        wanted = {f"cell{arm:02}" for arm in arms}
+        print(f"{kind} found{'':<{22 - len(kind)}} {len(wanted & said)} of {len(wanted)}")
+        if wanted - said:
+            print(f"  missed: {sorted(wanted - said)}")
+        others = {name.partition("/")[0] for name in sets} - wanted
+        print(f"{kind} of other arms{'':<{14 - len(kind)}} {len(said - wanted)} of {len(others)}")
+        for each in result[kind]:
+            if each["arm"] not in wanted:
+                print(f"  {each['arm']}: {each['parameter']}")
+
+
+def head_memory(folder: Path, out: Path, times: int, here: Path) -> tuple[float, float]:
+    """Peak memory [MB] of the head that gathers a fleet, once and so many times as large."""
+    peaks = []
+    for count in (1, times):
+        inputs, results = here / f"in{count}", here / f"out{count}"
+        for k in range(count):
+            for data_set in sorted(path.parent for path in folder.rglob("robot.urdf")):
+                name = data_set.relative_to(folder)
+                to = name if not k else Path(f"{name.parent}x{k}") / name.name
+                shutil.copytree(data_set, inputs / to, copy_function=os.link)
+                if (out / "arms" / name).is_dir():
+                    shutil.copytree(out / "arms" / name, results / "arms" / to)
+        process = subprocess.Popen(command(inputs, results, 1), stdout=subprocess.DEVNULL)
+        _, _, usage = os.wait4(process.pid, 0)
+        peaks.append(usage.ru_maxrss / 1024)
+    return peaks[0], peaks[1]
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--arms", type=int, default=40, help=f"each at {DATES} dates")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, help="default: a new one, which is printed")
+    parser.add_argument("--scaling", type=int, default=0, help="data sets timed with 1 and 2 jobs")
+    args = parser.parse_args(words)
+    seed = int(np.random.SeedSequence().entropy) % 2**32 if args.seed is None else args.seed
+    print(f"seed {seed}")
+    with tempfile.TemporaryDirectory() as temporary:
+        here = Path(temporary)
+        folder, out = here / "arms", here / "out"
+        begun = time.monotonic()
+        faulty, sets = write_fleet(folder, args.arms, seed, args.jobs), args.arms * DATES
+        print(f"{sets} data sets of {args.arms} arms written in {time.monotonic() - begun:.0f} s")
+        begun = time.monotonic()
+        twice, lost = killed_on_the_way(command(folder, out, args.jobs), out, sets)
+        took = time.monotonic() - begun
+        print(f"done in {took:.0f} s, {took * args.jobs / sets:.2f} s of a process each")
+        print(f"after the kills              {twice} done twice, {lost} lost")
+        result = json.loads((out / "result.json").read_text())
+        judged(result, faulty)
+        size = sum(path.stat().st_size for path in (out / "arms").rglob("*") if path.is_file())
+        print(f"results                      {size / sets / 1e6:.2f} MB a data set")
+        once, more = head_memory(folder, out, MEMORY, here)
+        print(
+            f"peak memory of the head      {once:.0f} MB; of {MEMORY} times the arms {more:.0f} MB"
+        )
+        if args.scaling:
+            some = here / "some"
+            names = sorted(path.parent for path in folder.rglob("robot.urdf"))
+            for data_set in names[: args.scaling]:
+                shutil.copytree(data_set, some / data_set.relative_to(folder))
+            for jobs in (1, 2):
+                begun = time.monotonic()
+                line = command(some, here / f"by{jobs}", jobs)
+                subprocess.run(
+                    line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False
+                )
+                took = time.monotonic() - begun
+                print(f"{jobs} process(es)               {args.scaling / took * 60:.1f} a minute")
+
+
+if __name__ == "__main__":
+    main()
