@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,10 +30,10 @@ _CAPTION = (
 def player(result: Result, series: Series) -> Player | None:
     """The motion to play; None of results that have none."""
     names, look = v.joint_names(result), v.at(result, "appearance")
-    frames = _frames(series, len(names))
-    if frames is None or not v.records(look, "joints"):
+    frames, joints = _frames(series, len(names)), v.records(look, "joints")
+    if frames is None or len(joints) != len(names):
         return None
-    slides = [v.at(row, "slides") is True for row in v.records(look, "joints")]
+    units = ["m" if v.at(row, "slides") is True else "rad" for row in joints]
     shapes = [{**row, **_mesh(series, k)} for k, row in enumerate(v.records(look, "shapes"))]
     colours = {"limit": draw.AMBER, "beyond": draw.GIVEN, "gap": draw.GREEN}
     colours |= {"path": draw.FITTED, "obstacle": draw.PURPLE}
@@ -47,7 +48,7 @@ def player(result: Result, series: Series) -> Player | None:
     ]
     return Player(
         data={
-            "joints": v.at(look, "joints"),
+            "joints": joints,
             "tool": v.at(look, "tool"),
             "shapes": shapes,
             "bodies": v.at(result, "bodies"),
@@ -57,7 +58,7 @@ def player(result: Result, series: Series) -> Player | None:
             "share": _SHARE,
             "colours": colours,
         },
-        joints=tuple((name, "m" if s else "rad") for name, s in zip(names, slides, strict=True)),
+        joints=tuple(zip(names, units, strict=True)),
         quantities=_QUANTITIES,
         moments=tuple(moments(result)),
         caption=" ".join([_CAPTION, *(v.sentence(note) for note in v.words(look, "notes"))]),
@@ -67,8 +68,8 @@ def player(result: Result, series: Series) -> Player | None:
 
 def moments(result: Result) -> list[Moment]:
     """The instants at which limits are touched, and that of the least distance, in their order."""
-    found = []
-    for quantity, rows in (v.at(result, "certified") or {}).items():
+    found, certified = [], v.at(result, "certified")
+    for quantity, rows in certified.items() if isinstance(certified, Mapping) else ():
         for joint, row in zip(v.joint_names(result), rows or (), strict=False):
             ratio, t = v.real(row, "ratio"), v.real(row, "t")
             if ratio is not None and t is not None and ratio >= TOUCHED:
