@@ -23,8 +23,6 @@ _APART = 1e-3  # s: frames nearer to a moment that must be shown give way to it
 class Playback:
     """Frames of a motion, among them the instants at which a limit is touched or bodies are near.
 
-    Between frames the motion is the quintic Hermite interpolant of q, q̇ and q̈.
-
     Attributes:
         robot: The arm.
         path: The motion, over one period or from the first to the last sample.
@@ -66,9 +64,9 @@ class Playback:
         """Frames and meshes.
 
         Returns:
-            ``play_t`` (n,) [s], ``play_q``, ``play_dq``, ``play_ddq`` (n, nv), ``play_shares`` of
-            the limits (n, 4, nv), and with a scene ``play_pair``, the index of the nearest bodies,
-            ``play_distance`` of them [m] (n,), ``play_points`` of both (n, 2, 3) [m]; meshes as of
+            ``play_t`` (n,) [s], ``play_q``, ``play_dq`` (n, nv), ``play_shares`` of the limits
+            (n, 4, nv), and with a scene ``play_pair``, the index of the nearest bodies (n,),
+            ``play_distance`` of them (n,) [m], ``play_points`` of both (n, 2, 3) [m]; meshes as of
             `Appearance.meshes`.
         """
         motion = self.motion
@@ -76,7 +74,7 @@ class Playback:
         for k, use in enumerate(getattr(self.limits, name) for name in LIMIT_NAMES[:4]):
             for j in np.flatnonzero(use.ratios >= TOUCHED):  # friction jumps where a joint turns
                 shares[np.searchsorted(motion.t, use.times[j]), k, j] = use.ratios[j]
-        series = {f"play_{name}": values for name, values in vars(motion).items()}
+        series = {"play_t": motion.t, "play_q": motion.q, "play_dq": motion.dq}
         series["play_shares"] = shares
         if self.scene is not None:
             pair, distance, points = self.scene.nearest(motion.q)

@@ -22,8 +22,7 @@ _SHARE = 1e-4  # step in which shares are written
 _CAPTION = (
     "The arm as it moves, with the path of its tool; at the base the axes of its frame, x red, "
     "y green, z blue. Drag or use the arrow keys with Shift to turn it, the arrow keys to move it, "
-    "and the wheel, once it was clicked, to come closer. Between the bodies that are nearest "
-    "stands their shortest distance."
+    "and the wheel, once it was clicked, to come closer."
 )
 
 
@@ -41,7 +40,7 @@ def player(result: Result, series: Series) -> Player | None:
     legend = [
         Key("box", draw.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
         Key("box", draw.GIVEN, "limit exceeded"),
-        *[Key("line", draw.GREEN, "shortest distance")] * ("distance" in frames),
+        *[Key("line", draw.GREEN, "shortest distance of two bodies")] * ("distance" in frames),
         Key("line", draw.FITTED, "path of the tool"),
         *[Key("box", draw.PURPLE, "obstacle, workspace")]
         * any(v.text(each, "name") != "floor" for each in obstacles),
@@ -61,7 +60,7 @@ def player(result: Result, series: Series) -> Player | None:
         joints=tuple(zip(names, units, strict=True)),
         quantities=_QUANTITIES,
         moments=tuple(moments(result)),
-        caption=" ".join([_CAPTION, *(v.sentence(note) for note in v.words(look, "notes"))]),
+        caption=" ".join([_CAPTION, *map(v.sentence, v.words(look, "notes"))]),
         legend=tuple(legend),
     )
 
@@ -90,14 +89,14 @@ def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
     """Arrays of the frames, as they are written; None unless they are whole."""
     t = v.array(series, "play_t", None)
     n = 0 if t is None else len(t)
-    shapes = {"q": (nv,), "dq": (nv,), "ddq": (nv,), "shares": (len(_QUANTITIES), nv)}
+    shapes = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
     found = {name: v.array(series, f"play_{name}", n, *rest) for name, rest in shapes.items()}
     known = {name: x for name, x in found.items() if x is not None and np.isfinite(x).all()}
     if t is None or n < 2 or len(known) < len(shapes):
         return None
     shares = np.round(known["shares"] / _SHARE)
     shares += (known["shares"] > FULL) & (shares * _SHARE <= 1)  # exceeded by less than a step
-    kept = {"t": t} | {name: known[name].astype("<f4") for name in ("q", "dq", "ddq")}
+    kept = {"t": t} | {name: known[name].astype("<f4") for name in ("q", "dq")}
     kept["shares"] = np.minimum(shares, 65535).astype("<u2")
     pair, distance = (v.array(series, f"play_{name}", n) for name in ("pair", "distance"))
     points = v.array(series, "play_points", n, 2, 3)

@@ -13,10 +13,10 @@
     return object;
   };
 
-  // What the script of the page knows of a motion between its frames: quintic in q, q̇ and q̈.
+  // A motion between its frames: cubic by q and q̇; shares of limits are linear.
   const motionOf = (packed, nv) => {
     const frames = Object.fromEntries(Object.entries(packed).map(([name, x]) => [name, unpack(x)]));
-    const { t, q, dq, ddq, shares } = frames, last = t.length - 1;
+    const { t, q, dq, shares } = frames, last = t.length - 1;
     const at = (time) => {
       let low = 0, high = last;
       while (high - low > 1) {
@@ -28,11 +28,8 @@
       return { low, high, h, s, nearest: s < 0.5 ? low : high };
     };
     const position = ({ low, high, h, s }, j) => {
-      const a = low * nv + j, b = high * nv + j, c = s ** 3;
-      const rise = c * (10 - 15 * s + 6 * s * s);
-      return (1 - rise) * q[a] + rise * q[b]
-        + h * ((s - c * (6 - 8 * s + 3 * s * s)) * dq[a] - c * (4 - 7 * s + 3 * s * s) * dq[b])
-        + h * h * 0.5 * (s * s * (1 - s) ** 3 * ddq[a] + c * (1 - s) ** 2 * ddq[b]);
+      const a = low * nv + j, b = high * nv + j, rise = s * s * (3 - 2 * s);
+      return (1 - rise) * q[a] + rise * q[b] + h * s * (1 - s) * ((1 - s) * dq[a] - s * dq[b]);
     };
     const share = ({ low, high, s }, k, j) => {
       const [a, b] = [low, high].map((frame) => shares[(frame * (shares.length / t.length / nv) + k) * nv + j]);
@@ -44,7 +41,7 @@
   // The joints as nested groups, each with the shapes that it carries.
   const armOf = (data) => {
     const base = new THREE.Group(), paints = [], carriers = [base], joints = [];
-    const paint = () => paints[paints.push(new THREE.MeshLambertMaterial()) - 1];
+    const paint = () => paints.push(new THREE.MeshLambertMaterial());
     paint();
     for (const { parent, place } of data.joints) {
       const fixed = put(new THREE.Group(), place), moving = new THREE.Group();
@@ -73,7 +70,7 @@
     const [a, b, c] = size;
     if (kind === "box") return new THREE.BoxGeometry(a, b, c);
     if (kind === "sphere") return new THREE.SphereGeometry(a, 32, 16);
-    if (kind === "cylinder") return new THREE.CylinderGeometry(a, a, b, 32).rotateX(Math.PI / 2);
+    if (kind === "cylinder") return new THREE.CylinderGeometry(a, a, b, 64).rotateX(Math.PI / 2);
     if (kind === "capsule") return new THREE.CapsuleGeometry(a, b, 8, 32).rotateX(Math.PI / 2);
     const mesh = new THREE.BufferGeometry();
     if (!points) return mesh;
@@ -200,9 +197,9 @@
         gap.material.color.set(inside ? data.colours.beyond : data.colours.gap);
         const bodies = data.bodies[motion.pair[n]].join(" and ");
         const size = `${(1000 * Math.abs(motion.distance[n])).toPrecision(3)} mm`;
-        told.push(inside ? `${bodies} overlap by ${size}` : `nearest: ${bodies}, ${size} apart`);
+        told.push(inside ? `${bodies} overlap by ${size}` : `Nearest: ${bodies}, ${size} apart`);
       }
-      said.textContent = told.length ? `${told.join("; ")}.` : "No limit is touched here.";
+      said.textContent = told.length ? `${told.join(". ")}.` : "No limit is touched here.";
     };
 
     const seek = (wanted) => {

@@ -94,7 +94,7 @@ def _played(t: np.ndarray, *derivatives: np.ndarray) -> Run:
     look = {"joints": joints, "tool": {"joint": NV, "place": up}, "shapes": shapes}
     look |= {"notes": ["base: drawn by visual shapes, which are not checked"]}
     rows = slice(None, None, 4)
-    frames = dict(zip(("t", "q", "dq", "ddq"), (x[rows] for x in (t, *derivatives)), strict=True))
+    frames = {"t": t[rows], "q": derivatives[0][rows], "dq": derivatives[1][rows]}
     used = [np.abs(x) / np.abs(x).max(0) for x in (*derivatives, derivatives[0])]
     frames |= {"shares": np.stack(used, axis=1)[rows], "pair": (t[rows] > 5).astype(float)}
     frames |= {"distance": 0.1 * np.cos(t[rows])}

@@ -27,7 +27,7 @@ driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not in
 DATA = Path(__file__).parents[1] / "robots" / "data"
 ARMS = ("planar_2r", "panda", "ur10", "scara", "puma560", "no shapes", "meshes")
 MESH = '<collision><geometry><mesh filename="wedge.stl"/></geometry></collision></link>'
-EXACT = 1e-5  # m: float32 of 7 joints at 1.5 m, and quintics over 0.02 s
+EXACT = 1e-5  # m: single precision of 7 joints at 1.5 m, and cubics over 0.02 s
 LIMIT, BEYOND = (230, 159, 0), (213, 94, 0)
 
 
