@@ -108,7 +108,7 @@ class Appearance:
         for kind, how in _INSTEAD.items():
             links = [self._link(j) for j in sorted({piece.joint for piece in self._shown[kind]})]
             more = f" and {len(links) - _LISTED} more" if len(links) > _LISTED else ""
-            said += [f"{', '.join(links[:_LISTED])}{more}: {how}"] * bool(links)
+            said += [f"{how}: {', '.join(links[:_LISTED])}{more}"] * bool(links)
         kinds = ("collision", "visual") if said else ("collision",)
         lost = {kind: missing_meshes(self.robot, kind) for kind in kinds}
         said += [f"{count} {kind} meshes were not found" for kind, count in lost.items() if count]

@@ -132,7 +132,7 @@
     });
     places.push(...path);
     const centre = new THREE.Box3().setFromPoints(places).getCenter(new THREE.Vector3());
-    const reach = 1.1 * places.reduce((most, place) => Math.max(most, place.distanceTo(centre)), 0) || 1;
+    const reach = 1.2 * places.reduce((most, place) => Math.max(most, place.distanceTo(centre)), 0) || 1;
 
     const scene = new THREE.Scene(), camera = new THREE.PerspectiveCamera(35, 1, reach / 50, 60 * reach);
     camera.up.copy(Z);
@@ -140,9 +140,9 @@
     sun.position.set(-0.4, 0.7, 1);
     camera.add(sun, sun.target);
     sun.target.position.set(0, 0, -1);
-    const curve = new THREE.CatmullRomCurve3(path);
-    const trace = new THREE.Mesh(
-      new THREE.TubeGeometry(curve, Math.min(4 * path.length, 4000), 0.004 * reach, 5),
+    const trail = path.filter((place, n) => !n || place.distanceTo(path[n - 1]) > 1e-5 * reach);
+    const trace = trail.length < 2 ? new THREE.Group() : new THREE.Mesh(
+      new THREE.TubeGeometry(new THREE.CatmullRomCurve3(trail), Math.min(4 * trail.length, 4000), 0.004 * reach, 5),
       new THREE.MeshBasicMaterial({ color: data.colours.path }));
     const gap = new THREE.Mesh(new THREE.CylinderGeometry(0.008 * reach, 0.008 * reach, 1, 12),
       new THREE.MeshBasicMaterial({ color: data.colours.gap, depthTest: false, transparent: true }));

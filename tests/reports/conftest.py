@@ -92,7 +92,7 @@ def _played(t: np.ndarray, *derivatives: np.ndarray) -> Run:
         for k in range(NV)
     ]
     look = {"joints": joints, "tool": {"joint": NV, "place": up}, "shapes": shapes}
-    look |= {"notes": ["base: drawn by visual shapes, which are not checked"]}
+    look |= {"notes": ["drawn by visual shapes, which are not checked: base"]}
     rows = slice(None, None, 4)
     frames = {"t": t[rows], "q": derivatives[0][rows], "dq": derivatives[1][rows]}
     used = [np.abs(x) / np.abs(x).max(0) for x in (*derivatives, derivatives[0])]

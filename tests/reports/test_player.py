@@ -302,4 +302,4 @@ def test_obstacles_stand_around_an_arm_without_shapes_too(tmp_path: Path, capsys
     source = shown.file.read_text("utf-8")
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', source)[1])
     assert [obstacle["shape"] for obstacle in data["obstacles"]] == ["box", "half_space"]
-    assert "without shapes, drawn as rods from joint to joint" in source
+    assert "Without shapes, drawn as rods from joint to joint: base, " in source
