@@ -196,7 +196,7 @@
         gap.quaternion.setFromUnitVectors(UP, b.sub(a).divideScalar(length || 1));
         gap.material.color.set(inside ? data.colours.beyond : data.colours.gap);
         const bodies = data.bodies[motion.pair[n]].join(" and ");
-        const size = `${(1000 * Math.abs(motion.distance[n])).toPrecision(3)} mm`;
+        const size = `${Number((1000 * Math.abs(motion.distance[n])).toPrecision(3))} mm`;
         told.push(inside ? `${bodies} overlap by ${size}` : `Nearest: ${bodies}, ${size} apart`);
       }
       said.textContent = told.length ? `${told.join(". ")}.` : "No limit is touched here.";

@@ -295,10 +295,7 @@ def show(
     surroundings: Surroundings = Surroundings(),
     part: Part = Part(),
 ) -> None:
-    """The arm in motion, to watch before it runs: one page with all in it.
-
-    It marks joints at their limits and the bodies that are nearest. Of an arm without shapes the
-    joints and the tool are shown.
+    """The arm in motion, to watch before it runs: limits touched, and what comes close.
 
     Args:
         output: File to write, .html; default: runs/show-<robot>-<time>.html.
