@@ -8,7 +8,7 @@ INSTALLED := $(VENV)/.installed
 DEVELOPED := $(VENV)/.developed
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: help demo test lint docs lock clean
+.PHONY: help demo test lint docs lock three clean
 
 help:
 	@echo "make demo   the whole workflow on a virtual arm: design, run, identify, diagnose, report"
@@ -16,6 +16,7 @@ help:
 	@echo "make lint   ruff, mypy and the import rules"
 	@echo "make docs   the documentation as a site, in build/docs"
 	@echo "make lock   resolve pyproject.toml anew into requirements.lock and requirements-dev.lock"
+	@echo "make three  bundle the 3D library of the pages anew; needs npm"
 	@echo "make clean  remove the virtual environment, caches and build products (keeps runs/)"
 	@echo
 	@echo "Options: ARGS='...' passed to demo or to pytest; PYTHON=python3.12 chooses the interpreter."
@@ -73,6 +74,16 @@ lock:
 	$(RESOLVE) . --constraint requirements-dev.lock
 	$(PINS) > requirements.lock
 	@rm -r build/lock
+
+THREE := 0.187.0
+three:
+	npm install --prefix build/three --no-save --no-audit --no-fund --ignore-scripts three@$(THREE) esbuild@0.28.2
+	cp reports/templates/three.mjs build/three/
+	build/three/node_modules/.bin/esbuild build/three/three.mjs --bundle --minify --format=iife \
+	  --global-name=THREE --legal-comments=inline --outfile=reports/templates/three.js \
+	  --banner:js='/* three.js $(THREE), MIT, see three.LICENSE; bundled by make three */'
+	cp build/three/node_modules/three/LICENSE reports/templates/three.LICENSE
+	@rm -r build/three
 
 clean:
 	rm -rf $(VENV) build dist src/*.egg-info

@@ -174,6 +174,21 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
     return LimitReport(position, velocity, acceleration, tau, *jerk)
 
 
+def shares_of_limits(robot: Robot, motion: Motion) -> Array:
+    """Shares of the limits that a motion uses at its instants; 0 without a limit.
+
+    Returns:
+        Of position, velocity, acceleration and torque, as in `LimitUse`, shape (n, 4, nv).
+    """
+    middle, bound = kinematic_limits(robot.limits)
+    kinematic = np.stack([motion.q, motion.dq, motion.ddq], axis=1) - middle[:3]
+    bounds = np.vstack([bound[:3], robot.limits.torque])
+    values = np.concatenate([kinematic, largest_torque(robot, motion)[:, None]], axis=1)
+    with np.errstate(over="ignore"):  # of a limit that is hardly any
+        shares: Array = np.abs(values) / bounds
+    return shares
+
+
 def within_limits(
     robot: Robot, trajectory: Trajectory, scene: Scene | None = None, least: float = 0.0
 ) -> Trajectory | None:

@@ -14,8 +14,9 @@ import pinocchio as pin
 
 from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
+from excitant.design.playback import Playback
 from excitant.design.search import SearchState
-from excitant.design.trajectory import Trajectory
+from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import OutsideLimits
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
 from excitant.robots.geometry import Scene, unchecked
@@ -121,6 +122,11 @@ class Design:
         """Smallest distance over the continuous motion; None without a scene."""
         return None if self.scene is None else clearance(self.scene, self.trajectory)
 
+    @property
+    def playback(self) -> Playback:
+        """The motion to watch."""
+        return Playback(self.robot, self.trajectory, self.limits, self.scene, self.clearance)
+
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
         robot, near = self.robot, self.clearance
@@ -151,15 +157,8 @@ class Design:
             "weakest": self._weakest(names),
             **limits,
             "limit_use": self.use,
-            "unchecked": unchecked(robot, self.scene),
-            "clearance_m": near and near.certified,
-            "closest": near
-            and {
-                "bodies": list(near.bodies),
-                "t": near.time,
-                "distance_m": near.distance / near.scale,
-            },
-            "obstacles": [o.plain() for o in self.scene.obstacles] if self.scene else [],
+            **_surroundings(robot, self.scene, near),
+            **self.playback.result(),
             "starts": [
                 {
                     "start": start.index,
@@ -188,7 +187,8 @@ class Design:
             ``eigenvalues_final`` (r,), ascending, and in the base frame [m] ``tool`` (n, 3) and
             ``arm`` (poses, nodes, 3), a line from the base through the joints to the tool at
             ``arm_t`` (poses,). A branched arm has ``other_tools`` (n, ends − 1, 3) too, and its
-            lines are parted by NaN. With a limit on jerk also ``dddq`` (n, nv).
+            lines are parted by NaN. With a limit on jerk also ``dddq`` (n, nv). And the series of
+            the `Playback`.
         """
         robot, motion = self.robot, dense_motion(self.trajectory)
         tool, others, arm = _skeleton(robot, motion.q)
@@ -210,7 +210,7 @@ class Design:
             series["other_tools"] = others
         if robot.limits.orders > 3:
             series["dddq"] = self.trajectory(motion.t, 3)
-        return series
+        return series | self.playback.series()
 
     def _weakest(self, names: Sequence[str]) -> list[dict[str, Any]]:
         base, robot = self.base, self.robot
@@ -235,21 +235,36 @@ class Design:
 class TrajectoryCheck:
     """Whether a motion keeps all limits and clear of bodies, and how well it excites."""
 
-    information: Information  # what it is to make visible, on which arm
-    motion: Motion
-    limits: LimitReport
+    robot: Robot
+    motion: Motion  # its samples
+    path: Trajectory | HermiteTrajectory  # what it is between them
     scene: Scene | None  # what it is to keep clear of
-    clearance: Clearance | None
     least: float  # distance required [m]
+    information: Information | None = None  # what it is to make visible, if anything
+
+    @cached_property
+    def limits(self) -> LimitReport:
+        """Worst use of every limit over the continuous motion."""
+        return check(self.robot, self.path if isinstance(self.path, Trajectory) else self.motion)
+
+    @cached_property
+    def clearance(self) -> Clearance | None:
+        """Smallest distance over the continuous motion; None without a scene."""
+        return None if self.scene is None else clearance(self.scene, self.path)
 
     @property
     def touched(self) -> bool:
         """Whether bodies come too close."""
         return self.clearance is not None and self.clearance.distance < self.least
 
+    @property
+    def playback(self) -> Playback:
+        """The motion to watch."""
+        return Playback(self.robot, self.path, self.limits, self.scene, self.clearance)
+
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``."""
-        robot, near = self.information.robot, self.clearance
+        robot, near, asked = self.robot, self.clearance, self.information
         entries = self.limits.entries(robot.limits)
         entries["worst"] = {name: worst for name, worst in entries["worst"].items() if worst}
         verdicts = [
@@ -264,23 +279,26 @@ class TrajectoryCheck:
                 f"{1000 * near.distance / near.scale:.3g} mm at {near.time:.4g} s, required "
                 f"{1000 * self.least / near.scale:.3g} mm"
             )
+        if asked is not None:
+            kappa = condition_number(asked.matrix(self.motion))
+            entries |= {"columns": asked.columns, "condition_number": kappa}
         return {
             "verb": "check",
             "robot": robot.name,
             "joints": list(robot.joints),
+            "revolute": robot.revolute.tolist(),
+            "duration": float(self.motion.t[-1] - self.motion.t[0]),
             "holds": self.limits.hold and not self.touched,
             **entries,
-            "columns": self.information.columns,
-            "condition_number": condition_number(self.information.matrix(self.motion)),
-            "unchecked": unchecked(robot, self.scene),
-            "obstacles": [o.plain() for o in self.scene.obstacles] if self.scene else [],
-            "clearance_m": near and near.certified,
+            **_surroundings(robot, self.scene, near),
             "verdicts": verdicts or ["all limits hold, between samples too"],
+            **self.playback.result(),
         }
 
     def series(self) -> dict[str, Array]:
-        """The motion with its torque."""
-        return vars(self.motion) | {"tau": torque(self.information.robot, self.motion)}
+        """The motion with its torque, and what the `Playback` has."""
+        tau = torque(self.robot, self.motion)
+        return vars(self.motion) | {"tau": tau} | self.playback.series()
 
     def require(self) -> None:
         """Refuse a limit that is exceeded, or bodies that come too close.
@@ -293,6 +311,21 @@ class TrajectoryCheck:
             bodies = " and ".join(near.bodies)
             least = self.least / near.scale
             raise OutsideLimits(bodies, "distance", near.distance / near.scale, least, near.time)
+
+
+def _surroundings(robot: Robot, scene: Scene | None, near: Clearance | None) -> dict[str, Any]:
+    """Entries of result.json about what a motion is to keep clear of."""
+    return {
+        "unchecked": unchecked(robot, scene),
+        "clearance_m": near and near.certified,
+        "closest": near
+        and {
+            "bodies": list(near.bodies),
+            "t": near.time,
+            "distance_m": near.distance / near.scale,
+        },
+        "obstacles": [o.plain() for o in scene.obstacles] if scene else [],
+    }
 
 
 def scaled_condition_number(M: Array) -> float | None:

@@ -43,6 +43,7 @@ from excitant.robots.threads import on_one_thread
 _STARTS = 6  # per motion
 _POSES = 200  # drawn for one that keeps clear
 _SHARED = ("joints", "revolute", "series", "limit_use", "limit_values", "obstacles", "unchecked")
+_SHOWN = ("appearance", "bodies")  # of the playback
 _OWN = (
     "duration",
     "harmonics",
@@ -97,7 +98,7 @@ class LinkByLinkDesign:
         return {
             "verb": "design",
             "robot": self.robot.name,
-            **{key: single[0][key] for key in _SHARED},
+            **{key: single[0][key] for key in (*_SHARED, *_SHOWN)},
             "duration": starts[-1],
             "harmonics": max(one["harmonics"] for one in single),
             "columns": self.columns,
@@ -125,9 +126,10 @@ class LinkByLinkDesign:
         parts, start = [], 0.0
         for design in self.motions.values():
             part = design.series()
-            parts.append(part | {key: part[key] + start for key in ("t", "arm_t")})
+            parts.append(part | {key: part[key] + start for key in ("t", "arm_t", "play_t")})
             start += design.duration
-        return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        curves = [key for key in parts[0] if not key.startswith("mesh")]
+        return parts[0] | {key: np.concatenate([part[key] for part in parts]) for key in curves}
 
     def files(self, rate_hz: float, periods: int = 1) -> dict[str, str | bytes]:
         """``link<i>.csv`` and ``link<i>.json`` of every motion, the last link's first."""

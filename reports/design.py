@@ -17,6 +17,7 @@ from excitant.reports.motion_figures import (
     share_of_limit,
     spectrum_figure,
 )
+from excitant.reports.player import FULL, moments, player
 from excitant.reports.values import NONE, Result, Series
 
 _CRITERIA = {
@@ -25,7 +26,6 @@ _CRITERIA = {
     "a": ("A-optimal", "least mean variance: least trace of (WᵀW)⁻¹"),
     "e": ("E-optimal", "greatest least singular value of W"),
 }
-_FULL = 1 + 1e-9  # share of a limit that holds, up to rounding
 _COLUMNS = {"friction": "of links, friction, offsets and rotors", "inertial": "of the links only"}
 
 
@@ -40,6 +40,7 @@ def design_section(result: Result, series: Series) -> p.Section:
         _lead(result),
         [
             ("Key figures", [_facts(result), p.notes(v.words(result, "notes"), brief="")]),
+            ("The arm in motion", [player(result, series)]),
             ("One motion per link", [_link_motions(result)]),
             *_motion(result, series),
             ("Least excited parameters", [_weakest(result)]),
@@ -68,23 +69,20 @@ def excitation_sentence(result: Result) -> list[str]:
 def check_section(result: Result, series: Series) -> p.Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
     kappa, said = v.at(result, "condition_number"), v.words(result, "verdicts")
-    keeps, limits, tone = {
-        True: ("keeps all limits", "hold", p.GOOD),
-        False: ("exceeds limits", "exceeded", p.POOR),
-    }.get(v.at(result, "holds"), ("was checked against the limits", "", p.PLAIN))
+    _, limits, tone = _kept(result)
     key_figures = p.facts(
         p.Fact("Limits", limits, "", tone),
         p.fact("Condition number", kappa, v.number, _columns(result)),
         _clearance(result),
         _duration(result),
     )
-    name, robot = v.text(result, "trajectory"), v.text(result, "robot")
     return p.section(
         "Trajectory check",
-        f"{name or 'The trajectory'} {keeps} of {robot or 'the arm'}{_unchecked(result)}.",
+        _kept_sentence(result),
         [
             ("Key figures", [key_figures]),
             ("Verdicts", [p.notes([v.sentence(verdict) for verdict in said])]),
+            ("The arm in motion", [player(result, series)]),
             ("Excitation", [p.notes(excitation_sentence(result))]),
             *_motion(result, series),
         ],
@@ -97,6 +95,35 @@ def check_section(result: Result, series: Series) -> p.Section:
             *[("", found) for found in _shown(result)],
         ),
     )
+
+
+def show_section(result: Result, series: Series) -> p.Section:
+    """A motion to watch."""
+    touched = [(f"{moment.t:.4g} s", moment.words) for moment in moments(result)]
+    said = v.listing(v.words(result, "verdicts"))
+    return p.section(
+        "Motion",
+        _kept_sentence(result),
+        [
+            ("The arm in motion", [player(result, series)]),
+            ("Verdicts", [p.notes([v.sentence(each) for each in v.words(result, "verdicts")])]),
+        ],
+        (("checked", said + _unchecked(result)), *touched),
+    )
+
+
+def _kept(result: Result) -> tuple[str, str, str]:
+    """Whether the limits hold, as a verb, as a word, and as a tone."""
+    return {
+        True: ("keeps all limits", "hold", p.GOOD),
+        False: ("exceeds limits", "exceeded", p.POOR),
+    }.get(v.at(result, "holds"), ("was checked against the limits", "", p.PLAIN))
+
+
+def _kept_sentence(result: Result) -> str:
+    name, robot = v.text(result, "trajectory"), v.text(result, "robot")
+    keeps = f"{name or 'The trajectory'} {_kept(result)[0]}"
+    return f"{keeps} of {robot or 'the arm'}{_unchecked(result)}."
 
 
 def _shown(result: Result) -> list[str]:
@@ -259,7 +286,7 @@ def _lead(result: Result) -> str:
     if worst is not None:
         used = share_of_limit(worst)
         holds = f" Limits are exceeded: {used} of one is used{_unchecked(result)}."
-        if worst <= _FULL:
+        if worst <= FULL:
             holds = f" All limits hold, used up to {used}{_unchecked(result)}."
     reached = f"a condition number of {v.number(final)}"
     if stages:
@@ -346,7 +373,7 @@ def _limits(result: Result) -> p.Blocks:
         ratio = v.real(row, "ratio")
         if ratio is None:
             return p.Cell("no limit given")
-        return _verdict(ratio <= _FULL, "holds", "exceeded")
+        return _verdict(ratio <= FULL, "holds", "exceeded")
 
     worst = p.table(
         _worst(result),

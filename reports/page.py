@@ -119,6 +119,27 @@ class Notes:
 
 
 @dataclass(frozen=True)
+class Moment:
+    """An instant of a motion worth a look: when [s], and what happens then."""
+
+    t: float
+    words: str
+    tone: str = PLAIN
+
+
+@dataclass(frozen=True)
+class Player:
+    """An arm in motion, played by a script of the page from ``data``; moments stand without it."""
+
+    data: dict[str, Any]
+    joints: tuple[tuple[str, str], ...]  # name, and unit of its position
+    quantities: tuple[str, ...]  # whose share of the limit is shown
+    moments: tuple[Moment, ...]
+    caption: str
+    legend: tuple[Key, ...] = ()
+
+
+@dataclass(frozen=True)
 class Folded:
     """Titled blocks: a part of a section or, within one, behind their title until opened."""
 
@@ -126,7 +147,7 @@ class Folded:
     blocks: tuple[Block, ...]
 
 
-Block = Table | Figure | Matrix | Facts | Notes | Folded
+Block = Table | Figure | Matrix | Player | Facts | Notes | Folded
 Blocks = list[Block | None]
 Parts = list[tuple[str, Blocks]]
 Brief = tuple[tuple[str, str], ...]

@@ -16,7 +16,12 @@ from excitant.names import printable
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.analyze import analyze_section, links_folded
-from excitant.reports.design import check_section, design_section, rehearse_section
+from excitant.reports.design import (
+    check_section,
+    design_section,
+    rehearse_section,
+    show_section,
+)
 from excitant.reports.diagnose import diagnose_section
 from excitant.reports.drawing import style
 from excitant.reports.fleet import fleet_section
@@ -28,6 +33,7 @@ from excitant.reports.values import NONE, Result, Series
 _SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "design": design_section,
     "check": check_section,
+    "show": show_section,
     "identify": identify_section,
     "analyze": analyze_section,
     "diagnose": diagnose_section,

@@ -11,7 +11,17 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from excitant.names import shortened
-from excitant.reports.page import Block, Facts, Folded, Matrix, Notes, Page, Section, Table
+from excitant.reports.page import (
+    Block,
+    Facts,
+    Folded,
+    Matrix,
+    Notes,
+    Page,
+    Player,
+    Section,
+    Table,
+)
 from excitant.reports.values import NONE
 
 if TYPE_CHECKING:
@@ -24,14 +34,28 @@ _STEP = 10  # columns of words are a multiple of this wide, so that few changes 
 _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
-def html(page: Page) -> str:
-    """A page as one HTML file: no network, figures inside, one script, which enlarges them."""
+def html(page: Page, saved: bool = True) -> str:
+    """A page as one HTML file: no network, figures and scripts inside.
+
+    Args:
+        page: What to write.
+        saved: Whether the result it is drawn from stands beside it.
+    """
+    plays = any(
+        isinstance(each, Player) for s in page.sections for part in s.parts for each in part.blocks
+    )
+    names = ["report.js", *["three.js", "player.js"] * plays]
+    template = _environment().get_template("report.html.j2")
+    return template.render(page=page, saved=saved, scripts=[_script(name) for name in names])
+
+
+def _script(name: str) -> dict[str, str]:
+    """A script, and the digest by which the page allows it alone."""
     from markupsafe import Markup
 
-    script = _template("report.js")
-    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    template = _environment().get_template("report.html.j2")
-    return template.render(page=page, script=Markup(script), script_hash=f"sha256-{digest}")
+    text = _template(name)
+    digest = b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    return {"text": Markup(text), "digest": f"sha256-{digest}"}
 
 
 def _template(name: str) -> str:
@@ -123,6 +147,8 @@ def _block(block: Block) -> list[str]:
                 for fact in block.facts
                 if not fact.timing
             ]
+        case Player():
+            return [f"    {moment.t:.4g} s  {moment.words}" for moment in block.moments]
         case Matrix():
             return [
                 f"    {name:<{_LABEL}}   "

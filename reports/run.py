@@ -214,4 +214,4 @@ def report(noun: Reportable) -> Report:
     """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
     if not isinstance(noun, Reportable):
         raise BadInput(f"a {type(noun).__name__} has no report; give what a verb returned")
-    return Report(html(page_of(*as_saved(noun.result(), noun.series()))))
+    return Report(html(page_of(*as_saved(noun.result(), noun.series())), saved=False))

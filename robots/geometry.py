@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -14,6 +14,7 @@ from typing import Any
 import coal
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
@@ -297,13 +298,33 @@ class Scene:
 
     def distances(self, q: Array) -> Array:
         """Signed distance of every pair at every pose, as it counts, shape (n, pairs) [m]."""
+        found = np.empty((len(q), len(self.pairs)))
+        for k, results in enumerate(self._results(q)):
+            found[k] = [result.min_distance for result in results]
+        return found * self.scale
+
+    def nearest(self, q: Array) -> tuple[npt.NDArray[np.intp], Array, Array]:
+        """At every pose the pair whose distance counts least.
+
+        Returns:
+            Its index (n,), the signed distance (n,) [m], and the nearest points of its bodies in
+            the base frame, shape (n, 2, 3) [m].
+        """
+        pairs, distance, points = [], [], []
+        for results in self._results(q):
+            counts = self.scale * [result.min_distance for result in results]
+            pairs.append(pair := int(counts.argmin()))
+            distance.append(results[pair].min_distance)
+            points.append([results[pair].getNearestPoint1(), results[pair].getNearestPoint2()])
+        return np.array(pairs), np.array(distance), np.array(points)
+
+    def _results(self, q: Array) -> Iterator[Any]:
+        """What Pinocchio finds of all pairs at every pose."""
         model, data = self.robot.model, self.robot.model.createData()
         work = self.geometry.createData()
-        found = np.empty((len(q), len(self.pairs)))
-        for k, pose in enumerate(q):
+        for pose in q:
             pin.computeDistances(model, data, self.geometry, work, pose)
-            found[k] = [result.min_distance for result in work.distanceResults]
-        return found * self.scale
+            yield work.distanceResults
 
     def gradient(self, q: Array, pair: int) -> tuple[float, Array]:
         """Distance of one pair at one pose, and its derivative by q, shape (nv,) [m/rad]."""
@@ -401,14 +422,14 @@ def scene(
 
 
 @lru_cache(maxsize=8)
-def _solids(robot: Robot) -> Any:
-    """Collision shapes of an arm, but for meshes that are not there; never edited."""
+def _solids(robot: Robot, kind: str = "collision") -> Any:
+    """Collision or visual shapes, but for meshes that are not there; never edited."""
     root = ET.fromstring(robot.description)
-    _find_meshes(root, robot)
+    _find_meshes(root, robot, kind)
     model, reference, locked = full_model(root, robot)
-    text = ET.tostring(root, encoding="unicode")
+    text, wanted = ET.tostring(root, encoding="unicode"), getattr(pin.GeometryType, kind.upper())
     with quietly(robot.source):
-        geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+        geometry = pin.buildGeomFromUrdfString(model, text, wanted)
     _make_convex(geometry)
     if locked:
         _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
@@ -428,7 +449,7 @@ def base_plane(robot: Robot) -> float | None:
     more.
     """
     up = -robot.gravity
-    fixed = [body for body in _solids(robot).geometryObjects if body.parentJoint == 0]
+    fixed = [body for body in readable_solids(robot) if body.parentJoint == 0]
     if not fixed or not up[2] > _UPRIGHT * np.linalg.norm(up):
         return None
     lowest = min(float(_corners(body)[:, 2].min()) for body in fixed)
@@ -466,7 +487,7 @@ def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
     for joint, place in enumerate(places[1:], start=1):
         points[model.parents[joint]].append(place)
     solid = set()
-    for body in _readable_solids(robot):
+    for body in readable_solids(robot):
         points[body.parentJoint] += list(_corners(body))
         solid.add(body.parentJoint)
     regions = {}
@@ -480,12 +501,17 @@ def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
     return regions
 
 
-def _readable_solids(robot: Robot) -> list[Any]:
-    """Collision shapes of an arm, none where a mesh is damaged."""
+def readable_solids(robot: Robot, kind: str = "collision") -> list[Any]:
+    """Collision or visual shapes as Pinocchio has them, meshes as hulls; none if one is damaged."""
     try:
-        return list(_solids(robot).geometryObjects)
+        return list(_solids(robot, kind).geometryObjects)
     except BadRobot:
         return []
+
+
+def missing_meshes(robot: Robot, kind: str) -> int:
+    """Number of meshes of collision or visual shapes that are not found."""
+    return _find_meshes(ET.fromstring(robot.description), robot, kind)[0]
 
 
 def unchecked(robot: Robot, scene: Scene | None) -> str:
@@ -570,7 +596,7 @@ def _make_convex(geometry: Any) -> None:
         body.geometry = mesh.convex
 
 
-def _find_meshes(root: ET.Element, robot: Robot) -> tuple[int, int]:
+def _find_meshes(root: ET.Element, robot: Robot, kind: str = "collision") -> tuple[int, int]:
     """Name mesh files by their full paths; remove shapes whose mesh is not there.
 
     Returns:
@@ -578,8 +604,8 @@ def _find_meshes(root: ET.Element, robot: Robot) -> tuple[int, int]:
     """
     missing = outside = 0
     for link in root.findall("link"):
-        for collision in link.findall("collision"):
-            mesh = collision.find("geometry/mesh")
+        for element in link.findall(kind):
+            mesh = element.find("geometry/mesh")
             if mesh is None:
                 continue
             try:
@@ -589,7 +615,7 @@ def _find_meshes(root: ET.Element, robot: Robot) -> tuple[int, int]:
             if path is not None:
                 mesh.set("filename", str(path))
             else:
-                link.remove(collision)
+                link.remove(element)
                 missing += 1
     return missing, outside
 

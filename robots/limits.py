@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
+TOUCHED = 0.99  # share of a limit from which on it counts as touched
 _ROS = ("position", "velocity", "acceleration", "effort", "jerk")
 
 

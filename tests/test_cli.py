@@ -71,6 +71,22 @@ def test_a_verb_writes_and_prints_its_result(name: str, here: Path, excitant: An
     assert not re.search(r"""(?:src|href)=["']https?:""", page)
 
 
+def test_show_writes_one_page_and_does_not_judge(here: Path, excitant: Any) -> None:
+    before = {path.name for path in here.iterdir()}
+    (here / "slow.yaml").write_text("velocity: 0.01\n", encoding="utf-8")
+    ran = excitant("show planar_2r trajectory.csv --limits slow.yaml --json -o page.html")
+    assert (ran.status, ran.err) == (0, "")
+    assert {path.name for path in here.iterdir()} - before == {"slow.yaml", "page.html"}
+    assert (ran.result["verb"], ran.result["holds"]) == ("show", False)
+    assert ran.result["files"] == ["page.html"]
+    said = excitant("show planar_2r trajectory.csv --limits slow.yaml").out.splitlines()
+    assert said[0].startswith("checked      velocity limit of joint")
+    assert any("% of its velocity limit" in line for line in said[1:])
+    assert re.fullmatch(r"runs/show-planar_2r-[\d-]+\.html", said[-1])
+    page = Path(said[-1]).read_text(encoding="utf-8")
+    assert "Written by excitant.</p>" in page  # nothing stands beside it
+
+
 def test_a_first_run_is_slower_and_checked_by_itself(here: Path, excitant: Any) -> None:
     options = "--duration 4 --harmonics 2 --starts 1 --jobs 1 --use 0.5 --speed 0.2 --floor -2"
     ran = excitant(f"design planar_2r {options} --json -o out")
@@ -301,6 +317,12 @@ REFUSED = {
     "design planar_2r --link-by-link --from 0,0": "leave --from out",
     "design planar_2r --link-by-link --after run.csv": "leave --after out",
     "check planar_2r broken.csv": "broken.csv",
+    "show planar_2r broken.csv -o page.html": "broken.csv",
+    "show planar_2r nothing.csv -o page.html": "nothing.csv: no such file",
+    "show ur10 trajectory.csv -o page.html": "trajectory.csv: 2 joint columns",
+    "show ur10 trajectory.json -o page.html": "has 2 joints, but ur10 has 6",
+    "show planar_2r trajectory.csv --obstacles nothing.yaml -o page.html": "nothing.yaml",
+    "show planar_2r trajectory.csv": "name a .html file",
     "check planar_2r nothing.csv": "nothing.csv: no such file",
     "design planar_2r --rate 0": "--rate 0 Hz",
     "report nowhere": "nowhere: no such folder",

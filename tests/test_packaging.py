@@ -178,6 +178,19 @@ def test_wheel_says_its_licence_and_command(wheel: Path) -> None:
     assert "Version 2.0, January 2004" in licence
 
 
+def test_bundled_library_says_its_version_and_has_its_licence(wheel: Path) -> None:
+    templates = ROOT / "reports" / "templates"
+    first = (templates / "three.js").read_text("utf-8").splitlines()[0]
+    [version] = re.findall(r"^THREE := (.+)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert first == f"/* three.js {version}, MIT, see three.LICENSE; bundled by make three */"
+    assert "</script" not in (templates / "three.js").read_text("utf-8")
+    with zipfile.ZipFile(wheel) as archive:
+        [name] = [
+            n for n in archive.namelist() if n.endswith("licenses/reports/templates/three.LICENSE")
+        ]
+        assert "The MIT License" in archive.read(name).decode()
+
+
 def test_links_of_the_readme_lead_to_files_from_anywhere(project: dict[str, Any]) -> None:
     """Package indexes show the README away from its files."""
     home = re.escape(project["project"]["urls"]["Source"])

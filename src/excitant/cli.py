@@ -216,6 +216,10 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
         "check ur10 trajectory.csv",
         "check my_arm.urdf trajectory.json --limits limits.yaml --json",
     ),
+    motions.show: (
+        "show ur10 trajectory.csv -o motion.html",
+        "show my_arm.urdf trajectory.json --obstacles cell.yaml --floor 0 -o motion.html",
+    ),
     motions.simulate: (
         "simulate ur10 trajectory.csv -o recording.parquet",
         "simulate ur10 trajectory.csv --hidden --seed 3 -o run1.csv",

@@ -1,4 +1,4 @@
-"""The commands about motions: design, check, simulate, rehearse."""
+"""The commands about motions: design, check, show, simulate, rehearse."""
 
 from __future__ import annotations
 
@@ -263,15 +263,12 @@ def check(
     from excitant.robots.effects import standard_effects
 
     arm = surroundings.robot(part, robot)
-    planned = designs.load_trajectory(trajectory, arm)
-    motion, path = path_of(planned)
+    motion, path = path_of(designs.load_trajectory(trajectory, arm))
     effects = standard_effects(arm.joints) if columns == "friction" else ()
     shown = persistency(arm, _evenly(path, motion), effects, window=window)
     scene, least = surroundings.scene(arm)
-    report = designs.check(arm, planned)
-    near = None if scene is None else designs.clearance(scene, path)
     asked = designs.information(arm, columns)
-    found = designs.TrajectoryCheck(asked, motion, report, scene, near, least)
+    found = designs.TrajectoryCheck(arm, motion, path, scene, least, asked)
     result = found.result() | {"trajectory": trajectory, "persistency": shown.result()}
     run.finish(result, found.series())
     found.require()
@@ -286,6 +283,44 @@ def _evenly(path: Trajectory | HermiteTrajectory, motion: Motion) -> Motion:
     steps = max(4, int((motion.t[-1] - motion.t[0]) * _DENSE_HZ))
     t = np.linspace(motion.t[0], motion.t[-1], steps + 1)
     return Motion(t, path(t), path(t, 1), path(t, 2))
+
+
+def show(
+    robot: RobotName,
+    trajectory: TrajectoryFile,
+    /,
+    *,
+    output: Annotated[str | None, Parameter(name=("--output", "-o"))] = None,
+    json: bool = False,
+    surroundings: Surroundings = Surroundings(),
+    part: Part = Part(),
+) -> None:
+    """The arm in motion, to watch before it runs: limits touched, and what comes close.
+
+    Args:
+        output: File to write, .html; default: runs/show-<robot>-<time>.html.
+        json: Print the result as JSON and nothing else.
+    """
+    from excitant.design import TrajectoryCheck, load_trajectory
+    from excitant.reports import brief, html, page_of
+    from excitant.reports.run import as_saved
+
+    arm = surroundings.robot(part, robot)
+    target = Path(output or f"{Run().folder({'verb': 'show', 'robot': arm.name})}.html")
+    if target.suffix != ".html":
+        raise BadInput(f"{target}: name a .html file")
+    motion, path = path_of(load_trajectory(trajectory, arm))
+    around = surroundings.around(arm)
+    found = TrajectoryCheck(arm, motion, path, *surroundings.seen(arm, around))
+    result = found.result() | {"verb": "show", "trajectory": trajectory, "files": [str(target)]}
+    result["obstacles"] = [obstacle.plain() for obstacle in around]
+    plain, series = as_saved(result, found.series())
+    page = page_of(plain, series)
+    write_file(target, html(page, saved=False))
+    if json:
+        print_json(plain)
+    else:
+        print(brief(page), "", printable(str(target)), sep="\n")
 
 
 def simulate(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from excitant.identify import Dataset, Recording
     from excitant.robots import Array, Robot
-    from excitant.robots.geometry import Scene
+    from excitant.robots.geometry import Obstacle, Scene
 
 
 def _arms(_: object) -> Iterator[str]:
@@ -169,22 +169,32 @@ class Surroundings:
         share = self.mass_uncertainty / 100
         return robot.with_limits(replace(robot.limits, mass_uncertainty=share))
 
-    def scene(self, robot: Robot) -> tuple[Scene | None, float]:
-        """Scene to keep clear of, if any, and the least distance [m]."""
-        from excitant.design import CLEARANCE
-        from excitant.robots.geometry import base_plane, floor, load_obstacles, scene, unchecked
+    def around(self, robot: Robot) -> tuple[Obstacle, ...]:
+        """Obstacles and the floor, if it is known."""
+        from excitant.robots.geometry import base_plane, floor, load_obstacles
 
-        least = CLEARANCE if self.clearance is None else self.clearance
-        if self.ignore_collisions:
-            return None, least
         if self.no_floor and self.floor is not None:
             raise BadInput("--floor and --no-floor exclude each other; leave one out")
         obstacles = load_obstacles(self.obstacles) if self.obstacles else ()
         height = base_plane(robot) if self.floor is None and not self.no_floor else self.floor
-        around = obstacles if height is None else (*obstacles, floor(height))
-        found = scene(robot, around, least)
+        return obstacles if height is None else (*obstacles, floor(height))
+
+    def seen(self, robot: Robot, around: Sequence[Obstacle]) -> tuple[Scene | None, float]:
+        """Scene as far as the arm has shapes, and the least distance [m]."""
+        from excitant.design import CLEARANCE
+        from excitant.robots.geometry import scene
+
+        least = CLEARANCE if self.clearance is None else self.clearance
+        return None if self.ignore_collisions else scene(robot, around, least), least
+
+    def scene(self, robot: Robot) -> tuple[Scene | None, float]:
+        """Scene to keep clear of, if any, and the least distance [m]."""
+        from excitant.robots.geometry import unchecked
+
+        found, least = self.seen(robot, () if self.ignore_collisions else self.around(robot))
         asked = (self.obstacles, self.floor, self.clearance)
-        if found is None and any(option is not None for option in asked):
+        left = found is None and not self.ignore_collisions
+        if left and any(option is not None for option in asked):
             raise BadInput(
                 f"{robot.source}: clearance cannot be checked ({unchecked(robot, None)}); give "
                 "its URDF <collision> elements whose meshes are there, or leave --obstacles, "

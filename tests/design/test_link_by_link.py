@@ -11,6 +11,8 @@ import pytest
 from limit_use import limit_shares
 
 from excitant.design import LinkByLinkDesign, check, design_link_by_link, load_trajectory
+from excitant.reports.player import player
+from excitant.reports.run import as_saved
 from excitant.robots import Robot, base_parameters, load_robot
 
 
@@ -41,6 +43,19 @@ def test_motions_rest_at_both_ends_and_hold_outer_joints(puma: LinkByLinkDesign)
         for shares in limit_shares(puma.robot, path.at(t)).values():
             assert shares.max() <= 1.0
         assert check(puma.robot, path).hold
+
+
+def test_the_motions_are_played_one_after_the_other(puma: LinkByLinkDesign) -> None:
+    result, series = puma.result(), puma.series()
+    t, start = series["play_t"], 0.0
+    assert (np.diff(t) >= 0).all()
+    for design in puma.motions.values():
+        inside = (t > start) & (t < start + design.duration)
+        there = design.trajectory(t[inside] - start)
+        np.testing.assert_allclose(series["play_q"][inside], there, atol=1e-9)
+        start += design.duration
+    assert t[-1] == pytest.approx(start)
+    assert player(*as_saved(result, series)) is not None
 
 
 def test_the_condition_number_is_that_of_the_link_in_its_own_row(puma: LinkByLinkDesign) -> None:

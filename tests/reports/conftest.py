@@ -2,7 +2,8 @@
 
 import copy
 import re
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from html import unescape
 from html.parser import HTMLParser
@@ -77,6 +78,34 @@ def _space(q: np.ndarray) -> dict[str, np.ndarray]:
     return {"tool": tool, "arm": arm, "arm_t": np.linspace(0.0, 10.0, 5)}
 
 
+def _played(t: np.ndarray, *derivatives: np.ndarray) -> Run:
+    """Frames of an arm with a shape of every kind; its last joint slides."""
+    up, turned = [0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0], [0.0, 0.1, 0.2, 0.5, 0.5, 0.5, 0.5]
+    kinds = {"box": [0.2, 0.2, 0.1], "cylinder": [0.06, 0.3], "sphere": [0.07]}
+    kinds |= {"capsule": [0.05, 0.2], "mesh": []}
+    shapes = [
+        {"joint": k, "place": turned, "kind": kind, "size": size}
+        for k, (kind, size) in enumerate(kinds.items())
+    ]
+    joints = [
+        {"parent": k, "place": (turned, up)[k % 2], "axis": [0, 0, 1], "slides": k == NV - 1}
+        for k in range(NV)
+    ]
+    look = {"joints": joints, "tool": {"joint": NV, "place": up}, "shapes": shapes}
+    look |= {"notes": ["drawn by visual shapes, which are not checked: base"]}
+    rows = slice(None, None, 4)
+    frames = {"t": t[rows], "q": derivatives[0][rows], "dq": derivatives[1][rows]}
+    used = [np.abs(x) / np.abs(x).max(0) for x in (*derivatives, derivatives[0])]
+    frames |= {"shares": np.stack(used, axis=1)[rows], "pair": (t[rows] > 5).astype(float)}
+    frames |= {"distance": 0.1 * np.cos(t[rows])}
+    frames["points"] = np.tile([[0.0, 0.0, 0.3], [0.1, 0.2, 0.0]], (len(t[rows]), 1, 1))
+    series = {f"play_{name}": values for name, values in frames.items()}
+    series["mesh4_points"] = 0.2 * np.vstack([np.zeros(3), np.eye(3)])
+    series["mesh4_faces"] = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    bodies = [["forearm_0", "table"], ["forearm_0", "base_with_a_very_long_name_indeed_0"]]
+    return {"appearance": look, "bodies": bodies}, series
+
+
 @cache
 def _analysis() -> Run:
     """A real one, of a motion in which the elbow rests."""
@@ -148,7 +177,8 @@ def design_run() -> Run:
     series["dddq"] = np.gradient(ddq, t, axis=0)
     for key, least in (("initial", -4.2), ("final", -1.9)):
         series[f"eigenvalues_{key}"] = np.sort(10 ** rng.uniform(least, 0, 57))[::-1]
-    return result, series
+    look, frames = _played(t, q, dq, ddq)
+    return result | look, series | frames
 
 
 def check_run() -> Run:
@@ -160,6 +190,13 @@ def check_run() -> Run:
     result |= {"worst": {"velocity": {"joint": "elbow_joint", "t": 2.5}}, "condition_number": None}
     result |= {"verdicts": [verdict, "all other limits hold."]}
     return result, {key: series[key] for key in ("t", "q", "dq", "ddq")}
+
+
+def show_run() -> Run:
+    designed, series = design_run()
+    result = check_run()[0] | {"verb": "show", "certified": designed["certified"]}
+    kept = ("appearance", "bodies", "obstacles", "closest")
+    return result | {key: designed[key] for key in kept}, series
 
 
 def rehearse_run() -> Run:
@@ -404,7 +441,16 @@ def fleet_run() -> Run:
 
 
 _VERBS = (
-    *(robots_run, design_run, check_run, rehearse_run, identify_run, analyze_run, diagnose_run),
+    *(
+        robots_run,
+        design_run,
+        check_run,
+        show_run,
+        rehearse_run,
+        identify_run,
+        analyze_run,
+        diagnose_run,
+    ),
     fleet_run,
 )
 BUILDERS: dict[str, Callable[[], Run]] = {
@@ -465,6 +511,19 @@ def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     path = tmp_path_factory.mktemp(request.param) / "report.html"
     path.write_text(_page(request.param).source, "utf-8")
     return path
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """The system's Chromium, without a window."""
+    driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    if (program := next(filter(None, map(shutil.which, names)), None)) is None:
+        pytest.skip("no Chromium on the PATH")
+    with driver.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=program)
+        yield chromium
+        chromium.close()
 
 
 @pytest.fixture(scope="session")

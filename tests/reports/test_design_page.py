@@ -28,7 +28,7 @@ def saved():
 
 def test_every_part_is_there_with_its_figure(written):
     page = written("design")
-    assert page.headings[1:6] == ["Motion against limits", "Path of the tool",
+    assert page.headings[1:7] == ["The arm in motion", "Motion against limits", "Path of the tool",
                                   "Excitation of the parameters", "Least excited parameters",
                                   "The search"]  # fmt: skip
     said = " ".join(page.labels)

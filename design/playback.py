@@ -1,0 +1,83 @@
+"""A motion as it is played to be watched: poses, use of the limits, and what comes close."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from excitant.design.constraints import Clearance, LimitReport, shares_of_limits
+from excitant.design.trajectory import HermiteTrajectory, Trajectory
+from excitant.robots import Array, Motion, Robot
+from excitant.robots.appearance import Appearance
+from excitant.robots.geometry import Scene
+from excitant.robots.limits import LIMIT_NAMES, TOUCHED
+
+_FRAMES_HZ, _FRAMES = 50.0, 5000  # rate, and no more frames than that
+_APART = 1e-3  # s: frames nearer to a moment that must be shown give way to it
+
+
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """Frames of a motion, among them the instants at which a limit is touched or bodies are near.
+
+    Attributes:
+        robot: The arm.
+        path: The motion, over one period or from the first to the last sample.
+        limits: Its worst use of every limit.
+        scene: The arm's bodies and what is around them; None without shapes.
+        clearance: The smallest distance; None without a scene.
+    """
+
+    robot: Robot
+    path: Trajectory | HermiteTrajectory
+    limits: LimitReport
+    scene: Scene | None
+    clearance: Clearance | None
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The frames."""
+        path, start = self.path, 0.0
+        if isinstance(path, Trajectory):
+            end = path.period
+        else:
+            start, end = path.samples.t[[0, -1]].tolist()
+        count = min(_FRAMES, 1 + int(np.ceil(_FRAMES_HZ * (end - start))))
+        marks = [use.times[use.ratios >= TOUCHED] for use in self.limits.uses]
+        if self.clearance is not None:
+            marks.append(np.array([self.clearance.time]))
+        kept = np.unique(np.concatenate(marks))
+        t = np.linspace(start, end, max(count, 2))
+        beside = np.abs(t[:, None] - kept).min(axis=1, initial=np.inf) < _APART
+        beside[[0, -1]] = False
+        return path.at(np.union1d(t[~beside], kept))
+
+    def result(self) -> dict[str, Any]:
+        """For ``result.json``: the arm's ``appearance``, and its pairs of ``bodies``."""
+        pairs = [] if self.scene is None else [list(pair) for pair in self.scene.pairs]
+        return {"appearance": Appearance(self.robot).entries(), "bodies": pairs}
+
+    def series(self) -> dict[str, Array]:
+        """Frames and meshes.
+
+        Returns:
+            ``play_t`` (n,) [s], ``play_q``, ``play_dq`` (n, nv), ``play_shares`` of the limits
+            (n, 4, nv), and with a scene ``play_pair``, the index of the nearest bodies (n,),
+            ``play_distance`` of them (n,) [m], ``play_points`` of both (n, 2, 3) [m]; meshes as of
+            `Appearance.meshes`.
+        """
+        motion = self.motion
+        shares = shares_of_limits(self.robot, motion)
+        for k, use in enumerate(getattr(self.limits, name) for name in LIMIT_NAMES[:4]):
+            for j in np.flatnonzero(use.ratios >= TOUCHED):  # friction jumps where a joint turns
+                shares[np.searchsorted(motion.t, use.times[j]), k, j] = use.ratios[j]
+        series = {"play_t": motion.t, "play_q": motion.q, "play_dq": motion.dq}
+        series["play_shares"] = shares
+        if self.scene is not None:
+            pair, distance, points = self.scene.nearest(motion.q)
+            series["play_pair"] = pair.astype(float)
+            series |= {"play_distance": distance, "play_points": points}
+        return series | Appearance(self.robot).meshes()

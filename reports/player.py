@@ -1,0 +1,120 @@
+"""The player of a motion: the arm in 3D with its limits and what comes close to it."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from excitant.reports import drawing as draw
+from excitant.reports import page as p
+from excitant.reports import values as v
+from excitant.reports.page import Key, Moment, Player
+from excitant.reports.values import Result, Series
+from excitant.robots.limits import LIMIT_NAMES, TOUCHED
+
+FULL = 1 + 1e-9  # share of a limit that holds, up to rounding
+_QUANTITIES = LIMIT_NAMES[:4]
+_SHARE = 1e-4  # step in which shares are written
+_CAPTION = (
+    "The arm as it moves, with the path of its tool; at the base the axes of its frame, x red, "
+    "y green, z blue. Drag or use the arrow keys with Shift to turn it, the arrow keys to move it, "
+    "and the wheel, once it was clicked, to come closer."
+)
+
+
+def player(result: Result, series: Series) -> Player | None:
+    """The motion to play; None of results that have none."""
+    names, look = v.joint_names(result), v.at(result, "appearance")
+    frames, joints = _frames(series, len(names)), v.records(look, "joints")
+    if frames is None or len(joints) != len(names):
+        return None
+    units = ["m" if v.at(row, "slides") is True else "rad" for row in joints]
+    shapes = [{**row, **_mesh(series, k)} for k, row in enumerate(v.records(look, "shapes"))]
+    colours = {"limit": draw.AMBER, "beyond": draw.GIVEN, "gap": draw.GREEN}
+    colours |= {"path": draw.FITTED, "obstacle": draw.PURPLE}
+    obstacles = v.records(result, "obstacles")
+    legend = [
+        Key("box", draw.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
+        Key("box", draw.GIVEN, "limit exceeded"),
+        *[Key("line", draw.GREEN, "shortest distance of two bodies")] * ("distance" in frames),
+        Key("line", draw.FITTED, "path of the tool"),
+        *[Key("box", draw.PURPLE, "obstacle, workspace")]
+        * any(v.text(each, "name") != "floor" for each in obstacles),
+    ]
+    return Player(
+        data={
+            "joints": joints,
+            "tool": v.at(look, "tool"),
+            "shapes": shapes,
+            "bodies": v.at(result, "bodies"),
+            "obstacles": obstacles,
+            "frames": {name: _packed(values) for name, values in frames.items()},
+            "touched": TOUCHED / _SHARE,
+            "share": _SHARE,
+            "colours": colours,
+        },
+        joints=tuple(zip(names, units, strict=True)),
+        quantities=_QUANTITIES,
+        moments=tuple(moments(result)),
+        caption=" ".join([_CAPTION, *map(v.sentence, v.words(look, "notes"))]),
+        legend=tuple(legend),
+    )
+
+
+def moments(result: Result) -> list[Moment]:
+    """The instants at which limits are touched, and that of the least distance, in their order."""
+    found, certified = [], v.at(result, "certified")
+    for quantity, rows in certified.items() if isinstance(certified, Mapping) else ():
+        for joint, row in zip(v.joint_names(result), rows or (), strict=False):
+            ratio, t = v.real(row, "ratio"), v.real(row, "t")
+            if ratio is not None and t is not None and ratio >= TOUCHED:
+                words = f"{joint}: {v.percent(ratio, 4)} of its {quantity} limit"
+                found.append(Moment(t, words, p.FAIR if ratio <= FULL else p.POOR))
+    t, distance = (v.real(result, "closest", key) for key in ("t", "distance_m"))
+    if t is not None and distance is not None:
+        bodies = " and ".join(v.words(result, "closest", "bodies"))
+        size = v.quantity(1e3 * abs(distance), "mm")
+        words = f"{bodies} are nearest, {size} apart"
+        if distance < 0:
+            words = f"{bodies} overlap by {size}"
+        found.append(Moment(t, words, p.PLAIN if distance >= 0 else p.POOR))
+    return sorted(found, key=lambda moment: moment.t)
+
+
+def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
+    """Arrays of the frames, as they are written; None unless they are whole."""
+    t = v.array(series, "play_t", None)
+    n = 0 if t is None else len(t)
+    shapes = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
+    found = {name: v.array(series, f"play_{name}", n, *rest) for name, rest in shapes.items()}
+    known = {name: x for name, x in found.items() if x is not None and np.isfinite(x).all()}
+    if t is None or n < 2 or len(known) < len(shapes):
+        return None
+    shares = np.round(known["shares"] / _SHARE)
+    shares += (known["shares"] > FULL) & (shares * _SHARE <= 1)  # exceeded by less than a step
+    kept = {"t": t} | {name: known[name].astype("<f4") for name in ("q", "dq")}
+    kept["shares"] = np.minimum(shares, 65535).astype("<u2")
+    pair, distance = (v.array(series, f"play_{name}", n) for name in ("pair", "distance"))
+    points = v.array(series, "play_points", n, 2, 3)
+    if pair is not None and distance is not None and points is not None:
+        kept |= {"pair": pair.astype("<u2"), "distance": distance.astype("<f4")}
+        kept["points"] = points.astype("<f4")
+    return kept
+
+
+def _mesh(series: Series, k: int) -> dict[str, Any]:
+    points = v.array(series, f"mesh{k}_points", None, 3)
+    faces = v.array(series, f"mesh{k}_faces", None, 3)
+    if points is None or faces is None:
+        return {}
+    return {"points": _packed(points.astype("<f4")), "faces": _packed(faces.astype("<u4"))}
+
+
+def _packed(values: npt.NDArray[Any]) -> dict[str, str]:
+    """An array as the script reads it: its kind (``f4``, ``f8``, ``u2``, ``u4``) and its bytes."""
+    little = values.astype(values.dtype.newbyteorder("<"))
+    return {"kind": little.dtype.str[1:], "bytes": b64encode(little.tobytes()).decode()}

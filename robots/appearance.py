@@ -1,0 +1,190 @@
+"""How an arm looks to a viewer: the tree of its joints, and the shapes that they carry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from excitant.robots.geometry import missing_meshes, readable_solids, zero_pose
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+
+_ROD = 0.02  # of the arm's extent: radius of what stands for a link without shapes
+_LISTED = 3  # links by name
+_INSTEAD = {
+    "visual": "drawn by visual shapes, which are not checked",
+    "rod": "without shapes, drawn as rods from joint to joint",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """A shape of coal that a joint carries, by its index; 0 for the base."""
+
+    joint: int
+    place: pin.SE3  # in the frame of the joint
+    shape: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """The shapes by which an arm is drawn.
+
+    A link has its collision shapes, meshes as the convex hulls that clearance is computed with; or
+    else its visual shapes; or else rods from its joint to the next ones.
+    """
+
+    robot: Robot
+
+    @cached_property
+    def _shown(self) -> dict[str, list[_Piece]]:
+        """Pieces by what they are: ``collision``, ``visual``, ``rod``."""
+        shown: dict[str, list[_Piece]] = {}
+        bare = set(range(self.robot.nv + 1))
+        for kind in ("collision", "visual"):
+            shown[kind] = [
+                _Piece(body.parentJoint, body.placement, body.geometry)
+                for body in (readable_solids(self.robot, kind) if bare else ())
+                if body.parentJoint in bare
+            ]
+            bare -= {piece.joint for piece in shown[kind]}
+        shown["rod"] = [rod for joint in sorted(bare) for rod in self._rods(joint)]
+        return shown
+
+    def _rods(self, joint: int) -> Iterator[_Piece]:
+        """What stands for a link: its joint, and rods to the joints, or the tool, that it carries.
+
+        A joint that turns is a bar along its axis, one that slides a block on a rail.
+        """
+        robot, radius = self.robot, _ROD * self._extent
+        model, tool = robot.model, robot.model.frames[robot.tip]
+        places = list(model.jointPlacements)
+        if joint and robot.revolute[joint - 1]:
+            yield _Piece(joint, self._along(joint), coal.Cylinder(1.6 * radius, 5 * radius))
+        elif joint:
+            yield _Piece(joint, self._along(joint), coal.Box(*np.full(3, 3.2 * radius)))
+            low, high = robot.limits.position[joint - 1]
+            if np.isfinite(high - low):
+                rail = places[joint] * self._along(joint, (low + high) / 2)
+                shape = coal.Cylinder(radius / 2, float(high - low))
+                yield _Piece(model.parents[joint], rail, shape)
+        ends = [places[k] for k in range(1, robot.nv + 1) if model.parents[k] == joint]
+        ends += [tool.placement] * (tool.parentJoint == joint)
+        for end in (np.array(place.translation) for place in ends):
+            if (length := float(np.linalg.norm(end))) > radius:
+                yield _Piece(joint, pin.SE3(_turned(end), end / 2), coal.Cylinder(radius, length))
+
+    def _along(self, joint: int, shift: float = 0.0) -> pin.SE3:
+        """A frame whose z is the joint's axis, shifted along it, in the frame of the joint."""
+        axis = self._axes[joint - 1]
+        return pin.SE3(_turned(axis), shift * axis)
+
+    @cached_property
+    def _axes(self) -> Array:
+        """Axis of each joint in its own frame, shape (nv, 3)."""
+        data = self.robot.model.createData()
+        axes = self.robot.axes(zero_pose(self.robot), data)
+        turns = [np.asarray(place.rotation) for place in list(data.oMi)[1:]]
+        own: Array = np.einsum("jki,jk->ji", turns, axes)
+        return own
+
+    @cached_property
+    def _extent(self) -> float:
+        """Length of the arm along its joints [m]; 1 of an arm without any."""
+        model = self.robot.model
+        places = [*list(model.jointPlacements), model.frames[self.robot.tip].placement]
+        return float(sum(np.linalg.norm(place.translation) for place in places)) or 1.0
+
+    @property
+    def notes(self) -> list[str]:
+        """What is not drawn by collision shapes, and which meshes are missing; a sentence each."""
+        said = []
+        for kind, how in _INSTEAD.items():
+            links = [self._link(j) for j in sorted({piece.joint for piece in self._shown[kind]})]
+            more = f" and {len(links) - _LISTED} more" if len(links) > _LISTED else ""
+            said += [f"{how}: {', '.join(links[:_LISTED])}{more}"] * bool(links)
+        kinds = ("collision", "visual") if said else ("collision",)
+        lost = {kind: missing_meshes(self.robot, kind) for kind in kinds}
+        said += [f"{count} {kind} meshes were not found" for kind, count in lost.items() if count]
+        return said
+
+    def _link(self, joint: int) -> str:
+        return self.robot.links[joint - 1] if joint else "base"
+
+    @property
+    def _pieces(self) -> list[_Piece]:
+        return [piece for pieces in self._shown.values() for piece in pieces]
+
+    def entries(self) -> dict[str, Any]:
+        """For ``result.json``.
+
+        Returns:
+            ``joints``, of each its ``parent`` (0 for the base), its ``place`` there at zero, its
+            ``axis`` and whether it ``slides``; ``tool``, its ``joint`` and ``place``; ``shapes``,
+            of each its ``joint``, ``place``, ``kind`` and ``size`` [m]; ``notes``. A place is
+            x, y, z [m] and the quaternion x, y, z, w.
+        """
+        robot, frame = self.robot, self.robot.model.frames[self.robot.tip]
+        joints = [
+            {"parent": int(parent), "place": _place(place), "axis": axis, "slides": not turns}
+            for parent, place, axis, turns in zip(
+                list(robot.model.parents)[1:],
+                list(robot.model.jointPlacements)[1:],
+                self._axes.tolist(),
+                robot.revolute.tolist(),
+                strict=True,
+            )
+        ]
+        shapes = [
+            {"joint": piece.joint, "place": _place(piece.place), **_measures(piece.shape)}
+            for piece in self._pieces
+        ]
+        tool = {"joint": int(frame.parentJoint), "place": _place(frame.placement)}
+        return {"joints": joints, "tool": tool, "shapes": shapes, "notes": self.notes}
+
+    def meshes(self) -> dict[str, Array]:
+        """Of shape k that is a mesh ``mesh<k>_points`` (n, 3) [m] and ``mesh<k>_faces`` (m, 3)."""
+        found = {}
+        for k, piece in enumerate(self._pieces):
+            if _measures(piece.shape)["kind"] == "mesh":
+                found[f"mesh{k}_points"], found[f"mesh{k}_faces"] = _triangles(piece.shape)
+        return found
+
+
+def _turned(axis: Array) -> Array:
+    """A rotation that turns z into a direction, shape (3, 3)."""
+    return np.asarray(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix())
+
+
+def _place(place: pin.SE3) -> list[float]:
+    return [float(x) for x in pin.SE3ToXYZQUAT(place)]
+
+
+def _measures(shape: Any) -> dict[str, Any]:
+    """Kind of a shape, and its size: edges; radius; or radius and length along z [m]."""
+    match shape:
+        case coal.Box():
+            return {"kind": "box", "size": (2 * np.array(shape.halfSide)).tolist()}
+        case coal.Sphere():
+            return {"kind": "sphere", "size": [float(shape.radius)]}
+        case coal.Cylinder() | coal.Capsule():
+            kind = type(shape).__name__.lower()
+            return {"kind": kind, "size": [float(shape.radius), 2 * float(shape.halfLength)]}
+    return {"kind": "mesh", "size": []}
+
+
+def _triangles(shape: Any) -> tuple[Array, Array]:
+    """Points and faces of a convex hull, or of a flat mesh, which has none."""
+    if isinstance(shape, coal.BVHModelBase):
+        faces = [shape.tri_indices(k) for k in range(shape.num_tris)]
+        points = shape.vertices()
+    else:
+        faces = [shape.polygons(k) for k in range(shape.num_polygons)]
+        points = shape.points()
+    return np.array(points, float), np.array([[face[k] for k in range(3)] for face in faces], float)
