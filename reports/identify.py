@@ -199,7 +199,7 @@ def _in_mujoco(result: Result, series: Series, unit: str) -> p.Blocks:
             (f"number:Model as given, rms [{unit}]", "given.rms"),
             (f"number:Identified, rms [{unit}]", "identified.rms"),
             ("number:nrmse", "identified.nrmse", v.percent),
-            ("number:Differs from excitant by", "differs", v.percent),
+            ("number:Differs from excitant by", "differs", lambda x: v.percent(round(x, 5))),
         ],
         f"Prediction error of the MJCF files in MuJoCo {v.text(found, 'version')}; last, how far "
         "MuJoCo is from excitant's own prediction (rms over the measured torque's standard "
