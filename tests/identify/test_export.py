@@ -176,7 +176,7 @@ def in_mujoco(
 
 
 def test_mjcf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
-    """Its dry friction is soft: full once the velocity outweighs the acceleration of some 10 ms."""
+    """Its dry friction is soft: full once the velocity outweighs the acceleration of 2 ms."""
     model, motion, files = written
     text, limits = files["arm.xml"], model.limits
     dq = np.copysign(np.maximum(np.abs(motion.dq), 0.5), motion.dq)
