@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from excitant.exceptions import BadInput
@@ -26,7 +26,10 @@ def mujoco_torque(robot: Robot, segments: Sequence[Segment], gains: Array | None
 
     Raises:
         BadInput: MuJoCo refuses the model, say for an impossible inertia.
+        ModuleNotFoundError: MuJoCo is not installed (extra ``mjcf``).
     """
+    import mujoco
+
     text = model_files(robot, "arm", "arm.yaml", ["mjcf"], gains)["arm.xml"]
     try:
         model = mujoco.MjModel.from_xml_string(text)
@@ -73,7 +76,7 @@ class SideBySide:
         if self.given is not None:
             given = rows.accuracy(self.given)
         return {
-            "version": mujoco.__version__,
+            "version": version("mujoco-core"),
             "joints": [
                 {
                     "name": joint,

@@ -206,12 +206,5 @@ def test_site_and_start_page_lead_to_every_page() -> None:
     assert [p for p in pages if f"({p})" not in start] == []
 
 
-def test_readme_fits_on_a_screen_and_its_links_lead_to_files() -> None:
-    text = README.read_text("utf-8")
-    assert len(text.splitlines()) <= 65
-    targets = re.findall(
-        r"\]\(https://github.com/excitant/excitant/(?:blob|raw)/HEAD/([^)]+)\)", text
-    )
-    assert {"docs/index.md", "docs/tutorial.md", "docs/page.png"} <= set(targets)
-    assert [target for target in targets if not (ROOT / target).is_file()] == []
-    assert len(re.findall(r"\]\(", text)) == len(targets)
+def test_readme_fits_on_a_screen() -> None:
+    assert len(README.read_text("utf-8").splitlines()) <= 65

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -115,7 +116,7 @@ def identify(
     from excitant.identify.rows import fitted
 
     if mujoco:
-        from excitant.identify.mujoco import side_by_side
+        import_module("mujoco")  # refused before the work, not after it
     chosen = effects == ["auto"]
     whole: dict[str, Any] = {"estimator": estimator, "knowledge": knowledge}
     whole |= {"trajectory": trajectory, "length-std": length_std}
@@ -170,6 +171,8 @@ def identify(
     result |= said
     series = estimate.series() | found.series()
     if mujoco:
+        from excitant.identify.mujoco import side_by_side
+
         beside = side_by_side(estimate)
         result["mujoco"] = beside.result()
         series |= beside.series()

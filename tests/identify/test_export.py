@@ -406,7 +406,6 @@ def test_command_draws_both_models_in_mujoco(
     assert "identified model in MuJoCo" in page
     assert "identified_ros2_control.yaml" in page
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    monkeypatch.delitem(sys.modules, "excitant.identify.mujoco")
     ran = excitant(*words[:-1], tmp_path / "none")
     assert (ran.status, ran.out) == (1, "")
     assert ran.err == "excitant: this needs mujoco: pip install 'excitant[mjcf]'\n"
