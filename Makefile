@@ -46,8 +46,9 @@ $(INSTALLED): requirements.lock pyproject.toml
 	@test -e $@ || { echo "Creating $(VENV) with $$($(PYTHON) --version)"; \
 	  $(PYTHON) -m venv --clear $(VENV); }
 	@rm -f $@
-	@echo "Installing what excitant needs to run, pinned in requirements.lock (about 1.0 GB)"
+	@echo "Installing what excitant needs to run, pinned in requirements.lock (about 0.8 GB)"
 	@$(PIP) install --requirement requirements.lock
+	@rm -rf $(VENV)/lib/python*/site-packages/cmeel.prefix/include # 0.2 GB of headers for C++
 	@echo "Installing excitant from this folder"
 	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@touch $@

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,8 +28,8 @@ _MESSAGE = "trajectory_msgs/msg/JointTrajectory"
 _FIELDS = ("positions", "velocities", "accelerations")
 _SERVOJ = "lookahead_time=0.1, gain=300"
 _FIRST = "a=0.3, v=0.2"  # rad/s² and rad/s of the move to the first pose
+_SETTLE = 0.48  # s at the last pose, which servoj reaches later than it is told; whole steps
 _LARGEST = 1e9  # rad, rad/s, rad/s²: a sample beyond it is damaged
-_UNEVEN = 1e-6  # relative difference of sampling intervals that counts as one rate
 
 
 def motion_csv(motion: Motion) -> str:
@@ -178,24 +179,51 @@ def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
 
 
 def write_formats(
-    motion: Motion, robot: Robot, names: Sequence[str], stem: str = "trajectory"
+    motions: Mapping[str, Motion], robot: Robot, names: Sequence[str]
 ) -> dict[str, bytes | str]:
-    """Files in formats among ``ros2`` (YAML), ``mcap``, ``urscript``, ``npz``, by their names.
+    """Files of motions, in the order in which they run, in some of the `FORMATS`, by their names.
+
+    ``ros2_client`` is one program of all motions, the others are a file of each.
 
     Raises:
         UnknownName: A format that does not exist; suggests the nearest.
         BadInput: Another number of joints, or a motion that a format cannot hold.
     """
+    UnknownName.refuse("format", names, FORMATS)
+    for motion in motions.values():
+        _require(motion, robot)
+    found: dict[str, bytes | str] = {}
     for name in names:
-        if name not in FORMATS:
-            raise UnknownName("format", name, FORMATS)
+        suffix, write = FORMATS[name]
+        if write is None:
+            found[suffix] = ros2_client(motions, robot)
+        else:
+            found |= {stem + suffix: write(motion, robot) for stem, motion in motions.items()}
+    return found
+
+
+def _require(motion: Motion, robot: Robot) -> None:
     if motion.nv != robot.nv:
         raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
     if not all(np.isfinite(x).all() for x in (motion.t, motion.q, motion.dq, motion.ddq)):
         raise BadInput("motion holds a value that is not finite")
     if len(motion) < 2 or np.any(np.diff(motion.t) <= 0):
         raise BadInput("motion needs at least two samples, at times that increase")
-    return {stem + FORMATS[name][0]: FORMATS[name][1](motion, robot) for name in names}
+
+
+def ros2_client(motions: Mapping[str, Motion], robot: Robot) -> str:
+    """A Python program that sends motions to a ``joint_trajectory_controller``, exact.
+
+    It needs ROS 2 and nothing of excitant; see its own first lines.
+    """
+    text = files("excitant.design").joinpath("ros2_client.py").read_text(encoding="utf-8")
+    rows = ["MOTIONS = {"]
+    for name, motion in motions.items():
+        table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq]).tolist()
+        rows += [f"    {name!r}: [", *(f"        {row}," for row in table), "    ],"]
+    held = {"JOINTS": f"JOINTS = {list(robot.joints)}", "MOTIONS": "\n".join([*rows, "}"])}
+    lines = (held.get(line.partition(":")[0], line) for line in text.splitlines())
+    return "\n".join(lines) + "\n"
 
 
 def joint_trajectory_yaml(motion: Motion, robot: Robot) -> str:
@@ -240,24 +268,40 @@ def mcap_bag(motion: Motion, robot: Robot) -> bytes:
 
 
 def urscript(motion: Motion, robot: Robot) -> str:
-    """A URScript program that servoes through the positions, after a slow ``movej`` to the first.
+    """A URScript program that servoes along a motion, after a slow ``movej`` to its first pose.
 
-    For six turning joints and equidistant samples; positions only, with 12 digits.
+    Its line ``scale`` is the share of the speed, a fifth. In every step of the controller, 8 ms or
+    2 ms, it commands the place between two poses that the time has come to; positions only, with
+    12 digits, of six turning joints.
     """
     if robot.nv != 6 or not robot.revolute.all():
         raise BadInput(
             f"URScript moves arms with six turning joints, {robot.name} has {robot.nv} joints"
         )
-    intervals = np.diff(motion.t)
-    dt = float((motion.t[-1] - motion.t[0]) / len(intervals))
-    if np.abs(intervals / dt - 1).max() > _UNEVEN:
-        raise BadInput("URScript needs equidistant samples; resample the motion at one rate")
+    joints = ", ".join(robot.joints).encode("ascii", "replace").decode()
     poses = [f"[{', '.join(f'{x:.12f}' for x in row)}]" for row in motion.q]
+    times = [f"{t:.9f}" for t in motion.t - motion.t[0]]
+    between = ", ".join(f"last[{j}] + share * (target[{j}] - last[{j}])" for j in range(6))
     lines = [
         "def excitant_motion():",
-        f"  # {len(poses)} poses of {', '.join(robot.joints)} [rad], every {dt:.9g} s",
-        f"  movej({poses[0]}, {_FIRST})",
-        *(f"  servoj({pose}, t={dt:.12g}, {_SERVOJ})" for pose in poses),
+        f"  # {len(poses)} poses of {joints} [rad] in {times[-1]} s",
+        f"  global scale = {FIRST_SPEED} # share of the speed; if that went well, up to 1.0",
+        "  global tick = get_steptime() # s",
+        f"  global last = {poses[0]}",
+        "  global since = 0.0 # s, when it was passed",
+        "  global now = 0.0 # s at full speed",
+        "  def follow(target, until):",
+        "    while now < until:",
+        "      local share = (now - since) / (until - since)",
+        f"      servoj([{between}], t=tick, {_SERVOJ})",
+        "      now = now + scale * tick",
+        "    end",
+        "    since = until",
+        "    last = target",
+        "  end",
+        f"  movej(last, {_FIRST})",
+        *(f"  follow({pose}, {t})" for pose, t in zip(poses[1:], times[1:], strict=True)),
+        f"  servoj(last, t={_SETTLE}, {_SERVOJ})",
         "  stopj(2.0)",
         "end",
         "excitant_motion()",
@@ -288,9 +332,14 @@ def _yaml_number(value: float) -> str:
     return text if "." in text else text.replace("e", ".0e")
 
 
-FORMATS: dict[str, tuple[str, Callable[[Motion, Robot], bytes | str]]] = {
+FORMATS: dict[str, tuple[str, Callable[[Motion, Robot], bytes | str] | None]] = {
     "ros2": (".yaml", joint_trajectory_yaml),
     "mcap": (".mcap", mcap_bag),
     "urscript": (".script", urscript),
     "npz": (".npz", npz),
+    "ros2_client": ("ros2_client.py", None),
 }
+PROGRAMS = ("ros2_client", "urscript")
+"""Formats that move the arm, at `FIRST_SPEED` unless told otherwise."""
+FIRST_SPEED = 0.2
+"""Share of the speed of a first run."""

@@ -31,9 +31,15 @@ from excitant.robots.urdf_writer import current_urdf
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
 
-FORMATS = ("urdf", "mjcf", "sdf")
+USUAL = ("urdf", "mjcf", "sdf")
+FORMATS = (*USUAL, "ros2_control")
 _COMMON_GRAVITY = (0.0, 0.0, -9.81)
 _THIN = 1e-3  # m: shorter distances between joints are not drawn
+_ROS2_REMARKS = (
+    "gains: read by joint_trajectory_controller with an effort interface, [N·m·s/rad]",
+    "friction [N·m·s/rad, N·m, N·m, kg·m²], links [kg, m in the frame of the joint], gravity:",
+    "names of excitant's own, for controllers that declare them",
+)
 _CHANCE = 0.01  # that a model as good as the given one is taken for a worse one
 
 
@@ -41,14 +47,15 @@ def model_files(
     model: Robot,
     stem: str,
     yaml_name: str,
-    formats: Sequence[str] = FORMATS,
+    formats: Sequence[str] = USUAL,
     gains: Array | None = None,
 ) -> dict[str, str]:
     """A robot as files; URDF and YAML always, and its base parameters with covariance where known.
 
     The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
-    same torque and the same estimate. The others are ``.xml`` (MJCF) and ``.sdf``. Gains, shape
-    (nv,) [N·m/A], are given where torque was measured as current.
+    same torque and the same estimate. The others are ``.xml`` (MJCF), ``.sdf``, and
+    ``_ros2_control.yaml`` with parameters of controllers. Gains, shape (nv,) [N·m/A], are given
+    where torque was measured as current.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -68,6 +75,8 @@ def model_files(
         files[f"{stem}.xml"] = _mjcf(arm, drives, yaml_name, gains)
     if "sdf" in formats:
         files[f"{stem}.sdf"] = _sdf(arm, drives, yaml_name)
+    if "ros2_control" in formats:
+        files[f"{stem}_ros2_control.yaml"] = _ros2_control(arm, drives, yaml_name)
     return files
 
 
@@ -135,6 +144,26 @@ def _yaml(arm: Robot, beside: Mapping[str, str], gains: Array | None) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
+def _ros2_control(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
+    """Parameters of ROS 2 for any node, which are doubles throughout, in SI units."""
+    friction = {
+        joint: {name: float(drives[name][j]) for name in ("viscous", "coulomb", "offset", "rotor")}
+        for j, joint in enumerate(arm.joints)
+    }
+    bodies = map(inertia, arm.phi.reshape(-1, 10))
+    links = {
+        link: {"mass": float(body.mass), "centre_of_mass": body.lever.tolist()}
+        for link, body in zip(arm.links, bodies, strict=True)
+    }
+    gains = {joint: {"ff_velocity_scale": max(x["viscous"], 0.0)} for joint, x in friction.items()}
+    parameters = {"gains": gains, "friction": friction, "links": links}
+    parameters |= {"gravity": arm.gravity.tolist()}
+    remarks = comment(arm, "ros2_control", complete).strip().splitlines()
+    head = "".join(f"# {line.strip()}\n" for line in [*remarks, *_ROS2_REMARKS])
+    content = {"/**": {"ros__parameters": parameters}}
+    return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+
+
 def _mjcf(arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array | None) -> str:
     """MJCF text; a control is a torque [N·m], or a current [A] where drive gains are given."""
     root = ET.Element("mujoco", model=arm.name)
@@ -163,6 +192,8 @@ def _mjcf(arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array |
         known = {"range": limits} if np.isfinite(limits).all() else {}
         names = {"damping": "viscous", "frictionloss": "coulomb", "armature": "rotor"}
         known |= {key: drives[own][j] for key, own in names.items() if drives[own][j] > 0}
+        if "frictionloss" in known:  # the default is so soft that a slow joint has half of it
+            known |= {"solreffriction": (0.004, 1.0), "solimpfriction": (0.999, 0.999)}
         _add(body, "joint", name=joint, type=kind, axis=_axis(arm, j), **known)
         _sites(body, arm, j + 1)
         # force = gear (control + bias), the bias against the offset that the model needs
@@ -308,7 +339,7 @@ class Publication:
 def publication(
     estimate: Estimate,
     *,
-    formats: Sequence[str] = FORMATS,
+    formats: Sequence[str] = USUAL,
     force: bool = False,
     faults: Sequence[str] = (),
 ) -> Publication:

@@ -29,6 +29,13 @@ _CURVES = Curves(
     "residual with structure shows something that the model lacks.",
     band="half_width",
 )
+_IN_MUJOCO = Curves(
+    "mujoco_given",
+    "mujoco_identified",
+    "identified model in MuJoCo",
+    "Measured torque and what the two models, written as MJCF, need for the same motion in MuJoCo "
+    "(inverse dynamics), through the same filter.",
+)
 
 
 def identify_section(result: Result, series: Series) -> p.Section:
@@ -49,6 +56,7 @@ def identify_section(result: Result, series: Series) -> p.Section:
                 over_holdout(unit),
                 [torque_figure(joints, series, unit, _CURVES), _intervals(result, unit)],
             ),
+            ("In MuJoCo", _in_mujoco(result, series, unit)),
             ("Notes on the fit", [None if few else p.notes(said)]),
             *_online(result, series),
             ("Base parameters", _base_parameters(result)),
@@ -178,6 +186,28 @@ def _intervals(result: Result, unit: str) -> p.Table | None:
         f"Interval for a new reading, from the uncertainty of the {by} and coloured noise; "
         "far less than 95\u00a0% of the hold-out inside means that the model lacks something.",
     )
+
+
+def _in_mujoco(result: Result, series: Series, unit: str) -> p.Blocks:
+    found = v.at(result, "mujoco")
+    if found is None:
+        return []
+    table = p.table(
+        v.records(found, "joints"),
+        [
+            ("name:Joint", "name"),
+            (f"number:Model as given, rms [{unit}]", "given.rms"),
+            (f"number:Identified, rms [{unit}]", "identified.rms"),
+            ("number:nrmse", "identified.nrmse", v.percent),
+            ("number:Differs from excitant by", "differs", lambda x: v.percent(round(x, 5))),
+        ],
+        f"Prediction error of the MJCF files in MuJoCo {v.text(found, 'version')}; last, how far "
+        "MuJoCo is from excitant's own prediction (rms over the measured torque's standard "
+        "deviation): where a joint turns back, dry friction takes 2 ms there, and what MJCF cannot "
+        "hold is missing.",
+    )
+    figure = torque_figure(v.joint_names(result), series, unit, _IN_MUJOCO)
+    return [table, figure, p.notes([v.sentence(n) for n in v.words(found, "notes")], p.FAIR)]
 
 
 def _base_parameters(result: Result) -> p.Blocks:

@@ -10,7 +10,10 @@ from excitant.reports import values as v
 from excitant.reports.values import NONE, Result
 
 GOOD, FAIR, POOR, PLAIN = "good", "fair", "poor", ""
-_FORMATS = {
+_FORMATS = {  # by the end of the name
+    "ros2_control.yaml": "parameters of controllers of ROS 2",
+    "ros2_client.py": "program for ROS 2, which runs the motions at a fifth of the speed",
+    "script": "URScript, at a fifth of the speed",
     "urdf": "URDF",
     "xml": "MuJoCo (MJCF)",
     "sdf": "SDFormat, for Gazebo",
@@ -290,8 +293,9 @@ def figure(
 
 def files(names: Sequence[str]) -> Notes | None:
     """The files that a run has written, and what reads them."""
-    said = ((name, _FORMATS.get(name.rpartition(".")[2])) for name in names)
-    return notes([f"{name}: {use}" if use else name for name, use in said], paths=True)
+    uses = [[use for end, use in _FORMATS.items() if name.endswith(end)] for name in names]
+    said = zip(names, uses, strict=True)
+    return notes([f"{name}: {use[0]}" if use else name for name, use in said], paths=True)
 
 
 def section(title: str, lead: str, parts: Parts, brief: Brief = ()) -> Section:

@@ -111,12 +111,27 @@ def test_a_first_run_beyond_a_limit_is_not_written_and_the_design_kept(
 ) -> None:
     """What holds the arm is no less at a lower speed; here, its limits are a hundredth."""
     monkeypatch.setattr("excitant.design.check", lambda arm, path: check(arm.using(0.01), path))
-    ran = excitant(f"design planar_2r {WORKING['design']} --speed 0.5 --json -o out")
+    ran = excitant(f"design planar_2r {WORKING['design']} --formats ros2_client,npz --json -o out")
     [note] = [n for n in ran.result["notes"] if "first_run.csv" in n]
-    assert note.endswith("so it is not written")
+    assert note.endswith("so it is not written nor are programs (ros2_client)")
     assert ran.status == 1
-    assert (here / "out" / "trajectory.csv").is_file()
-    assert not (here / "out" / "first_run.csv").exists()
+    assert (here / "out" / "trajectory.npz").is_file()
+    assert not {"first_run.csv", "ros2_client.py"} & {p.name for p in (here / "out").iterdir()}
+
+
+def test_a_program_comes_with_its_first_run_and_moves_there_and_back(
+    here: Path, excitant: Any
+) -> None:
+    options = f"{WORKING['design']} --formats ros2_client,npz --from 0.1,-0.2"
+    ran = excitant(f"design planar_2r {options} --json -o out")
+    assert (ran.status, ran.result["first_run"]["speed"]) == (0, 0.2)
+    names = {Path(file).name for file in ran.result["files"]}
+    motions = ("approach", "trajectory", "return")
+    tables = {f"{stem}.{x}" for stem in (*motions, "first_run") for x in ("csv", "npz")}
+    assert names == {*tables, "ros2_client.py", "trajectory.json"}
+    words = [sys.executable, here / "out" / "ros2_client.py"]
+    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert [line.partition(":")[0] for line in said.splitlines()[:3]] == [*motions]
 
 
 @pytest.mark.parametrize(
@@ -299,6 +314,7 @@ REFUSED = {
     f"{ONE} --estimator wsl": "did you mean 'wls'?",
     f"{ONE} --formats mjfc": "did you mean 'mjcf'?",
     "design planar_2r --formats rso2 --starts 1 --jobs 1 --harmonics 2": "did you mean 'ros2'?",
+    "design planar_2r --formats urscript": "six turning joints, planar_2r has 2",
     "analyze planar_2r --moving jiont1": "did you mean 'joint1'?",
     "analyze planar_2r --measured joitn2": "did you mean 'joint2'?",
     f"{ONE} --cutoff 60": "up to 40 Hz",

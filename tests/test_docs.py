@@ -34,7 +34,9 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 EFFECT_PAGE = "add-an-effect.md"  # followed in a test of its own
-OTHERS = {"--nthreads", "--seconds", "--tacho"}  # of programs that pages mention beside excitant
+# of programs that pages mention beside excitant
+OTHERS = {"--nthreads", "--seconds", "--tacho", "--storage", "--param-file"}
+OTHERS |= {"--go", "--scale", "--tolerance", "--controller", "--states", "--motions"}  # ros2_client
 
 BLOCK = re.compile(r"^```(\w+)(?: title=\"(.*?)\")?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^\$ excitant ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", re.MULTILINE)
@@ -197,8 +199,12 @@ def test_options_that_pages_mention_exist(page: str) -> None:
     assert not named - known, f"{page} names options that excitant does not have"
 
 
-def test_site_and_readme_lead_to_every_page() -> None:
-    nav, text = (ROOT / "mkdocs.yml").read_text("utf-8"), README.read_text("utf-8")
-    assert [p for p in PAGES if p not in nav] == []
-    how_to = [p for p in PAGES if p.startswith("how-to/") or p == "tutorial.md"]
-    assert [p for p in how_to if p not in text] == []
+def test_site_and_start_page_lead_to_every_page() -> None:
+    nav, start = ((ROOT / p).read_text("utf-8") for p in ("mkdocs.yml", "docs/index.md"))
+    pages = [p for p in PAGES if p != "index.md"]
+    assert [p for p in pages if p not in nav] == []
+    assert [p for p in pages if f"({p})" not in start] == []
+
+
+def test_readme_fits_on_a_screen() -> None:
+    assert len(README.read_text("utf-8").splitlines()) <= 65

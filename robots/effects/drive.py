@@ -50,7 +50,7 @@ class TorqueOffset(StandardEffect):
     needs_motion = False
     abscissa = "time"
     joint_property = "offset"
-    formats = ("mjcf",)
+    formats = ("mjcf", "ros2_control")
     format_notes: ClassVar[Mapping[str, str]] = {
         "mjcf": "torque offsets are the bias of the actuators: they act on controls, and are not "
         "part of what mj_inverse returns"
@@ -76,7 +76,7 @@ class RotorInertia(StandardEffect):
     terms = (Parameter("Ia", "kg·m²", 0.0),)
     abscissa = "acceleration"
     joint_property = "rotor"
-    formats = ("mjcf", "sdf")
+    formats = ("mjcf", "sdf", "ros2_control")
     format_notes: ClassVar[Mapping[str, str]] = {
         "sdf": "rotor inertia is written as drake:rotor_inertia, which Drake reads and Gazebo "
         "passes over"

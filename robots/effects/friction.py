@@ -44,7 +44,7 @@ class ViscousFriction(_Friction, StandardEffect):
     name = "viscous_friction"
     terms = (Parameter("Fv", "N·m·s/rad", 0.0),)
     joint_property = "viscous"
-    formats = ("urdf", "mjcf", "sdf")
+    formats = ("urdf", "mjcf", "sdf", "ros2_control")
     told = (
         (by.LADDER, "coulomb_friction stribeck_friction"),
         (by.LADDER, "nonlinear_viscous_friction asymmetric_friction"),
@@ -66,10 +66,10 @@ class CoulombFriction(_Friction, StandardEffect):
     name = "coulomb_friction"
     terms = (Parameter("Fc", "N·m", 0.0),)
     joint_property = "coulomb"
-    formats = ("urdf", "mjcf", "sdf")
+    formats = ("urdf", "mjcf", "sdf", "ros2_control")
     format_notes: ClassVar[Mapping[str, str]] = {
-        "mjcf": "frictionloss is a soft constraint: it has its full value, against the motion, "
-        "once a joint slides, and turns with the velocity within some milliseconds"
+        "mjcf": "frictionloss is a constraint, as stiff as a step of 2 ms allows: it has its full "
+        "value, against the motion, once a joint slides, and turns with the velocity within 2 ms"
     }
     told = (
         (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),

@@ -210,7 +210,7 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
         "design ur10 --duration 10 --harmonics 5 --time-limit 30",
         "design my_arm.urdf --limits limits.yaml --criterion a -o runs/motion",
         "design panda --after run1.parquet --formats ros2,npz",
-        "design ur10 --from 0,-1.57,1.57,0,0,0 --repeat 5",
+        "design ur10 --from 0,-1.57,1.57,0,0,0 --repeat 5 --formats ros2_client,urscript",
     ),
     motions.check: (
         "check ur10 trajectory.csv",
@@ -226,7 +226,7 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
     ),
     recordings.identify: (
         "identify ur10 run1.parquet --validate run2.parquet",
-        "identify my_folder --effects auto -o runs/model",
+        "identify my_folder --effects auto --mujoco -o runs/model",
         "identify ur10 run1.parquet --payload --unloaded empty.parquet",
         "identify ur10 run1.parquet --online --forgetting 5",
     ),

@@ -111,14 +111,18 @@ def design(
         link_by_link: One motion per link, from the last inward, each of this duration.
         bound: Also a numerical lower bound on the condition number of any such motion.
         start: Present pose, Q1,Q2,...: writes approach.csv and return.csv too.
-        formats: Further files: ros2 (YAML), mcap, urscript, npz.
+        formats: Further files: ros2 (YAML), mcap, npz, and the programs urscript and ros2_client,
+            which run at a fifth of the speed until told otherwise.
         rate: Rate of trajectory.csv [Hz].
         repeat: Periods in trajectory.csv, for averaging.
-        speed: Also first_run.csv, the same path at this share of the speed (of 1), checked itself.
+        speed: Also first_run.csv, the same path at this share of the speed (of 1), checked itself;
+            default: 0.2 with a program among the formats, else none.
     """
     import numpy as np
 
     import excitant.design as designs
+    from excitant.design.export import FIRST_SPEED, PROGRAMS
+    from excitant.robots import Motion
     from excitant.robots.limits import require_limits
 
     arm = surroundings.robot(part, robot)
@@ -128,6 +132,11 @@ def design(
         raise BadInput(f"--rate {rate:g} Hz: give a control rate from 1 to 10000 Hz")
     if repeat < 1:
         raise BadInput(f"--repeat {repeat}: give the number of periods, at least 1")
+    names, still = formats or [], np.zeros((2, arm.nv))
+    designs.write_formats({"": Motion(np.arange(2.0), *3 * [still])}, arm, names)  # may refuse
+    programs = [name for name in names if name in PROGRAMS]
+    if programs and speed is None:
+        speed = FIRST_SPEED
     if speed is not None and not 0 < speed <= 1:
         raise BadInput(f"--speed {speed:g}: give the share of the speed, above 0 and up to 1")
     if bound and search.criterion != "condition":
@@ -169,11 +178,25 @@ def design(
         "trajectory.csv": designs.trajectory_csv(trajectory, rate, repeat),
         "trajectory.json": designs.trajectory_json(trajectory, arm),
     }
-    written = {"trajectory": trajectory.motion(rate, repeat)}
+    way = {"trajectory": trajectory.motion(rate, repeat)}  # in the order in which it runs
     result, missing = found.result() | {"periods": repeat}, False
     if bound and not found.interrupted:
         result["condition_number"]["lower_bound"], note = _bound(found, search.seed)
         result["notes"].append(note)
+    if start is not None:
+        there, here = trajectory(0.0)[0], np.array(start)
+        near: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
+        held = arm.using(search.use)
+        try:
+            first, last = (
+                designs.approach(held, *ends, name=name, **near)
+                for name, ends in (("approach", (here, there)), ("return", (there, here)))
+            )
+            way = {"approach": first, **way, "return": last}
+            files |= {f"{k}.csv": designs.motion_csv(way[k]) for k in ("approach", "return")}
+        except Infeasible as error:  # the design stands without them
+            result["notes"].append(str(error))
+            missing = True
     if speed is not None:
         slow = trajectory.slowed(speed)
         used = designs.check(arm, slow).worst
@@ -182,28 +205,17 @@ def design(
             f"the same path in {slow.period:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
             f"limit ({used.quantity} of {used.joint})"
         )
-        if missing := used.ratio > 1:  # what holds the arm is not less at a lower speed
-            said += ", so it is not written"
+        if used.ratio > 1:  # what holds the arm is not less at a lower speed
+            missing, names = True, [name for name in names if name not in programs]
+            left = f" nor are programs ({', '.join(programs)})" if programs else ""
+            said += f", so it is not written{left}"
         else:
-            written["first_run"] = slow.motion(rate)
-            files["first_run.csv"] = designs.motion_csv(written["first_run"])
+            first_run = slow.motion(rate)
+            files["first_run.csv"] = designs.motion_csv(first_run)
+            data = [name for name in names if name not in programs]
+            files |= designs.write_formats({"first_run": first_run}, arm, data)
         result["notes"].append(f"first_run.csv: {said}")
-    if start is not None:
-        there, here = trajectory(0.0)[0], np.array(start)
-        near: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
-        held = arm.using(search.use)
-        try:
-            ways = {
-                name: designs.approach(held, *ends, name=name, **near)
-                for name, ends in (("approach", (here, there)), ("return", (there, here)))
-            }
-            files |= {f"{name}.csv": designs.motion_csv(motion) for name, motion in ways.items()}
-            written |= ways
-        except Infeasible as error:  # the design stands without them
-            result["notes"].append(str(error))
-            missing = True
-    for stem, motion in written.items():
-        files |= designs.write_formats(motion, arm, formats or [], stem)
+    files |= designs.write_formats(way, arm, names)
     run.finish(result, found.series(), files)
     return 130 if found.interrupted else int(missing)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -75,6 +76,7 @@ def identify(
     knowledge: str | None = None,
     length_std: Numbers = None,
     formats: Names = None,
+    mujoco: bool = False,
     force: bool = False,
     online: bool = False,
     link_by_link: bool = False,
@@ -98,7 +100,10 @@ def identify(
         length_std: Lengths that are assumed, not measured: standard deviation [m] of where joints
             sit in their links, one for all or one per joint S1,S2,...; default: that of robot.yaml,
             else 0. It widens what is said of parameters and torque.
-        formats: Files of the model beside URDF and model.yaml; default: mjcf,sdf.
+        formats: Files of the model beside URDF and model.yaml: mjcf, sdf, ros2_control (parameters
+            of controllers); default: mjcf,sdf.
+        mujoco: Also the torque that the given and the identified model need in MuJoCo, as MJCF,
+            for the motion of the hold-out.
         force: Publish the model even if the given one, or none, predicts the hold-out better.
         online: Sample by sample, as in a control loop: estimates over time.
         link_by_link: From the last link inward, each from its own joint's torque.
@@ -106,10 +111,12 @@ def identify(
     """
     import excitant.identify as identification
     from excitant.identify.estimators import ESTIMATORS
-    from excitant.identify.export import FORMATS
+    from excitant.identify.export import FORMATS, USUAL
     from excitant.identify.faults import proven
     from excitant.identify.rows import fitted
 
+    if mujoco:
+        import_module("mujoco")  # refused before the work, not after it
     chosen = effects == ["auto"]
     whole: dict[str, Any] = {"estimator": estimator, "knowledge": knowledge}
     whole |= {"trajectory": trajectory, "length-std": length_std}
@@ -162,12 +169,19 @@ def identify(
             "by link, or in a payload"
         )
     result |= said
+    series = estimate.series() | found.series()
+    if mujoco:
+        from excitant.identify.mujoco import side_by_side
+
+        beside = side_by_side(estimate)
+        result["mujoco"] = beside.result()
+        series |= beside.series()
     published = identification.publication(
-        estimate, formats=formats or FORMATS, force=force, faults=proven(said["faults"])
+        estimate, formats=formats or USUAL, force=force, faults=proven(said["faults"])
     )
     result["published"] = published.published
     result["notes"] += notes + ([published.note] if published.note else [])
-    run.finish(result, estimate.series() | found.series(), published.files, first=published.note)
+    run.finish(result, series, published.files, first=published.note)
     return 0 if published.published else 1
 
 

@@ -1,17 +1,32 @@
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
-import re
+import py_compile
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+import ros2
 import yaml
 from rosbags.highlevel import AnyReader
+from urscript import Controller
 
-from excitant.design import load_trajectory, trajectory_csv, trajectory_json, write_formats
+from excitant.design import (
+    HermiteTrajectory,
+    approach,
+    load_trajectory,
+    random_trajectory,
+    trajectory_csv,
+    trajectory_json,
+    write_formats,
+)
 from excitant.design.export import FORMATS, TOPIC
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, ExcitantError
@@ -124,7 +139,7 @@ def motion() -> Motion:
 
 def test_files_are_read_back_equal_by_others(ur10: Robot, motion: Motion, tmp_path: Path) -> None:
     """YAML is the message that ROS expects; the bag is as rosbags reads every ROS 2 log."""
-    files = write_formats(motion, ur10, FORMATS, "approach")
+    files = write_formats({"approach": motion}, ur10, list(FORMATS))
     text, bag, _, archive = (files[f"approach.{s}"] for s in ("yaml", "mcap", "script", "npz"))
     content = yaml.load(text, Loader=yaml.CSafeLoader)
     times = [point["time_from_start"] for point in content["points"]]
@@ -156,20 +171,140 @@ def test_files_are_read_back_equal_by_others(ur10: Robot, motion: Motion, tmp_pa
         assert_same(Motion(*(read[name] for name in ("t", "q", "dq", "ddq"))), motion)
 
 
-def test_urscript_goes_to_the_first_pose_and_is_read_back_equal(ur10: Robot) -> None:
-    motion = sampled(6, 125.0)
-    [text] = write_formats(motion, ur10, ["urscript"]).values()
-    servo = re.findall(r"servoj\(\[(.*)\], t=([0-9.e+-]+),", text)
-    q = np.array([pose.split(",") for pose, _ in servo], float)
-    np.testing.assert_allclose(q, motion.q, rtol=0, atol=5.1e-13)
-    np.testing.assert_allclose([float(step) for _, step in servo], 1 / 125, atol=1e-11)
-    [first] = re.findall(r"movej\(\[(.*)\],", text)
-    np.testing.assert_array_equal(np.array(first.split(","), float), q[0])
-    lines = [line.strip() for line in text.splitlines() if "#" not in line]
-    verbs = [line.split("(")[0] for line in lines]
-    pattern = ["def excitant_motion", "movej", *["servoj"] * len(q), "stopj", "end"]
-    assert verbs == [*pattern, "excitant_motion"]
-    assert all(line.endswith("lookahead_time=0.1, gain=300)") for line in lines[2:-3])
+@pytest.mark.parametrize("steptime", [1 / 125, 1 / 500])
+@pytest.mark.parametrize("scale", [0.2, 1.0])
+def test_urscript_commands_the_motion_in_every_step_of_the_controller(
+    ur10: Robot, steptime: float, scale: float
+) -> None:
+    """Slowly unless told otherwise; between poses by a line, whatever the rates are."""
+    series = FourierSeries(3.0, 3)
+    path = series.trajectory(0.5 * np.random.default_rng(0).normal(size=(series.size, 6)))
+    [text] = write_formats({"trajectory": path.motion(100.0)}, ur10, ["urscript"]).values()
+    assert isinstance(text, str)
+    assert text.count("scale = 0.2 ") == 1
+    ran = Controller(text.replace("scale = 0.2 ", f"scale = {scale} "), steptime)
+    t, q = ran.commanded
+    [(first, how)] = ran.moved
+    np.testing.assert_allclose(first, path(0.0)[0], rtol=0, atol=1e-11)
+    assert how["v"] <= 0.2
+    assert ran.stopped
+    moving = t < 3.0 / scale - 1e-9
+    sagitta = np.abs(path(np.linspace(0, 3, 1000), 2)).max() / 100.0**2 / 8
+    expected = path(np.minimum(scale * t, 3.0))
+    assert np.abs(q - expected)[moving].max() <= sagitta + 1e-9
+    np.testing.assert_allclose(q[~moving], expected[~moving], rtol=0, atol=1e-9)
+    assert ran.time == pytest.approx(3.0 / scale + 0.48, abs=2 * steptime)
+    speed = np.abs(np.diff(q[moving], axis=0)).max() / steptime
+    assert speed <= scale * np.abs(path(np.linspace(0, 3, 1000), 1)).max() * 1.01
+
+
+@pytest.fixture(scope="module")
+def way(planar: Robot) -> dict[str, Motion]:
+    """There, an excitation, and back."""
+    path = random_trajectory(planar, np.random.default_rng(2), 4.0, 3)
+    there, here = path(0.0)[0], np.array([0.1, -0.2])
+    ways = (("approach", (here, there)), ("return", (there, here)))
+    go, back = (approach(planar, *ends, name=name, rate_hz=100.0) for name, ends in ways)
+    return {"approach": go, "trajectory": path.motion(100.0), "return": back}
+
+
+def client(way: dict[str, Motion], robot: Robot, folder: Path, arm: ros2.Arm | None = None) -> Any:
+    """The generated client as a module; its clock is that of an arm."""
+    [(name, text)] = write_formats(way, robot, ["ros2_client"]).items()
+    path = folder / name
+    path.write_text(str(text), encoding="utf-8")
+    py_compile.compile(str(path), doraise=True)
+    spec = importlib.util.spec_from_file_location("client", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if arm is not None:
+        vars(module)["time"] = SimpleNamespace(monotonic=lambda: arm.now)
+    return module
+
+
+def drive(module: Any, patch: pytest.MonkeyPatch, arm: ros2.Arm, *words: str) -> int:
+    ros2.install(arm, patch)
+    patch.setattr("sys.argv", ["ros2_client.py", *words])
+    status: int = module.main()
+    assert arm.closed
+    return status
+
+
+@pytest.mark.parametrize(("words", "scale"), [((), 0.2), (("--scale", "1"), 1.0)])
+def test_client_sends_the_motions_at_a_fifth_of_the_speed_unless_told_otherwise(
+    planar: Robot, way: dict[str, Motion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...], scale: float,
+) -> None:  # fmt: skip
+    arm = ros2.Arm(planar.joints, way["approach"].q[0])
+    module = client(way, planar, tmp_path, arm)
+    assert drive(module, monkeypatch, arm, "--go", *words) == 0
+    assert len(arm.goals) == len(way)
+    for goal, sent, planned in zip(arm.goals, arm.sent, way.values(), strict=True):
+        times = [p.time_from_start for p in goal.trajectory.points]
+        t = np.array([x.sec + 1e-9 * x.nanosec for x in times])
+        expected = module.LEAD + (planned.t - planned.t[0]) / scale
+        assert np.abs(t - expected).max() <= NANOSECOND
+        for field, values in zip(
+            FIELDS, (planned.q, scale * planned.dq, scale**2 * planned.ddq), strict=True
+        ):
+            found = np.array([getattr(p, field) for p in goal.trajectory.points])
+            np.testing.assert_array_equal(found, values)
+        path = HermiteTrajectory(planned)
+        for now, q in arm.trace:
+            since = now - sent - module.LEAD
+            if 0 < since <= (planned.t[-1] - planned.t[0]) / scale:
+                wanted = path(np.array([planned.t[0] + scale * since]))[0]
+                np.testing.assert_allclose(q, wanted, rtol=0, atol=1e-9)
+        assert {x.name: x.position for x in goal.path_tolerance} == dict.fromkeys(
+            planar.joints, 0.1
+        )
+    np.testing.assert_allclose(arm.q, way["return"].q[-1], rtol=0, atol=1e-12)
+
+
+STOPS = (  # state of the arm, words, status, goals that it got, what is said
+    ({"here": False}, (), 1, 0, "no action server /joint_trajectory_controller/follow"),
+    ({"q": np.array([0.5, -0.2])}, (), 1, 0, "approach begins with joint1 at 0.1000"),
+    ({"q": np.array([np.nan, -0.2])}, (), 1, 0, "which stands at nan"),
+    ({"accepts": False}, (), 1, 1, "does not accept approach"),
+    ({"error": -4}, (), 1, 1, "approach ended with error -4: why"),
+    ({}, ("--motions", "trajectory"), 1, 0, "trajectory begins with joint1"),
+    ({"interrupt": 3.0}, (), 130, 1, "interrupted; what was running is cancelled"),
+)
+
+
+@pytest.mark.parametrize(("state", "words", "status", "goals", "why"), STOPS)
+def test_client_stops_in_one_line(
+    planar: Robot, way: dict[str, Motion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], state: dict[str, Any], words: tuple[str, ...],
+    status: int, goals: int, why: str,
+) -> None:  # fmt: skip
+    arm = ros2.Arm(planar.joints, **{"q": way["approach"].q[0]} | state)
+    assert drive(client(way, planar, tmp_path, arm), monkeypatch, arm, "--go", *words) == status
+    [line] = capsys.readouterr().err.splitlines()
+    assert why in line
+    assert len(arm.goals) == goals
+    assert arm.cancelled == (status == 130)
+
+
+def test_client_without_go_moves_nothing_and_needs_no_ros(
+    planar: Robot, way: dict[str, Motion], tmp_path: Path
+) -> None:
+    module = client(way, planar, tmp_path)
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-I", module.__file__, *words]
+        return subprocess.run(command, capture_output=True, text=True)
+
+    said = run()
+    assert said.returncode == 0
+    assert "trajectory: 401 points, 20.0 s at 0.2 of the speed" in said.stdout
+    assert "nothing was sent" in said.stdout
+    for wrong in ("0", "1.01", "nan"):
+        refused = run("--go", "--scale", wrong)
+        assert refused.returncode == 2
+        assert "not above 0 and up to 1" in refused.stderr
 
 
 def test_write_formats_refuses(planar: Robot, ur10: Robot, motion: Motion) -> None:
@@ -178,7 +313,6 @@ def test_write_formats_refuses(planar: Robot, ur10: Robot, motion: Motion) -> No
         (motion, ur10, "mcp", "unknown format 'mcp': did you mean 'mcap'"),
         (motion, planar, "npz", "motion has 6 joints, robot planar_2r has 2"),
         (sampled(2, 10.0), planar, "urscript", "six turning joints, planar_2r has 2 joints"),
-        (motion[np.array([0, 1, 3, 4])], ur10, "urscript", "equidistant"),
         (replace(motion, q=motion.q * np.nan), ur10, "npz", "not finite"),
         (motion[:1], ur10, "npz", "at least two samples"),
         (motion[np.array([0, 0])], ur10, "npz", "times that increase"),
@@ -186,4 +320,4 @@ def test_write_formats_refuses(planar: Robot, ur10: Robot, motion: Motion) -> No
         (close, ur10, "mcap", "less than 1 ns apart"),
     ):
         with pytest.raises(ExcitantError, match=why):
-            write_formats(refused, robot, [name])
+            write_formats({"trajectory": refused}, robot, [name])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,9 +23,12 @@ from hypothesis import strategies as st
 from known_arms import write_csv
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify import Estimate, Recording, identify_robot
+from excitant.identify import Estimate, Recording, identify_robot, load_dataset
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.export import model_files, publication
+from excitant.identify.mujoco import mujoco_torque, side_by_side
+from excitant.identify.preprocessing import Segment
+from excitant.identify.rows import predicted_torque
 from excitant.robots import (
     DHChain,
     Motion,
@@ -172,7 +176,7 @@ def in_mujoco(
 
 
 def test_mjcf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
-    """Its dry friction is soft: full once the velocity outweighs the acceleration of some 10 ms."""
+    """Its dry friction is soft: full once the velocity outweighs the acceleration of 2 ms."""
     model, motion, files = written
     text, limits = files["arm.xml"], model.limits
     dq = np.copysign(np.maximum(np.abs(motion.dq), 0.5), motion.dq)
@@ -271,6 +275,43 @@ def test_sdf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
         assert found == [str(x) if np.isfinite(x) else None for x in ends]
 
 
+def floats(content: Any) -> bool:
+    if isinstance(content, dict):
+        return all(map(floats, content.values()))
+    return all(map(floats, content)) if isinstance(content, list) else type(content) is float
+
+
+def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
+    """Doubles by name for any node: feed-forward of speed, friction, and what weighs the arm."""
+    model, motion, _ = written
+    files = model_files(model, "arm", "arm.yaml", ["ros2_control"])
+    text = files["arm_ros2_control.yaml"]
+    [(node, [(key, found)])] = [(n, [*c.items()]) for n, c in yaml.safe_load(text).items()]
+    assert (node, key) == ("/**", "ros__parameters")
+    assert floats(found)
+    friction, gains = found["friction"], found["gains"]
+    assert tuple(friction) == tuple(gains) == model.joints
+    rubbing, kinds = np.zeros_like(motion.dq), (*SMOOTH, CoulombFriction, TorqueOffset)
+    for j, own in enumerate(friction.values()):
+        dq, ddq = motion.dq[:, j], motion.ddq[:, j]
+        rubbing[:, j] = own["viscous"] * dq + own["coulomb"] * np.sign(dq)
+        rubbing[:, j] += own["offset"] + own["rotor"] * ddq
+    bare = with_only(model)
+    check(rubbing, torque(with_only(model, *kinds), motion) - torque(bare, motion))
+    assert [x["ff_velocity_scale"] for x in gains.values()] == [
+        x["viscous"] for x in friction.values()
+    ]
+    weights = np.zeros((model.nv, 10))
+    for j, link in enumerate(found["links"].values()):
+        weights[j, :4] = link["mass"] * np.array([1.0, *link["centre_of_mass"]])
+    held = replace(motion, dq=0 * motion.dq, ddq=0 * motion.ddq)
+    weighed = bare.with_effects([]).with_parameters(weights.ravel())
+    assert found["gravity"] == bare.gravity.tolist()
+    check(rigid_body_torque(weighed, held), torque(bare, held))
+    assert "# not in this file: Stribeck friction" in text
+    assert all(line.startswith("#") for line in text.partition("/**")[0].splitlines())
+
+
 LEFT_OUT = {
     "arm.urdf": {"Stribeck friction", "torque offset", "rotor inertia"},
     "arm.sdf": {"Stribeck friction", "torque offset"},
@@ -300,6 +341,75 @@ def test_any_chain_needs_the_same_torque_in_every_format(
     check(in_mujoco(model, files["arm.xml"], motion, BITS.mjDSBL_CONSTRAINT), smooth)
     alone = robot_from_urdf(files["arm.urdf"], source="arm.urdf", gravity=model.gravity)
     check(torque(alone, motion), rigid)
+
+
+AGREE = 0.02  # of the torque's standard deviation: MuJoCo's dry friction turns within 2 ms
+
+
+@pytest.mark.parametrize("name", ["planar_2r", "ur10"])
+def test_the_models_need_in_mujoco_what_excitant_predicts(name: str, runs: Any) -> None:
+    robot = load_robot(name)
+    fit, held = runs(robot, 4, tolerance=0.03)
+    both = side_by_side(identify_robot(robot, [fit], validate=[held]))
+    assert max(joint["differs"] for joint in both.result()["joints"]) < AGREE
+    series = both.series()
+    assert series["mujoco_identified"].shape == series["mujoco_given"].shape
+    assert np.abs(series["mujoco_given"] - both.estimate.predicted_given).mean() < 0.1
+
+
+@pytest.mark.parametrize("currents", [False, True])
+def test_without_dry_friction_they_need_exactly_that(written: Written, currents: bool) -> None:
+    """Offsets among it, of every arm, branches and held joints too; as currents where these are."""
+    model = with_only(written[0], *SMOOTH, TorqueOffset)
+    limits = model.limits.position
+    q0 = np.where(np.isfinite(limits), limits, 0.0).mean(axis=1)
+    t = np.arange(0, 2, 0.01)[:, None]
+    w = 2 * np.pi * (0.5 + 0.1 * np.arange(model.nv))
+    motion = Motion(t[:, 0], q0 + np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t))
+    nothing = np.zeros_like(motion.q)
+    rows = [Segment("", motion, nothing, nothing, 10.0, slice(10, 190, 2))]
+    gains = np.linspace(2.0, 9.0, model.nv) if currents else None
+    expected = predicted_torque(model, rows)
+    check(mujoco_torque(model, rows, gains), expected / (1.0 if gains is None else gains), 1e-9)
+
+
+def test_mujoco_agrees_on_a_real_arm(data_folder: Path) -> None:
+    """Whose wrist turns so slowly that MuJoCo's usual friction has half of its torque there."""
+    data = load_dataset(data_folder / "ur10")
+    found = identify_robot(data.robot, data.recordings([]))
+    assert max(joint["differs"] for joint in side_by_side(found).result()["joints"]) < AGREE
+
+
+def test_a_model_that_mujoco_refuses_is_left_out_with_a_note(
+    planar: Robot, exact: Callable[..., Recording]
+) -> None:
+    phi = np.array(planar.phi)
+    phi[[4, 6, 9]] = 1e-3, 1e-3, 1.0  # about x, y, z: no body has it
+    recording = exact(planar, np.arange(0, 12, 1 / 100))
+    found = side_by_side(identify_robot(planar.with_parameters(phi), [recording]))
+    assert found.given is None
+    assert "MuJoCo refuses planar_2r" in found.result()["notes"][0]
+    assert found.result()["joints"][0]["given"] is None
+
+
+def test_command_draws_both_models_in_mujoco(
+    tmp_path: Path, planar: Robot, exact: Callable[..., Recording], excitant: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    one = write_csv(tmp_path / "one.csv", exact(planar, np.arange(0, 8, 1 / 100)))
+    words = ("identify planar_2r", one, "--mujoco", "-o", tmp_path / "out")
+    ran = excitant(*words, "--formats", "ros2_control", "--json")
+    assert ran.result["mujoco"]["version"] == mujoco.__version__
+    assert len(ran.result["mujoco"]["joints"]) == planar.nv
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "In MuJoCo" in page
+    assert "identified model in MuJoCo" in page
+    assert "identified_ros2_control.yaml" in page
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    ran = excitant(*words[:-1], tmp_path / "none")
+    assert (ran.status, ran.out) == (1, "")
+    assert ran.err == "excitant: this needs mujoco: pip install 'excitant[mjcf]'\n"
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,108 @@
+"""What MuJoCo says of the hold-out: torque of the exported models, by its inverse dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from excitant.exceptions import BadInput
+from excitant.identify.estimate import Estimate
+from excitant.identify.export import model_files
+from excitant.identify.preprocessing import Segment
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
+
+
+def mujoco_torque(robot: Robot, segments: Sequence[Segment], gains: Array | None = None) -> Array:
+    """Controls that MuJoCo's arm needs at the rows of segments, filtered alike, shape (n, nv).
+
+    The arm is the MJCF that is written of the robot, with its damping, armatures, friction and
+    biases; its joint limits are left aside. Controls are torques [N·m], or currents [A] where drive
+    gains [N·m/A] are given.
+
+    Raises:
+        BadInput: MuJoCo refuses the model, say for an impossible inertia.
+        ModuleNotFoundError: MuJoCo is not installed (extra ``mjcf``).
+    """
+    import mujoco
+
+    text = model_files(robot, "arm", "arm.yaml", ["mjcf"], gains)["arm.xml"]
+    try:
+        model = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise BadInput(f"MuJoCo refuses {robot.name}: {error}") from None
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    data, gear = mujoco.MjData(model), model.actuator_gear[:, 0]
+    order = [model.joint(joint).dofadr[0] for joint in robot.joints]  # one branch after the other
+
+    def controls(motion: Motion) -> Array:
+        force = np.empty(motion.q.shape)
+        for k in range(len(motion)):
+            data.qpos[order], data.qvel[order] = motion.q[k], motion.dq[k]
+            data.qacc[order] = motion.ddq[k]
+            mujoco.mj_inverse(model, data)
+            force[k] = data.qfrc_inverse[order]
+        return np.asarray(force / gear - model.actuator_biasprm[:, 0])
+
+    return np.concatenate([segment.rows(controls) for segment in segments])
+
+
+@dataclass(frozen=True, eq=False)
+class SideBySide:
+    """Given and identified model in MuJoCo on the hold-out, each (n, nv) [torque unit].
+
+    Attributes:
+        estimate: The identification.
+        given: Torque of the given model; None where MuJoCo refuses it.
+        identified: Torque of the identified model.
+        notes: What MuJoCo refuses, as sentences.
+    """
+
+    estimate: Estimate
+    given: Array | None
+    identified: Array
+    notes: tuple[str, ...]
+
+    def result(self) -> dict[str, Any]:
+        """Its entry in ``result.json``; ``differs`` from excitant's torque by share of its std."""
+        rows, own = self.estimate.holdout, self.estimate.predicted
+        spread = rows.measured.std(axis=0, where=rows.counts)
+        differs = rows.rms(self.identified - own) / np.where(spread > 0, spread, np.nan)
+        found, given = rows.accuracy(self.identified), None
+        if self.given is not None:
+            given = rows.accuracy(self.given)
+        return {
+            "version": version("mujoco-core"),
+            "joints": [
+                {
+                    "name": joint,
+                    "given": None if given is None else given.entry(j),
+                    "identified": found.entry(j),
+                    "differs": float(differs[j]),
+                }
+                for j, joint in enumerate(self.estimate.given.joints)
+            ],
+            "notes": list(self.notes),
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Torque of both models at the rows of the hold-out."""
+        given = {} if self.given is None else {"mujoco_given": self.given}
+        return given | {"mujoco_identified": self.identified}
+
+
+def side_by_side(estimate: Estimate) -> SideBySide:
+    """Both models of an identification in MuJoCo, on its hold-out; BadInput as `mujoco_torque`."""
+    gains = estimate.gains if estimate.data.unit == "A" else None
+    held, notes = estimate.data.validate, list[str]()
+    identified = mujoco_torque(estimate.model, held, gains)
+    try:
+        given: Array | None = mujoco_torque(estimate.given, held, gains)
+    except BadInput as error:
+        given = None
+        notes.append(str(error))
+    return SideBySide(estimate, given, identified, tuple(notes))
