@@ -44,7 +44,6 @@ def design_section(result: Result, series: Series) -> p.Section:
             *_motion(result, series),
             ("Least excited parameters", [_weakest(result)]),
             ("The search", [convergence_figure(result)]),
-            ("Files", [p.files(v.words(result, "files"))]),
         ],
         (
             (

@@ -53,21 +53,26 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
     wrong = "What is wrong with the given model" if findings else "Error of the given model"
     shares = [_shares(result, left, unit) for left in (False, True)[: 1 + changed]]
+    first, others = _finding_parts(findings, series, unit)
     return p.section(
         "Diagnosis",
         lead,
         [
             ("Key figures", [_facts(result), fault_table(result), *_findings(findings, unit)]),
-            (wrong, [*shares, *_refit(result, unit), *_forward(result, changed)]),
-            ("Error step by step", [waterfall_figure(result) if changed else None]),
-            *_finding_parts(findings, series, unit),
-            ("Error per joint", _errors(result, unit, changed)),
-            (over_holdout(unit), [torque_figure(joints, series, unit, curves)]),
-            ("Not explained", _unexplained(result)),
-            ("Notes", [p.notes(said)]),
-            ("Files", [p.files(v.words(result, "extended", "files"))]),
+            (wrong, [*shares[:1]]),
+            *first,
         ],
         (("diagnosed", lead), *_told(findings)),
+        [
+            ("Further findings", others),
+            ("Error step by step", [waterfall_figure(result) if changed else None]),
+            ("Error per joint", _errors(result, unit, changed)),
+            (over_holdout(unit), [torque_figure(joints, series, unit, curves)]),
+            ("Not explained", [*_unexplained(result), *shares[1:]]),
+            ("Inertias alone", _refit(result, unit)),
+            ("Simulated forward", _forward(result, changed)),
+            ("Notes", [p.notes(said)]),
+        ],
     )
 
 
@@ -156,7 +161,8 @@ def _verdict(finding: Result) -> p.Cell:
     return p.Cell(verdict or NONE, {"named": p.GOOD, "undecided": p.FAIR}.get(verdict, p.PLAIN))
 
 
-def _finding_parts(findings: list[Result], series: Series, unit: str) -> p.Parts:
+def _finding_parts(findings: list[Result], series: Series, unit: str) -> tuple[p.Parts, p.Blocks]:
+    """The leading findings and what is unknown, a part each, and the others behind their titles."""
     parts: p.Parts = []
     others: p.Blocks = []
     for k, finding in enumerate(findings):
@@ -177,7 +183,7 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> p.Parts
             aside = [v.percent(share)] * (share is not None) + [verdict] * bool(verdict)
             title += f" ({', '.join(aside)})" if aside else ""
             others.append(p.Folded(title, tuple(block for block in blocks if block is not None)))
-    return [*parts, ("Further findings", others)]
+    return parts, others
 
 
 def _kinds(finding: Result, unit: str) -> p.Table | None:

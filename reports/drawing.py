@@ -12,6 +12,7 @@ import io
 import math
 import re
 import textwrap
+from base64 import b64decode, b64encode
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
@@ -36,6 +37,7 @@ DASHED = (0, (5, 3))
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
 _BINS = 200
+_COLOURS = 16  # of an image
 _LINE = 46  # letters of an abscissa's name that surely fit below it
 
 _STYLE: Any = {
@@ -102,8 +104,9 @@ def axes(
     left: float = _LEFT,
     top: float = _TOP,
     space: float = 0.16,
+    shared: bool = True,
 ) -> list[Axes]:
-    """Axes with one abscissa, heights in these ratios [inch]; ``space`` as their share."""
+    """Axes with one abscissa if shared, heights in these ratios [inch]; ``space`` as share."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
@@ -113,7 +116,7 @@ def axes(
     grid = figure.subplots(
         len(ratios),
         1,
-        sharex=True,
+        sharex=shared,
         squeeze=False,
         gridspec_kw={
             "height_ratios": list(ratios),
@@ -237,12 +240,24 @@ def _svg(figure: Figure, label: str) -> str:
         r' id="(?:figure|axes|patch|line2d|text|matplotlib|xtick|ytick)[^"]*"', "", drawing
     )
     drawing = re.sub(r"<[^>]*>", _shorten_tag, drawing).replace("xlink:href", "href")
+    drawing = re.sub(r"(?<=base64,)[^\"]*", _with_few_colours, drawing)
     mark = hashlib.sha1((label + drawing).encode(), usedforsecurity=False).hexdigest()[:8]
     drawing = re.sub(r'(id="|href="#|url\(#)', rf"\1f{mark}", drawing)
     drawing = re.sub(r">\s+<", "><", drawing)
     box = drawing.split('viewBox="', 1)[1].split('"', 1)[0]
     head = f'<svg role="img" aria-label="{html.escape(label)}" viewBox="{box}">'
     return head + drawing[drawing.index(">") + 1 :].strip()
+
+
+def _with_few_colours(found: re.Match[str]) -> str:
+    """An image of points with a palette, which takes a third of the room."""
+    from PIL import Image
+
+    packed = io.BytesIO()
+    with Image.open(io.BytesIO(b64decode(found[0]))) as image:
+        few = image.quantize(_COLOURS, Image.Quantize.FASTOCTREE)
+        few.save(packed, "png", optimize=True)
+    return b64encode(packed.getvalue()).decode()
 
 
 def _shorten_tag(found: re.Match[str]) -> str:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from excitant.reports import drawing as draw
 from excitant.reports import values as v
-from excitant.reports.page import Figure, Key, Panel, figure
+from excitant.reports.page import Figure, Key, Panel, Timeline, figure
 from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 
@@ -73,7 +73,28 @@ def torque_figure(
         *[Key("line", draw.FITTED, curves.after_label)] * drawn(curves.after),
         *[Key("box", draw.BAND, INTERVAL)] * drawn(curves.band),
     ]
-    return figure(panels, curves.caption + _INTERVAL_CAPTION * drawn(curves.band), legend)
+    caption = curves.caption + _INTERVAL_CAPTION * drawn(curves.band)
+    return figure(panels, caption, legend, _timeline(joints, series, unit, curves))
+
+
+def _timeline(joints: Sequence[str], series: Series, unit: str, curves: Curves) -> Timeline | None:
+    """The series that panels of all joints draw; None where one lacks any."""
+    t = v.times(series)
+    looks = (("measured", draw.MEASURED), (_GIVEN, draw.GIVEN), (curves.after_label, draw.FITTED))
+    keys = ("measured", curves.before, curves.after, curves.band)
+    if t is None:
+        return None
+    *found, half = (v.array(series, key, len(t), len(joints)) for key in keys)
+    if found[0] is None:
+        return None
+    some = [k for k in range(len(joints)) if np.isfinite(found[0][:, k]).any()]
+    return Timeline(
+        draw.timeline(t)[0],
+        tuple(joints[k] for k in some),
+        unit,
+        tuple((*look, x[:, some]) for look, x in zip(looks, found, strict=True) if x is not None),
+        None if half is None or found[2] is None else half[:, some],
+    )
 
 
 def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves) -> Panel | None:

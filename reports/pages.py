@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -59,11 +59,13 @@ def page_of(result: Result, series: Series) -> Page:
         raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")
     with style():
         if verb == "demo":
-            return _demo_page(result, series)
-        if verb == COMPARE:
-            return _comparison_page(result)
-        only = _SECTIONS[verb](result, series)
-    return Page(_title(only.title, result), only.lead, (), (only,))
+            page = _demo_page(result, series)
+        elif verb == COMPARE:
+            page = _comparison_page(result)
+        else:
+            only = _SECTIONS[verb](result, series)
+            page = Page(_title(only.title, result), only.lead, (), (only,))
+    return replace(page, files=tuple(v.words(result, "files")))
 
 
 def _shown(value: Any) -> Any:
@@ -249,38 +251,21 @@ def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
     ]
 
 
-def _tables(blocks: Sequence[p.Block]) -> Iterator[p.Table]:
-    for block in blocks:
-        match block:
-            case p.Folded():
-                yield from _tables(block.blocks)
-            case p.Facts():
-                known = [fact for fact in block.facts if not fact.timing]
-                rows = tuple((Cell(x.label), Cell(x.value, value=x.number)) for x in known)
-                yield p.Table((("Figure", "name"), ("", "number")), rows)
-            case p.Table() if {kind for _, kind in block.columns} & {"name", "expression"}:
-                yield block
-
-
 def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
     """Cells by section, part, kind of row, row and column, with the std beside them."""
     figures: dict[tuple[str, ...], tuple[Cell, float | None]] = {}
-    walk = [
-        (section.title, part.title, table)
-        for section in page.sections
-        for part in section.parts
-        for table in _tables(part.blocks)
-    ]
-    for title, part, table in walk:
-        heads = [head for head, _ in table.columns]
+    for title, part, table in page.tables():
+        heads = table.heads
         names = [k for k, (_, kind) in enumerate(table.columns) if kind in ("name", "expression")]
+        if not names:
+            continue
         for row in table.rows:
             name = ", ".join(row[k].text for k in names if row[k].text != NONE)
             prior = any(cell.text in ("prior", "expectation") for cell in row)
             beside = [*(None if prior else cell.value for cell in row[1:]), None]
             for head, nearby, cell, std in zip(heads, [*heads[1:], ""], row, beside, strict=True):
                 if head not in [heads[k] for k in names]:
-                    found = (cell, std if nearby.startswith("± std") else None)
+                    found = (cell, std if "± std" in nearby else None)
                     figures.setdefault((title, part, heads[names[0]], name, head), found)
     return figures
 

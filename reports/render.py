@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
@@ -11,8 +12,20 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from excitant.names import shortened
-from excitant.reports.page import Block, Facts, Folded, Matrix, Notes, Page, Section, Table
+from excitant.reports.page import (
+    Block,
+    Facts,
+    Figure,
+    Folded,
+    Matrix,
+    Notes,
+    Page,
+    Section,
+    Table,
+    Timeline,
+)
 from excitant.reports.values import NONE
+from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
     import jinja2
@@ -20,18 +33,36 @@ if TYPE_CHECKING:
 
 _FIGURE = 14  # characters of a number in text
 _LABEL = 32
+_UNBROKEN = 24  # letters of a word that is never broken
+_SAMPLES = 250_000  # of all curves of a timeline
 _STEP = 10  # columns of words are a multiple of this wide, so that few changes move them
 _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 def html(page: Page) -> str:
-    """A page as one HTML file: no network, figures inside, one script, which enlarges them."""
+    """A page as one HTML file: no network, figures inside, one script, which enlarges them.
+
+    Where a figure has a timeline, uPlot comes with the script and draws it.
+    """
     from markupsafe import Markup
 
-    script = _template("report.js")
+    script, blocks = _template("report.js"), [b for s in page.sections for b in _walk(s.parts)]
+    timed = any(isinstance(block, Figure) and block.timeline for block in blocks)
+    if timed:
+        licence = f"/*\n{_template('uplot.LICENSE')}\n*/"
+        script = f"{licence}\n{_template('uplot.min.js')}\n{script}"
     digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
     template = _environment().get_template("report.html.j2")
-    return template.render(page=page, script=Markup(script), script_hash=f"sha256-{digest}")
+    known = {"page": page, "timed": timed, "script_hash": f"sha256-{digest}"}
+    return template.render(**known, script=Markup(script))
+
+
+def _walk(blocks: Sequence[Block]) -> Iterator[Block]:
+    for block in blocks:
+        if isinstance(block, Folded):
+            yield from _walk(block.blocks)
+        else:
+            yield block
 
 
 def _template(name: str) -> str:
@@ -52,15 +83,51 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters["drawing"] = Markup  # SVG of ours, its texts are escaped
     environment.filters["breakable"] = _breakable
+    environment.filters["packed"] = _packed
     environment.filters["kind"] = lambda block: type(block).__name__
     return environment
 
 
-def _breakable(name: str) -> Markup:
-    """A name, escaped, that may break after an underscore where lines are short."""
+def _breakable(words: str) -> Markup:
+    """Words, escaped; only long ones may break, after an underscore, where lines are short."""
     from markupsafe import Markup, escape
 
-    return Markup(str(escape(name)).replace("_", "_<wbr>"))
+    def broken(word: re.Match[str]) -> str:
+        return word[0].replace("_", "_<wbr>") if len(word[0]) > _UNBROKEN else word[0]
+
+    written = re.sub(r"\S+", broken, str(escape(words)))
+    return Markup(re.sub(r"(?<!\S)--[\w-]+", r'<span class="whole">\g<0></span>', written))
+
+
+def _packed(timeline: Timeline) -> Markup:
+    """A timeline as JSON for the page's script; a long one has fewer rows."""
+    from markupsafe import Markup
+
+    count = len(timeline.t) * len(timeline.names) * (len(timeline.curves) + 1)
+    rows = slice(None, None, -(-count // _SAMPLES))
+    half = timeline.half_width
+    told = {
+        "t": b64encode(timeline.t[rows].astype("<f4").tobytes()).decode(),
+        "unit": timeline.unit,
+        "names": timeline.names,
+        "curves": [
+            {"label": label, "colour": colour, "values": [_steps(x) for x in values[rows].T]}
+            for label, colour, values in timeline.curves
+        ],
+        "half": None if half is None else [_steps(x) for x in half[rows].T],
+    }
+    return Markup(json.dumps(told, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+def _steps(x: Array) -> dict[str, object]:
+    """A curve as 16-bit steps between its least and greatest value; the least is for NaN."""
+    import numpy as np
+
+    known = np.isfinite(x)
+    low, high = (float(f(x[known])) for f in (np.min, np.max)) if known.any() else (0.0, 0.0)
+    step = (high - low) / 65534 or 1.0
+    k = np.where(known, np.round((np.where(known, x, low) - low) / step) - 32767, -32768)
+    return {"low": low, "step": step, "k": b64encode(k.astype("<i2").tobytes()).decode()}
 
 
 def summary(page: Page) -> str:
@@ -115,7 +182,7 @@ def _block(block: Block) -> list[str]:
     match block:
         case Notes():
             label = f"{block.brief}: " if block.brief else ""
-            return [f"    {label}{said}" for said in block.sentences if not block.paths]
+            return [f"    {label}{said}" for said in block.sentences]
         case Facts():
             return [
                 f"    {fact.label:<{_LABEL}} = {fact.value}"
@@ -133,7 +200,8 @@ def _block(block: Block) -> list[str]:
             return [f"  [{block.title}]", *(line for b in block.blocks for line in _block(b))]
         case Table():
             rows = [[cell.text for cell in row] for row in block.rows]
-            return table_lines(block.columns, rows, "    ")
+            kinds = [kind for _, kind in block.columns]
+            return table_lines(list(zip(block.heads, kinds, strict=True)), rows, "    ")
     return []
 
 

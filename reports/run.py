@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path, PurePosixPath
@@ -58,11 +58,19 @@ def save_run(
     encoded, packed = _dump(result), _pack(series)
     read, arrays = json.loads(encoded), _unpack(packed)
     contents[SERIES] = packed
-    page = page_of(read, arrays)
+    old = (_beside(directory, parts, contents) for parts in _parts(read))
+    beside = dict.fromkeys([*filter(None, old), *contents, SUMMARY, RESULT])
+    page = page_of(read | {"files": list(beside)}, arrays)
     contents[SUMMARY] = summary(page)
     contents[REPORT] = html(page)
     contents[RESULT] = encoded
     return write_folder(directory, contents, _files_of(directory) - _names(read)), page
+
+
+def _beside(directory: Path, parts: Sequence[str], new: Mapping[str, Any]) -> str | None:
+    """An artefact's name relative to the directory, from its path; None where it is not there."""
+    names = ("/".join(parts[k:]) for k in range(parts[:1] == ("/",), len(parts)))
+    return next((name for name in names if name in new or (directory / name).is_file()), None)
 
 
 def _files_of(directory: Path) -> set[str]:
@@ -75,9 +83,12 @@ def _files_of(directory: Path) -> set[str]:
 
 def _names(result: Mapping[str, Any]) -> set[str]:
     """Names of artefacts relative to the directory, from their paths, however it is called."""
+    return {"/".join(each[k:]) for each in _parts(result) for k in range(len(each))}
+
+
+def _parts(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     files = result.get("files")
-    parts = [PurePosixPath(str(file)).parts for file in files] if isinstance(files, list) else []
-    return {"/".join(each[k:]) for each in parts for k in range(len(each))}
+    return [PurePosixPath(str(file)).parts for file in files] if isinstance(files, list) else []
 
 
 def as_saved(
