@@ -3,6 +3,7 @@
 from excitant.reports.pages import SavedRun, compare, page_of
 from excitant.reports.render import brief, html, summary, table_lines
 from excitant.reports.run import load_run, save_run
+from excitant.reports.tables import table_files
 
 __all__ = [
     "SavedRun",
@@ -13,5 +14,6 @@ __all__ = [
     "page_of",
     "save_run",
     "summary",
+    "table_files",
     "table_lines",
 ]

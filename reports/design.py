@@ -42,8 +42,6 @@ def design_section(result: Result, series: Series) -> p.Section:
             ("Key figures", [_facts(result), p.notes(v.words(result, "notes"), brief="")]),
             ("One motion per link", [_link_motions(result)]),
             *_motion(result, series),
-            ("Least excited parameters", [_weakest(result)]),
-            ("The search", [convergence_figure(result)]),
         ],
         (
             (
@@ -53,6 +51,10 @@ def design_section(result: Result, series: Series) -> p.Section:
             ),
             *[("", said)] * bool(weak),
         ),
+        [
+            ("Least excited parameters", [_weakest(result)]),
+            ("The search", [convergence_figure(result)]),
+        ],
     )
 
 

@@ -59,7 +59,7 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
         lead,
         [
             ("Key figures", [_facts(result), fault_table(result), *_findings(findings, unit)]),
-            (wrong, [*shares[:1]]),
+            (wrong, [*shares, *_refit(result, unit), *_forward(result, changed)]),
             *first,
         ],
         (("diagnosed", lead), *_told(findings)),
@@ -68,9 +68,7 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
             ("Error step by step", [waterfall_figure(result) if changed else None]),
             ("Error per joint", _errors(result, unit, changed)),
             (over_holdout(unit), [torque_figure(joints, series, unit, curves)]),
-            ("Not explained", [*_unexplained(result), *shares[1:]]),
-            ("Inertias alone", _refit(result, unit)),
-            ("Simulated forward", _forward(result, changed)),
+            ("Not explained", _unexplained(result)),
             ("Notes", [p.notes(said)]),
         ],
     )
@@ -299,6 +297,7 @@ def _shares(result: Result, left: bool, unit: str) -> p.Table | None:
         f"Error {'left by the extended model' if left else 'of the model as given'} while the "
         "joint moves, and the shares of its square that go with one quantity (they overlap): "
         f"○ marks the simplest that explains it. {'' if left else _MEANING}",
+        "What the extended model leaves, joint by joint" if left else "",
     )
 
 
@@ -373,6 +372,7 @@ def _forward(result: Result, changed: bool) -> p.Blocks:
         f"{v.quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "
         f"motion, held on it by {'the same' if changed else 'a'} loop of {loop}."
         f"{closer if changed else ''}",
+        "How far the simulated motion leaves the recorded one",
     )
     return [table, p.notes(v.words(result, "forward", "notes"))]
 

@@ -40,7 +40,6 @@ def identify_section(result: Result, series: Series) -> p.Section:
     joints, unit = v.joint_names(result), v.text(result, "unit") or "N·m"
     said = [v.sentence(n) for n in v.words(result, "notes") if n and n != v.text(result, "holdout")]
     refused = [note for note in said if "is not published" in note]
-    faults = fault_table(result)
     return p.section(
         "Identification",
         _lead(result),
@@ -53,7 +52,7 @@ def identify_section(result: Result, series: Series) -> p.Section:
         ],
         _brief(result, unit),
         [
-            (f"Data faults ({len(faults.rows)})" if faults else "", [faults]),
+            ("Data faults", [fault_table(result)]),
             ("Friction curves", [friction_figure(result, series)]),
             ("Error per joint", _errors(result, unit)),
             (

@@ -40,7 +40,9 @@ _VERBS = (*_SECTIONS, "demo", COMPARE)
 _FEW = 3  # parameters of a hidden effect that are written out
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _APART = 2.0  # standard deviations of a difference from which on estimates disagree
+_STD = "± std"  # in the heading of a column that belongs to the one before
 _LONG = 60  # rows from which on a table is folded
+_PAIRED = 3  # runs up to which differences have columns; of more, result.json has them
 _HEADINGS = {"difference": "{} − A", "ratio": "{} / A", "deviations": "{} − A [std]"}
 _ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")  # what depends on the filter and on the rows
 _REMARKS = {
@@ -205,9 +207,10 @@ def _remarks(runs: Sequence[SavedRun]) -> list[str]:
     found = []
     for key, said in _REMARKS.items():
         for part in ((), ("design",), ("identify",), ("analyze",), ("diagnose",)):  # of a demo
-            values = [v.text(run.result, *part, key) for run in runs]
-            if len(set(filter(None, values))) > 1:
-                found.append(said.format(" and ".join(dict.fromkeys(values))))
+            values = [v.at(run.result, *part, key) for run in runs]
+            written = [v.text(x) if v.real(x) is None else v.number4(x) for x in values]
+            if len(set(filter(None, written))) > 1:
+                found.append(said.format(" and ".join(dict.fromkeys(written))))
                 break
     if not _same_rows([run.series for run in runs]):
         found.append(
@@ -262,11 +265,13 @@ def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
         for row in table.rows:
             name = ", ".join(row[k].text for k in names if row[k].text != NONE)
             prior = any(cell.text in ("prior", "expectation") for cell in row)
-            beside = [*(None if prior else cell.value for cell in row[1:]), None]
-            for head, nearby, cell, std in zip(heads, [*heads[1:], ""], row, beside, strict=True):
-                if head not in [heads[k] for k in names]:
-                    found = (cell, std if "± std" in nearby else None)
-                    figures.setdefault((title, part, heads[names[0]], name, head), found)
+            for k, (head, cell) in enumerate(zip(heads, row, strict=True)):
+                if k in names or _STD in head:
+                    continue
+                std = row[k + 1] if k + 1 < len(row) and _STD in heads[k + 1] else Cell(NONE)
+                both = f"{cell.text} ± {std.text}" if std.text != NONE else cell.text
+                found = replace(cell, text=both), None if prior else std.value
+                figures.setdefault((title, part, heads[names[0]], name, head), found)
     return figures
 
 
@@ -298,8 +303,8 @@ def _comparison_page(result: Result) -> Page:
     blocks = (p.notes(legend), p.notes([v.sentence(r) for r in remarks], p.POOR))
     return Page(
         _title("Comparison of runs", result),
-        f"{len(runs)} runs of excitant {v.text(result, 'of')}; differences and ratios are those to "
-        f"A. {sections[0].lead if len(sections) == 1 else ''}",
+        f"{len(runs)} runs of excitant {v.text(result, 'of')}, compared with A; ○ marks estimates "
+        f"that lie apart. {sections[0].lead if len(sections) == 1 else ''}",
         tuple(block for block in blocks if block is not None),
         tuple(sections),
         tuple(("note", remark) for remark in remarks),
@@ -336,17 +341,27 @@ def _table(found: Result, letters: Sequence[str]) -> p.Table | None:
         known = any(value(row, key, k) is not None for row in rows)
         return (f"number:{_HEADINGS[key].format(letter)}", cell) if known else None
 
-    def written(k: int) -> Callable[[Result], str]:
-        return lambda row: dict(enumerate(v.words(row, "written"))).get(k, NONE)
+    def written(k: int) -> Callable[[Result], Cell]:
+        def cell(row: Result) -> Cell:
+            far = k > 0 and (value(row, "deviations", k - 1) or 0.0) > _APART
+            words = dict(enumerate(v.words(row, "written"))).get(k, NONE)
+            return Cell(words, p.POOR if far else p.PLAIN)
 
+        return cell
+
+    def kind(k: int) -> str:
+        known = any(value(row, "values", k) is not None for row in rows)
+        return "number" if known else "text"
+
+    pairs = list(enumerate(letters[1:])) if len(letters) <= _PAIRED else []
     some = any(v.text(row, "figure") for row in rows)
     return p.table(
         rows,
         [
             (f"name:{v.text(found, 'of')}", lambda row: v.text(row, "name")),
             ("name:Quantity", lambda row: v.text(row, "figure")) if some else None,
-            *((f"number:{letter}", written(k)) for k, letter in enumerate(letters)),
-            *(column(key, k, x) for k, x in enumerate(letters[1:]) for key in _HEADINGS),
+            *((f"{kind(k)}:{letter}", written(k)) for k, letter in enumerate(letters)),
+            *(column(key, k, x) for k, x in pairs for key in _HEADINGS),
         ],
         folded=p.folded(f"All {len(rows)} figures", len(rows), _LONG),
     )

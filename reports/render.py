@@ -139,7 +139,7 @@ def summary(page: Page) -> str:
         if len(page.sections) > 1:
             lines += ["", f"[[{section.title}]]"]
         lines += [f"    {section.lead}", *_parts(section)]
-    return "\n".join(_plain(line) for line in lines) + "\n"
+    return "\n".join(plain(line) for line in lines) + "\n"
 
 
 def brief(page: Page) -> str:
@@ -165,7 +165,8 @@ def _brief(section: Section) -> Iterator[tuple[str, str]]:
                 yield label, ": ".join([names, *(words for kind, words in known if kind != "name")])
 
 
-def _plain(line: str) -> str:
+def plain(line: str) -> str:
+    """A line in letters that tools compare: ASCII minus signs, spaces and powers of ten."""
     line = re.sub(r"×10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda e: "e" + e[1].translate(_ASCII), line)
     return re.sub(r"[\s\u00a0]", " ", line).replace("−", "-").rstrip()
 

@@ -28,7 +28,7 @@ def names(folder):
 
 def test_saved_run_is_what_was_given_and_renders_to_the_same_page(run, tmp_path, undrawn):
     given, arrays = run
-    paths, _ = save_run(tmp_path / "run", given, arrays)
+    paths, page = save_run(tmp_path / "run", given, arrays)
     result, series = load_run(tmp_path / "run")
     assert sorted(path.name for path in paths) == OWN == names(tmp_path / "run")
     assert list(result) == list(given)
@@ -37,7 +37,8 @@ def test_saved_run_is_what_was_given_and_renders_to_the_same_page(run, tmp_path,
     for key, values in arrays.items():
         span = np.ptp(values[np.isfinite(values)])
         np.testing.assert_allclose(series[key], values, rtol=0, atol=1e-6 * span)
-    page = page_of(result, series)
+    assert sorted(["report.html", *page.files]) == OWN  # of those that the result names, none is there
+    assert page_of(result | {"files": list(page.files)}, series).sections == page.sections
     assert (tmp_path / "run/report.html").read_text("utf-8") == html(page)
     assert (tmp_path / "run/summary.txt").read_text("utf-8") == summary(page)
 
