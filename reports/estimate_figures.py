@@ -30,7 +30,7 @@ FOREST_KEYS = (
 )
 _DEVIATIONS = 1.96  # standard deviations that hold 95 %
 _LINE, _LABELS = 0.165, 1.3  # inch: height of a row of the forest, room for its name
-_LONG = 21  # letters of a name there
+_LONG = 20  # letters of a name there
 
 
 def friction_axes(
@@ -117,7 +117,7 @@ def forest_axes(rows: Sequence[Result], ax: draw.Axes | None = None) -> draw.Axe
             ax.plot(given, y, "o", ms=6, **ring)
         ax.plot(value, y, "o", ms=3.6, **look)
     names = map("".join, zip(owners, symbols, strict=True))
-    ax.set_yticks(range(len(rows)), list(names), fontsize=7.5)
+    ax.set_yticks(range(len(rows)), list(names), fontsize=8)
     ax.set_ylim(len(rows) - 0.4, -0.6)
     ax.grid(visible=False, axis="y")
     ax.set_xlabel(f"[{v.text(rows[0], 'unit')}]")

@@ -41,7 +41,6 @@ _FEW = 3  # parameters of a hidden effect that are written out
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _APART = 2.0  # standard deviations of a difference from which on estimates disagree
 _STD = "± std"  # in the heading of a column that belongs to the one before
-_LONG = 60  # rows from which on a table is folded
 _PAIRED = 3  # runs up to which differences have columns; of more, result.json has them
 _HEADINGS = {"difference": "{} − A", "ratio": "{} / A", "deviations": "{} − A [std]"}
 _ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")  # what depends on the filter and on the rows
@@ -291,15 +290,13 @@ def _comparison_page(result: Result) -> Page:
         f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
         for letter, run in zip(letters, runs, strict=True)
     ]
-    sections = [
-        p.section(
-            v.text(each, "title"),
-            _count(each),
-            [(v.text(t, "part"), [_table(t, letters)]) for t in v.records(each, "tables")],
-            ((v.text(each, "title"), _count(each)),),
-        )
-        for each in v.records(result, "sections")
-    ]
+    sections = []
+    for each in v.records(result, "sections"):
+        parts: dict[str, p.Blocks] = {}
+        for found in v.records(each, "tables"):
+            parts.setdefault(v.text(found, "part"), []).append(_table(found, letters))
+        order, title, count = list(parts.items()), v.text(each, "title"), _count(each)
+        sections.append(p.section(title, count, order[:1], ((title, count),), order[1:]))
     blocks = (p.notes(legend), p.notes([v.sentence(r) for r in remarks], p.POOR))
     return Page(
         _title("Comparison of runs", result),
@@ -363,5 +360,4 @@ def _table(found: Result, letters: Sequence[str]) -> p.Table | None:
             *((f"{kind(k)}:{letter}", written(k)) for k, letter in enumerate(letters)),
             *(column(key, k, x) for k, x in pairs for key in _HEADINGS),
         ],
-        folded=p.folded(f"All {len(rows)} figures", len(rows), _LONG),
     )

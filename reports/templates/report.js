@@ -148,7 +148,7 @@
     const edge = { label: "edge", class: "edge", stroke: "transparent", points: { show: false } };
     let plots = [];
     const begin = () => {
-      const [torque, residual] = data(choice.selectedIndex);
+      const [torque, residual] = data(choice.selectedIndex % names.length);
       const band = half ? [{ series: [1, 2], fill: "#c3dcec" }] : [];
       plots = [
         draw(unit === "A" ? "current [A]" : `torque [${unit}]`, 300,

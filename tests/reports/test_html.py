@@ -25,8 +25,10 @@ def test_page_needs_no_network_and_only_its_own_script_may_run(page):
     policy = next(a["content"] for a in page.all("meta") if "http-equiv" in a)
     assert len(scripts) == 1
     assert all(a.get("type", "application/json") == "application/json" for a in page.all("script"))
-    assert ("MIT License" in scripts[0]) == ("uPlot=function" in scripts[0]) == (
-        'class="timeline"' in page.source
+    assert (
+        ("MIT License" in scripts[0])
+        == ("uPlot=function" in scripts[0])
+        == ('class="timeline"' in page.source)
     )
     digest = b64encode(hashlib.sha256(scripts[0].encode()).digest()).decode()
     assert f"script-src 'sha256-{digest}'" in policy
