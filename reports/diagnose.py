@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -357,16 +358,13 @@ def _forward(result: Result, changed: bool) -> p.Blocks:
     if worse:
         closer = f" The extended model is no closer at {v.listing(worse)}."
 
-    def milli(value: object) -> str:
-        x = v.real(value)
-        return "diverges" if x is None else v.number(1e3 * x)
-
+    milli = partial(p.milli, none="diverges")
     table = p.table(
         rows,
         [
             ("name:Joint", "name"),
-            *((f"number:Position, {m} [m{units}]", m, milli) for m in models),
-            *((f"number:Velocity, {m} [m{units}/s]", f"velocity.{m}", milli) for m in models),
+            *((f"number:Position, {m} [m{units}]", milli(m)) for m in models),
+            *((f"number:Velocity, {m} [m{units}/s]", milli("velocity", m)) for m in models),
         ],
         f"Simulated forward under the recorded torque over {count or 0:.0f} windows of "
         f"{v.quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "

@@ -255,31 +255,24 @@ def _bodies(result: Result) -> p.Table | None:
     def centre(key: str) -> Callable[[Result], str]:
         return lambda row: v.listing([v.whole(1e3 * x) for x in v.reals(row, "centre", key)])
 
-    def shift(row: Result) -> p.Cell:
-        return p.Cell(v.number(round(1e3 * (v.real(row, "centre", "shift") or 0.0), 1)))
-
-    def spread(row: Result) -> str:
-        return v.number(1e3 * (v.real(row, "centre", "shift_std") or 0.0), 2)
-
     return p.table(
         v.records(result, "links"),
         [
             ("name:Link", "link"),
             ("number:Mass [kg]|given", "mass.given"),
-            ("number:Mass [kg]|identified", lambda r: v.value_and_std(*_mass(r))[0]),
-            ("number:Mass [kg]|± std", lambda r: v.value_and_std(*_mass(r))[1]),
+            *p.estimates("number:Mass [kg]|identified", "number:Mass [kg]|± std", "mass"),
             ("text:Mass [kg]|by", lambda r: p.decided(v.text(r, "mass", "decided_by"))),
-            ("number:Centre of mass, x, y, z [mm]|given", centre("given")),
-            ("number:Centre of mass, x, y, z [mm]|identified", centre("value")),
-            ("number:Centre of mass, x, y, z [mm]|moved by", shift),
-            ("number:Centre of mass, x, y, z [mm]|± std", spread),
+            ("number:Centre of mass [mm]|given", centre("given")),
+            ("number:Centre of mass [mm]|identified", centre("value")),
+            ("number:Centre of mass [mm]|moved by", p.milli("centre", "shift", digits=2)),
+            ("number:Centre of mass [mm]|± std", p.milli("centre", "shift_std", digits=2)),
             (
-                "text:Centre of mass, x, y, z [mm]|by",
+                "text:Centre of mass [mm]|by",
                 lambda r: p.decided(v.text(r, "centre", "decided_by")),
             ),
         ],
-        "In the frame of the link's joint. What the prior decides completes the model, but was "
-        "not measured.",
+        "Centres of mass: x, y, z in the frame of the link's joint. What the prior decides "
+        "completes the model, but was not measured.",
     )
 
 
@@ -306,10 +299,6 @@ def _effects(result: Result) -> p.Table | None:
         columns,
         "The given model has none where no given value stands.",
     )
-
-
-def _mass(row: Result) -> tuple[object, object]:
-    return v.at(row, "mass", "value"), v.at(row, "mass", "std")
 
 
 def _physical(result: Result) -> p.Notes | None:

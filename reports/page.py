@@ -285,6 +285,17 @@ def estimates(
     return (value, lambda row: written(row, 0)), (std, lambda row: written(row, 1))
 
 
+def milli(*keys: str, none: str = NONE, digits: int = 3) -> Callable[[Result], Cell]:
+    """Cells of a number in thousandths of its unit."""
+
+    def cell(row: Result) -> Cell:
+        x = v.real(row, *keys)
+        x = None if x is None else 1e3 * x
+        return Cell(none if x is None else v.number(x, digits), PLAIN, x)
+
+    return cell
+
+
 _DECIDED = {
     "data": Cell("data", GOOD),
     "both": Cell("data and prior", FAIR),
