@@ -298,7 +298,7 @@ def milli(*keys: str, none: str = NONE, digits: int = 3) -> Callable[[Result], C
 
 _DECIDED = {
     "data": Cell("data", GOOD),
-    "both": Cell("data and prior", FAIR),
+    "both": Cell("both", FAIR),
     "prior": Cell("prior", POOR),
     "physics": Cell("limit of physics", FAIR),
 }
