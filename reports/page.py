@@ -19,11 +19,9 @@ _FORMATS = {
     "yaml": "all effects, which excitant reads as a robot",
     "json": "exact coefficients",
     "csv": "samples at the control rate",
-}
-_OWN = {
     "result.json": "every figure of this page, for programs",
-    "series.npz": "the arrays that its figures draw",
-    "summary.txt": "this page as text",
+    "npz": "the arrays that its figures draw",
+    "txt": "this page as text",
     "model-estimate.csv": "estimates and standard deviations, which model.yaml refers to",
 }
 LONG = 12  # rows from which on a table of estimates is folded
@@ -206,10 +204,8 @@ class Page:
     @property
     def uses(self) -> list[tuple[str, str]]:
         """The files, and what reads them or what they hold."""
-        return [
-            (name, _OWN.get(name) or _FORMATS.get(name.rpartition(".")[2], ""))
-            for name in self.files
-        ]
+        suffixes = [(name, name.rpartition(".")[2]) for name in self.files]
+        return [(name, _FORMATS.get(name, _FORMATS.get(end, ""))) for name, end in suffixes]
 
     def tables(self) -> Iterator[tuple[str, str, Table]]:
         """All tables, key figures among them, with the titles of their section and part."""

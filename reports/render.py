@@ -15,7 +15,6 @@ from excitant.names import shortened
 from excitant.reports.page import (
     Block,
     Facts,
-    Figure,
     Folded,
     Matrix,
     Notes,
@@ -46,8 +45,8 @@ def html(page: Page) -> str:
     """
     from markupsafe import Markup
 
-    script, blocks = _template("report.js"), [b for s in page.sections for b in _walk(s.parts)]
-    timed = any(isinstance(block, Figure) and block.timeline for block in blocks)
+    script, parts = _template("report.js"), [part for s in page.sections for part in s.parts]
+    timed = any(getattr(block, "timeline", None) for part in parts for block in part.blocks)
     if timed:
         licence = f"/*\n{_template('uplot.LICENSE')}\n*/"
         script = f"{licence}\n{_template('uplot.min.js')}\n{script}"
@@ -55,14 +54,6 @@ def html(page: Page) -> str:
     template = _environment().get_template("report.html.j2")
     known = {"page": page, "timed": timed, "script_hash": f"sha256-{digest}"}
     return template.render(**known, script=Markup(script))
-
-
-def _walk(blocks: Sequence[Block]) -> Iterator[Block]:
-    for block in blocks:
-        if isinstance(block, Folded):
-            yield from _walk(block.blocks)
-        else:
-            yield block
 
 
 def _template(name: str) -> str:

@@ -23,10 +23,7 @@ _MODELS = (("given", draw.GIVEN, "model as given"), ("identified", draw.FITTED, 
 
 def agreement_figure(result: Result, series: Series, unit: str) -> Figure | None:
     """Measured torque over what each model predicts, per joint."""
-    panels = [
-        _agreement(k, v.text(row, "name"), row, series, unit)
-        for k, row in enumerate(v.records(result, "joints"))
-    ]
+    panels = [_agreement(k, row, series, unit) for k, row in enumerate(v.records(result, "joints"))]
     caption = (
         "Measured over predicted torque while the joint moves on the hold-out: a good model's "
         "points lie on the diagonal; a slope tells of a wrong gain or mass, a step of friction."
@@ -35,18 +32,22 @@ def agreement_figure(result: Result, series: Series, unit: str) -> Figure | None
     return figure(panels, caption, [*keys, Key("dash", draw.MEASURED, "equal")])
 
 
-def _agreement(k: int, joint: str, row: Result, series: Series, unit: str) -> Panel | None:
-    measured, *models = (v.curve(series, key, k) for key in ("measured", "given", "identified"))
-    dq = v.curve(series, "velocity", k)
-    if measured is None or models[1] is None or len(models[1]) != len(measured):
+def _curves(series: Series, k: int, *keys: str) -> list[Array | None]:
+    """Series of a joint that have as many rows as the measured torque."""
+    measured, *others = (v.curve(series, key, k) for key in ("measured", *keys))
+    rows = -1 if measured is None else len(measured)
+    return [measured, *(x if x is not None and len(x) == rows else None for x in others)]
+
+
+def _agreement(k: int, row: Result, series: Series, unit: str) -> Panel | None:
+    measured, given, identified, dq = _curves(series, k, "given", "identified", "velocity")
+    if measured is None or identified is None:
         return None
-    moves = np.isfinite(measured)
-    if dq is not None and len(dq) == len(measured):
-        moves &= np.isfinite(dq)
+    moves = np.isfinite(measured if dq is None else measured + dq)
     (ax,) = draw.axes(2.7)
     rows = np.flatnonzero(moves)[:: max(1, int(moves.sum()) // _POINTS)]
-    for model, (_, colour, _) in zip(models, _MODELS, strict=True):
-        if model is not None and len(model) == len(measured):
+    for model, (_, colour, _) in zip((given, identified), _MODELS, strict=True):
+        if model is not None:
             look: Any = {"s": 5, "c": colour, "alpha": 0.35, "lw": 0}
             ax.scatter(model[rows], measured[rows], **look, rasterized=True)
     ends = [measured[moves].min(initial=0.0), measured[moves].max(initial=0.0)]
@@ -56,14 +57,15 @@ def _agreement(k: int, joint: str, row: Result, series: Series, unit: str) -> Pa
     draw.label_y(ax, f"measured [{unit}]")
     share = v.at(row, "validate", "r2")
     told = f", identified r² {v.number4(share)}" if share is not None else ""
+    joint = v.text(row, "name")
     return draw.panel(ax, f"{joint}: measured over predicted torque{told}", f"{joint}{told}")
 
 
 def residual_figure(result: Result, series: Series, unit: str) -> Figure | None:
     """Residual of the identified model over position, velocity, load and frequency, per joint."""
-    joints = v.joint_names(result)
     cutoff = v.real(result, "cutoff_hz")
-    panels = [_residual(k, joint, result, series, unit, cutoff) for k, joint in enumerate(joints)]
+    rows = enumerate(v.records(result, "joints"))
+    panels = [_residual(k, row, series, unit, cutoff) for k, row in rows]
     caption = (
         "What the identified model leaves while the joint moves on the hold-out. Medians that bend "
         "away from zero over position tell of springs or ripple, over velocity of friction, over "
@@ -79,33 +81,33 @@ def residual_figure(result: Result, series: Series, unit: str) -> Figure | None:
     return figure(panels, caption, legend)
 
 
-def _residual(
-    k: int, joint: str, result: Result, series: Series, unit: str, cutoff: float | None
-) -> Panel | None:
-    keys = ("measured", "given", "identified", "position", "velocity")
-    measured, given, model, q, dq = (v.curve(series, key, k) for key in keys)
-    t = v.times(series)
+def _residual(k: int, row: Result, series: Series, unit: str, cutoff: float | None) -> Panel | None:
+    t, keys = v.times(series), ("given", "identified", "position", "velocity")
+    measured, given, model, q, dq = _curves(series, k, *keys)
     if t is None or measured is None or model is None or q is None or dq is None:
         return None
-    if any(len(x) != len(t) for x in (measured, model, q, dq)):
+    if len(measured) != len(t):
         return None
-    speed = v.text(v.records(result, "joints")[k], "friction", "velocity_unit")
-    units = (speed.removesuffix("/s"), speed, unit)
+    speed = v.text(row, "friction", "velocity_unit")
     *clouds, spectrum = draw.axes(5.4, (1, 1, 1, 1), space=0.75, shared=False)
-    load = np.abs(model) * np.sign(dq)
-    names = ("position", "velocity", "load")
-    for ax, x, name, si in zip(clouds, (q, dq, load), names, units, strict=True):
+    drawn = (
+        ("position", q, speed.removesuffix("/s")),
+        ("velocity", dq, speed),
+        ("load", np.abs(model) * np.sign(dq), unit),
+    )
+    for ax, (name, x, si) in zip(clouds, drawn, strict=True):
         draw_points(ax, np.where(np.isfinite(dq), x, np.nan), measured - model)
         ax.axhline(0, color="#8a8f94", lw=0.7)
         ax.margins(0.04)
         ax.set_xlabel(f"{name} [{si}]" if si else name, labelpad=1)
         draw.label_y(ax, f"[{unit}]")
     lines = [(measured, draw.MEASURED)]
-    for other, colour in ((given, draw.GIVEN), (model, draw.FITTED)):
-        if other is not None and len(other) == len(t):
+    for other, (_, colour, _) in zip((given, model), _MODELS, strict=True):
+        if other is not None:
             lines.append((np.where(np.isfinite(dq), measured - other, 0.0), colour))
     _draw_spectra(spectrum, draw.timeline(t)[0], lines, cutoff)
     draw.label_y(spectrum, f"[{unit}/√Hz]")
+    joint = v.text(row, "name")
     label = f"{joint}: residual over position, velocity and load, and its spectrum"
     return draw.panel(spectrum, label, joint)
 

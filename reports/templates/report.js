@@ -79,7 +79,8 @@
     Array.from(new Numbers(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer));
   const values = ({ low, step, k }) =>
     decoded(k, Int16Array).map((x) => (x === -32768 ? null : low + step * (x + 32767)));
-  const both = (f) => (a, k, b) => (a === null || b[k] === null ? null : f(a, b[k]));
+  const sum = (a, b, sign) =>
+    a.map((x, k) => (x === null || b[k] === null ? null : x + sign * b[k]));
   const digits = (x, n) => (x === null || x === undefined ? "–" : String(+x.toPrecision(n)));
 
   /* one joint of a figure at a time: chosen, zoomed into and read off */
@@ -88,14 +89,10 @@
     const figure = source.closest("figure");
     const time = decoded(t, Float32Array);
     const [start, end] = [time[0], time[time.length - 1]];
-    const [plus, minus] = [both((a, b) => a + b), both((a, b) => a - b)];
-    const joined = (f, a, b) => a.map((x, k) => f(x, k, b));
-    const last = curves.length - 1;
     const data = (joint) => {
       const lines = curves.map((each) => values(each.values[joint]));
-      const left = lines.slice(1).map((line) => joined(minus, lines[0], line));
-      const wide = half ? values(half[joint]) : [];
-      const edges = half ? [joined(plus, lines[last], wide), joined(minus, lines[last], wide)] : [];
+      const left = lines.slice(1).map((line) => sum(lines[0], line, -1));
+      const edges = half ? [1, -1].map((sign) => sum(lines.at(-1), values(half[joint]), sign)) : [];
       return [[time, ...edges, ...lines], [time, ...left]];
     };
 
@@ -115,12 +112,11 @@
         const { min, max } = plots[0].scales.x;
         const width = Math.min((max - min) * factor, end - start);
         const first = (min + max - width) / 2 + shift * width;
-        const min2 = Math.min(Math.max(first, start), end - width);
-        plots[0].setScale("x", { min: min2, max: min2 + width });
+        const from = Math.min(Math.max(first, start), end - width);
+        plots[0].setScale("x", { min: from, max: from + width });
       });
       keys.append(press);
     }
-    const hint = "Drag over a stretch to zoom into it, double-click to see all; point or tap to read values off.";
     chart.append(bar);
     figure.querySelector(".panels").before(chart);
 
@@ -155,7 +151,7 @@
           [...(half ? [edge, edge] : []), ...curves.map(line)], torque, band),
         draw(`residual [${unit}]`, 210, curves.slice(1).map(line), residual),
       ];
-      chart.append(make("p", {}, hint));
+      chart.append(make("p", {}, "Drag over a stretch to zoom in, double-click to see all; point or tap to read off."));
     };
     choice.addEventListener("change", () => {
       const all = choice.selectedIndex === names.length;
