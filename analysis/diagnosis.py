@@ -55,6 +55,7 @@ from excitant.identify.rows import (
     predicted_torque,
     series,
     split,
+    states,
     told,
 )
 from excitant.robots.base_parameters import base_parameters
@@ -123,11 +124,7 @@ class Diagnosis:
     @cached_property
     def states(self) -> tuple[Array, Array, Array]:
         """Positions, velocities, accelerations of the joints at these rows, each (n, nv)."""
-        motions = [s.motion[s.keep] for s in self.data.validate]
-        q, dq, ddq = (
-            np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "dq", "ddq")
-        )
-        return q, dq, ddq
+        return states(self.data.validate)
 
     @cached_property
     def refit(self) -> Refit:

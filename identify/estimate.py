@@ -16,6 +16,7 @@ from excitant.files import write_file
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.faults import warn_of_faults
+from excitant.identify.friction import FrictionCurve, curves_over_velocity, friction_curve
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     LeastSquares,
@@ -42,12 +43,13 @@ from excitant.identify.rows import (
     predicted_torque,
     series,
     split,
+    states,
     told,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_estimate import BaseEstimate, is_covariance
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import Effect, effect_values, standard_effects
 from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, inertia, violations
@@ -189,6 +191,17 @@ class Estimate:
         return series(self.data.validate)
 
     @cached_property
+    def velocity(self) -> Array:
+        """Velocities at these rows, shape (n, nv) [rad/s or m/s]; NaN where it rests."""
+        dq = states(self.data.validate)[1]
+        return read_only(np.where(self.holdout.counts, dq, np.nan))
+
+    @cached_property
+    def friction(self) -> tuple[FrictionCurve | None, ...]:
+        """Friction of each joint by its velocity; None where none was estimated."""
+        return tuple(friction_curve(self, joint) for joint in self.given.joints)
+
+    @cached_property
     def predicted(self) -> Array:
         """Torque of the model at the rows of the hold-out, shape (n, nv) [torque unit]."""
         return read_only(predicted_torque(self.model, self.data.validate) / self.gains)
@@ -270,8 +283,9 @@ class Estimate:
                     "validate": self.validate.entry(j) | {"interval95": intervals[j]},
                     "baseline": self.baseline.entry(j),
                     **({} if sensors is None else {"motion": sensors.entry(j, cutoff_hz)}),
+                    **({} if curve is None else {"friction": curve.entry()}),
                 }
-                for j, joint in enumerate(robot.joints)
+                for j, (joint, curve) in enumerate(zip(robot.joints, self.friction, strict=True))
             ],
             "links": [body.entry() for body in self.bodies],
             "prior_sigma": self._sigma.tolist(),
@@ -303,13 +317,16 @@ class Estimate:
         }
 
     def series(self) -> dict[str, Array]:
-        """Measured, given and identified torque on the hold-out, each of shape (n, nv)."""
+        """Torques and states on the hold-out, each of shape (n, nv), and curves of friction."""
         return {
             "t": self.holdout.t,
             "measured": self.holdout.measured,
             "given": self.predicted_given,
             "identified": self.predicted,
             "half_width": self.interval.half_width,
+            "position": states(self.data.validate)[0],
+            "velocity": self.velocity,
+            **curves_over_velocity(self),
         }
 
     def save(self, path: str | Path) -> list[Path]:
@@ -387,7 +404,9 @@ class Estimate:
         effects = [p for e in self.model.effects for p in e.parameters(robot)]
         owners = [link for link in robot.links for _ in UNITS]
         owners += [p.name.rpartition(".")[0] for p in effects]
-        given = [*self.prior, *(None,) * len(effects)]
+        prior = [*self.prior, *(None,) * len(effects)]
+        known = effect_values(robot)
+        given = [*robot.phi, *(known.get(p.name) for p in effects)]
         who = decided_by(physical.influence)
         return [
             {
@@ -397,7 +416,8 @@ class Estimate:
                 "std": float(self.std[k]),
                 "unit": unit,
                 "category": category,
-                "prior": None if given[k] is None else float(given[k]),
+                "given": None if given[k] is None else factor * float(given[k]),
+                "prior": None if prior[k] is None else float(prior[k]),
                 "prior_dominated": category == "unidentifiable" or who[k] == "prior",
                 "decided_by": "prior" if category == "unidentifiable" else who[k],
             }

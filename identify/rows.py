@@ -224,6 +224,13 @@ def series(segments: Sequence[Segment]) -> Series:
     return Series(t, measured, raw, away_from_rest(segments))
 
 
+def states(segments: Sequence[Segment]) -> tuple[Array, Array, Array]:
+    """Positions, velocities and accelerations of the joints at the rows, each (n, nv)."""
+    motions = [s.motion[s.keep] for s in segments]
+    q, dq, ddq = (np.concatenate([getattr(m, x) for m in motions]) for x in ("q", "dq", "ddq"))
+    return q, dq, ddq
+
+
 def predicted_torque(robot: Robot, segments: Sequence[Segment]) -> Array:
     """Torque of the robot with its effects at the rows, filtered alike, shape (n, nv) [N·m]."""
     return np.concatenate([s.rows(lambda motion: torque(robot, motion)) for s in segments])

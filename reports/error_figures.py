@@ -279,9 +279,7 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
     joint = joint or v.listing(v.words(finding, "joints"), "all joints")
     rivals = [v.plain(v.text(each, "effect")) for each in v.records(finding, "rivals")]
     (ax,) = draw.axes(2.6)
-    step, binned = max(1, len(x) // _POINTS), len(x) >= 4 * _MEDIANS
-    # one small picture: thousands of points would make the page heavy
-    ax.scatter(x[::step], residual[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
+    binned = draw_points(ax, x, residual)
     legend = [Key("dot", draw.LIGHT, "residual before")]
     legend += [Key("dot", draw.MEASURED, "median in bins")] * binned
     caption = (
@@ -301,14 +299,25 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
         caption += (
             f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
         ) * (fit is not None)
-    if binned:
-        look: Any = {"ms": 4, "color": draw.MEASURED, "mec": "white", "mew": 0.7}
-        ax.plot(*_along(x, residual, _MEDIANS), "o", **look)
     ax.margins(0.04)
     draw.label_x(ax, x_label)
     draw.label_y(ax, v.text(finding, "figure", "y_label") or f"residual [{unit}]")
     label = f"{joint}: residual against {x_label}, with the fitted {effect}"
     return draw.single(ax, label, caption, legend, joint)
+
+
+def draw_points(ax: draw.Axes, x: Array, y: Array) -> bool:
+    """A cloud of points, thinned, and their medians in bins where there are enough of them."""
+    seen = np.isfinite(x) & np.isfinite(y)
+    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
+    x, y = x[order], y[order]
+    step, binned = max(1, len(x) // _POINTS), len(x) >= 4 * _MEDIANS
+    # one small picture: thousands of points would make the page heavy
+    ax.scatter(x[::step], y[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
+    if binned:
+        look: Any = {"ms": 4, "color": draw.MEASURED, "mec": "white", "mew": 0.7, "zorder": 4}
+        ax.plot(*_along(x, y, _MEDIANS), "o", **look)
+    return binned
 
 
 def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Array, Array]:
