@@ -60,9 +60,9 @@ from excitant.identify.rows import (
 )
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
-from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table, share
 from excitant.robots.threads import on_one_thread
 
 _NO_PLAN = Plan()
@@ -74,8 +74,8 @@ _LITTLE = 0.01  # of the squared error: a round that gains less is the last
 _ROUNDS = 5  # of the search at most, as effects may depend on the model that it finds
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Shown):
     """Errors of a given model on the hold-out, by cause.
 
     Attributes:
@@ -284,13 +284,22 @@ class Diagnosis:
         except ExcitantError as error:
             return {"joints": [], "notes": [f"Forward simulation failed: {error}"]}
 
-    def _repr_html_(self) -> str:
+    def _lines(self) -> list[str]:
+        errors = (share(float(np.nanmedian(x.nrmse))) for x in (self.simulation, self.extended))
+        count = f"{len(self.findings)} finding{'s' * (len(self.findings) != 1)}"
+        return [
+            f"Errors of the model of {self.robot.name} by cause: {count}",
+            self.headline,
+            f"error {' → '.join(errors)} (nrmse, median over joints, on the hold-out)",
+        ]
+
+    def _table(self) -> Table:
         rows = [
             (f.effect.name, ", ".join(f.effect.joints), f.verdict, f.rms_before, f.rms_after)
             for f in self.findings
         ]
         heads = ("cause", "joints", "verdict", "rms error without it", "with it")
-        return html_table(f"Errors of the model of {self.robot.name} by cause", heads, rows)
+        return heads, rows
 
 
 def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:

@@ -27,10 +27,10 @@ from excitant.exceptions import BadInput
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.dh import distal_frames
 from excitant.robots.effects import Effect
-from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.parameters import UNITS, moved_parameters
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table
 from excitant.robots.threads import on_one_thread
 
 if TYPE_CHECKING:
@@ -115,8 +115,8 @@ class PracticalIdentifiability:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Identifiability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identifiability(Shown):
     """Identifiability of an arm: structural, and practical where a motion is given.
 
     Attributes:
@@ -193,16 +193,30 @@ class Identifiability:
             return {"structural_values": values, "structural_vectors": vectors}
         return {"singular_values": self.motion.singular_values} if self.motion else {}
 
-    def _repr_html_(self) -> str:
-        title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"
+    def _lines(self) -> list[str]:
+        kinds, shown = self.structure.category, ""
+        if self.motion is not None:
+            lost = sum(p.verdict == NOT_SHOWN for p in self.practical)
+            shown = (
+                f"motion: condition number {self.motion.condition_number:.4g}, shows "
+                f"{len(self.practical) - lost} of {len(self.practical)} base parameters"
+            )
+        return [
+            f"Identifiability of {self.robot.name}: {len(self.base)} base parameters",
+            f"of {len(kinds)} parameters, "
+            + ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)),
+            shown,
+        ]
+
+    def _table(self) -> Table:
         if self.motion is None:
             rows = [
                 (name, kind)
                 for name, kind in zip(self.base.names, self.structure.category, strict=True)
             ]
-            return html_table(title, ("parameter", "identifiable"), rows)
+            return ("parameter", "identifiable"), rows
         shown = [(p.expression, p.value, p.std, p.verdict) for p in self.practical]
-        return html_table(title, ("base parameter", "value", "std", "shown by the motion"), shown)
+        return ("base parameter", "value", "std", "shown by the motion"), shown
 
 
 @on_one_thread

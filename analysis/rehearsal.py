@@ -22,11 +22,11 @@ from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible, RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, recording_from_table
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
-from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table
 from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 from excitant.robots.virtual_arm import (
@@ -232,8 +232,8 @@ def _cause(found: Finding | Candidate) -> str:
     return f"{plain(found.effect.name)} on {', '.join(found.effect.joints)}"
 
 
-@dataclass(frozen=True, eq=False)
-class Rehearsal:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rehearsal(Shown):
     """Recovery of a virtual arm's parameters by a motion.
 
     Attributes:
@@ -312,11 +312,18 @@ class Rehearsal:
         listed = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         return f"The motion would not do: {listed}"
 
-    def _repr_html_(self) -> str:
-        rows = [("met" if x.passed else "not met", x.name, x.joint, x.detail) for x in self.items]
+    def _lines(self) -> list[str]:
+        met = sum(x.passed for x in self.items)
         verdict = "would do" if self.passed else "would not do"
-        heads = ("", "requirement", "joint", "figures")
-        return html_table(f"Rehearsal: the motion {verdict}", heads, rows)
+        return [
+            f"Rehearsal: the motion {verdict}",
+            f"of {self.robot.name}; {met} of {len(self.items)} requirements are met",
+            self.headline,
+        ]
+
+    def _table(self) -> Table:
+        rows = [("met" if x.passed else "not met", x.name, x.joint, x.detail) for x in self.items]
+        return ("", "requirement", "joint", "figures"), rows
 
 
 @on_one_thread

@@ -49,11 +49,11 @@ from excitant.identify.rows import (
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_estimate import BaseEstimate, is_covariance
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
-from excitant.robots.effects import Effect, effect_values, standard_effects
-from excitant.robots.html_table import html_table
+from excitant.robots.effects import Effect, effect_values, plain, standard_effects
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, inertia, violations
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table, share
 from excitant.robots.threads import on_one_thread
 
 LEVEL = 0.95
@@ -122,8 +122,8 @@ class BodyChange:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Shown):
     """Result of an identification.
 
     Attributes:
@@ -426,12 +426,22 @@ class Estimate:
             )
         ]
 
-    def _repr_html_(self) -> str:
+    def _lines(self) -> list[str]:
+        errors = (share(float(np.nanmedian(x.nrmse))) for x in (self.baseline, self.validate))
+        below = f"{self.data.cutoff_hz:.3g} Hz"
+        broken, effects = violations(self.phi, self.given.links), self.model.effects
+        return [
+            f"Estimate of {self.given.name} ({self.estimator}), on the hold-out",
+            f"error {' → '.join(errors)} (nrmse, median over joints, below {below})",
+            f"{len(self.base)} base parameters, {'not ' * bool(broken)}physically consistent; "
+            f"effects: {', '.join(dict.fromkeys(plain(e.name) for e in effects)) or 'none'}",
+        ]
+
+    def _table(self) -> Table:
         columns = (self.baseline.rms, self.validate.rms, self.validate.nrmse, self.validate.r2)
         rows = zip(self.given.joints, *(column.tolist() for column in columns), strict=True)
         heads = ("joint", "rms error as given", "identified", "nrmse", "r²")
-        title = f"Estimate of {self.given.name} ({self.estimator}), on the hold-out"
-        return html_table(title, heads, rows)
+        return heads, rows
 
 
 @on_one_thread

@@ -18,9 +18,9 @@ from excitant.identify.importers.arrays import refuse_size
 from excitant.identify.importers.columns import Channel, Columns, resolve
 from excitant.identify.importers.names import ColumnMap
 from excitant.identify.importers.text import text_table
-from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table
 
 if TYPE_CHECKING:
     from excitant.identify.drive_gains import DriveGains
@@ -39,8 +39,8 @@ SUFFIXES = (*_READERS, *_BAGS)
 _REMEMBERED = 100  # unreadable cells whose text is kept
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Shown):
     """Logged motion and torque (or motor current) of all joints.
 
     `load_recording` refuses time that does not rise and cells that are no finite number;
@@ -104,12 +104,21 @@ class Recording:
         part = self.take(slice(int(np.searchsorted(self.t, low)), int(last)))
         return replace(part, name=f"{self.name} ({label})")
 
-    def _repr_html_(self) -> str:
+    def _lines(self) -> list[str]:
+        rate = (len(self) - 1) / self.duration if self.duration > 0 else 0.0
+        logged = [name for name, _ in self.channels()]
+        return [
+            f"Recording {self.name}: {len(self)} samples over {self.duration:.4g} s",
+            f"{self.nv} joints at {rate:.4g} Hz: {', '.join(logged)} [{self.unit}]"
+            + f"; also {', '.join(self.extras)}" * bool(self.extras),
+            f"from {self.file}",
+        ]
+
+    def _table(self) -> Table:
         ranges = (edge(x, axis=0).tolist() for x in (self.q, self.tau) for edge in (np.min, np.max))
         rows = zip(range(1, self.nv + 1), *ranges, strict=True)
         heads = ("joint", "q from", "q to", f"torque from [{self.unit}]", "torque to")
-        title = f"Recording {self.name}: {len(self)} samples over {self.duration:.4g} s"
-        return html_table(title, heads, rows)
+        return heads, rows
 
 
 def load_recording(

@@ -12,18 +12,18 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.robots.base_estimate import BaseEstimate
-from excitant.robots.html_table import html_table
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, inertia
+from excitant.robots.shown import Shown, Table
 from excitant.robots.urdf_writer import current_urdf
 
 if TYPE_CHECKING:
     from excitant.robots.effects import Effect
 
 
-@dataclass(frozen=True, eq=False)
-class Robot:
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot(Shown):
     """A serial arm with one degree of freedom per joint.
 
     Attributes:
@@ -166,10 +166,22 @@ class Robot:
             rng.uniform(-acceleration, acceleration, shape),
         )
 
-    def _repr_html_(self) -> str:
+    def _lines(self) -> list[str]:
+        from excitant.robots.effects import plain
+
+        held = [f"{joint} at {q:.4g}" for joint, q in self.locked]
+        effects = dict.fromkeys(plain(effect.name) for effect in self.effects)
+        return [
+            f"Robot {self.name}: {self.nv} joints, SI units",
+            f"joints: {', '.join(self.joints)}",
+            f"moving mass {self.phi[::10].sum():.4g} kg; effects: {', '.join(effects) or 'none'}"
+            + f"; held: {', '.join(held)}" * bool(held),
+        ]
+
+    def _table(self) -> Table:
         limits = self.limits
         columns = (*limits.position.T, limits.velocity, limits.torque, self.phi[::10])
         values = np.column_stack(columns).tolist()
         rows = [(*names, *row) for *names, row in zip(self.joints, self.links, values, strict=True)]
         heads = ("joint", "link", "from", "to", "speed", "torque", "mass [kg]")
-        return html_table(f"Robot {self.name}: {self.nv} joints, SI units", heads, rows)
+        return heads, rows
