@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,7 +47,7 @@ from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.faults import warn_of_faults
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
-from excitant.identify.recording import Recording
+from excitant.identify.recording import Recordings, as_recordings
 from excitant.identify.rows import (
     Accuracy,
     Data,
@@ -60,10 +60,16 @@ from excitant.identify.rows import (
 )
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.shown import Shown, Table, share
+from excitant.robots.shown import Shown, Table, data_frame, share
 from excitant.robots.threads import on_one_thread
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from excitant.identify.export import Publication
 
 _NO_PLAN = Plan()
 _GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodies alone show
@@ -212,7 +218,6 @@ class Diagnosis(Shown):
         """Contents of result.json, with a plan's experiments or else general actions."""
         notes = [*self.notes, placeholders(self), at_rest(self), shared_friction(self)]
         labels = (f"torque [{self.unit(curve.joint)}]" for curve in self.curves)
-        pairs = zip(self.ordered, self.curves, labels, strict=True)
         both = zip(self.given_residuals, self.residuals, strict=True)
         joints = self.robot.joints
         return {
@@ -226,13 +231,9 @@ class Diagnosis(Shown):
             "simulation": {"joints": self._joints(self.simulation)},
             "faults": [],
             "findings": [
-                (
-                    _cause(self, group, plan)
-                    if (group := causes(item))
-                    else _unknown(self, left_of(item))
-                )
+                entry
                 | {"figure": {"x_label": curve.x_label, "y_label": y, "joint": joints[curve.joint]}}
-                for item, curve, y in pairs
+                for entry, curve, y in zip(self._findings(plan), self.curves, labels, strict=True)
             ],
             "unexplained": [
                 {"joint": left.joint, "share": float(np.clip(1 - r2, 0, 1)), **left.unexplained()}
@@ -264,6 +265,25 @@ class Diagnosis(Shown):
                 if (values := getattr(curve, name)) is not None:
                     arrays[f"finding{k}_{name}"] = values
         return arrays
+
+    def _findings(self, plan: Plan) -> list[dict[str, Any]]:
+        return [
+            _cause(self, group, plan) if (group := causes(item)) else _unknown(self, left_of(item))
+            for item in self.ordered
+        ]
+
+    def to_frame(self) -> pd.DataFrame:
+        """Findings in order of importance, a row each, with what `result` says of them."""
+        return data_frame(self._findings(_NO_PLAN), "effect")
+
+    def publication(self, *, force: bool = False, faults: Sequence[str] = ()) -> Publication:
+        """Files of the extended model, unless faults or the hold-out speak against it."""
+        from excitant.identify.export import model_files, published
+
+        files = model_files(self.extension.model, "extended", "extended.yaml")
+        torques = self.held.series, self.extension.predicted, self.held.simulated
+        options: dict[str, Any] = {"force": force, "faults": faults, "kind": "extended"}
+        return published(files, self.robot.joints, *torques, **options)
 
     def _joints(self, accuracy: Accuracy) -> list[dict[str, Any]]:
         return [{"name": joint, **accuracy.entry(j)} for j, joint in enumerate(self.robot.joints)]
@@ -390,25 +410,28 @@ def _unknown(diagnosis: Diagnosis, left: Sequence[Residual]) -> dict[str, Any]:
 
 @on_one_thread
 def diagnose(
-    robot: Robot,
-    recordings: Sequence[Recording],
+    robot: RobotLike,
+    recordings: Recordings,
     *,
-    validate: Sequence[Recording] = (),
+    validate: Recordings = (),
     cutoff_hz: float | None = None,
 ) -> Diagnosis:
     """Find the causes of a given model's errors.
 
     Args:
-        robot: The given model: inertias and effects as they are believed to be.
-        recordings: Recordings to explain.
-        validate: Recordings to judge on; the last 30 % of each recording when empty.
+        robot: The given model: inertias and effects as they are believed to be; or its name or
+            file.
+        recordings: Recordings to explain, or tables or files of them.
+        validate: Likewise, to judge on; the last 30 % of each recording when empty.
         cutoff_hz: Cut-off of the torque filter [Hz].
 
     Raises:
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass.
     """
-    given, prior = robot, prior_parameters(robot)
+    given = robot = as_robot(robot)
+    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
+    prior = prior_parameters(robot)
     warn_of_faults(given, recordings)
     mounted, amended = set_up(given, recordings, validate)
     fitted, unseen = amended[: len(recordings)], amended[len(recordings) :]

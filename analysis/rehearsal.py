@@ -22,6 +22,7 @@ from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible, RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, recording_from_table
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run
@@ -328,7 +329,7 @@ class Rehearsal(Shown):
 
 @on_one_thread
 def rehearse(
-    robot: Robot,
+    robot: RobotLike,
     path: Path,
     duration: float,
     rng: np.random.Generator,
@@ -337,7 +338,7 @@ def rehearse(
     """Try a motion on a virtual arm.
 
     Args:
-        robot: The arm as it is known, with its limits.
+        robot: The arm as it is known, with its limits, its built-in name or file.
         path: Positions ``path(t, order)`` and derivatives, shape (n, nv); from rest.
         duration: Length of the motion [s].
         rng: Draws the arm, its noise and its change.
@@ -348,7 +349,7 @@ def rehearse(
         BadRecording: The motion is too short to be identified from.
         BadRobot: A link of negative mass.
     """
-    tell = progress or (lambda fraction, words: None)
+    robot, tell = as_robot(robot), progress or (lambda fraction, words: None)
     tell(0.0, "running the motion")
     arm, change = rehearsal_arm(robot, rng), draw_change(robot, rng)
     run = arm.run(path, duration, rng)

@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
+from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.search import SearchState
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import OutsideLimits
@@ -212,6 +213,13 @@ class Design(Shown):
         if robot.limits.orders > 3:
             series["dddq"] = self.trajectory(motion.t, 3)
         return series
+
+    def files(self, rate_hz: float = 100.0, repetitions: int = 1) -> dict[str, str]:
+        """The trajectory as a table at a control rate [Hz], and exactly."""
+        return {
+            "trajectory.csv": trajectory_csv(self.trajectory, rate_hz, repetitions),
+            "trajectory.json": trajectory_json(self.trajectory, self.robot),
+        }
 
     def _lines(self) -> list[str]:
         first, last, worst = self.condition_initial, self.condition_final, self.limits.worst

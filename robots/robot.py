@@ -11,14 +11,17 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from excitant.exceptions import UnknownName
 from excitant.robots.base_estimate import BaseEstimate
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, inertia
-from excitant.robots.shown import Shown, Table
+from excitant.robots.shown import Shown, Table, data_frame
 from excitant.robots.urdf_writer import current_urdf
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from excitant.robots.effects import Effect
 
 
@@ -112,7 +115,8 @@ class Robot(Shown):
         return " or ".join(units) if measured == "N·m" else measured
 
     def joint_index(self, joint: str) -> int:
-        """Position of a joint in the order of this robot."""
+        """Position of a joint in the order of this robot; UnknownName if it has none such."""
+        UnknownName.refuse("joint", [joint], self.joints)
         return self.joints.index(joint)
 
     def with_parameters(self, phi: npt.ArrayLike) -> Robot:
@@ -165,6 +169,12 @@ class Robot(Shown):
             rng.uniform(-speed, speed, shape),
             rng.uniform(-acceleration, acceleration, shape),
         )
+
+    def to_frame(self) -> pd.DataFrame:
+        """Standard parameters of the links, a row each."""
+        values = zip(self.links, self.phi.reshape(-1, 10).tolist(), strict=True)
+        rows = [{"link": link} | dict(zip(STANDARD, own, strict=True)) for link, own in values]
+        return data_frame(rows, "link")
 
     def _lines(self) -> list[str]:
         from excitant.robots.effects import plain
