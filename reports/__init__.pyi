@@ -1,0 +1,17 @@
+from . import plot
+from .pages import SavedRun, compare, page_of
+from .render import brief, html, summary, table_lines
+from .run import load_run, save_run
+
+__all__ = [
+    "SavedRun",
+    "brief",
+    "compare",
+    "html",
+    "load_run",
+    "page_of",
+    "plot",
+    "save_run",
+    "summary",
+    "table_lines",
+]
