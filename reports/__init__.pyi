@@ -1,7 +1,7 @@
 from . import plot
 from .pages import SavedRun, compare, page_of
 from .render import brief, html, summary, table_lines
-from .run import load_run, save_run
+from .run import load_run, report, save, save_run
 
 __all__ = [
     "SavedRun",
@@ -11,6 +11,8 @@ __all__ = [
     "load_run",
     "page_of",
     "plot",
+    "report",
+    "save",
     "save_run",
     "summary",
     "table_lines",

@@ -12,6 +12,7 @@ import contextlib
 import importlib.util
 import inspect
 import io
+import json
 import math
 import re
 import shlex
@@ -33,6 +34,7 @@ from excitant.robots.effects import EFFECTS
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 EFFECT_PAGE = "add-an-effect.md"  # followed in a test of its own
 OTHERS = {"--nthreads", "--seconds", "--tacho"}  # of programs that pages mention beside excitant
 
@@ -131,6 +133,28 @@ def test_links_lead_to_files(page: str) -> None:
     targets = LINK.findall(path.read_text(encoding="utf-8"))
     missing = [target for target in targets if not (path.parent / target).exists()]
     assert not missing, f"{page} links to what is not there: {missing}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_shows_what_it_says(path: Path, here: Path) -> None:
+    sys.path.insert(0, str(DOCS))
+    try:
+        outputs_of = import_module("run_notebooks").outputs_of
+    finally:
+        sys.path.remove(str(DOCS))
+    notebook = json.loads(path.read_text("utf-8"))
+    kept = [cell["outputs"] for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    for shown, found in zip(kept, outputs_of(notebook), strict=True):
+        assert [sorted(o.get("data", o)) for o in shown] == [sorted(o.get("data", o)) for o in found]
+        for expected, output in zip(map(_text, shown), map(_text, found), strict=True):
+            assert_shown(expected, output, path.name)
+    pictures = [o["data"].get("image/png", "") for cell in kept for o in cell if "data" in o]
+    assert max(map(len, pictures)) < 300_000
+
+
+def _text(output: dict[str, Any]) -> str:
+    return "".join(output.get("text", ())) or output["data"]["text/plain"]
 
 
 @pytest.mark.slow
