@@ -77,6 +77,7 @@ _LEAST_GAIN, _NEAR = 0.2, 0.5  # of the gain assumed: least that is believed, th
 _LACKS = 0.5  # of the friction found: a model with less lacks it
 _MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
 _LITTLE = 0.01  # of the squared error: a round that gains less is the last
+_COLUMNS = ("joints", "sentence", "verdict", "explained", "holdout.rms_before", "holdout.rms_after")
 _ROUNDS = 5  # of the search at most, as effects may depend on the model that it finds
 
 
@@ -274,7 +275,7 @@ class Diagnosis(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Findings in order of importance, a row each, with what `result` says of them."""
-        return data_frame(self._findings(_NO_PLAN), "effect")
+        return data_frame(self._findings(_NO_PLAN), "effect", _COLUMNS)
 
     def publication(self, *, force: bool = False, faults: Sequence[str] = ()) -> Publication:
         """Files of the extended model, unless faults or the hold-out speak against it."""

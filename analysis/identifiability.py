@@ -200,7 +200,7 @@ class Identifiability(Shown):
         """Every parameter, or every base parameter under the motion, a row each."""
         UnknownName.refuse("table", [of], ("parameters", "base_parameters"))
         rows = self.entries if of == "parameters" else self.practical
-        return data_frame([row.result() for row in rows], "name")
+        return data_frame([row.result() for row in rows], "name", ("value", "std", "verdict"))
 
     def _lines(self) -> list[str]:
         kinds, shown = self.structure.category, ""

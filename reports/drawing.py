@@ -37,6 +37,7 @@ WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
 _BINS = 200
 _TITLE, _COLUMNS, _EVEN = 0.26, 2, 1e-6  # of a sheet: room above a panel [inch], columns
+_EDGE = 0.06  # inch: beside all panels
 _LETTER = 0.065  # inch: width of one in a legend
 _LINE = 46  # letters of an abscissa's name that surely fit below it
 
@@ -304,10 +305,10 @@ class Sheet:
             column = min(int(columns * (done + height / 2) / total - _EVEN), columns - 1)
             places.append((axes, height, title, column, ends[column]))
             ends[column], done = ends[column] + height, done + height
-        width, tall = columns * WIDTH, strip + max(ends)
+        width, tall = _EDGE + columns * WIDTH, strip + max(ends)
         figure.set_size_inches(width, tall)
         for axes, height, title, column, above in places:
-            x, y = column * WIDTH, tall - strip - above  # of its upper left corner
+            x, y = _EDGE + column * WIDTH, tall - strip - above  # of its upper left corner
             for ax in axes:
                 box = ax.get_position()
                 low = (x + box.x0 * WIDTH) / width, (y - (1 - box.y0) * height) / tall

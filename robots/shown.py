@@ -62,8 +62,15 @@ def _written(cell: object) -> str:
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
-def data_frame(records: Sequence[Mapping[str, Any]], index: str) -> pd.DataFrame:
-    """Records as rows under one of their entries; nested ones as columns ``outer.inner``."""
+def data_frame(
+    records: Sequence[Mapping[str, Any]], index: str, columns: Sequence[str] = ()
+) -> pd.DataFrame:
+    """Records as rows under one of their entries; nested ones as columns ``outer.inner``.
+
+    The columns named are there without any record, too.
+    """
     import pandas as pd
 
+    if not records:
+        return pd.DataFrame(columns=[index, *columns]).set_index(index)
     return pd.json_normalize([dict(record) for record in records]).set_index(index)

@@ -26,6 +26,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
+from run_notebooks import NOTEBOOKS, outputs_of
 
 from excitant.analysis import diagnose
 from excitant.cli import app, main
@@ -34,7 +35,6 @@ from excitant.robots.effects import EFFECTS
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 EFFECT_PAGE = "add-an-effect.md"  # followed in a test of its own
 OTHERS = {"--nthreads", "--seconds", "--tacho"}  # of programs that pages mention beside excitant
 
@@ -138,15 +138,11 @@ def test_links_lead_to_files(page: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_shows_what_it_says(path: Path, here: Path) -> None:
-    sys.path.insert(0, str(DOCS))
-    try:
-        outputs_of = import_module("run_notebooks").outputs_of
-    finally:
-        sys.path.remove(str(DOCS))
     notebook = json.loads(path.read_text("utf-8"))
     kept = [cell["outputs"] for cell in notebook["cells"] if cell["cell_type"] == "code"]
     for shown, found in zip(kept, outputs_of(notebook), strict=True):
-        assert [sorted(o.get("data", o)) for o in shown] == [sorted(o.get("data", o)) for o in found]
+        kinds = [[sorted(o.get("data", o)) for o in outputs] for outputs in (shown, found)]
+        assert kinds[0] == kinds[1]
         for expected, output in zip(map(_text, shown), map(_text, found), strict=True):
             assert_shown(expected, output, path.name)
     pictures = [o["data"].get("image/png", "") for cell in kept for o in cell if "data" in o]
