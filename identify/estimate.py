@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import scipy
 
-from excitant.exceptions import UnknownName
+from excitant.exceptions import BadInput, BadRecording, UnknownName
 from excitant.files import write_file
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
@@ -27,9 +27,9 @@ from excitant.identify.least_squares import (
 )
 from excitant.identify.lengths import LengthErrors, length_deviations, length_errors
 from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
-from excitant.identify.preprocessing import Mask
+from excitant.identify.preprocessing import Mask, prepare
 from excitant.identify.prior import decided_by, prior_parameters
-from excitant.identify.recording import Recording
+from excitant.identify.recording import RecordingLike, Recordings, as_recordings
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
     Accuracy,
@@ -49,12 +49,20 @@ from excitant.identify.rows import (
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_estimate import BaseEstimate, is_covariance
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
-from excitant.robots.effects import Effect, effect_values, standard_effects
-from excitant.robots.html_table import html_table
+from excitant.robots.effects import Effect, effect_values, plain, standard_effects
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, inertia, violations
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table, data_frame, share
 from excitant.robots.threads import on_one_thread
+from excitant.robots.torque import torque
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from excitant.identify.export import Publication
+    from excitant.identify.recording import Recording
 
 LEVEL = 0.95
 _FEWEST = 3.0  # degrees of freedom, below which no noise is known
@@ -122,8 +130,8 @@ class BodyChange:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Shown):
     """Result of an identification.
 
     Attributes:
@@ -316,6 +324,50 @@ class Estimate:
             ],
         }
 
+    def predict(self, recording: RecordingLike, *, filtered: bool = True) -> Array:
+        """Torque of the model at the instants of a recording, shape (n, nv) [torque unit].
+
+        It is that of the motion as `identify_robot` sees it: positions are filtered at twice the
+        cut-off. As measured torque is, it then passes the torque filter, if ``filtered``, whose
+        ends say little. NaN where samples are too few to be filtered.
+        """
+        (run,) = self._alike(recording)
+        found = np.full(run.tau.shape, np.nan)
+        for s in prepare(run, self.data.cutoff_hz):
+            tau, t = torque(self.model, s.motion) / self.gains, s.motion.t
+            tau = s.filtered(tau) if filtered else tau
+            at = (run.t >= t[0]) & (run.t < t[-1] + 1 / s.rate_hz)
+            found[at] = np.column_stack([np.interp(run.t[at], t, column) for column in tau.T])
+        return read_only(found)
+
+    def score(self, recordings: Recordings) -> list[dict[str, Any]]:
+        """Accuracy of the model on recordings joint by joint, as ``result.json`` has it.
+
+        ``rms``, ``rms_raw`` [torque unit], ``nrmse`` and ``r2`` while the joint moves, below the
+        cut-off of this estimate.
+        """
+        cutoff_hz = self.data.cutoff_hz
+        rows = [s for each in self._alike(recordings) for s in prepare(each, cutoff_hz)]
+        found = series(rows).accuracy(predicted_torque(self.model, rows) / self.gains)
+        return [{"name": name, **found.entry(j)} for j, name in enumerate(self.given.joints)]
+
+    def _alike(self, recordings: Recordings) -> list[Recording]:
+        found = as_recordings(recordings, self.given)
+        for each in found:
+            if each.unit != self.data.unit:
+                why = f"torque is in {each.unit}, but in {self.data.unit} where it was identified"
+                raise BadRecording(each.file, f"{why}; use recordings of one unit")
+        return found
+
+    def to_frame(
+        self, of: Literal["parameters", "base_parameters", "joints", "links"] = "parameters"
+    ) -> pd.DataFrame:
+        """Records of ``result.json`` of one kind, a row each."""
+        names = {"parameters": "name", "base_parameters": "expression"}
+        names |= {"joints": "name", "links": "link"}
+        UnknownName.refuse("table", [of], names)
+        return data_frame(self.result()[of], names[of])
+
     def series(self) -> dict[str, Array]:
         """Torques and states on the hold-out, each of shape (n, nv), and curves of friction."""
         return {
@@ -332,12 +384,18 @@ class Estimate:
     def save(self, path: str | Path) -> list[Path]:
         """Write the model as .urdf, .xml (MJCF), .sdf, or .yaml with the files it refers to.
 
+        `excitant.save` writes the whole run into a folder.
+
         Raises:
+            BadInput: A folder.
             UnknownName: Another suffix.
         """
         from excitant.identify.export import model_files
 
         path, gains = Path(path), self.gains if self.data.unit == "A" else None
+        if not path.suffix:
+            why = "name a file, such as model.yaml; excitant.save(estimate, folder) saves the run"
+            raise BadInput(f"{path}: a model is saved into one file; {why}")
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
         formats = {Path(name).suffix for name in files} - {".csv"}
         UnknownName.refuse("format", [path.suffix], sorted(formats))
@@ -346,6 +404,12 @@ class Estimate:
         for file in written:
             write_file(file, files[file.name])
         return written
+
+    def publication(self, *, force: bool = False) -> Publication:
+        """Files of the model, unless the hold-out speaks against it; see `publication`."""
+        from excitant.identify.export import publication
+
+        return publication(self, force=force)
 
     @cached_property
     def bodies(self) -> tuple[BodyChange, ...]:
@@ -426,20 +490,30 @@ class Estimate:
             )
         ]
 
-    def _repr_html_(self) -> str:
+    def _lines(self) -> list[str]:
+        errors = (share(float(np.nanmedian(x.nrmse))) for x in (self.baseline, self.validate))
+        below = f"{self.data.cutoff_hz:.3g} Hz"
+        broken, effects = violations(self.phi, self.given.links), self.model.effects
+        return [
+            f"Estimate of {self.given.name} ({self.estimator}), on the hold-out",
+            f"error {' → '.join(errors)} (nrmse, median over joints, below {below})",
+            f"{len(self.base)} base parameters, {'not ' * bool(broken)}physically consistent; "
+            f"effects: {', '.join(dict.fromkeys(plain(e.name) for e in effects)) or 'none'}",
+        ]
+
+    def _table(self) -> Table:
         columns = (self.baseline.rms, self.validate.rms, self.validate.nrmse, self.validate.r2)
         rows = zip(self.given.joints, *(column.tolist() for column in columns), strict=True)
         heads = ("joint", "rms error as given", "identified", "nrmse", "r²")
-        title = f"Estimate of {self.given.name} ({self.estimator}), on the hold-out"
-        return html_table(title, heads, rows)
+        return heads, rows
 
 
 @on_one_thread
 def identify_robot(
-    robot: Robot,
-    recordings: Sequence[Recording],
+    robot: RobotLike,
+    recordings: Recordings,
     *,
-    validate: Sequence[Recording] = (),
+    validate: Recordings = (),
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
     estimator: str = "wls",
@@ -456,9 +530,9 @@ def identify_robot(
     are warned of (`FaultWarning`), not repaired.
 
     Args:
-        robot: The arm; its inertias are the prior.
-        recordings: What to fit.
-        validate: What to judge on; the last 30 % of each recording when empty.
+        robot: The arm, or its built-in name or file; its inertias are the prior.
+        recordings: What to fit: recordings, or tables or files of them.
+        validate: What to judge on, likewise; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
@@ -476,8 +550,9 @@ def identify_robot(
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: An estimator does not converge, or knowledge leaves no room.
     """
-    if estimator not in ESTIMATORS:
-        raise UnknownName("estimator", estimator, ESTIMATORS)
+    UnknownName.refuse("estimator", [estimator], ESTIMATORS)
+    robot = as_robot(robot)
+    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
     unsure = length_deviations(robot.length_std if length_std is None else length_std, robot)
     prior, known = prior_parameters(robot), (knowledge or Knowledge()).of(robot)
     warn_of_faults(robot, recordings)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from excitant.exceptions import BadRecording
+from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.preprocessing import (
     CUTOFF_HZ,
@@ -79,8 +79,11 @@ def split(
     is lower.
 
     Raises:
+        BadInput: No recording.
         BadRecording: Recordings in different units, or too short to split.
     """
+    if not recordings:
+        raise BadInput("no recording given; give at least one")
     first, why = recordings[0], "as given"
     for recording in (*recordings, *validate):
         if recording.unit != first.unit:

@@ -33,9 +33,7 @@ _LINE, _LABELS = 0.165, 1.3  # inch: height of a row of the forest, room for its
 _LONG = 20  # letters of a name there
 
 
-def friction_axes(
-    k: int, result: Result, series: Series, ax: draw.Axes | None = None
-) -> draw.Axes | None:
+def friction_axes(k: int, result: Result, series: Series) -> draw.Axes | None:
     """Friction of the k-th joint over its velocity; None where none was estimated.
 
     The points are what the rest of the model leaves of the measured torque; they and the curve come
@@ -47,7 +45,7 @@ def friction_axes(
     )
     if known is None or speed is None or torque is None or half is None:
         return None
-    ax = ax or draw.axes(2.6)[0]
+    (ax,) = draw.axes(2.6)
     keys = ("velocity", "measured", "identified")
     at, measured, model = (v.curve(series, key, k) for key in keys)
     if at is not None and measured is not None and model is not None:
@@ -98,10 +96,10 @@ def _kind(symbol: str) -> str:
     return next(kinds, symbol)
 
 
-def forest_axes(rows: Sequence[Result], ax: draw.Axes | None = None) -> draw.Axes:
+def forest_axes(rows: Sequence[Result]) -> draw.Axes:
     """Given and identified values of parameters in one unit, a row each, as `forest_groups`."""
     several = len({v.text(row, "symbol") for row in rows}) > 1
-    ax = ax or draw.axes(_LINE * len(rows) + 0.6, left=_LABELS)[0]
+    (ax,) = draw.axes(_LINE * len(rows) + 0.6, left=_LABELS)
     symbols = [f" {v.text(row, 'symbol')}" * several for row in rows]
     owners = [v.shorten(v.text(row, "owner"), _LONG - 4 * several) for row in rows]
     ax.axvline(0, color="#8a8f94", lw=0.7)

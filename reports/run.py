@@ -5,11 +5,12 @@ from __future__ import annotations
 import io
 import json
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from excitant.reports.pages import page_of
 from excitant.reports.render import html, summary
 from excitant.robots.motion import Array
 from excitant.robots.schema import finite, parsed_json
+
+if TYPE_CHECKING:
+    from excitant.identify.export import Publication
 
 RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "report.html"
 
@@ -205,6 +209,22 @@ class Reportable(Protocol):
         """The arrays that its figures draw."""
 
 
+@runtime_checkable
+class Publishable(Protocol):
+    """A result that holds a model to publish."""
+
+    def publication(self, *, force: bool = False) -> Publication:
+        """Files of the model, or why there are none."""
+
+
+@runtime_checkable
+class Filed(Protocol):
+    """A result with files of its own."""
+
+    def files(self) -> Mapping[str, str | bytes]:
+        """Their content by name."""
+
+
 @dataclass(frozen=True)
 class Report:
     """A page with all figures as HTML, which needs no network; it shows itself in a notebook."""
@@ -221,8 +241,43 @@ class Report:
         return f'<iframe srcdoc="{escape(self.html)}" style="{frame}"></iframe>'
 
 
-def report(noun: Reportable) -> Report:
-    """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
+def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[Path]:
+    """Write a folder as the command does that makes such a noun.
+
+    A model is left out, with a warning, where the hold-out speaks against it, unless by ``force``.
+
+    Args:
+        noun: A design, estimate, identifiability, diagnosis, ...
+        folder: Made when missing; files of an old run there go, what others put there stays.
+        force: Write the model all the same.
+
+    Returns:
+        The paths written: files of the model or motion, then those that every run has.
+
+    Raises:
+        BadInput: Anything else, or a folder that cannot be written.
+    """
+    _require_reportable(noun)
+    result, files = dict(noun.result()), dict[str, str | bytes]()
+    if isinstance(noun, Publishable):
+        model = noun.publication(force=force)
+        files |= model.files
+        result["published"] = model.published
+        if model.note:
+            result["notes"] = [*result["notes"], model.note]
+            warnings.warn(model.note, stacklevel=2)
+    elif isinstance(noun, Filed):
+        files |= noun.files()
+    result["files"] = [str(Path(folder) / name) for name in files]
+    return save_run(folder, result, noun.series(), files)[0]
+
+
+def _require_reportable(noun: object) -> None:
     if not isinstance(noun, Reportable):
         raise BadInput(f"a {type(noun).__name__} has no report; give what a verb returned")
+
+
+def report(noun: Reportable) -> Report:
+    """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
+    _require_reportable(noun)
     return Report(html(page_of(*as_saved(noun.result(), noun.series()))))
