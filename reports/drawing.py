@@ -39,7 +39,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
 _BINS = 200
 _COLOURS = 16  # of an image
 _TITLE, _COLUMNS, _EVEN = 0.26, 2, 1e-6  # of a sheet: room above a panel [inch], columns
-_EDGE = 0.06  # inch: beside all panels
+_EDGE = 0.12  # inch: between panels
 _LETTER = 0.065  # inch: width of one in a legend
 _LINE = 46  # letters of an abscissa's name that surely fit below it
 
@@ -111,28 +111,14 @@ def axes(
     shared: bool = True,
 ) -> list[Axes]:
     """Axes with one abscissa if shared, heights in these ratios [inch]; ``space`` as share."""
-    if (sheet := _sheet.get()) is None:
-        return _stacked(_blank(height), ratios, (height, left, top, space), shared)
-    return sheet.axes(ratios, (height, left, top, space), shared)
-
-
-def _blank(height: float) -> Figure:
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
+    sheet = _sheet.get()
+    if sheet is not None:
+        height, top = height + _TITLE, top + _TITLE
+    if sheet is not None and sheet.onto is not None:
+        sheet.panels.append(([sheet.onto], height, ""))
+        return [sheet.onto]
     _begin()
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasSVG(figure)
-    return figure
-
-
-def _stacked(
-    figure: Figure,
-    ratios: Sequence[float],
-    measures: tuple[float, float, float, float],
-    shared: bool,
-) -> list[Axes]:
-    height, left, top, space = measures
+    figure = _blank(height) if sheet is None else sheet.blank(height)
     grid = figure.subplots(
         len(ratios),
         1,
@@ -154,7 +140,18 @@ def _stacked(
         ax.yaxis.set_major_formatter(_tick)
         ax.xaxis.set_major_formatter(_tick)
     figure.align_ylabels(found)
+    if sheet is not None:
+        sheet.panels.append((found, height, ""))
     return found
+
+
+def _blank(height: float) -> Figure:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height))
+    FigureCanvasSVG(figure)
+    return figure
 
 
 def ink(colour: str) -> str:
@@ -261,24 +258,13 @@ class Sheet:
         self.panels: list[tuple[list[Axes], float, str]] = []
         self._figure: Figure | None = None
 
-    def axes(
-        self, ratios: Sequence[float], measures: tuple[float, float, float, float], shared: bool
-    ) -> list[Axes]:
-        """Axes of the next panel."""
-        height, left, top, space = measures
-        if self.onto is None:
-            if self._figure is None:
-                from matplotlib import pyplot
+    def blank(self, height: float) -> Figure:
+        """The figure, for now of the size of the next panel, which is drawn into it."""
+        from matplotlib import pyplot
 
-                _begin()
-                self._figure = pyplot.figure()
-            height, top = height + _TITLE, top + _TITLE
-            self._figure.set_size_inches(WIDTH, height)
-            found = _stacked(self._figure, ratios, (height, left, top, space), shared)
-        else:
-            found = [self.onto]
-        self.panels.append((found, height, ""))
-        return found
+        self._figure = self._figure or pyplot.figure()
+        self._figure.set_size_inches(WIDTH, height)
+        return self._figure
 
     def drawn(self, draw: Callable[[], page.Figure | None]) -> list[Axes]:
         """All axes of what a function draws for a page, with legend and titles; none without."""
@@ -307,10 +293,10 @@ class Sheet:
             column = min(int(columns * (done + height / 2) / total - _EVEN), columns - 1)
             places.append((axes, height, title, column, ends[column]))
             ends[column], done = ends[column] + height, done + height
-        width, tall = _EDGE + columns * WIDTH, strip + max(ends)
+        width, tall = columns * (WIDTH + _EDGE), strip + max(ends)
         figure.set_size_inches(width, tall)
         for axes, height, title, column, above in places:
-            x, y = _EDGE + column * WIDTH, tall - strip - above  # of its upper left corner
+            x, y = column * WIDTH + (column + 0.5) * _EDGE, tall - strip - above  # of its corner
             for ax in axes:
                 box = ax.get_position()
                 low = (x + box.x0 * WIDTH) / width, (y - (1 - box.y0) * height) / tall

@@ -10,7 +10,7 @@ or ``ax`` is one axes for several drawings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from excitant.reports.estimate_figures import forest_figure, forest_groups, fric
 from excitant.reports.motion_figures import motion_figure
 from excitant.reports.residual_figures import residual_figure
 from excitant.reports.run import Reportable, as_saved
+from excitant.reports.values import Result, Series
 from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion
 
@@ -82,34 +83,29 @@ def motion(
 
     A design knows its robot, and shows torque too.
     """
-    noun = motion if isinstance(motion, Reportable) else _Bare(motion, robot)
-    result, series = _of_joints(noun, joints)
+    if isinstance(motion, Reportable):
+        result, series = _of_joints(motion, joints)
+    else:
+        samples = motion if isinstance(motion, Motion) else motion.sample(_SAMPLES)
+        known: dict[str, Any] = {"joints": [f"joint {j + 1}" for j in range(motion.nv)]}
+        if robot is not None:
+            from excitant.design import check
+
+            robot = as_robot(robot)
+            known = {"joints": robot.joints, "revolute": robot.revolute}
+            known |= check(robot, motion).entries(robot.limits)
+        curves = {name: getattr(samples, name) for name in ("t", "q", "dq", "ddq")}
+        result, series = _chosen(known, curves, joints)
     return _drawn(lambda: motion_figure(v.joint_names(result), result, series))
 
 
-class _Bare:
-    """A motion without a design, with or without a robot."""
-
-    def __init__(self, motion: Trajectory | Motion, robot: RobotLike | None) -> None:
-        self.motion, self.robot = motion, None if robot is None else as_robot(robot)
-
-    def result(self) -> Mapping[str, Any]:
-        if self.robot is None:
-            return {"joints": [f"joint {j + 1}" for j in range(self.motion.nv)]}
-        from excitant.design import check
-
-        entries = check(self.robot, self.motion).entries(self.robot.limits)
-        return {"joints": self.robot.joints, "revolute": self.robot.revolute, **entries}
-
-    def series(self) -> Mapping[str, Array]:
-        known = self.motion
-        samples = known if isinstance(known, Motion) else known.sample(_SAMPLES)
-        return {name: getattr(samples, name) for name in ("t", "q", "dq", "ddq")}
-
-
 def _of_joints(noun: Reportable, joints: Names) -> _Drawn:
+    return _chosen(noun.result(), noun.series(), joints)
+
+
+def _chosen(result: Result, series: Series, joints: Names) -> _Drawn:
     """Result and series of some joints, in the order in which they are named."""
-    result, series = as_saved(noun.result(), {})[0], noun.series()
+    result = as_saved(result, {})[0]
     names = v.joint_names(result)
     wanted = names if joints is None else [joints] if isinstance(joints, str) else list(joints)
     UnknownName.refuse("joint", wanted, names)

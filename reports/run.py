@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from excitant.reports.pages import page_of
 from excitant.reports.render import html, summary
 from excitant.robots.motion import Array
 from excitant.robots.schema import finite, parsed_json
-
-if TYPE_CHECKING:
-    from excitant.identify.export import Publication
 
 RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "report.html"
 
@@ -209,22 +206,6 @@ class Reportable(Protocol):
         """The arrays that its figures draw."""
 
 
-@runtime_checkable
-class Publishable(Protocol):
-    """A result that holds a model to publish."""
-
-    def publication(self, *, force: bool = False) -> Publication:
-        """Files of the model, or why there are none."""
-
-
-@runtime_checkable
-class Filed(Protocol):
-    """A result with files of its own."""
-
-    def files(self) -> Mapping[str, str | bytes]:
-        """Their content by name."""
-
-
 @dataclass(frozen=True)
 class Report:
     """A page with all figures as HTML, which needs no network; it shows itself in a notebook."""
@@ -259,15 +240,15 @@ def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[P
     """
     _require_reportable(noun)
     result, files = dict(noun.result()), dict[str, str | bytes]()
-    if isinstance(noun, Publishable):
-        model = noun.publication(force=force)
+    if publication := getattr(noun, "publication", None):
+        model = publication(force=force)
         files |= model.files
         result["published"] = model.published
         if model.note:
             result["notes"] = [*result["notes"], model.note]
             warnings.warn(model.note, stacklevel=2)
-    elif isinstance(noun, Filed):
-        files |= noun.files()
+    elif own := getattr(noun, "files", None):
+        files |= own()
     result["files"] = [str(Path(folder) / name) for name in files]
     return save_run(folder, result, noun.series(), files)[0]
 
