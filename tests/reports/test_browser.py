@@ -349,6 +349,15 @@ def test_torque_over_time_is_chosen_zoomed_into_and_read_off(browser, timed, wid
     low, high = (float(x) for x in span.text_content().removesuffix(" s").split(" to "))
     quarter = (end - start) / 4
     assert [low - start, high - low] == pytest.approx([quarter, quarter], abs=0.1 * quarter)
+
+    def residuals_follow():
+        below = chart.locator(".u-over").nth(1).bounding_box()
+        page.mouse.move(below["x"] + 0.5 * below["width"], below["y"] + 20)
+        first, last = (float(x) for x in span.text_content().removesuffix(" s").split(" to "))
+        middle = float(value.nth(len(models) + 2).text_content())
+        assert middle == pytest.approx((first + last) / 2, abs=0.05 * (last - first))
+
+    residuals_follow()
     chart.locator("select").select_option(index=1)
     assert span.text_content() == f"{low:.4g} to {high:.4g} s"
     page.mouse.move(at[0][0] + 5, at[0][1])
@@ -357,6 +366,7 @@ def test_torque_over_time_is_chosen_zoomed_into_and_read_off(browser, timed, wid
         before = span.text_content()
         page.get_by_role("button", name=name).click()
         assert span.text_content() != before
+        residuals_follow()
     assert span.text_content() == whole
 
     chart.locator("select").select_option(label="all joints")
