@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,7 +47,7 @@ from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.faults import warn_of_faults
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
-from excitant.identify.recording import Recording
+from excitant.identify.recording import Recordings, as_recordings
 from excitant.identify.rows import (
     Accuracy,
     Data,
@@ -55,14 +55,21 @@ from excitant.identify.rows import (
     predicted_torque,
     series,
     split,
+    states,
     told,
 )
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
-from excitant.robots.html_table import html_table
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table, data_frame, share
 from excitant.robots.threads import on_one_thread
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from excitant.identify.export import Publication
 
 _NO_PLAN = Plan()
 _GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodies alone show
@@ -71,11 +78,12 @@ _LACKS = 0.5  # of the friction found: a model with less lacks it
 _MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
 _LITTLE = 0.01  # of the squared error: a round that gains less is the last
 _HARDLY_OFF = "what it changes is known no better than by half of its size"
+_COLUMNS = ("joints", "sentence", "verdict", "explained", "holdout.rms_before", "holdout.rms_after")
 _ROUNDS = 5  # of the search at most, as effects may depend on the model that it finds
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Shown):
     """Errors of a given model on the hold-out, by cause.
 
     Attributes:
@@ -124,11 +132,7 @@ class Diagnosis:
     @cached_property
     def states(self) -> tuple[Array, Array, Array]:
         """Positions, velocities, accelerations of the joints at these rows, each (n, nv)."""
-        motions = [s.motion[s.keep] for s in self.data.validate]
-        q, dq, ddq = (
-            np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "dq", "ddq")
-        )
-        return q, dq, ddq
+        return states(self.data.validate)
 
     @cached_property
     def refit(self) -> Refit:
@@ -216,7 +220,6 @@ class Diagnosis:
         """Contents of result.json, with a plan's experiments or else general actions."""
         notes = [*self.notes, placeholders(self), at_rest(self), shared_friction(self)]
         labels = (f"torque [{self.unit(curve.joint)}]" for curve in self.curves)
-        pairs = zip(self.ordered, self.curves, labels, strict=True)
         both = zip(self.given_residuals, self.residuals, strict=True)
         joints = self.robot.joints
         return {
@@ -230,13 +233,9 @@ class Diagnosis:
             "simulation": {"joints": self._joints(self.simulation)},
             "faults": [],
             "findings": [
-                (
-                    _cause(self, group, plan)
-                    if (group := causes(item))
-                    else _unknown(self, left_of(item))
-                )
+                entry
                 | {"figure": {"x_label": curve.x_label, "y_label": y, "joint": joints[curve.joint]}}
-                for item, curve, y in pairs
+                for entry, curve, y in zip(self._findings(plan), self.curves, labels, strict=True)
             ],
             "unexplained": [
                 {"joint": left.joint, "share": float(np.clip(1 - r2, 0, 1)), **left.unexplained()}
@@ -269,6 +268,25 @@ class Diagnosis:
                     arrays[f"finding{k}_{name}"] = values
         return arrays
 
+    def _findings(self, plan: Plan) -> list[dict[str, Any]]:
+        return [
+            _cause(self, group, plan) if (group := causes(item)) else _unknown(self, left_of(item))
+            for item in self.ordered
+        ]
+
+    def to_frame(self) -> pd.DataFrame:
+        """Findings in order of importance, a row each, with what `result` says of them."""
+        return data_frame(self._findings(_NO_PLAN), "effect", _COLUMNS)
+
+    def publication(self, *, force: bool = False, faults: Sequence[str] = ()) -> Publication:
+        """Files of the extended model, unless faults or the hold-out speak against it."""
+        from excitant.identify.export import model_files, published
+
+        files = model_files(self.extension.model, "extended", "extended.yaml")
+        torques = self.held.series, self.extension.predicted, self.held.simulated
+        options: dict[str, Any] = {"force": force, "faults": faults, "kind": "extended"}
+        return published(files, self.robot.joints, *torques, **options)
+
     def _joints(self, accuracy: Accuracy) -> list[dict[str, Any]]:
         return [{"name": joint, **accuracy.entry(j)} for j, joint in enumerate(self.robot.joints)]
 
@@ -288,13 +306,22 @@ class Diagnosis:
         except ExcitantError as error:
             return {"joints": [], "notes": [f"Forward simulation failed: {error}"]}
 
-    def _repr_html_(self) -> str:
+    def _lines(self) -> list[str]:
+        errors = (share(float(np.nanmedian(x.nrmse))) for x in (self.simulation, self.extended))
+        count = f"{len(self.findings)} finding{'s' * (len(self.findings) != 1)}"
+        return [
+            f"Errors of the model of {self.robot.name} by cause: {count}",
+            self.headline,
+            f"error {' → '.join(errors)} (nrmse, median over joints, on the hold-out)",
+        ]
+
+    def _table(self) -> Table:
         rows = [
             (f.effect.name, ", ".join(f.effect.joints), f.verdict, f.rms_before, f.rms_after)
             for f in self.findings
         ]
         heads = ("cause", "joints", "verdict", "rms error without it", "with it")
-        return html_table(f"Errors of the model of {self.robot.name} by cause", heads, rows)
+        return heads, rows
 
 
 def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
@@ -385,25 +412,28 @@ def _unknown(diagnosis: Diagnosis, left: Sequence[Residual]) -> dict[str, Any]:
 
 @on_one_thread
 def diagnose(
-    robot: Robot,
-    recordings: Sequence[Recording],
+    robot: RobotLike,
+    recordings: Recordings,
     *,
-    validate: Sequence[Recording] = (),
+    validate: Recordings = (),
     cutoff_hz: float | None = None,
 ) -> Diagnosis:
     """Find the causes of a given model's errors.
 
     Args:
-        robot: The given model: inertias and effects as they are believed to be.
-        recordings: Recordings to explain.
-        validate: Recordings to judge on; the last 30 % of each recording when empty.
+        robot: The given model: inertias and effects as they are believed to be; or its name or
+            file.
+        recordings: Recordings to explain, or tables or files of them.
+        validate: Likewise, to judge on; the last 30 % of each recording when empty.
         cutoff_hz: Cut-off of the torque filter [Hz].
 
     Raises:
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass.
     """
-    given, prior = robot, prior_parameters(robot)
+    given = robot = as_robot(robot)
+    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
+    prior = prior_parameters(robot)
     warn_of_faults(given, recordings)
     mounted, amended = set_up(given, recordings, validate)
     fitted, unseen = amended[: len(recordings)], amended[len(recordings) :]

@@ -23,17 +23,20 @@ from excitant.analysis.uncertainty import (
     verdict,
     weak_directions,
 )
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.dh import distal_frames
 from excitant.robots.effects import Effect
-from excitant.robots.html_table import html_table
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.parameters import UNITS, moved_parameters
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table, data_frame
 from excitant.robots.threads import on_one_thread
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from excitant.analysis.experiment import Experiment, PriorInfluence
     from excitant.identify.estimate import Estimate
     from excitant.identify.excitation import Persistency
@@ -115,8 +118,8 @@ class PracticalIdentifiability:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Identifiability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identifiability(Shown):
     """Identifiability of an arm: structural, and practical where a motion is given.
 
     Attributes:
@@ -193,21 +196,41 @@ class Identifiability:
             return {"structural_values": values, "structural_vectors": vectors}
         return {"singular_values": self.motion.singular_values} if self.motion else {}
 
-    def _repr_html_(self) -> str:
-        title = f"Identifiability of {self.robot.name}: {len(self.base)} base parameters"
+    def to_frame(self, of: Literal["parameters", "base_parameters"] = "parameters") -> pd.DataFrame:
+        """Every parameter, or every base parameter under the motion, a row each."""
+        UnknownName.refuse("table", [of], ("parameters", "base_parameters"))
+        rows = self.entries if of == "parameters" else self.practical
+        return data_frame([row.result() for row in rows], "name", ("value", "std", "verdict"))
+
+    def _lines(self) -> list[str]:
+        kinds, shown = self.structure.category, ""
+        if self.motion is not None:
+            lost = sum(p.verdict == NOT_SHOWN for p in self.practical)
+            shown = (
+                f"motion: condition number {self.motion.condition_number:.4g}, shows "
+                f"{len(self.practical) - lost} of {len(self.practical)} base parameters"
+            )
+        return [
+            f"Identifiability of {self.robot.name}: {len(self.base)} base parameters",
+            f"of {len(kinds)} parameters, "
+            + ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)),
+            shown,
+        ]
+
+    def _table(self) -> Table:
         if self.motion is None:
             rows = [
                 (name, kind)
                 for name, kind in zip(self.base.names, self.structure.category, strict=True)
             ]
-            return html_table(title, ("parameter", "identifiable"), rows)
+            return ("parameter", "identifiable"), rows
         shown = [(p.expression, p.value, p.std, p.verdict) for p in self.practical]
-        return html_table(title, ("base parameter", "value", "std", "shown by the motion"), shown)
+        return ("base parameter", "value", "std", "shown by the motion"), shown
 
 
 @on_one_thread
 def analyze(
-    robot: Robot,
+    robot: RobotLike,
     *,
     effects: Sequence[Effect] = (),
     motion: Motion | None = None,
@@ -222,7 +245,7 @@ def analyze(
     """Identifiability of an arm's parameters.
 
     Args:
-        robot: The arm.
+        robot: The arm, its built-in name or file.
         effects: Effects whose coefficients are unknown too.
         motion: A motion to judge, with torque noise that is independent at every instant.
         estimate: Instead, an estimate from a recording, with its noise and motion.
@@ -240,7 +263,7 @@ def analyze(
             noise that does not fit the arm; or circumstances that contradict each other.
         UnknownName: A joint that the arm does not have.
     """
-    shown = motion is not None or estimate is not None
+    robot, shown = as_robot(robot), motion is not None or estimate is not None
     refused = {
         "moving: leave it out, a trajectory or recording determines which joints move": (
             moving is not None and shown

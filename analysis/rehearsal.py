@@ -22,11 +22,12 @@ from excitant.design import random_trajectory
 from excitant.exceptions import Infeasible, RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, recording_from_table
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
-from excitant.robots.html_table import html_table
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table
 from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 from excitant.robots.virtual_arm import (
@@ -232,8 +233,8 @@ def _cause(found: Finding | Candidate) -> str:
     return f"{plain(found.effect.name)} on {', '.join(found.effect.joints)}"
 
 
-@dataclass(frozen=True, eq=False)
-class Rehearsal:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rehearsal(Shown):
     """Recovery of a virtual arm's parameters by a motion.
 
     Attributes:
@@ -312,16 +313,23 @@ class Rehearsal:
         listed = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
         return f"The motion would not do: {listed}"
 
-    def _repr_html_(self) -> str:
-        rows = [("met" if x.passed else "not met", x.name, x.joint, x.detail) for x in self.items]
+    def _lines(self) -> list[str]:
+        met = sum(x.passed for x in self.items)
         verdict = "would do" if self.passed else "would not do"
-        heads = ("", "requirement", "joint", "figures")
-        return html_table(f"Rehearsal: the motion {verdict}", heads, rows)
+        return [
+            f"Rehearsal: the motion {verdict}",
+            f"of {self.robot.name}; {met} of {len(self.items)} requirements are met",
+            self.headline,
+        ]
+
+    def _table(self) -> Table:
+        rows = [("met" if x.passed else "not met", x.name, x.joint, x.detail) for x in self.items]
+        return ("", "requirement", "joint", "figures"), rows
 
 
 @on_one_thread
 def rehearse(
-    robot: Robot,
+    robot: RobotLike,
     path: Path,
     duration: float,
     rng: np.random.Generator,
@@ -330,7 +338,7 @@ def rehearse(
     """Try a motion on a virtual arm.
 
     Args:
-        robot: The arm as it is known, with its limits.
+        robot: The arm as it is known, with its limits, its built-in name or file.
         path: Positions ``path(t, order)`` and derivatives, shape (n, nv); from rest.
         duration: Length of the motion [s].
         rng: Draws the arm, its noise and its change.
@@ -341,7 +349,7 @@ def rehearse(
         BadRecording: The motion is too short to be identified from.
         BadRobot: A link of negative mass.
     """
-    tell = progress or (lambda fraction, words: None)
+    robot, tell = as_robot(robot), progress or (lambda fraction, words: None)
     tell(0.0, "running the motion")
     arm, change = rehearsal_arm(robot, rng), draw_change(robot, rng)
     run = arm.run(path, duration, rng)

@@ -18,7 +18,7 @@ import yaml
 from excitant.design.trajectory import FourierTrajectory, SplineSeries, Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import read_text
-from excitant.robots import Motion, Robot
+from excitant.robots import Motion, Robot, RobotLike, as_robot
 from excitant.robots.schema import Finite, Positive, convert, read_yaml
 
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
@@ -89,14 +89,14 @@ def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
     return json.dumps(content, indent=1) + "\n"
 
 
-def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
+def load_trajectory(path: str | Path, robot: RobotLike) -> Trajectory | Motion:
     """Trajectory from a ``.json`` file of coefficients or a table of samples (CSV).
 
     Raises:
         BadInput: Of file, row (from 0 after the header) and column: unreadable, missing, of
             another number of joints, not finite, or time that does not increase.
     """
-    path = Path(path)
+    path, robot = Path(path), as_robot(robot)
     if path.suffix.lower() == ".json":
         return _from_json(path, robot)
     try:

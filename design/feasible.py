@@ -13,7 +13,7 @@ from excitant.design.trajectory import (
     from_coefficients,
 )
 from excitant.exceptions import Infeasible
-from excitant.robots import Array, Motion, Robot
+from excitant.robots import Array, Motion, Robot, RobotLike, as_robot
 from excitant.robots.geometry import Scene
 from excitant.robots.torque import largest_torque
 
@@ -28,7 +28,7 @@ _TORQUE_SHARE = 0.99  # of the limit at the samples, which leaves room between t
 
 
 def random_trajectory(
-    robot: Robot, rng: np.random.Generator, duration: float, harmonics: int
+    robot: RobotLike, rng: np.random.Generator, duration: float, harmonics: int
 ) -> FourierTrajectory:
     """A random Fourier series at rest at both ends and within all limits of the robot.
 
@@ -37,7 +37,7 @@ def random_trajectory(
     Raises:
         Infeasible: No pose, or no motion found, within position and torque limits.
     """
-    drawn = random_start(robot, rng, FourierSeries(duration, harmonics))
+    drawn = random_start(as_robot(robot), rng, FourierSeries(duration, harmonics))
     return from_coefficients(drawn.coefficients, duration)
 
 

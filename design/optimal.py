@@ -19,7 +19,7 @@ from excitant.design.search import Effort, SearchState, best_solutions, search
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.processes import connect
-from excitant.robots import Motion, Robot
+from excitant.robots import Motion, Robot, RobotLike, as_robot
 from excitant.robots.geometry import CLEARANCE, Scene
 from excitant.robots.threads import on_one_thread
 
@@ -93,7 +93,7 @@ def _series(name: str, duration: float, harmonics: int) -> Series:
 
 @on_one_thread
 def design_trajectory(
-    robot: Robot,
+    robot: RobotLike,
     *,
     duration: float | tuple[float, float] = 10.0,
     harmonics: int | None = 5,
@@ -119,7 +119,7 @@ def design_trajectory(
     and keep every limit of the robot in continuous time.
 
     Args:
-        robot: The arm; its limits and effects count.
+        robot: The arm, its built-in name or file; its limits and effects count.
         duration: Period [s], or the shortest and the longest to choose from.
         harmonics: Number of harmonics, at least 2; None to add harmonics while κ falls.
         series: ``"fourier"``, or ``"spline"``: B-splines with twice as many pieces as there
@@ -147,6 +147,7 @@ def design_trajectory(
         BadRobot: No link has a mass.
         BadInput: Duration, use, harmonics or starts out of range, or no cluster there.
     """
+    robot = as_robot(robot)
     began, held = time.time(), robot.using(use)
     with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
         first = build_design(

@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
+from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.playback import Playback
 from excitant.design.search import SearchState
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
@@ -21,6 +22,7 @@ from excitant.exceptions import OutsideLimits
 from excitant.robots import Array, BaseParameters, Motion, Robot, torque
 from excitant.robots.geometry import Scene, unchecked
 from excitant.robots.parameters import UNITS
+from excitant.robots.shown import Shown, Table, share
 from excitant.robots.torque import effect_values
 
 _DENSE_HZ, _DENSE = 100.0, 1000  # samples of the figures reported: rate, and at least so many
@@ -39,8 +41,8 @@ _TIMED = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(Shown):
     """An excitation trajectory, its certificate, what it shows of the arm, and how it was found.
 
     Condition numbers and eigenvalues are those of the base columns, unscaled, at 100 Hz or at
@@ -211,6 +213,26 @@ class Design:
         if robot.limits.orders > 3:
             series["dddq"] = self.trajectory(motion.t, 3)
         return series | self.playback.series()
+
+    def files(self, rate_hz: float = 100.0, repetitions: int = 1) -> dict[str, str]:
+        """The trajectory as a table at a control rate [Hz], and exactly."""
+        return {
+            "trajectory.csv": trajectory_csv(self.trajectory, rate_hz, repetitions),
+            "trajectory.json": trajectory_json(self.trajectory, self.robot),
+        }
+
+    def _lines(self) -> list[str]:
+        first, last, worst = self.condition_initial, self.condition_final, self.limits.worst
+        return [
+            f"Design for {self.robot.name}: condition number {first:.4g} → {last:.4g}",
+            f"{self.duration:.4g} s, {self.harmonics} harmonics, criterion {self.criterion}, "
+            f"{len(self.base)} base parameters",
+            f"uses at most {share(worst.ratio)} of a limit ({worst.quantity} of {worst.joint})",
+        ]
+
+    def _table(self) -> Table:
+        rows = [(use.quantity, use.joint, use.ratio, use.time) for use in self.limits.uses]
+        return ("limit", "joint that comes closest", "share of it", "at [s]"), rows
 
     def _weakest(self, names: Sequence[str]) -> list[dict[str, Any]]:
         base, robot = self.base, self.robot

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import scipy
 from scipy.interpolate import BPoly, BSpline, PPoly
 
-from excitant.robots.html_table import html_table
 from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.shown import Shown, Table
 
 _REST = 1e-9  # of the largest coefficient at the highest frequency
 _DEGREE = 5  # of splines: jerk is continuous, and so is its rate
@@ -106,8 +106,8 @@ class _Curve(ABC):
         return Motion(t, self(t), self(t, 1), self(t, 2))
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory(_Curve):
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(_Curve, Shown):
     """Periodic joint motion, known at every instant with its derivatives."""
 
     series: Series  # the basis functions, c of them
@@ -176,13 +176,21 @@ class Trajectory(_Curve):
         values = self.extrema_in_time(order)[1]
         return values.min(axis=0), values.max(axis=0)
 
-    def _repr_html_(self) -> str:
+    def _lines(self) -> list[str]:
+        ends = "at rest at both ends" if self.at_rest else "not at rest at its ends"
+        tops = (np.abs(self.extrema(order)).max() for order in (1, 2))
+        return [
+            f"{self.series.name.capitalize()} trajectory of {self.period:.4g} s, SI units",
+            f"{self.nv} joints, {self.harmonics} harmonics, {ends}",
+            "top speed {:.4g}, top acceleration {:.4g}".format(*tops),
+        ]
+
+    def _table(self) -> Table:
         low, high = self.extrema()
         tops = [np.abs(self.extrema(order)).max(axis=0) for order in (1, 2)]
         columns = [np.arange(1, self.nv + 1), low, high, *tops]
-        title = f"{self.series.name.capitalize()} trajectory of {self.period:.4g} s, SI units"
         heads = ("joint", "from", "to", "top speed", "top acceleration")
-        return html_table(title, heads, zip(*(c.tolist() for c in columns), strict=True))
+        return heads, zip(*(c.tolist() for c in columns), strict=True)
 
 
 @dataclass(frozen=True, eq=False)

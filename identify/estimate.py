@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import scipy
 
-from excitant.exceptions import UnknownName
+from excitant.exceptions import BadInput, BadRecording, UnknownName
 from excitant.files import write_file
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.faults import warn_of_faults
+from excitant.identify.friction import FrictionCurve, curves_over_velocity, friction_curve
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     LeastSquares,
@@ -26,9 +27,9 @@ from excitant.identify.least_squares import (
 )
 from excitant.identify.lengths import LengthErrors, length_deviations, length_errors
 from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
-from excitant.identify.preprocessing import Mask
+from excitant.identify.preprocessing import Mask, prepare
 from excitant.identify.prior import decided_by, prior_parameters
-from excitant.identify.recording import Recording
+from excitant.identify.recording import RecordingLike, Recordings, as_recordings
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
     Accuracy,
@@ -42,18 +43,27 @@ from excitant.identify.rows import (
     predicted_torque,
     series,
     split,
+    states,
     told,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_estimate import BaseEstimate, is_covariance
 from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
-from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.html_table import html_table
+from excitant.robots.effects import Effect, effect_values, plain, standard_effects
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import UNITS, inertia, violations
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table, data_frame, share
 from excitant.robots.threads import on_one_thread
+from excitant.robots.torque import torque
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from excitant.identify.export import Publication
+    from excitant.identify.recording import Recording
 
 LEVEL = 0.95
 _FEWEST = 3.0  # degrees of freedom, below which no noise is known
@@ -122,8 +132,8 @@ class BodyChange:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Shown):
     """Result of an identification.
 
     Attributes:
@@ -189,6 +199,17 @@ class Estimate:
     def holdout(self) -> Series:
         """Rows of the hold-out."""
         return series(self.data.validate)
+
+    @cached_property
+    def velocity(self) -> Array:
+        """Velocities at these rows, shape (n, nv) [rad/s or m/s]; NaN where it rests."""
+        dq = states(self.data.validate)[1]
+        return read_only(np.where(self.holdout.counts, dq, np.nan))
+
+    @cached_property
+    def friction(self) -> tuple[FrictionCurve | None, ...]:
+        """Friction of each joint by its velocity; None where none was estimated."""
+        return tuple(friction_curve(self, joint) for joint in self.given.joints)
 
     @cached_property
     def predicted(self) -> Array:
@@ -272,8 +293,9 @@ class Estimate:
                     "validate": self.validate.entry(j) | {"interval95": intervals[j]},
                     "baseline": self.baseline.entry(j),
                     **({} if sensors is None else {"motion": sensors.entry(j, cutoff_hz)}),
+                    **({} if curve is None else {"friction": curve.entry()}),
                 }
-                for j, joint in enumerate(robot.joints)
+                for j, (joint, curve) in enumerate(zip(robot.joints, self.friction, strict=True))
             ],
             "links": [body.entry() for body in self.bodies],
             "prior_sigma": self._sigma.tolist(),
@@ -304,25 +326,78 @@ class Estimate:
             ],
         }
 
+    def predict(self, recording: RecordingLike, *, filtered: bool = True) -> Array:
+        """Torque of the model at the instants of a recording, shape (n, nv) [torque unit].
+
+        It is that of the motion as `identify_robot` sees it: positions are filtered at twice the
+        cut-off. As measured torque is, it then passes the torque filter, if ``filtered``, whose
+        ends say little. NaN where samples are too few to be filtered.
+        """
+        (run,) = self._alike(recording)
+        found = np.full(run.tau.shape, np.nan)
+        for s in prepare(run, self.data.cutoff_hz):
+            tau, t = torque(self.model, s.motion) / self.gains, s.motion.t
+            tau = s.filtered(tau) if filtered else tau
+            at = (run.t >= t[0]) & (run.t < t[-1] + 1 / s.rate_hz)
+            found[at] = np.column_stack([np.interp(run.t[at], t, column) for column in tau.T])
+        return read_only(found)
+
+    def score(self, recordings: Recordings) -> list[dict[str, Any]]:
+        """Accuracy of the model on recordings joint by joint, as ``result.json`` has it.
+
+        ``rms``, ``rms_raw`` [torque unit], ``nrmse`` and ``r2`` while the joint moves, below the
+        cut-off of this estimate.
+        """
+        cutoff_hz = self.data.cutoff_hz
+        rows = [s for each in self._alike(recordings) for s in prepare(each, cutoff_hz)]
+        found = series(rows).accuracy(predicted_torque(self.model, rows) / self.gains)
+        return [{"name": name, **found.entry(j)} for j, name in enumerate(self.given.joints)]
+
+    def _alike(self, recordings: Recordings) -> list[Recording]:
+        found = as_recordings(recordings, self.given)
+        for each in found:
+            if each.unit != self.data.unit:
+                why = f"torque is in {each.unit}, but in {self.data.unit} where it was identified"
+                raise BadRecording(each.file, f"{why}; use recordings of one unit")
+        return found
+
+    def to_frame(
+        self, of: Literal["parameters", "base_parameters", "joints", "links"] = "parameters"
+    ) -> pd.DataFrame:
+        """Records of ``result.json`` of one kind, a row each."""
+        names = {"parameters": "name", "base_parameters": "expression"}
+        names |= {"joints": "name", "links": "link"}
+        UnknownName.refuse("table", [of], names)
+        return data_frame(self.result()[of], names[of])
+
     def series(self) -> dict[str, Array]:
-        """Measured, given and identified torque on the hold-out, each of shape (n, nv)."""
+        """Torques and states on the hold-out, each of shape (n, nv), and curves of friction."""
         return {
             "t": self.holdout.t,
             "measured": self.holdout.measured,
             "given": self.predicted_given,
             "identified": self.predicted,
             "half_width": self.interval.half_width,
+            "position": states(self.data.validate)[0],
+            "velocity": self.velocity,
+            **curves_over_velocity(self),
         }
 
     def save(self, path: str | Path) -> list[Path]:
         """Write the model as .urdf, .xml (MJCF), .sdf, or .yaml with the files it refers to.
 
+        `excitant.save` writes the whole run into a folder.
+
         Raises:
+            BadInput: A folder.
             UnknownName: Another suffix.
         """
         from excitant.identify.export import model_files
 
         path, gains = Path(path), self.gains if self.data.unit == "A" else None
+        if not path.suffix:
+            why = "name a file, such as model.yaml; excitant.save(estimate, folder) saves the run"
+            raise BadInput(f"{path}: a model is saved into one file; {why}")
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
         formats = {Path(name).suffix for name in files} - {".csv"}
         UnknownName.refuse("format", [path.suffix], sorted(formats))
@@ -331,6 +406,12 @@ class Estimate:
         for file in written:
             write_file(file, files[file.name])
         return written
+
+    def publication(self, *, force: bool = False) -> Publication:
+        """Files of the model, unless the hold-out speaks against it; see `publication`."""
+        from excitant.identify.export import publication
+
+        return publication(self, force=force)
 
     @cached_property
     def bodies(self) -> tuple[BodyChange, ...]:
@@ -389,7 +470,9 @@ class Estimate:
         effects = [p for e in self.model.effects for p in e.parameters(robot)]
         owners = [link for link in robot.links for _ in UNITS]
         owners += [p.name.rpartition(".")[0] for p in effects]
-        given = [*self.prior, *(None,) * len(effects)]
+        prior = [*self.prior, *(None,) * len(effects)]
+        known = effect_values(robot)
+        given = [*robot.phi, *(known.get(p.name) for p in effects)]
         who = decided_by(physical.influence)
         return [
             {
@@ -399,7 +482,8 @@ class Estimate:
                 "std": float(self.std[k]),
                 "unit": unit,
                 "category": category,
-                "prior": None if given[k] is None else float(given[k]),
+                "given": None if given[k] is None else factor * float(given[k]),
+                "prior": None if prior[k] is None else float(prior[k]),
                 "prior_dominated": category == "unidentifiable" or who[k] == "prior",
                 "decided_by": "prior" if category == "unidentifiable" else who[k],
             }
@@ -408,20 +492,30 @@ class Estimate:
             )
         ]
 
-    def _repr_html_(self) -> str:
+    def _lines(self) -> list[str]:
+        errors = (share(float(np.nanmedian(x.nrmse))) for x in (self.baseline, self.validate))
+        below = f"{self.data.cutoff_hz:.3g} Hz"
+        broken, effects = violations(self.phi, self.given.links), self.model.effects
+        return [
+            f"Estimate of {self.given.name} ({self.estimator}), on the hold-out",
+            f"error {' → '.join(errors)} (nrmse, median over joints, below {below})",
+            f"{len(self.base)} base parameters, {'not ' * bool(broken)}physically consistent; "
+            f"effects: {', '.join(dict.fromkeys(plain(e.name) for e in effects)) or 'none'}",
+        ]
+
+    def _table(self) -> Table:
         columns = (self.baseline.rms, self.validate.rms, self.validate.nrmse, self.validate.r2)
         rows = zip(self.given.joints, *(column.tolist() for column in columns), strict=True)
         heads = ("joint", "rms error as given", "identified", "nrmse", "r²")
-        title = f"Estimate of {self.given.name} ({self.estimator}), on the hold-out"
-        return html_table(title, heads, rows)
+        return heads, rows
 
 
 @on_one_thread
 def identify_robot(
-    robot: Robot,
-    recordings: Sequence[Recording],
+    robot: RobotLike,
+    recordings: Recordings,
     *,
-    validate: Sequence[Recording] = (),
+    validate: Recordings = (),
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
     estimator: str = "wls",
@@ -438,9 +532,9 @@ def identify_robot(
     are warned of (`FaultWarning`), not repaired.
 
     Args:
-        robot: The arm; its inertias are the prior.
-        recordings: What to fit.
-        validate: What to judge on; the last 30 % of each recording when empty.
+        robot: The arm, or its built-in name or file; its inertias are the prior.
+        recordings: What to fit: recordings, or tables or files of them.
+        validate: What to judge on, likewise; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
@@ -458,8 +552,9 @@ def identify_robot(
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: An estimator does not converge, or knowledge leaves no room.
     """
-    if estimator not in ESTIMATORS:
-        raise UnknownName("estimator", estimator, ESTIMATORS)
+    UnknownName.refuse("estimator", [estimator], ESTIMATORS)
+    robot = as_robot(robot)
+    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
     unsure = length_deviations(robot.length_std if length_std is None else length_std, robot)
     prior, known = prior_parameters(robot), (knowledge or Knowledge()).of(robot)
     warn_of_faults(robot, recordings)

@@ -35,11 +35,12 @@ from excitant.identify.least_squares import LeastSquares, autocorrelation_time
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, resampled, uninterrupted
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters, reference_motion
-from excitant.identify.recording import Recording
+from excitant.identify.recording import Recording, Recordings, as_recordings
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.effects.base import Law
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
@@ -476,10 +477,10 @@ class OnlineIdentification:
 
 @on_one_thread
 def identify_online(
-    robot: Robot,
-    recordings: Sequence[Recording],
+    robot: RobotLike,
+    recordings: Recordings,
     *,
-    validate: Sequence[Recording] = (),
+    validate: Recordings = (),
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
     forgetting: float | None = None,
@@ -490,6 +491,8 @@ def identify_online(
     Args and errors are those of `identify_robot`, and the time constant of forgetting [s] (nothing
     is forgotten when None); ``progress`` is told the fraction done.
     """
+    robot = as_robot(robot)
+    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)

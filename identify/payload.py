@@ -29,11 +29,12 @@ from excitant.identify.prior import (
     base_prior,
     prior_parameters,
 )
-from excitant.identify.recording import Recording
+from excitant.identify.recording import Recording, Recordings, as_recordings
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.robot import Robot
@@ -204,10 +205,10 @@ def _given_arm(
 
 @on_one_thread
 def identify_payload(
-    robot: Robot,
-    loaded: Sequence[Recording],
+    robot: RobotLike,
+    loaded: Recordings,
     *,
-    unloaded: Sequence[Recording] = (),
+    unloaded: Recordings = (),
     effects: Sequence[Effect] | None = None,
     forgetting: float | None = None,
     over_time: bool = False,
@@ -228,6 +229,8 @@ def identify_payload(
         BadInput: Currents of a loaded arm with nothing to compare them with.
         BadRecording: Recordings that cannot be used.
     """
+    robot = as_robot(robot)
+    loaded, unloaded = as_recordings(loaded, robot), as_recordings(unloaded, robot)
     effects = _own_effects(robot, effects)
     base = base_parameters(robot, effects)
     unit, drive = loaded[0].unit, loaded[0].drive

@@ -18,9 +18,10 @@ from excitant.identify.importers.arrays import refuse_size
 from excitant.identify.importers.columns import Channel, Columns, resolve
 from excitant.identify.importers.names import ColumnMap
 from excitant.identify.importers.text import text_table
-from excitant.robots.html_table import html_table
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table
 
 if TYPE_CHECKING:
     from excitant.identify.drive_gains import DriveGains
@@ -39,8 +40,8 @@ SUFFIXES = (*_READERS, *_BAGS)
 _REMEMBERED = 100  # unreadable cells whose text is kept
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Shown):
     """Logged motion and torque (or motor current) of all joints.
 
     `load_recording` refuses time that does not rise and cells that are no finite number;
@@ -106,23 +107,69 @@ class Recording:
         part = self.take(slice(int(np.searchsorted(self.t, low)), int(last)))
         return replace(part, name=f"{self.name} ({label})")
 
-    def _repr_html_(self) -> str:
+    def to_frame(self) -> pd.DataFrame:
+        """The recording as a table ``t, q1.., dq1.., tau1..`` (or ``i1..``) and other columns."""
+        said = {"tau": "i"} if self.unit == "A" else {}
+        columns = {
+            f"{said.get(name, name)}{j + 1}": values[:, j]
+            for name, values in self.channels()
+            for j in range(self.nv)
+        }
+        return pd.DataFrame({"t": self.t, **columns, **self.extras})
+
+    def _lines(self) -> list[str]:
+        rate = (len(self) - 1) / self.duration if self.duration > 0 else 0.0
+        logged = [name for name, _ in self.channels()]
+        return [
+            f"Recording {self.name}: {len(self)} samples over {self.duration:.4g} s",
+            f"{self.nv} joints at {rate:.4g} Hz: {', '.join(logged)} [{self.unit}]"
+            + f"; also {', '.join(self.extras)}" * bool(self.extras),
+            f"from {self.file}",
+        ]
+
+    def _table(self) -> Table:
         ranges = (edge(x, axis=0).tolist() for x in (self.q, self.tau) for edge in (np.min, np.max))
         rows = zip(range(1, self.nv + 1), *ranges, strict=True)
         heads = ("joint", "q from", "q to", f"torque from [{self.unit}]", "torque to")
-        title = f"Recording {self.name}: {len(self)} samples over {self.duration:.4g} s"
-        return html_table(title, heads, rows)
+        return heads, rows
+
+
+RecordingLike = Recording | pd.DataFrame | str | Path
+"""A recording, a table in memory, or a file."""
+Recordings = RecordingLike | Sequence[RecordingLike]
+
+
+def as_recordings(given: Recordings, robot: Robot) -> list[Recording]:
+    """Recordings themselves, and those of tables and files; see `load_recording`.
+
+    Raises:
+        BadRecording: One that cannot be used, or of another number of joints than the robot's.
+    """
+    several = [given] if isinstance(given, RecordingLike) else list(given)
+    read, found = iter(list[Recording]()), list[Recording]()
+    if paths := [each for each in several if isinstance(each, str | Path)]:
+        from excitant.identify.dataset import read_recordings
+
+        read = iter(read_recordings(paths, robot))
+    for k, each in enumerate(several, start=1):
+        if isinstance(each, pd.DataFrame):
+            each = recording_from_table(each, robot, file=f"table {k}", name=f"table {k}")
+        found.append(each if isinstance(each, Recording) else next(read))
+        if found[-1].nv != robot.nv:
+            why = f"has {found[-1].nv} joints, but {robot.name} has {robot.nv}"
+            raise BadRecording(found[-1].file, f"{why}; load it for this robot")
+    return found
 
 
 def load_recording(
-    path: str | Path, robot: Robot | int, *, mapping: ColumnMap | None = None
+    path: str | Path, robot: RobotLike | int, *, mapping: ColumnMap | None = None
 ) -> Recording:
     """Recording from a log: Parquet, CSV, NPZ, MAT (up to version 7.2), ROS 1 or 2 bag, MCAP.
 
     Args:
         path: File, or folder of a ROS 2 bag, with columns ``t, q1.., tau1..`` (or ``i1..``), or
             with names that say the same.
-        robot: The arm, whose joints are matched by name, or its number of joints.
+        robot: The arm (or its name or file), whose joints are matched by name, or their number.
         mapping: What the user says about the columns.
 
     Raises:
@@ -133,7 +180,7 @@ def load_recording(
 
 
 def raw_recording(
-    path: str | Path, robot: Robot | int, mapping: ColumnMap | None = None
+    path: str | Path, robot: RobotLike | int, mapping: ColumnMap | None = None
 ) -> Recording:
     """A log as it is: columns understood, units converted, no row refused; see `load_recording`."""
     return next(_pieces(_open_log(path, mapping), robot, mapping))
@@ -141,7 +188,7 @@ def raw_recording(
 
 def recording_from_table(
     table: pd.DataFrame,
-    robot: Robot | int,
+    robot: RobotLike | int,
     *,
     file: str,
     name: str,
@@ -154,7 +201,7 @@ def recording_from_table(
 
 def read_chunks(
     paths: str | Path | Sequence[str | Path],
-    robot: Robot | int,
+    robot: RobotLike | int,
     rows: int = 100_000,
     *,
     mapping: ColumnMap | None = None,
@@ -218,7 +265,7 @@ def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
 
 def _pieces(
     table: tables.Table,
-    robot: Robot | int,
+    robot: RobotLike | int,
     mapping: ColumnMap | None,
     rows: int | None = None,
     origin: tuple[float, float] | None = None,
@@ -227,6 +274,7 @@ def _pieces(
 
     ``origin`` is the time that becomes 0, that of the first row when None.
     """
+    robot = robot if isinstance(robot, int) else as_robot(robot)
     columns = resolve(table, robot, mapping or ColumnMap())
     narrow = columns.names if rows is not None or table.joined else None
     timed = columns.t_unit is not None or len(columns.t) > 1

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from excitant.exceptions import BadRecording
+from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.preprocessing import (
     CUTOFF_HZ,
@@ -84,8 +84,11 @@ def split(
     is lower.
 
     Raises:
+        BadInput: No recording.
         BadRecording: Recordings in different units, or too short to split.
     """
+    if not recordings:
+        raise BadInput("no recording given; give at least one")
     first, why = recordings[0], "as given"
     for recording in (*recordings, *validate):
         if recording.unit != first.unit:
@@ -227,6 +230,13 @@ def series(segments: Sequence[Segment]) -> Series:
     torques = ([s.tau[s.keep] for s in segments], [s.tau_raw[s.keep] for s in segments])
     t, measured, raw = (read_only(np.concatenate(parts)) for parts in (times, *torques))
     return Series(t, measured, raw, away_from_rest(segments))
+
+
+def states(segments: Sequence[Segment]) -> tuple[Array, Array, Array]:
+    """Positions, velocities and accelerations of the joints at the rows, each (n, nv)."""
+    motions = [s.motion[s.keep] for s in segments]
+    q, dq, ddq = (np.concatenate([getattr(m, x) for m in motions]) for x in ("q", "dq", "ddq"))
+    return q, dq, ddq
 
 
 def predicted_torque(robot: Robot, segments: Sequence[Segment]) -> Array:

@@ -46,10 +46,11 @@ from excitant.identify.least_squares import (
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, moving, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
-from excitant.identify.recording import Recording
+from excitant.identify.recording import Recordings, as_recordings
 from excitant.identify.rows import Data, FitRows, fit_rows, split
 from excitant.robots.base_parameters import base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
@@ -329,10 +330,10 @@ class LinkByLink:
 
 @on_one_thread
 def identify_link_by_link(
-    robot: Robot,
-    recordings: Sequence[Recording],
+    robot: RobotLike,
+    recordings: Recordings,
     *,
-    validate: Sequence[Recording] = (),
+    validate: Recordings = (),
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
 ) -> LinkByLink:
@@ -340,6 +341,8 @@ def identify_link_by_link(
 
     Args and errors are those of `identify_robot`, but no motion is refused for what it leaves open.
     """
+    robot = as_robot(robot)
+    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     prior = prior_parameters(robot)
     rows = link_rows(robot, effects, split(recordings, validate, cutoff_hz))

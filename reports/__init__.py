@@ -1,17 +1,5 @@
-"""Reports: pages and texts drawn from saved results only."""
+"""Reports: pages and texts drawn from saved results only, and the same figures as axes."""
 
-from excitant.reports.pages import SavedRun, compare, page_of
-from excitant.reports.render import brief, html, summary, table_lines
-from excitant.reports.run import load_run, save_run
+import lazy_loader
 
-__all__ = [
-    "SavedRun",
-    "brief",
-    "compare",
-    "html",
-    "load_run",
-    "page_of",
-    "save_run",
-    "summary",
-    "table_lines",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

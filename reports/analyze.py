@@ -40,6 +40,9 @@ def analyze_section(result: Result, series: Series) -> p.Section:
             ("Parameters by link", [_matrix(links)]),
             ("Singular values", [_singular(result)]),
             ("With the given motion", _motion(result, series)),
+        ],
+        brief,
+        [
             ("Least determined by the motion", [_weakest(result)]),
             *(
                 (_title(link), _link(result, link, f"Link {k} of {len(links)}"))
@@ -47,7 +50,6 @@ def analyze_section(result: Result, series: Series) -> p.Section:
                 if v.records(link, "parameters")
             ),
         ],
-        brief,
     )
 
 
@@ -56,7 +58,8 @@ def links_folded(found: p.Section, result: Result) -> p.Section:
     titles = {_title(link) for link in v.records(result, "links")}
     folds = tuple(p.Folded(part.title, part.blocks) for part in found.parts if part.title in titles)
     others = tuple(part for part in found.parts if part.title not in titles)
-    return replace(found, parts=(*others, *[p.Folded("Link by link", folds)] * bool(folds)))
+    one = p.Folded("Link by link", folds, closed=True)
+    return replace(found, parts=(*others, *[one] * bool(folds)))
 
 
 def _lead_and_brief(result: Result) -> tuple[str, p.Brief]:

@@ -43,9 +43,6 @@ def design_section(result: Result, series: Series) -> p.Section:
             ("The arm in motion", [player(result, series)]),
             ("One motion per link", [_link_motions(result)]),
             *_motion(result, series),
-            ("Least excited parameters", [_weakest(result)]),
-            ("The search", [convergence_figure(result)]),
-            ("Files", [p.files(v.words(result, "files"))]),
         ],
         (
             (
@@ -55,6 +52,10 @@ def design_section(result: Result, series: Series) -> p.Section:
             ),
             *[("", said)] * bool(weak),
         ),
+        [
+            ("Least excited parameters", [_weakest(result)]),
+            ("The search", [convergence_figure(result)]),
+        ],
     )
 
 

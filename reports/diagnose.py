@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -53,21 +54,24 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
     wrong = "What is wrong with the given model" if findings else "Error of the given model"
     shares = [_shares(result, left, unit) for left in (False, True)[: 1 + changed]]
+    first, others = _finding_parts(findings, series, unit)
     return p.section(
         "Diagnosis",
         lead,
         [
             ("Key figures", [_facts(result), fault_table(result), *_findings(findings, unit)]),
             (wrong, [*shares, *_refit(result, unit), *_forward(result, changed)]),
+            *first,
+        ],
+        (("diagnosed", lead), *_told(findings)),
+        [
+            ("Further findings", others),
             ("Error step by step", [waterfall_figure(result) if changed else None]),
-            *_finding_parts(findings, series, unit),
             ("Error per joint", _errors(result, unit, changed)),
             (over_holdout(unit), [torque_figure(joints, series, unit, curves)]),
             ("Not explained", _unexplained(result)),
             ("Notes", [p.notes(said)]),
-            ("Files", [p.files(v.words(result, "extended", "files"))]),
         ],
-        (("diagnosed", lead), *_told(findings)),
     )
 
 
@@ -156,7 +160,8 @@ def _verdict(finding: Result) -> p.Cell:
     return p.Cell(verdict or NONE, {"named": p.GOOD, "undecided": p.FAIR}.get(verdict, p.PLAIN))
 
 
-def _finding_parts(findings: list[Result], series: Series, unit: str) -> p.Parts:
+def _finding_parts(findings: list[Result], series: Series, unit: str) -> tuple[p.Parts, p.Blocks]:
+    """The leading findings and what is unknown, a part each, and the others behind their titles."""
     parts: p.Parts = []
     others: p.Blocks = []
     for k, finding in enumerate(findings):
@@ -177,7 +182,7 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> p.Parts
             aside = [v.percent(share)] * (share is not None) + [verdict] * bool(verdict)
             title += f" ({', '.join(aside)})" if aside else ""
             others.append(p.Folded(title, tuple(block for block in blocks if block is not None)))
-    return [*parts, ("Further findings", others)]
+    return parts, others
 
 
 def _kinds(finding: Result, unit: str) -> p.Table | None:
@@ -293,6 +298,7 @@ def _shares(result: Result, left: bool, unit: str) -> p.Table | None:
         f"Error {'left by the extended model' if left else 'of the model as given'} while the "
         "joint moves, and the shares of its square that go with one quantity (they overlap): "
         f"○ marks the simplest that explains it. {'' if left else _MEANING}",
+        "What the extended model leaves, joint by joint" if left else "",
     )
 
 
@@ -352,21 +358,19 @@ def _forward(result: Result, changed: bool) -> p.Blocks:
     if worse:
         closer = f" The extended model is no closer at {v.listing(worse)}."
 
-    def milli(value: object) -> str:
-        x = v.real(value)
-        return "diverges" if x is None else v.number(1e3 * x)
-
+    milli = partial(p.milli, none="diverges")
     table = p.table(
         rows,
         [
             ("name:Joint", "name"),
-            *((f"number:Position, {m} [m{units}]", m, milli) for m in models),
-            *((f"number:Velocity, {m} [m{units}/s]", f"velocity.{m}", milli) for m in models),
+            *((f"number:Position, {m} [m{units}]", milli(m)) for m in models),
+            *((f"number:Velocity, {m} [m{units}/s]", milli("velocity", m)) for m in models),
         ],
         f"Simulated forward under the recorded torque over {count or 0:.0f} windows of "
         f"{v.quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "
         f"motion, held on it by {'the same' if changed else 'a'} loop of {loop}."
         f"{closer if changed else ''}",
+        "How far the simulated motion leaves the recorded one",
     )
     return [table, p.notes(v.words(result, "forward", "notes"))]
 

@@ -12,7 +12,8 @@ import io
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from base64 import b64decode, b64encode
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, cast
@@ -36,6 +37,10 @@ DASHED = (0, (5, 3))
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
 _BINS = 200
+_COLOURS = 16  # of an image
+_TITLE, _COLUMNS, _EVEN = 0.26, 2, 1e-6  # of a sheet: room above a panel [inch], columns
+_EDGE = 0.12  # inch: between panels
+_LETTER = 0.065  # inch: width of one in a legend
 _LINE = 46  # letters of an abscissa's name that surely fit below it
 
 _STYLE: Any = {
@@ -72,6 +77,7 @@ _STYLE: Any = {
 
 
 _open: ContextVar[ExitStack | None] = ContextVar("style of drawings", default=None)
+_sheet: ContextVar[Sheet | None] = ContextVar("where drawings go", default=None)
 
 
 @contextmanager
@@ -102,18 +108,21 @@ def axes(
     left: float = _LEFT,
     top: float = _TOP,
     space: float = 0.16,
+    shared: bool = True,
 ) -> list[Axes]:
-    """Axes with one abscissa, heights in these ratios [inch]; ``space`` as their share."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
+    """Axes with one abscissa if shared, heights in these ratios [inch]; ``space`` as share."""
+    sheet = _sheet.get()
+    if sheet is not None:
+        height, top = height + _TITLE, top + _TITLE
+    if sheet is not None and sheet.onto is not None:
+        sheet.panels.append(([sheet.onto], height, ""))
+        return [sheet.onto]
     _begin()
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasSVG(figure)
+    figure = _blank(height) if sheet is None else sheet.blank(height)
     grid = figure.subplots(
         len(ratios),
         1,
-        sharex=True,
+        sharex=shared,
         squeeze=False,
         gridspec_kw={
             "height_ratios": list(ratios),
@@ -131,7 +140,18 @@ def axes(
         ax.yaxis.set_major_formatter(_tick)
         ax.xaxis.set_major_formatter(_tick)
     figure.align_ylabels(found)
+    if sheet is not None:
+        sheet.panels.append((found, height, ""))
     return found
+
+
+def _blank(height: float) -> Figure:
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height))
+    FigureCanvasSVG(figure)
+    return figure
 
 
 def ink(colour: str) -> str:
@@ -153,6 +173,8 @@ def equal_axes(ax: Axes, low: Array, high: Array, room: float) -> float:
 def label_y(ax: Axes, words: str) -> None:
     """Name the ordinate at a fixed distance, so that panels line up."""
     ax.set_ylabel(words)
+    if (sheet := _sheet.get()) is not None and sheet.onto is not None:
+        return
     box = ax.get_position()
     ax.yaxis.set_label_coords((0.13 / WIDTH - box.x0) / box.width, 0.5)
 
@@ -213,11 +235,93 @@ def _figure(ax: Axes) -> Figure:
 
 def panel(ax: Axes, label: str, title: str = "") -> Panel:
     """The finished drawing that holds these axes."""
+    if (sheet := _sheet.get()) is not None:
+        sheet.panels[-1] = (*sheet.panels[-1][:2], title)
+        return Panel("", label, title)
     figure = _figure(ax)
     for each in figure.axes:
         for artist in (*each.lines, *each.patches, *each.collections):
             artist.set_clip_on(False)
     return Panel(_svg(figure, label), label, title)
+
+
+class Sheet:
+    """Panels of figures as axes of one figure of pyplot, or one panel in axes that exist.
+
+    Attributes:
+        onto: Axes to draw into, in their own style; None for a new figure in that of the pages.
+        panels: Axes, height [inch] and title of each panel.
+    """
+
+    def __init__(self, onto: Axes | None = None) -> None:
+        self.onto = onto
+        self.panels: list[tuple[list[Axes], float, str]] = []
+        self._figure: Figure | None = None
+
+    def blank(self, height: float) -> Figure:
+        """The figure, for now of the size of the next panel, which is drawn into it."""
+        from matplotlib import pyplot
+
+        self._figure = self._figure or pyplot.figure()
+        self._figure.set_size_inches(WIDTH, height)
+        return self._figure
+
+    def drawn(self, draw: Callable[[], page.Figure | None]) -> list[Axes]:
+        """All axes of what a function draws for a page, with legend and titles; none without."""
+        token = _sheet.set(self)
+        try:
+            with style():
+                figure = draw()
+                if figure is not None and self.onto is not None:
+                    self.onto.legend(handles=list(map(_handle, figure.legend)))
+                    self.onto.set_title(figure.panels[0].title)
+                elif figure is not None and self._figure is not None:
+                    self._arrange(self._figure, figure.legend)
+        finally:
+            _sheet.reset(token)
+        return [ax for axes, _, _ in self.panels for ax in axes]
+
+    def _arrange(self, figure: Figure, legend: Sequence[Key]) -> None:
+        """Place the panels in columns, one after the other, below the legend."""
+        columns = min(len(self.panels), _COLUMNS)
+        longest = 0.6 + _LETTER * max((len(key.label) for key in legend), default=0)
+        abreast = max(1, int(columns * WIDTH / longest))
+        strip = 0.2 * math.ceil(len(legend) / abreast) + 0.1 * bool(legend)
+        total, ends = sum(height for _, height, _ in self.panels), [0.0] * columns
+        places, done = [], 0.0
+        for axes, height, title in self.panels:
+            column = min(int(columns * (done + height / 2) / total - _EVEN), columns - 1)
+            places.append((axes, height, title, column, ends[column]))
+            ends[column], done = ends[column] + height, done + height
+        width, tall = columns * (WIDTH + _EDGE), strip + max(ends)
+        figure.set_size_inches(width, tall)
+        for axes, height, title, column, above in places:
+            x, y = column * WIDTH + (column + 0.5) * _EDGE, tall - strip - above  # of its corner
+            for ax in axes:
+                box = ax.get_position()
+                low = (x + box.x0 * WIDTH) / width, (y - (1 - box.y0) * height) / tall
+                ax.set_position((*low, box.width * WIDTH / width, box.height * height / tall))
+            at = (x + 0.1) / width, (y - 0.06) / tall
+            figure.text(*at, title, va="top", fontsize=9.5, fontweight="bold")
+        if legend:
+            handles = list(map(_handle, legend))
+            figure.legend(handles=handles, ncols=abreast, loc="upper left", frameon=False)
+        figure.draw_without_rendering()  # which makes ticks in this style
+
+
+def _handle(key: Key) -> Any:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    if key.mark == "box":
+        return Patch(color=key.colour, label=key.label)
+    looks: dict[str, dict[str, Any]] = {
+        "line": {},
+        "dash": {"ls": DASHED},
+        "dot": {"ls": "", "marker": "o"},
+        "ring": {"ls": "", "marker": "o", "mfc": "none"},
+    }
+    return Line2D([], [], color=key.colour, label=key.label, **looks[key.mark])
 
 
 def single(
@@ -237,12 +341,24 @@ def _svg(figure: Figure, label: str) -> str:
         r' id="(?:figure|axes|patch|line2d|text|matplotlib|xtick|ytick)[^"]*"', "", drawing
     )
     drawing = re.sub(r"<[^>]*>", _shorten_tag, drawing).replace("xlink:href", "href")
+    drawing = re.sub(r"(?<=base64,)[^\"]*", _with_few_colours, drawing)
     mark = hashlib.sha1((label + drawing).encode(), usedforsecurity=False).hexdigest()[:8]
     drawing = re.sub(r'(id="|href="#|url\(#)', rf"\1f{mark}", drawing)
     drawing = re.sub(r">\s+<", "><", drawing)
     box = drawing.split('viewBox="', 1)[1].split('"', 1)[0]
     head = f'<svg role="img" aria-label="{html.escape(label)}" viewBox="{box}">'
     return head + drawing[drawing.index(">") + 1 :].strip()
+
+
+def _with_few_colours(found: re.Match[str]) -> str:
+    """An image of points with a palette, which takes a third of the room."""
+    from PIL import Image
+
+    packed = io.BytesIO()
+    with Image.open(io.BytesIO(b64decode(found[0]))) as image:
+        few = image.quantize(_COLOURS, Image.Quantize.FASTOCTREE)
+        few.save(packed, "png", optimize=True)
+    return b64encode(packed.getvalue()).decode()
 
 
 def _shorten_tag(found: re.Match[str]) -> str:

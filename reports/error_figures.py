@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from excitant.reports import drawing as draw
 from excitant.reports import values as v
-from excitant.reports.page import Figure, Key, Panel, figure
+from excitant.reports.page import Figure, Key, Panel, Timeline, figure
 from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 
@@ -73,7 +73,28 @@ def torque_figure(
         *[Key("line", draw.FITTED, curves.after_label)] * drawn(curves.after),
         *[Key("box", draw.BAND, INTERVAL)] * drawn(curves.band),
     ]
-    return figure(panels, curves.caption + _INTERVAL_CAPTION * drawn(curves.band), legend)
+    caption = curves.caption + _INTERVAL_CAPTION * drawn(curves.band)
+    return figure(panels, caption, legend, _timeline(joints, series, unit, curves))
+
+
+def _timeline(joints: Sequence[str], series: Series, unit: str, curves: Curves) -> Timeline | None:
+    """The series that panels of all joints draw; None where one lacks any."""
+    t = v.times(series)
+    looks = (("measured", draw.MEASURED), (_GIVEN, draw.GIVEN), (curves.after_label, draw.FITTED))
+    keys = ("measured", curves.before, curves.after, curves.band)
+    if t is None:
+        return None
+    *found, half = (v.array(series, key, len(t), len(joints)) for key in keys)
+    if found[0] is None:
+        return None
+    some = [k for k in range(len(joints)) if np.isfinite(found[0][:, k]).any()]
+    return Timeline(
+        draw.timeline(t)[0],
+        tuple(joints[k] for k in some),
+        unit,
+        tuple((*look, x[:, some]) for look, x in zip(looks, found, strict=True) if x is not None),
+        None if half is None or found[2] is None else half[:, some],
+    )
 
 
 def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves) -> Panel | None:
@@ -279,9 +300,7 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
     joint = joint or v.listing(v.words(finding, "joints"), "all joints")
     rivals = [v.plain(v.text(each, "effect")) for each in v.records(finding, "rivals")]
     (ax,) = draw.axes(2.6)
-    step, binned = max(1, len(x) // _POINTS), len(x) >= 4 * _MEDIANS
-    # one small picture: thousands of points would make the page heavy
-    ax.scatter(x[::step], residual[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
+    binned = draw_points(ax, x, residual)
     legend = [Key("dot", draw.LIGHT, "residual before")]
     legend += [Key("dot", draw.MEASURED, "median in bins")] * binned
     caption = (
@@ -301,14 +320,25 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
         caption += (
             f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
         ) * (fit is not None)
-    if binned:
-        look: Any = {"ms": 4, "color": draw.MEASURED, "mec": "white", "mew": 0.7}
-        ax.plot(*_along(x, residual, _MEDIANS), "o", **look)
     ax.margins(0.04)
     draw.label_x(ax, x_label)
     draw.label_y(ax, v.text(finding, "figure", "y_label") or f"residual [{unit}]")
     label = f"{joint}: residual against {x_label}, with the fitted {effect}"
     return draw.single(ax, label, caption, legend, joint)
+
+
+def draw_points(ax: draw.Axes, x: Array, y: Array) -> bool:
+    """A cloud of points, thinned, and their medians in bins where there are enough of them."""
+    seen = np.isfinite(x) & np.isfinite(y)
+    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
+    x, y = x[order], y[order]
+    step, binned = max(1, len(x) // _POINTS), len(x) >= 4 * _MEDIANS
+    # one small picture: thousands of points would make the page heavy
+    ax.scatter(x[::step], y[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
+    if binned:
+        look: Any = {"ms": 4, "color": draw.MEASURED, "mec": "white", "mew": 0.7, "zorder": 4}
+        ax.plot(*_along(x, y, _MEDIANS), "o", **look)
+    return binned
 
 
 def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Array, Array]:

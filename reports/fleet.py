@@ -45,7 +45,6 @@ def fleet_section(result: Result, series: Series) -> p.Section:
             ("Without a model", [_failed(failed)]),
             ("Data sets", [_sets(sets)]),
             ("Notes", [p.notes(v.words(result, "notes"), brief="note")]),
-            ("Files", [p.files(v.words(result, "files"))]),
         ],
         (("fleet", f"{said}."),),
     )

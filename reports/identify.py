@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.error_figures import Curves, error_bars, over_holdout, torque_figure
+from excitant.reports.estimate_figures import forest_figure, forest_groups, friction_figure
 from excitant.reports.motion_figures import (
     ENOUGH,
     estimates_figure,
@@ -16,10 +18,12 @@ from excitant.reports.motion_figures import (
     excitation_levels,
     payload_figure,
 )
+from excitant.reports.residual_figures import agreement_figure, residual_figure
 from excitant.reports.values import Result, Series
+from excitant.robots.parameters import STANDARD
 
 CUTOFF_REMARK = "errors are judged below it; measured and predicted torque are filtered alike"
-_FEW = 3  # notes that may stand among the key figures
+_FEW = 3  # links that moved are told on the terminal
 _MESSAGES = 8  # shown without opening a fold
 _CURVES = Curves(
     "given",
@@ -42,30 +46,38 @@ def identify_section(result: Result, series: Series) -> p.Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
     joints, unit = v.joint_names(result), v.text(result, "unit") or "N·m"
     said = [v.sentence(n) for n in v.words(result, "notes") if n and n != v.text(result, "holdout")]
-    few = len(said) <= _FEW
+    refused = [note for note in said if "is not published" in note]
     return p.section(
         "Identification",
         _lead(result),
         [
-            ("Key figures", [_facts(result), p.notes(said) if few else None]),
+            ("Key figures", [_facts(result), p.notes(refused, p.POOR)]),
             ("Data faults", [fault_table(result)]),
-            ("Link by link against all links at once", _link_by_link(result, unit)),
             ("Payload", _payload(v.at(result, "payload"))),
+            ("Link by link against all links at once", _link_by_link(result, unit)),
+            ("Masses and centres of mass", [_bodies(result)]),
+            ("Friction and other effects", [_effects(result)]),
+        ],
+        _brief(result, unit),
+        [
+            ("Friction curves", [friction_figure(result, series)]),
             ("Error per joint", _errors(result, unit)),
             (
                 over_holdout(unit),
                 [torque_figure(joints, series, unit, _CURVES), _intervals(result, unit)],
             ),
+            ("Measured against predicted", [agreement_figure(result, series, unit)]),
+            (
+                "Residual by position, velocity, load and frequency",
+                [residual_figure(result, series, unit)],
+            ),
             ("In MuJoCo", _in_mujoco(result, series, unit)),
-            ("Notes on the fit", [None if few else p.notes(said)]),
             *_online(result, series),
+            ("Parameters, given and identified", [forest_figure(result)]),
             ("Base parameters", _base_parameters(result)),
-            ("Links", [_bodies(result)]),
             ("Standard parameters", [_parameter_table(result)]),
-            ("Physical consistency", [_physical(result)]),
-            ("Files", [p.files(v.words(result, "files"))]),
+            ("How it was fitted", [_how(result), _physical(result), p.notes(said)]),
         ],
-        _brief(result, unit),
     )
 
 
@@ -131,18 +143,27 @@ def _facts(result: Result) -> p.Facts | None:
     before, after = (v.median(rows, k, "nrmse") for k in ("baseline", ("train", "validate")[held]))
     consistent = v.at(result, "physical", "consistent")
     physical, tone = {True: ("yes", p.GOOD), False: ("no", p.POOR)}.get(consistent, ("", p.PLAIN))
-    joints = Counter(v.plain(effect) for effect in v.words(result, "effects"))
-    effects = [name if n == 1 else f"{name} ({n} joints)" for name, n in joints.items()]
-    count = len(v.records(result, "base_parameters"))
+    faults = Counter(v.plain(v.text(fault, "fault")) for fault in v.records(result, "faults"))
+    kinds = v.listing([f"{n} {kind}" for kind, n in faults.items()], "none was found")
     error = "Hold-out error" if held else "Error of the fit"
     remark = "given → identified; nrmse, median over joints"
+    found = sum(faults.values()) if "faults" in result else None
     return p.facts(
         p.Fact(error, v.change(before, after, v.percent), remark, number=after),
         p.Fact("Physically consistent", physical, "positive mass and inertia of every link", tone),
-        p.fact("Base parameters", count or None, v.whole, "identifiable combinations"),
+        p.fact("Data faults", found, v.whole, kinds, p.POOR if found else p.GOOD),
         p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
+    )
+
+
+def _how(result: Result) -> p.Facts | None:
+    joints = Counter(v.plain(effect) for effect in v.words(result, "effects"))
+    effects = [name if n == 1 else f"{name} ({n} joints)" for name, n in joints.items()]
+    count = len(v.records(result, "base_parameters"))
+    return p.facts(
         p.Fact("Estimator", v.plain(v.text(result, "estimator"))),
         p.Fact("Effects", v.listing(effects), "besides the links' inertia"),
+        p.fact("Base parameters", count or None, v.whole, "identifiable combinations"),
     )
 
 
@@ -261,30 +282,53 @@ def _parameter_table(result: Result) -> p.Table | None:
 def _bodies(result: Result) -> p.Table | None:
     """Masses and centres of mass, given and identified."""
 
-    def shift(row: Result) -> p.Cell:
-        return p.Cell(v.number(round(1e3 * (v.real(row, "centre", "shift") or 0.0), 1)))
-
-    def spread(row: Result) -> str:
-        return v.number(1e3 * (v.real(row, "centre", "shift_std") or 0.0), 2)
+    def centre(key: str) -> Callable[[Result], str]:
+        return lambda row: v.listing([v.whole(1e3 * x) for x in v.reals(row, "centre", key)])
 
     return p.table(
         v.records(result, "links"),
         [
             ("name:Link", "link"),
-            ("number:Mass given [kg]", "mass.given"),
-            ("number:identified", lambda r: v.value_and_std(*_mass(r))[0]),
-            ("number:± std", lambda r: v.value_and_std(*_mass(r))[1]),
-            ("text:by", lambda r: p.decided(v.text(r, "mass", "decided_by"))),
-            ("number:Centre of mass moved by [mm]", shift),
-            ("number:± std [mm]", spread),
-            ("text:by", lambda r: p.decided(v.text(r, "centre", "decided_by"))),
+            ("number:Mass [kg]|given", "mass.given"),
+            *p.estimates("number:Mass [kg]|identified", "number:Mass [kg]|± std", "mass"),
+            ("text:Mass [kg]|by", lambda r: p.decided(v.text(r, "mass", "decided_by"))),
+            ("number:Centre of mass [mm]|given", centre("given")),
+            ("number:Centre of mass [mm]|identified", centre("value")),
+            ("number:Centre of mass [mm]|moved by", p.milli("centre", "shift", digits=2)),
+            ("number:Centre of mass [mm]|± std", p.milli("centre", "shift_std", digits=2)),
+            (
+                "text:Centre of mass [mm]|by",
+                lambda r: p.decided(v.text(r, "centre", "decided_by")),
+            ),
         ],
-        "Masses and centres of mass of the links against the given model.",
+        "Centres of mass: x, y, z in the frame of the link's joint. What the prior decides "
+        "completes the model, but was not measured.",
     )
 
 
-def _mass(row: Result) -> tuple[object, object]:
-    return v.at(row, "mass", "value"), v.at(row, "mass", "std")
+def _effects(result: Result) -> p.Table | None:
+    """Coefficients of friction and other effects, given and identified: a row per joint."""
+    found = {
+        name: {v.text(row, "owner"): row for row in rows}
+        for name, rows in forest_groups(result).items()
+        if v.text(rows[0], "symbol") not in STANDARD
+    }
+    owners = dict.fromkeys(owner for rows in found.values() for owner in rows)
+    columns: list[p.Column | None] = [("name:Joint", "owner")]
+    for name, rows in found.items():
+        given = any(v.real(row, "given") is not None for row in rows.values())
+        columns += [
+            (f"number:{name}|given", f"{name}.given", v.number) if given else None,
+            *p.estimates(f"number:{name}|identified", f"number:{name}|± std", name),
+        ]
+    return p.table(
+        [
+            {"owner": owner, **{name: rows.get(owner) for name, rows in found.items()}}
+            for owner in owners
+        ],
+        columns,
+        "The given model has none where no given value stands.",
+    )
 
 
 def _physical(result: Result) -> p.Notes | None:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
 from excitant.reports import values as v
 from excitant.reports.values import NONE, Result
+from excitant.robots.motion import Array
 
 GOOD, FAIR, POOR, PLAIN = "good", "fair", "poor", ""
 _FORMATS = {  # by the end of the name
+    "result.json": "every figure of this page, for programs",
+    "npz": "the arrays that its figures draw",
+    "txt": "this page as text",
+    "model-estimate.csv": "estimates and standard deviations, which model.yaml refers to",
     "ros2_control.yaml": "parameters of controllers of ROS 2",
     "ros2_client.py": "program for ROS 2, which runs the motions at a fifth of the speed",
     "script": "URScript, at a fifth of the speed",
@@ -37,8 +43,9 @@ class Cell:
 class Table:
     """A table with columns of a heading and a kind: ``number``, ``name``, ``text``, ``expression``.
 
-    It may be ``folded`` behind a line until opened. Under the label ``brief``, its first cell when
-    empty, the terminal shows every row as a line; none where it is None.
+    A heading may be ``group|heading``: columns of one group stand under its name. The table may be
+    ``folded`` behind a line until opened. Under the label ``brief``, its first cell when empty,
+    the terminal shows every row as a line; none where it is None.
     """
 
     columns: tuple[tuple[str, str], ...]
@@ -46,6 +53,18 @@ class Table:
     caption: str = ""
     folded: str = ""
     brief: str | None = None
+
+    @property
+    def heads(self) -> list[str]:
+        """Headings with the names of their groups."""
+        return [head.replace("|", ", ") for head, _ in self.columns]
+
+    @property
+    def groups(self) -> list[tuple[str, int]]:
+        """Names of groups and how many columns each has; empty where there is none."""
+        names = [head.rpartition("|")[0] for head, _ in self.columns]
+        found = [(name, len(list(columns))) for name, columns in groupby(names)]
+        return found if any(names) else []
 
 
 @dataclass(frozen=True)
@@ -66,13 +85,36 @@ class Key:
     label: str
 
 
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """What the panels of a figure draw, one joint each, to select, to zoom into and to read off.
+
+    Attributes:
+        t: Time without gaps, shape (n,) [s].
+        names: Joints of the panels.
+        unit: Unit of the curves.
+        curves: Label, colour and values (n, panels) of each; the first is what was measured.
+        half_width: Half of the interval about the last curve, shape (n, panels).
+    """
+
+    t: Array
+    names: tuple[str, ...]
+    unit: str
+    curves: tuple[tuple[str, str, Array], ...]
+    half_width: Array | None = None
+
+
 @dataclass(frozen=True)
 class Figure:
-    """Small multiples that share a legend; the caption says what to see."""
+    """Small multiples that share a legend; the caption says what to see.
+
+    With a timeline, a browser that runs the page's script shows one panel at a time, to zoom into.
+    """
 
     panels: tuple[Panel, ...]
     caption: str
     legend: tuple[Key, ...] = ()
+    timeline: Timeline | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -112,13 +154,12 @@ class Facts:
 class Notes:
     """Sentences, as a list when there are several; the tone of a page's headline is ``lead``.
 
-    Under the label ``brief`` the terminal shows them too; texts leave out ``paths`` of files.
+    Under the label ``brief`` the terminal shows them too.
     """
 
     sentences: tuple[str, ...]
     tone: str = PLAIN
     brief: str | None = None
-    paths: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,10 +185,14 @@ class Player:
 
 @dataclass(frozen=True)
 class Folded:
-    """Titled blocks: a part of a section or, within one, behind their title until opened."""
+    """Titled blocks: a part of a section or, within one, behind their title until opened.
+
+    A part may be ``closed``: it is behind its title, too.
+    """
 
     title: str
     blocks: tuple[Block, ...]
+    closed: bool = False
 
 
 Block = Table | Figure | Matrix | Player | Facts | Notes | Folded
@@ -168,13 +213,44 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report: title, subtitle, what comes first, the sections, and last words."""
+    """A whole report: title, subtitle, what comes first, the sections, and last words.
+
+    Files stand beside it, by name; texts leave them out.
+    """
 
     title: str
     subtitle: str
     summary: tuple[Block, ...]
     sections: tuple[Section, ...]
     brief: Brief = ()
+    files: tuple[str, ...] = ()
+
+    @property
+    def uses(self) -> list[tuple[str, str]]:
+        """The files, and what reads them or what they hold."""
+        return [
+            (name, next((use for end, use in _FORMATS.items() if name.endswith(end)), ""))
+            for name in self.files
+        ]
+
+    def tables(self) -> Iterator[tuple[str, str, Table]]:
+        """All tables, key figures among them, with the titles of their section and part."""
+        for each in self.sections:
+            for part in each.parts:
+                yield from ((each.title, part.title, found) for found in _tables(part.blocks))
+
+
+def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
+    for block in blocks:
+        match block:
+            case Folded():
+                yield from _tables(block.blocks)
+            case Facts():
+                known = [fact for fact in block.facts if not fact.timing]
+                rows = tuple((Cell(x.label), Cell(x.value, value=x.number)) for x in known)
+                yield Table((("Figure", "name"), ("", "number")), rows)
+            case Table():
+                yield block
 
 
 Write = Callable[[Any], str]
@@ -216,19 +292,35 @@ def _cell(row: Result, head: str, source: Source, write: Write | None = None) ->
     return Cell(written or NONE, PLAIN, v.real(value))
 
 
-def estimates(value: str = "number:Value", std: str = "number:± std") -> tuple[Column, Column]:
-    """Columns of a value and its standard deviation, both to the digits that the latter allows."""
+def estimates(
+    value: str = "number:Value", std: str = "number:± std", *within: str
+) -> tuple[Column, Column]:
+    """Columns of a value and its standard deviation, both to the digits that the latter allows.
+
+    They are those of the record, or of the one within it under a key.
+    """
 
     def written(row: Result, which: int) -> Cell:
-        pair = (v.at(row, "value"), v.at(row, "std"))
+        pair = (v.at(row, *within, "value"), v.at(row, *within, "std"))
         return Cell(v.value_and_std(*pair)[which], PLAIN, v.real(pair[which]))
 
     return (value, lambda row: written(row, 0)), (std, lambda row: written(row, 1))
 
 
+def milli(*keys: str, none: str = NONE, digits: int = 3) -> Callable[[Result], Cell]:
+    """Cells of a number in thousandths of its unit."""
+
+    def cell(row: Result) -> Cell:
+        x = v.real(row, *keys)
+        x = None if x is None else 1e3 * x
+        return Cell(none if x is None else v.number(x, digits), PLAIN, x)
+
+    return cell
+
+
 _DECIDED = {
     "data": Cell("data", GOOD),
-    "both": Cell("data and prior", FAIR),
+    "both": Cell("both", FAIR),
     "prior": Cell("prior", POOR),
     "physics": Cell("limit of physics", FAIR),
 }
@@ -276,29 +368,32 @@ def facts(*found: Fact | None) -> Facts | None:
     return Facts(known) if known else None
 
 
-def notes(
-    sentences: Sequence[str], tone: str = PLAIN, *, brief: str | None = None, paths: bool = False
-) -> Notes | None:
+def notes(sentences: Sequence[str], tone: str = PLAIN, *, brief: str | None = None) -> Notes | None:
     """Sentences, or None without any."""
-    return Notes(tuple(sentences), tone, brief, paths) if sentences else None
+    return Notes(tuple(sentences), tone, brief) if sentences else None
 
 
 def figure(
-    panels: Sequence[Panel | None], caption: str, legend: Sequence[Key] = ()
+    panels: Sequence[Panel | None],
+    caption: str,
+    legend: Sequence[Key] = (),
+    timeline: Timeline | None = None,
 ) -> Figure | None:
     """A figure of the panels that have data; None without any."""
     present = tuple(panel for panel in panels if panel is not None)
-    return Figure(present, caption, tuple(legend)) if present else None
+    return Figure(present, caption, tuple(legend), timeline) if present else None
 
 
-def files(names: Sequence[str]) -> Notes | None:
-    """The files that a run has written, and what reads them."""
-    uses = [[use for end, use in _FORMATS.items() if name.endswith(end)] for name in names]
-    said = zip(names, uses, strict=True)
-    return notes([f"{name}: {use[0]}" if use else name for name, use in said], paths=True)
+def section(
+    title: str, lead: str, parts: Parts, brief: Brief = (), closed: Parts | None = None
+) -> Section:
+    """A section without the blocks that are None and the parts that are left empty.
 
-
-def section(title: str, lead: str, parts: Parts, brief: Brief = ()) -> Section:
-    """A section without the blocks that are None and the parts that are left empty."""
-    kept = (Folded(heading, tuple(b for b in blocks if b is not None)) for heading, blocks in parts)
+    After the parts come those that are behind their titles.
+    """
+    kept = (
+        Folded(heading, tuple(b for b in blocks if b is not None), behind)
+        for behind, several in ((False, parts), (True, closed or []))
+        for heading, blocks in several
+    )
     return Section(title, lead, tuple(part for part in kept if part.blocks), brief)

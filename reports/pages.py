@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -46,7 +46,8 @@ _VERBS = (*_SECTIONS, "demo", COMPARE)
 _FEW = 3  # parameters of a hidden effect that are written out
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _APART = 2.0  # standard deviations of a difference from which on estimates disagree
-_LONG = 60  # rows from which on a table is folded
+_STD = "± std"  # in the heading of a column that belongs to the one before
+_PAIRED = 3  # runs up to which differences have columns; of more, result.json has them
 _HEADINGS = {"difference": "{} − A", "ratio": "{} / A", "deviations": "{} − A [std]"}
 _ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")  # what depends on the filter and on the rows
 _REMARKS = {
@@ -65,11 +66,13 @@ def page_of(result: Result, series: Series) -> Page:
         raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")
     with style():
         if verb == "demo":
-            return _demo_page(result, series)
-        if verb == COMPARE:
-            return _comparison_page(result)
-        only = _SECTIONS[verb](result, series)
-    return Page(_title(only.title, result), only.lead, (), (only,))
+            page = _demo_page(result, series)
+        elif verb == COMPARE:
+            page = _comparison_page(result)
+        else:
+            only = _SECTIONS[verb](result, series)
+            page = Page(_title(only.title, result), only.lead, (), (only,))
+    return replace(page, files=tuple(v.words(result, "files")))
 
 
 def _shown(value: Any) -> Any:
@@ -209,9 +212,10 @@ def _remarks(runs: Sequence[SavedRun]) -> list[str]:
     found = []
     for key, said in _REMARKS.items():
         for part in ((), ("design",), ("identify",), ("analyze",), ("diagnose",)):  # of a demo
-            values = [v.text(run.result, *part, key) for run in runs]
-            if len(set(filter(None, values))) > 1:
-                found.append(said.format(" and ".join(dict.fromkeys(values))))
+            values = [v.at(run.result, *part, key) for run in runs]
+            written = [v.text(x) if v.real(x) is None else v.number4(x) for x in values]
+            if len(set(filter(None, written))) > 1:
+                found.append(said.format(" and ".join(dict.fromkeys(written))))
                 break
     if not _same_rows([run.series for run in runs]):
         found.append(
@@ -255,39 +259,24 @@ def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
     ]
 
 
-def _tables(blocks: Sequence[p.Block]) -> Iterator[p.Table]:
-    for block in blocks:
-        match block:
-            case p.Folded():
-                yield from _tables(block.blocks)
-            case p.Facts():
-                known = [fact for fact in block.facts if not fact.timing]
-                rows = tuple((Cell(x.label), Cell(x.value, value=x.number)) for x in known)
-                yield p.Table((("Figure", "name"), ("", "number")), rows)
-            case p.Table() if {kind for _, kind in block.columns} & {"name", "expression"}:
-                yield block
-
-
 def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
     """Cells by section, part, kind of row, row and column, with the std beside them."""
     figures: dict[tuple[str, ...], tuple[Cell, float | None]] = {}
-    walk = [
-        (section.title, part.title, table)
-        for section in page.sections
-        for part in section.parts
-        for table in _tables(part.blocks)
-    ]
-    for title, part, table in walk:
-        heads = [head for head, _ in table.columns]
+    for title, part, table in page.tables():
+        heads = table.heads
         names = [k for k, (_, kind) in enumerate(table.columns) if kind in ("name", "expression")]
+        if not names:
+            continue
         for row in table.rows:
             name = ", ".join(row[k].text for k in names if row[k].text != NONE)
             prior = any(cell.text in ("prior", "expectation") for cell in row)
-            beside = [*(None if prior else cell.value for cell in row[1:]), None]
-            for head, nearby, cell, std in zip(heads, [*heads[1:], ""], row, beside, strict=True):
-                if head not in [heads[k] for k in names]:
-                    found = (cell, std if nearby.startswith("± std") else None)
-                    figures.setdefault((title, part, heads[names[0]], name, head), found)
+            for k, (head, cell) in enumerate(zip(heads, row, strict=True)):
+                if k in names or _STD in head:
+                    continue
+                std = row[k + 1] if k + 1 < len(row) and _STD in heads[k + 1] else Cell(NONE)
+                both = f"{cell.text} ± {std.text}" if std.text != NONE else cell.text
+                found = replace(cell, text=both), None if prior else std.value
+                figures.setdefault((title, part, heads[names[0]], name, head), found)
     return figures
 
 
@@ -307,20 +296,18 @@ def _comparison_page(result: Result) -> Page:
         f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
         for letter, run in zip(letters, runs, strict=True)
     ]
-    sections = [
-        p.section(
-            v.text(each, "title"),
-            _count(each),
-            [(v.text(t, "part"), [_table(t, letters)]) for t in v.records(each, "tables")],
-            ((v.text(each, "title"), _count(each)),),
-        )
-        for each in v.records(result, "sections")
-    ]
+    sections = []
+    for each in v.records(result, "sections"):
+        parts: dict[str, p.Blocks] = {}
+        for found in v.records(each, "tables"):
+            parts.setdefault(v.text(found, "part"), []).append(_table(found, letters))
+        order, title, count = list(parts.items()), v.text(each, "title"), _count(each)
+        sections.append(p.section(title, count, order[:1], ((title, count),), order[1:]))
     blocks = (p.notes(legend), p.notes([v.sentence(r) for r in remarks], p.POOR))
     return Page(
         _title("Comparison of runs", result),
-        f"{len(runs)} runs of excitant {v.text(result, 'of')}; differences and ratios are those to "
-        f"A. {sections[0].lead if len(sections) == 1 else ''}",
+        f"{len(runs)} runs of excitant {v.text(result, 'of')}, compared with A; ○ marks estimates "
+        f"that lie apart. {sections[0].lead if len(sections) == 1 else ''}",
         tuple(block for block in blocks if block is not None),
         tuple(sections),
         tuple(("note", remark) for remark in remarks),
@@ -357,17 +344,26 @@ def _table(found: Result, letters: Sequence[str]) -> p.Table | None:
         known = any(value(row, key, k) is not None for row in rows)
         return (f"number:{_HEADINGS[key].format(letter)}", cell) if known else None
 
-    def written(k: int) -> Callable[[Result], str]:
-        return lambda row: dict(enumerate(v.words(row, "written"))).get(k, NONE)
+    def written(k: int) -> Callable[[Result], Cell]:
+        def cell(row: Result) -> Cell:
+            far = k > 0 and (value(row, "deviations", k - 1) or 0.0) > _APART
+            words = dict(enumerate(v.words(row, "written"))).get(k, NONE)
+            return Cell(words, p.POOR if far else p.PLAIN)
 
+        return cell
+
+    def kind(k: int) -> str:
+        known = any(value(row, "values", k) is not None for row in rows)
+        return "number" if known else "text"
+
+    pairs = list(enumerate(letters[1:])) if len(letters) <= _PAIRED else []
     some = any(v.text(row, "figure") for row in rows)
     return p.table(
         rows,
         [
             (f"name:{v.text(found, 'of')}", lambda row: v.text(row, "name")),
             ("name:Quantity", lambda row: v.text(row, "figure")) if some else None,
-            *((f"number:{letter}", written(k)) for k, letter in enumerate(letters)),
-            *(column(key, k, x) for k, x in enumerate(letters[1:]) for key in _HEADINGS),
+            *((f"{kind(k)}:{letter}", written(k)) for k, letter in enumerate(letters)),
+            *(column(key, k, x) for k, x in pairs for key in _HEADINGS),
         ],
-        folded=p.folded(f"All {len(rows)} figures", len(rows), _LONG),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
@@ -21,8 +22,10 @@ from excitant.reports.page import (
     Player,
     Section,
     Table,
+    Timeline,
 )
 from excitant.reports.values import NONE
+from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
     import jinja2
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
 
 _FIGURE = 14  # characters of a number in text
 _LABEL = 32
+_UNBROKEN = 24  # letters of a word that is never broken
+_SAMPLES = 250_000  # of all curves of a timeline
 _STEP = 10  # columns of words are a multiple of this wide, so that few changes move them
 _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
@@ -37,16 +42,19 @@ _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 def html(page: Page, saved: bool = True) -> str:
     """A page as one HTML file: no network, figures and scripts inside.
 
+    A figure with a timeline is drawn by uPlot, a motion by three.js.
+
     Args:
         page: What to write.
         saved: Whether the result it is drawn from stands beside it.
     """
-    plays = any(
-        isinstance(each, Player) for s in page.sections for part in s.parts for each in part.blocks
-    )
-    names = ["report.js", *["three.js", "player.js"] * plays]
+    blocks = [each for s in page.sections for part in s.parts for each in part.blocks]
+    plays = any(isinstance(each, Player) for each in blocks)
+    timed = any(getattr(each, "timeline", None) for each in blocks)
+    names = [*["uplot.min.js"] * timed, "report.js", *["three.js", "player.js"] * plays]
     template = _environment().get_template("report.html.j2")
-    return template.render(page=page, saved=saved, scripts=[_script(name) for name in names])
+    scripts = [_script(name) for name in names]
+    return template.render(page=page, saved=saved, timed=timed, scripts=scripts)
 
 
 def _script(name: str) -> dict[str, str]:
@@ -54,6 +62,8 @@ def _script(name: str) -> dict[str, str]:
     from markupsafe import Markup
 
     text = _template(name)
+    if name.startswith("uplot"):
+        text = f"/*\n{_template('uplot.LICENSE')}\n*/\n{text}"
     digest = b64encode(hashlib.sha256(text.encode()).digest()).decode()
     return {"text": Markup(text), "digest": f"sha256-{digest}"}
 
@@ -76,15 +86,51 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters["drawing"] = Markup  # SVG of ours, its texts are escaped
     environment.filters["breakable"] = _breakable
+    environment.filters["packed"] = _packed
     environment.filters["kind"] = lambda block: type(block).__name__
     return environment
 
 
-def _breakable(name: str) -> Markup:
-    """A name, escaped, that may break after an underscore where lines are short."""
+def _breakable(words: str) -> Markup:
+    """Words, escaped; only long ones may break, after an underscore, where lines are short."""
     from markupsafe import Markup, escape
 
-    return Markup(str(escape(name)).replace("_", "_<wbr>"))
+    def broken(word: re.Match[str]) -> str:
+        return word[0].replace("_", "_<wbr>") if len(word[0]) > _UNBROKEN else word[0]
+
+    written = re.sub(r"\S+", broken, str(escape(words)))
+    return Markup(re.sub(r"(?<!\S)--[\w-]+", r'<span class="whole">\g<0></span>', written))
+
+
+def _packed(timeline: Timeline) -> Markup:
+    """A timeline as JSON for the page's script; a long one has fewer rows."""
+    from markupsafe import Markup
+
+    count = len(timeline.t) * len(timeline.names) * (len(timeline.curves) + 1)
+    rows = slice(None, None, -(-count // _SAMPLES))
+    half = timeline.half_width
+    told = {
+        "t": b64encode(timeline.t[rows].astype("<f4").tobytes()).decode(),
+        "unit": timeline.unit,
+        "names": timeline.names,
+        "curves": [
+            {"label": label, "colour": colour, "values": [_steps(x) for x in values[rows].T]}
+            for label, colour, values in timeline.curves
+        ],
+        "half": None if half is None else [_steps(x) for x in half[rows].T],
+    }
+    return Markup(json.dumps(told, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+def _steps(x: Array) -> dict[str, object]:
+    """A curve as 16-bit steps between its least and greatest value; the least is for NaN."""
+    import numpy as np
+
+    known = np.isfinite(x)
+    low, high = (float(f(x[known])) for f in (np.min, np.max)) if known.any() else (0.0, 0.0)
+    step = (high - low) / 65534 or 1.0
+    k = np.where(known, np.round((np.where(known, x, low) - low) / step) - 32767, -32768)
+    return {"low": low, "step": step, "k": b64encode(k.astype("<i2").tobytes()).decode()}
 
 
 def summary(page: Page) -> str:
@@ -96,7 +142,7 @@ def summary(page: Page) -> str:
         if len(page.sections) > 1:
             lines += ["", f"[[{section.title}]]"]
         lines += [f"    {section.lead}", *_parts(section)]
-    return "\n".join(_plain(line) for line in lines) + "\n"
+    return "\n".join(plain(line) for line in lines) + "\n"
 
 
 def brief(page: Page) -> str:
@@ -122,7 +168,8 @@ def _brief(section: Section) -> Iterator[tuple[str, str]]:
                 yield label, ": ".join([names, *(words for kind, words in known if kind != "name")])
 
 
-def _plain(line: str) -> str:
+def plain(line: str) -> str:
+    """A line in letters that tools compare: ASCII minus signs, spaces and powers of ten."""
     line = re.sub(r"×10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda e: "e" + e[1].translate(_ASCII), line)
     return re.sub(r"[\s\u00a0]", " ", line).replace("−", "-").rstrip()
 
@@ -139,7 +186,7 @@ def _block(block: Block) -> list[str]:
     match block:
         case Notes():
             label = f"{block.brief}: " if block.brief else ""
-            return [f"    {label}{said}" for said in block.sentences if not block.paths]
+            return [f"    {label}{said}" for said in block.sentences]
         case Facts():
             return [
                 f"    {fact.label:<{_LABEL}} = {fact.value}"
@@ -159,7 +206,8 @@ def _block(block: Block) -> list[str]:
             return [f"  [{block.title}]", *(line for b in block.blocks for line in _block(b))]
         case Table():
             rows = [[cell.text for cell in row] for row in block.rows]
-            return table_lines(block.columns, rows, "    ")
+            kinds = [kind for _, kind in block.columns]
+            return table_lines(list(zip(block.heads, kinds, strict=True)), rows, "    ")
     return []
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path, PurePosixPath
@@ -58,11 +59,19 @@ def save_run(
     encoded, packed = _dump(result), _pack(series)
     read, arrays = json.loads(encoded), _unpack(packed)
     contents[SERIES] = packed
-    page = page_of(read, arrays)
+    old = (_beside(directory, parts, contents) for parts in _parts(read))
+    beside = dict.fromkeys([*filter(None, old), *contents, SUMMARY, RESULT])
+    page = page_of(read | {"files": list(beside)}, arrays)
     contents[SUMMARY] = summary(page)
     contents[REPORT] = html(page)
     contents[RESULT] = encoded
     return write_folder(directory, contents, _files_of(directory) - _names(read)), page
+
+
+def _beside(directory: Path, parts: Sequence[str], new: Mapping[str, Any]) -> str | None:
+    """An artefact's name relative to the directory, from its path; None where it is not there."""
+    names = ("/".join(parts[k:]) for k in range(parts[:1] == ("/",), len(parts)))
+    return next((name for name in names if name in new or (directory / name).is_file()), None)
 
 
 def _files_of(directory: Path) -> set[str]:
@@ -75,9 +84,12 @@ def _files_of(directory: Path) -> set[str]:
 
 def _names(result: Mapping[str, Any]) -> set[str]:
     """Names of artefacts relative to the directory, from their paths, however it is called."""
+    return {"/".join(each[k:]) for each in _parts(result) for k in range(len(each))}
+
+
+def _parts(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     files = result.get("files")
-    parts = [PurePosixPath(str(file)).parts for file in files] if isinstance(files, list) else []
-    return {"/".join(each[k:]) for each in parts for k in range(len(each))}
+    return [PurePosixPath(str(file)).parts for file in files] if isinstance(files, list) else []
 
 
 def as_saved(
@@ -210,8 +222,43 @@ class Report:
         return f'<iframe srcdoc="{escape(self.html)}" style="{frame}"></iframe>'
 
 
-def report(noun: Reportable) -> Report:
-    """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
+def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[Path]:
+    """Write a folder as the command does that makes such a noun.
+
+    A model is left out, with a warning, where the hold-out speaks against it, unless by ``force``.
+
+    Args:
+        noun: A design, estimate, identifiability, diagnosis, ...
+        folder: Made when missing; files of an old run there go, what others put there stays.
+        force: Write the model all the same.
+
+    Returns:
+        The paths written: files of the model or motion, then those that every run has.
+
+    Raises:
+        BadInput: Anything else, or a folder that cannot be written.
+    """
+    _require_reportable(noun)
+    result, files = dict(noun.result()), dict[str, str | bytes]()
+    if publication := getattr(noun, "publication", None):
+        model = publication(force=force)
+        files |= model.files
+        result["published"] = model.published
+        if model.note:
+            result["notes"] = [*result["notes"], model.note]
+            warnings.warn(model.note, stacklevel=2)
+    elif own := getattr(noun, "files", None):
+        files |= own()
+    result["files"] = [str(Path(folder) / name) for name in files]
+    return save_run(folder, result, noun.series(), files)[0]
+
+
+def _require_reportable(noun: object) -> None:
     if not isinstance(noun, Reportable):
         raise BadInput(f"a {type(noun).__name__} has no report; give what a verb returned")
+
+
+def report(noun: Reportable) -> Report:
+    """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
+    _require_reportable(noun)
     return Report(html(page_of(*as_saved(noun.result(), noun.series())), saved=False))

@@ -137,7 +137,7 @@ def number4(value: object) -> str:
 def whole(value: object) -> str:
     """A count."""
     x = real(value)
-    return NONE if x is None else f"{x:.0f}"
+    return NONE if x is None else _positional(x, 0)
 
 
 def value_and_std(value: object, std: object) -> tuple[str, str]:

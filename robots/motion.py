@@ -59,6 +59,10 @@ class Motion:
     def __len__(self) -> int:
         return len(self.t)
 
+    def __repr__(self) -> str:
+        span = float(np.ptp(self.t)) if len(self) else 0.0
+        return f"Motion of {self.nv} joints: {len(self)} instants over {span:.4g} s"
+
     def __getitem__(self, rows: slice | npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Motion:
         """The motion at some of its instants."""
         return Motion(self.t[rows], self.q[rows], self.dq[rows], self.ddq[rows])

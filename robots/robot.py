@@ -11,19 +11,22 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from excitant.exceptions import UnknownName
 from excitant.robots.base_estimate import BaseEstimate
-from excitant.robots.html_table import html_table
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, inertia
+from excitant.robots.shown import Shown, Table, data_frame
 from excitant.robots.urdf_writer import current_urdf
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from excitant.robots.effects import Effect
 
 
-@dataclass(frozen=True, eq=False)
-class Robot:
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot(Shown):
     """A serial arm with one degree of freedom per joint.
 
     Attributes:
@@ -112,7 +115,8 @@ class Robot:
         return " or ".join(units) if measured == "N·m" else measured
 
     def joint_index(self, joint: str) -> int:
-        """Position of a joint in the order of this robot."""
+        """Position of a joint in the order of this robot; UnknownName if it has none such."""
+        UnknownName.refuse("joint", [joint], self.joints)
         return self.joints.index(joint)
 
     def with_parameters(self, phi: npt.ArrayLike) -> Robot:
@@ -166,10 +170,28 @@ class Robot:
             rng.uniform(-acceleration, acceleration, shape),
         )
 
-    def _repr_html_(self) -> str:
+    def to_frame(self) -> pd.DataFrame:
+        """Standard parameters of the links, a row each."""
+        values = zip(self.links, self.phi.reshape(-1, 10).tolist(), strict=True)
+        rows = [{"link": link} | dict(zip(STANDARD, own, strict=True)) for link, own in values]
+        return data_frame(rows, "link")
+
+    def _lines(self) -> list[str]:
+        from excitant.robots.effects import plain
+
+        held = [f"{joint} at {q:.4g}" for joint, q in self.locked]
+        effects = dict.fromkeys(plain(effect.name) for effect in self.effects)
+        return [
+            f"Robot {self.name}: {self.nv} joints, SI units",
+            f"joints: {', '.join(self.joints)}",
+            f"moving mass {self.phi[::10].sum():.4g} kg; effects: {', '.join(effects) or 'none'}"
+            + f"; held: {', '.join(held)}" * bool(held),
+        ]
+
+    def _table(self) -> Table:
         limits = self.limits
         columns = (*limits.position.T, limits.velocity, limits.torque, self.phi[::10])
         values = np.column_stack(columns).tolist()
         rows = [(*names, *row) for *names, row in zip(self.joints, self.links, values, strict=True)]
         heads = ("joint", "link", "from", "to", "speed", "torque", "mass [kg]")
-        return html_table(f"Robot {self.name}: {self.nv} joints, SI units", heads, rows)
+        return heads, rows

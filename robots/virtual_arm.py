@@ -18,6 +18,7 @@ import pandas as pd
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, elements, inertia, steiner
 from excitant.robots.plant.arm import Believed, Progress, ReadingNoise, Trajectory, simulate
@@ -122,7 +123,7 @@ class VirtualArm:
 
 
 def virtual_arm(
-    robot: Robot,
+    robot: RobotLike,
     rng: np.random.Generator,
     *,
     hidden: Sequence[HiddenEffect] | None = None,
@@ -132,7 +133,7 @@ def virtual_arm(
     """Build a truth around a nominal arm, whose effects, if any, are known ones.
 
     Args:
-        robot: The nominal arm.
+        robot: The nominal arm, its built-in name or file.
         rng: Draws the deviations.
         hidden: What the truth has besides; one effect drawn at random when not given.
         sensors: `industrial_sensors` when not given.
@@ -142,6 +143,7 @@ def virtual_arm(
     Raises:
         BadInput: Hidden effects that leave a mass without physical consistency.
     """
+    robot = as_robot(robot)
     if hidden is None:
         hidden = (draw_hidden_effect(robot, rng),)
     truth = nominal_truth(robot)

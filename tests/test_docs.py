@@ -12,6 +12,7 @@ import contextlib
 import importlib.util
 import inspect
 import io
+import json
 import math
 import re
 import shlex
@@ -25,6 +26,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
+from run_notebooks import NOTEBOOKS, outputs_of
 
 from excitant.analysis import diagnose
 from excitant.cli import app, main
@@ -133,6 +135,24 @@ def test_links_lead_to_files(page: str) -> None:
     targets = LINK.findall(path.read_text(encoding="utf-8"))
     missing = [target for target in targets if not (path.parent / target).exists()]
     assert not missing, f"{page} links to what is not there: {missing}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_shows_what_it_says(path: Path, here: Path) -> None:
+    notebook = json.loads(path.read_text("utf-8"))
+    kept = [cell["outputs"] for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    for shown, found in zip(kept, outputs_of(notebook), strict=True):
+        kinds = [[sorted(o.get("data", o)) for o in outputs] for outputs in (shown, found)]
+        assert kinds[0] == kinds[1]
+        for expected, output in zip(map(_text, shown), map(_text, found), strict=True):
+            assert_shown(expected, output, path.name)
+    pictures = [o["data"].get("image/png", "") for cell in kept for o in cell if "data" in o]
+    assert max(map(len, pictures)) < 300_000
+
+
+def _text(output: dict[str, Any]) -> str:
+    return "".join(output.get("text", ())) or output["data"]["text/plain"]
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import pytest
 import excitant as ex
 from excitant.design import design_trajectory
 from excitant.identify import identify_robot, load_recording
-from excitant.robots.html_table import html_table
+from excitant.robots.shown import html_table
 
 NOTEBOOK = """
 import excitant as ex

@@ -12,6 +12,7 @@ import pytest
 Records = dict[str, Any]
 Verbs = Callable[..., Records]
 FRICTION = (".Fv", ".Fc")
+LIGHT = 3_000_000  # bytes of a page
 SETS = {
     "ur10": "unisa_exciting",
     "ur10e": "id_8harm_20s --validate val_ptp_10_points",
@@ -34,6 +35,7 @@ def ran(data_folder: Path, excitant: Callable[..., Any], tmp_path: Path) -> Verb
         words = f"{'--recording ' if verb == 'analyze' else ''}{SETS[name]}"
         words += " --no-experiments" if verb == "diagnose" else ""
         found = excitant(f"{verb} {data_folder / name} {words} --json -o {tmp_path / verb}").result
+        assert (tmp_path / verb / "report.html").stat().st_size < LIGHT
         return KNOWN.setdefault((verb, name), dict(found))
 
     return run

@@ -16,7 +16,8 @@ from .identify import (
     load_recording,
     recording_from_table,
 )
-from .reports.run import report
+from .reports import plot
+from .reports.run import report, save
 from .robots import Robot, builtin_robots, load_robot
 from .robots.virtual_arm import virtual_arm
 
@@ -41,9 +42,11 @@ __all__ = [
     "load_recording",
     "load_robot",
     "load_trajectory",
+    "plot",
     "random_trajectory",
     "recording_from_table",
     "rehearse",
     "report",
+    "save",
     "virtual_arm",
 ]

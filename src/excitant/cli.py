@@ -173,24 +173,33 @@ def robots(
         print(summary(page_of(result, {})), end="")
 
 
-def report(*folders: str, run: Run = Run()) -> None:
+def report(*folders: str, tables: Literal["csv", "latex"] | None = None, run: Run = Run()) -> None:
     """Render the report of a run again, or compare runs.
 
     Args:
         folders: Folder of a run; of several runs of the same command: one page with all, and what
             differs.
+        tables: Write each table of the page as a file, too, into the folder tables beside it.
     """
-    from excitant.reports import SavedRun, compare, load_run, save_run
+    from excitant.reports import SavedRun, compare, load_run, page_of, save_run, table_files
+
+    def written(result: dict[str, Any]) -> dict[str, str]:
+        return {} if tables is None else table_files(page_of(result, {}), tables)
 
     if not folders:
         raise BadInput("name the folder of a run, or several to compare")
     if len(folders) > 1:
-        run.finish(compare(*(SavedRun(folder, *load_run(folder)) for folder in folders)), {})
+        result = compare(*(SavedRun(folder, *load_run(folder)) for folder in folders))
+        run.finish(result, {}, written(result))
         return
     if run.output is not None:
         raise BadInput("-o is where runs are compared; name a second run, or leave -o out")
     result, series = load_run(folders[0])
-    paths, _ = save_run(folders[0], result, series)
+    files = written(result)
+    if files:
+        here = (os.path.join(folders[0], name) for name in files)
+        result["files"] = list(dict.fromkeys([*result.get("files", []), *here]))
+    paths, _ = save_run(folders[0], result, series, files)
     if run.json:
         print_json(result)
     else:
@@ -249,7 +258,11 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
         "fleet recordings/ -o runs/fleet",
         "fleet cell1 cell2 cell3 --cluster tcp://10.0.0.5:8786",
     ),
-    report: ("report runs/demo", "report runs/before runs/after -o runs/both"),
+    report: (
+        "report runs/demo",
+        "report runs/before runs/after -o runs/both",
+        "report runs/model --tables latex",
+    ),
     completion: (
         "completion bash > ~/.local/share/bash-completion/completions/excitant",
         'completion zsh > "${fpath[1]}/_excitant"',

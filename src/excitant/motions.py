@@ -174,10 +174,7 @@ def design(
             arm, **asked, noise=noise, earlier=_earlier(arm, after), progress=tell
         )
     trajectory = found.trajectory
-    files: dict[str, str | bytes] = {
-        "trajectory.csv": designs.trajectory_csv(trajectory, rate, repeat),
-        "trajectory.json": designs.trajectory_json(trajectory, arm),
-    }
+    files: dict[str, str | bytes] = {**found.files(rate, repeat)}
     way = {"trajectory": trajectory.motion(rate, repeat)}  # in the order in which it runs
     result, missing = found.result() | {"periods": repeat}, False
     if bound and not found.interrupted:

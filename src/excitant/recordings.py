@@ -342,7 +342,6 @@ def diagnose(
     from excitant.analysis import diagnosis
     from excitant.analysis.discrimination import Plan
     from excitant.design import trajectory_csv, trajectory_json
-    from excitant.identify import model_files, published
     from excitant.identify.faults import proven
 
     dataset = part.dataset(robot, data.map)
@@ -357,11 +356,7 @@ def diagnose(
         plan = planned(found, np.random.default_rng(0), time_limit=limit)
     for fault in said["faults"]:
         fault["repaired"] |= found.set_up is not None and found.set_up.amends(fault)
-    model = published(
-        model_files(found.extension.model, "extended", "extended.yaml"), found.robot.joints,
-        found.held.series, found.extension.predicted, found.held.simulated,
-        force=force, faults=proven(said["faults"]), kind="extended",
-    )  # fmt: skip
+    model = found.publication(force=force, faults=proven(said["faults"]))
     files = dict(model.files)
     result = found.result(plan) | said
     result["published"] = model.published

@@ -234,7 +234,7 @@ def _holdout(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     friction = SIZE * (0.12 * np.tanh(dq / 0.02) + 0.05 * dq)
     measured = clean + friction + 0.02 * SIZE * rng.normal(size=q.shape)
     t = np.concatenate([14 + t[:1500], 30 + t[1500:] - t[1500] - 16])  # two recordings joined
-    return t, dq, measured, 0.85 * clean, clean + 0.98 * friction
+    return t, q, dq, measured, 0.85 * clean, clean + 0.98 * friction
 
 
 def _online(rng: np.random.Generator, rows: int) -> Run:
@@ -254,10 +254,29 @@ def _online(rng: np.random.Generator, rows: int) -> Run:
     return online, {"online_t": t, "online_value": value, "online_std": std}
 
 
+def _link(name: str, k: int) -> dict[str, Any]:
+    mass = {"given": 4.0 - k, "value": 4.2 - k, "std": 0.3, "decided_by": ("data", "both")[k % 2]}
+    centre = {"given": [0.0, 0.1, -0.02], "value": [0.001, 0.11, -0.02], "std": [0.002] * 3}
+    centre |= {"shift": 0.01, "shift_std": 0.002, "decided_by": "prior"}
+    return {"link": name, "mass": mass, "centre": centre, "moved": None}
+
+
+def _friction(result: dict[str, Any], dq: np.ndarray) -> dict[str, np.ndarray]:
+    """Curves of friction over velocity, none of the last joint."""
+    known = {"unit": "N·m", "velocity_unit": "rad/s", "per_reading": 1.0}
+    for row in result["joints"][:-1]:
+        row["friction"] = known
+    v = np.nanmax(np.abs(dq), axis=0) * np.linspace(-1, 1, 100)[:, None]
+    v[:, -1] = np.nan
+    torque = SIZE * (0.12 * np.sign(v) + 0.05 * v)
+    curves = {"velocity": v, "torque": torque, "half_width": 0.02 * SIZE + 0 * v}
+    return {f"friction_{key}": values for key, values in curves.items()}
+
+
 def identify_run() -> Run:
     """With all that its options add."""
     rng = np.random.default_rng(2)
-    t, _, measured, given, identified = _holdout(rng)
+    t, q, dq, measured, given, identified = _holdout(rng)
     scale, before, after = (x.std(0) for x in (measured, measured - given, measured - identified))
     given[:, 3] = np.nan
     interval = {"half_width": 0.3, "half_width_parameters": 0.1, "coverage": 0.712}
@@ -298,6 +317,10 @@ def identify_run() -> Run:
     result |= {"link_by_link": by_link, "payload": payload, "online": online}
     series = {"t": t, "measured": measured, "given": given, "identified": identified}
     series["half_width"] = np.full_like(measured, 0.3)
+    series |= {"position": q, "velocity": np.where(np.abs(dq) > 0.01, dq, np.nan)}
+    series |= _friction(result, series["velocity"])
+    links = [_link(joint.removesuffix("_joint"), k) for k, joint in enumerate(JOINTS)]
+    result |= {"links": links, "faults": diagnose_run()[0]["faults"]}
     result |= {"parameters": _parameters(), "base_parameters": base}
     return result, series | estimates
 
@@ -346,7 +369,7 @@ def _given_model() -> dict[str, Any]:
 
 def diagnose_run() -> Run:
     rng = np.random.default_rng(4)
-    t, dq, measured, given, extended = _holdout(rng)
+    t, _, dq, measured, given, extended = _holdout(rng)
     scale, before, after = (x.std(0) for x in (measured, measured - given, measured - extended))
     stribeck = 6 * np.sign(dq[:, 1]) * np.exp(-np.abs(dq[:, 1]) / 0.3) + 3 * np.sign(dq[:, 1])
     steps = [

@@ -9,7 +9,8 @@ driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not in
 
 pytestmark = pytest.mark.slow
 
-WIDTHS = (1280, 400)
+LOOKS = ((1200, "light"), (800, "light"), (400, "dark"))
+SCREENS = 2  # of 900 pixels, before the first fold
 SIZES = "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
 
 
@@ -25,6 +26,9 @@ class Opened:
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.goto(file.as_uri())
         self.contents = self.page.evaluate("document.querySelector('nav details').open")
+        self.fold = self.page.evaluate(
+            "document.querySelector('main details')?.getBoundingClientRect().top || 0"
+        )
 
     def _hear(self, message) -> None:
         """What pages say; without a graphics card its driver says how slow it is."""
@@ -33,11 +37,13 @@ class Opened:
 
     def unfolded(self) -> Iterator["Opened"]:
         self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
+        for choice in self.page.locator(".chart select").all():
+            choice.select_option(label="all joints")
         yield self
         self.page.close()
 
 
-@pytest.fixture(scope="module", params=list(zip(WIDTHS, ("light", "dark"), strict=True)))
+@pytest.fixture(scope="module", params=LOOKS)
 def opened(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
     yield from Opened(browser, file, *request.param).unfolded()
 
@@ -58,6 +64,41 @@ def test_page_is_no_wider_than_the_window(opened):
           .filter(([box]) => box.left < -1 || box.right > innerWidth + 1)"""
     )
     assert outside == []
+
+
+def test_what_matters_comes_before_the_first_fold(opened):
+    if opened.page.viewport_size["width"] == 1200:
+        assert opened.fold <= SCREENS * 900
+
+
+BROKEN = """() => {
+  const broken = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const seen = new Map();  // names of which a part is in each text between marks for a break
+  while (walker.nextNode()) {
+    const node = walker.currentNode, parent = node.parentElement;
+    if (!parent.checkVisibility() || parent.closest("svg, script, style, .hidden")) continue;
+    for (const { 0: word, index } of node.data.matchAll(/[\\w.-]*_[\\w.-]*/g)) {
+      const range = document.createRange();
+      range.setStart(node, index);
+      range.setEnd(node, index + word.length);
+      const lines = new Set([...range.getClientRects()].map((r) => Math.round(r.top)));
+      seen.set(word, lines.size);
+      if (lines.size > 1) broken.push(`${word} in ${parent.tagName} ${parent.className}`);
+    }
+    const before = node.previousSibling;
+    if (before?.nodeName === "WBR") {
+      const whole = parent.textContent.match(/\\S+/g).find((w) => w.includes("_"));
+      if (whole.length <= 24) broken.push(`${whole} may break`);
+    }
+  }
+  return [seen.size, broken];
+}"""
+
+
+def test_no_name_is_broken_within_a_word(opened):
+    seen, broken = opened.page.evaluate(BROKEN)
+    assert seen > 0 or "_" not in opened.page.locator("main").inner_text()
+    assert broken == []
 
 
 CONTRAST = """() => {
@@ -260,4 +301,80 @@ def test_paper_shows_all_in_light_colours(browser, file):
     assert poor == {}
     page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert page.locator("main details[open]").count() == 0
+    page.close()
+
+
+@pytest.fixture(params=["identify", "diagnose"])
+def timed(request, written, tmp_path) -> Path:
+    path = tmp_path / "report.html"
+    path.write_text(written(request.param).source, "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("width", [1200, 400])
+def test_torque_over_time_is_chosen_zoomed_into_and_read_off(browser, timed, width):
+    opened = Opened(browser, timed, width, "light")
+    page = opened.page
+    page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
+    chart, panels = page.locator(".chart"), page.locator("figure.live .panel:visible")
+    span, value = chart.locator("output"), chart.locator(".u-series:not(.edge) .u-value")
+    whole = span.text_content()
+    assert panels.count() == 0
+    assert chart.locator("canvas").count() == 2  # torque, and below it the residual
+
+    plot = chart.locator(".u-over").first
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    at = [(box["x"] + share * box["width"], box["y"] + 40) for share in (0.25, 0.5)]
+    page.mouse.move(*at[0])
+    driver.expect(value.first).not_to_have_text("–")
+    t, measured, *models = (float(x) for x in value.all_text_contents()[: value.count() // 2 + 1])
+    start, end = (float(x) for x in whole.removesuffix(" s").split(" to "))
+    assert t == pytest.approx(start + 0.25 * (end - start), abs=0.02 * (end - start))
+    residuals = [float(x) for x in value.all_text_contents()[len(models) + 3 :]]
+    assert residuals == pytest.approx([measured - x for x in models], abs=2e-3 * abs(measured))
+
+    page.mouse.down()
+    page.mouse.move(*at[1], steps=4)
+    page.mouse.up()
+    low, high = (float(x) for x in span.text_content().removesuffix(" s").split(" to "))
+    quarter = (end - start) / 4
+    assert [low - start, high - low] == pytest.approx([quarter, quarter], abs=0.1 * quarter)
+
+    def residuals_follow():
+        below = chart.locator(".u-over").nth(1).bounding_box()
+        page.mouse.move(below["x"] + 0.5 * below["width"], below["y"] + 20)
+        first, last = (float(x) for x in span.text_content().removesuffix(" s").split(" to "))
+        middle = float(value.nth(len(models) + 2).text_content())
+        assert middle == pytest.approx((first + last) / 2, abs=0.05 * (last - first))
+
+    residuals_follow()
+    chart.locator("select").select_option(index=1)
+    assert span.text_content() == f"{low:.4g} to {high:.4g} s"
+    page.mouse.move(at[0][0] + 5, at[0][1])
+    driver.expect(value.nth(1)).not_to_have_text(f"{measured:.4g}")
+    for name in ("Zoom out", "Zoom in", "Later", "Earlier", "Whole time"):
+        before = span.text_content()
+        page.get_by_role("button", name=name).click()
+        assert span.text_content() != before
+        residuals_follow()
+    assert span.text_content() == whole
+
+    chart.locator("select").select_option(label="all joints")
+    names = chart.locator("option").all_text_contents()[:-1]
+    assert panels.locator("p").all_text_contents() == names
+    assert not chart.locator("canvas").first.is_visible()
+    page.emulate_media(media="print")
+    assert not chart.is_visible()
+    assert opened.said == []
+    page.close()
+
+
+def test_torque_over_time_is_drawn_without_a_script(browser, timed):
+    page = browser.new_page(java_script_enabled=False)
+    page.goto(timed.as_uri())
+    figure = page.locator("figure:has(script.timeline)")
+    figure.locator("xpath=ancestor::details/summary").click()
+    assert figure.locator(".panel svg[role=img]").first.is_visible()
+    assert page.locator(".chart").count() == 0
     page.close()

@@ -112,7 +112,7 @@ def test_differences_count_in_standard_deviations_as_often_as_chance_has_it():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (lambda r, _: r.update(cutoff_hz=5.0), "different cut-offs, 12.5 and 5.0 Hz"),
+        (lambda r, _: r.update(cutoff_hz=5.0), "different cut-offs, 12.50 and 5.000 Hz"),
         (lambda _, s: s.update(measured=1.1 * s["measured"]), "different samples"),
         (lambda r, _: r.update(unit="A"), "different units"),
     ],

@@ -52,7 +52,7 @@ def test_the_page_says_what_is_wrong_and_where(here, excitant, show):
         ("gravity", ["joint1"], False),
         ("total_mass", ["planar_2r"], True),
     ]
-    page = show(result, series)
+    page = show(result | {"files": ["series.npz", "summary.txt", "result.json"]}, series)
     assert (here / "out" / "report.html").read_text() == page.source
     text = (here / "out" / "summary.txt").read_text()
     for written in (page.words, text, brief(page_of(result, {}))):

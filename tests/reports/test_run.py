@@ -4,12 +4,14 @@ import importlib
 import io
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -28,7 +30,7 @@ def names(folder):
 
 def test_saved_run_is_what_was_given_and_renders_to_the_same_page(run, tmp_path, undrawn):
     given, arrays = run
-    paths, _ = save_run(tmp_path / "run", given, arrays)
+    paths, page = save_run(tmp_path / "run", given, arrays)
     result, series = load_run(tmp_path / "run")
     assert sorted(path.name for path in paths) == OWN == names(tmp_path / "run")
     assert list(result) == list(given)
@@ -37,7 +39,10 @@ def test_saved_run_is_what_was_given_and_renders_to_the_same_page(run, tmp_path,
     for key, values in arrays.items():
         span = np.ptp(values[np.isfinite(values)])
         np.testing.assert_allclose(series[key], values, rtol=0, atol=1e-6 * span)
-    page = page_of(result, series)
+    assert (
+        sorted(["report.html", *page.files]) == OWN
+    )  # of those that the result names, none is there
+    assert page_of(result | {"files": list(page.files)}, series).sections == page.sections
     assert (tmp_path / "run/report.html").read_text("utf-8") == html(page)
     assert (tmp_path / "run/summary.txt").read_text("utf-8") == summary(page)
 
@@ -66,6 +71,20 @@ def test_artefacts_stand_beside_the_report(tmp_path):
     assert all(path.is_file() for path in paths)
     assert (tmp_path / "run/model.yaml").read_text("utf-8") == files["model.yaml"]
     assert (tmp_path / "run/meshes/link.stl").read_bytes() == files["meshes/link.stl"]
+
+
+def test_links_lead_to_the_files_beside_the_page_also_when_the_run_was_moved(tmp_path, undrawn):
+    files = {"model.yaml": "é: 1\n", "a b/link #1.stl": b"\x00\xff", "gone.csv": "x"}
+    paths = [str(tmp_path / "run" / name) for name in files]
+    save_run(tmp_path / "run", {"verb": "identify", "files": paths}, {}, files)
+    (tmp_path / "run" / "gone.csv").unlink()
+    moved = tmp_path / "moved"
+    os.rename(tmp_path / "run", moved)
+    save_run(moved, *load_run(moved))
+    hrefs = re.findall('<a href="([^#"]+)"', (moved / "report.html").read_text("utf-8"))
+    linked = {unquote(href) for href in hrefs}
+    assert linked == {"model.yaml", "a b/link #1.stl", *OWN} - {"report.html"}
+    assert all((moved / name).is_file() for name in linked)
 
 
 @pytest.mark.parametrize("name", ["../up.txt", "/abs.txt", "", ".", "a/../../b", "result.json"])

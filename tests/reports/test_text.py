@@ -68,7 +68,7 @@ def test_every_accuracy_parameter_and_finding_is_in_it(make):
     for word in ("Parameter", "Value", "± std", "Relative std", "Category", "Decided by"):
         assert word in head
     assert len(rows) == len(result["identify"]["parameters"])
-    assert {row.split()[-1] for row in rows} == {"prior", "data"}
+    assert {row.split()[-1] for row in rows} == {"prior", "data", "both"}
     assert "✓ yes" in text
 
 

@@ -1,0 +1,21 @@
+from . import plot
+from .pages import SavedRun, compare, page_of
+from .render import brief, html, summary, table_lines
+from .run import load_run, report, save, save_run
+from .tables import table_files
+
+__all__ = [
+    "SavedRun",
+    "brief",
+    "compare",
+    "html",
+    "load_run",
+    "page_of",
+    "plot",
+    "report",
+    "save",
+    "save_run",
+    "summary",
+    "table_files",
+    "table_lines",
+]

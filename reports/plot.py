@@ -1,0 +1,134 @@
+"""Figures of the pages as Matplotlib axes, for notebooks and scripts: ``excitant.plot``.
+
+Every function draws what the page of the same noun shows, into one new figure of pyplot with a
+panel per joint or kind, and returns all its axes. Where only one is drawn, ``ax`` may be axes of
+your own to draw it into. Joints are named; all of them are drawn where none is.
+
+All raise UnknownName for a name that the arm does not have, and BadInput where nothing is to draw
+or ``ax`` is one axes for several drawings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from excitant.exceptions import BadInput, UnknownName
+from excitant.reports import page
+from excitant.reports import values as v
+from excitant.reports.drawing import Sheet
+from excitant.reports.error_figures import Curves, torque_figure
+from excitant.reports.estimate_figures import forest_figure, forest_groups, friction_figure
+from excitant.reports.motion_figures import motion_figure
+from excitant.reports.residual_figures import residual_figure
+from excitant.reports.run import Reportable, as_saved
+from excitant.reports.values import Result, Series
+from excitant.robots.loading import RobotLike, as_robot
+from excitant.robots.motion import Array, Motion
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from excitant.design import Design, Trajectory
+    from excitant.identify import Estimate
+
+__all__ = ["friction", "motion", "parameters", "residuals", "torque"]
+
+Names = str | Sequence[str] | None
+_Drawn = tuple[dict[str, Any], dict[str, Array]]
+_CURVES = Curves("given", "identified", "identified model", "", band="half_width")
+_BY_JOINT = ("joints", "revolute", "limit_values", "certified")  # entries with one item per joint
+_SAMPLES = 1000  # of a period
+
+
+def torque(estimate: Estimate, joints: Names = None) -> list[Axes]:
+    """Measured and predicted torque over the hold-out, below it the residual: two axes a joint."""
+    result, series = _of_joints(estimate, joints)
+    names, unit = v.joint_names(result), v.text(result, "unit")
+    return _drawn(lambda: torque_figure(names, series, unit, _CURVES))
+
+
+def friction(estimate: Estimate, joints: Names = None, *, ax: Axes | None = None) -> list[Axes]:
+    """Friction over velocity with its 95 % interval, and the readings of the hold-out."""
+    result, series = _of_joints(estimate, joints)
+    return _drawn(lambda: friction_figure(result, series), ax, len(v.joint_names(result)))
+
+
+def residuals(estimate: Estimate, joints: Names = None) -> list[Axes]:
+    """Residual over position, velocity and load, and its spectrum: four axes a joint."""
+    result, series = _of_joints(estimate, joints)
+    return _drawn(lambda: residual_figure(result, series, v.text(result, "unit")))
+
+
+def parameters(estimate: Estimate, names: Names = None, *, ax: Axes | None = None) -> list[Axes]:
+    """Identified parameters with their 95 % intervals beside the given ones, by kind.
+
+    Names are those of links, joints or parameters, or symbols such as ``m`` and ``Fc``.
+    """
+    rows, kept = estimate.result()["parameters"], []
+    ways = [{name, *name.rpartition(".")[::2]} for name in (row["name"] for row in rows)]
+    wanted = {names} if isinstance(names, str) else set(names or ())
+    UnknownName.refuse("parameter", sorted(wanted), sorted(set().union(*ways)))
+    kept = [row for row, way in zip(rows, ways, strict=True) if not wanted or way & wanted]
+    result = {"parameters": kept}
+    return _drawn(lambda: forest_figure(result), ax, len(forest_groups(result)))
+
+
+def motion(
+    motion: Design | Trajectory | Motion, robot: RobotLike | None = None, joints: Names = None
+) -> list[Axes]:
+    """Position, velocity and acceleration of each joint, an axes each, against the robot's limits.
+
+    A design knows its robot, and shows torque too.
+    """
+    if isinstance(motion, Reportable):
+        result, series = _of_joints(motion, joints)
+    else:
+        samples = motion if isinstance(motion, Motion) else motion.sample(_SAMPLES)
+        known: dict[str, Any] = {"joints": [f"joint {j + 1}" for j in range(motion.nv)]}
+        if robot is not None:
+            from excitant.design import check
+
+            robot = as_robot(robot)
+            known = {"joints": robot.joints, "revolute": robot.revolute}
+            known |= check(robot, motion).entries(robot.limits)
+        curves = {name: getattr(samples, name) for name in ("t", "q", "dq", "ddq")}
+        result, series = _chosen(known, curves, joints)
+    return _drawn(lambda: motion_figure(v.joint_names(result), result, series))
+
+
+def _of_joints(noun: Reportable, joints: Names) -> _Drawn:
+    return _chosen(noun.result(), noun.series(), joints)
+
+
+def _chosen(result: Result, series: Series, joints: Names) -> _Drawn:
+    """Result and series of some joints, in the order in which they are named."""
+    result = as_saved(result, {})[0]
+    names = v.joint_names(result)
+    wanted = names if joints is None else [joints] if isinstance(joints, str) else list(joints)
+    UnknownName.refuse("joint", wanted, names)
+    rows, nv = [names.index(name) for name in wanted], len(names)
+
+    def kept(entry: Any) -> Any:
+        if isinstance(entry, dict):
+            return {key: kept(each) for key, each in entry.items()}
+        per_joint = isinstance(entry, list) and len(entry) == nv
+        return [entry[row] for row in rows] if per_joint else entry
+
+    result |= {key: kept(result[key]) for key in _BY_JOINT if key in result}
+    arrays = {key: x[:, rows] if np.shape(x)[1:] == (nv,) else x for key, x in series.items()}
+    return result, arrays
+
+
+def _drawn(
+    draw: Callable[[], page.Figure | None], ax: Axes | None = None, panels: int = 1
+) -> list[Axes]:
+    if ax is not None and panels > 1:
+        why = "name one joint or kind of parameters, or leave ax out"
+        raise BadInput(f"ax holds one drawing, but these are {panels}; {why}")
+    found = Sheet(ax).drawn(draw)
+    if not found:
+        raise BadInput("there is nothing to draw: the result holds none of it")
+    return found

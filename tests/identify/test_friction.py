@@ -1,0 +1,102 @@
+"""Curves of friction are the effects' own torque, with the uncertainty of their coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from excitant.identify import Estimate, Recording, identify_robot
+from excitant.identify.friction import curves_over_velocity, friction_curve
+from excitant.robots import Motion, Robot
+from excitant.robots.effects import CoulombFriction, RotorInertia, StribeckFriction, ViscousFriction
+
+
+@pytest.fixture(scope="module")
+def recordings(planar: Robot, runs: Callable[..., list[Recording]]) -> list[Recording]:
+    return runs(planar, 3, duration=12.0)
+
+
+@pytest.fixture(scope="module")
+def estimate(planar: Robot, recordings: list[Recording]) -> Estimate:
+    effects = [
+        RotorInertia(planar.joints),
+        StribeckFriction(("joint2",), velocity=0.2),
+        ViscousFriction(("joint2", "joint1")),
+        CoulombFriction(("joint2",)),
+    ]
+    return identify_robot(planar, recordings[0], validate=recordings[1], effects=effects)
+
+
+def test_a_curve_is_the_torque_of_the_joints_friction(estimate: Estimate, planar: Robot) -> None:
+    friction = [e for e in estimate.model.effects if e.family == "friction"]
+    for j, curve in enumerate(estimate.friction):
+        v = np.zeros((len(curve.velocity), 2))
+        v[:, j] = curve.velocity
+        motion = Motion(np.arange(float(len(v))), 0 * v, v, 0 * v)
+        torque = sum(effect.torque(planar, motion)[:, j] for effect in friction)
+        np.testing.assert_allclose(curve.torque, torque, rtol=1e-9)
+        seen = estimate.velocity[np.isfinite(estimate.velocity[:, j]), j]
+        assert seen.min() <= curve.velocity[0] < curve.velocity[-1] <= seen.max()
+        assert (curve.velocity != 0).all()
+        assert curve.entry() == {"unit": "N·m", "velocity_unit": "rad/s", "per_reading": 1.0}
+
+
+def test_its_interval_is_that_of_draws_of_the_coefficients(estimate: Estimate) -> None:
+    names = list(estimate.base.names)
+    places = [names.index(f"joint2.{symbol}") for symbol in ("Fs", "Fv", "Fc")]
+    covariance = estimate.physical.covariance[np.ix_(places, places)]
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(3), covariance, 20_000)
+    curve = estimate.friction[1]
+    v, sign = curve.velocity, np.sign(curve.velocity)
+    spread = (draws @ np.array([sign * np.exp(-((v / 0.2) ** 2)), v, sign])).std(axis=0)
+    np.testing.assert_allclose(curve.half_width, 1.96 * spread, rtol=0.05)
+
+
+def test_true_friction_lies_in_the_interval(
+    planar: Robot, runs: Callable[..., list[Recording]]
+) -> None:
+    inside = []
+    for seed in range(8):
+        fit, held = runs(planar, seed)
+        known = {
+            p: x
+            for e in planar.effects
+            for p, x in zip(e.parameters(planar), e.values, strict=True)
+        }
+        given = {p.name: value for p, value in known.items()}
+        for curve in identify_robot(planar, fit, validate=held).friction:
+            Fv, Fc = (given[f"{curve.joint}.{symbol}"] for symbol in ("Fv", "Fc"))
+            true = Fv * curve.velocity + Fc * np.sign(curve.velocity)
+            inside.append((np.abs(true - curve.torque) <= curve.half_width).mean())
+    assert np.mean(inside) > 0.8  # by chance below in one of some hundred such sets
+
+
+def test_curves_of_currents_are_told_as_the_coefficients_are(
+    planar: Robot, recordings: list[Recording]
+) -> None:
+    fit, held = (replace(run, tau=run.tau / [20.0, 5.0], unit="A") for run in recordings)
+    known = identify_robot(planar, fit, validate=held)
+    free = replace(known, drive=replace(known.drive, scale_std=2.0))  # nothing fixes the gains
+    for found, unit in ((known, "N·m"), (free, "A")):
+        rows = {row["name"]: row["value"] for row in found.result()["parameters"]}
+        for j, curve in enumerate(found.friction):
+            v, (Fv, Fc) = curve.velocity, (rows[f"{curve.joint}.{x}"] for x in ("Fv", "Fc"))
+            assert curve.unit == unit
+            np.testing.assert_allclose(curve.torque, Fv * v + Fc * np.sign(v))
+            gain = known.drive.gains[j] if unit == "N·m" else 1.0
+            assert curve.per_reading == pytest.approx(gain)
+
+
+def test_joints_without_friction_have_no_curve(planar: Robot, recordings: list[Recording]) -> None:
+    effects = [ViscousFriction(("joint1",)), RotorInertia(planar.joints)]
+    found = identify_robot(planar, recordings[0], effects=effects)
+    assert friction_curve(found, "joint2") is None
+    arrays = curves_over_velocity(found)
+    assert {name: values.shape for name, values in arrays.items()} == dict.fromkeys(
+        ("friction_velocity", "friction_torque", "friction_half_width"), (100, 2)
+    )
+    assert np.isnan(arrays["friction_torque"][:, 1]).all()
+    assert ["friction" in joint for joint in found.result()["joints"]] == [True, False]

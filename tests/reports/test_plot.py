@@ -1,0 +1,156 @@
+"""Figures as axes: what they draw is what the noun holds, and nothing of Matplotlib is changed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+
+import excitant as ex
+from excitant.design import design_trajectory
+from excitant.exceptions import BadInput, UnknownName
+from excitant.identify import Estimate, Recording, identify_robot
+from excitant.reports.estimate_figures import forest_groups
+from excitant.robots import Robot
+
+
+@pytest.fixture(scope="module")
+def estimate(planar: Robot, runs: Callable[..., list[Recording]]) -> Estimate:
+    fit, held = runs(planar, 3)
+    return identify_robot(planar, fit, validate=held)
+
+
+@pytest.fixture(autouse=True)
+def clean() -> Iterator[None]:
+    """One new figure at most, and Matplotlib as it was."""
+    plt.close("all")
+    before = dict(mpl.rcParams)
+    yield
+    assert dict(mpl.rcParams) == before
+    plt.close("all")
+
+
+def lines(ax: Axes) -> dict[str, np.ndarray]:
+    return {str(line.get_color()): np.asarray(line.get_ydata()) for line in ax.get_lines()}
+
+
+def test_all_panels_are_axes_of_one_figure_beside_each_other(estimate: Estimate) -> None:
+    for plot, each in ((ex.plot.torque, 2), (ex.plot.friction, 1), (ex.plot.residuals, 4)):
+        plt.close("all")
+        axes = plot(estimate)
+        assert len(axes) == 2 * each
+        assert plt.get_fignums() == [axes[0].figure.number]
+        assert {ax.figure for ax in axes} == {axes[0].figure}
+        assert [text.get_text() for text in axes[0].figure.texts] == ["joint1", "joint2"]
+        boxes = [ax.get_tightbbox() for ax in axes]
+        width, height = axes[0].figure.bbox.size
+        for k, box in enumerate(boxes):
+            assert min(box.x0, box.y0, width - box.x1, height - box.y1) > -1
+            assert not any(box.overlaps(other) for other in boxes[each:] if k < each), (plot, k)
+
+
+def test_torque_is_measured_and_predicted_and_the_rest_below(estimate: Estimate) -> None:
+    torque, residual = ex.plot.torque(estimate, "joint2")
+    measured, predicted = estimate.holdout.measured[:, 1], estimate.predicted[:, 1]
+    drawn, left = lines(torque), lines(residual)
+    for found, true in (
+        (drawn["#4d4d4d"], measured),
+        (drawn["#0072b2"], predicted),
+        (left["#0072b2"], measured - predicted),
+        (left["#d55e00"], measured - estimate.predicted_given[:, 1]),
+    ):
+        assert (found.min(), found.max()) == pytest.approx((true.min(), true.max()))
+
+
+def test_friction_is_the_curve_its_band_and_the_readings(estimate: Estimate) -> None:
+    (ax,) = ex.plot.friction(estimate, ["joint2"])
+    curve = estimate.friction[1]
+    drawn = np.concatenate([line.get_ydata() for line in ax.get_lines() if line.get_lw() == 1.8])
+    np.testing.assert_allclose(drawn, curve.torque)
+    points = ax.collections[0].get_offsets()
+    model = np.interp(points[:, 0], curve.velocity, curve.torque)
+    left = estimate.holdout.counted(estimate.holdout.measured - estimate.predicted)[1]
+    assert (points[:, 1] - model).std() == pytest.approx(left.std(), rel=0.1)
+    edges = np.concatenate([band.get_paths()[0].vertices[:, 1] for band in ax.collections[1:]])
+    assert edges.max() == pytest.approx((curve.torque + curve.half_width).max())
+
+
+def test_parameters_are_values_with_intervals_beside_the_given_ones(estimate: Estimate) -> None:
+    rows = {row["name"]: row for row in estimate.result()["parameters"]}
+    (ax,) = ex.plot.parameters(estimate, "Fv")
+    assert [text.get_text() for text in ax.get_yticklabels()] == ["joint1", "joint2"]
+    zero, *drawn = [np.asarray(line.get_xdata(), float) for line in ax.get_lines()]
+    assert zero.tolist() == [0, 0]
+    for k, joint in enumerate(("joint1", "joint2")):
+        row, (interval, given, value) = rows[f"{joint}.Fv"], drawn[3 * k : 3 * k + 3]
+        assert value == pytest.approx([row["value"]])
+        assert given == pytest.approx([row["given"]])
+        assert interval == pytest.approx(row["value"] + 1.96 * row["std"] * np.array([-1, 1]))
+    assert len(ex.plot.parameters(estimate, "link2")) == 3  # mass, first moment, inertia
+    assert len(ex.plot.parameters(estimate)) == len(forest_groups(estimate.result())) == 7
+
+
+def test_axes_of_ones_own_take_one_drawing_in_their_own_style(estimate: Estimate) -> None:
+    figure, (first, second) = plt.subplots(1, 2)
+    assert ex.plot.friction(estimate, "joint1", ax=first) == [first]
+    assert ex.plot.parameters(estimate, ["joint1.Fc", "joint2.Fc"], ax=second) == [second]
+    assert first.get_title() == "joint1"
+    assert second.get_legend().get_texts()[0].get_text() == "given"
+    assert first.spines["top"].get_visible()
+    assert plt.get_fignums() == [figure.number]
+    third = plt.figure().gca()
+    for many in (ex.plot.friction, ex.plot.parameters):
+        with pytest.raises(BadInput, match="ax holds one drawing, but these are"):
+            many(estimate, ax=third)
+    assert not third.has_data()
+
+
+def test_motions_are_drawn_against_limits(planar: Robot) -> None:
+    trajectory = ex.random_trajectory(planar, np.random.default_rng(0), 6.0, 3)
+    for axes in (ex.plot.motion(trajectory, "planar_2r"), ex.plot.motion(trajectory.sample(500))):
+        assert len(axes) == 6
+        for order in range(3):
+            top = max(line.get_ydata().max() for line in axes[3 + order].get_lines()[:1])
+            assert top == pytest.approx(trajectory.extrema(order)[1][1], rel=1e-3)
+    limited, free = ex.plot.motion(trajectory, planar)[1], ex.plot.motion(trajectory)[1]
+    assert "of limit" in limited.get_title("right")
+    assert free.get_title("right") == "no limit"
+    design = design_trajectory(planar, duration=6.0, harmonics=3, starts=1, jobs=1, time_limit=1.0)
+    assert len(ex.plot.motion(design, joints=["joint2"])) == 4  # torque too
+
+
+def test_unknown_names_and_nothing_to_draw_are_refused(estimate: Estimate, planar: Robot) -> None:
+    with pytest.raises(UnknownName, match="unknown joint 'joint3': did you mean 'joint"):
+        ex.plot.residuals(estimate, "joint3")
+    with pytest.raises(UnknownName, match="unknown parameter 'mass'"):
+        ex.plot.parameters(estimate, "mass")
+    bare = identify_robot(planar, [estimate_recording(planar)], effects=())
+    with pytest.raises(BadInput, match="nothing to draw"):
+        ex.plot.friction(bare)
+
+
+def estimate_recording(planar: Robot) -> Recording:
+    rng = np.random.default_rng(0)
+    arm = ex.virtual_arm(planar, rng, hidden=())
+    table = arm.record(ex.random_trajectory(planar, rng, 10.0, 5), 10.0, rng)
+    return ex.recording_from_table(table, planar, file="run", name="run")
+
+
+def test_joints_come_in_the_order_in_which_they_are_named(estimate: Estimate) -> None:
+    axes = ex.plot.friction(estimate, ["joint2", "joint1"])
+    assert [text.get_text() for text in axes[0].figure.texts] == ["joint2", "joint1"]
+    extents = [ax.collections[0].get_offsets()[:, 0].max() for ax in axes]
+    tops = [np.nanmax(column) for column in estimate.velocity.T[::-1]]
+    assert extents == pytest.approx(tops, rel=0.05)
+
+
+def test_matplotlib_is_not_imported_before_it_is_drawn_with() -> None:
+    code = "import sys, excitant as ex; ex.plot.torque; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout == "False\n"
