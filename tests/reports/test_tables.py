@@ -58,7 +58,8 @@ def test_every_table_of_every_page_is_written_whole(run):
     tables = [table for _, _, table in page.tables()]
     for form, suffix in (("csv", ".csv"), ("latex", ".tex")):
         files = table_files(page, form)
-        assert len(files) == len(tables) > 0
+        assert len(files) == len(tables)
+        assert tables or page.title.startswith("Motion")
         for (name, content), table in zip(files.items(), tables, strict=True):
             assert re.fullmatch(rf"tables/[a-z0-9-]+\{suffix}", name)
             if form == "csv":
