@@ -8,10 +8,11 @@ the log is refused with the map to write.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import pandas as pd
 import yaml
 
 from excitant.exceptions import BadInput, BadRecording
@@ -35,6 +36,7 @@ _NUMBERED = tuple(
 _NAMED = tuple(
     form.replace(".", sign) for sign in "._/ " for form in ("{{joint}}.{}", "{}.{{joint}}")
 )
+_MOTORS = {"motor", "motors", "rotor", "rotors"}  # which turn otherwise than joints
 _Key = str | int | None
 
 
@@ -64,6 +66,49 @@ class Columns:
         """All columns that are read."""
         speeds = self.dq.columns if self.dq else ()
         return (*self.t, *self.q.columns, *speeds, *self.tau.columns)
+
+
+def with_names_of(table: Table, joints: Sequence[str]) -> Table:
+    """A table with the robot's names of joints, where the log's differ by one prefix throughout.
+
+    Either may have it, up to a sign as in ``left/`` or ``ur10_``; nothing changes where several
+    prefixes fit, or none.
+    """
+    names = set(table.labels.values())
+    if not joints or set(joints) <= names or (len(joints) == 1 < len(names)):
+        return table
+    first, ways = joints[0], list[tuple[str, dict[str, str]]]()
+    for name in names:
+        longer, shorter = (name, first) if len(name) > len(first) else (first, name)
+        prefix = longer.removesuffix(shorter)
+        if prefix == longer or prefix[-1:].isalnum():
+            continue
+        logged = {prefix + j if longer == name else j.removeprefix(prefix): j for j in joints}
+        if len(logged) == len(joints) and set(logged) <= names:
+            ways.append((prefix, logged))
+    if len(ways) != 1:
+        return table
+    ((prefix, own),) = ways
+    renamed = {
+        f"{old}.{quantity}": f"{new}.{quantity}"
+        for old, new in own.items()
+        for quantity in ("position", "velocity", "effort")
+    }
+    back = {new: old for old, new in renamed.items()}
+
+    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+        asked = None if columns is None else [back.get(name, name) for name in columns]
+        for frame in table.frames(rows, asked):
+            yield frame.rename(columns=renamed)
+
+    whose = "the recording" if next(iter(own)).startswith(prefix) else "the robot"
+    return replace(
+        table,
+        names=tuple(renamed.get(name, name) for name in table.names),
+        frames=frames,
+        labels={k: own.get(name, name) for k, name in table.labels.items()},
+        notes=(*table.notes, f"joints: {whose} has the prefix '{prefix}' before their names"),
+    )
 
 
 def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
@@ -177,7 +222,7 @@ class _Search:
         surplus = sorted(set(labels.values()) - set(self.joints)) if arm else []
         self.notes = (f"joints left out: {', '.join(surplus)}",) if surplus else ()
         absent = [name for name in self.joints if name not in labels.values()]
-        if labels and absent:
+        if labels and absent and not mapping.columns:
             why = f"holds the joints {', '.join(labels.values())}; joint '{absent[0]}' of the robot"
             advice = "is not among them; give the right robot, or lock this joint"
             raise BadRecording(table.file, f"{why} {advice}")
@@ -194,9 +239,21 @@ class _Search:
             self.groups.setdefault(role, []).append(_Group(self, role, found, *words))
         for groups in self.groups.values():
             groups.sort(key=lambda group: (not group.exact, len(group.words)))
+        self.arms = self._arms()
         self.times, unit = _times([m for m in used if m.role == "t"])
         said = mapping.units.get("t")
         self.t_unit: Unit | None = unit if said is None or isinstance(said, tuple) else said
+
+    def _arms(self) -> set[tuple[str, ...]]:
+        """Words beside quantity and joint: none, or else those that positions and torques share.
+
+        They name the arm then, as in ``left_q1`` and ``left_tau1``, unless they name its motors.
+        """
+        roles = [self.groups.get(role, []) for role in ("q", "tau", "i")]
+        q, tau, i = ({g.words for g in groups if g.full} for groups in roles)
+        own = {words for words in q & (tau | i) if _MOTORS.isdisjoint(words)}
+        plain = any(not g.words for groups in roles for g in groups)
+        return {()} if plain or not own else own
 
     def _meaning(self, column: str) -> Meaning:
         joint, _, quantity = column.rpartition(".")
@@ -276,7 +333,7 @@ class _Search:
     def _chosen(self, role: str, optional: bool) -> _Group | None:
         """The columns that hold a quantity by their name alone, those named exactly first."""
         found = self.groups.get(role, [])
-        groups = [g for g in found if g.exact] or [g for g in found if not g.words]
+        groups = [g for g in found if g.exact] or [g for g in found if g.words in self.arms]
         full = [group for group in groups if group.full]
         if len(full) == 1:
             return full[0]
@@ -352,6 +409,12 @@ class _Search:
 
     def _suggestion(self) -> str:
         """A ready column map on one line, as far as names say; ``?`` where they say nothing."""
+        n, width = self.count, len(self.table.names)
+        if all(map(str.isdecimal, self.table.names)) and width in (1 + 2 * n, 1 + 3 * n):
+            order = ("q", "dq", "tau") if width > 1 + 2 * n else ("q", "tau")
+            first = {role: 1 + k * n for k, role in enumerate(order)}
+            spans = [f"{role}: {[*range(k, k + n)]}" for role, k in first.items()]
+            return f"say which in a file for --map, such as {{t: 0, {', '.join(spans)}}}"
         t = list(self.times[0]) if self.times else ["?"]
         content: dict[str, object] = {"t": t[0] if len(t) == 1 else t}
         torque = next((role for role in ("tau", "i") if self.groups.get(role)), "tau")
@@ -385,6 +448,8 @@ def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], st
         return (("t",),), None
     alone = [m for m in meanings if m.joint is None]
     plain = [m for m in alone if not m.words]
+    for better in (lambda m: m.term != "duration", lambda m: "header" in m.column):
+        plain = [m for m in plain if better(m)] or plain
     seconds, nanoseconds = (
         [m for m in alone if len(m.words) == 1 and PARTS_OF_TIME.get(m.words[0]) == unit]
         for unit in ("s", "ns")

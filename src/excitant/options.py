@@ -53,7 +53,7 @@ def _comma(convert: Any) -> Parameter:
 _ROBOT = "Built-in name, URDF, xacro, MJCF or robot.yaml"
 RobotName = Annotated[str, Parameter(completer=_arms, help=f"{_ROBOT}.")]
 RobotOrFolder = Annotated[
-    str, Parameter(completer=_arms, help=f"{_ROBOT}, or a folder with dataset.json.")
+    str, Parameter(completer=_arms, help=f"{_ROBOT}, a folder of a robot and recordings, or a bag.")
 ]
 TrajectoryFile = Annotated[str, Parameter(help="CSV or JSON.")]
 Effects = Annotated[list[str] | None, _comma(_words), Parameter(completer=_effects)]
@@ -93,7 +93,7 @@ class Part:
         from excitant.robots.chains import RobotSpec
 
         given = next((name for name, value in vars(self).items() if value not in (None, False)), "")
-        if given and Path(path).is_dir():
+        if given and Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
             raise BadInput(
                 f"{path}: a folder says itself which joints its robot has; leave "
                 f"--{given.replace('_', '-')} out, or put it into a robot.yaml there"
