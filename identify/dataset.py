@@ -32,7 +32,13 @@ from excitant.identify.preprocessing import (
     refuse_bursts,
     uninterrupted,
 )
-from excitant.identify.recording import SUFFIXES, Recording, load_recording, read_chunks
+from excitant.identify.recording import (
+    SUFFIXES,
+    Recording,
+    load_recording,
+    read_chunks,
+    suffix_of,
+)
 from excitant.robots.chains import RobotSpec
 from excitant.robots.files import parse_xml, within
 from excitant.robots.limits import limits_from
@@ -127,7 +133,7 @@ def _inside(path: Path) -> list[Path]:
         return [path]
     files = sorted(path.iterdir())
     found = [p for p in files if p.suffix in _USUAL] or [
-        p for p in files if p.suffix in SUFFIXES or is_bag(p)
+        p for p in files if suffix_of(p) in SUFFIXES or is_bag(p)
     ]
     if not found:
         raise BadInput(f"{path}: no .parquet or .csv recording in this folder, and it is no bag")
@@ -210,7 +216,7 @@ def is_dataset(folder: Path) -> bool:
     """Whether a folder holds a robot or recordings, be they readable or not."""
     names = {path.name for path in folder.iterdir()}
     return bool(names & {"dataset.json", "robot.urdf", "robot.yaml"}) or any(
-        Path(name).suffix in SUFFIXES for name in names
+        suffix_of(Path(name)) in SUFFIXES for name in names
     )
 
 

@@ -40,7 +40,11 @@ _READERS: dict[str, Callable[[Path], tables.Table]] = {
     ".npz": tables.npz_table,
     ".mat": tables.mat_table,
 }
-SUFFIXES = (*_READERS, *bags.SUFFIXES)
+SUFFIXES = (
+    *(s for s in _READERS if s.removesuffix(".gz") not in (".json", ".log")),
+    *bags.SUFFIXES,
+)
+"""Ends of the names of recordings; what else is read may be something else in a folder."""
 _REMEMBERED = 100  # unreadable cells whose text is kept
 
 
@@ -200,7 +204,7 @@ def suffix_of(path: Path) -> str:
 def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     path = Path(path)
     is_bag, suffix = bags.is_bag(path), suffix_of(path)
-    why = f"unknown format '{suffix}'; give .csv, .parquet, .json, .npz, .mat, .bag or .mcap"
+    why = f"unknown format '{suffix}'; give .parquet or .csv, .json, .npz, .mat, .bag or .mcap"
     try:
         size = 0 if path.is_dir() else size_of(path)
     except FileNotFoundError:
