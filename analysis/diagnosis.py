@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -44,7 +44,8 @@ from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.drive_gains import DriveGains, current_gains
-from excitant.identify.faults import warn_of_faults
+from excitant.identify.export import Publication, model_files, published
+from excitant.identify.faults import proven, warn_of_faults
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
@@ -188,6 +189,24 @@ class Diagnosis:
         if left := sorted((r for r in self.residuals if r.visible), key=self.share_of)[::-1]:
             items.append((sum(map(self.share_of, left)), left))
         return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
+
+    def amended(self, faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Faults of the recordings as `Checked.entries` tells them, with what is repaired here."""
+        mine = self.set_up
+        return [
+            {**f, "repaired": f["repaired"] or (mine is not None and mine.amends(f))}
+            for f in faults
+        ]
+
+    def publication(
+        self, faults: Sequence[Mapping[str, Any]] = (), *, force: bool = False
+    ) -> Publication:
+        """Files of the extended model, unless `amended` faults or the hold-out speak against it."""
+        return published(
+            model_files(self.extension.model, "extended", "extended.yaml"), self.robot.joints,
+            self.held.series, self.extension.predicted, self.held.simulated,
+            force=force, faults=proven(faults), kind="extended",
+        )  # fmt: skip
 
     def unit(self, joint: int | None = None) -> str:
         """Unit of the torque of a joint, or of all."""

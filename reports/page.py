@@ -144,13 +144,17 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report: title, subtitle, what comes first, the sections, and last words."""
+    """A whole report: title, subtitle, what comes first, the sections, and last words.
+
+    With a table, the terminal shows it and the page's own brief, and none of the sections'.
+    """
 
     title: str
     subtitle: str
     summary: tuple[Block, ...]
     sections: tuple[Section, ...]
     brief: Brief = ()
+    table: Table | None = None
 
 
 Write = Callable[[Any], str]
@@ -270,7 +274,8 @@ def figure(
 def files(names: Sequence[str]) -> Notes | None:
     """The files that a run has written, and what reads them."""
     said = ((name, _FORMATS.get(name.rpartition(".")[2])) for name in names)
-    return notes([f"{name}: {use}" if use else name for name, use in said], paths=True)
+    own = [(name, "" if name.endswith("estimate.csv") else use) for name, use in said]
+    return notes([f"{name}: {use}" if use else name for name, use in own], paths=True)
 
 
 def section(title: str, lead: str, parts: Parts, brief: Brief = ()) -> Section:

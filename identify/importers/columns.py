@@ -36,6 +36,7 @@ _NUMBERED = tuple(
 _NAMED = tuple(
     form.replace(".", sign) for sign in "._/ " for form in ("{{joint}}.{}", "{}.{{joint}}")
 )
+_FEW = 4  # columns that are named
 _MOTORS = {"motor", "motors", "rotor", "rotors"}  # which turn otherwise than joints
 _Key = str | int | None
 
@@ -396,16 +397,15 @@ class _Search:
         before, found, after = columns[0].partition(self.said[0])
         if found and list(columns) == [f"{before}{name}{after}" for name in self.joints]:
             return f"{before}<joint>{after}"
-        for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
-            head, tail = columns[0][: match.start()], columns[0][match.end() :]
-            for first in (0, 1):
-                if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
-                    return f"{columns[0]} .. {columns[-1]}"
-        return ", ".join(columns)
+        return f"{columns[0]} .. {columns[-1]}" if _pattern(columns) else ", ".join(columns)
 
     def _some(self) -> str:
-        names = self.table.names
-        return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+        """The first columns, of those whose names say nothing if there are any."""
+        groups = [group for groups in self.groups.values() for group in groups if group.full]
+        known = {m.column for group in groups for m in group.members.values()}
+        known |= {column for columns in self.times for column in columns}
+        names = [name for name in self.table.names if name not in known] or self.table.names
+        return ", ".join(names[:_FEW]) + (", ..." if len(names) > _FEW else "")
 
     def _suggestion(self) -> str:
         """A ready column map on one line, as far as names say; ``?`` where they say nothing."""
@@ -414,13 +414,14 @@ class _Search:
             order = ("q", "dq", "tau") if width > 1 + 2 * n else ("q", "tau")
             first = {role: 1 + k * n for k, role in enumerate(order)}
             spans = [f"{role}: {[*range(k, k + n)]}" for role, k in first.items()]
-            return f"say which in a file for --map, such as {{t: 0, {', '.join(spans)}}}"
+            return f"say which is which in a file for --map, such as {{t: 0, {', '.join(spans)}}}"
         t = list(self.times[0]) if self.times else ["?"]
         content: dict[str, object] = {"t": t[0] if len(t) == 1 else t}
         torque = next((role for role in ("tau", "i") if self.groups.get(role)), "tau")
         for role in ("q", torque):
             full = [g for g in self.groups.get(role, ()) if g.full]
-            content[role] = list(full[0].columns) if full else "?"
+            columns = full[0].columns if full else ("?",)
+            content[role] = _pattern(columns) or (list(columns) if full else "?")
         text: str = yaml.safe_dump(
             content, default_flow_style=True, sort_keys=False, width=1 << 20, allow_unicode=True
         )
@@ -433,13 +434,23 @@ class _Search:
 
     def missing(self, role: str) -> BadRecording:
         """The refusal of a log without a quantity."""
-        advice = f"columns are {self._some()}; or {self._suggestion()}"
+        advice = f"there are {self._some()}; {self._suggestion()}"
         if role == "tau":
-            why = f"no torque: there is neither 'tau1' [N·m] nor 'i1' [A]; {advice}"
+            why = f"no torque, neither 'tau1' [N·m] nor 'i1' [A]: {advice}"
             return BadRecording(self.table.file, why)
         column = "t" if role == "t" else "q1"
         why = f"is missing; rename or add it: {advice}"
         return BadRecording(self.table.file, why, column=column)
+
+
+def _pattern(columns: Sequence[str]) -> str | None:
+    """Columns that differ by a rising number, with ``{0}`` or ``{1}`` where they do."""
+    for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
+        head, tail = columns[0][: match.start()], columns[0][match.end() :]
+        for first in (0, 1):
+            if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
+                return f"{head}{{{first}}}{tail}"
+    return None
 
 
 def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], str | None]:

@@ -248,8 +248,12 @@ class Run:
         files: Mapping[str, str | bytes] | None = None,
         folder: Path | None = None,
         first: str = "",
+        shown: Sequence[str] | None = None,
     ) -> None:
-        """Save the run, then print its summary, something first, and paths; or the JSON."""
+        """Save the run, then print its summary, something first, and paths; or the JSON.
+
+        Of several paths those of files ``shown`` are printed, where not all are.
+        """
         from excitant.reports import brief, load_run, save_run
 
         folder = folder or self.folder(result)
@@ -259,8 +263,9 @@ class Run:
             if self.json:
                 print_json(load_run(folder)[0])
             else:
-                print(*([one_line(first)] if first else []), brief(page), sep="\n", end="\n\n")
-                print_paths(paths)
+                told = brief(page, terminal=sys.stdout.isatty())
+                print(*([one_line(first)] if first else []), told, sep="\n", end="\n\n")
+                print_paths([path for path in paths if shown is None or path.name in shown])
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{folder} was written") from None
 
@@ -278,7 +283,10 @@ def print_json(content: Mapping[str, Any]) -> None:
 
 
 def _say(notes: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    named: dict[str, list[str]] = {}
     for name, own in notes.items():
         for note in own:
-            print(one_line(f"{name}: {note}"), file=sys.stderr)
+            named.setdefault(note, []).append(name)
+    for note, names in named.items():
+        print(one_line(f"{', '.join(names)}: {note}"), file=sys.stderr)
     return {name: list(own) for name, own in notes.items()}
