@@ -25,6 +25,7 @@ from excitant.robots.robot import Robot
 
 _SAME = 0.05  # of the error: a model that gains no more is not worth a change
 _STANDS_OUT = 2.0  # times the median error of the joints
+_POOR = 0.5  # nrmse from which on it is said that a joint is hardly predicted
 _NAMED = 3  # effects that are said to be lacking in a file
 _COMPLETE = {"identified": "model.yaml", "extended": "extended.yaml"}
 
@@ -79,23 +80,26 @@ class Examination:
         return {n: text for each in self.publications.values() for n, text in each.files.items()}
 
     @property
-    def sentence(self) -> str:
+    def sentences(self) -> list[str]:
         """The verdict in plain words."""
         if proven(self.faults):
-            return "The recordings are wrong, and so is what they say of any model."
+            return ["The recordings are wrong, and so is what they say of any model."]
+        given, identified, extended = map(self._misses, self.accuracies.values())
         cause = main_cause(self.diagnosis, self.results["diagnose"]["findings"])
-        size = {name: self._misses(each) for name, each in self.accuracies.items()}
-        said = (
-            f"The given model misses {size['given']} of the torque, the identified one "
-            f"{size['identified']}, the extended one {size['extended']}. "
-            f"Main cause: {cause}."
-        )
-        if not self.recommended:
-            advice = "Keep the given model: no other is better" if self.use else "Use none of them"
-            return f"{said} {advice}."
-        few = self._lacking[:_NAMED] + ["and more"] * (len(self._lacking) > _NAMED)
-        lacking = f"; {self.use}.urdf lacks {', '.join(few)}" if few else ""
-        return f"{said} Use {self.recommended[0]}{lacking}."
+        advice = "Keep the given model: no other is better" if self.use else "Use none of them"
+        if self.recommended:
+            few = self._lacking[:_NAMED] + ["and more"] * (len(self._lacking) > _NAMED)
+            missed = self.accuracies[self.use].nrmse > _POOR
+            poor = [j for j, yes in zip(self.check.robot.joints, missed, strict=True) if yes]
+            advice = f"Use {self.recommended[0]}"
+            advice += f"; {self.use}.urdf lacks {', '.join(few)}" if few else ""
+            advice += f"; it misses more than half at {', '.join(poor)}" if poor else ""
+        return [
+            f"The given model misses {given} of the torque, the identified one {identified}, "
+            f"the extended one {extended}.",
+            f"Main cause: {cause}.",
+            f"{advice}.",
+        ]
 
     def _misses(self, found: Accuracy) -> str:
         """The error of a model in words, with that of a joint which stands out."""
@@ -158,13 +162,12 @@ class Examination:
             "verb": "go",
             "robot": self.check.robot.name,
             "verdict": {
-                "sentence": self.sentence,
+                "sentences": self.sentences,
                 "use": self.use or None,
                 "files": list(self.recommended),
                 "refused": [p.note for p in self.publications.values() if not p.published],
                 "next": self.next_step,
                 **{key: lead[key] for key in ("effect", "joints", "verdict")},
-                "nrmse": {n: float(np.nanmedian(a.nrmse)) for n, a in self.accuracies.items()},
             },
             **self.results,
             "notes": list(self.notes),

@@ -36,7 +36,6 @@ _READERS: dict[str, Callable[[Path], tables.Table]] = {
     **dict.fromkeys((".parquet", ".pq"), tables.parquet_table),
     **_TEXTS,
     **{f"{suffix}.gz": reader for suffix, reader in _TEXTS.items()},
-    **dict.fromkeys((".feather", ".arrow"), tables.arrow_table),
     ".npz": tables.npz_table,
     ".mat": tables.mat_table,
 }

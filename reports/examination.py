@@ -9,7 +9,6 @@ from excitant.reports import values as v
 from excitant.reports.values import NONE, Result
 
 _FEW = 3  # parameters of a hidden effect, and warnings or faults, that are written out
-_NRMSE = "nrmse, median over joints"
 _TRUTH = {
     "named": ("✓ yes", p.GOOD, "named"),
     "undecided": ("◐ among what is undecided", p.FAIR, "among what is left undecided"),
@@ -29,15 +28,14 @@ def examination_page(result: Result, sections: Mapping[str, p.Section]) -> p.Pag
             "it still gets wrong was diagnosed" + (f" (seed {seed})." if seed else ".")
         )
     title = "Demonstration" if of_demo else "Examination"
-    sentence, joints = v.text(result, "verdict", "sentence"), _joints(result)
+    said, joints = v.words(result, "verdict", "sentences"), _joints(result)
     refused = [v.sentence(each) for each in v.words(result, "verdict", "refused")]
     notes = [v.sentence(each) for each in v.words(result, "notes")]
     files = p.files(v.words(result, "files"))
     blocks = (
-        p.notes([sentence] * bool(sentence), "lead"),
+        p.notes([" ".join(said)] * bool(said), "lead"),
         p.notes(refused, p.POOR),
         p.facts(*_truth(result)) if of_demo else None,
-        p.facts(*_errors(result)),
         joints,
         p.notes(notes),
         p.Folded("Files", (files,)) if files else None,
@@ -95,19 +93,10 @@ def _cause_at(joint: str, findings: Sequence[Result]) -> str:
     return NONE
 
 
-def _errors(result: Result) -> list[p.Fact]:
-    models = ("given", "identified", "extended")
-    found = {model: v.at(result, "verdict", "nrmse", model) for model in models}
-    return [
-        p.fact(f"{model.capitalize()} model misses", x, v.percent, f"of the torque; {_NRMSE}")
-        for model, x in found.items()
-    ]
-
-
 def _brief(result: Result, sections: Mapping[str, p.Section]) -> list[tuple[str, str]]:
     """Lines of the terminal before the table of the joints."""
-    said = v.text(result, "verdict", "sentence").replace(". Main", ".\nMain").replace(". ", ".\n")
-    lines = [("" if k else "verdict", words) for k, words in enumerate(said.split("\n"))]
+    said = v.words(result, "verdict", "sentences")
+    lines = [("" if k else "verdict", words) for k, words in enumerate(said)]
     for verb, label in (("robots", "robot"), ("design", "designed"), ("analyze", "known")):
         if verb in sections and (found := sections[verb].brief):
             lines.append((label, found[-1 if verb == "analyze" else 0][1]))
@@ -141,7 +130,7 @@ def _hidden_line(result: Result, of_demo: bool) -> list[tuple[str, str]]:
 
 
 def _truth(result: Result) -> list[p.Fact]:
-    """What was hidden, whether it was found, and what knowing it brings."""
+    """What was hidden, and whether it was found."""
     label, seen = "Named by the diagnosis", _TRUTH.get(v.text(result, "verdict", "truth"))
     named = v.plain(v.text(result, "verdict", "effect"))
     joints = v.words(result, "verdict", "joints")
@@ -149,9 +138,7 @@ def _truth(result: Result) -> list[p.Fact]:
     found = p.Fact(label, NONE)
     if seen is not None:
         found = p.Fact(label, seen[0], named or "nothing was named", seen[1])
-    ends = [v.at(result, "design", "condition_number", key) for key in ("initial", "final")]
-    condition = p.Fact("Condition number", v.change(*ends), "of the designed motion")
-    return [_hidden(result), found, _holdout(result), condition]
+    return [_hidden(result), found]
 
 
 def _hidden(result: Result) -> p.Fact:
@@ -169,17 +156,3 @@ def _hidden(result: Result) -> p.Fact:
     ]
     remark = ", ".join(said[:_FEW]) + (", …" if len(said) > _FEW else "")
     return p.Fact("Hidden effect", f"{effect}{' at ' * bool(joint)}{joint}", remark)
-
-
-def _holdout(result: Result) -> p.Fact:
-    diagnosis, joint = v.at(result, "diagnose"), v.text(result, "truth", "joint")
-    unit, label = v.text(diagnosis, "unit") or "N·m", "Hold-out error, before → after"
-    for finding in v.records(diagnosis, "findings"):
-        hidden = v.text(finding, "effect") == v.text(result, "truth", "effect")
-        before, after = (v.real(finding, "holdout", f"rms_{k}") for k in ("before", "after"))
-        if hidden and joint in v.words(finding, "joints") and after is not None:
-            errors = f"{v.number(before)} → {v.quantity(after, unit)}"
-            return p.Fact(label, errors, "rms without the finding and with it")
-    models = ("simulation", "extended")
-    before, after = (v.median(v.records(diagnosis, m, "joints"), "nrmse") for m in models)
-    return p.Fact(label, v.change(before, after, v.percent), "nrmse, median over joints")

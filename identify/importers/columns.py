@@ -76,39 +76,35 @@ def with_names_of(table: Table, joints: Sequence[str]) -> Table:
     prefixes fit, or none.
     """
     names = set(table.labels.values())
-    if not joints or set(joints) <= names or (len(joints) == 1 < len(names)):
+    if not joints or set(joints) <= names or len(joints) == 1 < len(names):
         return table
-    first, ways = joints[0], list[tuple[str, dict[str, str]]]()
+    ways = dict[str, dict[str, str]]()  # by prefix: the robot's names by those of the log
     for name in names:
-        longer, shorter = (name, first) if len(name) > len(first) else (first, name)
+        longer, shorter = sorted((name, joints[0]), key=len)[::-1]
         prefix = longer.removesuffix(shorter)
-        if prefix == longer or prefix[-1:].isalnum():
-            continue
         logged = {prefix + j if longer == name else j.removeprefix(prefix): j for j in joints}
-        if len(logged) == len(joints) and set(logged) <= names:
-            ways.append((prefix, logged))
+        whole = len(logged) == len(joints) and set(logged) <= names
+        if prefix != longer and not prefix[-1:].isalnum() and whole:
+            ways[prefix] = logged
     if len(ways) != 1:
         return table
-    ((prefix, own),) = ways
-    renamed = {
-        f"{old}.{quantity}": f"{new}.{quantity}"
-        for old, new in own.items()
-        for quantity in ("position", "velocity", "effort")
-    }
-    back = {new: old for old, new in renamed.items()}
+    ((prefix, own),) = ways.items()
+    parts = ("position", "velocity", "effort")
+    back = {f"{new}.{part}": f"{old}.{part}" for old, new in own.items() for part in parts}
+    renamed = {old: new for new, old in back.items()}
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
         asked = None if columns is None else [back.get(name, name) for name in columns]
         for frame in table.frames(rows, asked):
             yield frame.rename(columns=renamed)
 
-    whose = "the recording" if next(iter(own)).startswith(prefix) else "the robot"
+    note = f"joints: the prefix '{prefix}' is taken off the names, as in {next(iter(own))}"
     return replace(
         table,
         names=tuple(renamed.get(name, name) for name in table.names),
         frames=frames,
         labels={k: own.get(name, name) for k, name in table.labels.items()},
-        notes=(*table.notes, f"joints: {whose} has the prefix '{prefix}' before their names"),
+        notes=(*table.notes, note),
     )
 
 

@@ -114,23 +114,9 @@ def parquet_table(path: Path) -> Table:
     if any(map(pa.types.is_list, schema.types)):
         groups = pq.read_metadata(path)
         refuse_size(sum(groups.row_group(k).total_byte_size for k in range(groups.num_row_groups)))
-        return _table_of_arrow(pq.read_table(path), path)
+        whole = pq.read_table(path).to_pandas()
+        return _table_of_arrays({name: _stacked(whole[name].tolist()) for name in whole}, path)
     return Table(str(path), names, frames)
-
-
-def arrow_table(path: Path) -> Table:
-    """The log in an Arrow or Feather file."""
-    import pyarrow.feather
-
-    return _table_of_arrow(pyarrow.feather.read_table(path, memory_map=False), path)
-
-
-def _table_of_arrow(table: Any, path: Path) -> Table:
-    """A table whose lists, one a row, become ``name[0]``, ``name[1]``, ..."""
-    frame = table.to_pandas()
-    if not any(isinstance(frame[name].iloc[0], np.ndarray) for name in frame):
-        return table_of_frame(frame, str(path))
-    return _table_of_arrays({name: _stacked(frame[name].tolist()) for name in frame}, path)
 
 
 def json_table(path: Path) -> Table:

@@ -53,7 +53,7 @@ def run_demo(
     [hidden] = arm.hidden
     result = examined.result() | {"verb": "demo", "seed": seed, "truth": hidden.entry()}
     result["design"] = found.result()
-    truth = _truth(hidden, result["diagnose"]["findings"])
+    truth = truth_of(hidden, result["diagnose"]["findings"])
     result["verdict"] |= {"truth": truth, "correct": truth == "named"}
     series = examined.series() | {f"design/{key}": a for key, a in found.series().items()}
     files: dict[str, str | bytes] = {
@@ -66,7 +66,7 @@ def run_demo(
     return result, series, files
 
 
-def _truth(hidden: HiddenEffect, findings: Sequence[Mapping[str, Any]]) -> str:
+def truth_of(hidden: HiddenEffect, findings: Sequence[Mapping[str, Any]]) -> str:
     """Whether what is hidden was ``named``, is among what is ``undecided``, or was ``missed``."""
 
     def is_it(entry: Mapping[str, Any]) -> bool:

@@ -193,10 +193,6 @@ SAVED: dict[str, tuple[str, Callable[[Path], Any]]] = {
         "log.parquet",
         lambda path: pd.DataFrame({k: list(x) for k, x in LISTS.items()}).to_parquet(path),
     ),
-    "Feather": (
-        "log.feather",
-        lambda path: pd.DataFrame(named("t", ("q{}", "dq{}", "tau{}"))).to_feather(path),
-    ),
 }
 
 
