@@ -58,6 +58,14 @@ class Examination:
         both = {"given": self.estimate.baseline, "identified": self.estimate.validate}
         return both | {"extended": self.diagnosis.extended}
 
+    @property
+    def wrong(self) -> list[Mapping[str, Any]]:
+        """Faults of the data by which every figure is wrong.
+
+        How the arm is set up is judged by all recordings together, in the diagnosis.
+        """
+        return [f for f in self.faults if f["fault"] not in SET_UP and proven([f])]
+
     @cached_property
     def use(self) -> str:
         """The model to use: ``given``, ``extended`` or ``identified``; empty where none may be.
@@ -69,7 +77,7 @@ class Examination:
         errors = {name: float(np.nansum(a.nrmse)) for name, a in self.accuracies.items()}
         kept = ["given", *(n for n, each in self.publications.items() if each.published)]
         useless = bool((self.accuracies["given"].nrmse > 1).any())
-        if proven(self.faults) or (len(kept) == 1 and useless):
+        if self.wrong or (len(kept) == 1 and useless):
             return ""
         most = (1 + _SAME) * min(errors[name] for name in kept)
         return next(name for name in kept if errors[name] <= most)
@@ -82,7 +90,7 @@ class Examination:
     @property
     def sentences(self) -> list[str]:
         """The verdict in plain words."""
-        if proven(self.faults):
+        if self.wrong:
             return ["The recordings are wrong, and so is what they say of any model."]
         given, identified, extended = map(self._misses, self.accuracies.values())
         cause = main_cause(self.diagnosis, self.results["diagnose"]["findings"])
@@ -119,10 +127,9 @@ class Examination:
     @property
     def refusal(self) -> str:
         """Why no model may be used, where none may."""
-        for fault in self.faults:
-            if proven([fault]):
-                where = f" ({', '.join(fault['joints'])})" if fault["joints"] else ""
-                return f"{plain(fault['fault'])} in {fault['recording']}{where}"
+        for fault in self.wrong:
+            where = f" ({', '.join(fault['joints'])})" if fault["joints"] else ""
+            return f"{plain(fault['fault'])} in {fault['recording']}{where}"
         return next(each.note for each in self.publications.values() if not each.published)
 
     @property
@@ -209,12 +216,13 @@ def examine(
     progress(0.0, "identifying")
     estimate = identify_robot(robot, recordings, **options)
     progress(0.3, "diagnosing")
-    identified = publication(estimate, faults=proven(faults))
     found = diagnose(robot, recordings, **options)
-    turned = [f["fault"] in SET_UP for f in faults]  # which the extended model has amended
-    both = zip(faults, found.amended(faults), turned, strict=True)
-    faults = [better if model else f for f, better, model in both]
-    publications = {"extended": found.publication(faults), "identified": identified}
+    turned = found.set_up is not None and found.set_up.robot is not robot
+    data = [fault for fault in faults if fault["fault"] not in SET_UP]
+    publications = {
+        "extended": found.publication(data),
+        "identified": publication(estimate, faults=proven(faults if turned else data)),
+    }
     progress(0.8, "analysing")
     known = analyze(robot, estimate=estimate, rng=np.random.default_rng(0))
     return Examination(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,11 @@ import pytest
 import scipy.io
 import yaml
 
+from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify import Recording, load_column_map, load_dataset, load_recording
 from excitant.robots import load_robot
+from excitant.robots.virtual_arm import virtual_arm
 
 T = np.arange(300) / 100
 RATES = np.arange(1, 7)
@@ -322,3 +325,20 @@ def test_a_bag_without_a_robot_is_refused_and_one_may_be_given_beside_it(bag: Ba
         load_dataset(path)
     [found] = load_dataset("ur10").recordings([str(path.parent)])
     same(found)
+
+
+def test_a_bag_alone_is_enough_for_a_verdict(
+    write_joint_states: Callable[..., None], excitant: Callable[..., Any], tmp_path: Path
+) -> None:
+    robot, rng = load_robot("planar_2r"), np.random.default_rng(1)
+    log = virtual_arm(robot, rng, hidden=()).record(
+        random_trajectory(robot, rng, 8.0, 4), 16.0, rng
+    )
+    channels = [log[[f"{what}2", f"{what}1"]].to_numpy() for what in ("q", "dq", "tau")]
+    path, names = tmp_path / "bag", ["left/joint2", "left/joint1"]
+    texts = {"robot_description": robot.urdf}
+    write_joint_states(path, "mcap", names, log["t"], channels, texts=texts)
+    ran = excitant("go", path, "-o", tmp_path / "out")
+    assert ran.status == 0
+    assert ran.err.count("'left/' is taken off the names") == 1
+    assert re.search("^verdict .*\n.*\n +(Use extended|Use model|Keep)", ran.out)
