@@ -24,7 +24,7 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _SAME = 0.05  # of the error: a model that gains no more is not worth a change
-_STANDS_OUT = 2.0  # times the median error of the joints
+_STANDS_OUT, _SEEN = 2.0, 0.1  # times the median of the joints, and nrmse: an error worth a word
 _POOR = 0.5  # nrmse from which on it is said that a joint is hardly predicted
 _NAMED = 3  # effects that are said to be lacking in a file
 _COMPLETE = {"identified": "model.yaml", "extended": "extended.yaml"}
@@ -103,8 +103,8 @@ class Examination:
             advice += f"; {self.use}.urdf lacks {', '.join(few)}" if few else ""
             advice += f"; it misses more than half at {', '.join(poor)}" if poor else ""
         return [
-            f"The given model misses {given} of the torque, the identified one {identified}, "
-            f"the extended one {extended}.",
+            f"Of the torque, the given model misses {given}, the identified one {identified}, the "
+            f"extended one {extended}.",
             f"Main cause: {cause}.",
             f"{advice}.",
         ]
@@ -113,7 +113,7 @@ class Examination:
         """The error of a model in words, with that of a joint which stands out."""
         median, worst = float(np.nanmedian(found.nrmse)), int(np.nanargmax(found.nrmse))
         joint, most = self.check.robot.joints[worst], float(found.nrmse[worst])
-        stands_out = len(found.nrmse) > 1 and most > _STANDS_OUT * median
+        stands_out = most > max(_STANDS_OUT * median, _SEEN)
         return f"{percent(median)} %" + f" ({joint}: {percent(most)} %)" * stands_out
 
     @property

@@ -15,6 +15,7 @@ import io
 import math
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -28,13 +29,15 @@ import pytest
 
 from excitant.analysis import diagnose
 from excitant.cli import app, main
+from excitant.identify.importers.names import ColumnMap, column_map
 from excitant.robots.effects import EFFECTS
+from excitant.robots.schema import parsed_yaml
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 EFFECT_PAGE = "add-an-effect.md"  # followed in a test of its own
-OTHERS = {"--nthreads", "--seconds", "--tacho"}  # of programs that pages mention beside excitant
+OTHERS = {"--csv", "--nthreads", "--seconds", "--tacho"}  # of other programs
 
 BLOCK = re.compile(r"^```(\w+)(?: title=\"(.*?)\")?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^\$ excitant ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", re.MULTILINE)
@@ -98,7 +101,9 @@ class Reader:
             with self._listening():
                 status = main(shlex.split(words.replace("\\\n", " ")))
             unmet = re.search(
-                r"^(excitant: |failed |the identified model is not )", shown, re.MULTILINE
+                r"^(excitant: |failed |the identified model is not |use no model )",
+                shown,
+                re.MULTILINE,
             )
             assert status == bool(unmet), f"{self.page}: {words}\n{self.printed}"
             assert_shown(shown, self.printed, f"{self.page}: excitant {words}")
@@ -114,7 +119,17 @@ class Reader:
 @pytest.mark.slow
 @pytest.mark.parametrize("page", FOLLOWED)
 def test_a_page_does_what_it_says(page: str, here: Path) -> None:
+    shutil.copytree(ROOT / "examples", here / "examples")
     Reader(page).follow()
+
+
+def test_maps_of_the_page_on_recordings_are_understood() -> None:
+    page = (DOCS / "how-to" / "my-recording.md").read_text("utf-8")
+    maps = re.findall(r"^\|.*\| `(\{.*\})` \|$", page, re.MULTILINE)
+    assert len(maps) >= 10
+    for text in maps:
+        found = column_map(parsed_yaml(text), "columns.yaml")
+        assert found != ColumnMap(), text
 
 
 def test_wrong_pages_are_seen() -> None:

@@ -49,7 +49,7 @@ def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(
     lines = ran.out.splitlines()
     assert ran.status == 0
     assert len(lines) <= 15
-    assert lines[0].startswith("verdict      The given model misses ")
+    assert lines[0].startswith("verdict      Of the torque, the given model misses ")
     assert lines[1].strip().startswith("Main cause: joint2: Coulomb friction is ")
     assert lines[1].endswith(" (named).")
     assert any(line.startswith("joint2 ") and line.endswith("Coulomb friction") for line in lines)

@@ -81,7 +81,7 @@ def go(
         recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP, or folders of them; all of the
             folder or bag when none is named.
     """
-    from excitant.analysis.examination import examine
+    from excitant.analysis import examine
 
     dataset = part.dataset(robot, data.map)
     fit, held, said, notes = data.read(dataset, recordings)

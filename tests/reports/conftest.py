@@ -347,7 +347,7 @@ def diagnose_run() -> Run:
 
 
 def go_run() -> Run:
-    sentences = ["The given model misses 62 % of the torque.", "Use extended.urdf."]
+    sentences = ["Of the torque, the given model misses 62 %.", "Use extended.urdf."]
     verdict = {"sentences": sentences, "use": "extended", "files": ["extended.urdf"]}
     verdict |= {"refused": [], "next": "record more", "verdict": "named"}
     verdict |= {"effect": "stribeck_friction", "joints": ["elbow_joint"]}

@@ -88,7 +88,7 @@ def test_demo_says_first_what_was_hidden_and_whether_it_was_found(truth, says, m
     result["verdict"]["truth"] = truth
     page = page_of(result, {})
     top = " ".join(summary(page).split("[[Robot]]")[0].split())
-    for words in ("misses 62 % of the torque", "Stribeck friction at elbow_joint", says):
+    for words in ("the given model misses 62 %", "Stribeck friction at elbow_joint", says):
         assert words in top
     last = {"named": ": named", "undecided": ": among what is left undecided"}
     assert dict(page.brief)["hidden"].endswith(last.get(truth, ": not found"))

@@ -101,7 +101,7 @@ def test_terminal_shows_leads_and_what_is_marked(make):
         ("analyze", "identifiable 58 combinations of 84 parameters; "),
         ("diagnose", "diagnosed    elbow_joint has Stribeck friction"),
         ("diagnose", "data fault   saturation, elbow_joint: 41 samples at ±87 N·m"),
-        ("go", "verdict      The given model misses 62 % of the torque."),
+        ("go", "verdict      Of the torque, the given model misses 62 %."),
         ("go", "data fault   "),
         ("go", "next         record more"),
         ("demo", "hidden       Stribeck friction at elbow_joint (seed 7): named"),
