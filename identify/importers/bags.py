@@ -18,13 +18,10 @@ from excitant.robots.schema import parsed_yaml
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _ROS1 = b"#ROSBAG V2.0"
-_MESSAGE = "sensor_msgs/msg/JointState"
+_STATE, _TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
 _USUAL = "/joint_states"
 _AT_ONCE = 20_000  # messages turned into a table at a time
 _FEW = 100  # messages that show which joints a bag has states of
-_ARM, _LIMITS = "robot_description", "joint_limits"
-_TEXT, _EVENT = "std_msgs/msg/String", "rcl_interfaces/msg/ParameterEvent"
-_KINDS = {1: "bool", 2: "integer", 3: "double", 4: "string"}  # of values of parameters
 
 
 def is_bag(path: Path) -> bool:
@@ -42,32 +39,23 @@ class Described:
 
 
 def described(path: Path) -> Described | None:
-    """The arm that a bag describes on ``robot_description``, a topic or a parameter; None without.
+    """The arm that a bag describes on topics of these names; None without.
 
-    ``joint_limits`` are read likewise, as the text of a ``joint_limits.yaml`` or as parameters.
+    ``robot_description`` is the text of a URDF, ``joint_limits`` that of a ``joint_limits.yaml``.
 
     Raises:
         BadRecording: Not readable.
     """
-    told, joints = dict[str, Any](), dict[str, None]()
+    told, joints = dict[str, str](), dict[str, None]()
     with _opened(path) as reader:
-        links = reader.connections
-        states = [c for c in links if c.msgtype == _MESSAGE]
+        states = [c for c in reader.connections if c.msgtype == _STATE]
         for _, state in islice(_messages(reader, states), _FEW):
             joints |= dict.fromkeys(state.name)
-        for _, event in _messages(reader, [c for c in links if c.msgtype == _EVENT]):
-            for each in (*event.new_parameters, *event.changed_parameters):
-                if kind := _KINDS.get(each.value.type):
-                    told[each.name] = getattr(each.value, f"{kind}_value")
-        for topic, text in _messages(reader, [c for c in links if c.msgtype == _TEXT]):
-            if topic in (_ARM, _LIMITS):
-                told[topic] = text.data
-        limits = parsed_yaml(told.get(_LIMITS, "{}")).get(_LIMITS, {})
-    for name, value in told.items():
-        joint, _, key = name.partition(f"{_LIMITS}.")[2].rpartition(".")
-        if joint:
-            limits.setdefault(joint, {})[key] = value
-    return Described(told[_ARM], limits, tuple(joints)) if _ARM in told else None
+        texts = [c for c in reader.connections if c.msgtype == _TEXT]
+        told |= {topic: text.data for topic, text in _messages(reader, texts)}
+        limits = parsed_yaml(told.get("joint_limits", "{}")).get("joint_limits", {})
+    urdf = told.get("robot_description")
+    return None if urdf is None else Described(urdf, limits, tuple(joints))
 
 
 def _messages(reader: Any, wanted: Sequence[Any]) -> Iterator[tuple[str, Any]]:
@@ -127,7 +115,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
-    topics = sorted({c.topic for c in reader.connections if c.msgtype == _MESSAGE})
+    topics = sorted({c.topic for c in reader.connections if c.msgtype == _STATE})
     measured = [topic for topic in topics if not meaning(topic).commanded]
     some = ", ".join(topics)
     if wanted is not None and wanted in topics:
@@ -136,7 +124,7 @@ def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str,
         why = f"has no joint states on {wanted}; topics with them: {some or 'none'}"
     elif not topics:
         kinds = ", ".join(sorted({str(c.msgtype) for c in reader.connections})[:8]) or "nothing"
-        why = f"holds no {_MESSAGE}, only {kinds}; record {_USUAL}"
+        why = f"holds no {_STATE}, only {kinds}; record {_USUAL}"
     elif len(measured) == 1 or _USUAL in measured:
         chosen = measured[0] if len(measured) == 1 else _USUAL
         return chosen, (f"topic: {chosen}",) if len(topics) > 1 else ()
@@ -148,7 +136,7 @@ def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str,
 
 def _cells_of_messages(reader: Any, topic: str, path: Path) -> Iterator[dict[str, Any]]:
     """Time of recording and of the header [ns], and values by column, of each message."""
-    wanted = [c for c in reader.connections if c.topic == topic and c.msgtype == _MESSAGE]
+    wanted = [c for c in reader.connections if c.topic == topic and c.msgtype == _STATE]
     for row, (connection, logged, data) in enumerate(reader.messages(wanted)):
         message = reader.deserialize(data, connection.msgtype)
         joints, stamp = message.name, message.header.stamp

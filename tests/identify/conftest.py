@@ -66,13 +66,12 @@ def joint_states(
     hand: bool = False,
     other: str = "",
     texts: Mapping[str, str] | None = None,
-    parameters: Mapping[str, Any] | None = None,
 ) -> None:
     """A bag (``bag``, ``mcap`` or ``db3``) with position, velocity and effort of joints.
 
     Stamps count from 2023, or are zero in headers where time is negative. With ``hand``, messages
     of another node go to the same topics; with ``other``, those of another arm, whose joints begin
-    with that instead of two letters. Texts go to topics of their own, parameters to that of events.
+    with that instead of two letters. Texts go to topics of their own.
     """
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
@@ -91,10 +90,6 @@ def joint_states(
             text = store.types["std_msgs/msg/String"]
             link = add(f"/left/{topic}", msgtype=text.__msgtype__)
             writer.write(link, 1, serialize(text(content), text.__msgtype__))
-        if parameters:
-            event = _event(store, parameters)
-            link = add("/parameter_events", msgtype=event.__msgtype__)
-            writer.write(link, 1, serialize(event, event.__msgtype__))
         for k, seconds in enumerate(t):
             ns = 1_700_000_000 * 10**9 + round(abs(seconds) * 1e9)
             stamp = time(sec=ns // 10**9, nanosec=ns % 10**9) if seconds >= 0 else time(0, 0)
@@ -106,21 +101,6 @@ def joint_states(
             for connection in connections:
                 for later, message in enumerate(messages):
                     writer.write(connection, ns + 10 * later, serialize(message, state.__msgtype__))
-
-
-def _event(store: Any, parameters: Mapping[str, Any]) -> Any:
-    kind, value = (store.types[f"rcl_interfaces/msg/Parameter{x}"] for x in ("", "Value"))
-    nothing = {"type": 0, "bool_value": False, "integer_value": 0, "double_value": 0.0}
-    nothing |= {"string_value": "", "string_array_value": []}
-    types = (("byte", np.uint8), ("bool", bool), ("integer", np.int64), ("double", float))
-    nothing |= {f"{name}_array_value": np.zeros(0, kind) for name, kind in types}
-    which = {bool: (1, "bool"), int: (2, "integer"), float: (3, "double"), str: (4, "string")}
-    new = []
-    for name, given in parameters.items():
-        number, word = which[type(given)]
-        new.append(kind(name, value(**nothing | {"type": number, f"{word}_value": given})))
-    time = store.types["builtin_interfaces/msg/Time"](0, 0)
-    return store.types["rcl_interfaces/msg/ParameterEvent"](time, "/node", new, [], [])
 
 
 @pytest.fixture(scope="session")

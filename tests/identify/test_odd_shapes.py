@@ -297,19 +297,13 @@ def test_the_robot_may_have_the_prefix_and_two_that_fit_are_refused(bag: Bag) ->
     same(load_recording(two, ARM, mapping=load_column_map(columns)))
 
 
-@pytest.mark.parametrize("where", ["texts", "parameters"])
-def test_a_bag_brings_its_robot_and_limits(where: str, bag: Bag) -> None:
+def test_a_bag_brings_its_robot_and_limits(bag: Bag) -> None:
     ends = '<parent link="tool0"/><child link="tip"/>'
     ends += '<limit lower="0" upper="1" effort="1" velocity="1"/>'
     finger = f'<joint name="finger" type="prismatic">{ends}</joint>'
     urdf = ARM.urdf.replace("</robot>", f'<link name="tip"/>{finger}</robot>')
-    content: dict[str, Any] = {"robot_description": urdf}
-    if where == "texts":
-        content["joint_limits"] = yaml.safe_dump({"joint_limits": LIMITS})
-    else:
-        rows = LIMITS["elbow_joint"].items()
-        content |= {f"planning.joint_limits.elbow_joint.{k}": x for k, x in rows}
-    path = bag("mcap", **{where: content})
+    limits = yaml.safe_dump({"joint_limits": LIMITS})
+    path = bag("mcap", texts={"robot_description": urdf, "joint_limits": limits})
     for spec, names in ((path, []), (path.parent, []), (path.parent, [path.name])):
         dataset = load_dataset(spec)
         assert dataset.robot.joints == JOINTS

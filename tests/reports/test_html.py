@@ -10,8 +10,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from excitant.reports import brief, page_of, summary
 from excitant.reports import page as p
-from excitant.reports import page_of, summary
 
 VERBS = ("robots", "design", "check", "rehearse", "identify", "analyze", "diagnose", "fleet")
 
@@ -102,6 +102,19 @@ def test_go_shows_every_joint_with_its_cause_first(make, undrawn):
     assert rows["elbow_joint"][-1].text.startswith("Stribeck friction")
     for row, joint in zip(table.rows, result["identify"]["joints"], strict=True):
         assert row[1].value == (joint["baseline"] or {}).get("nrmse")
+
+
+@pytest.mark.parametrize("verb", ["go", "demo"])
+def test_a_verdict_may_lack_anything(verb, make, undrawn):
+    result, _ = make[verb]()
+    paths = [("verdict", key) for key in result["verdict"]] + [(key,) for key in result]
+    for path in [*paths, ("identify", "joints"), ("robots", "warnings"), ("diagnose", "findings")]:
+        spoilt = copy.deepcopy(result)
+        holder = spoilt if len(path) == 1 else spoilt[path[0]]
+        holder[path[-1]] = None if path != ("verb",) else verb
+        page = page_of(spoilt, {})
+        assert summary(page)
+        assert brief(page)
 
 
 def test_series_without_values_or_of_wrong_shape_have_no_panel(make, show, written):
