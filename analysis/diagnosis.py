@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -44,7 +44,8 @@ from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.drive_gains import DriveGains, current_gains
-from excitant.identify.faults import warn_of_faults
+from excitant.identify.export import Publication, model_files, published
+from excitant.identify.faults import proven, warn_of_faults
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recordings, as_recordings
@@ -194,6 +195,24 @@ class Diagnosis(Shown):
             items.append((sum(map(self.share_of, left)), left))
         return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
 
+    def amended(self, faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Faults of the recordings as `Checked.entries` tells them, with what is repaired here."""
+        mine = self.set_up
+        return [
+            {**f, "repaired": f["repaired"] or (mine is not None and mine.amends(f))}
+            for f in faults
+        ]
+
+    def publication(
+        self, faults: Sequence[Mapping[str, Any]] = (), *, force: bool = False
+    ) -> Publication:
+        """Files of the extended model, unless `amended` faults or the hold-out speak against it."""
+        return published(
+            model_files(self.extension.model, "extended", "extended.yaml"), self.robot.joints,
+            self.held.series, self.extension.predicted, self.held.simulated,
+            force=force, faults=proven(faults), kind="extended",
+        )  # fmt: skip
+
     def unit(self, joint: int | None = None) -> str:
         """Unit of the torque of a joint, or of all."""
         return self.robot.torque_unit(self.data.unit, joint)
@@ -277,15 +296,6 @@ class Diagnosis(Shown):
     def to_frame(self) -> pd.DataFrame:
         """Findings in order of importance, a row each, with what `result` says of them."""
         return data_frame(self._findings(_NO_PLAN), "effect", _COLUMNS)
-
-    def publication(self, *, force: bool = False, faults: Sequence[str] = ()) -> Publication:
-        """Files of the extended model, unless faults or the hold-out speak against it."""
-        from excitant.identify.export import model_files, published
-
-        files = model_files(self.extension.model, "extended", "extended.yaml")
-        torques = self.held.series, self.extension.predicted, self.held.simulated
-        options: dict[str, Any] = {"force": force, "faults": faults, "kind": "extended"}
-        return published(files, self.robot.joints, *torques, **options)
 
     def _joints(self, accuracy: Accuracy) -> list[dict[str, Any]]:
         return [{"name": joint, **accuracy.entry(j)} for j, joint in enumerate(self.robot.joints)]

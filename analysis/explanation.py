@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -166,6 +166,33 @@ def headline(diagnosis: Diagnosis) -> str:
     return f"{sentence(lead, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}{more}"
 
 
+def main_cause(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
+    """The main finding in a few words, with its verdict in brackets.
+
+    ``findings`` are the entries of its result.
+    """
+    order = diagnosis.ordered
+    if not order:
+        return "none stands out; values are off within their tolerance"
+    if not (lead := causes(order[0])):
+        return "none that is known"
+    if unknown := placeholders(diagnosis).partition(", which")[0]:
+        return f"{unknown[0].lower()}{unknown[1:]}, as placeholders do"
+    said, joints = sentence(lead, diagnosis), findings[0]["joints"]
+    if len(lead) > 1:
+        where = "all joints" if len(joints) == diagnosis.robot.nv else ", ".join(joints)
+        said = f"{plain(findings[0]['effect'])} missing or wrong at {where}"
+    rivals = [f"{plain(r['effect'])} at {', '.join(r['joints'])}" for r in findings[0]["rivals"]]
+    others = [*rivals[:1], *["more"] * (len(rivals) > 1)]
+    alike = f": {' or '.join(others)} would look the same" if rivals else ""
+    return f"{said} ({findings[0]['verdict']}{alike})"
+
+
+def percent(share: float) -> str:
+    """A share in per cent, to two digits."""
+    return f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
+
+
 def causes(item: Sequence[Finding] | Sequence[Residual]) -> list[Finding]:
     """The findings of an item of a diagnosis; empty where it is what no cause explains."""
     return [each for each in item if not isinstance(each, Residual)]
@@ -265,8 +292,7 @@ def _lacks_friction(diagnosis: Diagnosis) -> bool:
 
 def _everything(diagnosis: Diagnosis) -> str:
     both = (diagnosis.simulation, diagnosis.extended)
-    sizes = [100 * float(np.median(each.nrmse)) for each in both]
-    before, now = (f"{x:.0f}" if x >= 10 else f"{x:.2g}" for x in sizes)
+    before, now = (percent(float(np.median(each.nrmse))) for each in both)
     return (
         f"all causes found, the hold-out error falls from {before} to {now} % of the torque's "
         "variation (median over joints)."

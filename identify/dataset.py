@@ -20,10 +20,20 @@ import pyarrow.parquet
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import size_of
+from excitant.identify.importers.bags import described, is_bag
 from excitant.identify.importers.names import ColumnMap, column_map, drive_of, load_column_map
-from excitant.identify.recording import SUFFIXES, Recording, load_recording, read_chunks
-from excitant.robots.files import within
-from excitant.robots.loading import load_robot
+from excitant.identify.recording import (
+    SUFFIXES,
+    Recording,
+    load_recording,
+    read_chunks,
+    suffix_of,
+)
+from excitant.robots.chains import RobotSpec
+from excitant.robots.files import parse_xml, within
+from excitant.robots.limits import limits_from
+from excitant.robots.loading import load_robot, robot_of
+from excitant.robots.mjcf import Description
 from excitant.robots.robot import Robot
 from excitant.robots.schema import RobotRecord, read_yaml
 
@@ -64,6 +74,7 @@ class Dataset:
     robot: Robot
     folder: Path | None = None  # the recordings are named relative to; None when they are paths
     mapping: ColumnMap = field(default_factory=ColumnMap)  # of columns and drives
+    bag: Path | None = None  # that described the robot, and is its recording
 
     def recordings(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Recording]:
         """Recordings by name; all of the folder that are not held out when none is named.
@@ -82,7 +93,8 @@ class Dataset:
             if self._path(name).resolve() in held:
                 why = "is to be fitted and held out; leave it out of one of the two"
                 raise BadInput(f"{name} {why}")
-        paths = [self._path(name) for name in names] or self._all()
+        given = [self._path(name) for name in names]
+        paths = [p for path in given for p in _inside(path)] or self._all()
         kept = [path for path in paths if path.resolve() not in held]
         if not kept:
             raise BadInput(f"{self.folder}: every recording is held out; none is left to fit")
@@ -96,19 +108,30 @@ class Dataset:
         return next((each for each in found if each.is_file()), path)
 
     def _all(self) -> list[Path]:
+        if self.bag is not None:
+            return [self.bag]
         if self.folder is None:
             raise BadInput("no recording given; name at least one file")
-        files = sorted(self.folder.iterdir())
-        found = [p for p in files if p.suffix in _USUAL] or [
-            p for p in files if p.suffix in SUFFIXES or (p / "metadata.yaml").is_file()
-        ]
-        if not found:
-            raise BadInput(f"{self.folder}: no .parquet or .csv recording in this folder")
-        return found
+        return _inside(self.folder)
+
+
+def _inside(path: Path) -> list[Path]:
+    """The recordings in a folder, those in the usual formats if there are any; else the path."""
+    if not path.is_dir() or is_bag(path):
+        return [path]
+    files = sorted(path.iterdir())
+    found = [p for p in files if p.suffix in _USUAL] or [
+        p for p in files if suffix_of(p) in SUFFIXES or is_bag(p)
+    ]
+    if not found:
+        raise BadInput(f"{path}: no .parquet or .csv recording in this folder, and it is no bag")
+    return found
 
 
 def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Dataset:
-    """Dataset from a folder with ``dataset.json`` or ``robot.urdf``, or from a robot alone.
+    """Dataset from a folder with ``dataset.json`` or ``robot.urdf``, a bag, or a robot alone.
+
+    A bag, or a folder of bags, needs no robot beside it if it has one on ``robot_description``.
 
     ``columns`` is a file that says what columns mean (`load_column_map`), the folder's
     ``columns.yaml`` when not given; drive constants that it leaves out are those of a robot.yaml.
@@ -118,6 +141,8 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
     """
     folder = Path(spec)
     given = ColumnMap() if columns is None else load_column_map(columns)
+    if is_bag(folder) and folder.exists():
+        return Dataset(_robot_in(folder, spec), mapping=given, bag=folder)
     if not folder.is_dir():
         return Dataset(load_robot(spec), mapping=_with_drive(given, folder))
     sidecar, beside = folder / "dataset.json", folder / "columns.yaml"
@@ -128,6 +153,9 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
     candidates = [folder / name for name in (kinematics.urdf, "robot.yaml") if name]
     model = next((path for path in candidates if path.is_file()), None)
     if model is None:
+        files = sorted(folder.iterdir())
+        if bag := next(filter(is_bag, files), None):
+            return Dataset(_robot_in(bag, bag), folder, given)
         raise BadInput(
             f"{folder}: no robot model (robot.urdf or robot.yaml) in this folder; add one, or "
             f"give ROBOT and the paths of the recordings"
@@ -145,11 +173,38 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
     return Dataset(robot, folder, replace(_with_drive(given, model), torque=torque.column))
 
 
+def _robot_in(bag: Path, spec: str | Path | RobotSpec) -> Robot:
+    """The robot that a bag describes; joints without states in it, or coupled ones, are held."""
+    found = described(bag)
+    if found is None:
+        raise BadInput(
+            f"{bag}: no robot_description in this bag; give ROBOT before it, or record that topic"
+        )
+    spec = spec if isinstance(spec, RobotSpec) else RobotSpec(spec)
+    joints = parse_xml(found.urdf, bag).findall("joint")
+    movable = [str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"]
+    coupled = {
+        name
+        for joint in joints
+        for mimic in joint.findall("mimic")
+        for name in (joint.get("name"), mimic.get("joint"))
+    }
+    seen = {*found.joints} - coupled | {*(spec.joints or ())}
+    held = [name for name in movable if name not in seen]
+    held = held if len(held) < len(movable) else []  # else names differ, by a prefix perhaps
+    spec = replace(spec, lock={**dict.fromkeys(held, 0.0), **spec.lock})
+    robot = robot_of(Description(found.urdf), spec)
+    if any(joint in robot.joints for joint in found.limits):
+        robot = robot.with_limits(limits_from({"joint_limits": found.limits}, robot, bag))
+    said = f"held at 0, without states of their own in the bag: {', '.join(held)}"
+    return replace(robot, notes=(*robot.notes, *[said] * bool(held)))
+
+
 def is_dataset(folder: Path) -> bool:
     """Whether a folder holds a robot or recordings, be they readable or not."""
     names = {path.name for path in folder.iterdir()}
     return bool(names & {"dataset.json", "robot.urdf", "robot.yaml"}) or any(
-        Path(name).suffix in SUFFIXES for name in names
+        suffix_of(Path(name)) in SUFFIXES for name in names
     )
 
 

@@ -13,9 +13,9 @@ import pandas as pd
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.files import size_of
-from excitant.identify.importers import tables
+from excitant.identify.importers import bags, tables
 from excitant.identify.importers.arrays import refuse_size
-from excitant.identify.importers.columns import Channel, Columns, resolve
+from excitant.identify.importers.columns import Channel, Columns, resolve, with_names_of
 from excitant.identify.importers.names import ColumnMap
 from excitant.identify.importers.text import text_table
 from excitant.robots.loading import RobotLike, as_robot
@@ -29,14 +29,22 @@ if TYPE_CHECKING:
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 _RAREST = 1.0  # s between samples
 CHANNELS = ("q", "dq", "tau")
+_TEXTS: dict[str, Callable[[Path], tables.Table]] = {
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log", ".asc"), text_table),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), tables.json_table),
+}
 _READERS: dict[str, Callable[[Path], tables.Table]] = {
     **dict.fromkeys((".parquet", ".pq"), tables.parquet_table),
-    **dict.fromkeys((".csv", ".txt", ".tsv"), text_table),
+    **_TEXTS,
+    **{f"{suffix}.gz": reader for suffix, reader in _TEXTS.items()},
     ".npz": tables.npz_table,
     ".mat": tables.mat_table,
 }
-_BAGS = (".bag", ".mcap", ".db3")
-SUFFIXES = (*_READERS, *_BAGS)
+SUFFIXES = (
+    *(s for s in _READERS if s.removesuffix(".gz") not in (".json", ".log")),
+    *bags.SUFFIXES,
+)
+"""Ends of the names of recordings; what else is read may be something else in a folder."""
 _REMEMBERED = 100  # unreadable cells whose text is kept
 
 
@@ -235,11 +243,16 @@ def read_chunks(
     _refuse_dead(extremes, raw)
 
 
+def suffix_of(path: Path) -> str:
+    """What the name of a file says of its format: its end, with that of what is packed in it."""
+    ends = path.suffixes[-2:] if path.suffix.lower() == ".gz" else path.suffixes[-1:]
+    return "".join(ends).lower()
+
+
 def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     path = Path(path)
-    is_bag_folder = (path / "metadata.yaml").is_file()
-    suffix = ".bag" if is_bag_folder else path.suffix.lower()
-    why = f"unknown format '{path.suffix}'; give .parquet or .csv, .npz, .mat, .bag or .mcap"
+    is_bag, suffix = bags.is_bag(path), suffix_of(path)
+    why = f"unknown format '{suffix}'; give .parquet or .csv, .json, .npz, .mat, .bag or .mcap"
     try:
         size = 0 if path.is_dir() else size_of(path)
     except FileNotFoundError:
@@ -247,14 +260,14 @@ def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     except OSError as error:
         why = f"cannot be read ({error.strerror}); give a file"
         raise BadRecording(path, why) from None
-    if path.is_dir() and not is_bag_folder:
+    if path.is_dir() and not is_bag:
         why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
-    elif suffix in SUFFIXES:
+    elif is_bag or suffix in _READERS:
         try:
             if suffix in (".npz", ".mat"):  # which are read whole
                 refuse_size(size)
-            if suffix in _BAGS:
-                return tables.bag_table(path, mapping.topic if mapping else None)
+            if is_bag:
+                return bags.bag_table(path, mapping.topic if mapping else None)
             return _READERS[suffix](path)
         except (BadRecording, ModuleNotFoundError):
             raise
@@ -274,7 +287,9 @@ def _pieces(
 
     ``origin`` is the time that becomes 0, that of the first row when None.
     """
-    robot = robot if isinstance(robot, int) else as_robot(robot)
+    if not isinstance(robot, int):
+        robot = as_robot(robot)
+        table = with_names_of(table, robot.joints)
     columns = resolve(table, robot, mapping or ColumnMap())
     narrow = columns.names if rows is not None or table.joined else None
     timed = columns.t_unit is not None or len(columns.t) > 1

@@ -215,7 +215,8 @@ class Section:
 class Page:
     """A whole report: title, subtitle, what comes first, the sections, and last words.
 
-    Files stand beside it, by name; texts leave them out.
+    Files stand beside it, by name; texts leave them out. With a table, the terminal shows it and
+    the page's own brief, and none of the sections'.
     """
 
     title: str
@@ -224,6 +225,7 @@ class Page:
     sections: tuple[Section, ...]
     brief: Brief = ()
     files: tuple[str, ...] = ()
+    table: Table | None = None
 
     @property
     def uses(self) -> list[tuple[str, str]]:

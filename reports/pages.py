@@ -1,4 +1,4 @@
-"""From saved results to pages: of one run, of a demonstration, of several runs side by side."""
+"""From saved results to pages: of one run, of an examination, of several runs side by side."""
 
 from __future__ import annotations
 
@@ -24,26 +24,27 @@ from excitant.reports.design import (
 )
 from excitant.reports.diagnose import diagnose_section
 from excitant.reports.drawing import style
+from excitant.reports.examination import examination_page
 from excitant.reports.fleet import fleet_section
 from excitant.reports.identify import identify_section
-from excitant.reports.page import Cell, Fact, Page, Section
+from excitant.reports.page import Cell, Page, Section
 from excitant.reports.robot import robot_section
 from excitant.reports.values import NONE, Result, Series
 
 _SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
+    "robots": robot_section,
     "design": design_section,
     "check": check_section,
     "show": show_section,
     "identify": identify_section,
     "analyze": analyze_section,
     "diagnose": diagnose_section,
-    "robots": robot_section,
     "rehearse": rehearse_section,
     "fleet": fleet_section,
 }
 COMPARE = "compare"
-_VERBS = (*_SECTIONS, "demo", COMPARE)
-_FEW = 3  # parameters of a hidden effect that are written out
+_WHOLE = ("go", "demo")  # pages with a section of each command
+_VERBS = (*_SECTIONS, *_WHOLE, COMPARE)
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _APART = 2.0  # standard deviations of a difference from which on estimates disagree
 _STD = "± std"  # in the heading of a column that belongs to the one before
@@ -65,8 +66,8 @@ def page_of(result: Result, series: Series) -> Page:
     if verb not in _VERBS:
         raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")
     with style():
-        if verb == "demo":
-            page = _demo_page(result, series)
+        if verb in _WHOLE:
+            page = _examination_page(result, series)
         elif verb == COMPARE:
             page = _comparison_page(result)
         else:
@@ -89,73 +90,14 @@ def _title(name: str, result: Result) -> str:
     return f"{name}: {robot}" if robot else name
 
 
-def _demo_page(result: Result, series: Series) -> Page:
-    sections = []
+def _examination_page(result: Result, series: Series) -> Page:
+    sections = {}
     for verb, build in _SECTIONS.items():
         if isinstance(found := v.at(result, verb), dict):
             own = {k.removeprefix(f"{verb}/"): x for k, x in series.items() if f"{verb}/" in k}
             section = build({"robot": v.text(result, "robot"), **found}, own)
-            sections.append(links_folded(section, found))
-    headline, seed = v.text(result, "diagnose", "headline"), v.text(result, "seed")
-    hidden, named = _hidden(result), v.at(result, "verdict", "correct") is True
-    ends = [v.at(result, "design", "condition_number", key) for key in ("initial", "final")]
-    condition = Fact("Condition number", v.change(*ends), "of the designed motion")
-    blocks = (
-        p.notes([headline] * bool(headline), "lead"),
-        p.facts(hidden, _verdict(result), _holdout(result), condition),
-    )
-    return Page(
-        _title("Demonstration", result),
-        "A virtual arm hides an effect from its model. A motion was designed for the model and run "
-        "on the arm, the model was identified and its identifiability analysed, and what it still "
-        "gets wrong was diagnosed" + (f" (seed {seed})." if seed else "."),
-        tuple(block for block in blocks if block is not None),
-        tuple(sections),
-        (("hidden", f"{hidden.value} (seed {seed}): {'' if named else 'not '}named"),),
-    )
-
-
-def _hidden(result: Result) -> Fact:
-    effect, joint = v.plain(v.text(result, "truth", "effect")), v.text(result, "truth", "joint")
-    values, rows = v.at(result, "truth", "parameters"), v.records(result, "identify", "parameters")
-    for finding in v.records(result, "diagnose", "findings"):
-        rows = [*v.records(finding, "parameters"), *rows]
-    units = {
-        v.text(r, "name").rpartition(".")[2]: v.text(r, "unit").removeprefix("1") for r in rows
-    }
-    said = [
-        f"{name} = {value if isinstance(value, str) else v.quantity(value, units.get(name, ''))}"
-        for name, value in (values.items() if isinstance(values, dict) else ())
-        if isinstance(value, str) or v.real(value) is not None
-    ]
-    remark = ", ".join(said[:_FEW]) + (", …" if len(said) > _FEW else "")
-    return Fact("Hidden effect", f"{effect}{' at ' * bool(joint)}{joint}", remark)
-
-
-def _verdict(result: Result) -> Fact:
-    correct, label = v.at(result, "verdict", "correct"), "Named by the diagnosis"
-    joints = v.words(result, "verdict", "joints")
-    named = v.plain(v.text(result, "verdict", "effect"))
-    named += f" at {v.listing(joints)}" if joints else ""
-    if not isinstance(correct, bool):
-        return Fact(label, NONE)
-    if correct:
-        return Fact(label, "✓ yes", named, p.GOOD)
-    return Fact(label, "✗ no", named or "nothing was named", p.POOR)
-
-
-def _holdout(result: Result) -> Fact:
-    diagnosis, joint = v.at(result, "diagnose"), v.text(result, "truth", "joint")
-    unit, label = v.text(diagnosis, "unit") or "N·m", "Hold-out error, before → after"
-    for finding in v.records(diagnosis, "findings"):
-        hidden = v.text(finding, "effect") == v.text(result, "truth", "effect")
-        before, after = (v.real(finding, "holdout", f"rms_{k}") for k in ("before", "after"))
-        if hidden and joint in v.words(finding, "joints") and after is not None:
-            errors = f"{v.number(before)} → {v.quantity(after, unit)}"
-            return Fact(label, errors, "rms without the finding and with it")
-    models = ("simulation", "extended")
-    before, after = (v.median(v.records(diagnosis, m, "joints"), "nrmse") for m in models)
-    return Fact(label, v.change(before, after, v.percent), "nrmse, median over joints")
+            sections[verb] = links_folded(section, found)
+    return examination_page(result, sections)
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,8 @@ _LABEL = 32
 _UNBROKEN = 24  # letters of a word that is never broken
 _SAMPLES = 250_000  # of all curves of a timeline
 _STEP = 10  # columns of words are a multiple of this wide, so that few changes move them
+_WIDE = 200  # columns where no terminal is
+_STYLES = {"good": "green", "fair": "yellow", "poor": "red"}
 _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
@@ -145,12 +147,29 @@ def summary(page: Page) -> str:
     return "\n".join(plain(line) for line in lines) + "\n"
 
 
-def brief(page: Page) -> str:
-    """Summary of a page in a few lines for the terminal."""
-    lines = [line for section in page.sections for line in _brief(section)]
-    return "\n".join(
-        f"{label:<12} {shortened(words)}".rstrip() for label, words in (*lines, *page.brief)
-    )
+def brief(page: Page, *, terminal: bool = False) -> str:
+    """Summary of a page in a few lines, of which a terminal shows tables in colour."""
+    sections = page.sections if page.table is None else ()
+    lines = [line for section in sections for line in _brief(section)]
+    written = [f"{label:<12} {shortened(words)}".rstrip() for label, words in (*lines, *page.brief)]
+    return "\n".join([*written, *([_drawn(page.table, terminal)] if page.table else [])])
+
+
+def _drawn(table: Table, terminal: bool) -> str:
+    """A table as narrow as its cells, its judgements in colour on a terminal."""
+    from rich.console import Console
+    from rich.table import Table as Drawn
+    from rich.text import Text
+
+    drawn = Drawn(box=None, pad_edge=False, header_style="bold")
+    for head, kind in table.columns:
+        drawn.add_column(Text(head), justify="right" if kind == "number" else "left")
+    for row in table.rows:
+        drawn.add_row(*(Text(cell.text, _STYLES.get(cell.tone, "")) for cell in row))
+    console = Console(force_terminal=terminal, width=None if terminal else _WIDE)
+    with console.capture() as found:
+        console.print(drawn)
+    return "\n".join(line.rstrip() for line in found.get().splitlines())
 
 
 def _brief(section: Section) -> Iterator[tuple[str, str]]:

@@ -75,7 +75,11 @@ def load_limits(path: str | Path, robot: Robot) -> Limits:
     Raises:
         BadInput: Unreadable, unknown names, wrong counts, or limits that exclude everything.
     """
-    content = read_yaml(path, dict[str, Any], "limits")
+    return limits_from(read_yaml(path, dict[str, Any], "limits"), robot, path)
+
+
+def limits_from(content: Mapping[str, Any], robot: Robot, path: str | Path) -> Limits:
+    """Limits from the content of a file; see `load_limits`."""
     if (by_joint := _joint_limits(content)) is not None:
         record = convert(_by_quantity(by_joint, robot, path), LimitsRecord, path, ".joint_limits")
         return merge_limits(robot, record, str(path))

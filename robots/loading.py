@@ -198,7 +198,11 @@ def _supplemented(robot: Robot, record: RobotRecord, source: str) -> Robot:
 
 def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
     """Robot of a URDF, xacro or MJCF file, with the effects that the file states."""
-    found = _described(Path(spec), spec)
+    return robot_of(_described(Path(spec), spec), spec, gravity)
+
+
+def robot_of(found: Description, spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
+    """Robot of a description that was read, wherever it was, with the effects that it states."""
     robot = robot_from_urdf(
         found.urdf,
         replace(spec, lock={**found.lock, **spec.lock}),

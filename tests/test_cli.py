@@ -377,7 +377,6 @@ def test_a_motion_beyond_its_limits_exits_with_one(
 
 
 WRONG = {
-    "": "no command given",
     "frobnicate": "frobnicate",
     "identify": "ROBOT",
     "check ur10": "TRAJECTORY",
@@ -403,6 +402,13 @@ def test_wrong_usage_exits_with_two_and_a_near_word(line: str, here: Path, capsy
     assert WRONG[line] in err
     assert "usage: excitant" in err
     assert sorted(here.rglob("*")) == before
+
+
+def test_without_a_command_the_help_is_shown(excitant: Any) -> None:
+    ran = excitant("")
+    assert (ran.status, ran.err) == (2, "")
+    assert ran.out == excitant("--help").out
+    assert " go " in ran.out
 
 
 def test_version_names_the_solvers(excitant: Any) -> None:

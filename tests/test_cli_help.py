@@ -31,6 +31,19 @@ def test_help_ends_with_examples_of_the_command(name: str, excitant: Any) -> Non
     assert re.search(rf"\nexamples?:\n  excitant {name}\b", ran.out)
 
 
+@pytest.mark.parametrize("name", VERBS)
+def test_options_of_every_day_come_first(name: str, excitant: Any) -> None:
+    """A dozen at most stand before the rare ones."""
+    text = excitant(f"{name} --help").out
+    daily, _, rare = text.partition("Rare options")
+    first, others = (re.findall(r"^│ +(--[a-z-]+) ", x, re.MULTILINE) for x in (daily, rare))
+    assert len(first) <= 12
+    assert not {*first} & {*others}
+    if name in ("go", "identify", "diagnose"):
+        assert {"--map", "--validate", "--repair", "--output"} <= {*first}
+        assert {"--cutoff", "--lock"} <= {*others}
+
+
 @pytest.mark.parametrize("line", EXAMPLES)
 def test_an_example_is_understood(line: str) -> None:
     _, *words = shlex.split(line.partition(" > ")[0], comments=True)

@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from excitant.cli import main
-from excitant.demo import run_demo
+from excitant.demo import run_demo, truth_of
 from excitant.reports import load_run
 from excitant.robots import load_robot
+from excitant.robots.virtual_arm import HiddenEffect
 
 SEED = 2
 
@@ -26,7 +27,8 @@ def test_the_hidden_effect_is_named_on_its_joint(result: dict[str, Any]) -> None
     truth, lead = result["truth"], result["diagnose"]["findings"][0]
     effect, joint = truth["effect"], truth["joint"]
     assert (lead["effect"], lead["joints"], lead["verdict"]) == (effect, [joint], "named")
-    assert result["verdict"] == {"effect": effect, "joints": [joint], "correct": True}
+    known = {"effect": effect, "joints": [joint], "correct": True, "truth": "named"}
+    assert {key: result["verdict"][key] for key in known} == known
     for name in ("summary.txt", "report.html"):
         text = (result["folder"] / name).read_text(encoding="utf-8")
         assert effect.replace("_", " ") in text.lower()
@@ -69,3 +71,25 @@ def test_the_written_recordings_give_the_same_diagnosis(
 def test_the_hidden_effect_is_named_on_an_arm_of_six_joints(seed: int) -> None:
     result, *_ = run_demo(load_robot("ur10"), seed, lambda fraction, words: None)
     assert result["verdict"]["correct"], (result["truth"], result["verdict"])
+
+
+@pytest.mark.parametrize(
+    ("entry", "expected"),
+    [
+        ({"effect": "spring", "joints": ["j2", "j1"], "verdict": "named"}, "named"),
+        ({"effect": "spring", "joints": ["j1"], "verdict": "undecided"}, "undecided"),
+        ({"effect": "backlash", "rivals": [{"effect": "spring", "joints": ["j1"]}]}, "undecided"),
+        ({"effect": "friction", "parts": [{"effect": "spring", "verdict": "named"}]}, "named"),
+        ({"effect": "spring", "joints": ["j3"], "verdict": "named"}, "missed"),
+        ({"effect": "backlash", "joints": ["j1"], "verdict": "named"}, "missed"),
+    ],
+)
+def test_an_answer_is_right_where_the_truth_is_named_or_left_open(
+    entry: dict[str, Any], expected: str
+) -> None:
+    whole = {"joints": ["j1"], "verdict": "undecided", "rivals": []}
+    parts = [whole | part for part in entry.get("parts", ())]
+    others = whole | {"effect": "payload", "joints": ["j6"], "verdict": "named"}
+    findings = [others, whole | entry | ({"parts": parts} if parts else {})]
+    assert truth_of(HiddenEffect("spring", "j1", ()), findings) == expected
+    assert truth_of(HiddenEffect("spring", "j1", ()), []) == "missed"

@@ -16,6 +16,7 @@ import json
 import math
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -30,14 +31,16 @@ from run_notebooks import NOTEBOOKS, outputs_of
 
 from excitant.analysis import diagnose
 from excitant.cli import app, main
+from excitant.identify.importers.names import ColumnMap, column_map
 from excitant.robots.effects import EFFECTS
+from excitant.robots.schema import parsed_yaml
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 EFFECT_PAGE = "add-an-effect.md"  # followed in a test of its own
 # of programs that pages mention beside excitant
-OTHERS = {"--nthreads", "--seconds", "--tacho", "--storage", "--param-file"}
+OTHERS = {"--nthreads", "--seconds", "--tacho", "--storage", "--param-file", "--csv"}
 OTHERS |= {"--go", "--scale", "--tolerance", "--controller", "--states", "--motions"}  # ros2_client
 
 BLOCK = re.compile(r"^```(\w+)(?: title=\"(.*?)\")?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -102,7 +105,9 @@ class Reader:
             with self._listening():
                 status = main(shlex.split(words.replace("\\\n", " ")))
             unmet = re.search(
-                r"^(excitant: |failed |the identified model is not )", shown, re.MULTILINE
+                r"^(excitant: |failed |the identified model is not |use no model )",
+                shown,
+                re.MULTILINE,
             )
             assert status == bool(unmet), f"{self.page}: {words}\n{self.printed}"
             assert_shown(shown, self.printed, f"{self.page}: excitant {words}")
@@ -118,7 +123,17 @@ class Reader:
 @pytest.mark.slow
 @pytest.mark.parametrize("page", FOLLOWED)
 def test_a_page_does_what_it_says(page: str, here: Path) -> None:
+    shutil.copytree(ROOT / "examples", here / "examples")
     Reader(page).follow()
+
+
+def test_maps_of_the_page_on_recordings_are_understood() -> None:
+    page = (DOCS / "how-to" / "my-recording.md").read_text("utf-8")
+    maps = re.findall(r"^\|.*\| `(\{.*\})` \|$", page, re.MULTILINE)
+    assert len(maps) >= 10
+    for text in maps:
+        found = column_map(parsed_yaml(text), "columns.yaml")
+        assert found != ColumnMap(), text
 
 
 def test_wrong_pages_are_seen() -> None:

@@ -8,10 +8,11 @@ the log is refused with the map to write.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import pandas as pd
 import yaml
 
 from excitant.exceptions import BadInput, BadRecording
@@ -35,6 +36,8 @@ _NUMBERED = tuple(
 _NAMED = tuple(
     form.replace(".", sign) for sign in "._/ " for form in ("{{joint}}.{}", "{}.{{joint}}")
 )
+_FEW = 4  # columns that are named
+_MOTORS = {"motor", "motors", "rotor", "rotors"}  # which turn otherwise than joints
 _Key = str | int | None
 
 
@@ -64,6 +67,45 @@ class Columns:
         """All columns that are read."""
         speeds = self.dq.columns if self.dq else ()
         return (*self.t, *self.q.columns, *speeds, *self.tau.columns)
+
+
+def with_names_of(table: Table, joints: Sequence[str]) -> Table:
+    """A table with the robot's names of joints, where the log's differ by one prefix throughout.
+
+    Either may have it, up to a sign as in ``left/`` or ``ur10_``; nothing changes where several
+    prefixes fit, or none.
+    """
+    names = set(table.labels.values())
+    if not joints or set(joints) <= names or len(joints) == 1 < len(names):
+        return table
+    ways = dict[str, dict[str, str]]()  # by prefix: the robot's names by those of the log
+    for name in names:
+        longer, shorter = sorted((name, joints[0]), key=len)[::-1]
+        prefix = longer.removesuffix(shorter)
+        logged = {prefix + j if longer == name else j.removeprefix(prefix): j for j in joints}
+        whole = len(logged) == len(joints) and set(logged) <= names
+        if prefix != longer and not prefix[-1:].isalnum() and whole:
+            ways[prefix] = logged
+    if len(ways) != 1:
+        return table
+    ((prefix, own),) = ways.items()
+    parts = ("position", "velocity", "effort")
+    back = {f"{new}.{part}": f"{old}.{part}" for old, new in own.items() for part in parts}
+    renamed = {old: new for new, old in back.items()}
+
+    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+        asked = None if columns is None else [back.get(name, name) for name in columns]
+        for frame in table.frames(rows, asked):
+            yield frame.rename(columns=renamed)
+
+    note = f"joints: the prefix '{prefix}' is taken off the names, as in {next(iter(own))}"
+    return replace(
+        table,
+        names=tuple(renamed.get(name, name) for name in table.names),
+        frames=frames,
+        labels={k: own.get(name, name) for k, name in table.labels.items()},
+        notes=(*table.notes, note),
+    )
 
 
 def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
@@ -177,7 +219,7 @@ class _Search:
         surplus = sorted(set(labels.values()) - set(self.joints)) if arm else []
         self.notes = (f"joints left out: {', '.join(surplus)}",) if surplus else ()
         absent = [name for name in self.joints if name not in labels.values()]
-        if labels and absent:
+        if labels and absent and not mapping.columns:
             why = f"holds the joints {', '.join(labels.values())}; joint '{absent[0]}' of the robot"
             advice = "is not among them; give the right robot, or lock this joint"
             raise BadRecording(table.file, f"{why} {advice}")
@@ -194,9 +236,21 @@ class _Search:
             self.groups.setdefault(role, []).append(_Group(self, role, found, *words))
         for groups in self.groups.values():
             groups.sort(key=lambda group: (not group.exact, len(group.words)))
+        self.arms = self._arms()
         self.times, unit = _times([m for m in used if m.role == "t"])
         said = mapping.units.get("t")
         self.t_unit: Unit | None = unit if said is None or isinstance(said, tuple) else said
+
+    def _arms(self) -> set[tuple[str, ...]]:
+        """Words beside quantity and joint: none, or else those that positions and torques share.
+
+        They name the arm then, as in ``left_q1`` and ``left_tau1``, unless they name its motors.
+        """
+        roles = [self.groups.get(role, []) for role in ("q", "tau", "i")]
+        q, tau, i = ({g.words for g in groups if g.full} for groups in roles)
+        own = {words for words in q & (tau | i) if _MOTORS.isdisjoint(words)}
+        plain = any(not g.words for groups in roles for g in groups)
+        return {()} if plain or not own else own
 
     def _meaning(self, column: str) -> Meaning:
         joint, _, quantity = column.rpartition(".")
@@ -276,7 +330,7 @@ class _Search:
     def _chosen(self, role: str, optional: bool) -> _Group | None:
         """The columns that hold a quantity by their name alone, those named exactly first."""
         found = self.groups.get(role, [])
-        groups = [g for g in found if g.exact] or [g for g in found if not g.words]
+        groups = [g for g in found if g.exact] or [g for g in found if g.words in self.arms]
         full = [group for group in groups if group.full]
         if len(full) == 1:
             return full[0]
@@ -339,25 +393,31 @@ class _Search:
         before, found, after = columns[0].partition(self.said[0])
         if found and list(columns) == [f"{before}{name}{after}" for name in self.joints]:
             return f"{before}<joint>{after}"
-        for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
-            head, tail = columns[0][: match.start()], columns[0][match.end() :]
-            for first in (0, 1):
-                if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
-                    return f"{columns[0]} .. {columns[-1]}"
-        return ", ".join(columns)
+        return f"{columns[0]} .. {columns[-1]}" if _pattern(columns) else ", ".join(columns)
 
     def _some(self) -> str:
-        names = self.table.names
-        return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+        """The first columns, of those whose names say nothing if there are any."""
+        groups = [group for groups in self.groups.values() for group in groups if group.full]
+        known = {m.column for group in groups for m in group.members.values()}
+        known |= {column for columns in self.times for column in columns}
+        names = [name for name in self.table.names if name not in known] or self.table.names
+        return ", ".join(names[:_FEW]) + (", ..." if len(names) > _FEW else "")
 
     def _suggestion(self) -> str:
         """A ready column map on one line, as far as names say; ``?`` where they say nothing."""
+        n, width = self.count, len(self.table.names)
+        if all(map(str.isdecimal, self.table.names)) and width in (1 + 2 * n, 1 + 3 * n):
+            order = ("q", "dq", "tau") if width > 1 + 2 * n else ("q", "tau")
+            first = {role: 1 + k * n for k, role in enumerate(order)}
+            spans = [f"{role}: {[*range(k, k + n)]}" for role, k in first.items()]
+            return f"say which is which in a file for --map, such as {{t: 0, {', '.join(spans)}}}"
         t = list(self.times[0]) if self.times else ["?"]
         content: dict[str, object] = {"t": t[0] if len(t) == 1 else t}
         torque = next((role for role in ("tau", "i") if self.groups.get(role)), "tau")
         for role in ("q", torque):
             full = [g for g in self.groups.get(role, ()) if g.full]
-            content[role] = list(full[0].columns) if full else "?"
+            columns = full[0].columns if full else ("?",)
+            content[role] = _pattern(columns) or (list(columns) if full else "?")
         text: str = yaml.safe_dump(
             content, default_flow_style=True, sort_keys=False, width=1 << 20, allow_unicode=True
         )
@@ -370,13 +430,23 @@ class _Search:
 
     def missing(self, role: str) -> BadRecording:
         """The refusal of a log without a quantity."""
-        advice = f"columns are {self._some()}; or {self._suggestion()}"
+        advice = f"there are {self._some()}; {self._suggestion()}"
         if role == "tau":
-            why = f"no torque: there is neither 'tau1' [N·m] nor 'i1' [A]; {advice}"
+            why = f"no torque, neither 'tau1' [N·m] nor 'i1' [A]: {advice}"
             return BadRecording(self.table.file, why)
         column = "t" if role == "t" else "q1"
         why = f"is missing; rename or add it: {advice}"
         return BadRecording(self.table.file, why, column=column)
+
+
+def _pattern(columns: Sequence[str]) -> str | None:
+    """Columns that differ by a rising number, with ``{0}`` or ``{1}`` where they do."""
+    for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
+        head, tail = columns[0][: match.start()], columns[0][match.end() :]
+        for first in (0, 1):
+            if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
+                return f"{head}{{{first}}}{tail}"
+    return None
 
 
 def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], str | None]:
@@ -385,6 +455,8 @@ def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], st
         return (("t",),), None
     alone = [m for m in meanings if m.joint is None]
     plain = [m for m in alone if not m.words]
+    for better in (lambda m: m.term != "duration", lambda m: "header" in m.column):
+        plain = [m for m in plain if better(m)] or plain
     seconds, nanoseconds = (
         [m for m in alone if len(m.words) == 1 and PARTS_OF_TIME.get(m.words[0]) == unit]
         for unit in ("s", "ns")

@@ -61,11 +61,11 @@ _KNOWN = frozenset(unit for units in _UNITS.values() for unit in units)
 _ROLES = {
     word: role
     for role, words in {
-        "t": "t time times timestamp timestamps stamp stamps",
+        "t": "t ts time times timestamp timestamps stamp stamps zeit duration",
         "q": "q pos position positions angle angles theta jointpos",
         "dq": "dq qd qdot vel velocity velocities speed speeds dtheta omega jointvel",
         "ddq": "ddq qdd qddot acc acceleration accelerations",
-        "tau": "tau torque torques effort efforts trq moment",
+        "tau": "tau torque torques effort efforts eff trq moment drehmoment",
         "i": "i current currents cur amperage iq",
     }.items()
     for word in words.split()
@@ -76,8 +76,8 @@ _MEASURED, _COMMANDED, _NEUTRAL = (
         "actual act measured meas msr real feedback fb present",
         "target targets desired des commanded command cmd ref reference setpoint set goal planned "
         "model predicted pred estimated est simulated sim",
-        "joint joints jnt j axis axes state states msg data value values log header relative rel "
-        "elapsed unix epoch utc in",
+        "joint joints jnt j a axis axes actuator actuators state states msg data value values log "
+        "field header relative rel elapsed unix epoch utc in",
     )
 )
 PARTS_OF_TIME = {
@@ -142,7 +142,8 @@ def meaning(column: str, joints: Sequence[str] = ()) -> Meaning:
         joint = int(words.pop(numbers[-1])) if numbers else None
     role, rest, present = _role(words)
     term = next((word for word in words if word not in rest), "")
-    others = tuple(word for word in rest if word not in _NEUTRAL | _MEASURED | _COMMANDED)
+    own = {"motor"} if role == "i" else set[str]()  # which has every current
+    others = tuple(w for w in rest if w not in _NEUTRAL | _MEASURED | _COMMANDED | own)
     if unit is not None and role is not None and unit not in units_of(role):
         current = role == "tau" and unit in units_of("i")  # a torque in ampere is a current
         role, others = ("i", others) if current else (role, (*others, unit))
@@ -172,6 +173,7 @@ def _words(column: str) -> tuple[list[str], str | None]:
             unit = unit or "s"
         else:
             words += [piece.lower() for piece in _PIECES.findall(chunk)]
+    words = " ".join(words).replace("nano sec", "nanosec").split()
     if unit is None and len(words) > 1 and words[-1] not in _ROLES:
         found = spelled(words[-1]) if len(words[-1]) > 1 else None
         if found is not None and words[-1] not in PARTS_OF_TIME:

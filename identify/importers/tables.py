@@ -1,22 +1,19 @@
-"""Tables of logs: Parquet, NPZ and MAT files, ROS bags and MCAP; their cells as numbers and time.
-
-A bag is a table of the ``sensor_msgs/JointState`` messages on one topic.
-"""
+"""Tables of logs: Parquet, JSON, NPZ and MAT files; their cells as numbers and time."""
 
 from __future__ import annotations
 
+import gzip
 import math
+import re
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
-from itertools import islice
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 import pandas as pd
@@ -25,6 +22,14 @@ from excitant.exceptions import BadRecording
 from excitant.identify.importers.arrays import MOST, read_arrays, refuse_size
 from excitant.identify.importers.names import Unit, factor, meaning
 from excitant.robots.motion import Array
+from excitant.robots.schema import parsed_json
+
+
+def opened(path: Path) -> BinaryIO:
+    """The bytes of a file, unpacked where its name ends in ``.gz``."""
+    packed = path.suffix.lower() == ".gz"
+    return cast(BinaryIO, gzip.open(path)) if packed else path.open("rb")
+
 
 Frames = Callable[[int | None, Sequence[str] | None], Iterator[pd.DataFrame]]
 ISO = "ISO 8601"
@@ -33,11 +38,10 @@ _BUFFER = 1 << 18  # bytes of a Parquet column at a time: row groups may be larg
 _PIECE = 1 << 20  # bytes unpacked at a time
 _BYTES = {"double": 8, "single": 4} | {f"{u}int{8 * k}": k for u in ("", "u") for k in (1, 2, 4, 8)}
 _COMPRESSED = 15  # type of an element of a MAT file
-_ROS1 = b"#ROSBAG V2.0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_MESSAGE = "sensor_msgs/msg/JointState"
-_USUAL = "/joint_states"
-_AT_ONCE = 20_000  # messages turned into a table at a time
+_NAMES = re.compile("name|joint", re.IGNORECASE)
+_ORDERS = ("%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f")
+_PER_NUMBER = 16  # bytes that a byte of JSON may take once it is read
 _SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
 _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
@@ -105,8 +109,46 @@ def parquet_table(path: Path) -> Table:
         frame = pd.concat(columns, axis=1) if columns else pd.DataFrame()
         return frame.set_axis(table.schema.names, axis=1)
 
-    names = tuple(pq.read_schema(path).names)
+    schema = pq.read_schema(path)
+    names = tuple(schema.names)
+    if any(map(pa.types.is_list, schema.types)):
+        groups = pq.read_metadata(path)
+        refuse_size(sum(groups.row_group(k).total_byte_size for k in range(groups.num_row_groups)))
+        whole = pq.read_table(path).to_pandas()
+        return _table_of_arrays({name: _stacked(whole[name].tolist()) for name in whole}, path)
     return Table(str(path), names, frames)
+
+
+def json_table(path: Path) -> Table:
+    """The log in a JSON file: a record in each line, a list of records, or lists by name.
+
+    Fields of records become ``record.field``, elements of lists ``name[0]``, ``name[1]``, ...
+    """
+    with opened(path) as stream:
+        text = stream.read(MOST // _PER_NUMBER + 1)
+    refuse_size(len(text) * _PER_NUMBER)
+    try:
+        content = parsed_json(text)
+    except ValueError:
+        content = [parsed_json(line) for line in text.splitlines() if line.strip()]
+    if isinstance(content, dict):
+        return _table_of_arrays(_flattened(content), path)
+    records = [dict(_fields(record)) for record in content]
+    for row, record in enumerate(records):
+        if lacking := [name for name in records[0] if name not in record]:
+            raise BadRecording(path, "is missing; write it, or null", row=row, column=lacking[0])
+    return _table_of_arrays({n: _stacked([r[n] for r in records]) for n in records[0]}, path)
+
+
+def _fields(record: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in record.items():
+        inner = isinstance(value, Mapping)
+        yield from _fields(value, f"{before}{name}.") if inner else [(f"{before}{name}", value)]
+
+
+def _stacked(rows: Sequence[Any]) -> Any:
+    """One array of what is in rows, nothing as NaN; ValueError where lists differ in length."""
+    return np.array([np.nan if row is None else row for row in rows])
 
 
 def npz_table(path: Path) -> Table:
@@ -159,6 +201,9 @@ def _flattened(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     for name, value in content.items():
         if isinstance(value, Mapping):
             arrays |= _flattened(value, f"{before}{name}.")
+        elif isinstance(value, list | np.ndarray) and len(value) and isinstance(value[0], Mapping):
+            for k, part in enumerate(value, start=1):
+                arrays |= _flattened(part, f"{before}{name}({k}).")
         elif not name.startswith("__"):
             arrays[f"{before}{name}"] = np.asarray(value)
     return arrays
@@ -197,95 +242,18 @@ def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
         width = rows.shape[1]
         columns |= {f"{name}[{k}]" if width > 1 else name: rows[:, k] for k in range(width)}
     notes = (f"arrays of other lengths left out: {', '.join(others)}",) if others else ()
-    return table_of_frame(pd.DataFrame(columns), str(path), notes)
+    table = table_of_frame(pd.DataFrame(columns), str(path), notes)
+    return replace(table, labels=_labels(arrays))
 
 
-def bag_table(path: Path, topic: str | None = None) -> Table:
-    """The joint states in a bag, in columns ``stamp_ns`` and ``joint.position`` (velocity, effort).
-
-    Time is that of the messages' headers, or that of their recording where headers are empty.
-    Messages without any of the joints asked for, such as those of a gripper, are left out.
-    ``topic`` is needed where the bag has several.
-
-    Raises:
-        BadRecording: Not readable, no joint states, or several topics with them.
-    """
-    if path.suffix == ".bag" and path.is_file():  # whose reader searches all of any other file
-        with path.open("rb") as stream:
-            if stream.read(len(_ROS1)) != _ROS1:
-                raise BadRecording(path, "cannot be read (it is no bag of ROS 1); record it again")
-    with _opened(path) as reader:
-        topic, notes = _topic(reader, topic, path)
-        cells = _cells_of_messages(reader, topic, path)
-        blocks = iter(lambda: list(islice(cells, _AT_ONCE)), [])
-        parts = [pd.DataFrame(block) for block in blocks]
-    log = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["", "stamp_ns"])
-    joints = dict.fromkeys(name.rpartition(".")[0] for name in log.columns[2:])
-    if not joints:
-        raise BadRecording(path, f"no message on {topic} names a joint; record {_USUAL}")
-    if not log["stamp_ns"].any():
-        notes += ("time: headers hold none, so it is that of recording",)
-        log["stamp_ns"] = log[""]
-    table = table_of_frame(log.drop(columns=""), str(path), notes)
-
-    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
-        for part in table.frames(rows, columns):
-            kept = part.drop(columns="stamp_ns").notna().any(axis=1)
-            yield part[kept].reset_index(drop=True)
-
-    return replace(table, frames=frames, labels=dict(enumerate(joints)), joined=True)
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            yield reader
-    except (BadRecording, GeneratorExit):
-        raise
-    except Exception as error:  # damaged bags make the reader raise anything
-        raise unreadable(path, error) from None
-
-
-def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
-    topics = sorted({c.topic for c in reader.connections if c.msgtype == _MESSAGE})
-    measured = [topic for topic in topics if not meaning(topic).commanded]
-    some = ", ".join(topics)
-    if wanted is not None and wanted in topics:
-        return wanted, ()
-    if wanted is not None:
-        why = f"has no joint states on {wanted}; topics with them: {some or 'none'}"
-    elif not topics:
-        kinds = ", ".join(sorted({str(c.msgtype) for c in reader.connections})[:8]) or "nothing"
-        why = f"holds no {_MESSAGE}, only {kinds}; record {_USUAL}"
-    elif len(measured) == 1 or _USUAL in measured:
-        chosen = measured[0] if len(measured) == 1 else _USUAL
-        return chosen, (f"topic: {chosen}",) if len(topics) > 1 else ()
-    else:
-        advice = f"say which in a file for --map, such as {{topic: {topics[0]}}}"
-        why = f"joint states are on {some}: {advice}"
-    raise BadRecording(path, why)
-
-
-def _cells_of_messages(reader: Any, topic: str, path: Path) -> Iterator[dict[str, Any]]:
-    """Time of recording and of the header [ns], and values by column, of each message."""
-    wanted = [c for c in reader.connections if c.topic == topic and c.msgtype == _MESSAGE]
-    for row, (connection, logged, data) in enumerate(reader.messages(wanted)):
-        message = reader.deserialize(data, connection.msgtype)
-        joints, stamp = message.name, message.header.stamp
-        if len(set(joints)) < len(joints):
-            raise BadRecording(path, "names a joint twice; repair the recorder", row=row)
-        cells = {"": logged, "stamp_ns": int(stamp.sec * 1_000_000_000 + stamp.nanosec)}
-        for what in ("position", "velocity", "effort"):
-            numbers = getattr(message, what)
-            if len(numbers) not in (0, len(joints)):
-                why = f"{len(numbers)} values of {what} for {len(joints)} joints"
-                raise BadRecording(path, why, row=row)
-            cells |= {f"{j}.{what}": value for j, value in zip(joints, numbers, strict=False)}
-        yield cells
+def _labels(arrays: Mapping[str, Any]) -> dict[int, str]:
+    """Names of joints among arrays, alike in all rows if there are several; by number from 0."""
+    for name, array in arrays.items():
+        if array.dtype.kind == "U" and array.ndim and _NAMES.search(name):
+            rows = array.reshape(-1, array.shape[-1])
+            if (rows == rows[0]).all():
+                return dict(enumerate(rows[0].tolist()))
+    return {}
 
 
 def as_numbers(values: pd.Series) -> Array:
@@ -361,6 +329,17 @@ def _is_date(values: pd.Series) -> bool:
 
 
 def _dates(values: pd.Series) -> pd.Series:
+    """Instants of dates, written in the order of ISO 8601 or with the day or month first.
+
+    Times of day alone are those of one day.
+    """
     if _is_date(values):
         return pd.to_datetime(values, utc=True)
-    return pd.to_datetime(values.astype(str), format="ISO8601", errors="coerce", utc=True)
+    text = values.astype(str).str.replace(",", ".", regex=False)
+    found = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
+    for order in _ORDERS if found.isna().all() else ():
+        if (dated := pd.to_datetime(text, format=order, errors="coerce", utc=True)).notna().all():
+            return dated
+    if found.isna().all():
+        return pd.to_timedelta(text, errors="coerce") + pd.Timestamp(0, tz="UTC")
+    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,9 +16,9 @@ from typing import Any, TextIO
 import pandas as pd
 
 from excitant.exceptions import BadRecording
-from excitant.identify.importers.arrays import refuse_size
+from excitant.identify.importers.arrays import MOST, refuse_size
 from excitant.identify.importers.names import spelled
-from excitant.identify.importers.tables import Table, unreadable
+from excitant.identify.importers.tables import Table, opened, unreadable
 
 _COMMENTS = ("#", "%", "//")
 _SEPARATORS = ("\t", ";", "|", ",", " ")
@@ -25,6 +26,7 @@ _LONGEST = 1 << 20  # characters of a line
 _HEAD = 1 << 18  # bytes that show how the file is written
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
+_CLOCK = re.compile(r"\d:\d\d")  # in cells that hold a time of day
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
 _NAME_OF_JOINT = re.compile(r"(?:.*[^A-Za-z])?names?[\s_.\[]*(\d+)\]?", re.IGNORECASE)
 _CUT = "last line left out: it has no end, so it may have been cut"
@@ -50,11 +52,9 @@ def text_table(path: Path) -> Table:
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
         kept = [k for k, name in enumerate(dialect.names) if columns is None or name in columns]
-        with path.open(encoding=dialect.encoding, errors="replace") as stream:
-            lines: Any = _Lines(stream, dialect, str(path))
+        with io.TextIOWrapper(opened(path), dialect.encoding, "replace") as stream:
+            lines: Any = _Lines(stream, dialect, str(path), MOST if rows is None else math.inf)
             try:
-                if rows is None:
-                    refuse_size(path.stat().st_size)
                 with pd.read_csv(
                     lines,
                     sep=r"\s+" if dialect.separator == " " else dialect.separator,
@@ -85,7 +85,7 @@ def _write_points(frame: pd.DataFrame) -> None:
     for column in frame.columns:
         if pd.api.types.is_string_dtype(frame[column]):
             text = frame[column].astype(str)
-            pointed = text.str.contains(".", regex=False)
+            pointed = text.str.contains(".", regex=False) & ~text.str.contains(_CLOCK)
             frame[column] = text.str.replace(",", ".", regex=False).mask(
                 pointed, text + " (a point among decimal commas)"
             )
@@ -97,8 +97,9 @@ class _Lines:
     ``refusal`` says what was wrong, as parsers hide errors of what they read from.
     """
 
-    def __init__(self, stream: TextIO, dialect: _Dialect, file: str) -> None:
+    def __init__(self, stream: TextIO, dialect: _Dialect, file: str, most: float) -> None:
         self.refusal: BadRecording | None = None
+        self._left = most  # characters to be read at once
         self._stream, self._dialect, self._file, self._row = stream, dialect, file, 0
         for _ in range(dialect.skipped):
             stream.readline()
@@ -107,6 +108,9 @@ class _Lines:
         """About so many characters of whole rows; nothing at the end."""
         while text := self._stream.read(max(size, 1 << 16)):
             text += self._stream.readline(_LONGEST)
+            self._left -= len(text)
+            if self._left < 0:
+                refuse_size(MOST + 1)
             if len(text) >= _LONGEST and "\n" not in text[-_LONGEST:]:
                 why = f"a line holds more than {_LONGEST} characters; cut the file there"
                 self.refusal = BadRecording(self._file, why)
@@ -158,7 +162,8 @@ def _dialect_of(path: Path) -> _Dialect:
     cells = [cell for cells in rows for cell in cells]
     commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
     points = sum("." in cell and bool(_POINT.fullmatch(cell)) for cell in cells)
-    names = _header(lines[:first], separator) or list(map(str, range(len(rows[0]))))
+    names = _header(lines[:first], separator) or _echoed(rows[0])
+    names = names or list(map(str, range(len(rows[0]))))
     if len(rows[0]) == len(names) + 1 and rows[0][-1] == "":
         names.append("")
     labels = {}
@@ -172,12 +177,13 @@ def _dialect_of(path: Path) -> _Dialect:
 
 def _head(path: Path) -> tuple[str, str, bool]:
     """Encoding, whole lines of text at the start, and whether the file ends within a line."""
-    with path.open("rb") as stream:
+    with opened(path) as stream:
         head = stream.read(_HEAD)
         end, whole = head[-1:], len(head) < _HEAD
         if not whole:
-            stream.seek(-1, 2)
-            end = stream.read(1)
+            if path.suffix.lower() != ".gz":  # the end of which is behind all that is packed
+                stream.seek(-1, 2)
+                end = stream.read(1)
             head = head[: head.rfind(b"\n") + 1] or head
     marked = head[:2] in (b"\xff\xfe", b"\xfe\xff")
     for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
@@ -217,6 +223,17 @@ def _first_row(lines: Sequence[str], separator: str) -> int | None:
         width, expected = (len(some) - (some[-1:] == [""]) for some in (cells, names))
         return k if not names or width == expected or separator == "," else None
     return None
+
+
+def _echoed(cells: Sequence[str]) -> list[str]:
+    """Names of the cells of a joint state as ``ros2 topic echo --csv`` prints it; else none."""
+    n, rest = divmod(len(cells) - 3, 4)
+    texts = [k for k, cell in enumerate(cells) if cell and not _is_number(cell)]
+    named = [*range(3, 3 + n)]
+    if n < 1 or rest or texts not in (named, [2, *named]) or not cells[1].isdecimal():
+        return []
+    parts = [f"{what}_{k}" for what in ("name", "position", "velocity", "effort") for k in range(n)]
+    return ["stamp.sec", "stamp.nanosec", "frame_id", *parts]
 
 
 def _header(above: Sequence[str], separator: str) -> list[str]:

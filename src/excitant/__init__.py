@@ -2,8 +2,9 @@
 
 The verbs and nouns of every day are at hand as ``import excitant as ex``: ``ex.load_robot``,
 ``ex.design_trajectory``, ``ex.load_recording``, ``ex.identify_robot``, ``ex.analyze``,
-``ex.diagnose``, ``ex.rehearse``, ``ex.report``. Each is imported when it is first used; everything
-else is in the packages ``excitant.robots``, ``design``, ``identify``, ``analysis``, ``reports``.
+``ex.diagnose``, ``ex.examine``, ``ex.rehearse``, ``ex.report``. Each is imported when it is first
+used; everything else is in the packages ``excitant.robots``, ``design``, ``identify``,
+``analysis``, ``reports``.
 """
 
 import lazy_loader

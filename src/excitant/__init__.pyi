@@ -1,4 +1,4 @@
-from .analysis import Diagnosis, Identifiability, analyze, diagnose
+from .analysis import Diagnosis, Examination, Identifiability, analyze, diagnose, examine
 from .analysis.rehearsal import rehearse
 from .design import (
     Design,
@@ -27,6 +27,7 @@ __all__ = [
     "Design",
     "Diagnosis",
     "Estimate",
+    "Examination",
     "ExcitantError",
     "FourierTrajectory",
     "Identifiability",
@@ -37,6 +38,7 @@ __all__ = [
     "builtin_robots",
     "design_trajectory",
     "diagnose",
+    "examine",
     "identify_robot",
     "load_dataset",
     "load_recording",

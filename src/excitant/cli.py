@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -10,7 +12,7 @@ from dataclasses import asdict
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
-from cyclopts.help import DefaultFormatter, PanelSpec, TableSpec
+from cyclopts.help import DefaultFormatter, HelpPanel, PanelSpec, TableSpec
 
 from excitant import fleets, motions, recordings
 from excitant.exceptions import BadInput, ExcitantError, FaultWarning
@@ -19,6 +21,11 @@ from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 from excitant.progress import progress_bar
 
 _EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
+_EVERYDAY = {
+    *("--output", "--json", "--map", "--validate", "--repair", "--effects", "--joints", "--tip"),
+    *("--trajectory", "--recording", "--no-experiments", "--duration", "--harmonics", "--limits"),
+    *("--time-limit", "--speed", "--seed", "--hidden", "--robot", "--mass", "--jobs"),
+}  # options that help shows first
 _SOLVERS = ("pin", "clarabel", "numpy", "scipy")
 
 
@@ -33,15 +40,28 @@ def _default(value: object) -> object:
     return value if value not in (False, ()) else None
 
 
+class _Grouped(DefaultFormatter):
+    """Help in which options of every day stand apart from rare ones."""
+
+    def __call__(self, console: Any, options: Any, panel: HelpPanel) -> None:
+        """Print a panel, that of the options as two."""
+        parts = [panel]
+        if panel.title == "Parameters":
+            daily = [entry for entry in panel.entries if _EVERYDAY & {*entry.names}]
+            rare = [entry for entry in panel.entries if entry not in daily]
+            titled = (("Options", daily), ("Rare options", rare))
+            parts = [panel.copy(title=title, entries=some) for title, some in titled if some]
+        for part in parts:
+            super().__call__(console, options, part)
+
+
 app = App(
     name="excitant",
     help="Design the motion that makes a robot arm's dynamics visible, identify them, say what can "
     "be known, and name what the model still gets wrong.",
     help_epilogue="--debug after any command shows the traceback of an error.",
     help_format="plaintext",
-    help_formatter=DefaultFormatter(
-        panel_spec=PanelSpec(border_style="none"), table_spec=TableSpec()
-    ),
+    help_formatter=_Grouped(panel_spec=PanelSpec(border_style="none"), table_spec=TableSpec()),
     version=_version,
     default_parameter=Parameter(negative=(), show_default=_default),
     result_action="return_value",
@@ -51,7 +71,8 @@ app = App(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command: 0 when done and passed, 1 when refused, failed or not passed.
 
-    Wrong usage exits with 2; a command that was interrupted returns 130.
+    Wrong usage exits with 2, also without a command, which shows the help; a command that was
+    interrupted returns 130.
 
     Arguments are the words after ``excitant``; those of the process when None.
     """
@@ -63,14 +84,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         rest = [word for word in words if word != "--debug"]
         command, bound, _ = app.parse_args(rest, print_error=False, exit_on_error=False)
-        if not words:
-            raise BadInput("no command given")
-    except (CycloptsError, BadInput) as error:
+    except CycloptsError as error:
         verb = next((f" {word}" for word in words[:1] if word in app), "")
         print(
             f"excitant{verb}: {one_line(str(error))}\nusage: excitant{verb} --help", file=sys.stderr
         )
         raise SystemExit(2) from None
+    if not words:
+        app.help_print()
+        return 2
     try:
         if isinstance(run := bound.arguments.get("run"), Run):
             run.require()
@@ -123,7 +145,8 @@ def demo(
     arm = part.robot(robot)
     with progress_bar("demo") as advance:
         result, series, files = run_demo(arm, seed, advance)
-    run.finish(result, series, files)
+    shown = (*result["verdict"]["files"], "trajectory.csv", "report.html")
+    run.finish(result, series, files, shown=shown)
 
 
 def robots(
@@ -213,6 +236,11 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
 
 
 _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
+    recordings.go: (
+        "go my_arm.urdf bag/",
+        "go my_folder -o runs/verdict",
+        "go ur10 run1.csv --validate run2.csv --repair",
+    ),
     demo: ("demo --seed 3 -o runs/demo", "demo --robot panda"),
     robots: ("robots", "robots panda", "robots my_arm.urdf --mass 18.4 -o runs/my_arm"),
     motions.design: (
@@ -272,5 +300,6 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
 """The commands in the order of the work, each with examples."""
 
 for _order, (_verb, _examples) in enumerate(_VERBS.items()):
+    _verb.__doc__ = re.sub(r"\n {8}", " ", inspect.getdoc(_verb) or "")  # help breaks lines itself
     _lines = "\n".join(f"  excitant {line}" for line in _examples)
     app.command(_verb, sort_key=_order, help_epilogue=f"examples:\n{_lines}")

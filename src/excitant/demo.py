@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from excitant.analysis.diagnosis import diagnose
-from excitant.analysis.identifiability import analyze
+from excitant.analysis.examination import examine
 from excitant.design import design_trajectory, random_trajectory, trajectory_csv, trajectory_json
-from excitant.identify import identify_robot, model_files, recording_from_table
+from excitant.identify import recording_from_table
 from excitant.motions import table_bytes
 from excitant.progress import Advance
 from excitant.robots import Array, Robot
-from excitant.robots.virtual_arm import virtual_arm
+from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
 
 _DURATION = 10.0  # s, of the excitation and of the hold-out
 _HARMONICS = 5
@@ -45,30 +45,35 @@ def run_demo(
         recording_from_table(table, robot.nv, file=f"{name}.parquet", name=name)
         for table, name in ((excitation, "excitation"), (holdout, "holdout"))
     )
-    advance(0.75, "identifying")
-    estimate = identify_robot(robot, [recording], validate=[held])
-    advance(0.85, "diagnosing")
-    diagnosis = diagnose(robot, [recording], validate=[held])
-    known = analyze(robot, estimate=estimate)
-    nouns: tuple[Any, ...] = (found, estimate, known, diagnosis)
-    verbs = dict(zip(("design", "identify", "analyze", "diagnose"), nouns, strict=True))
-    results = {verb: noun.result() for verb, noun in verbs.items()}
-    series = {f"{v}/{key}": a for v, noun in verbs.items() for key, a in noun.series().items()}
+    examined = examine(
+        robot, [recording], validate=[held],
+        progress=lambda done, words: advance(0.7 + 0.25 * done, words),
+    )  # fmt: skip
     advance(0.95, "writing the report")
     [hidden] = arm.hidden
-    nothing: dict[str, Any] = {"effect": None, "joints": [], "verdict": ""}
-    lead = next(iter(results["diagnose"]["findings"]), nothing)
-    named = (lead["effect"], lead["joints"], lead["verdict"])
-    right = named == (hidden.effect, [hidden.joint], "named")
-    about: dict[str, Any] = {"verb": "demo", "robot": robot.name, "seed": seed}
-    about["truth"] = hidden.entry()
-    about["verdict"] = {"effect": lead["effect"], "joints": lead["joints"], "correct": right}
+    result = examined.result() | {"verb": "demo", "seed": seed, "truth": hidden.entry()}
+    result["design"] = found.result()
+    truth = truth_of(hidden, result["diagnose"]["findings"])
+    result["verdict"] |= {"truth": truth, "correct": truth == "named"}
+    series = examined.series() | {f"design/{key}": a for key, a in found.series().items()}
     files: dict[str, str | bytes] = {
         "trajectory.csv": trajectory_csv(found.trajectory),
         "trajectory.json": trajectory_json(found.trajectory, robot),
         "excitation.parquet": table_bytes(excitation, ".parquet"),
         "holdout.parquet": table_bytes(holdout, ".parquet"),
-        **model_files(estimate.model, "identified", "model.yaml"),
-        **model_files(diagnosis.extension.model, "extended", "extended.yaml"),
+        **examined.files,
     }
-    return about | results, series, files
+    return result, series, files
+
+
+def truth_of(hidden: HiddenEffect, findings: Sequence[Mapping[str, Any]]) -> str:
+    """Whether what is hidden was ``named``, is among what is ``undecided``, or was ``missed``."""
+
+    def is_it(entry: Mapping[str, Any]) -> bool:
+        return bool(entry["effect"] == hidden.effect and hidden.joint in entry["joints"])
+
+    entries = [part for finding in findings for part in (finding, *finding.get("parts", ()))]
+    if any(is_it(entry) and entry["verdict"] == "named" for entry in entries):
+        return "named"
+    rivals = [rival for entry in entries for rival in entry["rivals"]]
+    return "undecided" if any(map(is_it, (*entries, *rivals))) else "missed"

@@ -53,7 +53,7 @@ def _comma(convert: Any) -> Parameter:
 _ROBOT = "Built-in name, URDF, xacro, MJCF or robot.yaml"
 RobotName = Annotated[str, Parameter(completer=_arms, help=f"{_ROBOT}.")]
 RobotOrFolder = Annotated[
-    str, Parameter(completer=_arms, help=f"{_ROBOT}, or a folder with dataset.json.")
+    str, Parameter(completer=_arms, help=f"{_ROBOT}, a folder of a robot and recordings, or a bag.")
 ]
 TrajectoryFile = Annotated[str, Parameter(help="CSV or JSON.")]
 Effects = Annotated[list[str] | None, _comma(_words), Parameter(completer=_effects)]
@@ -93,7 +93,7 @@ class Part:
         from excitant.robots.chains import RobotSpec
 
         given = next((name for name, value in vars(self).items() if value not in (None, False)), "")
-        if given and Path(path).is_dir():
+        if given and Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
             raise BadInput(
                 f"{path}: a folder says itself which joints its robot has; leave "
                 f"--{given.replace('_', '-')} out, or put it into a robot.yaml there"
@@ -258,8 +258,12 @@ class Run:
         files: Mapping[str, str | bytes] | None = None,
         folder: Path | None = None,
         first: str = "",
+        shown: Sequence[str] | None = None,
     ) -> None:
-        """Save the run, then print its summary, something first, and paths; or the JSON."""
+        """Save the run, then print its summary, something first, and paths; or the JSON.
+
+        Of several paths those of files ``shown`` are printed, where not all are.
+        """
         from excitant.reports import brief, load_run, save_run
 
         folder = folder or self.folder(result)
@@ -269,8 +273,9 @@ class Run:
             if self.json:
                 print_json(load_run(folder)[0])
             else:
-                print(*([one_line(first)] if first else []), brief(page), sep="\n", end="\n\n")
-                print_paths(paths)
+                told = brief(page, terminal=sys.stdout.isatty())
+                print(*([one_line(first)] if first else []), told, sep="\n", end="\n\n")
+                print_paths([path for path in paths if shown is None or path.name in shown])
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{folder} was written") from None
 
@@ -288,7 +293,10 @@ def print_json(content: Mapping[str, Any]) -> None:
 
 
 def _say(notes: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    named: dict[str, list[str]] = {}
     for name, own in notes.items():
         for note in own:
-            print(one_line(f"{name}: {note}"), file=sys.stderr)
+            named.setdefault(note, []).append(name)
+    for note, names in named.items():
+        print(one_line(f"{', '.join(names)}: {note}"), file=sys.stderr)
     return {name: list(own) for name, own in notes.items()}

@@ -1,4 +1,4 @@
-"""The commands about recordings: identify, analyze, diagnose."""
+"""The commands about recordings: go, identify, analyze, diagnose."""
 
 from __future__ import annotations
 
@@ -63,6 +63,39 @@ class Load:
         payload = KnownPayload(self.payload_mass, self.payload_mass_std, self.payload_com)
         loaded = dataset.recordings(self.payload_recording)
         return identify_drive_gains(dataset.robot, recordings, loaded, payload, **options)
+
+
+def go(
+    robot: RobotOrFolder,
+    /,
+    *recordings: str,
+    data: Data = Data(),
+    part: Part = Part(),
+    run: Run = Run(),
+) -> int:
+    """All that recordings say of a model, on one page with one verdict.
+
+    The robot as read, faults of the data, the identified model, what can be known, and what is
+    wrong with the given model.
+
+    Args:
+        recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP, or folders of them; all of the
+            folder or bag when none is named.
+    """
+    from excitant.analysis import examine
+
+    dataset = part.dataset(robot, data.map)
+    fit, held, said, notes = data.read(dataset, recordings)
+    options: dict[str, Any] = {"validate": held, "cutoff_hz": data.cutoff}
+    with progress_bar("go") as advance:
+        found = examine(
+            dataset.robot, fit, faults=said["faults"], notes=notes, progress=advance, **options
+        )
+    result = found.result() | {"import": said["import"]}
+    refusal = "" if found.use else f"use no model of these recordings: {found.refusal}"
+    shown = (*found.recommended, "report.html")
+    run.finish(result, found.series(), found.files, first=refusal, shown=shown)
+    return 0 if found.use else 1
 
 
 def identify(
@@ -342,7 +375,6 @@ def diagnose(
     from excitant.analysis import diagnosis
     from excitant.analysis.discrimination import Plan
     from excitant.design import trajectory_csv, trajectory_json
-    from excitant.identify.faults import proven
 
     dataset = part.dataset(robot, data.map)
     fit, held, said, notes = data.read(dataset, recordings)
@@ -354,9 +386,8 @@ def diagnose(
 
         limit = np.inf if experiment_time is None else experiment_time
         plan = planned(found, np.random.default_rng(0), time_limit=limit)
-    for fault in said["faults"]:
-        fault["repaired"] |= found.set_up is not None and found.set_up.amends(fault)
-    model = found.publication(force=force, faults=proven(said["faults"]))
+    said["faults"] = found.amended(said["faults"])
+    model = found.publication(said["faults"], force=force)
     files = dict(model.files)
     result = found.result(plan) | said
     result["published"] = model.published

@@ -406,18 +406,29 @@ def diagnose_run() -> Run:
     return result, series
 
 
-def demo_run() -> Run:
-    hidden = {"effect": "stribeck_friction", "joint": "elbow_joint"}
-    truth = hidden | {"parameters": {"level_Nm": 5.0, "velocity_rad_s": 0.07}}
-    verdict = {"effect": hidden["effect"], "joints": ["elbow_joint"], "correct": True}
-    result = ARM | {"verb": "demo", "seed": 7, "truth": truth, "verdict": verdict}
-    series = {}
-    for verb in ("design", "identify", "analyze", "diagnose"):
+def go_run() -> Run:
+    sentences = ["Of the torque, the given model misses 62 %.", "Use extended.urdf."]
+    verdict = {"sentences": sentences, "use": "extended", "files": ["extended.urdf"]}
+    verdict |= {"refused": [], "next": "record more", "verdict": "named"}
+    verdict |= {"effect": "stribeck_friction", "joints": ["elbow_joint"]}
+    result, series = ARM | {"verb": "go", "verdict": verdict, "notes": ["q was repaired"]}, {}
+    for verb in ("robots", "identify", "analyze", "diagnose"):
         result[verb], arrays = BUILDERS[verb]()
         for key in ("verb", "online", "payload", "link_by_link"):
             result[verb].pop(key, None)
         series |= {f"{verb}/{key}": values for key, values in arrays.items()}
-    return result, series
+    return result | {"files": ["runs/go/extended.urdf"]}, series
+
+
+def demo_run() -> Run:
+    hidden = {"effect": "stribeck_friction", "joint": "elbow_joint"}
+    truth = hidden | {"parameters": {"level_Nm": 5.0, "velocity_rad_s": 0.07}}
+    result, series = go_run()
+    result |= {"verb": "demo", "seed": 7, "truth": truth}
+    result["verdict"] |= {"truth": "named", "correct": True}
+    result["design"], arrays = BUILDERS["design"]()
+    del result["design"]["verb"]
+    return result, series | {f"design/{key}": values for key, values in arrays.items()}
 
 
 def compare_run() -> Run:
@@ -478,7 +489,7 @@ _VERBS = (
 )
 BUILDERS: dict[str, Callable[[], Run]] = {
     build.__name__.removesuffix("_run"): partial(_saved, build)
-    for build in (*_VERBS, demo_run, compare_run)
+    for build in (*_VERBS, go_run, demo_run, compare_run)
 }
 
 

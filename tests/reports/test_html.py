@@ -10,7 +10,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from excitant.reports import page_of, summary
+from excitant.reports import brief, page_of, summary
+from excitant.reports import page as p
 
 VERBS = (
     "robots",
@@ -97,7 +98,7 @@ def test_every_figure_says_what_it_shows_and_has_a_unit_on_its_axes(page):
         assert axes or "bent, obliquely" in drawing, texts
 
 
-@pytest.mark.parametrize("verb", ["diagnose", "demo"])
+@pytest.mark.parametrize("verb", ["diagnose", "go", "demo"])
 def test_every_finding_appears_with_its_evidence(verb, make, written):
     page = written(verb)
     words = re.sub("(Stribeck|inertial) ", "", page.words)
@@ -109,16 +110,42 @@ def test_every_finding_appears_with_its_evidence(verb, make, written):
     assert "Move wrist_roll_joint through" in words
 
 
-def test_demo_says_first_what_was_hidden_and_whether_it_was_named(make, show, undrawn):
+@pytest.mark.parametrize(
+    ("truth", "says"),
+    [("named", "✓ yes"), ("undecided", "◐ among what is undecided"), ("missed", "✗ no")],
+)
+def test_demo_says_first_what_was_hidden_and_whether_it_was_found(truth, says, make, undrawn):
     result, _ = make["demo"]()
-    top = show(result, {}).words.split("Excitation design")[0]
-    holdout = result["diagnose"]["findings"][0]["holdout"]
-    assert result["diagnose"]["headline"] in top
-    assert "Stribeck friction at elbow_joint" in top
-    assert "✓ yes" in top
-    assert f"{holdout['rms_before']:.2f} → {holdout['rms_after']:.2f}" in top
-    result["verdict"]["correct"] = False
-    assert "✗ no" in show(result, {}).words.split("Excitation design")[0]
+    result["verdict"]["truth"] = truth
+    page = page_of(result, {})
+    top = " ".join(summary(page).split("[[Robot]]")[0].split())
+    for words in ("the given model misses 62 %", "Stribeck friction at elbow_joint", says):
+        assert words in top
+    last = {"named": ": named", "undecided": ": among what is left undecided"}
+    assert dict(page.brief)["hidden"].endswith(last.get(truth, ": not found"))
+
+
+def test_go_shows_every_joint_with_its_cause_first(make, undrawn):
+    result, _ = make["go"]()
+    [table] = [block for block in page_of(result, {}).summary if isinstance(block, p.Table)]
+    rows = {row[0].text: row for row in table.rows}
+    assert list(rows) == [row["name"] for row in result["identify"]["joints"]]
+    assert rows["elbow_joint"][-1].text.startswith("Stribeck friction")
+    for row, joint in zip(table.rows, result["identify"]["joints"], strict=True):
+        assert row[1].value == (joint["baseline"] or {}).get("nrmse")
+
+
+@pytest.mark.parametrize("verb", ["go", "demo"])
+def test_a_verdict_may_lack_anything(verb, make, undrawn):
+    result, _ = make[verb]()
+    paths = [("verdict", key) for key in result["verdict"]] + [(key,) for key in result]
+    for path in [*paths, ("identify", "joints"), ("robots", "warnings"), ("diagnose", "findings")]:
+        spoilt = copy.deepcopy(result)
+        holder = spoilt if len(path) == 1 else spoilt[path[0]]
+        holder[path[-1]] = None if path != ("verb",) else verb
+        page = page_of(spoilt, {})
+        assert summary(page)
+        assert brief(page)
 
 
 def test_series_without_values_or_of_wrong_shape_have_no_panel(make, show, written):

@@ -1,6 +1,7 @@
 """The summary changes only where the result does, and the terminal says the main things."""
 
 import difflib
+import re
 
 import pytest
 
@@ -100,8 +101,21 @@ def test_terminal_shows_leads_and_what_is_marked(make):
         ("analyze", "identifiable 58 combinations of 84 parameters; "),
         ("diagnose", "diagnosed    elbow_joint has Stribeck friction"),
         ("diagnose", "data fault   saturation, elbow_joint: 41 samples at ±87 N·m"),
+        ("go", "verdict      Of the torque, the given model misses 62 %."),
+        ("go", "data fault   "),
+        ("go", "next         record more"),
         ("demo", "hidden       Stribeck friction at elbow_joint (seed 7): named"),
     ],
 )
 def test_terminal_says_what_every_verb_came_to(verb, words, make):
     assert words in brief(page_of(make[verb]()[0], {})).replace("\u00a0", " ")
+
+
+def test_a_terminal_shows_the_joints_of_an_examination_in_colour(make):
+    page = page_of(make["go"]()[0], {})
+    plain, coloured = (brief(page, terminal=yes) for yes in (False, True))
+    assert "\x1b" not in plain
+    assert "\x1b[31m" in coloured
+    assert re.search(r"^Joint +Given +Identified +Extended +Main cause$", plain, re.MULTILINE)
+    assert len(plain.splitlines()) <= 20
+    assert "diagnosed " not in plain

@@ -1,0 +1,230 @@
+"""`examine`: all that recordings say of a given model, with one verdict on the model to use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.explanation import main_cause, percent
+from excitant.analysis.identifiability import Identifiability, analyze
+from excitant.identify.estimate import Estimate, identify_robot
+from excitant.identify.export import Publication, publication
+from excitant.identify.faults import proven
+from excitant.identify.faults.fault import SET_UP
+from excitant.identify.recording import Recording
+from excitant.identify.rows import Accuracy
+from excitant.robots.check import ModelCheck
+from excitant.robots.effects import plain
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+
+_SAME = 0.05  # of the error: a model that gains no more is not worth a change
+_STANDS_OUT, _SEEN = 2.0, 0.1  # times the median of the joints, and nrmse: an error worth a word
+_POOR = 0.5  # nrmse from which on it is said that a joint is hardly predicted
+_NAMED = 3  # effects that are said to be lacking in a file
+_COMPLETE = {"identified": "model.yaml", "extended": "extended.yaml"}
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """A given model examined by recordings.
+
+    Attributes:
+        check: What looks wrong in its description.
+        estimate: The identified model.
+        identifiability: What the recordings show of it.
+        diagnosis: What is wrong with the given model; the extended model has it amended.
+        faults: Faults of the recordings, with whether they are repaired, as in `Checked.entries`.
+        publications: Files of the identified and of the extended model, or why there are none.
+        notes: Remarks on the recordings, as sentences.
+    """
+
+    check: ModelCheck
+    estimate: Estimate
+    identifiability: Identifiability
+    diagnosis: Diagnosis
+    faults: Sequence[Mapping[str, Any]]
+    publications: Mapping[str, Publication]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def accuracies(self) -> dict[str, Accuracy]:
+        """Accuracy on the hold-out of the given, the identified and the extended model."""
+        both = {"given": self.estimate.baseline, "identified": self.estimate.validate}
+        return both | {"extended": self.diagnosis.extended}
+
+    @property
+    def wrong(self) -> list[Mapping[str, Any]]:
+        """Faults of the data by which every figure is wrong.
+
+        How the arm is set up is judged by all recordings together, in the diagnosis.
+        """
+        return [f for f in self.faults if f["fault"] not in SET_UP and proven([f])]
+
+    @cached_property
+    def use(self) -> str:
+        """The model to use: ``given``, ``extended`` or ``identified``; empty where none may be.
+
+        Of the given one and those that are published, the least changed that predicts the hold-out
+        about as well as any. None, where the recordings are wrong, or only the given one is left
+        and the mean torque predicts a joint better.
+        """
+        errors = {name: float(np.nansum(a.nrmse)) for name, a in self.accuracies.items()}
+        kept = ["given", *(n for n, each in self.publications.items() if each.published)]
+        useless = bool((self.accuracies["given"].nrmse > 1).any())
+        if self.wrong or (len(kept) == 1 and useless):
+            return ""
+        most = (1 + _SAME) * min(errors[name] for name in kept)
+        return next(name for name in kept if errors[name] <= most)
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Files of the models that are published, by name."""
+        return {n: text for each in self.publications.values() for n, text in each.files.items()}
+
+    @property
+    def sentences(self) -> list[str]:
+        """The verdict in plain words."""
+        if self.wrong:
+            return ["The recordings are wrong, and so is what they say of any model."]
+        given, identified, extended = map(self._misses, self.accuracies.values())
+        cause = main_cause(self.diagnosis, self.results["diagnose"]["findings"])
+        advice = "Keep the given model: no other is better" if self.use else "Use none of them"
+        if self.recommended:
+            few = self._lacking[:_NAMED] + ["and more"] * (len(self._lacking) > _NAMED)
+            missed = self.accuracies[self.use].nrmse > _POOR
+            poor = [j for j, yes in zip(self.check.robot.joints, missed, strict=True) if yes]
+            advice = f"Use {self.recommended[0]}"
+            advice += f"; {self.use}.urdf lacks {', '.join(few)}" if few else ""
+            advice += f"; it misses more than half at {', '.join(poor)}" if poor else ""
+        return [
+            f"Of the torque, the given model misses {given}, the identified one {identified}, the "
+            f"extended one {extended}.",
+            f"Main cause: {cause}.",
+            f"{advice}.",
+        ]
+
+    def _misses(self, found: Accuracy) -> str:
+        """The error of a model in words, with that of a joint which stands out."""
+        median, worst = float(np.nanmedian(found.nrmse)), int(np.nanargmax(found.nrmse))
+        joint, most = self.check.robot.joints[worst], float(found.nrmse[worst])
+        stands_out = most > max(_STANDS_OUT * median, _SEEN)
+        return f"{percent(median)} %" + f" ({joint}: {percent(most)} %)" * stands_out
+
+    @property
+    def recommended(self) -> tuple[str, ...]:
+        """Files of the model to use, the one that holds all of it first; none for the given one."""
+        if self.use not in _COMPLETE:
+            return ()
+        both = (_COMPLETE[self.use], f"{self.use}.urdf")
+        return both if self._lacking else both[::-1]
+
+    @property
+    def refusal(self) -> str:
+        """Why no model may be used, where none may."""
+        for fault in self.wrong:
+            where = f" ({', '.join(fault['joints'])})" if fault["joints"] else ""
+            return f"{plain(fault['fault'])} in {fault['recording']}{where}"
+        return next(each.note for each in self.publications.values() if not each.published)
+
+    @property
+    def next_step(self) -> str:
+        """What to do where something is open; else empty."""
+        findings = self.results["diagnose"]["findings"]
+        if self.use and findings and findings[0]["verdict"] == "undecided":
+            return "excitant diagnose, with the same words, looks for the motion that decides"
+        if any(fault["repair"] and not fault["repaired"] for fault in self.faults):
+            return "--repair repairs the recordings; a file for --map says what their columns are"
+        return ""
+
+    @property
+    def _lacking(self) -> list[str]:
+        """Effects of the model to use that its URDF cannot hold, in words."""
+        models = {"identified": self.estimate.model, "extended": self.diagnosis.extension.model}
+        own = [e for e in models[self.use].effects if e.role == "torque" and any(e.values or ())]
+        return list(dict.fromkeys(plain(e.name) for e in own if "urdf" not in e.formats))
+
+    @cached_property
+    def results(self) -> dict[str, dict[str, Any]]:
+        """Results of the commands, by name."""
+        found = {verb: noun.result() for verb, noun in self._nouns.items()}
+        found["diagnose"]["faults"] = [dict(fault) for fault in self.faults]
+        return found
+
+    @property
+    def _nouns(self) -> dict[str, Any]:
+        both = {"robots": self.check, "identify": self.estimate}
+        return both | {"analyze": self.identifiability, "diagnose": self.diagnosis}
+
+    def result(self) -> dict[str, Any]:
+        """Contents of result.json."""
+        findings = self.results["diagnose"]["findings"]
+        lead = findings[0] if findings else {"effect": None, "joints": [], "verdict": None}
+        return {
+            "verb": "go",
+            "robot": self.check.robot.name,
+            "verdict": {
+                "sentences": self.sentences,
+                "use": self.use or None,
+                "files": list(self.recommended),
+                "refused": [p.note for p in self.publications.values() if not p.published],
+                "next": self.next_step,
+                **{key: lead[key] for key in ("effect", "joints", "verdict")},
+            },
+            **self.results,
+            "notes": list(self.notes),
+        }
+
+    def series(self) -> dict[str, Array]:
+        """Arrays of the commands' figures, by ``command/key``."""
+        series = {verb: noun.series() for verb, noun in self._nouns.items()}
+        return {f"{verb}/{key}": a for verb, own in series.items() for key, a in own.items()}
+
+
+def examine(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    validate: Sequence[Recording] = (),
+    cutoff_hz: float | None = None,
+    faults: Sequence[dict[str, Any]] = (),
+    notes: Sequence[str] = (),
+    progress: Callable[[float, str], None] = lambda share, words: None,
+) -> Examination:
+    """Identify an arm, say what its recordings can show, and diagnose its given model.
+
+    Args:
+        robot: The given model.
+        recordings: Recordings to fit.
+        validate: Recordings to judge on; the last 30 % of each recording when empty.
+        cutoff_hz: Cut-off of the torque filter [Hz].
+        faults: Faults of the recordings, as `Checked.entries` tells them.
+        notes: Remarks on the recordings, as sentences.
+        progress: Called with the share of the work that is done, and what is next.
+
+    Raises:
+        RankDeficient: A motion that leaves parameters open.
+        BadRecording: Recordings that cannot be used.
+        BadRobot: Links without mass.
+    """
+    options: dict[str, Any] = {"validate": validate, "cutoff_hz": cutoff_hz}
+    progress(0.0, "identifying")
+    estimate = identify_robot(robot, recordings, **options)
+    progress(0.3, "diagnosing")
+    found = diagnose(robot, recordings, **options)
+    turned = found.set_up is not None and found.set_up.robot is not robot
+    data = [fault for fault in faults if fault["fault"] not in SET_UP]
+    publications = {
+        "extended": found.publication(data),
+        "identified": publication(estimate, faults=proven(faults if turned else data)),
+    }
+    progress(0.8, "analysing")
+    known = analyze(robot, estimate=estimate, rng=np.random.default_rng(0))
+    return Examination(
+        ModelCheck(robot), estimate, known, found, faults, publications, tuple(notes)
+    )
