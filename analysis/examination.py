@@ -100,8 +100,10 @@ class Examination:
             missed = self.accuracies[self.use].nrmse > _POOR
             poor = [j for j, yes in zip(self.check.robot.joints, missed, strict=True) if yes]
             advice = f"Use {self.recommended[0]}"
+            advice += (
+                f", except at {', '.join(poor)}, where it misses more than half" if poor else ""
+            )
             advice += f"; {self.use}.urdf lacks {', '.join(few)}" if few else ""
-            advice += f"; it misses more than half at {', '.join(poor)}" if poor else ""
         return [
             f"Of the torque, the given model misses {given}, the identified one {identified}, the "
             f"extended one {extended}.",
@@ -130,7 +132,13 @@ class Examination:
         for fault in self.wrong:
             where = f" ({', '.join(fault['joints'])})" if fault["joints"] else ""
             return f"{plain(fault['fault'])} in {fault['recording']}{where}"
-        return next(each.note for each in self.publications.values() if not each.published)
+        return self._notes[0]
+
+    @property
+    def _notes(self) -> list[str]:
+        """Why models are not published, without what only the single commands can do."""
+        notes = [each.note for each in self.publications.values() if not each.published]
+        return [note.removesuffix(", or give --force") for note in notes]
 
     @property
     def next_step(self) -> str:
@@ -172,7 +180,7 @@ class Examination:
                 "sentences": self.sentences,
                 "use": self.use or None,
                 "files": list(self.recommended),
-                "refused": [p.note for p in self.publications.values() if not p.published],
+                "refused": self._notes,
                 "next": self.next_step,
                 **{key: lead[key] for key in ("effect", "joints", "verdict")},
             },

@@ -196,6 +196,7 @@ def _saved(folder: Path) -> object:
 
 READERS: dict[str, Callable[[Path], object]] = {
     **{name: _recording(name) for name in ("log.csv", "log.parquet", "log.npz", "log.mat")},
+    **{name: _recording(name) for name in ("log.csv.gz", "log.jsonl")},
     **{name: _recording(name) for name in ("log.bag", "ros/ros.mcap", "sql/sql.db3")},
     **{name: _robot(name) for name in ("planar.urdf", "arm.yaml", "model/model.yaml")},
     **{name: _robot(name) for name in ("data/gantry.urdf", "data/tree.urdf", "data/full.xml")},
@@ -235,6 +236,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "identify planar_2r run1.csv": ("run1.csv",),
     "identify arm.yaml run1.csv --validate run2.csv": ("planar.urdf", "arm.yaml"),
     "diagnose planar_2r run1.csv --no-experiments": ("run1.csv",),
+    "go planar_2r run1.csv": ("run1.csv",),
     f"rehearse {_MOVE}": ("trajectory.json",),
     "report model": ("model/result.json", "model/series.npz"),
 }

@@ -180,6 +180,8 @@ def write_corpus(folder: Path) -> None:
     (folder / "trajectory.csv").write_text(trajectory_csv(path))
     (folder / "trajectory.json").write_text(trajectory_json(path, arm))
     table[few].to_csv(folder / "log.csv", index=False, sep=";", decimal=",")
+    table[few].to_csv(folder / "log.csv.gz", index=False)
+    table[few].to_json(folder / "log.jsonl", orient="records", lines=True)
     table[few].to_parquet(folder / "log.parquet")
     np.savez(folder / "log.npz", **{name: table[name][few] for name in table})
     scipy.io.savemat(folder / "log.mat", {"t": t[few], "q": q[few], "tau": tau[few]})  # type: ignore[index]

@@ -172,7 +172,7 @@ def as_recordings(given: Recordings, robot: Robot) -> list[Recording]:
 def load_recording(
     path: str | Path, robot: RobotLike | int, *, mapping: ColumnMap | None = None
 ) -> Recording:
-    """Recording from a log: Parquet, CSV, NPZ, MAT (up to version 7.2), ROS 1 or 2 bag, MCAP.
+    """Recording from a log: Parquet, CSV, JSON, NPZ, MAT (up to version 7.2), ROS bag, MCAP.
 
     Args:
         path: File, or folder of a ROS 2 bag, with columns ``t, q1.., tau1..`` (or ``i1..``), or

@@ -337,7 +337,7 @@ class _Search:
         if optional or not groups:
             return None
         if full:
-            raise self._ambiguous(role, [", ".join(g.columns[:2]) for g in full])
+            raise self._ambiguous(role, [self._shortened(g.columns) for g in full])
         group = max(groups, key=lambda g: len(g.members))
         group.check(self.table.file)
         return group
@@ -390,10 +390,22 @@ class _Search:
 
     def _shortened(self, columns: Sequence[str]) -> str:
         """Columns for people: one pattern for joints' names, first and last of a rising number."""
+        pattern = self._pattern(columns)
+        if pattern is None or "{joint}" in pattern:
+            return ", ".join(columns) if pattern is None else pattern.replace("{joint}", "<joint>")
+        return f"{columns[0]} .. {columns[-1]}"
+
+    def _pattern(self, columns: Sequence[str]) -> str | None:
+        """Columns that differ by joint with ``{joint}``, ``{0}`` or ``{1}`` where they do."""
         before, found, after = columns[0].partition(self.said[0])
         if found and list(columns) == [f"{before}{name}{after}" for name in self.joints]:
-            return f"{before}<joint>{after}"
-        return f"{columns[0]} .. {columns[-1]}" if _pattern(columns) else ", ".join(columns)
+            return f"{before}{{joint}}{after}"
+        for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
+            head, tail = columns[0][: match.start()], columns[0][match.end() :]
+            for first in (0, 1):
+                if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
+                    return f"{head}{{{first}}}{tail}"
+        return None
 
     def _some(self) -> str:
         """The first columns, of those whose names say nothing if there are any."""
@@ -417,15 +429,14 @@ class _Search:
         for role in ("q", torque):
             full = [g for g in self.groups.get(role, ()) if g.full]
             columns = full[0].columns if full else ("?",)
-            content[role] = _pattern(columns) or (list(columns) if full else "?")
+            content[role] = self._pattern(columns) or (list(columns) if full else "?")
         text: str = yaml.safe_dump(
             content, default_flow_style=True, sort_keys=False, width=1 << 20, allow_unicode=True
         )
         return f"say which in a file for --map, such as {text.strip()}"
 
     def _ambiguous(self, role: str, spans: Sequence[str]) -> BadRecording:
-        choices = "; or ".join(f"{span} ..." if role != "t" else span for span in spans)
-        why = f"{_SAID[role]} could be {choices}: {self._suggestion()}"
+        why = f"{_SAID[role]} could be {'; or '.join(spans)}: {self._suggestion()}"
         return BadRecording(self.table.file, why)
 
     def missing(self, role: str) -> BadRecording:
@@ -434,19 +445,12 @@ class _Search:
         if role == "tau":
             why = f"no torque, neither 'tau1' [N·m] nor 'i1' [A]: {advice}"
             return BadRecording(self.table.file, why)
+        if all(map(str.isdecimal, self.table.names)):
+            why = f"its columns have no names: {self._suggestion()}"
+            return BadRecording(self.table.file, why)
         column = "t" if role == "t" else "q1"
         why = f"is missing; rename or add it: {advice}"
         return BadRecording(self.table.file, why, column=column)
-
-
-def _pattern(columns: Sequence[str]) -> str | None:
-    """Columns that differ by a rising number, with ``{0}`` or ``{1}`` where they do."""
-    for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
-        head, tail = columns[0][: match.start()], columns[0][match.end() :]
-        for first in (0, 1):
-            if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
-                return f"{head}{{{first}}}{tail}"
-    return None
 
 
 def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], str | None]:

@@ -55,6 +55,8 @@ def text_table(path: Path) -> Table:
         with io.TextIOWrapper(opened(path), dialect.encoding, "replace") as stream:
             lines: Any = _Lines(stream, dialect, str(path), MOST if rows is None else math.inf)
             try:
+                if rows is None:
+                    refuse_size(path.stat().st_size)
                 with pd.read_csv(
                     lines,
                     sep=r"\s+" if dialect.separator == " " else dialect.separator,

@@ -273,7 +273,7 @@ class Run:
             if self.json:
                 print_json(load_run(folder)[0])
             else:
-                told = brief(page, terminal=sys.stdout.isatty())
+                told = brief(page, terminal=bool(sys.stdout and sys.stdout.isatty()))
                 print(*([one_line(first)] if first else []), told, sep="\n", end="\n\n")
                 print_paths([path for path in paths if shown is None or path.name in shown])
         except KeyboardInterrupt:

@@ -121,7 +121,8 @@ def identify(
     """From recordings to a physically consistent model.
 
     Args:
-        recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
+        recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP; all of the folder when none is
+            named.
         effects: Effects to estimate, or auto: the standard ones and what the recordings call
             for. Default: viscous_friction,coulomb_friction,torque_offset,rotor_inertia.
         estimator: Of the base parameters: wls (weighted least squares, the default), irls (robust
@@ -364,7 +365,8 @@ def diagnose(
     """Errors of the given model, by cause.
 
     Args:
-        recordings: Parquet, CSV, NPZ, MAT, ROS bag or MCAP; all of the folder when none is named.
+        recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP; all of the folder when none is
+            named.
         experiments: Look for motions that would settle what is undecided.
         experiment_time: End that search after this time [s].
         force: Publish the extended model even if the given one, or none, predicts the hold-out

@@ -237,6 +237,35 @@ def test_words_before_joints_name_an_arm_but_not_its_motors(
         load_recording(log, ARM)
 
 
+PLAIN = ("pos_{}", "vel_{}", "tau_{}")
+BY_NAME = {f"{joint}_{what}": 0.0 for joint in JOINTS for what in ("angle", "position", "torque")}
+REFUSED: dict[str, tuple[str, str]] = {
+    "no torque": ("log.csv", text(named("t", PLAIN[:2], (Q, DQ)))),
+    "no position": ("log.csv", text(named("t", PLAIN[2:], (TAU,)))),
+    "no time": ("log.csv", text(named("sample", PLAIN))),
+    "two positions": ("log.csv", text(named("t", (*PLAIN, "angle_{}"), (Q, DQ, TAU, Q)))),
+    "two by name": ("log.csv", text({"t": T} | BY_NAME)),
+    "another arm": ("log.csv", text({k: x for k, x in named("t", PLAIN).items() if "6" not in k})),
+    "no names": ("log.dat", text(named("t", PLAIN)).partition("\n")[2]),
+    "no numbers": ("log.csv", "a,b,c\n"),
+    "another format": ("log.xlsx", "PK"),
+    "no record": ("log.json", "{}"),
+    "text for a number": ("log.csv", text(named("t", PLAIN)).replace("0.01,", "late,", 1)),
+    "a short row": ("log.csv", text(named("t", PLAIN)) + "1,2\n"),
+}
+
+
+@pytest.mark.parametrize("shape", REFUSED)
+def test_a_refusal_is_short_and_says_the_path_once(shape: str, tmp_path: Path) -> None:
+    name, content = REFUSED[shape]
+    (tmp_path / name).write_text(content)
+    with pytest.raises(BadRecording) as refusal:
+        load_recording(tmp_path / name, ARM)
+    said = str(refusal.value)
+    assert said.count(str(tmp_path)) == 1
+    assert len(said.replace(str(tmp_path), "")) < 200, said
+
+
 def test_damaged_json_is_refused_by_row(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
     less = [*JOINT_STATES]
