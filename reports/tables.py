@@ -22,6 +22,9 @@ _SIGNS |= {
     "φ": r"\varphi",
     "σ": r"\sigma",
     "τ": r"\tau",
+    "π": r"\pi",
+    "β": r"\beta",
+    "μ": r"\mu",
     "α": r"\alpha",
 }
 _SIGNS |= {
