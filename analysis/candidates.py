@@ -44,8 +44,9 @@ class Observed:
 
     def columns(self, effect: Effect) -> Array:
         """Columns of one effect, shape (n, nv, k) [N·m per unit]."""
-        if (j := effect.link(self.robot)) is not None:
-            return self.links[:, :, 10 * j : 10 * j + 10]
+        if effect.link(self.robot) is not None:
+            rows = effect.rows(self.robot)
+            return self.links[:, :, [10 * j + k for j in rows for k in range(10)]]
         return np.concatenate([self._once(each) for each in effect.singles()], axis=2)
 
     def matrix(self, effects: Sequence[Effect]) -> Array:

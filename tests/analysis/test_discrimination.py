@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from excitant.robots import Motion, Robot
 from excitant.robots import effects as kinds
 from excitant.robots.effects import EFFECTS, Effect
 from excitant.robots.effects.experiments import GENERAL
+from excitant.robots.effects.geometry import GivenInertias
 
 SIGMA, INFLATION = 0.05, 2.0
 LAST = ("joint2",)  # of the planar arm
@@ -66,6 +68,17 @@ def test_a_cause_separates_by_what_its_rival_does_not_follow(
     found = separation(pair, motion)
     assert found.delta == pytest.approx((1 - cosine**2) * whole, rel=rel)
     assert found.cosine == pytest.approx(cosine, abs=0.018)
+
+
+def test_bodies_of_several_links_may_be_off_beside_a_pair(planar: Robot) -> None:
+    both, motion = GivenInertias(planar.joints), swing(planar)
+    pair = Pair(kinds.CoulombFriction(LAST, (0.2,)), kinds.ViscousFriction(LAST), (both,))
+    weight = np.full(planar.nv, 1 / (SIGMA**2 * INFLATION))
+    beside = Contest(planar, planar, (pair,), weight, recorded=(along(motion, 10.0),))
+    assert len(beside.known) == max(at.stop for at in beside.causes.values())
+    alone = replace(beside, pairs=(replace(pair, beside=()),))
+    most = (1 + 1e-5) * separation(alone, motion).delta  # columns are held as a little dependent
+    assert 0 < separation(beside, motion).delta <= most
 
 
 def test_a_given_value_within_its_tolerance_costs_no_more_than_its_prior(planar: Robot) -> None:
