@@ -55,6 +55,7 @@ def test_its_interval_is_that_of_draws_of_the_coefficients(estimate: Estimate) -
     np.testing.assert_allclose(curve.half_width, 1.96 * spread, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_true_friction_lies_in_the_interval(
     planar: Robot, runs: Callable[..., list[Recording]]
 ) -> None:

@@ -135,7 +135,7 @@ def test_go_shows_every_joint_with_its_cause_first(make, undrawn):
         assert row[1].value == (joint["baseline"] or {}).get("nrmse")
 
 
-@pytest.mark.parametrize("verb", ["go", "demo"])
+@pytest.mark.parametrize("verb", ["go", pytest.param("demo", marks=pytest.mark.slow)])
 def test_a_verdict_may_lack_anything(verb, make, undrawn):
     result, _ = make[verb]()
     paths = [("verdict", key) for key in result["verdict"]] + [(key,) for key in result]
