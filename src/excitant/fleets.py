@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -26,6 +27,7 @@ _DIED = (
     "the process that examined it was ended twice, as by a system that runs out of memory; "
     "examine it alone, on a larger machine"
 )
+_AT_ONCE = 100  # data sets whose parameters are written together
 _SHOWN = 3  # findings of a data set that are told
 
 
@@ -214,8 +216,9 @@ def _values(model: Mapping[str, Any]) -> dict[str, Value]:
     units = {p["name"]: p["unit"] for p in model["parameters"]}
     found = {}
     for row in model["base_parameters"]:
-        name = row["expression"]
-        found[name] = Value(row["value"], row["std"], units.get(_leading(name), ""))
+        name = sys.intern(row["expression"])  # held once, however many data sets have it
+        unit = sys.intern(units.get(_leading(name), ""))
+        found[name] = Value(row["value"], row["std"], unit)
     return found
 
 
@@ -229,16 +232,6 @@ def _parameters(examined: Sequence[Examined]) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet
 
-    rows = [
-        {
-            "data_set": each.name, "arm": each.arm, "date": each.day, "type": each.kind,
-            "joint": _leading(name).rpartition(".")[0], "parameter": name,
-            "value": value, "std": std, "low": value - 1.96 * std, "high": value + 1.96 * std,
-            "unit": unit,
-        }
-        for each in examined
-        for name, (value, std, unit) in (each.values or {}).items()
-    ]  # fmt: skip
     schema = pa.schema(
         [("data_set", pa.string()), ("arm", pa.string()), ("date", pa.date32())]
         + [(name, pa.string()) for name in ("type", "joint", "parameter")]
@@ -246,5 +239,20 @@ def _parameters(examined: Sequence[Examined]) -> bytes:
         + [("unit", pa.string())]
     )
     buffer = io.BytesIO()
-    pa.parquet.write_table(pa.Table.from_pylist(rows, schema), buffer)
+    with pa.parquet.ParquetWriter(buffer, schema) as writer:
+        for start in range(0, len(examined), _AT_ONCE):
+            some = examined[start : start + _AT_ONCE]
+            rows = [row for each in some for row in _rows(each)]
+            writer.write_table(pa.Table.from_pylist(rows, schema))
     return buffer.getvalue()
+
+
+def _rows(examined: Examined) -> Iterator[dict[str, Any]]:
+    """The base parameters of a data set with their 95 % intervals, as rows of the table."""
+    about = {"data_set": examined.name, "arm": examined.arm, "date": examined.day}
+    for name, (value, std, unit) in (examined.values or {}).items():
+        yield about | {
+            "type": examined.kind, "joint": _leading(name).rpartition(".")[0], "parameter": name,
+            "value": value, "std": std, "low": value - 1.96 * std, "high": value + 1.96 * std,
+            "unit": unit,
+        }  # fmt: skip
