@@ -25,6 +25,7 @@ from excitant.identify.faults.fault import (
     FAULTS,
     NO_TORQUE,
     PROVEN,
+    SET_UP,
     Fault,
     Log,
     Remedy,
@@ -33,7 +34,7 @@ from excitant.identify.faults.fault import (
 )
 from excitant.identify.faults.modelled import not_measured, poor_excitation
 from excitant.identify.faults.physics import smooth, torque_fit, velocity_faults
-from excitant.identify.faults.set_up import physics_faults, swapped
+from excitant.identify.faults.set_up import odds_against, physics_faults, support, swapped
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
 from excitant.identify.recording import Recording, checked, raw_recording
 from excitant.robots.robot import Robot
@@ -150,6 +151,28 @@ def find_swapped(
     return better, found
 
 
+def supported(
+    robot: Robot, recordings: Mapping[str, Recording], faults: Mapping[str, Sequence[Fault]]
+) -> dict[str, tuple[Fault, ...]]:
+    """Faults by recording, without mountings and zero positions that all together do not support.
+
+    An arm is mounted one way: what a recording shows in which one joint moves, or a hand pushes, is
+    no set-up where the others speak against it.
+    """
+    kept = {}
+    for name, mine in faults.items():
+        shown = [fault for fault in mine if fault.fault in SET_UP]
+        if shown and len(recordings) > 1:
+            gains = (
+                support(robot, each, shown, [f for f in faults[other] if not f.of_the_arm])
+                for other, each in recordings.items()
+            )
+            if sum(gains) <= odds_against(robot):
+                mine = [fault for fault in mine if fault not in shown]
+        kept[name] = tuple(mine)
+    return kept
+
+
 @dataclass(frozen=True, eq=False)
 class Checked:
     """Recordings and what is wrong with them."""
@@ -209,7 +232,7 @@ def read_checked(
     copies = find_copies({raw.name: raw for raw in raws})
     put_back, swaps = find_swapped(robot, raws)
     found = {raw.name: raw for raw in put_back}
-    own = {name: faults_of(robot, raw) for name, raw in found.items()}
+    own = supported(robot, found, {name: faults_of(robot, raw) for name, raw in found.items()})
     faults = {
         name: (*(of[name] for of in (copies, swaps) if name in of), *mine)
         for name, mine in own.items()

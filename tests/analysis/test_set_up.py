@@ -13,7 +13,7 @@ from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.design import random_trajectory
 from excitant.identify import Recording
-from excitant.identify.faults import find_faults
+from excitant.identify.faults import find_faults, supported
 from excitant.identify.prior import prior_parameters
 from excitant.identify.rows import series, split
 from excitant.robots import Robot, load_robot
@@ -187,6 +187,23 @@ def test_all_recordings_of_an_arm_share_its_set_up() -> None:
         tau = rigid_body_torque(found.robot, motion_of(recording))
         slope = [np.polyfit(*pair, 1)[0] for pair in zip(tau.T, recording.tau.T, strict=True)]
         assert np.abs(np.array(slope)[[1, 3]] - 1).max() < 0.1
+
+
+def test_a_mounting_that_the_other_recordings_refute_is_no_fault(ur10: Robot) -> None:
+    robot = bare(ur10)
+    pushed, *_ = recorded(robot, 2, gravity=TURNED)
+    first, second = recorded(robot, 3)
+    for recordings, told in (
+        ({"a": pushed}, True),
+        ({"a": pushed, "b": first, "c": second}, False),
+    ):
+        own = {name: find_faults(robot, each) for name, each in recordings.items()}
+        assert "wrong_mounting" in {fault.fault for fault in own["a"]}
+        kept = supported(robot, recordings, own)
+        assert ("wrong_mounting" in {fault.fault for fault in kept["a"]}) == told
+        assert {name: [f for f in mine if f in kept[name]] for name, mine in own.items()} == {
+            name: list(mine) for name, mine in kept.items()
+        }
 
 
 def motion_of(recording: Recording) -> Motion:
