@@ -78,6 +78,7 @@ _LEAST_GAIN, _NEAR = 0.2, 0.5  # of the gain assumed: least that is believed, th
 _LACKS = 0.5  # of the friction found: a model with less lacks it
 _MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
 _LITTLE = 0.01  # of the squared error: a round that gains less is the last
+_SHOWN = 7  # causes, beyond which slight ones are told in a note
 _HARDLY_OFF = "what it changes is known no better than by half of its size"
 _COLUMNS = ("joints", "sentence", "verdict", "explained", "holdout.rms_before", "holdout.rms_after")
 _ROUNDS = 5  # of the search at most, as effects may depend on the model that it finds
@@ -169,9 +170,29 @@ class Diagnosis(Shown):
         bare = where & {joint for joint, yes in zip(robot.joints, lacking, strict=True) if yes}
         return frozenset(bare if 2 * len(bare) > robot.nv > 2 else ())
 
-    @cached_property
+    @property
     def groups(self) -> list[list[Finding]]:
-        """Findings by cause: all friction that the model lacks, else an effect of one verdict."""
+        """Findings by cause: all friction that the model lacks, else an effect of one verdict.
+
+        Of more than seven, those that are too slight to be told from what larger causes leave are
+        in the notes instead.
+        """
+        return [g for k, g in enumerate(self._all_groups) if k < _SHOWN or not _slight(g)]
+
+    @property
+    def _too_slight(self) -> str:
+        """Note on causes that are no findings of their own; else empty."""
+        names = [
+            f"{plain(group[0].effect.name)} at {', '.join(f.effect.joints[0] for f in group)}"
+            for group in self._all_groups[_SHOWN:]
+            if _slight(group)
+        ]
+        return f"Too slight to be told from what larger causes leave: {'; '.join(names)}." * bool(
+            names
+        )
+
+    @cached_property
+    def _all_groups(self) -> list[list[Finding]]:
         groups: dict[Hashable, list[Finding]] = {}
         for finding in self.findings:
             effect = finding.effect
@@ -238,6 +259,7 @@ class Diagnosis(Shown):
     def result(self, plan: Plan = _NO_PLAN) -> dict[str, Any]:
         """Contents of result.json, with a plan's experiments or else general actions."""
         notes = [*self.notes, placeholders(self), at_rest(self), shared_friction(self)]
+        notes.append(self._too_slight)
         labels = (f"torque [{self.unit(curve.joint)}]" for curve in self.curves)
         both = zip(self.given_residuals, self.residuals, strict=True)
         joints = self.robot.joints
@@ -535,6 +557,12 @@ def _regained(
             break
     known = root @ covariance[np.ix_(evidence.gains, evidence.gains)] @ root.T / np.outer(off, off)
     return replace(drive, gains=gains, covariance=known)
+
+
+def _slight(group: Sequence[Finding]) -> bool:
+    """Whether a group is undecided, without rivals, and within the misfit of larger causes."""
+    open_ = all(f.downgrade and not f.rivals for f in group)
+    return open_ and sum(f.explained for f in group) < TOLERANCE**2
 
 
 def _of_set_up(mounted: SetUp, effect: Effect, fit: Extension, held: HeldOut) -> Finding:

@@ -18,6 +18,9 @@ _DPI = 100
 
 def outputs_of(notebook: dict[str, Any]) -> list[list[dict[str, Any]]]:
     """What each code cell shows when all run in order in this folder, as a notebook has it."""
+    import matplotlib.pyplot as plt
+
+    plt.close("all")  # what others have left open
     names: dict[str, Any] = {"__name__": "__main__"}
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     return [_outputs("".join(cell["source"]), names) for cell in cells]

@@ -42,7 +42,6 @@ def design_section(result: Result, series: Series) -> p.Section:
             ("Key figures", [_facts(result), p.notes(v.words(result, "notes"), brief="")]),
             ("The arm in motion", [player(result, series)]),
             ("One motion per link", [_link_motions(result)]),
-            *_motion(result, series),
         ],
         (
             (
@@ -53,6 +52,7 @@ def design_section(result: Result, series: Series) -> p.Section:
             *[("", said)] * bool(weak),
         ),
         [
+            *_motion(result, series),
             ("Least excited parameters", [_weakest(result)]),
             ("The search", [convergence_figure(result)]),
         ],

@@ -96,7 +96,12 @@ def _examination_page(result: Result, series: Series) -> Page:
         if isinstance(found := v.at(result, verb), dict):
             own = {k.removeprefix(f"{verb}/"): x for k, x in series.items() if f"{verb}/" in k}
             section = build({"robot": v.text(result, "robot"), **found}, own)
-            sections[verb] = links_folded(section, found)
+            section = links_folded(section, found)
+            if verb == "robots":  # the verdict comes first, and what it rests on
+                section = replace(
+                    section, parts=tuple(replace(x, closed=True) for x in section.parts)
+                )
+            sections[verb] = section
     return examination_page(result, sections)
 
 
