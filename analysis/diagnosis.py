@@ -518,7 +518,7 @@ def diagnose(
         raw = split(recordings, validate, data.cutoff_hz).validate
         first_of_all = [*_of_faults(mounted, raw, fit, held), *first_of_all]
     first_of_all = [
-        replace(f, rivals=mounted.rivals, downgrade=_HARDLY_OFF if f.near_given else "")
+        replace(f, rivals=mounted.rivals, downgrade=_HARDLY_OFF if f.near_given else f.downgrade)
         for f in first_of_all
     ]
     judged = first_of_all + [

@@ -37,7 +37,6 @@ _HELD = 8.0  # times the cut-off: sampling rate at which positions and their pro
 _REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten
 _MOST_ROWS = 15_000  # of a recording: evenly taken of a longer one
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
-_EDGE = 3.0  # periods of its cut-off at either end, where filters know one side only
 _SAME = 1e-5  # of a step: samples at regular time
 _GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
 _BURSTS = 10.0  # times the median step: a mean step beyond it has no regular rate
@@ -208,7 +207,7 @@ def _segment(
     motion = differentiator(grid, q)
     if len(motion) < len(grid):
         raise BadInput("a causal differentiator is for loops; give one without delay")
-    edge = min(round(_EDGE / (cutoff_hz * step)), len(grid) // 4)
+    edge = round(1 / (cutoff_hz * step))
     stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(recording) // _MOST_ROWS), 1)
     stride -= stride % _every(1 / step, cutoff_hz)
     keep = slice(edge, len(grid) - edge, stride)
