@@ -22,7 +22,7 @@ COMMANDS = {
     "design planar_2r": "--starts 1 --jobs 1 --duration 8 --harmonics 3 -o motion",
     "check planar_2r": "motion/trajectory.csv",
     "simulate planar_2r": "motion/trajectory.csv -o run.csv",
-    "identify planar_2r": "run.csv -o model",
+    "identify planar_2r": "run.csv --force -o model",
     f"identify {RECORDED.name} set": "",
     "diagnose planar_2r": "run.csv --no-experiments -o diagnosis",
     "report": "model",
