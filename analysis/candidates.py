@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from excitant.analysis.evidence import Candidate, Evidence, calibrated, weigh
 from excitant.analysis.residuals import position_noise
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
-from excitant.identify.regression import dense
+from excitant.identify.regression import dense, effect_columns
 from excitant.identify.rows import implausible_size
 from excitant.robots.effects import Effect, Parameter, joint_facts, proposals
 from excitant.robots.motion import Array, read_only
@@ -63,19 +63,15 @@ class Observed:
     def _once(self, effect: Effect) -> Array:
         known = self._by_robot if effect.depends_on_model else self._by_motion
         if effect not in known:
-            segments = [s.thin for s in self.segments] if effect.smooth else self.segments
-            known[effect] = read_only(_rows(segments, lambda m: effect.columns(self.robot, m)))
+            parts = [effect_columns(self.robot, effect, s) for s in self.segments]
+            known[effect] = read_only(np.concatenate(parts))
         return known[effect]
 
 
 def observed(robot: Robot, segments: Sequence[Segment]) -> Observed:
     """Columns of a robot at the rows of segments."""
-    links = _rows(segments, lambda motion: regressor(robot, motion))
+    links = np.concatenate([s.rows(partial(regressor, robot)) for s in segments])
     return Observed(robot, tuple(segments), read_only(links))
-
-
-def _rows(segments: Sequence[Segment], columns: Callable[[Any], Array]) -> Array:
-    return np.concatenate([s.rows(columns) for s in segments])
 
 
 def cause_columns(effect: Effect, given: Observed, understood: Observed) -> Array:

@@ -70,8 +70,6 @@ from excitant.robots.threads import on_one_thread
 if TYPE_CHECKING:
     import pandas as pd
 
-    from excitant.identify.export import Publication
-
 _NO_PLAN = Plan()
 _GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodies alone show
 _LEAST_GAIN, _NEAR = 0.2, 0.5  # of the gain assumed: least that is believed, that ends the search
@@ -170,7 +168,7 @@ class Diagnosis(Shown):
         bare = where & {joint for joint, yes in zip(robot.joints, lacking, strict=True) if yes}
         return frozenset(bare if 2 * len(bare) > robot.nv > 2 else ())
 
-    @property
+    @cached_property
     def groups(self) -> list[list[Finding]]:
         """Findings by cause: all friction that the model lacks, else an effect of one verdict.
 
@@ -187,9 +185,8 @@ class Diagnosis(Shown):
             for group in self._all_groups[_SHOWN:]
             if _slight(group)
         ]
-        return f"Too slight to be told from what larger causes leave: {'; '.join(names)}." * bool(
-            names
-        )
+        said = f"Too slight to be told from what larger causes leave: {'; '.join(names)}."
+        return said if names else ""
 
     @cached_property
     def _all_groups(self) -> list[list[Finding]]:

@@ -85,8 +85,8 @@ def planted(robot: Robot, arm: int, part: float) -> list[HiddenEffect]:
     joint, share = arm % robot.nv, SHARE if arm < ODD else SHARE * part
     more = float(share * typical_torque(robot)[joint])
     if arm == 0:
-        x = np.array([PAYLOAD, 0, 0, 0.1 * PAYLOAD, *[0.012 * PAYLOAD] * 2, 0, 0, 0, 0.002])
-        x = x[[0, 1, 2, 3, 4, 6, 5, 7, 8, 9]]
+        about = 0.012 * PAYLOAD
+        x = [PAYLOAD, 0.0, 0.0, 0.1 * PAYLOAD, about, 0.0, about, 0.0, 0.0, 0.002]
         return [HiddenEffect("payload", robot.joints[-1], tuple(zip(STANDARD, x, strict=True)))]
     if arm == 1:
         return [HiddenEffect("viscous_friction", robot.joints[joint], (("Fv", more),))]

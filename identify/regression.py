@@ -220,11 +220,15 @@ def regression_of(
     parts = []
     for s in segments:
         columns = [s.thin.rows(partial(regressor, robot))]
-        for effect in effects:
-            held = s.thin if effect.smooth else s
-            columns.append(held.rows(partial(effect.columns, robot)))
+        columns += [effect_columns(robot, effect, s) for effect in effects]
         parts.append(dense(np.concatenate(columns, axis=2), s.tau[s.keep], names))
     return joined(parts)
+
+
+def effect_columns(robot: Robot, effect: Effect, segment: Segment) -> Array:
+    """Columns of one effect at the rows of a segment, shape (rows, nv, k); see `regression_of`."""
+    held = segment.thin if effect.smooth else segment
+    return held.rows(partial(effect.columns, robot))
 
 
 def joined(parts: Sequence[Regression]) -> Regression:

@@ -25,7 +25,7 @@ from excitant.robots.parameters import STANDARD
 CUTOFF_REMARK = "errors are judged below it; measured and predicted torque are filtered alike"
 _FEW = 3  # links that moved are told on the terminal
 _MESSAGES = 8  # shown without opening a fold
-_CURVES = Curves(
+CURVES = Curves(
     "given",
     "identified",
     "identified model",
@@ -64,7 +64,7 @@ def identify_section(result: Result, series: Series) -> p.Section:
             ("Error per joint", _errors(result, unit)),
             (
                 over_holdout(unit),
-                [torque_figure(joints, series, unit, _CURVES), _intervals(result, unit)],
+                [torque_figure(joints, series, unit, CURVES), _intervals(result, unit)],
             ),
             ("Measured against predicted", [agreement_figure(result, series, unit)]),
             (
@@ -188,7 +188,7 @@ def _errors(result: Result, unit: str) -> p.Blocks:
         + ("; last, the error on the data it was fitted to" if held else "")
         + ". nrmse is rms over the measured torque's standard deviation.",
     )
-    return [error_bars(rows, models, unit, _CURVES, what), table]
+    return [error_bars(rows, models, unit, CURVES, what), table]
 
 
 def _intervals(result: Result, unit: str) -> p.Table | None:

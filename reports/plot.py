@@ -19,8 +19,9 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.reports import page
 from excitant.reports import values as v
 from excitant.reports.drawing import Sheet
-from excitant.reports.error_figures import Curves, torque_figure
+from excitant.reports.error_figures import torque_figure
 from excitant.reports.estimate_figures import forest_figure, forest_groups, friction_figure
+from excitant.reports.identify import CURVES
 from excitant.reports.motion_figures import motion_figure
 from excitant.reports.residual_figures import residual_figure
 from excitant.reports.run import Reportable, as_saved
@@ -38,7 +39,6 @@ __all__ = ["friction", "motion", "parameters", "residuals", "torque"]
 
 Names = str | Sequence[str] | None
 _Drawn = tuple[dict[str, Any], dict[str, Array]]
-_CURVES = Curves("given", "identified", "identified model", "", band="half_width")
 _BY_JOINT = ("joints", "revolute", "limit_values", "certified")  # entries with one item per joint
 _SAMPLES = 1000  # of a period
 
@@ -47,7 +47,7 @@ def torque(estimate: Estimate, joints: Names = None) -> list[Axes]:
     """Measured and predicted torque over the hold-out, below it the residual: two axes a joint."""
     result, series = _of_joints(estimate, joints)
     names, unit = v.joint_names(result), v.text(result, "unit")
-    return _drawn(lambda: torque_figure(names, series, unit, _CURVES))
+    return _drawn(lambda: torque_figure(names, series, unit, CURVES))
 
 
 def friction(estimate: Estimate, joints: Names = None, *, ax: Axes | None = None) -> list[Axes]:

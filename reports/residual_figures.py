@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from excitant.identify.spectra import power_density
 from excitant.reports import drawing as draw
 from excitant.reports import values as v
 from excitant.reports.error_figures import draw_points
@@ -115,15 +116,13 @@ def _residual(k: int, row: Result, series: Series, unit: str, cutoff: float | No
 def _draw_spectra(
     ax: draw.Axes, t: Array, lines: Sequence[tuple[Array, str]], cutoff: float | None
 ) -> None:
-    """Amplitude densities up to twice the cut-off, by Welch's method."""
-    from scipy.signal import welch
-
+    """Amplitude densities up to twice the cut-off."""
     rate = 1.0 / float(np.median(np.diff(t)))
     top = min(rate / 2, _SHOWN * (cutoff or rate))
     highest = 0.0
     for y, colour in lines:
-        known = np.isfinite(y)
-        f, power = welch(y[known], rate, nperseg=max(8, known.sum() // _WINDOWS))
+        known = y[np.isfinite(y)]
+        f, power = power_density(known, rate, max(8, len(known) // _WINDOWS))
         shown = (f > 0) & (f <= top)
         density = np.sqrt(power[shown])
         highest = max(highest, float(density.max(initial=0.0)))
