@@ -109,6 +109,26 @@ def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> N
     assert done.returncode == 130
 
 
+def test_ctrl_c_amid_a_destructor_is_not_lost(tmp_path: Path) -> None:
+    """Python drops what a destructor raises, also the interrupt that came while it ran."""
+    code = (
+        "import os, signal, time, excitant.cli, excitant.__main__\n"
+        "class Dying:\n"
+        "    def __del__(self): os.kill(os.getpid(), signal.SIGINT)\n"
+        "def main():\n"
+        "    Dying()\n"
+        "    time.sleep(20)\n"
+        "    return 0\n"
+        "excitant.cli.main = main\n"
+        "excitant.__main__.run()\n"
+    )
+    (tmp_path / "amid.py").write_text(code)
+    words, begun = [sys.executable, "-m", "amid"], time.monotonic()
+    done = subprocess.run(words, cwd=tmp_path, check=False, capture_output=True, text=True)
+    said = "excitant: interrupted; nothing was written\n"
+    assert (done.returncode, done.stderr, time.monotonic() - begun < 15) == (130, said, True)
+
+
 @pytest.mark.slow
 def test_workers_end_with_a_process_that_is_killed(tmp_path: Path) -> None:
     words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"

@@ -4,11 +4,16 @@ import atexit
 import os
 import signal
 import sys
+import threading
 from contextlib import suppress
+from typing import Any
+
+_AGAIN = 0.1  # s after an interrupt that was lost
 
 
 def run() -> None:
     """Run a command and exit with its status; Ctrl-C and SIGTERM end it at any moment with 130."""
+    sys.unraisablehook = _interrupt_again
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         from excitant.cli import main
@@ -27,6 +32,14 @@ def run() -> None:
                 stream.flush()
         os._exit(status)
     sys.exit(status)
+
+
+def _interrupt_again(lost: Any) -> None:
+    """Where Python had to drop an interrupt, as within a destructor, send it once more."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 if __name__ == "__main__":
