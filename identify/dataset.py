@@ -6,6 +6,7 @@ Of logs of hours, all rows are read and checked, and windows at equal distances 
 from __future__ import annotations
 
 import re
+import zlib
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -24,6 +25,7 @@ from excitant.identify.importers.bags import described, is_bag
 from excitant.identify.importers.names import ColumnMap, column_map, drive_of, load_column_map
 from excitant.identify.recording import (
     SUFFIXES,
+    TEXTS,
     Recording,
     load_recording,
     read_chunks,
@@ -248,17 +250,19 @@ def read_recordings(
 
 def _samples(path: Path) -> int:
     """Number of samples of a Parquet file, about that of a text file, else 0; 0 if unreadable."""
-    suffix = path.suffix.lower()
+    suffix = suffix_of(path)
     try:
         size = size_of(path)
         if suffix in (".parquet", ".pq"):
             with pa.parquet.ParquetFile(path) as file:
                 return int(file.metadata.num_rows)
-        if suffix in (".csv", ".txt", ".tsv"):
+        if suffix in TEXTS:
             with path.open("rb") as file:
                 start = file.read(_START)
-            return int(size * start.count(b"\n") / max(len(start), 1))
-    except (OSError, pa.ArrowException):
+            packed = suffix.endswith(".gz")
+            text = zlib.decompressobj(wbits=31).decompress(start) if packed else start
+            return int(size * text.count(b"\n") / max(len(start), 1))
+    except (OSError, pa.ArrowException, zlib.error):
         pass  # said where it is read
     return 0
 

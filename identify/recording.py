@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 _RAREST = 1.0  # s between samples
 CHANNELS = ("q", "dq", "tau")
-_TEXTS: dict[str, Callable[[Path], tables.Table]] = {
+_LINES: dict[str, Callable[[Path], tables.Table]] = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log", ".asc"), text_table),
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), tables.json_table),
 }
 _READERS: dict[str, Callable[[Path], tables.Table]] = {
     **dict.fromkeys((".parquet", ".pq"), tables.parquet_table),
-    **_TEXTS,
-    **{f"{suffix}.gz": reader for suffix, reader in _TEXTS.items()},
+    **_LINES,
+    **{f"{suffix}.gz": reader for suffix, reader in _LINES.items()},
     ".npz": tables.npz_table,
     ".mat": tables.mat_table,
 }
@@ -45,6 +45,8 @@ SUFFIXES = (
     *bags.SUFFIXES,
 )
 """Ends of the names of recordings; what else is read may be something else in a folder."""
+TEXTS = tuple(s for s in _READERS if s.removesuffix(".gz") in _LINES)
+"""Ends of the names of recordings whose lines, where there are many, are samples."""
 _REMEMBERED = 100  # unreadable cells whose text is kept
 
 

@@ -174,10 +174,12 @@ def smoothed(t: Array, q: Array, dq: Array | None, band_hz: float) -> tuple[Arra
     floors = least, _least(dq, np.array([resolution(x) for x in dq.T]), period)
     for j in range(q.shape[1]):
         known = np.column_stack([np.ones_like(t), t - t.mean(), way[:, j], dq[:, j]])
-        left = q[:, j] - known @ np.linalg.lstsq(known, q[:, j], rcond=None)[0]
+        calibration = np.linalg.lstsq(known, q[:, j], rcond=None)[0]
+        left = q[:, j] - known @ calibration
         drift, white = _variances(np.diff(left), period, band_hz)
         levels[:, j] = np.sqrt(white), np.sqrt(drift) / period
-        levels[:, j] = np.maximum(levels[:, j], [floor[j] for floor in floors])
+        floor = floors[0][j], abs(calibration[2]) * floors[1][j]
+        levels[:, j] = np.maximum(levels[:, j], floor)
         ratio = levels[0, j] / (period * levels[1, j])
         found[:, j] = q[:, j] - left + _local_level(left, min(ratio, float(len(t))))
     return found, SensorNoise(1 / period, levels[0], levels[1], step)

@@ -21,7 +21,7 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot
 from excitant.identify.excitation import ROWS_PER_SECOND, persistency
 from excitant.identify.physical import fit_physical
-from excitant.identify.prior import BodyPrior, base_prior, prior_parameters
+from excitant.identify.prior import BodyPrior, base_prior, prior_parameters, reference_motion
 from excitant.identify.rows import fit_rows
 from excitant.reports.run import as_saved
 from excitant.robots import Motion, Robot, load_robot
@@ -177,6 +177,10 @@ def test_what_is_shown_is_counted_of_all_combinations(planar: Robot) -> None:
         J = min(1.0, ROWS_PER_SECOND * step) * np.einsum("njr,njs->rs", W, W)
         expected = int((np.linalg.eigvals(prior @ J).real >= 1).sum())
         whole = persistency(planar, motion, sigma=sigma)
+        lively = reference_motion(planar, 10.0, ROWS_PER_SECOND)
+        W = observation_columns(planar, effects, lively)[:, :, base.columns] / sigma[:, None]
+        levels = np.linalg.eigvals(prior @ np.einsum("njr,njs->rs", W, W)).real
+        assert len(whole.levels) == (levels >= 10).sum()  # what a motion can show well
         assert (whole.shown, whole.combinations) == (expected, len(base))
         assert f"{expected} of {len(base)} combinations" in whole.sentence
         half = persistency(planar, motion, sigma=sigma, window=5.0)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import itertools
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -271,9 +273,13 @@ def test_long_files_are_read_in_pieces_and_bad_rows_refused(
     assert len(known.recordings([str(path)])[0]) == 8000
     monkeypatch.setattr("excitant.identify.dataset.LONG", 5000)
     monkeypatch.setattr("excitant.identify.dataset.WINDOW_S", 2.5)
-    [some] = known.recordings([str(path)])
-    assert 4900 < len(some) < 5600
-    assert any("windows of 2.5 s, every" in note for note in some.notes)
+    other, packed = path.with_suffix(".log"), path.with_suffix(".txt.gz")
+    shutil.copy(path, other)
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    for name in (path, other, packed):
+        [some] = known.recordings([str(name)])
+        assert 4900 < len(some) < 5600
+        assert any("windows of 2.5 s, every" in note for note in some.notes)
     save(replace(whole, t=np.where(whole.t == 3.789, 1.0, whole.t)), "log.csv")
     with pytest.raises(BadRecording, match="goes back") as refusal:  # between two windows
         known.recordings([str(path)])

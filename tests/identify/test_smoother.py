@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy
 
 from excitant.identify.differentiators import ZeroPhaseButterworth
 from excitant.identify.smoother import resolution, smoothed
@@ -70,6 +71,21 @@ def test_speeds_that_are_not_those_of_the_motion_do_no_harm(kind: str) -> None:
     }
     found, _ = smoothed(T, q, speeds[kind], BAND)
     assert (error(found) < 1.05 * error(q) + 1e-3).all()
+
+
+@pytest.mark.parametrize(("kind", "calibrated"), [("scaled", 1.01), ("late", 2.0)])
+def test_gain_offset_and_delay_of_speeds_cost_little(kind: str, calibrated: float) -> None:
+    """Coarse positions gain as much from speeds in other units, or late, as from true ones.
+
+    A delay is calibrated to first order.
+    """
+    rng, step = np.random.default_rng(0), 2 * np.pi / 2**12
+    q, fine = step * np.round(Q / step), 1e-3 * rng.standard_normal(Q.shape)
+    late = scipy.interpolate.make_interp_spline(T, DQ)(T - 0.004)
+    speeds = {"scaled": 57.3 * (DQ + fine) + 0.2, "late": late + fine}
+    found, true = (smoothed(T, q, dq, BAND)[0] for dq in (speeds[kind], DQ + fine))
+    assert (error(true) < 0.1 * error(q)).all()
+    assert (error(found) < calibrated * error(true)).all()
 
 
 def test_steps_are_those_of_a_lattice_only() -> None:
