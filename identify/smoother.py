@@ -115,11 +115,12 @@ class SensorNoise:
         """From which frequency speeds count more than positions, joint by joint."""
         if not np.isfinite(self.speed).any():
             return "motion from positions alone: no speeds were recorded for all joints"
-        each = (f"{joint} {f:.3g}" for joint, f in zip(joints, self.crossover_hz, strict=True))
-        return (
-            "motion from positions and recorded speeds, weighed by their noise: speeds count more "
-            f"above [Hz] {', '.join(each)}"
-        )
+        top, found = self.rate_hz / 2, dict(zip(joints, self.crossover_hz.tolist(), strict=True))
+        both = ", ".join(f"{joint} {f:.3g}" for joint, f in found.items() if f < top)
+        never = ", ".join(joint for joint, f in found.items() if f >= top)
+        told = [f"speeds count more above [Hz] {both}"] * bool(both)
+        told += [f"positions count more at every frequency at {never}"] * bool(never)
+        return f"motion from positions and recorded speeds, weighed by their noise: {'; '.join(told)}"
 
     def speed_share(self, f: Array | float) -> Array:
         """Weight of speeds at frequencies [Hz], shape (..., nv); positions have the rest."""

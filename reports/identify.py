@@ -285,8 +285,12 @@ def _bodies(result: Result) -> p.Table | None:
     def centre(key: str) -> Callable[[Result], str]:
         return lambda row: v.listing([v.whole(1e3 * x) for x in v.reals(row, "centre", key)])
 
+    def moved(row: Result) -> dict[str, float | None]:
+        known = (v.real(row, "centre", key) for key in ("shift", "shift_std"))
+        return dict(zip(("value", "std"), (x and 1e3 * x for x in known), strict=True))
+
     return p.table(
-        v.records(result, "links"),
+        [{**row, "moved": moved(row)} for row in v.records(result, "links")],
         [
             ("name:Link", "link"),
             ("number:Mass [kg]|given", "mass.given"),
@@ -294,8 +298,9 @@ def _bodies(result: Result) -> p.Table | None:
             ("text:Mass [kg]|by", lambda r: p.decided(v.text(r, "mass", "decided_by"))),
             ("number:Centre of mass [mm]|given", centre("given")),
             ("number:Centre of mass [mm]|identified", centre("value")),
-            ("number:Centre of mass [mm]|moved by", p.milli("centre", "shift", digits=2)),
-            ("number:Centre of mass [mm]|± std", p.milli("centre", "shift_std", digits=2)),
+            *p.estimates(
+                "number:Centre of mass [mm]|moved by", "number:Centre of mass [mm]|± std", "moved"
+            ),
             (
                 "text:Centre of mass [mm]|by",
                 lambda r: p.decided(v.text(r, "centre", "decided_by")),

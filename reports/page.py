@@ -309,13 +309,13 @@ def estimates(
     return (value, lambda row: written(row, 0)), (std, lambda row: written(row, 1))
 
 
-def milli(*keys: str, none: str = NONE, digits: int = 3) -> Callable[[Result], Cell]:
+def milli(*keys: str, none: str = NONE) -> Callable[[Result], Cell]:
     """Cells of a number in thousandths of its unit."""
 
     def cell(row: Result) -> Cell:
         x = v.real(row, *keys)
         x = None if x is None else 1e3 * x
-        return Cell(none if x is None else v.number(x, digits), PLAIN, x)
+        return Cell(none if x is None else v.number(x), PLAIN, x)
 
     return cell
 

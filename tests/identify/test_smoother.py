@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import scipy
@@ -40,6 +42,8 @@ def test_noise_is_found_and_what_is_fused_beats_either(bits: int, speed: float) 
     np.testing.assert_allclose(sensors.step, step, rtol=1e-6)
     np.testing.assert_allclose(sensors.position, step / np.sqrt(12), rtol=0.35)
     np.testing.assert_allclose(sensors.speed, speed, rtol=0.35)
+    said = sensors.sentence(["a", "b"])
+    assert re.search(r"speeds count more above \[Hz\] a [\d.]+, b [\d.]+$", said)
     crossover = speed / (2 * np.pi * step / np.sqrt(12))
     np.testing.assert_allclose(sensors.crossover_hz, crossover, rtol=0.4)
     way = np.cumsum(dq, axis=0) / RATE
@@ -49,6 +53,8 @@ def test_noise_is_found_and_what_is_fused_beats_either(bits: int, speed: float) 
 def test_speeds_that_are_perfect_change_nothing_but_noise() -> None:
     found, _ = smoothed(T, Q, DQ, BAND)
     np.testing.assert_allclose(found, Q, atol=1e-7)
+    noisy = smoothed(T, Q, DQ + np.random.default_rng(0).standard_normal(Q.shape), BAND)[1]
+    assert noisy.sentence(["a", "b"]).endswith(": positions count more at every frequency at a, b")
     assert smoothed(T, Q, None, BAND)[0] is Q
 
 
