@@ -357,7 +357,7 @@ def _with_few_colours(found: re.Match[str]) -> str:
     packed = io.BytesIO()
     with Image.open(io.BytesIO(b64decode(found[0]))) as image:
         few = image.quantize(_COLOURS, Image.Quantize.FASTOCTREE)
-        few.save(packed, "png", optimize=True)
+        few.save(packed, "png")
     return b64encode(packed.getvalue()).decode()
 
 
