@@ -129,7 +129,7 @@ def gather(
         start = stop
     names = [str(k) for k in range(start)]
     evidence = weigh(
-        dense(np.concatenate(blocks, axis=2), tau - given.torque(), names),
+        dense(blocks, tau - given.torque(), names),
         away_from_rest(segments),
         np.concatenate(weights),
         nuisance,

@@ -35,6 +35,8 @@ _WIDER = 8.0  # a wrong body must show beyond what the tolerance of all bodies d
 _CLEARLY = 3.0  # times the noise floor
 _SIZES = (2.0, 3.0, 5.0, 8.0, 13.0, 30.0)
 _BODIES = ("inertial_parameters", "payload")
+SPEED_OVER = (60.0, 114.0)  # s of motion
+SPEED_WITH = ("stribeck_friction", "torque_ripple", "payload")
 _PAIRED = (
     "payload", "gravity_direction", "coulomb_friction", "viscous_friction", "stribeck_friction",
     "torque_ripple", "time_delay", "encoder_offset", "torque_gain", "torque_offset", "spring",
@@ -193,6 +195,24 @@ def _confusion(singles: Sequence[dict[str, Any]]) -> Iterator[str]:
         yield f"  {kind:27s} " + ", ".join(f"{n} {word}" for word, n in counts.most_common())
 
 
+def speed(seed: int) -> None:
+    """Processor time of `diagnose` over the length of a recording."""
+    print("panda, 250 Hz, three effects hidden, given bodies off by 10 %, hold-out of 20 s")
+    for duration in SPEED_OVER:
+        rng, robot = np.random.default_rng(seed), load_robot("panda")
+        hidden = [draw_effect(robot, rng, kind, 10.0) for kind in SPEED_WITH]
+        arm = virtual_arm(robot, rng, hidden=hidden, tolerance=0.1)
+        fit, held = (
+            recorded(arm, random_trajectory(robot, rng, 20.0, HARMONICS), length, rng, "run")
+            for length in (duration, 20.0)
+        )
+        with threadpool_limits(1):
+            begun = time.process_time()
+            diagnose(robot, [fit], validate=[held])
+            took = time.process_time() - begun
+        print(f"{len(fit)} samples, {fit.duration:.0f} s x {robot.nv} joints: {took:.1f} s")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=8, help="of each kind of effect")
@@ -208,7 +228,11 @@ def main() -> None:
     worlds.add_argument("--count", type=int, default=300, help="of cases")
     worlds.add_argument("--case", type=int, help="tell all of one case of a seed")
     worlds.add_argument("-o", "--output", help="write every case as a line of JSON")
+    parser.add_argument("--speed", action="store_true", help="time a diagnosis instead")
     args = parser.parse_args()
+    if args.speed:
+        speed(args.seed or 0)
+        return
     if args.worlds:
         campaign(args.count, args.seed, args.case, args.jobs, args.output)
         return

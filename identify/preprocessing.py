@@ -31,7 +31,6 @@ from excitant.robots.robot import Robot
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
-_TOGETHER = 4  # columns filtered together: they fit into the processor's cache
 _AT_ONCE = 10_000  # instants whose columns are evaluated together, of a segment thrice as long
 _HELD = 8.0  # times the cut-off: sampling rate at which positions and their products are held
 _REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten
@@ -124,12 +123,7 @@ class Segment:
 
     def filtered(self, values: Array, kept: slice = slice(None)) -> Array:
         """Columns, shape (n, ...), through the torque filter at some instants."""
-        flat = values.reshape(len(values), -1)
-        passed = np.zeros((len(flat[kept]), flat.shape[1]))
-        live = np.flatnonzero((flat != 0).any(axis=0))
-        for some in np.array_split(live, -(-len(live) // _TOGETHER) or 1):
-            passed[:, some] = low_pass(flat[:, some], self.cutoff_hz, self.rate_hz)[kept]
-        return passed.reshape(-1, *values.shape[1:])
+        return low_pass(values, self.cutoff_hz, self.rate_hz, kept)
 
     @property
     def t(self) -> Array:

@@ -88,9 +88,13 @@ class Regression:
         return [values[self.rows(j), j] for j in range(self.nv)]
 
     def torque(self, x: Array) -> Array:
-        """W x, shape (p,) → (n, nv)."""
-        parts = zip(self.index, self.columns, strict=True)
-        return np.stack([columns @ x[index] for index, columns in parts], axis=1)
+        """W x, shape (p,) or (p, k) → (n, nv) or (n, nv, k)."""
+        found = []
+        for index, columns in zip(self.index, self.columns, strict=True):
+            own = x[index]
+            some = np.flatnonzero(own.reshape(len(own), -1).any(axis=1))  # few of all candidates
+            found.append(columns[:, some] @ own[some])
+        return np.stack(found, axis=1)
 
     def residual(self, x: Array) -> Array:
         """τ − W x, shape (n, nv)."""
@@ -116,7 +120,7 @@ class Regression:
         for j, (own, values) in enumerate(zip(self.index, self.columns, strict=True)):
             acting = np.flatnonzero(more[:, j].any(axis=0))
             index.append(np.concatenate([own, self.p + acting]))
-            wider.append(read_only(np.column_stack([values, more[:, j, acting]])))
+            wider.append(read_only(np.asfortranarray(np.hstack([values, more[:, j, acting]]))))
         return replace(self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider))
 
     def counting(self, rows: Mask) -> Regression:
@@ -196,16 +200,24 @@ def triangle(A: Array) -> Array:
     return np.asarray(scipy.linalg.qr(A, mode="r")[0][: A.shape[1]], float)
 
 
-def dense(W: Array, tau: Array, names: Sequence[str], used: Mask | None = None) -> Regression:
-    """The problem of columns of shape (n, nv, p) and torque of shape (n, nv)."""
-    if W.ndim != 3 or tau.shape != W.shape[:2] or len(names) != W.shape[2]:
+def dense(
+    W: Array | Sequence[Array], tau: Array, names: Sequence[str], used: Mask | None = None
+) -> Regression:
+    """The problem of columns of shape (n, nv, p), or of blocks of such, and torque (n, nv)."""
+    blocks = [W] if isinstance(W, np.ndarray) else list(W)
+    p = sum(block.shape[-1] for block in blocks)
+    if any(block.ndim != 3 or block.shape[:2] != tau.shape for block in blocks) or len(names) != p:
         raise BadInput(
-            f"regression: columns of shape {W.shape} with torque of shape {tau.shape} and "
-            f"{len(names)} names; give (n, nv, p), (n, nv) and p"
+            f"regression: columns of shape {' + '.join(str(block.shape) for block in blocks)} with "
+            f"torque of shape {tau.shape} and {len(names)} names; give (n, nv, p), (n, nv) and p"
         )
-    index = tuple(np.flatnonzero(W[:, j].any(axis=0)) for j in range(W.shape[1]))
-    columns = tuple(read_only(W[:, j, own]) for j, own in enumerate(index))
-    return Regression(tuple(names), index, columns, tau, used)
+    acts = np.concatenate([block.any(axis=0) for block in blocks], axis=1)
+    columns = []
+    for j, own in enumerate(acts):
+        parts = np.split(own, np.cumsum([block.shape[-1] for block in blocks])[:-1])
+        here = [block[:, j, part].T for block, part in zip(blocks, parts, strict=True)]
+        columns.append(read_only(np.concatenate(here).T))
+    return Regression(tuple(names), tuple(map(np.flatnonzero, acts)), tuple(columns), tau, used)
 
 
 def regression_of(
@@ -221,7 +233,7 @@ def regression_of(
     for s in segments:
         columns = [s.thin.rows(partial(regressor, robot))]
         columns += [effect_columns(robot, effect, s) for effect in effects]
-        parts.append(dense(np.concatenate(columns, axis=2), s.tau[s.keep], names))
+        parts.append(dense(columns, s.tau[s.keep], names))
     return joined(parts)
 
 
@@ -236,7 +248,7 @@ def joined(parts: Sequence[Regression]) -> Regression:
     index, columns = [], []
     for j in range(parts[0].nv):
         acting = np.unique(np.concatenate([part.index[j] for part in parts]))
-        found = np.zeros((sum(map(len, parts)), len(acting)))
+        found = np.zeros((sum(map(len, parts)), len(acting)), order="F")
         begin = 0
         for part in parts:
             rows = slice(begin, begin + len(part))

@@ -120,7 +120,9 @@ class SensorNoise:
         never = ", ".join(joint for joint, f in found.items() if f >= top)
         told = [f"speeds count more above [Hz] {both}"] * bool(both)
         told += [f"positions count more at every frequency at {never}"] * bool(never)
-        return f"motion from positions and recorded speeds, weighed by their noise: {'; '.join(told)}"
+        return (
+            f"motion from positions and recorded speeds, weighed by their noise: {'; '.join(told)}"
+        )
 
     def speed_share(self, f: Array | float) -> Array:
         """Weight of speeds at frequencies [Hz], shape (..., nv); positions have the rest."""

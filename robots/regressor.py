@@ -76,11 +76,9 @@ def regressor_derivatives(robot: Robot, motion: Motion) -> RegressorDerivatives:
 
 def rigid_body_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of the rigid bodies alone by recursive Newton-Euler, shape (n, nv) [N·m]."""
-    model, data = robot.model, robot.model.createData()
-    tau = np.empty(motion.q.shape)
-    for k in range(len(motion)):
-        tau[k] = pin.rnea(model, data, motion.q[k], motion.dq[k], motion.ddq[k])
-    return tau
+    moved = (np.asarray(x, float).T for x in (motion.q, motion.dq, motion.ddq))
+    tau = pin.rneaInParallel(1, pin.ModelPool(robot.model, 1), *moved)
+    return np.reshape(tau.T, motion.q.shape)  # of one joint it comes without its dimension
 
 
 @lru_cache(maxsize=_KEPT)
@@ -112,7 +110,8 @@ def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Arra
     Row i, column j: torque of joint i by motion of joint j (Carpentier and Mansard 2018).
     """
     model, data = robot.model, robot.model.createData()
-    parts = np.empty((3, len(motion), robot.nv, robot.nv))
+    held = np.empty((3, robot.nv, len(motion), robot.nv))  # what one joint does lies together
+    parts = held.transpose(0, 2, 3, 1)
     for k in range(len(motion)):
         parts[:, k] = pin.computeRNEADerivatives(
             model, data, motion.q[k], motion.dq[k], motion.ddq[k]

@@ -106,7 +106,8 @@ def velocity_faults(log: Log) -> list[Fault]:
 def _windows(log: Log, dq: Array) -> tuple[int, Array, Array]:
     """Rows of a window, Δq and ∫q̇ dt over windows, each of shape (windows, nv)."""
     w = min(max(_WINDOW_ROWS, round(_WINDOW_S / log.step)), len(log) // 20)
-    way = scipy.integrate.cumulative_trapezoid(dq, log.t, axis=0, initial=0)
+    steps = np.diff(log.t)[:, None] * (dq[1:] + dq[:-1]) / 2
+    way = np.concatenate([np.zeros((1, dq.shape[1])), steps.cumsum(axis=0)])
     return w, np.diff(log.q[::w], axis=0), np.diff(way[::w], axis=0)
 
 
@@ -255,7 +256,7 @@ class TorqueFit:
         """Values at the instants of the motion, (n, ...), filtered once more; its ends left out."""
         rate, cutoff = self.data.rate, self.data.cutoff
         edge, low = round(rate / cutoff), min(cutoff / 2, 0.45 * rate)
-        return low_pass(values, low, rate)[edge : len(values) - edge]
+        return low_pass(values, low, rate, slice(edge, len(values) - edge))
 
     def _left(self, A: Array, b: Array, x: Array) -> Array:
         """Mean square that parameters leave of each of the joints' torque."""
