@@ -137,7 +137,7 @@ class Examination:
     @property
     def _notes(self) -> list[str]:
         """Why models are not published, without what only the single commands can do."""
-        notes = [each.note for each in self.publications.values() if not each.published]
+        notes = filter(None, (each.refusal for each in self.publications.values()))
         return [note.removesuffix(", or give --force") for note in notes]
 
     @property

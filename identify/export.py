@@ -335,6 +335,16 @@ class Publication:
     published: bool
     note: str  # why not, or why it is nevertheless; empty when nothing is to say
 
+    @property
+    def refusal(self) -> str:
+        """Why the model is not published; empty where it is."""
+        return "" if self.published else self.note
+
+    def note_in(self, result: dict[str, Any]) -> None:
+        """Say in the contents of a result.json whether the model is published, and why not."""
+        result |= {"published": self.published, "refusal": self.refusal}
+        result["notes"] = [*result["notes"], *[self.note] * bool(self.note)]
+
 
 def publication(
     estimate: Estimate,

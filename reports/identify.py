@@ -46,12 +46,12 @@ def identify_section(result: Result, series: Series) -> p.Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
     joints, unit = v.joint_names(result), v.text(result, "unit") or "N·m"
     said = [v.sentence(n) for n in v.words(result, "notes") if n and n != v.text(result, "holdout")]
-    refused = [note for note in said if "is not published" in note]
+    refusal = v.sentence(v.text(result, "refusal"))
     return p.section(
         "Identification",
         _lead(result),
         [
-            ("Key figures", [_facts(result), p.notes(refused, p.POOR)]),
+            ("Key figures", [_facts(result), p.notes([refusal] * bool(refusal), p.POOR)]),
             ("Data faults", [fault_table(result)]),
             ("Payload", _payload(v.at(result, "payload"))),
             ("Link by link against all links at once", _link_by_link(result, unit)),

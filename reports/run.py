@@ -243,9 +243,8 @@ def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[P
     if publication := getattr(noun, "publication", None):
         model = publication(force=force)
         files |= model.files
-        result["published"] = model.published
+        model.note_in(result)
         if model.note:
-            result["notes"] = [*result["notes"], model.note]
             warnings.warn(model.note, stacklevel=2)
     elif own := getattr(noun, "files", None):
         files |= own()

@@ -170,7 +170,8 @@ def test_a_dead_torque_is_not_fitted_in_silence(here: Path, excitant: Any) -> No
         table.to_csv(f"{name}.csv", index=False)
     ran = excitant("identify planar_2r one.csv --validate two.csv --json -o out")
     assert (ran.status, ran.result["published"], ran.result["files"]) == (1, False, [])
-    assert "not published: one: tau of joint2 is only noise" in ran.result["notes"][-1]
+    assert "not published: one: tau of joint2 is only noise" in ran.result["refusal"]
+    assert ran.result["notes"][-1] == ran.result["refusal"]
 
 
 def test_an_extended_model_of_no_use_is_not_published(here: Path, excitant: Any) -> None:

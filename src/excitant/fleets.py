@@ -203,8 +203,7 @@ def _examined(data_set: _DataSet) -> Examined:
     except ExcitantError as error:
         return Examined(name, arm, day, failed=failed or str(error))
     if not model["published"]:
-        why = next(iter(model["notes"][-1:]), "the identified model is worse than the given one")
-        return Examined(name, arm, day, model["robot"], failed=one_line(why))
+        return Examined(name, arm, day, model["robot"], failed=one_line(model["refusal"]))
     said = [f["sentence"] for f in diagnosis["findings"][:_SHOWN]]
     said += [f"fault: {fault['detail']}" for fault in diagnosis["faults"]]
     return Examined(name, arm, day, model["robot"], "", _values(model), tuple(said))

@@ -213,8 +213,8 @@ def identify(
     published = identification.publication(
         estimate, formats=formats or USUAL, force=force, faults=proven(said["faults"])
     )
-    result["published"] = published.published
-    result["notes"] += notes + ([published.note] if published.note else [])
+    result["notes"] += notes
+    published.note_in(result)
     run.finish(result, series, published.files, first=published.note)
     return 0 if published.published else 1
 
@@ -392,8 +392,8 @@ def diagnose(
     model = found.publication(said["faults"], force=force)
     files = dict(model.files)
     result = found.result(plan) | said
-    result["published"] = model.published
-    result["notes"] += notes + ([model.note] if model.note else [])
+    result["notes"] += notes
+    model.note_in(result)
     if experiments and experiment_time is not None:
         result["notes"].append(
             f"experiments: searched for {experiment_time:g} s at most (--experiment-time), so that "
@@ -404,4 +404,4 @@ def diagnose(
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = trajectory_csv(motion)
         files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
-    run.finish(result, found.series(), files, folder, first="" if model.published else model.note)
+    run.finish(result, found.series(), files, folder, first=model.refusal)

@@ -91,6 +91,8 @@ def test_intervals_and_essential_parameters_in_words(make):
     assert [cell.text for cell in table.rows[0]][1:] == ["0.300", "0.100", "71\u00a0%"]
     assert any("1 of 3 base parameters" in b.sentences[0] for b in found if isinstance(b, Notes))
     assert not any(isinstance(b, Notes) for b in blocks({"joints": [{"name": "a"}]}))
+    [refusal] = (b for b in blocks({"refusal": "it is worse"}) if isinstance(b, Notes))
+    assert (refusal.sentences, refusal.tone) == (("It is worse.",), "poor")
 
 
 def test_link_by_link_says_what_each_link_shows_and_what_is_missing(make):
