@@ -215,7 +215,7 @@ class Persistency(WindowExcitation):
                 "become better known than they were"
             )
             if rest := self.combinations - self.shown:
-                text += f"; the other {rest} no motion of this arm shows in that time"
+                text += f"; of the other {rest} no motion of this arm tells more in that time"
             if self.shortest is not None and self.shortest < self.end - self.start:
                 text += f"; windows of {self.shortest:.3g} s are enough"
             return text

@@ -78,7 +78,9 @@ def _lead_and_brief(result: Result) -> tuple[str, p.Brief]:
     if weak := verdicts.count("hardly"):
         lines.append(("", f"this motion hardly shows {weak} of {len(verdicts)} combinations"))
     elif verdicts and "not_shown" not in verdicts:
-        lines.append(("", f"this motion shows all {len(verdicts)} combinations"))
+        better = v.real(result, "persistency", "shown")
+        than = "" if better is None else f", {better:.0f} better than they were known"
+        lines.append(("", f"this motion shows all {len(verdicts)} combinations{than}"))
     return lead, tuple(lines)
 
 

@@ -35,11 +35,12 @@ def design_section(result: Result, series: Series) -> p.Section:
     worst = _worst_ratio(result)
     weak = [v.text(row, "name") for row in v.records(result, "weakest")[:3]]
     said = f"with columns scaled {scaled}; excited least: {v.listing(weak)}"
+    notes = [v.sentence(each) for each in v.words(result, "notes")]
     return p.section(
         "Excitation design",
         _lead(result),
         [
-            ("Key figures", [_facts(result), p.notes(v.words(result, "notes"), brief="")]),
+            ("Key figures", [_facts(result), p.notes(notes, brief="")]),
             ("The arm in motion", [player(result, series)]),
             ("One motion per link", [_link_motions(result)]),
         ],

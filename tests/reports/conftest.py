@@ -573,9 +573,3 @@ def written() -> Callable[[str], Shown]:
 @pytest.fixture(scope="session")
 def show() -> Callable[[dict[str, Any], dict[str, np.ndarray]], Shown]:
     return lambda result, series: Shown(html(page_of(result, series)))
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawings are not written, which takes most of a page's time."""
-    monkeypatch.setattr("excitant.reports.drawing._svg", lambda *_: "<svg></svg>")
