@@ -46,7 +46,7 @@ class Bound:
     """A numerical lower bound on cond₂(W): certified at every state tried, not proved."""
 
     value: float  # the bound
-    without_repair: float  # what it would be, were no state to violate the certificate
+    without_repair: float  # were no state to violate it; a mixture of states reaches it (to 0.1 %)
     relaxation: Relaxation  # what was relaxed
     multipliers: Multipliers  # the certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P
     assumptions: str  # for which motions it holds, and how far it is certain, in one sentence
