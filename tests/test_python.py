@@ -36,9 +36,9 @@ def panda() -> dict[str, object]:
     """Every noun of every day, of an arm with seven joints."""
     robot, rng = ex.load_robot("panda"), np.random.default_rng(3)
     design = ex.design_trajectory(robot, duration=8.0, starts=1, jobs=1, time_limit=1.0)
-    path = ex.random_trajectory(robot, rng, 15.0, 5)
+    path = ex.random_trajectory(robot, rng, 10.0, 5)
     run = ex.recording_from_table(
-        ex.virtual_arm(robot, rng).record(path, 30.0, rng), robot, file="a.csv", name="a"
+        ex.virtual_arm(robot, rng).record(path, 10.0, rng), robot, file="a.csv", name="a"
     )
     estimate = ex.identify_robot(robot, run)
     return {
