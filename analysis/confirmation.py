@@ -14,7 +14,7 @@ from excitant.analysis.candidates import (
     coefficient_sizes,
     observed,
 )
-from excitant.analysis.evidence import Candidate, Evidence, Key, are_placeholders
+from excitant.analysis.evidence import Candidate, Evidence, Key, are_placeholders, widened
 from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
@@ -194,11 +194,12 @@ class Extender:
 
     def _bodies(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
         """Prior and its relative uncertainty for every link, and for a payload if there is one."""
-        joints, tolerance = self.held.observed.robot.joints, self.evidence.tolerance[0]
-        wrong = {c.effect.joints[0] for c in chosen if c.effect.role == "link"}
-        sigma = [WRONG_LINK if joint in wrong else tolerance * TOLERANCE for joint in joints]
+        robot = self.held.observed.robot
+        sigma = TOLERANCE * widened(robot, self.evidence.tolerance[0])
+        for row in (row for c in chosen if c.effect.role == "link" for row in c.effect.rows(robot)):
+            sigma[row] = max(WRONG_LINK, sigma[row])
         if not any(c.effect.role == "body" for c in chosen):
-            return self.prior, np.array(sigma)
+            return self.prior, sigma
         mass = _PAYLOAD_SHARE * self.prior[:, 0].sum()
         reference = from_pseudo_inertia(mass * np.diag([*(_PAYLOAD_RADIUS**2,) * 3, 1.0]))
         return np.vstack([self.prior, reference]), np.array([*sigma, _PAYLOAD_SIGMA])

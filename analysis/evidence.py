@@ -27,6 +27,7 @@ from excitant.identify.least_squares import autocorrelation_time, believed
 from excitant.identify.regression import Index, Mask, Regression
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, read_only
+from excitant.robots.parameters import PLACEHOLDER
 from excitant.robots.robot import Robot
 
 Key = tuple[str, tuple[str, ...]]
@@ -315,15 +316,25 @@ def _noise(e: Array, counted: Array) -> tuple[Array, Array]:
     return sigma, np.array([autocorrelation_time(column) for column in e.T])
 
 
-def are_placeholders(robot: Robot) -> bool:
-    """Whether all links have no mass, or three or more the same mass, as in no real arm."""
+def placeholder_links(robot: Robot) -> Mask:
+    """Links of whose bodies the robot says nothing, shape (nv,): those of no mass worth the name.
+
+    All of them where none has a mass, or three or more have the same, as in no real arm.
+    """
     mass = robot.phi[::10]
-    return bool(np.allclose(mass, mass[0], rtol=1e-6)) and (len(mass) > 2 or not mass.any())
+    if np.allclose(mass, mass[0], rtol=1e-6) and (len(mass) > 2 or not mass.any()):
+        return np.ones(len(mass), bool)
+    return np.asarray(mass < PLACEHOLDER * mass.sum(), bool)
 
 
-def widened(robot: Robot) -> float:
-    """Factor on the tolerance of a robot's links before data are seen."""
-    return _UNKNOWN if are_placeholders(robot) else 1.0
+def are_placeholders(robot: Robot) -> bool:
+    """Whether the robot says nothing of any of its links' bodies."""
+    return bool(placeholder_links(robot).all())
+
+
+def widened(robot: Robot, tolerance: float = 1.0) -> Array:
+    """Tolerance of each link relative to ±10 %, shape (nv,): wide where it holds only a place."""
+    return np.where(placeholder_links(robot), _UNKNOWN, tolerance)
 
 
 def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
@@ -333,8 +344,8 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     bodies, effects = (_typical_deviation(evidence, part, robot) for part in parts)
     tolerance = (_UNKNOWN if are_placeholders(robot) else bodies, effects)
     precision = np.array(evidence.precision)
-    for part, factor in zip(parts, tolerance, strict=True):
-        precision[part] /= factor**2
+    precision[parts[0]] /= np.repeat(widened(robot, bodies), 10) ** 2
+    precision[parts[1]] /= effects**2
     return reweighed(replace(evidence, precision=precision, tolerance=tolerance), [])
 
 

@@ -14,7 +14,7 @@ from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
 from excitant.analysis.confirmation import Finding, held_out
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.evidence import are_placeholders
+from excitant.analysis.evidence import are_placeholders, placeholder_links
 from excitant.analysis.explanation import at_rest, headline, reason_to_downgrade
 from excitant.analysis.residuals import BANDS, QUANTITIES, Residual
 from excitant.analysis.validation import LIKELY, refit, windows
@@ -444,6 +444,20 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     assert bool(at_rest(diagnosis)) == bool(said)
     assert headline(diagnosis).startswith("No cause stands out")
     assert headline(diagnosis).endswith(at_rest(diagnosis))
+
+
+@pytest.mark.parametrize(("name", "link"), [("ur10", 3), ("puma560", 3)])
+def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(
+    name: str, link: int, diagnosed: Diagnosed
+) -> None:
+    robot = load_robot(name)
+    bodies = robot.phi.reshape(-1, 10).copy()
+    bodies[link] = 0
+    given = robot.with_parameters(bodies)
+    assert placeholder_links(given).tolist() == [k == link for k in range(robot.nv)]
+    found = diagnosed(robot, 1, given=given, tolerance=0.02)
+    assert [f.effect.role for f in found.findings] == ["link"]
+    assert (found.extended.nrmse < 0.03).all()
 
 
 @pytest.mark.slow
