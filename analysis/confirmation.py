@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
-_DEVIATIONS = 2.0  # standard errors by which a gain must exceed zero, a value the given one
+DEVIATIONS = 2.0  # standard errors by which a gain must exceed zero, a value the given one
 _CONTRADICTED = 3.0  # standard errors by which a joint's error grows with a cause common to all
 _PLAIN = 0.1  # of a joint's squared error: a gain as large counts even below the noise
 _FAINT = 0.005  # of a joint's torque: no model is right to so much
@@ -54,6 +55,8 @@ class Finding:
         rms_after: The same of the extended model [torque unit].
         gain: Fall of its joints' squared error with it, relative to the error without it.
         gain_error: Standard error of the gain, from blocks of time.
+        size: Size that the hold-out asks for, all else as it is, relative to the one fitted.
+        size_error: Standard error of that.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
         share: Rms of that relative to the measured torque, of the joint where it is largest.
         margin: Gain beyond the threshold of confirmation; negative where the size may be chance.
@@ -70,6 +73,8 @@ class Finding:
     rms_after: float
     gain: float
     gain_error: float
+    size: float
+    size_error: float
     torque: Array
     share: float
     margin: float = 0.0
@@ -85,7 +90,7 @@ class Finding:
     def near_given(self) -> bool:
         """Whether all its values are the given ones to two standard deviations."""
         off = np.abs(np.array(self.effect.values or ()) - self.given)
-        return len(off) > 0 and bool((off < _DEVIATIONS * np.array(self.std)).all())
+        return len(off) > 0 and bool((off < DEVIATIONS * np.array(self.std)).all())
 
     @property
     def as_given(self) -> bool:
@@ -95,7 +100,7 @@ class Finding:
     @property
     def refuted(self) -> bool:
         """Whether the error on the hold-out is significantly larger with it."""
-        return self.gain + _DEVIATIONS * self.gain_error < -FLOOR
+        return self.gain + DEVIATIONS * self.gain_error < -FLOOR
 
     @property
     def verdict(self) -> str:
@@ -262,7 +267,7 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
         torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
         effect = candidate.effect.with_values(values.tolist())
         found = finding_of(robot, fit, held, effect, torque, given.tolist(), std.tolist())
-        if effect.role == "torque" and (np.abs(values - given) < _DEVIATIONS * std).all():
+        if effect.role == "torque" and (np.abs(values - given) < DEVIATIONS * std).all():
             found = replace(found, margin=min(found.margin, -FLOOR))
         findings.append(found)
     return tuple(findings)
@@ -327,15 +332,17 @@ def finding_of(
     joints = np.array(effect.affected(robot))
     without = error + torque
     fall = ((without**2 - error**2) * weight**2)[:, joints]
-    gain, spread = _relative_gain((without * weight)[:, joints], (torque * weight)[:, joints])
-    margin = gain - max(FLOOR, _DEVIATIONS * spread)
+    asked = _asked((without * weight)[:, joints], (torque * weight)[:, joints])
+    margin = asked.gain - max(FLOOR, DEVIATIONS * asked.gain_error)
     shows = np.sqrt(((torque * rows.moves) ** 2).mean(axis=0)) > held.floor
     most = effect.rows(robot)[0]
     if not effect.jointwise:
         most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
     alike = joints[robot.revolute[joints] == robot.revolute[most]]
     before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
-    plain = gain > _PLAIN and not effect.depends_on_model  # else noise of positions looks like it
+    plain = (
+        asked.gain > _PLAIN and not effect.depends_on_model
+    )  # else noise of positions looks like it
     share = float((rows.rms(torque) / np.maximum(rows.rms(rows.measured), 1e-300)).max())
     if not (plain or shows.any()) or share < _FAINT:
         margin = min(margin, -FLOOR)
@@ -347,8 +354,10 @@ def finding_of(
         joint=most,
         rms_before=float(before),
         rms_after=float(after),
-        gain=gain,
-        gain_error=spread,
+        gain=asked.gain,
+        gain_error=asked.gain_error,
+        size=asked.size,
+        size_error=asked.error,
         torque=torque,
         share=share,
         margin=margin,
@@ -360,27 +369,43 @@ def _contradicted(robot: Robot, effect: Effect, error: Array, torque: Array) -> 
     """The joints whose error grows with a cause that is common to all; half a sentence."""
     if not effect.is_common(robot) or effect.role == "body":
         return ""
-    each = [_relative_gain(error[:, [j]], torque[:, [j]]) for j in range(robot.nv)]
+    each = [_asked(error[:, [j]], torque[:, [j]]) for j in range(robot.nv)]
     against = [
         joint
-        for joint, (gain, spread) in zip(robot.joints, each, strict=True)
-        if gain + _CONTRADICTED * spread < -FLOOR
+        for joint, asked in zip(robot.joints, each, strict=True)
+        if asked.gain + _CONTRADICTED * asked.gain_error < -FLOOR
     ]
     if not against:
         return ""
     return f"all joints have it, and the error of {', '.join(against)} grows with it"
 
 
-def _relative_gain(error: Array, torque: Array) -> tuple[float, float]:
-    """Relative fall (2a − 1)‖f‖² of the error, a its slope on torque f, and its std error."""
+class _Asked(NamedTuple):
+    """Size that an error asks of a torque: a, its standard error, and ‖torque‖² / ‖error‖²."""
+
+    size: float
+    error: float
+    power: float
+
+    @property
+    def gain(self) -> float:
+        """Relative fall of the squared error, (2a − 1)‖f‖²."""
+        return (2 * self.size - 1) * self.power
+
+    @property
+    def gain_error(self) -> float:
+        """Standard error of the gain."""
+        return 2 * self.error * self.power
+
+
+def _asked(error: Array, torque: Array) -> _Asked:
     power = (torque**2).sum()
     if power <= 0:
-        return 0.0, 0.0
-    slope = (error * torque).sum() / power
-    scores = torque * (error - slope * torque)
+        return _Asked(1.0, 0.0, 0.0)
+    size = (error * torque).sum() / power
+    scores = torque * (error - size * torque)
     blocks = np.array([part.sum() for part in np.array_split(scores, _BLOCKS)])
-    unit = power / (error**2).sum()
-    return float((2 * slope - 1) * unit), float(2 * np.linalg.norm(blocks) / power * unit)
+    return _Asked(float(size), float(np.linalg.norm(blocks) / power), power / (error**2).sum())
 
 
 def _coefficients(robot: Robot, fit: Extension, effect: Effect) -> tuple[Array, Array, Array]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from excitant.analysis.candidates import TOLERANCE
-from excitant.analysis.confirmation import IDEAL
+from excitant.analysis.confirmation import DEVIATIONS, IDEAL
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.residuals import Residual, explanatory
 from excitant.analysis.selection import is_plain_friction
@@ -52,6 +52,9 @@ def reason_to_downgrade(
     if found.share < IDEAL:
         small = f"{100 * found.share:.1f} % of the torque"
         return f"models are hardly better than to {small}, which it makes"
+    # noise of positions makes such torque too, which unseen data take back
+    if effect.depends_on_model and 1 - found.size > max(TOLERANCE, DEVIATIONS * found.size_error):
+        return f"unseen data show {found.size:.2f} ± {found.size_error:.2g} times as much of it"
     # a cause on several joints has to explain them all, so a smaller residual counts
     several = bool(torque.any(axis=0).sum() > 1)
     scale = np.array([r.floor for r in left])

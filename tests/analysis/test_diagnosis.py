@@ -414,10 +414,31 @@ def test_causes_that_take_each_other_back_are_not_decided(
 def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, open_: bool) -> None:
     robot = load_robot("planar_2r")
     gain = TorqueGain(robot.joints).with_values([size])
-    shown = {"torque": np.ones((10, 2)), "share": 1.0, "explained": 0.5}
-    found = cast(Finding, SimpleNamespace(effect=gain, **shown))
+    shown = {"torque": np.ones((10, 2)), "share": 1.0, "explained": 0.5, "size": 1.0}
+    found = cast(Finding, SimpleNamespace(effect=gain, size_error=0.0, **shown))
     left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
     assert bool(reason_to_downgrade(robot, found, [found], left, 0.1)) == open_
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "error", "said"),
+    [
+        ("time_delay", 0.9, 0.04, "unseen data show 0.90 ± 0.04 times as much of it"),
+        ("time_delay", 0.9, 0.06, ""),
+        ("time_delay", 0.96, 0.01, ""),  # as good as models are
+        ("time_delay", 1.4, 0.01, ""),
+        ("coulomb_friction", 0.8, 0.01, ""),  # friction is not the same in all motions
+    ],
+)
+def test_what_unseen_data_take_back_is_not_decided(
+    kind: str, size: float, error: float, said: str
+) -> None:
+    torque = np.ones((10, 1)) * (1.0, 0.0)
+    shown = {"torque": torque, "share": 1.0, "explained": 0.5, "size": size, "size_error": error}
+    found = cast(Finding, SimpleNamespace(effect=EFFECTS[kind](("joint1",)), **shown))
+    robot = load_robot("planar_2r")
+    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
+    assert reason_to_downgrade(robot, found, [found], left, 0.1) == said
 
 
 @pytest.mark.parametrize(
