@@ -92,7 +92,7 @@ class Regression:
         found = []
         for index, columns in zip(self.index, self.columns, strict=True):
             own = x[index]
-            some = np.flatnonzero(own.reshape(len(own), -1).any(axis=1))  # few of all candidates
+            some = np.flatnonzero(own.any(axis=tuple(range(1, own.ndim))))  # few of all candidates
             found.append(columns[:, some] @ own[some])
         return np.stack(found, axis=1)
 

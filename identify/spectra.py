@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -20,12 +21,12 @@ def low_pass(values: Array, cutoff_hz: float, rate_hz: float, kept: slice = slic
     Beyond its ends a signal goes on as its mirror image in the point there (Gustafsson 1996), until
     the filter has forgotten; its line from end to end passes as it is. Only some rows are ``kept``.
     """
-    flat = np.reshape(values, (len(values), -1))
+    flat = np.reshape(values, (len(values), math.prod(np.shape(values)[1:])))
     passed = np.zeros((len(flat[kept]), flat.shape[1]))
     live = np.flatnonzero(flat.any(axis=0))
     for some in np.array_split(live, -(-live.size * len(flat) // _TOGETHER) or 1):
         passed[:, some] = _low_passed(flat[:, some], cutoff_hz, rate_hz)[:, kept].T
-    return passed.reshape(-1, *np.shape(values)[1:])
+    return passed.reshape(len(passed), *np.shape(values)[1:])
 
 
 def _low_passed(values: Array, cutoff_hz: float, rate_hz: float) -> Array:

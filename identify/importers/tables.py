@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import math
 import re
 import struct
 import zlib
@@ -19,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from excitant.exceptions import BadRecording
+from excitant.identify.importers import mat
 from excitant.identify.importers.arrays import MOST, read_arrays, refuse_size
 from excitant.identify.importers.names import Unit, factor, meaning
 from excitant.robots.motion import Array
@@ -36,7 +36,6 @@ ISO = "ISO 8601"
 
 _BUFFER = 1 << 18  # bytes of a Parquet column at a time: row groups may be larger than memory
 _PIECE = 1 << 20  # bytes unpacked at a time
-_BYTES = {"double": 8, "single": 4} | {f"{u}int{8 * k}": k for u in ("", "u") for k in (1, 2, 4, 8)}
 _COMPRESSED = 15  # type of an element of a MAT file
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _NAMES = re.compile("name|joint", re.IGNORECASE)
@@ -158,20 +157,13 @@ def npz_table(path: Path) -> Table:
 
 def mat_table(path: Path) -> Table:
     """The log in a MAT file of version 4 to 7.2; fields of structs become ``struct.field``."""
-    import scipy.io
-
     with path.open("rb") as stream:
         start = stream.read(520)
     if _HDF5 in (start[:8], start[512:520]) or start.startswith(b"MATLAB 7.3"):
         why = "is a MAT file of version 7.3 (HDF5); save it with save(..., '-v7') in MATLAB"
         raise BadRecording(path, why)
-    held = [(n, math.prod(shape), kind) for n, shape, kind in scipy.io.whosmat(path)]
-    refuse_size(sum(count * _BYTES.get(kind, 0) for _, count, kind in held))
     refuse_size(size := _mat_bytes(path))
-    for name, count, kind in held:
-        if kind in _BYTES and count > size:
-            raise ValueError(f"{name} is shorter than its header says")
-    return _table_of_arrays(_flattened(scipy.io.loadmat(path, simplify_cells=True)), path)
+    return _table_of_arrays(_flattened(mat.loaded(path, size)), path)
 
 
 def _mat_bytes(path: Path) -> int:

@@ -22,6 +22,7 @@ from excitant.identify import (
     load_recording,
     raw_recording,
 )
+from excitant.identify.importers import mat
 from excitant.robots import load_robot
 
 T = np.arange(300) / 100
@@ -314,6 +315,18 @@ def test_npz_and_mat_hold_the_same_recording_or_are_refused(load: Load, tmp_path
         (tmp_path / "a.mat").write_bytes(start + bytes(100))
         with pytest.raises(BadRecording, match="save it with save"):
             load(tmp_path / "a.mat")
+
+
+def test_a_mat_file_that_ends_its_reader_is_damaged(
+    load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some bytes make SciPy write where it must not."""
+    scipy.io.savemat(tmp_path / "a.mat", {"t": T, "q": Q, "dq": DQ, "tau": TAU})
+    same(load(tmp_path / "a.mat"))
+    (tmp_path / "dies.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.setattr(mat, "__file__", str(tmp_path / "dies.py"))
+    with pytest.raises(BadRecording, match="cannot be read.*damaged"):
+        load(tmp_path / "a.mat")
 
 
 HAND = ["gripper", *(ARM.joints[k] for k in ORDER)]

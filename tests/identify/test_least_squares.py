@@ -69,6 +69,7 @@ def test_other_problems_are_those_of_other_rows_and_columns() -> None:
         np.testing.assert_array_equal(problem.W, rows)
     assert few.names == ("d", "a")
     np.testing.assert_array_equal(counted.tau, TAU * count)
+    np.testing.assert_array_equal(PROBLEM.select([]).residual(np.zeros(0)), TAU)
 
 
 def test_what_does_not_fit_is_refused() -> None:

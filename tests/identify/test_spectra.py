@@ -37,6 +37,7 @@ def test_the_gain_is_that_of_the_analogue_filter_at_every_rate(rate: float, f: f
 
 def test_the_filter_is_linear_passes_lines_and_keeps_shapes() -> None:
     x, y = noise(501), noise(501)[::-1]
+    assert low_pass(np.zeros((0, 3, 2)), 10.0, RATE).shape == (0, 3, 2)
     both = low_pass(2 * x - 3 * y, 10.0, RATE)
     np.testing.assert_allclose(both, 2 * low_pass(x, 10.0, RATE) - 3 * low_pass(y, 10.0, RATE))
     line = np.linspace(-3.0, 9.0, 400)
