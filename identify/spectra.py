@@ -24,7 +24,7 @@ def low_pass(values: Array, cutoff_hz: float, rate_hz: float, kept: slice = slic
     flat = np.reshape(values, (len(values), math.prod(np.shape(values)[1:])))
     passed = np.zeros((len(flat[kept]), flat.shape[1]))
     live = np.flatnonzero(flat.any(axis=0))
-    for some in np.array_split(live, -(-live.size * len(flat) // _TOGETHER) or 1):
+    for some in np.array_split(live, -(-live.size * len(flat) // _TOGETHER)) if live.size else ():
         passed[:, some] = _low_passed(flat[:, some], cutoff_hz, rate_hz)[:, kept].T
     return passed.reshape(len(passed), *np.shape(values)[1:])
 

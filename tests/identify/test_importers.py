@@ -325,7 +325,7 @@ def test_a_mat_file_that_ends_its_reader_is_damaged(
     same(load(tmp_path / "a.mat"))
     (tmp_path / "dies.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     monkeypatch.setattr(mat, "__file__", str(tmp_path / "dies.py"))
-    with pytest.raises(BadRecording, match="cannot be read.*damaged"):
+    with pytest.raises(BadRecording, match=r"cannot be read.*damaged"):
         load(tmp_path / "a.mat")
 
 
