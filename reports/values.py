@@ -16,6 +16,7 @@ Result = Mapping[str, Any]
 Series = Mapping[str, Array]
 
 NONE = "–"
+_BEYOND = 1e200  # no quantity is as large: what is made of it would overflow
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -52,11 +53,11 @@ def text(value: Any, *keys: str) -> str:
 
 
 def real(value: Any, *keys: str) -> float | None:
-    """The finite number under nested keys, or None."""
+    """The finite number under nested keys, or None; what is beyond all quantities is no number."""
     found = at(value, *keys)
     if isinstance(found, bool) or not isinstance(found, int | float | np.number):
         return None
-    return float(found) if math.isfinite(found) else None
+    return float(found) if abs(found) < _BEYOND else None
 
 
 def reals(value: Any, *keys: str) -> Array:

@@ -102,3 +102,11 @@ def test_link_by_link_says_what_each_link_shows_and_what_is_missing(make):
                  "not shown - - l2.m", "To identify the rest, turn the base.",
                  "[Link l1] j1 does not move."):  # fmt: skip
         assert said in text, said
+
+
+def test_absurd_numbers_of_a_saved_run_are_none(make, undrawn):
+    result, _ = make["identify"]()
+    link = result["links"][0]
+    link["centre"]["given"] = [1e308, 0.1, 10**400]
+    [row] = [line for line in summary(page_of(result, {})).splitlines() if ", 100, " in line]
+    assert "-, 100, -" in row
