@@ -108,5 +108,4 @@ def test_absurd_numbers_of_a_saved_run_are_none(make, undrawn):
     result, _ = make["identify"]()
     link = result["links"][0]
     link["centre"]["given"] = [1e308, 0.1, 10**400]
-    [row] = [line for line in summary(page_of(result, {})).splitlines() if ", 100, " in line]
-    assert "-, 100, -" in row
+    assert "–, 100, –" in summary(page_of(result, {}))
