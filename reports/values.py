@@ -57,7 +57,7 @@ def real(value: Any, *keys: str) -> float | None:
     found = at(value, *keys)
     if isinstance(found, bool) or not isinstance(found, int | float | np.number):
         return None
-    return float(found) if abs(found) < _BEYOND else None
+    return float(found) if -_BEYOND < found < _BEYOND else None
 
 
 def reals(value: Any, *keys: str) -> Array:

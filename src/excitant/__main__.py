@@ -1,12 +1,12 @@
 """The process around a command: ``python -m excitant`` and the script ``excitant``."""
 
+from __future__ import annotations
+
 import atexit
 import os
 import signal
 import sys
-import threading
 from contextlib import suppress
-from typing import Any
 
 _AGAIN = 0.1  # s after an interrupt that was lost
 
@@ -34,8 +34,10 @@ def run() -> None:
     sys.exit(status)
 
 
-def _interrupt_again(lost: Any) -> None:
+def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
     """Where Python had to drop an interrupt, as within a destructor, send it once more."""
+    import threading  # not above: nothing may take long before interrupts are waited for
+
     if issubclass(lost.exc_type, KeyboardInterrupt):
         threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
     else:
