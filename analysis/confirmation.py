@@ -201,8 +201,8 @@ class Extender:
         """Prior and its relative uncertainty for every link, and for a payload if there is one."""
         robot = self.held.observed.robot
         sigma = TOLERANCE * widened(robot, self.evidence.tolerance[0])
-        for row in (row for c in chosen if c.effect.role == "link" for row in c.effect.rows(robot)):
-            sigma[row] = max(WRONG_LINK, sigma[row])
+        wrong = [row for c in chosen if c.effect.role == "link" for row in c.effect.rows(robot)]
+        sigma[wrong] = np.maximum(sigma[wrong], WRONG_LINK)
         if not any(c.effect.role == "body" for c in chosen):
             return self.prior, sigma
         mass = _PAYLOAD_SHARE * self.prior[:, 0].sum()
@@ -340,9 +340,8 @@ def finding_of(
         most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
     alike = joints[robot.revolute[joints] == robot.revolute[most]]
     before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
-    plain = (
-        asked.gain > _PLAIN and not effect.depends_on_model
-    )  # else noise of positions looks like it
+    # what depends on the model looks like noise of positions
+    plain = asked.gain > _PLAIN and not effect.depends_on_model
     share = float((rows.rms(torque) / np.maximum(rows.rms(rows.measured), 1e-300)).max())
     if not (plain or shows.any()) or share < _FAINT:
         margin = min(margin, -FLOOR)

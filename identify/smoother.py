@@ -174,14 +174,14 @@ def smoothed(t: Array, q: Array, dq: Array | None, band_hz: float) -> tuple[Arra
         return q, SensorNoise(1 / period, least, np.full(q.shape[1], np.inf), step)
     way = scipy.interpolate.make_interp_spline(t, dq, k=3).antiderivative()(t)
     found, levels = np.empty_like(q), np.empty((2, q.shape[1]))
-    floors = least, _least(dq, np.array([resolution(x) for x in dq.T]), period)
+    least_of_speeds = _least(dq, np.array([resolution(x) for x in dq.T]), period)
     for j in range(q.shape[1]):
         known = np.column_stack([np.ones_like(t), t - t.mean(), way[:, j], dq[:, j]])
         calibration = np.linalg.lstsq(known, q[:, j], rcond=None)[0]
         left = q[:, j] - known @ calibration
         drift, white = _variances(np.diff(left), period, band_hz)
         levels[:, j] = np.sqrt(white), np.sqrt(drift) / period
-        floor = floors[0][j], abs(calibration[2]) * floors[1][j]
+        floor = least[j], abs(calibration[2]) * least_of_speeds[j]
         levels[:, j] = np.maximum(levels[:, j], floor)
         ratio = levels[0, j] / (period * levels[1, j])
         found[:, j] = q[:, j] - left + _local_level(left, min(ratio, float(len(t))))
