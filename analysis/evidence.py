@@ -16,7 +16,8 @@ effects leave when free.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -41,6 +42,7 @@ _LEAST = 0.5  # λ at least, also where correlation of the noise favours a candi
 _LOOSE = 1e-6  # of the prior precision, where only the noise is estimated: bodies are free
 _BLOCK_S = 0.5  # s, at least: longer than the correlation time of filtered torque noise
 _BLOCKS = (16, 40)  # at least, at most
+_PARTS = 4  # of the rows, each predicted from the others
 _DETERMINED = 25.0  # least ratio of data to prior information in a direction that counts
 _FEWEST, _MANY = 4, 8  # such directions, to judge the tolerance by; to trust values more
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
@@ -268,6 +270,46 @@ def _inverse_root(G: Array) -> Array:
     values, vectors = np.linalg.eigh(G)
     keep = values > 1e-9 * max(values[-1], 0.0)
     return np.asarray((vectors[:, keep] / np.sqrt(values[keep])).T, float)
+
+
+def cross_validation(
+    evidence: Evidence, chosen: Sequence[Candidate]
+) -> Callable[[Sequence[Candidate]], Array]:
+    """Weighted squared error of each joint in each block of time, predicted from other parts.
+
+    The function takes subsets of the causes chosen; shape (blocks, nv). Parts are the quarters of
+    the rows, so that what is fitted to some of the motion must hold for the rest (Stone 1974).
+    """
+    problem, active, bounds = evidence.problem, evidence.active(chosen), [*evidence.blocks, None]
+    place, last = np.full(problem.p, -1), len(active)
+    place[active] = np.arange(last)
+    joints: list[tuple[Index, Array]] = []  # columns among the active, then torque; block Grams
+    for j, weight in enumerate(evidence.weight):
+        here = np.flatnonzero(place[problem.index[j]] >= 0)
+        rows = np.sqrt(weight) * np.column_stack([problem.columns[j][:, here], problem.tau[:, j]])
+        parts = (rows[begin:end] for begin, end in itertools.pairwise(bounds))
+        at = np.append(place[problem.index[j][here]], last)
+        joints.append((at, np.array([part.T @ part for part in parts])))
+    folds = np.array_split(np.arange(len(evidence.blocks)), _PARTS)
+    others = []
+    for fold in folds:
+        total = np.zeros((last + 1, last + 1))
+        for at, grams in joints:
+            total[np.ix_(at, at)] += np.delete(grams, fold, axis=0).sum(axis=0)
+        others.append(total)
+
+    def errors(subset: Sequence[Candidate]) -> Array:
+        used = place[evidence.active(subset)]
+        found = np.empty((len(evidence.blocks), len(joints)))
+        for fold, total in zip(folds, others, strict=True):
+            root = _root(total[np.ix_(used, used)] + np.diag(evidence.precision[active[used]]))
+            left = np.zeros(last + 1)
+            left[used], left[-1] = -scipy.linalg.cho_solve((root, True), total[used, -1]), 1.0
+            for j, (at, grams) in enumerate(joints):
+                found[fold, j] = (grams[fold] @ left[at]) @ left[at]
+        return found
+
+    return errors
 
 
 def weigh(

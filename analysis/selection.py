@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from excitant.analysis.candidates import gather, observed
-from excitant.analysis.evidence import Candidate, Evidence, Key, reweighed
+from excitant.analysis.evidence import Candidate, Evidence, Key, cross_validation, reweighed
 from excitant.exceptions import RankDeficient
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.prior import prior_parameters
@@ -34,6 +34,7 @@ _TIE_ALIKE = 3.3  # the same where their signatures are alike
 ALIKE = 0.9  # |cos| of such signatures
 _SAME = 0.999  # |cos| of a cause that is part of another
 _HALF = 0.5  # of what a cause explains: a rival must explain more
+_UNSEEN = 2.0  # standard errors by which the error of unseen parts must fall with a cause
 _ROUNDS = 2  # of choosing effects: the second with what the first identified
 
 
@@ -300,8 +301,9 @@ def choose_effects(
     """The standard effects, and further ones that the recordings to be fitted support.
 
     The evidence is that of a diagnosis, with bodies and standard effects as free as in an
-    identification; effects that depend on torque take that of the arm identified so far. Progress
-    is called with the fraction done and the effects found.
+    identification; effects that depend on torque take that of the arm identified so far. Each
+    effect must also reduce the error of parts of the recordings from which it was not fitted.
+    Progress is called with the fraction done and the effects found.
     """
     standard, bodies = standard_effects(robot.joints), prior_parameters(robot)
     given: dict[str, Any] = {"validate": recordings, "cutoff_hz": cutoff_hz}
@@ -311,13 +313,37 @@ def choose_effects(
     for k in range(_ROUNDS):
         rows = train.by(estimate.model)
         evidence = gather(train.robot, rows, tau, bodies, chosen, identified=True)
-        before, (_, found) = _with(standard, chosen), select(evidence, train.robot)
+        before, found = _with(standard, chosen), _predictive(*select(evidence, train.robot))
         added = ", ".join(plain(e.name) for e in _with((), found))
         progress((k + 1) / _ROUNDS, added)
         if _with(standard, found) == before:
             break
         estimate, chosen = _determined(robot, recordings, found, given)
     return _with(standard, chosen)
+
+
+def _predictive(evidence: Evidence, chosen: Sequence[Candidate]) -> list[Candidate]:
+    """The causes that predict, by elimination of the weakest.
+
+    With each the error of unseen parts falls beyond chance, and rises so at no joint it acts on.
+    """
+    kept, errors = list(chosen), cross_validation(evidence, chosen)
+    while kept:
+        before, scores = errors(kept), []
+        for cause in kept:
+            fall = errors([c for c in kept if c is not cause]) - before
+            own = [j for j, _ in evidence.acting(cause)]
+            scores.append(min(_score(fall.sum(axis=1)), *(_score(fall[:, own]) + 2 * _UNSEEN)))
+        if min(scores) >= _UNSEEN:
+            break
+        kept.pop(int(np.argmin(scores)))
+    return kept
+
+
+def _score(falls: Array) -> Array:
+    """Falls summed over blocks, in standard errors of that sum, (blocks, ...) → (...)."""
+    spread = np.sqrt(len(falls)) * falls.std(axis=0, ddof=1)
+    return np.asarray(falls.sum(axis=0) / np.maximum(spread, 1e-12), float)
 
 
 def _with(standard: Sequence[Effect], chosen: Sequence[Candidate]) -> tuple[Effect, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,15 @@ import pytest
 import scipy.signal
 import scipy.stats
 
-from excitant.analysis.evidence import FALSE_ALARM, Candidate, Evidence, reweighed, weigh
+from excitant.analysis.evidence import (
+    FALSE_ALARM,
+    Candidate,
+    Evidence,
+    cross_validation,
+    reweighed,
+    weigh,
+)
+from excitant.analysis.selection import _predictive
 from excitant.identify.regression import dense
 from excitant.robots.effects import StribeckFriction, TorqueOffset
 
@@ -179,3 +188,38 @@ def test_what_the_tolerance_explains_does_not_make_columns_alike(
     r = residual(X, np.random.default_rng(0))
     e = weighed(X, r, known=precision)
     assert e.cosine(*e.candidates[:2]) == pytest.approx(expected, abs=1e-3)
+
+
+def test_each_quarter_is_predicted_from_the_others() -> None:
+    e = evidence(planted=0.3)
+    X, chosen = columns(0), [e.candidates[k] for k in (2, 12, 5)]
+    errors = cross_validation(e, chosen)
+    edges = [*e.blocks[:: len(e.blocks) // 4], N]
+    for subset in (chosen, chosen[:1], []):
+        active = e.active(subset)
+        found = np.empty((N, NV))
+        for begin, end in itertools.pairwise(edges):
+            rest = np.r_[0:begin, end:N]
+            A = [np.sqrt(w) * X[rest, j][:, active] for j, w in enumerate(e.weight)]
+            b = [np.sqrt(w) * e.problem.tau[rest, j] for j, w in enumerate(e.weight)]
+            prior = np.diag(np.sqrt(e.precision[active]))
+            y = np.concatenate([*b, np.zeros(len(active))])
+            x = np.linalg.lstsq(np.vstack([*A, prior]), y)[0]
+            left = e.problem.tau[begin:end] - X[begin:end, :, active] @ x
+            found[begin:end] = left**2 * e.weight
+        np.testing.assert_allclose(
+            errors(subset), np.add.reduceat(found, e.blocks), rtol=1e-6, atol=1e-6
+        )
+
+
+def test_causes_that_do_not_predict_are_left_out() -> None:
+    """Neither what holds in a part of the motion only, nor what one joint refutes."""
+    X, rng = columns(3), np.random.default_rng([3, 1])
+    lasting, passing, of_one_joint = (NUISANCE + k for k in (2, 4, 6))
+    r = residual(X, rng) + 0.3 * X[:, :, lasting]
+    r[: N // 4] += 0.6 * X[: N // 4, :, passing]
+    r[:, 0] += X[:, 0, of_one_joint]
+    e = weighed(X, r)
+    chosen = [e.candidates[k] for k in (2, 4, 6)]
+    assert _predictive(e, chosen) == chosen[:1]
+    assert _predictive(e, []) == []
