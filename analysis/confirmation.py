@@ -40,6 +40,24 @@ _PAYLOAD_SIGMA = 100.0  # relative: a payload is left free
 _PAYLOAD_SHARE, _PAYLOAD_RADIUS = 0.05, 0.1  # its reference body: of the arm's mass, m
 
 
+class Asked(NamedTuple):
+    """Size that the error of unseen data asks of a torque, relative to the one fitted."""
+
+    size: float
+    error: float  # its standard error, from blocks of time
+    power: float  # ‖torque‖² / ‖error‖²
+
+    @property
+    def gain(self) -> float:
+        """Fall of the squared error with the torque as fitted, relative: (2a − 1)‖f‖² / ‖e‖²."""
+        return (2 * self.size - 1) * self.power
+
+    @property
+    def gain_error(self) -> float:
+        """Standard error of the gain."""
+        return 2 * self.error * self.power
+
+
 @dataclass(frozen=True, eq=False)
 class Finding:
     """One cause that the data support.
@@ -53,10 +71,7 @@ class Finding:
         rms_before: Error on the hold-out without it, all others kept, of its joints that turn or
             slide as that one does [torque unit].
         rms_after: The same of the extended model [torque unit].
-        gain: Fall of its joints' squared error with it, relative to the error without it.
-        gain_error: Standard error of the gain, from blocks of time.
-        size: Size that the hold-out asks for, all else as it is, relative to the one fitted.
-        size_error: Standard error of that.
+        asked: Size that the hold-out asks for at its joints, all else as it is, and the gain.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
         share: Rms of that relative to the measured torque, of the joint where it is largest.
         margin: Gain beyond the threshold of confirmation; negative where the size may be chance.
@@ -71,10 +86,7 @@ class Finding:
     joint: int
     rms_before: float
     rms_after: float
-    gain: float
-    gain_error: float
-    size: float
-    size_error: float
+    asked: Asked
     torque: Array
     share: float
     margin: float = 0.0
@@ -100,7 +112,7 @@ class Finding:
     @property
     def refuted(self) -> bool:
         """Whether the error on the hold-out is significantly larger with it."""
-        return self.gain + DEVIATIONS * self.gain_error < -FLOOR
+        return self.asked.gain + DEVIATIONS * self.asked.gain_error < -FLOOR
 
     @property
     def verdict(self) -> str:
@@ -353,10 +365,7 @@ def finding_of(
         joint=most,
         rms_before=float(before),
         rms_after=float(after),
-        gain=asked.gain,
-        gain_error=asked.gain_error,
-        size=asked.size,
-        size_error=asked.error,
+        asked=asked,
         torque=torque,
         share=share,
         margin=margin,
@@ -379,32 +388,14 @@ def _contradicted(robot: Robot, effect: Effect, error: Array, torque: Array) -> 
     return f"all joints have it, and the error of {', '.join(against)} grows with it"
 
 
-class _Asked(NamedTuple):
-    """Size that an error asks of a torque: a, its standard error, and ‖torque‖² / ‖error‖²."""
-
-    size: float
-    error: float
-    power: float
-
-    @property
-    def gain(self) -> float:
-        """Relative fall of the squared error, (2a − 1)‖f‖²."""
-        return (2 * self.size - 1) * self.power
-
-    @property
-    def gain_error(self) -> float:
-        """Standard error of the gain."""
-        return 2 * self.error * self.power
-
-
-def _asked(error: Array, torque: Array) -> _Asked:
+def _asked(error: Array, torque: Array) -> Asked:
     power = (torque**2).sum()
     if power <= 0:
-        return _Asked(1.0, 0.0, 0.0)
+        return Asked(1.0, 0.0, 0.0)
     size = (error * torque).sum() / power
     scores = torque * (error - size * torque)
     blocks = np.array([part.sum() for part in np.array_split(scores, _BLOCKS)])
-    return _Asked(float(size), float(np.linalg.norm(blocks) / power), power / (error**2).sum())
+    return Asked(float(size), float(np.linalg.norm(blocks) / power), power / (error**2).sum())
 
 
 def _coefficients(robot: Robot, fit: Extension, effect: Effect) -> tuple[Array, Array, Array]:

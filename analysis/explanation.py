@@ -53,8 +53,9 @@ def reason_to_downgrade(
         small = f"{100 * found.share:.1f} % of the torque"
         return f"models are hardly better than to {small}, which it makes"
     # noise of positions makes such torque too, which unseen data take back
-    if effect.depends_on_model and 1 - found.size > max(TOLERANCE, DEVIATIONS * found.size_error):
-        return f"unseen data show {found.size:.2f} ± {found.size_error:.2g} times as much of it"
+    asked = found.asked
+    if effect.depends_on_model and 1 - asked.size > max(TOLERANCE, DEVIATIONS * asked.error):
+        return f"unseen data show {asked.size:.2f} ± {asked.error:.2g} times as much of it"
     # a cause on several joints has to explain them all, so a smaller residual counts
     several = bool(torque.any(axis=0).sum() > 1)
     scale = np.array([r.floor for r in left])

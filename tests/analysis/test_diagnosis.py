@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
-from excitant.analysis.confirmation import Finding, held_out
+from excitant.analysis.confirmation import Asked, Finding, held_out
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.evidence import are_placeholders, placeholder_links
 from excitant.analysis.explanation import at_rest, headline, reason_to_downgrade
@@ -37,6 +37,7 @@ FAST = ("coulomb_friction", "payload")
 CLEAN = 2  # of each arm
 Pair = tuple[float, float]
 FLOOR = 0.1
+AS_FITTED = Asked(1.0, 0.0, 1.0)  # unseen data show as much of a cause
 PLANTED = (
     hidden("gravity_direction", roll=0.1, pitch=-0.05),
     hidden("asymmetric_friction", ELBOW, Fc_plus=10.0, Fc_minus=2.0, Fv_plus=5.0, Fv_minus=0.0),
@@ -323,7 +324,7 @@ def test_why_a_cause_that_pays_is_not_decided(
 ) -> None:
     """Torque and slow structure left of this rms at each of two joints; what causes explain."""
     viscous, beside = ViscousFriction(("joint2",)), StribeckFriction((rough[0],))
-    same = {"torque": np.ones((10, 1)) * rms, "share": 1.0}
+    same = {"torque": np.ones((10, 1)) * rms, "share": 1.0, "asked": AS_FITTED}
     found, *others = (
         cast(Finding, SimpleNamespace(**same, effect=effect, explained=x))
         for effect, x in ((viscous, own), (viscous, 0.6), (beside, rough[1]))
@@ -352,7 +353,7 @@ def test_what_shares_a_curve_or_is_faint_is_not_decided(
     own: float, beside: float, joint: str, said: str
 ) -> None:
     kinds = EFFECTS["nonlinear_viscous_friction"](("joint1",)), StribeckFriction((joint,))
-    same = {"torque": np.ones((10, 1)) * (1.0, 0.0), "share": 1.0}
+    same = {"torque": np.ones((10, 1)) * (1.0, 0.0), "share": 1.0, "asked": AS_FITTED}
     found, other = (
         cast(Finding, SimpleNamespace(**same, effect=effect, explained=x))
         for effect, x in zip(kinds, (own, beside), strict=True)
@@ -370,7 +371,12 @@ def test_what_shares_a_curve_or_is_faint_is_not_decided(
 )
 def test_a_slow_ripple_beside_a_spring_is_not_decided(order: float, joint: str, said: str) -> None:
     """Both are smooth curves of the position, as are a hose or a bumper, which are neither."""
-    same = {"torque": np.ones((10, 1)) * (1.0, 0.0), "share": 1.0, "explained": 0.5}
+    same = {
+        "torque": np.ones((10, 1)) * (1.0, 0.0),
+        "share": 1.0,
+        "explained": 0.5,
+        "asked": AS_FITTED,
+    }
     ripple, spring = (
         cast(Finding, SimpleNamespace(**same, effect=effect))
         for effect in (TorqueRipple(("joint1",), order=order), EFFECTS["spring"]((joint,)))
@@ -397,8 +403,9 @@ def test_causes_that_take_each_other_back_are_not_decided(
 ) -> None:
     """A spring, and a torque gain that makes some of its torque, backward or forward."""
     torque = np.sin(np.arange(100.0))[:, None] * (1.0, 0.0)
+    same = {"share": 1.0, "explained": 2.0, "asked": AS_FITTED}
     found, other = (
-        cast(Finding, SimpleNamespace(effect=effect, torque=x, share=1.0, explained=2.0))
+        cast(Finding, SimpleNamespace(**same, effect=effect, torque=x))
         for effect, x in (
             (EFFECTS["spring"](("joint1",)), torque),
             (TorqueGain((joint,)), factor * torque),
@@ -414,8 +421,8 @@ def test_causes_that_take_each_other_back_are_not_decided(
 def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, open_: bool) -> None:
     robot = load_robot("planar_2r")
     gain = TorqueGain(robot.joints).with_values([size])
-    shown = {"torque": np.ones((10, 2)), "share": 1.0, "explained": 0.5, "size": 1.0}
-    found = cast(Finding, SimpleNamespace(effect=gain, size_error=0.0, **shown))
+    shown = {"torque": np.ones((10, 2)), "share": 1.0, "explained": 0.5, "asked": AS_FITTED}
+    found = cast(Finding, SimpleNamespace(effect=gain, **shown))
     left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
     assert bool(reason_to_downgrade(robot, found, [found], left, 0.1)) == open_
 
@@ -434,7 +441,7 @@ def test_what_unseen_data_take_back_is_not_decided(
     kind: str, size: float, error: float, said: str
 ) -> None:
     torque = np.ones((10, 1)) * (1.0, 0.0)
-    shown = {"torque": torque, "share": 1.0, "explained": 0.5, "size": size, "size_error": error}
+    shown = {"torque": torque, "share": 1.0, "explained": 0.5, "asked": Asked(size, error, 1.0)}
     found = cast(Finding, SimpleNamespace(effect=EFFECTS[kind](("joint1",)), **shown))
     robot = load_robot("planar_2r")
     left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
