@@ -167,8 +167,13 @@ def rehearse_section(result: Result, series: Series) -> p.Section:
         "up to 5 %; one more effect changes later. The motion must show all of it.",
         brief="",
     )
+    planted = {"diagnosis": hidden}  # of that requirement, the change that it must name
     recovered = p.table(
-        [{**row, "value": v.at(row, "recovered")} for row in known],
+        [
+            {**row, "value": v.at(row, "recovered"), "name": planted.get(name, name)}
+            for row in known
+            for name in [v.text(row, "name")]
+        ],
         [
             ("name:Quantity", "name"),
             ("name:Joint", "joint"),
