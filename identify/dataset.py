@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import date
+from os.path import exists, isdir, isfile
 from pathlib import Path
 from typing import Any
 
@@ -104,10 +105,10 @@ class Dataset:
 
     def _path(self, name: str) -> Path:
         path = Path(name) if self.folder is None else self.folder / name
-        if self.folder is None or path.exists():
+        if self.folder is None or exists(path):
             return path
         found = (path.with_name(path.name + suffix) for suffix in SUFFIXES)
-        return next((each for each in found if each.is_file()), path)
+        return next((each for each in found if isfile(each)), path)
 
     def _all(self) -> list[Path]:
         if self.bag is not None:
@@ -119,7 +120,7 @@ class Dataset:
 
 def _inside(path: Path) -> list[Path]:
     """The recordings in a folder, those in the usual formats if there are any; else the path."""
-    if not path.is_dir() or is_bag(path):
+    if not isdir(path) or is_bag(path):
         return [path]
     files = sorted(path.iterdir())
     found = [p for p in files if p.suffix in _USUAL] or [
@@ -143,17 +144,17 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
     """
     folder = Path(spec)
     given = ColumnMap() if columns is None else load_column_map(columns)
-    if is_bag(folder) and folder.exists():
+    if is_bag(folder) and exists(folder):
         return Dataset(_robot_in(folder, spec), mapping=given, bag=folder)
-    if not folder.is_dir():
+    if not isdir(folder):
         return Dataset(load_robot(spec), mapping=_with_drive(given, folder))
     sidecar, beside = folder / "dataset.json", folder / "columns.yaml"
-    if columns is None and beside.is_file():
+    if columns is None and isfile(beside):
         given = load_column_map(beside)
-    known = read_yaml(sidecar, _Sidecar, "a data set") if sidecar.is_file() else _Sidecar()
+    known = read_yaml(sidecar, _Sidecar, "a data set") if isfile(sidecar) else _Sidecar()
     kinematics, torque = known.kinematics or _Kinematics(), known.torque or _Torque()
     candidates = [folder / name for name in (kinematics.urdf, "robot.yaml") if name]
-    model = next((path for path in candidates if path.is_file()), None)
+    model = next((path for path in candidates if isfile(path)), None)
     if model is None:
         files = sorted(folder.iterdir())
         if bag := next(filter(is_bag, files), None):
@@ -219,7 +220,7 @@ def origin(folder: Path, name: str) -> tuple[str, date | None]:
         BadInput: A ``dataset.json`` that cannot be read.
     """
     sidecar = folder / "dataset.json"
-    known = read_yaml(sidecar, _Sidecar, "a data set") if sidecar.is_file() else _Sidecar()
+    known = read_yaml(sidecar, _Sidecar, "a data set") if isfile(sidecar) else _Sidecar()
     arm, day = name, None
     for found in _DATE.finditer(name):
         with suppress(ValueError):
@@ -229,7 +230,7 @@ def origin(folder: Path, name: str) -> tuple[str, date | None]:
 
 
 def _with_drive(given: ColumnMap, model: Path) -> ColumnMap:
-    if given.drive or model.suffix not in (".yaml", ".yml") or not model.is_file():
+    if given.drive or model.suffix not in (".yaml", ".yml") or not isfile(model):
         return given
     drive = drive_of(read_yaml(model, RobotRecord, "a robot").drive, str(model))
     return replace(given, drive=drive)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from os.path import isdir
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -256,13 +257,13 @@ def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     is_bag, suffix = bags.is_bag(path), suffix_of(path)
     why = f"unknown format '{suffix}'; give .parquet or .csv, .json, .npz, .mat, .bag or .mcap"
     try:
-        size = 0 if path.is_dir() else size_of(path)
+        size = 0 if isdir(path) else size_of(path)
     except FileNotFoundError:
         raise BadRecording(path, "no such file") from None
     except OSError as error:
         why = f"cannot be read ({error.strerror}); give a file"
         raise BadRecording(path, why) from None
-    if path.is_dir() and not is_bag:
+    if isdir(path) and not is_bag:
         why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
     elif is_bag or suffix in _READERS:
         try:

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from os.path import isdir, isfile
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, runtime_checkable
 
@@ -71,7 +72,7 @@ def save_run(
 def _beside(directory: Path, parts: Sequence[str], new: Mapping[str, Any]) -> str | None:
     """An artefact's name relative to the directory, from its path; None where it is not there."""
     names = ("/".join(parts[k:]) for k in range(parts[:1] == ("/",), len(parts)))
-    return next((name for name in names if name in new or (directory / name).is_file()), None)
+    return next((name for name in names if name in new or isfile(directory / name)), None)
 
 
 def _files_of(directory: Path) -> set[str]:
@@ -102,7 +103,7 @@ def as_saved(
 def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """Result and series of a run directory; BadInput when a file is missing or corrupt."""
     directory = Path(directory)
-    if not directory.is_dir():
+    if not isdir(directory):
         raise BadInput(f"{directory}: no such folder; give the folder that a run was written to")
     result, packed = _result(directory), _content(directory / SERIES)
     try:

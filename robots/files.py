@@ -7,6 +7,7 @@ import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
+from os.path import exists, isdir, isfile
 from pathlib import Path
 from typing import Any
 
@@ -75,14 +76,14 @@ def within(
         BadRobot: It lies elsewhere.
     """
     real, folder = real_path(path), real_path(named_by).parent
-    around = next((f for f in (folder, *folder.parents) if (f / "package.xml").is_file()), folder)
+    around = next((f for f in (folder, *folder.parents) if isfile(f / "package.xml")), folder)
     if not any(map(real.is_relative_to, (folder, around, *map(real_path, packages)))):
         raise BadRobot(
             named_by,
             f"it asks for {path}, which is outside its folder; if you trust it, allow that with "
             f"{allow}",
         )
-    if real.exists() and not real.is_file():
+    if exists(real) and not isfile(real):
         raise BadRobot(named_by, f"it asks for {path}, which is no file; name a file")
     return real
 
@@ -103,7 +104,7 @@ def package_folders(
         for folder in (around, around / name):
             manifest = _package_name(folder)
             trusted = k < len(given) or manifest or not is_exposed(folder)
-            if trusted and folder.is_dir() and name in (manifest, folder.name):
+            if trusted and isdir(folder) and name in (manifest, folder.name):
                 yield folder
 
 

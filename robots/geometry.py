@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -648,6 +649,6 @@ def _mesh_file(name: str, robot: Robot) -> Path | None:
 def _is_mesh(path: Path) -> bool:
     """Whether a path is that of a file of a size that meshes have."""
     try:
-        return path.is_file() and path.stat().st_size < _LARGEST_MESH
+        return isfile(path) and path.stat().st_size < _LARGEST_MESH
     except (OSError, ValueError):  # a name that no file can have
         return False

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
+from os.path import exists, isfile
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,7 @@ def load_robot(
     if name in builtin_robots():
         whole = _builtin(name)
         return _narrowed(whole, spec) if spec.is_part or spec.lock else whole
-    if path.exists():
+    if exists(path):
         return _from_yaml(path, spec) if path.suffix in (".yaml", ".yml") else _from_model(spec)
     if path.suffix or "/" in name:
         why = "no such file; give a URDF, xacro, MJCF, a robot.yaml or a built-in name"
@@ -131,7 +132,7 @@ def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
         robot = _from_dh(record, own)
     elif record.model is not None:
         own = replace(own, path=path.parent / record.model)
-        if not Path(own).is_file():
+        if not isfile(own):
             raise BadRobot(path, f"model {own} does not exist")
         within(str(own), path, own.packages)
         per_joint = record.limits or record.effects or record.drive

@@ -12,6 +12,7 @@ import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -113,14 +114,14 @@ def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
                 named += [(here, name) for name in files]
                 continue
             for file in {base / name for base in (main, here) for name in files}:
-                if file.is_file() and (real := within(file, path, packages)) not in seen:
+                if isfile(file) and (real := within(file, path, packages)) not in seen:
                     seen.add(real)
                     parts.append(real)
     for here, name in named:
         for folder in folders:
             inner = (Path(folder) / name, Path(folder) / Path(name).name)
             for file in {base / each for base in (main, here) for each in inner}:
-                if file.is_file():
+                if isfile(file):
                     within(file, path, packages)
 
 
@@ -218,7 +219,7 @@ def _leave_out_drawing(spec: Any, path: str | Path) -> None:
             spec.delete(element)
     for mesh in list(spec.meshes):
         file = _mesh_path(spec, mesh, path)
-        if not mesh.file or file.is_file():
+        if not mesh.file or isfile(file):
             continue
         for geom in [g for g in spec.geoms if g.meshname == mesh.name]:
             body = geom.parent

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import islice
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ _FEW = 100  # messages that show which joints a bag has states of
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file of that kind, or the folder of a ROS 2 bag."""
-    return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
+    return path.suffix.lower() in SUFFIXES or isfile(path / "metadata.yaml")
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
     Raises:
         BadRecording: Not readable, no joint states, or several topics with them.
     """
-    if path.suffix == ".bag" and path.is_file():  # whose reader searches all of any other file
+    if path.suffix == ".bag" and isfile(path):  # whose reader searches all of any other file
         with path.open("rb") as stream:
             if stream.read(len(_ROS1)) != _ROS1:
                 raise BadRecording(path, "cannot be read (it is no bag of ROS 1); record it again")

@@ -14,6 +14,7 @@ import stat
 import threading
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from os.path import exists, isdir
 from pathlib import Path
 
 from excitant.exceptions import BadInput
@@ -58,15 +59,15 @@ def read_text(path: str | Path, most: int = LARGEST) -> str:
 def require_replaceable(folder: str | Path) -> None:
     """Refuse, as BadInput, a folder that `write_folder` could not put in place."""
     path = Path(folder).resolve()
-    parent = next(each for each in path.parents if each.exists())
+    parent = next(each for each in path.parents if exists(each))
     why = ""
-    if path.exists() and not path.is_dir():
+    if exists(path) and not isdir(path):
         why = "is a file"
     elif path in (Path.cwd(), *Path.cwd().parents):
         why = "is the working folder or holds it, and would be replaced as a whole"
     elif os.path.ismount(path):
         why = "is a mount point, which cannot be replaced as a whole"
-    elif not parent.is_dir():
+    elif not isdir(parent):
         why = f"{parent} is a file"
     elif not os.access(parent, os.W_OK | os.X_OK):
         why = f"nothing can be written in {parent}"
@@ -106,7 +107,7 @@ def write_folder(
     target = Path(folder).resolve()
     with _put_aside(target) as stage:
         new = stage / "run"
-        if target.exists():
+        if exists(target):
             gone = {*contents, *without}
             shutil.copytree(
                 target, new, symlinks=True, copy_function=_link,
@@ -115,7 +116,7 @@ def write_folder(
         for name, content in contents.items():
             (new / name).parent.mkdir(parents=True, exist_ok=True)
             _write(new / name, content, Path(folder) / name)
-        if target.exists():
+        if exists(target):
             _exchange(new, target)
         else:
             os.rename(new, target)
@@ -132,7 +133,7 @@ def _put_aside(target: Path) -> Iterator[Path]:
 
     Ctrl-C and SIGTERM wait until then.
     """
-    missing = [folder for folder in target.parents if not folder.exists()]
+    missing = [folder for folder in target.parents if not exists(folder)]
     prefix = f".excitant-{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
     with _uninterrupted(f"{target} was written"):
         try:

@@ -8,6 +8,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -88,7 +89,7 @@ def _found(folders: Sequence[str], root: Path) -> list[tuple[str, str]]:
 
     found: dict[str, str] = {}
     for given in map(Path, folders):
-        if not given.is_dir():
+        if not isdir(given):
             raise BadInput(f"{given}: no such folder; give folders of data sets")
         inside = list(below(given))
         if not inside:
@@ -168,7 +169,7 @@ def _stamp(folder: str) -> str:
 
     told = hashlib.sha256(version("excitant").encode())
     for path in sorted(Path(folder).rglob("*")):
-        if path.is_file():
+        if isfile(path):
             with path.open("rb") as file:
                 content = hashlib.file_digest(file, "sha256").hexdigest()
             told.update(f"{path.relative_to(folder)} {content}\n".encode())

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -93,7 +94,7 @@ class Part:
         from excitant.robots.chains import RobotSpec
 
         given = next((name for name, value in vars(self).items() if value not in (None, False)), "")
-        if given and Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
+        if given and isdir(path) and not isfile(Path(path) / "metadata.yaml"):
             raise BadInput(
                 f"{path}: a folder says itself which joints its robot has; leave "
                 f"--{given.replace('_', '-')} out, or put it into a robot.yaml there"

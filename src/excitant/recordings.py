@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
+from os.path import isdir
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
@@ -300,7 +300,7 @@ def analyze(
 
     if trajectory and recording:
         raise BadInput("--trajectory and --recording exclude each other; leave one out")
-    dataset = part.dataset(robot, data.map) if recording or Path(robot).is_dir() else None
+    dataset = part.dataset(robot, data.map) if recording or isdir(robot) else None
     arm = part.robot(robot) if dataset is None else dataset.robot
     effects = standard_effects(arm.joints) if columns == "friction" else ()
     given: dict[str, Any] = {

@@ -15,9 +15,10 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from excitant.exceptions import BadInput, BadRobot, ExcitantError
-from excitant.identify import load_dataset
-from excitant.robots import load_robot, xacro_files
+from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
+from excitant.files import write_folder
+from excitant.identify import load_dataset, load_recording
+from excitant.robots import Robot, load_robot, xacro_files
 from excitant.robots.expressions import Function, Refused, evaluate
 from excitant.robots.geometry import scene, unchecked
 
@@ -395,3 +396,28 @@ def test_a_damaged_description_is_an_arm_or_refused_in_one_line(
         assert "\n" not in said, seed
     assert {*tmp_path.iterdir()} == files
     assert mujoco.get_mju_user_warning() is None
+
+
+LONG = "x" * 300  # longer than file systems take, which pathlib refuses with an OSError
+NAMING: dict[str, str] = {
+    "robot.yaml": f"model: {LONG}.urdf",
+    "dataset.json": f'{{"kinematics": {{"urdf": "{LONG}.urdf"}}}}',
+    "arm.xml": f'<mujoco><include file="{LONG}"/></mujoco>',
+    "arm.xacro": f'<robot xmlns:xacro="x"><xacro:include filename="{LONG}"/></robot>',
+    "package.xacro": f'<robot xmlns:xacro="x"><xacro:include filename="$(find {LONG})/a"/></robot>',
+}
+
+
+@pytest.mark.parametrize("name", NAMING)
+def test_a_name_too_long_for_a_file_is_refused(name: str, tmp_path: Path, refused: Refuse) -> None:
+    (file := tmp_path / name).write_text(NAMING[name], "utf-8")
+    read = load_dataset if name == "dataset.json" else load_robot
+    refused("xxx|no robot model", read, tmp_path if name == "dataset.json" else file)
+
+
+def test_a_name_too_long_from_the_caller_is_refused(planar: Robot, refused: Refuse) -> None:
+    refused("xxx", load_robot, f"{LONG}.urdf")
+    refused("xxx", load_robot, LONG, error=UnknownName)
+    refused("xxx", load_dataset, LONG, error=UnknownName)
+    refused("xxx", load_recording, f"{LONG}.csv", planar)
+    refused("xxx", write_folder, LONG, {"a": "b"})
