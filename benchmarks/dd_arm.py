@@ -449,7 +449,8 @@ def _five_points(recording: Recording) -> Segment:
     motion = Motion(recording.t[inner], recording.q[inner], recording.dq[inner], ddq)
     keep = slice(segment.keep.start, segment.keep.stop - 4, segment.keep.step)
     tau, raw = segment.tau[inner], segment.tau_raw[inner]
-    return replace(segment, motion=motion, tau=tau, tau_raw=raw, keep=keep)
+    # five points pass what one sample of several would fold
+    return replace(segment, motion=motion, tau=tau, tau_raw=raw, keep=keep, whole=True)
 
 
 def velocity_lines(found: Iterator[Velocity]) -> Iterator[str]:
