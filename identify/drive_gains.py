@@ -99,7 +99,7 @@ class DriveGains:
         if not self.fixed:
             return (
                 f"{said} are relative to each other, for nothing fixes their common scale (the "
-                f"given masses, to ±{scale:.0%}): friction is told in amperes, and masses, "
+                f"given masses, to ±{100 * scale:.0f} %): friction is told in amperes, and masses, "
                 f"inertias and base parameters hold up to that factor; {known}"
             )
         if not self.compared:
@@ -112,8 +112,8 @@ class DriveGains:
             said += " were estimated from what joints have in common"
         return (
             f"{said}; their common scale, which currents do not determine, follows from the given "
-            f"masses to ±{scale:.0%}, and with it all masses, inertias and friction, whose ± "
-            f"contains it; {known}"
+            f"masses to ±{100 * scale:.0f} %, and with it all masses, inertias and friction, whose "
+            f"± contains it; {known}"
         )
 
     def told(self, unit: str, joint: int) -> tuple[float, str]:

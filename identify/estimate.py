@@ -456,10 +456,10 @@ class Estimate(Shown):
     def _moved(self) -> list[str]:
         """Sentences on how far the given bodies agree with the data, and which moved by half."""
         sigma, tool = self._sigma[0], self._sigma[-1]
-        last = f" ({self.given.links[-1]}: {tool:.0%})" if tool != sigma else ""
+        last = f" ({self.given.links[-1]}: {100 * tool:.0f} %)" if tool != sigma else ""
         found = [
-            f"the given bodies are off by about {sigma:.0%}{last} where the recordings see them; "
-            "as much is allowed for where they do not"
+            f"the given bodies are off by about {100 * sigma:.0f} %{last} where the recordings see "
+            "them; as much is allowed for where they do not"
         ]
         if moved := "; ".join(body.moved for body in self.bodies if body.moved):
             found.append(f"moved by half or more against the given model: {moved}")

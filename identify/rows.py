@@ -274,7 +274,9 @@ class FitRows:
     def rests(self) -> str:
         """Joints with rows that are left out, as a sentence; empty where there are few."""
         shares = zip(self.robot.joints, (~self.used).mean(axis=0), strict=True)
-        said = ", ".join(f"{joint} {share:.0%}" for joint, share in shares if share >= _TOLD)
+        said = ", ".join(
+            f"{joint} {100 * share:.0f} %" for joint, share in shares if share >= _TOLD
+        )
         if not said:
             return ""
         return (

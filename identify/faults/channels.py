@@ -163,9 +163,9 @@ def held_channels(log: Log) -> Iterator[Fault]:
         if held:
             worst, joints = max(held, key=lambda j: held[j]), log.names(held)
             detail = (
-                f"{name} of {', '.join(joints)} is held: {held[worst]:.1%} of its samples at "
-                f"{log.joints[worst]} repeat the one before exactly while the joint moves, though "
-                f"the others change by many steps of its resolution"
+                f"{name} of {', '.join(joints)} is held: {100 * held[worst]:.1f} % of its samples "
+                f"at {log.joints[worst]} repeat the one before exactly while the joint moves, "
+                f"though the others change by many steps of its resolution"
             )
             evidence = {"channel": name, "share": list(held.values())}
             yield Fault("duplicate_samples", joints, detail, evidence)

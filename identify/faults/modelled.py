@@ -46,8 +46,8 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
         noise = [own[j] for j in ideal]
         detail = (
             f"tau of {', '.join(names)} is the output of a model, not a measurement: rigid bodies "
-            f"with viscous and Coulomb friction miss it by no more than {missed[worst]:.2%} of its "
-            f"spread ({log.joints[worst]}), and its own noise is at most {max(noise):.1g} "
+            f"with viscous and Coulomb friction miss it by at most {100 * missed[worst]:.2f} % "
+            f"of its spread ({log.joints[worst]}), and its own noise is at most {max(noise):.1g} "
             f"{log.unit}"
         )
         yield Fault("not_measured", names, detail, {"missed": missed[ideal], "noise": noise})
@@ -56,7 +56,7 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
         worst, names = max(copied, key=lambda j: copied[j]), log.names(copied)
         detail = (
             f"tau of {', '.join(names)} is computed from the logged motion, not measured: up "
-            f"to {copied[worst]:.1%} of the variance of its noise ({log.joints[worst]}) is "
+            f"to {100 * copied[worst]:.1f} % of the variance of its noise ({log.joints[worst]}) is "
             f"that of the differentiated positions and velocities"
         )
         yield Fault("not_measured", names, detail, {"explained": list(copied.values())})

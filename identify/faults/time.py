@@ -94,8 +94,8 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
         return
     starts, lengths = run_lengths(same)
     detail = (
-        f"{len(rows)} of {len(log)} rows ({len(rows) / len(log):.2%}) repeat every value of the "
-        f"row before while joints move, in {np.isin(starts + 1, rows).sum()} places; "
+        f"{len(rows)} of {len(log)} rows ({100 * len(rows) / len(log):.2f} %) repeat every value "
+        f"of the row before while joints move, in {np.isin(starts + 1, rows).sum()} places; "
         f"{log.first(rows)}"
     )
     longest = int(lengths.max()) + 1
@@ -249,7 +249,7 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     n, found = len(log), len(rows) - len(again)
     parts = []
     if found:
-        said = f"{found} of {n} rows ({found / n:.2%}) repeat the time of the row before"
+        said = f"{found} of {n} rows ({100 * found / n:.2f} %) repeat the time of the row before"
         parts.append(f"{said}, {same} of them all its values too")
     if len(again):
         parts.append(f"{len(again)} of {n} rows repeat time and values of earlier ones")
