@@ -40,9 +40,9 @@ _ROUNDS = 2  # of restarts without a gain after which random starts begin anew
 _WORTH = 1e-3  # decrease of the merit that counts as a gain
 _POLISHED = 4  # best searches that are driven to convergence
 
-_FACTOR = 1.5  # by which the number of harmonics grows
+_FACTOR = 2.0  # by which the number of harmonics grows
 _GROWTH = 0.02  # least decrease of the criterion for which it grows on
-_FAMILY = 4  # best solutions that go on with more harmonics
+_FAMILY = 2  # best solutions that go on with more harmonics
 _FIRST, _SHARE = 0.1, 0.35  # of the remaining time for the first and each further number
 _SAMPLED = 6  # starts that compare periods
 _PERIODS, _COMPARING = 5, 0.3  # periods compared, and the share of the time for that

@@ -156,6 +156,7 @@ def _solved(
         settings.iterative_refinement_enable = refined
         settings.verbose = False
         settings.max_iter = 60
+        settings.direct_solve_method = "qdldl"  # others start threads beside other searches
         settings.tol_gap_abs = settings.tol_gap_rel = 1e-6
         settings.tol_feas = 1e-7
         solution = clarabel.DefaultSolver(*cost, sparse, right, cones, settings).solve()
