@@ -280,33 +280,26 @@ def cross_validation(
     The function takes subsets of the causes chosen; shape (blocks, nv). Parts are the quarters of
     the rows, so that what is fitted to some of the motion must hold for the rest (Stone 1974).
     """
-    problem, active, bounds = evidence.problem, evidence.active(chosen), [*evidence.blocks, None]
-    place, last = np.full(problem.p, -1), len(active)
-    place[active] = np.arange(last)
-    joints: list[tuple[Index, Array]] = []  # columns among the active, then torque; block Grams
-    for j, weight in enumerate(evidence.weight):
-        here = np.flatnonzero(place[problem.index[j]] >= 0)
-        rows = np.sqrt(weight) * np.column_stack([problem.columns[j][:, here], problem.tau[:, j]])
-        parts = (rows[begin:end] for begin, end in itertools.pairwise(bounds))
-        at = np.append(place[problem.index[j][here]], last)
-        joints.append((at, np.array([part.T @ part for part in parts])))
-    folds = np.array_split(np.arange(len(evidence.blocks)), _PARTS)
-    others = []
-    for fold in folds:
-        total = np.zeros((last + 1, last + 1))
-        for at, grams in joints:
-            total[np.ix_(at, at)] += np.delete(grams, fold, axis=0).sum(axis=0)
-        others.append(total)
+    active = evidence.active(chosen)
+    problem, place = evidence.problem.select(active.tolist()), np.full(evidence.problem.p, -1)
+    place[active] = np.arange(len(active))
+    bounds = itertools.pairwise([*evidence.blocks, None])
+    blocks = [problem.at(slice(begin, end)) for begin, end in bounds]
+    grams = [np.array(each) for each in zip(*(block.grams for block in blocks), strict=True)]
+    whole = np.array([block.gram(evidence.weight) for block in blocks])
+    folds = np.array_split(np.arange(len(blocks)), _PARTS)
+    others = [np.delete(whole, fold, axis=0).sum(axis=0) for fold in folds]
 
     def errors(subset: Sequence[Candidate]) -> Array:
         used = place[evidence.active(subset)]
-        found = np.empty((len(evidence.blocks), len(joints)))
+        found = np.empty((len(blocks), problem.nv))
         for fold, total in zip(folds, others, strict=True):
             root = _root(total[np.ix_(used, used)] + np.diag(evidence.precision[active[used]]))
-            left = np.zeros(last + 1)
+            left = np.zeros(problem.p + 1)
             left[used], left[-1] = -scipy.linalg.cho_solve((root, True), total[used, -1]), 1.0
-            for j, (at, grams) in enumerate(joints):
-                found[fold, j] = (grams[fold] @ left[at]) @ left[at]
+            for j, weight in enumerate(evidence.weight):
+                own = left[np.append(problem.index[j], problem.p)]
+                found[fold, j] = weight * (grams[j][fold] @ own) @ own
         return found
 
     return errors
