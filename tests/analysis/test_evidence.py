@@ -219,7 +219,7 @@ def test_causes_that_do_not_predict_are_left_out() -> None:
     r = residual(X, rng) + 0.3 * X[:, :, lasting]
     r[: N // 4] += 0.6 * X[: N // 4, :, passing]
     r[:, 0] += X[:, 0, of_one_joint]
-    e = weighed(X, r)
+    e = replace(weighed(X, r), sigma=np.array([0.1, 1.0]), inflation=np.ones(NV))
     chosen = [e.candidates[k] for k in (2, 4, 6)]
     assert _predictive(e, chosen) == chosen[:1]
     assert _predictive(e, []) == []
