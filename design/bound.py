@@ -20,7 +20,7 @@ BoundProgress = Callable[[float, float, float], None]
 """Called after every round with the time taken [s], the bound so far and its ceiling."""
 
 _SEEDS, _SEED_STATES = 8, 40  # random trajectories to begin with, and states of each
-_SEED_HARMONICS, _SEED_DURATION = 5, 10.0  # of those, where the motion has no band
+_SEED_HARMONICS, _SEED_PERIOD = 5, 10.0  # of those, where the motion has no band
 _STARTS = 120  # of the ascent, from states of large weight and from random ones each
 _STEPS, _KEPT, _POLISH = 8, 80, 24  # steps of all, how many go on, and their further steps
 _FINAL_STARTS, _FINAL_STEPS = 300, 16  # of the last search for a violation
@@ -64,7 +64,7 @@ class Bound:
 def lower_bound(
     robot: Robot,
     *,
-    duration: float = 10.0,
+    period: float = 10.0,
     harmonics: int | None = 5,
     columns: str = "inertial",
     seed: int = 0,
@@ -82,7 +82,7 @@ def lower_bound(
 
     Args:
         robot: The arm; its limits on position, velocity, acceleration and torque count.
-        duration: Period of the motion [s].
+        period: Period of the motion [s].
         harmonics: Of its Fourier series; None for any motion whatever.
         columns: ``"inertial"`` or ``"friction"``.
         seed: Seed of all randomness.
@@ -96,19 +96,19 @@ def lower_bound(
         UnknownName: Other columns.
     """
     began = time.time()
-    if not (np.isfinite(duration) and duration > 0):
-        raise BadInput(f"duration {duration} s is not a positive number")
+    if not (np.isfinite(period) and period > 0):
+        raise BadInput(f"period {period} s is not a positive number")
     if harmonics is not None and harmonics < 2:
         raise BadInput(f"{harmonics} harmonics cannot be at rest at both ends; use at least 2")
     if not time_limit > 0:
         raise BadInput(f"time limit {time_limit} s is not positive")
-    top = np.inf if harmonics is None else 2 * np.pi * harmonics / duration
+    top = np.inf if harmonics is None else 2 * np.pi * harmonics / period
     problem = relaxation(robot, columns, top, stationary=harmonics is not None)
     rng = np.random.default_rng(seed)
-    states = _seeds(robot, rng, duration, harmonics, pool)
+    states = _seeds(robot, rng, period, harmonics, pool)
     kind = "any motion"
     if harmonics is not None:
-        kind += f" of period {duration:g} s with {harmonics} harmonics"
+        kind += f" of period {period:g} s with {harmonics} harmonics"
     search = _Search(problem, rng, states)
     search.run(began, time_limit, progress)
     multipliers = search.certify()
@@ -194,14 +194,14 @@ class _Search:
 def _seeds(
     robot: Robot,
     rng: np.random.Generator,
-    duration: float,
+    period: float,
     harmonics: int | None,
     pool: Sequence[Motion],
 ) -> Motion:
     if harmonics is None:
-        duration, harmonics = _SEED_DURATION, _SEED_HARMONICS
-    t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * duration
-    motions = [random_trajectory(robot, rng, duration, harmonics).at(t) for _ in range(_SEEDS)]
+        period, harmonics = _SEED_PERIOD, _SEED_HARMONICS
+    t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * period
+    motions = [random_trajectory(robot, rng, period, harmonics).at(t) for _ in range(_SEEDS)]
     for motion in pool:
         if motion.nv != robot.nv:
             raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -29,6 +29,7 @@ _FIELDS = ("positions", "velocities", "accelerations")
 _SERVOJ = "lookahead_time=0.1, gain=300"
 _FIRST = "a=0.3, v=0.2"  # rad/s² and rad/s of the move to the first pose
 _SETTLE = 0.48  # s at the last pose, which servoj reaches later than it is told; whole steps
+_Periods = Annotated[int, msgspec.Meta(ge=1, le=10_000)]
 _LARGEST = 1e9  # rad, rad/s, rad/s²: a sample beyond it is damaged
 
 
@@ -44,7 +45,7 @@ def _columns(nv: int) -> list[str]:
 
 
 def trajectory_csv(trajectory: Trajectory, rate_hz: float = 100.0, repetitions: int = 1) -> str:
-    """Periods at a control rate [Hz] as a table, first and last sample included."""
+    """All periods at a control rate [Hz], once or more, as a table with first and last sample."""
     return motion_csv(trajectory.motion(rate_hz, repetitions))
 
 
@@ -55,10 +56,11 @@ class _FourierRecord(msgspec.Struct, frozen=True):
     offset: list[Finite]
     cosine: list[list[Finite]]
     sine: list[list[Finite]]
+    periods: _Periods = 1
     joints: Any = None
 
     def trajectory(self) -> Trajectory:
-        return FourierTrajectory(self.offset, self.cosine, self.sine, self.period)
+        return FourierTrajectory(self.offset, self.cosine, self.sine, self.period, self.periods)
 
 
 class _SplineRecord(msgspec.Struct, frozen=True):
@@ -66,10 +68,12 @@ class _SplineRecord(msgspec.Struct, frozen=True):
 
     period: Positive
     control_points: list[list[Finite]]
+    periods: _Periods = 1
     joints: Any = None
 
     def trajectory(self) -> Trajectory:
-        return SplineSeries(self.period, len(self.control_points)).trajectory(self.control_points)
+        series = SplineSeries(self.period, len(self.control_points), self.periods)
+        return series.trajectory(self.control_points)
 
 
 def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
@@ -79,6 +83,7 @@ def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
         "robot": robot.name,
         "joints": list(robot.joints),
         "period": trajectory.period,
+        "periods": trajectory.series.periods,
         "harmonics": trajectory.harmonics,
     }
     if isinstance(trajectory, FourierTrajectory):

@@ -40,7 +40,8 @@ _CLEARANCE_MARGIN = 0.004  # m, for what happens between the instants of the opt
 def build_design(
     robot: Robot,
     *,
-    duration: float | tuple[float, float] = 10.0,
+    duration: float = 10.0,
+    periods: int = 1,
     harmonics: int | None = 5,
     series: str = "fourier",
     criterion: str = "condition",
@@ -51,7 +52,6 @@ def build_design(
     clearance: float = CLEARANCE,
 ) -> DesignProblem:
     """State the problem that `design_trajectory` solves, as its search begins."""
-    longest = period_range(duration)[1]
     if not robot.phi[::10].any():
         why = "no link has a mass, so no torque is known; add <inertial> elements"
         raise BadRobot(robot.source or robot.name, why)
@@ -60,42 +60,37 @@ def build_design(
     if not np.isfinite(clearance) or clearance < 0:
         raise BadInput(f"clearance {clearance} m is not a distance")
     return DesignProblem(
-        information(robot, columns, noise=noise, earlier=earlier, duration=longest),
+        information(robot, columns, noise=noise, earlier=earlier, duration=duration),
         criterion,
-        _series(series, longest, _FEWEST if harmonics is None else harmonics),
+        _series(series, duration, periods, _FEWEST if harmonics is None else harmonics),
         scene,
         clearance + _CLEARANCE_MARGIN,
     )
 
 
-def period_range(duration: float | tuple[float, float]) -> tuple[float, float]:
-    """The shortest and the longest period [s]."""
-    shortest, longest = duration if isinstance(duration, tuple) else (duration, duration)
-    if not 0 < shortest <= longest:
-        raise BadInput(f"duration {shortest:g} to {longest:g} s: give the shorter one first")
-    return shortest, longest
-
-
-def _series(name: str, duration: float, harmonics: int) -> Series:
+def _series(name: str, duration: float, periods: int, harmonics: int) -> Series:
     if name not in SERIES:
         raise UnknownName("series", name, SERIES)
     if not (np.isfinite(duration) and duration > 0):
         raise BadInput(f"duration {duration} s is not a positive number")
+    if periods < 1:
+        raise BadInput(f"{periods} periods: at least one is needed")
     fewest = 2 if name == "fourier" else 3
     if harmonics < fewest:
         raise BadInput(
             f"{harmonics} harmonics cannot move and be at rest at both ends; use at least {fewest}"
         )
     if name == "spline":
-        return SplineSeries(float(duration), 2 * harmonics)
-    return FourierSeries(float(duration), harmonics)
+        return SplineSeries(float(duration), 2 * harmonics).split(periods)
+    return FourierSeries(float(duration), harmonics).split(periods)
 
 
 @on_one_thread
 def design_trajectory(
     robot: RobotLike,
     *,
-    duration: float | tuple[float, float] = 10.0,
+    duration: float = 10.0,
+    periods: int | None = None,
     harmonics: int | None = 5,
     series: str = "fourier",
     use: float = USE,
@@ -120,12 +115,16 @@ def design_trajectory(
 
     Args:
         robot: The arm, its built-in name or file; its limits and effects count.
-        duration: Period [s], or the shortest and the longest to choose from.
-        harmonics: Number of harmonics, at least 2; None to add harmonics while κ falls.
+        duration: Length of the motion [s].
+        periods: Number of equal periods that it has, each from rest to rest; None for as many as
+            make the criterion least: the same harmonics are slow and wide in one long period, fast
+            in several short ones.
+        harmonics: Number of harmonics of a period, at least 2; None to add harmonics while κ
+            falls.
         series: ``"fourier"``, or ``"spline"``: B-splines with twice as many pieces as there
             would be harmonics, whose local freedom suits tight cells.
         use: Share of the limits on velocity, acceleration, torque and jerk that is used (of 1).
-        top_hz: Highest frequency up to which harmonics are added [Hz].
+        top_hz: Highest frequency that a search for periods or harmonics goes to [Hz].
         criterion: ``"condition"`` (cond₂ W), ``"d"`` (det M), ``"a"`` (tr M⁻¹), ``"e"`` (λmin).
         columns: ``"friction"`` or ``"inertial"``.
         noise: Standard deviation of each joint's torque noise, shape (nv,) [N·m or N], to
@@ -145,20 +144,22 @@ def design_trajectory(
         Infeasible: No motion keeps the limits; names those in conflict.
         UnknownName: Another criterion, other columns or another series.
         BadRobot: No link has a mass.
-        BadInput: Duration, use, harmonics or starts out of range, or no cluster there.
+        BadInput: Duration, periods, use, harmonics or starts out of range, or no cluster there.
     """
     robot = as_robot(robot)
     began, held = time.time(), robot.using(use)
+    count = 1 if periods is None else periods
     with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
         first = build_design(
-            held, duration=duration, harmonics=harmonics, series=series, criterion=criterion,
-            columns=columns, noise=noise, earlier=earlier, scene=scene, clearance=clearance,
+            held, duration=duration, periods=count, harmonics=harmonics, series=series,
+            criterion=criterion, columns=columns, noise=noise, earlier=earlier, scene=scene,
+            clearance=clearance,
         )  # fmt: skip
         initial = first.random(np.random.default_rng([seed, 0]))  # refuses what no motion keeps
         if progress is not None:
             effort = replace(effort, report=_Teller(effort.starts, progress))
-        highest = top_hz if harmonics is None else None
-        problem, searches = search(first, effort, period_range(duration)[0], highest)
+        free = {"periods": periods is None, "harmonics": harmonics is None}
+        problem, searches = search(first, effort, **free, top_hz=top_hz)
     if problem.period != first.period:
         begun = replace(problem, series=problem.series.resized(first.series.terms))
         initial = begun.random(np.random.default_rng([seed, 0]))

@@ -31,7 +31,7 @@ _WEAKEST = 10  # base parameters listed
 
 
 def dense_motion(trajectory: Trajectory) -> Motion:
-    """The samples on which condition numbers are reported, first and last included."""
+    """The samples of a period that condition numbers are reported on, first and last included."""
     return trajectory.sample(max(_DENSE, round(_DENSE_HZ * trajectory.period)) + 1)
 
 
@@ -86,8 +86,8 @@ class Design(Shown):
 
     @property
     def duration(self) -> float:
-        """Period [s]."""
-        return self.trajectory.period
+        """Length of the motion, all its periods [s]."""
+        return self.trajectory.duration
 
     @property
     def harmonics(self) -> int:
@@ -141,6 +141,7 @@ class Design(Shown):
             "joints": list(robot.joints),
             "revolute": robot.revolute.tolist(),
             "duration": self.duration,
+            "periods": self.trajectory.series.periods,
             "harmonics": self.harmonics,
             "series": self.trajectory.series.name,
             "columns": self.information.columns,
@@ -236,7 +237,7 @@ class Design(Shown):
 
     def _weakest(self, names: Sequence[str]) -> list[dict[str, Any]]:
         base, robot = self.base, self.robot
-        root = math.sqrt(len(dense_motion(self.trajectory)))
+        root = math.sqrt(max(_DENSE, round(_DENSE_HZ * self.duration)) + 1)
         lone = {"initial": lone_torque(self.before), "final": lone_torque(self.after)}
         known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
         known |= effect_values(robot)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -16,6 +16,7 @@ from excitant.design.criterion import condition_number, objective
 from excitant.design.peaks import worst_use
 from excitant.design.problem import DesignProblem
 from excitant.design.step import PENALTY, local_model, solve_step
+from excitant.design.trajectory import Series
 from excitant.exceptions import Infeasible
 from excitant.processes import unordered
 from excitant.robots import Array
@@ -40,12 +41,11 @@ _ROUNDS = 2  # of restarts without a gain after which random starts begin anew
 _WORTH = 1e-3  # decrease of the merit that counts as a gain
 _POLISHED = 4  # best searches that are driven to convergence
 
-_FACTOR = 2.0  # by which the number of harmonics grows
-_GROWTH = 0.02  # least decrease of the criterion for which it grows on
+_SPLITS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # numbers of periods that are compared
+_SAMPLED, _COMPARING = 4, 0.1  # starts that compare them, and share of the remaining time for each
+_GROWTH = 0.02  # least decrease of the criterion that more periods or harmonics are worth
 _FAMILY = 2  # best solutions that go on with more harmonics
 _FIRST, _SHARE = 0.1, 0.35  # of the remaining time for the first and each further number
-_SAMPLED = 6  # starts that compare periods
-_PERIODS, _COMPARING = 5, 0.3  # periods compared, and the share of the time for that
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,54 +187,78 @@ class Effort:
 
 
 def search(
-    problem: DesignProblem, effort: Effort, shortest: float, top_hz: float | None
+    problem: DesignProblem, effort: Effort, *, periods: bool, harmonics: bool, top_hz: float
 ) -> tuple[DesignProblem, Searches]:
-    """All searches for a problem, and the problem with the period and harmonics chosen.
+    """All searches for a problem, and the problem with the periods and harmonics chosen.
 
-    It comes with the longest period [s] and the fewest harmonics; they are added up to ``top_hz``.
+    It comes with one period if the number of periods is to be chosen, and with the fewest harmonics
+    if theirs is; neither goes beyond ``top_hz``.
     """
-    if shortest < problem.period:
-        problem = _best_period(problem, effort, shortest)
-    if top_hz is None:
-        return problem, _MultiStart(problem, effort).run()
-    return _grow(problem, effort, top_hz)
+    first = _most_telling(problem, effort, top_hz) if periods else _MultiStart(problem, effort)
+    if not harmonics:
+        return first.problem, first.run()
+    first.effort = effort.share(effort.starts, _FIRST)
+    return _grow(first.problem, first.run(), effort, periods, top_hz)
 
 
-def _best_period(problem: DesignProblem, effort: Effort, shortest: float) -> DesignProblem:
-    """The problem with the period, among some from the shortest [s], that few starts like best."""
-    began, tried = time.time(), []
-    span = _COMPARING * (effort.deadline - began) / _PERIODS
-    for k, period in enumerate(np.geomspace(shortest, problem.period, _PERIODS)):
-        series = problem.series.resized(problem.series.terms, float(period))
-        candidate = replace(problem, series=series)
-        part = replace(effort, starts=_SAMPLED, deadline=began + (k + 1) * span)
-        searches = _MultiStart(candidate, part).run()
-        tried.append((_value(searches), k, candidate))
-        if _interrupted(searches):
+def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _MultiStart:
+    """A few starts on the motion in one period, in two and more while that is better.
+
+    They go on with the whole effort.
+    """
+    best = None
+    for count in _SPLITS:
+        candidate = replace(problem, series=problem.series.split(count))
+        if best is not None and _top(candidate) > top_hz:
             break
-    return min(tried, key=lambda row: row[:2])[2]
+        starts = min(_SAMPLED, effort.starts or _SAMPLED)
+        tried = _MultiStart(candidate, effort.share(starts, _COMPARING))
+        searches = tried.run()
+        if best is None or _value(searches) < _value(best.searches) - _GROWTH:
+            best = tried
+        elif _interrupted(searches):
+            best.interrupt()
+        if best is not tried or _interrupted(searches):
+            break
+    assert best is not None
+    best.effort = effort
+    return best
 
 
-def _grow(problem: DesignProblem, effort: Effort, top_hz: float) -> tuple[DesignProblem, Searches]:
+def _grow(
+    problem: DesignProblem, searches: Searches, effort: Effort, periods: bool, top_hz: float
+) -> tuple[DesignProblem, Searches]:
     """Searches with harmonics added while κ falls, each from the best solutions before."""
-    searches = _MultiStart(problem, effort.share(effort.starts, _FIRST)).run()
-    while time.time() < effort.deadline and not _interrupted(searches):
-        terms = int(np.ceil(_FACTOR * problem.series.terms))
-        larger = replace(problem, series=problem.series.resized(terms))
-        seeds = _seeds(larger, problem, searches)
-        if larger.series.terms / larger.period > top_hz or not seeds:
-            break
-        found = _MultiStart(larger, effort.share(len(seeds), _SHARE), seeds).run()
-        gain = _value(searches) - _value(found)
-        if not gain > 0:
-            break
-        problem, searches = larger, found
-        if gain < _GROWTH:
-            break
+    gain = np.inf
+    while gain > _GROWTH and time.time() < effort.deadline and not _interrupted(searches):
+        gain = 0.0
+        for series in _larger(problem.series, periods):
+            larger = replace(problem, series=series)
+            if _top(larger) > top_hz:
+                continue
+            seeds = _seeds(larger, problem, searches)
+            found = _MultiStart(larger, effort.share(len(seeds), _SHARE), seeds).run()
+            gain = _value(searches) - _value(found)
+            if gain > 0:
+                problem, searches = larger, found
+                break
     seeds = _seeds(problem, problem, searches)
     if seeds and effort.starts is None and not _interrupted(searches):
         searches = _MultiStart(problem, effort, seeds).run()
     return problem, searches
+
+
+def _larger(series: Series, periods: bool) -> Iterator[Series]:
+    """More harmonics: to twice the frequency, and to the same in longer and so fewer periods."""
+    yield series.resized(2 * series.terms)
+    if periods and series.periods > 1:
+        times = 2 if series.periods % 2 == 0 else 3
+        yield series.resized(times * series.terms).split(series.periods // times)
+
+
+def _top(problem: DesignProblem) -> float:
+    """Highest frequency of its motions [Hz]; beyond a period by less than rounding is none."""
+    return problem.series.terms / problem.period * (1 - 1e-9)
 
 
 def _seeds(problem: DesignProblem, before: DesignProblem, searches: Searches) -> tuple[Array, ...]:
@@ -273,20 +297,33 @@ class _MultiStart:
         self.first = 0  # start of the island
 
     def run(self) -> Searches:
+        """What was found by the end of the effort; with more effort, it goes on from there."""
+        if _interrupted(self.searches):
+            return self.searches
         try:
-            self.island()
+            self.island(0)
             while self.more():
-                self.island()
+                self.island(len(self.states))
             self.work(self.polishing(_POLISHED, 0))
             self.end("stopped", [s for s in self.ranked(0)[_POLISHED:] if s.status == "stalled"])
             late = time.time() > self.effort.deadline
             self.end("time limit" if late else "iteration limit", self.ranked(0))
         except KeyboardInterrupt:
-            self.states = self.states or {0: SearchState(0, self.nothing)}
-            self.end("interrupted", self.ranked(0))
+            self.interrupt()
+        return self.searches
+
+    def interrupt(self) -> None:
+        """End all searches, and one more that had not begun, as interrupted."""
+        last = len(self.states)
+        self.states[last] = SearchState(last, self.nothing)
+        self.end("interrupted", self.ranked(0))
+
+    @property
+    def searches(self) -> Searches:
         return tuple(self.states[k] for k in sorted(self.states))
 
-    def island(self) -> None:
+    def island(self, first: int) -> None:
+        self.first = first
         self.random_starts()
         idle = 0
         while self.more() and idle < _ROUNDS:
@@ -295,7 +332,7 @@ class _MultiStart:
             idle = 0 if self.merit() < before - _WORTH else idle + 1
 
     def random_starts(self) -> None:
-        self.first = first = len(self.states)
+        first = len(self.states)
         count = int(min(self.room, max(3, min(_RANDOM, self.room / 2))))
         begun: dict[int, Array] = {}
         if first < len(self.seeds):

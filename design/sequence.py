@@ -25,7 +25,6 @@ from excitant.design.optimal import (
     USE,
     build_design,
     effort_of,
-    period_range,
 )
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
@@ -46,6 +45,7 @@ _SHARED = ("joints", "revolute", "series", "limit_use", "limit_values", "obstacl
 _SHOWN = ("appearance", "bodies")  # of the playback
 _OWN = (
     "duration",
+    "periods",
     "harmonics",
     "base_parameters",
     "condition_number",
@@ -76,7 +76,7 @@ class LinkByLinkDesign:
         """The content of ``result.json``: the worst of all at the top, each in ``stages``."""
         designs = list(self.motions.values())
         single = [design.result() for design in designs]
-        starts = np.cumsum([0.0, *(one["duration"] for one in single)]).tolist()
+        starts = np.cumsum([0.0, *(design.trajectory.period for design in designs)]).tolist()
         worst = int(np.argmax([design.condition_final for design in designs]))
         limits, when = {}, {}
         for quantity in single[0]["limits"]:
@@ -99,7 +99,7 @@ class LinkByLinkDesign:
             "verb": "design",
             "robot": self.robot.name,
             **{key: single[0][key] for key in (*_SHARED, *_SHOWN)},
-            "duration": starts[-1],
+            "duration": sum(one["duration"] for one in single),
             "harmonics": max(one["harmonics"] for one in single),
             "columns": self.columns,
             "base_parameters": self.base,
@@ -122,20 +122,20 @@ class LinkByLinkDesign:
         }
 
     def series(self) -> dict[str, Array]:
-        """Curves of all motions one after the other, as of `Design.series`."""
+        """Curves of a period of each motion one after the other, as of `Design.series`."""
         parts, start = [], 0.0
         for design in self.motions.values():
             part = design.series()
             parts.append(part | {key: part[key] + start for key in ("t", "arm_t", "play_t")})
-            start += design.duration
+            start += design.trajectory.period
         curves = [key for key in parts[0] if not key.startswith("mesh")]
         return parts[0] | {key: np.concatenate([part[key] for part in parts]) for key in curves}
 
-    def files(self, rate_hz: float, periods: int = 1) -> dict[str, str | bytes]:
+    def files(self, rate_hz: float, repetitions: int = 1) -> dict[str, str | bytes]:
         """``link<i>.csv`` and ``link<i>.json`` of every motion, the last link's first."""
         files: dict[str, str | bytes] = {}
         for joint, design in self.motions.items():
-            files[f"{_stem(joint)}.csv"] = trajectory_csv(design.trajectory, rate_hz, periods)
+            files[f"{_stem(joint)}.csv"] = trajectory_csv(design.trajectory, rate_hz, repetitions)
             files[f"{_stem(joint)}.json"] = trajectory_json(design.trajectory, self.robot)
         return files
 
@@ -148,7 +148,8 @@ def _stem(joint: int) -> str:
 def design_link_by_link(
     robot: Robot,
     *,
-    duration: float | tuple[float, float] = 10.0,
+    duration: float = 10.0,
+    periods: int | None = None,
     harmonics: int | None = 5,
     series: str = "fourier",
     use: float = USE,
@@ -173,6 +174,7 @@ def design_link_by_link(
     began, held = time.time(), robot.using(use)
     options: dict[str, Any] = {
         "duration": duration,
+        "periods": 1 if periods is None else periods,
         "harmonics": harmonics,
         "series": series,
         "criterion": criterion,
@@ -185,14 +187,14 @@ def design_link_by_link(
         last = last_rows(robot, goal.effects, goal.base)
         joints = [j for j in reversed(range(robot.nv)) if (last == j).any()]
         pose = _resting_pose(robot, scene, clearance)
-        highest = top_hz if harmonics is None else None
+        free = {"periods": periods is None, "harmonics": harmonics is None}
         for k, joint in enumerate(joints):
             part = effort.share(effort.starts, 1 / (len(joints) - k))
             if progress is not None:
                 tell = _teller(progress, robot.links[joint], k, len(joints))
                 part = replace(part, report=tell)
             problem = _problem(held, joint, pose, scene, options)
-            problem, searches = search(problem, part, period_range(duration)[0], highest)
+            problem, searches = search(problem, part, **free, top_hz=top_hz)
             initial = problem.random(np.random.default_rng([seed, 0]))
             drawn = [initial, *map(problem.trajectory, best_solutions(searches, CANDIDATES))]
             kept = _keeping(held, [_whole(x, pose) for x in drawn], scene, clearance)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -24,10 +24,13 @@ class Series(ABC):
 
     name: ClassVar[str]
     period: float
+    periods: int
 
     def __post_init__(self) -> None:
         if not self.period > 0:
             raise ValueError(f"period {self.period} is not positive")
+        if self.periods < 1:
+            raise ValueError(f"{self.periods} periods: at least one is needed")
 
     @property
     @abstractmethod
@@ -48,8 +51,8 @@ class Series(ABC):
         """Instants among which every extremum of a derivative lies, shape (k, nv) [s]."""
 
     @abstractmethod
-    def resized(self, terms: int, period: float | None = None) -> Series:
-        """The same kind of functions with another number of terms, or another period [s]."""
+    def resized(self, terms: int) -> Self:
+        """The same kind of functions with another number of terms."""
 
     @abstractmethod
     def reach(self, bound: Array) -> Array:
@@ -58,6 +61,22 @@ class Series(ABC):
     def trajectory(self, coefficients: npt.ArrayLike) -> Trajectory:
         """The motion with these coefficients, shape (c, nv)."""
         return Trajectory(self, np.asarray(coefficients, float))
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion, all its periods [s]."""
+        return self.period * self.periods
+
+    def split(self, periods: int) -> Self:
+        """The same functions within another number of periods of the same duration."""
+        return self._timed(self.duration / periods, periods)
+
+    def slowed(self, speed: float) -> Self:
+        """The same functions at a share of the speed."""
+        return self._timed(self.period / speed, self.periods)
+
+    @abstractmethod
+    def _timed(self, period: float, periods: int) -> Self: ...
 
     @property
     def terms(self) -> int:
@@ -88,8 +107,7 @@ class Series(ABC):
     def nearest(self, trajectory: Trajectory) -> Array:
         """Coefficients at rest nearest to another motion by least squares, shape (c, nv)."""
         t = np.arange(16 * self.size) / (16 * self.size) * self.period
-        there = trajectory(t / self.period * trajectory.period)
-        z = np.linalg.lstsq(self.basis(t) @ self.rest, there, rcond=None)[0]
+        z = np.linalg.lstsq(self.basis(t) @ self.rest, trajectory(t), rcond=None)[0]
         coefficients: Array = self.rest @ z
         return coefficients
 
@@ -126,6 +144,11 @@ class Trajectory(_Curve, Shown):
         """Duration of one period [s]."""
         return self.series.period
 
+    @property
+    def duration(self) -> float:
+        """Length of the motion, all its periods [s]."""
+        return self.series.duration
+
     def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
         """Evaluate the motion or its time derivative of the given order, shape (n, nv)."""
         return self.series.basis(t, order) @ self.coefficients
@@ -151,20 +174,19 @@ class Trajectory(_Curve, Shown):
         return self.at(np.linspace(0.0, self.period, n))
 
     def motion(self, rate_hz: float, repetitions: int = 1) -> Motion:
-        """One or more periods at a control rate [Hz], first and last sample included.
+        """All periods at a control rate [Hz], once or more, first and last sample included.
 
         The rate is adjusted, by less than half a sample per period, to divide the period.
         """
-        n = max(1, round(self.period * rate_hz))
-        t: Array = np.arange(repetitions * n + 1.0) * (self.period / n)
+        n, periods = max(1, round(self.period * rate_hz)), repetitions * self.series.periods
+        t: Array = np.arange(periods * n + 1.0) * (self.period / n)
         once = self.sample(n + 1)
-        k = np.append(np.tile(np.arange(n), repetitions), n)
+        k = np.append(np.tile(np.arange(n), periods), n)
         return Motion(t, once.q[k], once.dq[k], once.ddq[k])
 
     def slowed(self, speed: float) -> Trajectory:
         """The same path at a share of the speed."""
-        series = self.series.resized(self.series.terms, self.period / speed)
-        return series.trajectory(self.coefficients)
+        return self.series.slowed(speed).trajectory(self.coefficients)
 
     def extrema_in_time(self, order: int = 0) -> tuple[Array, Array]:
         """Instants among which every extremum of a derivative lies, and values there, (k, nv)."""
@@ -179,8 +201,9 @@ class Trajectory(_Curve, Shown):
     def _lines(self) -> list[str]:
         ends = "at rest at both ends" if self.at_rest else "not at rest at its ends"
         tops = (np.abs(self.extrema(order)).max() for order in (1, 2))
+        many = f" in {self.series.periods} periods" * (self.series.periods > 1)
         return [
-            f"{self.series.name.capitalize()} trajectory of {self.period:.4g} s, SI units",
+            f"{self.series.name.capitalize()} trajectory of {self.duration:.4g} s{many}, SI units",
             f"{self.nv} joints, {self.harmonics} harmonics, {ends}",
             "top speed {:.4g}, top acceleration {:.4g}".format(*tops),
         ]
@@ -200,6 +223,7 @@ class FourierSeries(Series):
     name = "fourier"
     period: float  # duration of one period [s]
     harmonics: int  # number of harmonics H
+    periods: int = 1  # that the motion has
 
     @property
     def size(self) -> int:
@@ -226,7 +250,7 @@ class FourierSeries(Series):
         return np.hstack([constant, turned[0] * w**order, turned[1] * w**order])
 
     def trajectory(self, coefficients: npt.ArrayLike) -> FourierTrajectory:
-        return from_coefficients(coefficients, self.period)
+        return from_coefficients(coefficients, self.period, self.periods)
 
     def extremum_times(self, coefficients: Array, order: int) -> Array:
         """Roots of the next derivative, polished by Newton's method, and the start [s].
@@ -244,8 +268,11 @@ class FourierSeries(Series):
         times: Array = np.vstack([start, np.mod(theta, 2 * np.pi) / w])
         return times
 
-    def resized(self, terms: int, period: float | None = None) -> FourierSeries:
-        return FourierSeries(period or self.period, terms)
+    def resized(self, terms: int) -> Self:
+        return replace(self, harmonics=terms)
+
+    def _timed(self, period: float, periods: int) -> Self:
+        return replace(self, period=period, periods=periods)
 
     def reach(self, bound: Array) -> Array:
         w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
@@ -266,17 +293,23 @@ class FourierTrajectory(Trajectory):
         cosine: Coefficients, shape (harmonics, nv) [rad or m].
         sine: Coefficients, shape (harmonics, nv) [rad or m].
         period: Duration of one period [s].
+        periods: Number of periods that the motion has.
     """
 
     def __init__(
-        self, offset: npt.ArrayLike, cosine: npt.ArrayLike, sine: npt.ArrayLike, period: float
+        self,
+        offset: npt.ArrayLike,
+        cosine: npt.ArrayLike,
+        sine: npt.ArrayLike,
+        period: float,
+        periods: int = 1,
     ) -> None:
         parts = [np.asarray(part, float) for part in (offset, cosine, sine)]
         shapes = [part.shape for part in parts]
         if len(shapes[0]) != 1 or shapes[1] != shapes[2] or shapes[1][1:] != shapes[0]:
             names = zip(("offset", "cosine", "sine"), shapes, strict=True)
             raise ValueError("shapes differ: " + ", ".join(f"{n} {shape}" for n, shape in names))
-        super().__init__(FourierSeries(float(period), len(parts[1])), np.vstack(parts))
+        super().__init__(FourierSeries(float(period), len(parts[1]), periods), np.vstack(parts))
 
     @property
     def offset(self) -> Array:
@@ -294,11 +327,13 @@ class FourierTrajectory(Trajectory):
         return read_only(self.coefficients[1 + self.harmonics :])
 
 
-def from_coefficients(coefficients: npt.ArrayLike, period: float) -> FourierTrajectory:
+def from_coefficients(
+    coefficients: npt.ArrayLike, period: float, periods: int = 1
+) -> FourierTrajectory:
     """Trajectory from stacked offset, cosine and sine coefficients, shape (1 + 2 H, nv)."""
     X = np.asarray(coefficients, float)
     cosine, sine = np.split(X[1:], 2)
-    return FourierTrajectory(X[0], cosine, sine, period)
+    return FourierTrajectory(X[0], cosine, sine, period, periods)
 
 
 def _root_angles(x: Array, order: int) -> Array:
@@ -322,6 +357,7 @@ class SplineSeries(Series):
     name = "spline"
     period: float  # duration of one period [s]
     pieces: int  # number of polynomial pieces, and of basis functions; at least 6
+    periods: int = 1  # that the motion has
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -363,8 +399,11 @@ class SplineSeries(Series):
         length = max(map(len, found))
         return np.stack([np.pad(times, (0, length - len(times))) for times in found], axis=1)
 
-    def resized(self, terms: int, period: float | None = None) -> SplineSeries:
-        return SplineSeries(period or self.period, 2 * terms)
+    def resized(self, terms: int) -> Self:
+        return replace(self, pieces=2 * terms)
+
+    def _timed(self, period: float, periods: int) -> Self:
+        return replace(self, period=period, periods=periods)
 
     def reach(self, bound: Array) -> Array:
         """Half the range, shape (pieces, nv): other limits are on differences of coefficients."""

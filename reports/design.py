@@ -289,6 +289,7 @@ def _lead(result: Result) -> str:
     if final is None:
         return f"A motion was designed for {v.text(result, 'robot') or 'the arm'}."
     motion = "The motion" if duration is None else f"A motion of {v.quantity(duration, 's')}"
+    motion += _split(result, ", {} periods of {},")
     worst, holds = _worst_ratio(result), ""
     if worst is not None:
         used = share_of_limit(worst)
@@ -335,7 +336,16 @@ def _duration(result: Result) -> p.Fact:
     if count is not None:
         spline = v.text(result, "series") == "spline"  # twice as many pieces as harmonics
         series = f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
+    series = _split(result, "{} periods of {} in ") + series
     return p.fact("Duration", duration, v.unit_of("s"), series)
+
+
+def _split(result: Result, words: str) -> str:
+    """Number and length of the periods of a motion in words, if it has more than one."""
+    duration, count = v.real(result, "duration"), v.real(result, "periods") or 1.0
+    if duration is None or count == 1:
+        return ""
+    return words.format(f"{count:.0f}", v.quantity(duration / count, "s"))
 
 
 def _clearance(result: Result) -> p.Fact:
@@ -425,7 +435,7 @@ def _weakest(result: Result) -> p.Table | None:
             ("text:Unit", "unit"),
             ("number:Value in the model", "value"),
         ],
-        "Standard deviation (std) by least squares from one period at 100 Hz, at least 1000 "
+        "Standard deviation (std) by least squares from the motion at 100 Hz, at least 1000 "
         f"samples, for white torque noise of 1 N·m{weighted}. Fv is viscous and Fc Coulomb "
         "friction, Ia the rotor's inertia.",
     )
@@ -445,5 +455,5 @@ def _link_motions(result: Result) -> p.Table | None:
             ("number:Condition number, scaled", "condition_number_scaled.final"),
         ],
         "Each motion shows the base parameters of its link in the torque of that link's joint, the "
-        "links further out being known by then; the figures below show one motion after the other.",
+        "links further out being known by then; the figures below show a period of each in turn.",
     )

@@ -45,14 +45,16 @@ _BOUND_TIME = 60.0  # s: much less leaves the bound near 1
 class Search:
     """Options of the motion and its optimisation."""
 
-    duration: str = "10"
-    "Period [s], or the shortest and the longest to choose from as S:S."
+    duration: float = 10.0
+    "Length of the motion [s]."
+    periods: int | Literal["search"] = "search"
+    "Equal periods that it has; 'search' for as many as lower the condition number."
     harmonics: int | Literal["search"] = 5
-    "Fourier terms, or 'search' to add them as long as they lower the condition number."
+    "Harmonics of a period, or 'search' to add them as long as they lower the condition number."
     series: Literal["fourier", "spline"] = "fourier"
     "spline: B-splines of 2 H pieces, for tight cells."
     max_frequency: float = 2.5
-    "Highest frequency [Hz] that a search for harmonics adds."
+    "Highest frequency [Hz] that a search for periods or harmonics goes to."
     criterion: Literal["condition", "d", "a", "e"] = "condition"
     (
         "What to make small: the condition number, or of the covariance the determinant (d), the "
@@ -75,14 +77,9 @@ class Search:
 
     def options(self) -> dict[str, Any]:
         """Arguments of the functions that design."""
-        try:
-            ends = [float(end) for end in self.duration.split(":", 1)]
-        except ValueError:
-            raise BadInput(f"--duration {self.duration}: give seconds, as in 10 or 5:20") from None
-        harmonics = None if self.harmonics == "search" else self.harmonics
-        given = vars(self) | {"harmonics": harmonics, "top_hz": self.max_frequency}
-        del given["max_frequency"]
-        return given | {"duration": ends[0] if len(ends) == 1 else tuple(ends)}
+        given = {key: None if value == "search" else value for key, value in vars(self).items()}
+        given["top_hz"] = given.pop("max_frequency")
+        return given
 
 
 def design(
@@ -114,7 +111,7 @@ def design(
         formats: Further files: ros2 (YAML), mcap, npz, and the programs urscript and ros2_client,
             which run at a fifth of the speed until told otherwise.
         rate: Rate of trajectory.csv [Hz].
-        repeat: Periods in trajectory.csv, for averaging.
+        repeat: How often trajectory.csv has the motion, for averaging.
         speed: Also first_run.csv, the same path at this share of the speed (of 1), checked itself;
             default: 0.2 with a program among the formats, else none.
     """
@@ -131,7 +128,7 @@ def design(
     if not 1 <= rate <= 10_000:
         raise BadInput(f"--rate {rate:g} Hz: give a control rate from 1 to 10000 Hz")
     if repeat < 1:
-        raise BadInput(f"--repeat {repeat}: give the number of periods, at least 1")
+        raise BadInput(f"--repeat {repeat}: give how often the motion runs, at least 1")
     names, still = formats or [], np.zeros((2, arm.nv))
     designs.write_formats({"": Motion(np.arange(2.0), *3 * [still])}, arm, names)  # may refuse
     programs = [name for name in names if name in PROGRAMS]
@@ -158,7 +155,7 @@ def design(
         with progress_bar("design") as advance:
             asked["progress"] = lambda done, link, best: advance(done, f"{link}, best κ {best:.4g}")
             links = designs.design_link_by_link(arm, **asked)
-        result = links.result() | {"periods": repeat}
+        result = links.result() | {"repeat": repeat}
         run.finish(result, links.series(), links.files(rate, repeat))
         return 130 if any(each.interrupted for each in links.motions.values()) else 0
     began = time.monotonic()
@@ -176,7 +173,7 @@ def design(
     trajectory = found.trajectory
     files: dict[str, str | bytes] = {**found.files(rate, repeat)}
     way = {"trajectory": trajectory.motion(rate, repeat)}  # in the order in which it runs
-    result, missing = found.result() | {"periods": repeat}, False
+    result, missing = found.result() | {"repeat": repeat}, False
     if bound and not found.interrupted:
         result["condition_number"]["lower_bound"], note = _bound(found, search.seed)
         result["notes"].append(note)
@@ -197,9 +194,9 @@ def design(
     if speed is not None:
         slow = trajectory.slowed(speed)
         used = designs.check(arm, slow).worst
-        result["first_run"] = {"speed": speed, "duration": slow.period, "limit": used.ratio}
+        result["first_run"] = {"speed": speed, "duration": slow.duration, "limit": used.ratio}
         said = (
-            f"the same path in {slow.period:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
+            f"the same path in {slow.duration:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
             f"limit ({used.quantity} of {used.joint})"
         )
         if used.ratio > 1:  # what holds the arm is not less at a lower speed
@@ -234,7 +231,7 @@ def _bound(found: Design, seed: int) -> tuple[float, str]:
     with progress_bar("bound") as advance:
         bound = lower_bound(
             found.robot.using(found.use),
-            duration=found.duration,
+            period=found.trajectory.period,
             harmonics=None if found.trajectory.series.name == "spline" else found.harmonics,
             columns=found.information.columns,
             seed=seed,

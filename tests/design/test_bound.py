@@ -102,7 +102,7 @@ def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot) -> None:
 @pytest.mark.parametrize("half", [0.4, 0.7])
 def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, half: float) -> None:
     robot = limited(pendulum, position=[[0.3 - half, 0.3 + half]], acceleration=8.0)
-    bound = lower_bound(robot, duration=5.0, harmonics=4, time_limit=20.0)
+    bound = lower_bound(robot, period=5.0, harmonics=4, time_limit=20.0)
     exhaustive = grid_value(bound.relaxation, (41, 7, 9))
     assert bound.value <= exhaustive * (1 + 1e-4)
     assert bound.value == pytest.approx(exhaustive, rel=5e-3)
@@ -121,12 +121,11 @@ def test_never_above_a_trajectory(planar: Robot, seed: int) -> None:
         acceleration=rng.uniform(3, 20, 2),
         torque=planar.limits.torque * rng.uniform(0.7, 1.0, 2),
     )
-    duration, harmonics = float(rng.uniform(3, 10)), int(rng.integers(2, 6))
-    options = {"duration": duration, "harmonics": harmonics}
-    options["columns"] = ("inertial", "friction")[seed % 2]
-    bound = lower_bound(robot, time_limit=10.0, **options)
-    found = design_trajectory(robot, starts=3, jobs=1, **options)
-    drawn = [random_trajectory(robot, rng, duration, harmonics) for _ in range(50)]
+    period, harmonics = float(rng.uniform(3, 10)), int(rng.integers(2, 6))
+    options = {"harmonics": harmonics, "columns": ("inertial", "friction")[seed % 2]}
+    bound = lower_bound(robot, period=period, time_limit=10.0, **options)
+    found = design_trajectory(robot, duration=period, periods=1, starts=3, jobs=1, **options)
+    drawn = [random_trajectory(robot, rng, period, harmonics) for _ in range(50)]
     matrix = bound.relaxation.information.matrix
     conditions = [condition_number(matrix(x.sample(401))) for x in (found.trajectory, *drawn)]
     assert 1.0 < bound.value <= min(conditions)
