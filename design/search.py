@@ -43,6 +43,7 @@ _POLISHED = 4  # best searches that are driven to convergence
 
 _SPLITS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # numbers of periods that are compared
 _SAMPLED, _COMPARING = 4, 0.1  # starts that compare them, and share of the remaining time for each
+_WORSE = 0.2  # increase of the criterion that a few starts can tell
 _GROWTH = 0.02  # least decrease of the criterion that more periods or harmonics are worth
 _FAMILY = 2  # best solutions that go on with more harmonics
 _FIRST, _SHARE = 0.1, 0.35  # of the remaining time for the first and each further number
@@ -214,11 +215,12 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
         starts = min(_SAMPLED, effort.starts or _SAMPLED)
         tried = _MultiStart(candidate, effort.share(starts, _COMPARING))
         searches = tried.run()
-        if best is None or _value(searches) < _value(best.searches) - _GROWTH:
+        loss = -np.inf if best is None else _value(searches) - _value(best.searches)
+        if best is None or loss < -_GROWTH:
             best = tried
         elif _interrupted(searches):
             best.interrupt()
-        if best is not tried or _interrupted(searches):
+        if _interrupted(best.searches) or not loss < _WORSE:
             break
     assert best is not None
     best.effort = effort
