@@ -24,7 +24,14 @@ import pinocchio as pin
 from joblib.externals.loky import get_reusable_executor
 from judge import States, left_columns, observation, random_states
 
-from excitant.design import design_trajectory, random_trajectory, trajectory_csv, trajectory_json
+from excitant.design import (
+    design_trajectory,
+    from_coefficients,
+    random_trajectory,
+    trajectory_csv,
+    trajectory_json,
+)
+from excitant.design.optimal import TOP_HZ
 from excitant.exceptions import BadInput, BadRobot
 from excitant.processes import owned
 from excitant.robots import Robot, builtin_robots, load_limits, load_robot
@@ -164,13 +171,16 @@ def _random_draws(file: Path, settings: Settings, job: int) -> Found:
     columns = left_columns(observation(model, random_states(problem.limits, rng)))
     rng = np.random.default_rng([settings.seed, job])
     least, best, draws = np.inf, None, 0
+    most = max(1, int(TOP_HZ * problem.duration / problem.harmonics))
     while not draws or time.time() < settings.deadline:
-        drawn = random_trajectory(problem.robot, rng, problem.duration, problem.harmonics)
+        period = problem.duration / rng.integers(1, most, endpoint=True)
+        drawn = random_trajectory(problem.robot, rng, period, problem.harmonics)
         motion = drawn.sample(_PER_HARMONIC * problem.harmonics + 1)
         W = observation(model, States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1]))
         condition = float(np.linalg.cond(W[:, columns]))
         if condition < least:
-            least, best = condition, drawn
+            periods = round(problem.duration / period)
+            least, best = condition, from_coefficients(drawn.coefficients, period, periods)
         draws += 1
     return least, best, draws
 

@@ -199,7 +199,7 @@ class _Teller:
     def __init__(self, total: int | None, progress: Progress) -> None:
         self.total, self.progress = total, progress
         self.told, self.exact = np.inf, np.inf  # criterion of the search, and exactly
-        self.ratio, self.condition = np.inf, np.inf
+        self.ratio, self.condition, self.done = np.inf, np.inf, 0
 
     def __call__(self, problem: DesignProblem, states: Sequence[SearchState]) -> None:
         state = min(states, key=lambda s: s.best_value)
@@ -211,5 +211,5 @@ class _Teller:
             if exact < self.exact:
                 self.exact, self.condition = exact, condition_number(M)
                 self.ratio = check(problem.robot, trajectory).worst.ratio
-        done = sum(state.ended for state in states)
-        self.progress(done, self.total, self.condition, self.ratio)
+        self.done = max(self.done, sum(state.ended for state in states))  # periods are tried anew
+        self.progress(self.done, self.total, self.condition, self.ratio)

@@ -210,7 +210,7 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
     best = None
     for count in _SPLITS:
         candidate = replace(problem, series=problem.series.split(count))
-        if best is not None and _top(candidate) > top_hz:
+        if best is not None and _most_terms(candidate.series, top_hz) < candidate.series.terms:
             break
         starts = min(_SAMPLED, effort.starts or _SAMPLED)
         tried = _MultiStart(candidate, effort.share(starts, _COMPARING))
@@ -234,12 +234,11 @@ def _grow(
     gain = np.inf
     while gain > _GROWTH and time.time() < effort.deadline and not _interrupted(searches):
         gain = 0.0
-        for series in _larger(problem.series, periods):
+        for series in _larger(problem.series, periods, top_hz):
             larger = replace(problem, series=series)
-            if _top(larger) > top_hz:
-                continue
             seeds = _seeds(larger, problem, searches)
-            found = _MultiStart(larger, effort.share(len(seeds), _SHARE), seeds).run()
+            starts = effort.starts and len(seeds)
+            found = _MultiStart(larger, effort.share(starts, _SHARE), seeds).run()
             gain = _value(searches) - _value(found)
             if gain > 0:
                 problem, searches = larger, found
@@ -250,17 +249,19 @@ def _grow(
     return problem, searches
 
 
-def _larger(series: Series, periods: bool) -> Iterator[Series]:
-    """More harmonics: to twice the frequency, and to the same in longer and so fewer periods."""
-    yield series.resized(2 * series.terms)
+def _larger(series: Series, periods: bool, top_hz: float) -> Iterator[Series]:
+    """More harmonics: to a higher frequency, and to the same in longer and so fewer periods."""
+    terms = min(2 * series.terms, _most_terms(series, top_hz))
+    if terms > series.terms:
+        yield series.resized(terms)
     if periods and series.periods > 1:
         times = 2 if series.periods % 2 == 0 else 3
         yield series.resized(times * series.terms).split(series.periods // times)
 
 
-def _top(problem: DesignProblem) -> float:
-    """Highest frequency of its motions [Hz]; beyond a period by less than rounding is none."""
-    return problem.series.terms / problem.period * (1 - 1e-9)
+def _most_terms(series: Series, top_hz: float) -> int:
+    """Number of terms that reach a highest frequency [Hz], which may be off by rounding."""
+    return int(top_hz * series.period * (1 + 1e-9))
 
 
 def _seeds(problem: DesignProblem, before: DesignProblem, searches: Searches) -> tuple[Array, ...]:

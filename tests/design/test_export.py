@@ -48,7 +48,9 @@ def assert_same(found: Motion, expected: Motion, *names: str) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-@pytest.mark.parametrize("series", [FourierSeries(3.0, 3), SplineSeries(3.0, 9)])
+@pytest.mark.parametrize(
+    "series", [FourierSeries(3.0, 3), SplineSeries(3.0, 9), FourierSeries(1.0, 3, 3)]
+)
 def test_json_and_csv_round_trips_are_the_identity(
     planar: Robot, series: Series, tmp_path: Path
 ) -> None:
@@ -58,7 +60,8 @@ def test_json_and_csv_round_trips_are_the_identity(
     loaded = load_trajectory(path, planar)
     assert type(loaded) is type(trajectory)
     np.testing.assert_array_equal(loaded.coefficients, trajectory.coefficients)
-    assert loaded.period == 3.0
+    assert loaded.period == series.period
+    assert loaded.duration == 3.0
     table.write_text(trajectory_csv(trajectory, 50.0))
     assert_same(load_trajectory(table, planar), trajectory.motion(50.0))
     assert load_trajectory(table, planar).t[[0, -1]].tolist() == [0.0, 3.0]

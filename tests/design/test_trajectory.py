@@ -94,6 +94,29 @@ def test_more_harmonics_hold_the_motion_exactly_and_more_pieces_nearly() -> None
     assert errors[1] < min(errors[0] / 16, 0.01)
 
 
+@pytest.mark.parametrize(
+    ("few", "many", "error"),
+    [
+        (FourierSeries(2.0, 3, 6), FourierSeries(6.0, 9, 2), 1e-12),
+        (SplineSeries(2.0, 8, 6), SplineSeries(6.0, 24, 2), 1e-3),
+    ],
+)
+def test_fewer_and_longer_periods_hold_the_same_motion(
+    few: Series, many: Series, error: float
+) -> None:
+    assert type(few.resized(many.terms).split(2)) is type(many)
+    assert vars(few.resized(many.terms).split(2)) == vars(many)
+    trajectory = drawn(few, 0)
+    near = many.trajectory(many.nearest(trajectory))
+    assert trajectory.duration == near.duration == 12.0
+    one, other = trajectory.motion(100.0), near.motion(100.0)
+    np.testing.assert_allclose(one.t, other.t, rtol=1e-12)
+    np.testing.assert_allclose(one.q, other.q, atol=error * np.abs(one.q).max())
+    slow = trajectory.slowed(0.5)
+    assert (slow.duration, slow.period) == (24.0, 4.0)
+    np.testing.assert_allclose(slow(2 * one.t, 1), one.dq / 2, atol=1e-9)
+
+
 def test_motion_includes_both_ends_and_repeated_periods_join_smoothly() -> None:
     trajectory = drawn(FourierSeries(7.0, 4), 1)
     once, twice = trajectory.motion(100.0), trajectory.motion(100.0, 2)
@@ -107,6 +130,8 @@ def test_motion_includes_both_ends_and_repeated_periods_join_smoothly() -> None:
 def test_refuses_what_is_no_period() -> None:
     with pytest.raises(ValueError, match="period"):
         FourierSeries(0.0, 3)
+    with pytest.raises(ValueError, match="0 periods"):
+        FourierSeries(1.0, 3, 0)
 
 
 def test_hermite_interpolant_reproduces_samples_and_converges() -> None:
