@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -198,7 +199,7 @@ def search(
     first = _most_telling(problem, effort, top_hz) if periods else _MultiStart(problem, effort)
     if not harmonics:
         return first.problem, first.run()
-    first.effort = effort.share(effort.starts, _FIRST)
+    first.go_on(effort.share(effort.starts, _FIRST))
     return _grow(first.problem, first.run(), effort, periods, top_hz)
 
 
@@ -212,9 +213,9 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
         candidate = replace(problem, series=problem.series.split(count))
         if best is not None and _most_terms(candidate.series, top_hz) < candidate.series.terms:
             break
-        starts = min(_SAMPLED, effort.starts or _SAMPLED)
+        starts = _SAMPLED if effort.starts is None else max(1, effort.starts // _SAMPLED)
         tried = _MultiStart(candidate, effort.share(starts, _COMPARING))
-        searches = tried.run()
+        searches = tried.begin()
         loss = -np.inf if best is None else _value(searches) - _value(best.searches)
         if best is None or loss < -_GROWTH:
             best = tried
@@ -223,7 +224,7 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
         if _interrupted(best.searches) or not loss < _WORSE:
             break
     assert best is not None
-    best.effort = effort
+    best.go_on(effort)
     return best
 
 
@@ -299,11 +300,17 @@ class _MultiStart:
         self.nothing = np.zeros((0, problem.robot.nv))  # unknowns still to be drawn
         self.first = 0  # start of the island
 
+    def begin(self) -> Searches:
+        """What the random starts find before they are slow."""
+        with self.interruptible():
+            self.random_starts()
+        return self.searches
+
     def run(self) -> Searches:
-        """What was found by the end of the effort; with more effort, it goes on from there."""
+        """What was found by the end of the effort, from what there is already."""
         if _interrupted(self.searches):
             return self.searches
-        try:
+        with self.interruptible():
             self.island(0)
             while self.more():
                 self.island(len(self.states))
@@ -311,9 +318,21 @@ class _MultiStart:
             self.end("stopped", [s for s in self.ranked(0)[_POLISHED:] if s.status == "stalled"])
             late = time.time() > self.effort.deadline
             self.end("time limit" if late else "iteration limit", self.ranked(0))
+        return self.searches
+
+    def go_on(self, effort: Effort) -> None:
+        """Let another effort take up what the time limit of the last one ended."""
+        self.effort = effort
+        for k, state in self.states.items():
+            if state.status == "time limit" and state.history:
+                self.states[k] = replace(state, status="stalled")
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        try:
+            yield
         except KeyboardInterrupt:
             self.interrupt()
-        return self.searches
 
     def interrupt(self) -> None:
         """End all searches, and one more that had not begun, as interrupted."""

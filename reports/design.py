@@ -336,7 +336,7 @@ def _duration(result: Result) -> p.Fact:
     if count is not None:
         spline = v.text(result, "series") == "spline"  # twice as many pieces as harmonics
         series = f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
-    series = _split(result, "{} periods of {} in ") + series
+    series = _split(result, "{} periods of {}, ") + series
     return p.fact("Duration", duration, v.unit_of("s"), series)
 
 
