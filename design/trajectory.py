@@ -176,12 +176,12 @@ class Trajectory(_Curve, Shown):
     def motion(self, rate_hz: float, repetitions: int = 1) -> Motion:
         """All periods at a control rate [Hz], once or more, first and last sample included.
 
-        The rate is adjusted, by less than half a sample per period, to divide the period.
+        The rate is adjusted, by less than half a sample, to divide the duration.
         """
-        n, periods = max(1, round(self.period * rate_hz)), repetitions * self.series.periods
-        t: Array = np.arange(periods * n + 1.0) * (self.period / n)
-        once = self.sample(n + 1)
-        k = np.append(np.tile(np.arange(n), periods), n)
+        n = max(1, round(self.duration * rate_hz))
+        t: Array = np.arange(repetitions * n + 1.0) * (self.duration / n)
+        once = self.at(np.linspace(0.0, self.duration, n + 1))
+        k = np.append(np.tile(np.arange(n), repetitions), n)
         return Motion(t, once.q[k], once.dq[k], once.ddq[k])
 
     def slowed(self, speed: float) -> Trajectory:

@@ -95,7 +95,7 @@ def test_design_keeps_the_clearance(planar: Robot) -> None:
 def test_the_tool_stays_in_its_workspace(ur10: Robot) -> None:
     low, high = (-1.3, -0.6, 0.1), (1.3, 0.9, 1.6)
     around = scene(ur10, (Obstacle("cell", "workspace", WorkspaceRecord(low, high)),))
-    options = {"columns": "inertial", "harmonics": 3, "starts": 1, "jobs": 1}
+    options = {"columns": "inertial", "periods": 1, "harmonics": 3, "starts": 1, "jobs": 1}
     found = design_trajectory(ur10, scene=around, clearance=0.0, **options)
     data = ur10.model.createData()
     for q in found.trajectory.sample(1001).q:

@@ -289,7 +289,8 @@ def test_a_motion_has_as_many_periods_as_excite_best(
 def test_torque_holds_for_every_mass_within_the_uncertainty(ur10: Robot) -> None:
     nominal = limited(ur10, acceleration=10.0, torque=0.45 * ur10.limits.torque)
     wary = limited(nominal, mass_uncertainty=0.2)
-    found = design_trajectory(wary, harmonics=3, columns="inertial", starts=1, jobs=1, seed=1)
+    options = {"periods": 1, "harmonics": 3, "starts": 1, "jobs": 1, "seed": 1}
+    found = design_trajectory(wary, columns="inertial", **options)
     assert 0.98 < found.limits.torque.ratio / found.use <= 1.0
     assert_holds_for_every_mass(nominal, found.trajectory.motion(400.0), 0.2)
     assert check(nominal, found.trajectory).torque.ratio < 0.95

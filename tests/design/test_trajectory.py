@@ -125,6 +125,8 @@ def test_motion_includes_both_ends_and_repeated_periods_join_smoothly() -> None:
     assert len(twice) == 2 * len(once) - 1
     np.testing.assert_allclose(np.diff(twice.t), 0.01)
     np.testing.assert_allclose(twice.q, trajectory(twice.t), atol=1e-12)
+    thirds = drawn(FourierSeries(10.0 / 3, 4, 3), 1).motion(100.0)
+    np.testing.assert_allclose(thirds.t, 0.01 * np.arange(1001))
 
 
 def test_refuses_what_is_no_period() -> None:
