@@ -173,13 +173,13 @@ def _random_draws(file: Path, settings: Settings, job: int) -> Found:
     least, best, draws = np.inf, None, 0
     most = max(1, int(TOP_HZ * problem.duration / problem.harmonics))
     while not draws or time.time() < settings.deadline:
-        period = problem.duration / rng.integers(1, most, endpoint=True)
+        periods = int(rng.integers(1, most, endpoint=True))
+        period = problem.duration / periods
         drawn = random_trajectory(problem.robot, rng, period, problem.harmonics)
         motion = drawn.sample(_PER_HARMONIC * problem.harmonics + 1)
         W = observation(model, States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1]))
         condition = float(np.linalg.cond(W[:, columns]))
         if condition < least:
-            periods = round(problem.duration / period)
             least, best = condition, from_coefficients(drawn.coefficients, period, periods)
         draws += 1
     return least, best, draws

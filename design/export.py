@@ -72,7 +72,7 @@ class _SplineRecord(msgspec.Struct, frozen=True):
     joints: Any = None
 
     def trajectory(self) -> Trajectory:
-        series = SplineSeries(self.period, len(self.control_points), self.periods)
+        series = SplineSeries(self.period, len(self.control_points), periods=self.periods)
         return series.trajectory(self.control_points)
 
 

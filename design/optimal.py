@@ -41,7 +41,7 @@ def build_design(
     robot: Robot,
     *,
     duration: float = 10.0,
-    periods: int = 1,
+    periods: int | None = None,
     harmonics: int | None = 5,
     series: str = "fourier",
     criterion: str = "condition",
@@ -62,7 +62,12 @@ def build_design(
     return DesignProblem(
         information(robot, columns, noise=noise, earlier=earlier, duration=duration),
         criterion,
-        _series(series, duration, periods, _FEWEST if harmonics is None else harmonics),
+        _series(
+            series,
+            duration,
+            1 if periods is None else periods,
+            _FEWEST if harmonics is None else harmonics,
+        ),
         scene,
         clearance + _CLEARANCE_MARGIN,
     )
@@ -148,10 +153,9 @@ def design_trajectory(
     """
     robot = as_robot(robot)
     began, held = time.time(), robot.using(use)
-    count = 1 if periods is None else periods
     with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
         first = build_design(
-            held, duration=duration, periods=count, harmonics=harmonics, series=series,
+            held, duration=duration, periods=periods, harmonics=harmonics, series=series,
             criterion=criterion, columns=columns, noise=noise, earlier=earlier, scene=scene,
             clearance=clearance,
         )  # fmt: skip

@@ -174,7 +174,7 @@ def design_link_by_link(
     began, held = time.time(), robot.using(use)
     options: dict[str, Any] = {
         "duration": duration,
-        "periods": 1 if periods is None else periods,
+        "periods": periods,
         "harmonics": harmonics,
         "series": series,
         "criterion": criterion,

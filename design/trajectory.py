@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, Self
 
@@ -19,12 +19,13 @@ _REST = 1e-9  # of the largest coefficient at the highest frequency
 _DEGREE = 5  # of splines: jerk is continuous, and so is its rate
 
 
+@dataclass(frozen=True, eq=False)
 class Series(ABC):
     """Basis functions in time, of which a periodic joint motion is a combination."""
 
     name: ClassVar[str]
-    period: float
-    periods: int
+    period: float  # duration of one period [s]
+    periods: int = field(default=1, kw_only=True)  # that the motion has
 
     def __post_init__(self) -> None:
         if not self.period > 0:
@@ -69,14 +70,11 @@ class Series(ABC):
 
     def split(self, periods: int) -> Self:
         """The same functions within another number of periods of the same duration."""
-        return self._timed(self.duration / periods, periods)
+        return replace(self, period=self.duration / periods, periods=periods)
 
     def slowed(self, speed: float) -> Self:
         """The same functions at a share of the speed."""
-        return self._timed(self.period / speed, self.periods)
-
-    @abstractmethod
-    def _timed(self, period: float, periods: int) -> Self: ...
+        return replace(self, period=self.period / speed)
 
     @property
     def terms(self) -> int:
@@ -221,9 +219,7 @@ class FourierSeries(Series):
     """1, cos hωt, sin hωt for h = 1 … H, ω = 2π / period (Swevers et al. 1997)."""
 
     name = "fourier"
-    period: float  # duration of one period [s]
     harmonics: int  # number of harmonics H
-    periods: int = 1  # that the motion has
 
     @property
     def size(self) -> int:
@@ -271,9 +267,6 @@ class FourierSeries(Series):
     def resized(self, terms: int) -> Self:
         return replace(self, harmonics=terms)
 
-    def _timed(self, period: float, periods: int) -> Self:
-        return replace(self, period=period, periods=periods)
-
     def reach(self, bound: Array) -> Array:
         w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
         peaks = [np.concatenate([[float(k == 0)], w**k, w**k]) for k in range(len(bound))]
@@ -309,7 +302,9 @@ class FourierTrajectory(Trajectory):
         if len(shapes[0]) != 1 or shapes[1] != shapes[2] or shapes[1][1:] != shapes[0]:
             names = zip(("offset", "cosine", "sine"), shapes, strict=True)
             raise ValueError("shapes differ: " + ", ".join(f"{n} {shape}" for n, shape in names))
-        super().__init__(FourierSeries(float(period), len(parts[1]), periods), np.vstack(parts))
+        super().__init__(
+            FourierSeries(float(period), len(parts[1]), periods=periods), np.vstack(parts)
+        )
 
     @property
     def offset(self) -> Array:
@@ -355,9 +350,7 @@ class SplineSeries(Series):
     """Quintic B-splines B(t / h − k), h = period / pieces, closed to a period (de Boor 1978)."""
 
     name = "spline"
-    period: float  # duration of one period [s]
     pieces: int  # number of polynomial pieces, and of basis functions; at least 6
-    periods: int = 1  # that the motion has
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -401,9 +394,6 @@ class SplineSeries(Series):
 
     def resized(self, terms: int) -> Self:
         return replace(self, pieces=2 * terms)
-
-    def _timed(self, period: float, periods: int) -> Self:
-        return replace(self, period=period, periods=periods)
 
     def reach(self, bound: Array) -> Array:
         """Half the range, shape (pieces, nv): other limits are on differences of coefficients."""

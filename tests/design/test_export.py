@@ -49,7 +49,7 @@ def assert_same(found: Motion, expected: Motion, *names: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "series", [FourierSeries(3.0, 3), SplineSeries(3.0, 9), FourierSeries(1.0, 3, 3)]
+    "series", [FourierSeries(3.0, 3), SplineSeries(3.0, 9), FourierSeries(1.0, 3, periods=3)]
 )
 def test_json_and_csv_round_trips_are_the_identity(
     planar: Robot, series: Series, tmp_path: Path

@@ -97,8 +97,8 @@ def test_more_harmonics_hold_the_motion_exactly_and_more_pieces_nearly() -> None
 @pytest.mark.parametrize(
     ("few", "many", "error"),
     [
-        (FourierSeries(2.0, 3, 6), FourierSeries(6.0, 9, 2), 1e-12),
-        (SplineSeries(2.0, 8, 6), SplineSeries(6.0, 24, 2), 1e-3),
+        (FourierSeries(2.0, 3, periods=6), FourierSeries(6.0, 9, periods=2), 1e-12),
+        (SplineSeries(2.0, 8, periods=6), SplineSeries(6.0, 24, periods=2), 1e-3),
     ],
 )
 def test_fewer_and_longer_periods_hold_the_same_motion(
@@ -125,7 +125,7 @@ def test_motion_includes_both_ends_and_repeated_periods_join_smoothly() -> None:
     assert len(twice) == 2 * len(once) - 1
     np.testing.assert_allclose(np.diff(twice.t), 0.01)
     np.testing.assert_allclose(twice.q, trajectory(twice.t), atol=1e-12)
-    thirds = drawn(FourierSeries(10.0 / 3, 4, 3), 1).motion(100.0)
+    thirds = drawn(FourierSeries(10.0 / 3, 4, periods=3), 1).motion(100.0)
     np.testing.assert_allclose(thirds.t, 0.01 * np.arange(1001))
 
 
@@ -133,7 +133,7 @@ def test_refuses_what_is_no_period() -> None:
     with pytest.raises(ValueError, match="period"):
         FourierSeries(0.0, 3)
     with pytest.raises(ValueError, match="0 periods"):
-        FourierSeries(1.0, 3, 0)
+        FourierSeries(1.0, 3, periods=0)
 
 
 def test_hermite_interpolant_reproduces_samples_and_converges() -> None:
