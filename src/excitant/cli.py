@@ -96,7 +96,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if isinstance(run := bound.arguments.get("run"), Run):
             run.require()
-        return command(*bound.args, **bound.kwargs) or 0
+        status = command(*bound.args, **bound.kwargs) or 0
+        sys.stdout.flush()  # here, where a full disk is told
+        return status
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
