@@ -118,12 +118,15 @@ def axes(
         sheet.panels.append(([sheet.onto], height, ""))
         return [sheet.onto]
     _begin()
+    from excitant.reports.light_axes import LightAxes
+
     figure = _blank(height) if sheet is None else sheet.blank(height)
     grid = figure.subplots(
         len(ratios),
         1,
         sharex=shared,
         squeeze=False,
+        subplot_kw={"axes_class": LightAxes} if sheet is None else None,
         gridspec_kw={
             "height_ratios": list(ratios),
             "left": left / WIDTH,
@@ -139,7 +142,6 @@ def axes(
         few_ticks(ax.xaxis, 6)
         ax.yaxis.set_major_formatter(_tick)
         ax.xaxis.set_major_formatter(_tick)
-    figure.align_ylabels(found)
     if sheet is not None:
         sheet.panels.append((found, height, ""))
     return found

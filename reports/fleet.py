@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from excitant.reports import drawing as draw
@@ -168,10 +170,12 @@ def _panel(k: int, row: Result, series: Series) -> Panel | None:
     ax.errorbar(days, x, std, fmt="o", ms=4, lw=1.0, color=draw.MEASURED)
     ax.plot([np.nanmin(days), np.nanmax(days)], [before, after], color=draw.FITTED)
     ticks = np.linspace(np.nanmin(days), np.nanmax(days), 3)
-    ax.set_xticks(ticks, [str(np.datetime64(0, "D") + round(day)) for day in ticks])
-    first, _, last = ax.get_xticklabels()
-    first.set_horizontalalignment("left")
-    last.set_horizontalalignment("right")
+    ax.set_xticks(ticks)
+    ax.tick_params(axis="x", labelbottom=False)
+    for day, side in zip(ticks, ("left", "center", "right"), strict=True):
+        look: Any = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
+        date = str(np.datetime64(0, "D") + round(day))
+        ax.annotate(date, (day, 0), (0, -7), ha=side, va="top", fontsize=8.5, **look)
     draw.label_y(ax, f"value [{v.text(row, 'unit')}]")
     return draw.panel(ax, f"{name} of {arm} over time", f"{arm}: {name}")
 
