@@ -37,7 +37,7 @@ DASHED = (0, (5, 3))
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
 _BINS = 200
-_COLOURS = 16  # of an image
+_COLOURS, _DPI = 16, 150  # of an image
 _TITLE, _COLUMNS, _EVEN = 0.26, 2, 1e-6  # of a sheet: room above a panel [inch], columns
 _EDGE = 0.12  # inch: between panels
 _LETTER = 0.065  # inch: width of one in a legend
@@ -335,7 +335,7 @@ def single(
 
 def _svg(figure: Figure, label: str) -> str:
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", dpi=200, metadata={"Date": None, "Creator": None})
+    figure.savefig(buffer, format="svg", dpi=_DPI, metadata={"Date": None, "Creator": None})
     raw = buffer.getvalue()
     drawing = raw[raw.index("<svg") :]
     drawing = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", drawing, flags=re.DOTALL)

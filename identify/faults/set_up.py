@@ -49,7 +49,7 @@ _ROWS = 600  # of a search, at most
 _ANGLES = 0.4 * np.pi * np.arange(5)  # that determine a trigonometric polynomial of degree 2
 _DIRECTIONS = 200  # of gravity tried
 _STARTS = 3  # the best of them, refined
-_FLAT = 0.01  # slope at which it ends
+_FLAT, _SLOPE = 0.01, 1e-6  # slope at which it ends, step by which it is found
 _POLISHED = 3  # times, with the noise that the set-up found leaves
 _LEAST_NOISE = 0.01  # of the torque, then
 _TRIED, _RARE = 12, 0.02  # set-ups of each joint; probability that an arm has another
@@ -240,30 +240,32 @@ class _Mixtures:
         moments = self.weights[:, None, None] * self.moments.swapaxes(0, 1)
         return np.einsum("j,mnjpq->mnpq", self.weights, self.grams), moments
 
-    def left(self, weights: Array, flipped: int | None = None) -> float:
-        """The squares for weights (m,) of the parts, the torque of one joint flipped."""
+    def left(self, weights: Array, flipped: int | None = None) -> Array:
+        """The squares (...) for weights (..., m) of the parts, the torque of one joint flipped."""
         grams, moments = self._whole
-        h, y = weights @ moments, self.weights * self.squares
+        pairs = weights[..., :, None] * weights[..., None, :]
+        h, y = np.tensordot(weights, moments, (-1, 1)), self.weights * self.squares
         if flipped is not None:
-            h[flipped] *= -1
+            h[..., flipped, :] *= -1
         if self.loose.any():
-            G = np.tensordot(np.outer(weights, weights), self.grams, 2)
-            G = self.weights[:, None, None] * G
-            own = np.maximum(G[:, -1, -1], 1e-300)
-            scale = np.maximum(h[:, -1], 0.0) / own
-            G, h = scale[:, None, None] ** 2 * G, scale[:, None] * h
-            share = (1 / (scale**2 * own + 1 / self.loose**2))[:, None]
-            v, t = G[:, :, -1], h[:, -1:]
-            G = G - share[:, :, None] * v[:, :, None] * v[:, None, :]
-            h, y = h - share * t * v, y - (share * t**2)[:, 0]
-            A = G.sum(axis=0)
+            G = self.weights[:, None, None] * np.tensordot(pairs, self.grams, 2)
+            own = np.maximum(G[..., -1, -1], 1e-300)
+            scale = np.maximum(h[..., -1], 0.0) / own
+            G, h = scale[..., None, None] ** 2 * G, scale[..., None] * h
+            share = (1 / (scale**2 * own + 1 / self.loose**2))[..., None]
+            v, t = G[..., -1], h[..., -1:]
+            G = G - share[..., None] * v[..., :, None] * v[..., None, :]
+            h, y = h - share * t * v, y - (share * t**2)[..., 0]
+            A = G.sum(axis=-3)
         else:
-            A = np.tensordot(np.outer(weights, weights), grams, 2)
-        b = h.sum(axis=0)
-        H, g = A[:-1, :-1] + np.eye(len(b) - 1), b[:-1] - A[:-1, -1]
-        H[np.diag_indices_from(H)] *= 1 + _ROUNDING
-        half = scipy.linalg.solve_triangular(np.linalg.cholesky(H), g, lower=True)
-        return float(y.sum() - 2 * b[-1] + A[-1, -1] - half @ half)
+            A = np.tensordot(pairs, grams, 2)
+        b = h.sum(axis=-2)
+        # H z = g minimises: the squares are the last pivot of H bordered by g and their constant
+        A[..., :-1, :-1] += np.eye(b.shape[-1] - 1)
+        A[..., -1, -1] += y.sum(axis=-1) - 2 * b[..., -1]
+        A[..., -1, :-1] -= b[..., :-1]
+        A[..., *np.diag_indices(b.shape[-1])] *= 1 + _ROUNDING
+        return np.asarray(np.linalg.cholesky(A)[..., -1, -1] ** 2, float)
 
 
 def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
@@ -271,16 +273,18 @@ def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
     n, m, S = len(case.tau), len(parts), _spread(case.robot, case.robot.nv - 1)
     own = np.column_stack([S, case.robot.phi])
     rows = slice(None, None, -(-n // _ROWS))
-    grams, moments, squares = list[Array](), list[Array](), list[float]()
-    for j in case.joints:
-        X = np.concatenate([part[rows, j] @ own for part in parts], axis=1)
+    joints, p = len(case.joints), own.shape[1]
+    grams, moments, squares = np.zeros((m, m, joints, p, p)), np.zeros((m, joints, p)), []
+    for k, j in enumerate(case.joints):
+        later = slice(10 * j, None)  # no joint's torque depends on the links before it
+        X = np.concatenate([part[rows, j, later] @ own[later, later] for part in parts], axis=1)
         X, y = without_effects(case.F[rows, j], X, case.tau[rows, j])
-        grams.append((X.T @ X).reshape(m, len(X.T) // m, m, -1).swapaxes(1, 2) / len(y))
-        moments.append((X.T @ y).reshape(m, -1) / len(y))
+        gram = (X.T @ X).reshape(m, len(X.T) // m, m, -1) / len(y)
+        grams[:, :, k, later, later] = gram.swapaxes(1, 2)
+        moments[:, k, later] = (X.T @ y).reshape(m, -1) / len(y)
         squares.append(float(y @ y) / len(y))
-    both = np.ascontiguousarray(np.stack(grams, axis=2)), np.stack(moments, axis=1)
     weights = (case.rows / (MODEL_ERROR**2 * case.size))[case.joints]
-    return _Mixtures(*both, np.array(squares), weights, case.loose[case.joints])
+    return _Mixtures(grams, moments, np.array(squares), weights, case.loose[case.joints])
 
 
 def _sharper(case: TorqueFit, at: _Mixtures, found: _SetUp) -> _Mixtures:
@@ -303,21 +307,27 @@ def _mounting(case: TorqueFit) -> _SetUp | None:
     mixtures = _mixtures(case, [case.filtered(regressor(*part)) for part in parts])
 
     def unit(x: Array) -> Array:
-        return np.asarray(size * x / np.linalg.norm(x), float)
+        return np.asarray(size * x / np.linalg.norm(x, axis=-1, keepdims=True), float)
+
+    def with_motion(pull: Array) -> Array:
+        return np.insert(pull, 0, 1.0, axis=-1)
 
     def best_of(starts: Sequence[Array], at: _Mixtures) -> Array:
-        def left(x: Array) -> float:
-            return at.left(np.append(1.0, unit(x)))
+        def left(x: Array) -> tuple[float, Array]:
+            """The squares for a direction, and their slopes."""
+            squares = at.left(with_motion(unit(x + _SLOPE * np.eye(4, 3, -1))))
+            return float(squares[0]), (squares[1:] - squares[0]) / _SLOPE
 
-        ends = [scipy.optimize.minimize(left, start, tol=_FLAT) for start in starts]
+        ends = [scipy.optimize.minimize(left, start, jac=True, tol=_FLAT) for start in starts]
         return unit(min(ends, key=lambda end: end.fun).x)
 
     k = np.arange(_DIRECTIONS) + 0.5  # a Fibonacci lattice on the sphere
     z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
     r = np.sqrt(1 - z**2)
-    tried = [robot.gravity / size, *np.column_stack([r * np.cos(turn), r * np.sin(turn), z])]
-    starts = sorted(tried, key=lambda x: mixtures.left(np.append(1, unit(x))))[:_STARTS]
-    gravity = best_of(starts, mixtures)
+    tried = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+    tried = np.vstack([robot.gravity / size, tried])
+    best = np.argsort(mixtures.left(with_motion(unit(tried))), kind="stable")
+    gravity = best_of([*tried[best[:_STARTS]]], mixtures)
     for _ in range(_POLISHED):
         turned = _SetUp([], robot.with_gravity(gravity), case.data, range(robot.nv))
         gravity = best_of([gravity / size], _sharper(case, mixtures, turned))
@@ -346,17 +356,19 @@ def _zeros(case: TorqueFit, j: int) -> Iterator[_SetUp]:
         for flipped in (None, case.joints.index(j)):
 
             def left(
-                angle: float, at: _Mixtures = mixtures, flipped: int | None = flipped
-            ) -> float:
-                x = angle - _ANGLES
+                angle: Array | float, at: _Mixtures = mixtures, flipped: int | None = flipped
+            ) -> Array:
+                x = np.subtract.outer(angle, _ANGLES)
                 return at.left((1 + 2 * np.cos(x) + 2 * np.cos(2 * x)) / 5, flipped)
 
             tried = np.arange(-np.pi, np.pi, _STEP)
-            near = tried[int(np.argmin([left(angle) for angle in tried]))]
+            near = tried[int(np.argmin(left(tried)))]
             ends = near - _STEP, near + _STEP
             free = float(scipy.optimize.minimize_scalar(left, bounds=ends, method="bounded").x)
             right = _RIGHT * round(free / _RIGHT)
-            found += [(left(x), flipped is not None, sign, x) for x in (0.0, right, free)]
+            squares = left(np.array([0.0, right, free])).tolist()
+            angles = zip(squares, (0.0, right, free), strict=True)
+            found += [(left_over, flipped is not None, sign, x) for left_over, x in angles]
     found.sort(key=lambda each: (each[2] < 0) + each[1])
     ways = [found, [each for each in found if not each[1]]]
     for simplest in dict.fromkeys(_simplest(case, way) for way in ways):
