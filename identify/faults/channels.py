@@ -128,7 +128,8 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     moved = np.asarray(log.moving.any(axis=1), bool)
     for j, sign in product(range(log.nv), (1.0, -1.0)):
         x, limit = sign * log.tau[:, j], float(robot.limits.torque[j])
-        top, step, span, scatter = float(x.max()), quantum(x), float(np.ptp(x)), noise(x)
+        top, step = float(x.max()), float(log.quanta["tau"][j])
+        span, scatter = float(np.ptp(x)), noise(x)
         band = max(_LEVELS * step, _SIGMAS * scatter, 1e-6 * span)
         at = moved & (x > top - min(step / 2, 1e-9 * span))
         near, many = int((moved & ~at & (x > top - band)).sum()), int(at.sum()) >= _AT_LEAST
@@ -159,7 +160,8 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
 def held_channels(log: Log) -> Iterator[Fault]:
     """Channels refreshed more seldom than logged: no change is more frequent than a small one."""
     for name, x in log.channels():
-        held = {j: share for j in range(log.nv) if (share := _held_share(log, x[:, j], j)) > 0}
+        columns = zip(x.T, log.moving.T, log.quanta[name], strict=True)
+        held = {j: share for j, each in enumerate(columns) if (share := _held_share(*each)) > 0}
         if held:
             worst, joints = max(held, key=lambda j: held[j]), log.names(held)
             detail = (
@@ -171,8 +173,8 @@ def held_channels(log: Log) -> Iterator[Fault]:
             yield Fault("duplicate_samples", joints, detail, evidence)
 
 
-def _held_share(log: Log, x: Array, j: int) -> float:
-    moved = log.moving[1:, j] & log.moving[:-1, j]
+def _held_share(x: Array, moving: Mask, step: float) -> float:
+    moved = moving[1:] & moving[:-1]
     for start, length in zip(*run_lengths(np.diff(x) == 0), strict=True):
         if length >= _HELD:  # dead, not held
             moved[start : start + length] = False
@@ -188,7 +190,7 @@ def _held_share(log: Log, x: Array, j: int) -> float:
     starts, lengths = run_lengths(change == 0)
     inner = (starts > 0) & (starts + lengths < len(change))
     starts, ends = starts[inner], (starts + lengths)[inner]
-    large = max(small, _LEVELS * quantum(x))
+    large = max(small, _LEVELS * step)
     held = int(((change[starts - 1] > large) & (change[ends] > large)).sum())
     excess = held - few - 5 * np.sqrt(held + few)
     beyond = excess > 0 and held > 0.02 * len(change)
@@ -293,7 +295,7 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
         for values in r.values():
             values[around] = 0.0
     alarm = ALARM / (log.nv * len(r))
-    far = {name: _far(x, r[name], alarm, name != "tau") for name, x in log.channels()}
+    far = {name: _far(log, name, r[name], alarm) for name, _ in log.channels()}
     far["q"] &= _impossible(log, r["q"]) & log.moving.any(axis=0)  # a held joint's grain is none
     for name, x in log.channels()[1:]:
         apart = np.abs(x - _running_median(x, _WINDOW)) > 0.5 * np.abs(r[name])
@@ -323,18 +325,19 @@ def _running_median(x: Array, window: int) -> Array:
     return np.column_stack(columns)
 
 
-def _far(x: Array, r: Array, alarm: float, alike: bool) -> Mask:
+def _far(log: Log, name: str, r: Array, alarm: float) -> Mask:
     """Whether values are farther off than by chance, and by more than their resolution.
 
     Of sensors that are alike, that of a joint at rest, which may show no noise at all, is not taken
     for finer than the finest of the others.
     """
+    x = dict(log.channels())[name]
     span, size = np.ptp(x, axis=0), np.abs(r)
     usual = np.maximum(_running_median(size, _AROUND), 0.2 * np.quantile(size, 0.75, axis=0))
     z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
     bound = [tail_bound(column[column > 0], alarm) for column in z.T]
-    floor = np.maximum([quantum(column) for column in x.T], _SINGLE * np.abs(x).max(axis=0))
-    if alike:
+    floor = np.maximum(log.quanta[name], _SINGLE * np.abs(x).max(axis=0))
+    if name != "tau":
         seen = np.quantile(size, 0.75, axis=0)
         floor = np.maximum(floor, seen[seen > 0].min(initial=np.inf) if seen.any() else 0.0)
     return np.asarray((z > bound) & (size > 3 * floor), bool)

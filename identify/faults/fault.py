@@ -81,14 +81,14 @@ class Log(Recording):
         return float(np.median(forward)) if len(forward) else 1.0
 
     @cached_property
-    def quantum(self) -> Array:
-        """Smallest step between two positions of each joint, shape (nv,)."""
-        return np.array([quantum(column) for column in self.q.T])
+    def quanta(self) -> dict[str, Array]:
+        """Smallest step between two values of each joint, shape (nv,), by channel."""
+        return {name: np.array(list(map(quantum, x.T))) for name, x in self.channels()}
 
     @cached_property
     def grain(self) -> Array:
         """Noise or step of each position, whichever is larger, shape (nv,)."""
-        return np.maximum([noise(column) for column in self.q.T], self.quantum)
+        return np.maximum([noise(column) for column in self.q.T], self.quanta["q"])
 
     @cached_property
     def travel(self) -> Array:

@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
@@ -354,26 +355,26 @@ def _zeros(case: TorqueFit, j: int) -> Iterator[_SetUp]:
         moved = [Motion(motion.t, q + angle * unit, dq, ddq) for angle in _ANGLES]
         mixtures = _mixtures(case, [case.filtered(regressor(case.robot, m)) for m in moved])
         for flipped in (None, case.joints.index(j)):
-
-            def left(
-                angle: Array | float, at: _Mixtures = mixtures, flipped: int | None = flipped
-            ) -> Array:
-                x = np.subtract.outer(angle, _ANGLES)
-                return at.left((1 + 2 * np.cos(x) + 2 * np.cos(2 * x)) / 5, flipped)
-
+            known = mixtures, flipped
             tried = np.arange(-np.pi, np.pi, _STEP)
-            near = tried[int(np.argmin(left(tried)))]
+            near = tried[int(np.argmin(_left_at(tried, *known)))]
             ends = near - _STEP, near + _STEP
-            free = float(scipy.optimize.minimize_scalar(left, bounds=ends, method="bounded").x)
-            right = _RIGHT * round(free / _RIGHT)
-            squares = left(np.array([0.0, right, free])).tolist()
-            angles = zip(squares, (0.0, right, free), strict=True)
-            found += [(left_over, flipped is not None, sign, x) for left_over, x in angles]
+            search = scipy.optimize.minimize_scalar
+            free = float(search(_left_at, args=known, bounds=ends, method="bounded").x)
+            angles = np.array([0.0, _RIGHT * round(free / _RIGHT), free])
+            for squares, angle in zip(_left_at(angles, *known), angles, strict=True):
+                found.append((float(squares), flipped is not None, sign, float(angle)))
     found.sort(key=lambda each: (each[2] < 0) + each[1])
     ways = [found, [each for each in found if not each[1]]]
     for simplest in dict.fromkeys(_simplest(case, way) for way in ways):
         if simplest != (False, 1.0, 0.0):
             yield _set_up_of(case, j, *simplest)
+
+
+def _left_at(angle: Any, mixtures: _Mixtures, flipped: int | None) -> Any:
+    """The squares (...) that mixtures of `_ANGLES` leave at angles (...) of a joint."""
+    x = np.subtract.outer(angle, _ANGLES)
+    return mixtures.left((1 + 2 * np.cos(x) + 2 * np.cos(2 * x)) / 5, flipped)
 
 
 def _simplest(

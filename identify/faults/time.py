@@ -113,7 +113,7 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
         around = np.delete(np.lib.stride_tricks.sliding_window_view(padded, 9), 4, axis=1)
         speed[:, j] = np.sort(around, axis=1)[:, 3:5].mean(axis=1)
     scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(axis=0)
-    scale = np.maximum(scale, 2 * log.quantum / log.step / np.sqrt(12))
+    scale = np.maximum(scale, 2 * log.quanta["q"] / log.step / np.sqrt(12))
     used = scale > 0
     s, e = speed[:, used] / scale[used], (rate - speed)[:, used] / scale[used]
     power = (s**2).sum(axis=1)
