@@ -40,14 +40,12 @@ def friction_axes(k: int, result: Result, series: Series) -> draw.Axes | None:
     from ``result.json`` and the series of `identify`.
     """
     known = v.at(v.records(result, "joints")[k], "friction")
-    speed, torque, half = (
-        v.curve(series, f"friction_{key}", k) for key in ("velocity", "torque", "half_width")
-    )
+    keys = ("velocity", "torque", "half_width")
+    speed, torque, half = v.curves(series, k, *(f"friction_{key}" for key in keys))
     if known is None or speed is None or torque is None or half is None:
         return None
     (ax,) = draw.axes(2.6)
-    keys = ("velocity", "measured", "identified")
-    at, measured, model = (v.curve(series, key, k) for key in keys)
+    at, measured, model = v.curves(series, k, "velocity", "measured", "identified")
     if at is not None and measured is not None and model is not None:
         scale = v.real(known, "per_reading") or 1.0
         seen = np.isfinite(speed)

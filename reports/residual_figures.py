@@ -33,15 +33,9 @@ def agreement_figure(result: Result, series: Series, unit: str) -> Figure | None
     return figure(panels, caption, [*keys, Key("dash", draw.MEASURED, "equal")])
 
 
-def _curves(series: Series, k: int, *keys: str) -> list[Array | None]:
-    """Series of a joint that have as many rows as the measured torque."""
-    measured, *others = (v.curve(series, key, k) for key in ("measured", *keys))
-    rows = -1 if measured is None else len(measured)
-    return [measured, *(x if x is not None and len(x) == rows else None for x in others)]
-
-
 def _agreement(k: int, row: Result, series: Series, unit: str) -> Panel | None:
-    measured, given, identified, dq = _curves(series, k, "given", "identified", "velocity")
+    keys = ("measured", "given", "identified", "velocity")
+    measured, given, identified, dq = v.curves(series, k, *keys)
     if measured is None or identified is None:
         return None
     moves = np.isfinite(measured if dq is None else measured + dq)
@@ -83,8 +77,8 @@ def residual_figure(result: Result, series: Series, unit: str) -> Figure | None:
 
 
 def _residual(k: int, row: Result, series: Series, unit: str, cutoff: float | None) -> Panel | None:
-    t, keys = v.times(series), ("given", "identified", "position", "velocity")
-    measured, given, model, q, dq = _curves(series, k, *keys)
+    t, keys = v.times(series), ("measured", "given", "identified", "position", "velocity")
+    measured, given, model, q, dq = v.curves(series, k, *keys)
     if t is None or measured is None or model is None or q is None or dq is None:
         return None
     if len(measured) != len(t):

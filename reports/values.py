@@ -101,6 +101,13 @@ def curve(series: Series, key: str, joint: int | None = None) -> Array | None:
     return None if table is None or joint >= table.shape[1] else _finite(table[:, joint])
 
 
+def curves(series: Series, joint: int, first: str, *keys: str) -> list[Array | None]:
+    """Columns of a joint: the first, and those of the others that have as many rows."""
+    known, *others = (curve(series, key, joint) for key in (first, *keys))
+    rows = -1 if known is None else len(known)
+    return [known, *(x if x is not None and len(x) == rows else None for x in others)]
+
+
 def times(series: Series) -> Array | None:
     """Time ``t``, shape (n,) [s]; None unless there are two finite instants or more."""
     t = curve(series, "t")
