@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(run := bound.arguments.get("run"), Run):
             run.require()
         status = command(*bound.args, **bound.kwargs) or 0
-        sys.stdout.flush()  # here, where a full disk is told
+        print(end="", flush=True)  # here, where a full disk is told
         return status
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
