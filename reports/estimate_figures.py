@@ -101,19 +101,20 @@ def forest_axes(rows: Sequence[Result]) -> draw.Axes:
     symbols = [f" {v.text(row, 'symbol')}" * several for row in rows]
     owners = [v.shorten(v.text(row, "owner"), _LONG - 4 * several) for row in rows]
     ax.axvline(0, color="#8a8f94", lw=0.7)
-    for y, row in enumerate(rows):
-        value, std, given = (v.real(row, key) for key in ("value", "std", "given"))
-        value = 0.0 if value is None else value
-        known = v.text(row, "decided_by") != "prior"
-        look: Any = {"mec": draw.FITTED, "mfc": draw.FITTED if known else "white", "mew": 1.0}
-        half = _DEVIATIONS * (std or 0.0)
-        ax.plot([value - half, value + half], [y, y], color=draw.FITTED, lw=1.4)
-        if given is not None:
-            ring: Any = {"mec": draw.GIVEN, "mfc": "none", "mew": 1.1}
-            ax.plot(given, y, "o", ms=6, **ring)
-        ax.plot(value, y, "o", ms=3.6, **look)
+    y = np.arange(len(rows))
+    value, std, given = (
+        np.array([v.real(row, key) for row in rows], float) for key in ("value", "std", "given")
+    )
+    half = _DEVIATIONS * np.nan_to_num(std)
+    ax.hlines(y, value - half, value + half, color=draw.FITTED, lw=1.4, capstyle="round")
+    ring: Any = {"ms": 6, "mec": draw.GIVEN, "mfc": "none", "mew": 1.1}
+    ax.plot(given, y, "o", **ring)
+    prior = np.array([v.text(row, "decided_by") == "prior" for row in rows])
+    for some, fill in ((~prior, draw.FITTED), (prior, "white")):
+        look: Any = {"ms": 3.6, "mec": draw.FITTED, "mfc": fill, "mew": 1.0}
+        ax.plot(value[some], y[some], "o", **look)
     names = map("".join, zip(owners, symbols, strict=True))
-    ax.set_yticks(range(len(rows)), list(names))
+    ax.set_yticks(y, list(names))
     ax.tick_params(axis="y", labelsize=8)
     ax.set_ylim(len(rows) - 0.4, -0.6)
     ax.grid(visible=False, axis="y")
