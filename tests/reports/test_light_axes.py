@@ -66,4 +66,4 @@ def test_they_look_as_those_of_matplotlib(
             seen.append(np.asarray(canvas.buffer_rgba(), float)[..., :3].mean(axis=2))
     theirs, ours = seen
     assert (theirs < 200).sum() > 500
-    assert (np.abs(ours - theirs) > 60).sum() < 0.02 * (theirs < 200).sum()
+    assert (np.abs(ours - theirs) > 20).sum() < 0.02 * (theirs < 240).sum()
