@@ -327,7 +327,8 @@ def _mounting(case: TorqueFit) -> _SetUp | None:
     r = np.sqrt(1 - z**2)
     tried = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
     tried = np.vstack([robot.gravity / size, tried])
-    best = np.argsort(mixtures.left(with_motion(unit(tried))), kind="stable")
+    tenths = np.array_split(with_motion(unit(tried)), 10)  # all at once need too much memory
+    best = np.argsort(np.concatenate([mixtures.left(some) for some in tenths]), kind="stable")
     gravity = best_of([*tried[best[:_STARTS]]], mixtures)
     for _ in range(_POLISHED):
         turned = _SetUp([], robot.with_gravity(gravity), case.data, range(robot.nv))

@@ -31,7 +31,7 @@ def run() -> None:
     # a dataclass, would end Python by that signal, whoever caught it
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):
+        with suppress(OSError, AttributeError):  # none where there is no terminal
             stream.flush()
     os._exit(status)
 
