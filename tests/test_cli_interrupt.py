@@ -94,6 +94,31 @@ def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.rglob("*")] == ["slow.json"]
 
 
+def test_a_command_that_is_done_leaves_no_process(tmp_path: Path) -> None:
+    """It ends without waiting for what ends with it."""
+    words = "design planar_2r --harmonics 2 --periods 1 --duration 4 --starts 2 --jobs 2 -o out"
+    done = subprocess.run(
+        [sys.executable, "-m", "excitant", *words.split()], cwd=tmp_path, capture_output=True,
+        text=True, check=False, env={**os.environ, "OF_TEST": str(tmp_path)},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "out/report.html")
+
+    def ours(process: psutil.Process) -> bool:
+        try:
+            return process.environ().get("OF_TEST") == str(tmp_path)
+        except psutil.Error:
+            return False
+
+    wait(lambda: not any(map(ours, psutil.process_iter())), "the end of its processes")
+
+
+def test_a_full_disk_behind_the_output_is_told() -> None:
+    words = [sys.executable, "-m", "excitant", "robots"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "excitant: file: No space left on device\n")
+
+
 def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> None:
     """Python ends itself by the signal where that came while exec() ran a text, caught or not."""
     code = (
