@@ -87,11 +87,13 @@ def test_parameters_are_values_with_intervals_beside_the_given_ones(estimate: Es
     assert [text.get_text() for text in ax.get_yticklabels()] == ["joint1", "joint2"]
     zero, *drawn = [np.asarray(line.get_xdata(), float) for line in ax.get_lines()]
     assert zero.tolist() == [0, 0]
-    for k, joint in enumerate(("joint1", "joint2")):
-        row, (interval, given, value) = rows[f"{joint}.Fv"], drawn[3 * k : 3 * k + 3]
-        assert value == pytest.approx([row["value"]])
-        assert given == pytest.approx([row["given"]])
-        assert interval == pytest.approx(row["value"] + 1.96 * row["std"] * np.array([-1, 1]))
+    both = [rows[f"{joint}.Fv"] for joint in ("joint1", "joint2")]
+    value, std, given = (np.array([row[key] for row in both]) for key in ("value", "std", "given"))
+    assert [row["decided_by"] for row in both] == ["data"] * 2
+    for shown, known in zip(drawn, (given, value, []), strict=True):  # none is the prior's
+        assert shown == pytest.approx(known)
+    intervals = np.array([segment[:, 0] for segment in ax.collections[0].get_segments()])
+    assert intervals == pytest.approx(value[:, None] + 1.96 * std[:, None] * np.array([-1, 1]))
     assert len(ex.plot.parameters(estimate, "link2")) == 3  # mass, first moment, inertia
     assert len(ex.plot.parameters(estimate)) == len(forest_groups(estimate.result())) == 7
 
