@@ -140,15 +140,20 @@ Found = tuple[float, Any, int]  # condition number, trajectory, number of starts
 
 
 def excitant(
-    problem: Problem, settings: Settings, *, series: str = "fourier", criterion: str = "condition"
+    problem: Problem,
+    settings: Settings,
+    *,
+    series: str = "fourier",
+    criterion: str = "condition",
+    searched: bool = False,
 ) -> Found:
-    """Our own design; of splines with a search for the number of pieces."""
+    """Our own design, perhaps with a search for the number of harmonics or pieces."""
     left = max(settings.deadline - time.time(), 0.1)
     effort: Any = {"jobs": settings.jobs, "seed": settings.seed, "time_limit": left, "use": 1.0}
     found = design_trajectory(
         problem.robot,
         duration=problem.duration,
-        harmonics=None if series == "spline" else problem.harmonics,
+        harmonics=None if searched else problem.harmonics,
         series=series,
         criterion=criterion,
         columns="inertial",
@@ -188,7 +193,8 @@ def _random_draws(file: Path, settings: Settings, job: int) -> Found:
 CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
     "excitant": excitant,
     "a-optimal": partial(excitant, criterion="a"),
-    "spline": partial(excitant, series="spline"),
+    "searched": partial(excitant, searched=True),
+    "spline": partial(excitant, series="spline", searched=True),
     "random": random_search,
 }
 

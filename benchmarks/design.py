@@ -39,6 +39,7 @@ from excitant.design import check, load_trajectory
 from excitant.exceptions import ExcitantError
 
 METHODS = (*CONTESTANTS, "figaroh")
+SEARCHED = ("searched", "spline")  # they choose how many harmonics or pieces
 _REST = 1e-9
 NOISE = {"equal": "1 N·m on every joint", "limit": "1% of each joint's torque limit"}
 
@@ -95,7 +96,7 @@ def compete(problem: Problem, given: argparse.Namespace) -> list[Row]:
         if method == "figaroh":
             two_seconds = max(2, round(problem.duration / given.figaroh_segments / 2.0))
             settings = given.figaroh_moves or [two_seconds]
-        elif method == "spline":  # searches the number of its pieces
+        elif method in SEARCHED:
             settings = settings[:1]
         for setting in settings:
             row, files = run(problem, given, method, setting)
@@ -114,7 +115,7 @@ def run(
     """A contestant's row with its times, and tables of motions, of which the best counts."""
     wall, cpu = time.perf_counter(), _children()
     if method != "figaroh":
-        label = "search" if method == "spline" else f"H={setting}"
+        label = "search" if method in SEARCHED else f"H={setting}"
         settings = Settings(time.time() + given.time_limit, given.jobs, given.seed, setting)
         tries = [run_contestant(problem, method, settings)]
     else:
