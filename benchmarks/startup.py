@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -15,18 +16,18 @@ from typing import NamedTuple
 DATA = Path(os.environ.get("EXCITANT_DATA", Path(__file__).parents[2] / "shared" / "data"))
 RECORDED = DATA / "ur10"
 COMMANDS = {
-    "--help": "",
-    "robots": "",
-    "robots panda": "",
-    "analyze panda": "-o analyzed",
-    "design planar_2r": "--starts 1 --jobs 1 --duration 8 --harmonics 3 -o motion",
-    "check planar_2r": "motion/trajectory.csv",
-    "simulate planar_2r": "motion/trajectory.csv -o run.csv",
-    "identify planar_2r": "run.csv --force -o model",
-    f"identify {RECORDED.name} set": "",
-    "identify 60 s at 1 kHz": "",
-    "diagnose planar_2r": "run.csv --no-experiments -o diagnosis",
-    "report": "model",
+    "--help": "--help",
+    "robots": "robots",
+    "robots panda": "robots panda",
+    "analyze panda": "analyze panda -o analyzed",
+    "design planar_2r": "design planar_2r --starts 1 --jobs 1 --duration 8 --harmonics 3 -o motion",
+    "check planar_2r": "check planar_2r motion/trajectory.csv",
+    "simulate planar_2r": "simulate planar_2r motion/trajectory.csv -o run.csv",
+    "identify planar_2r": "identify planar_2r run.csv --force -o model",
+    f"identify {RECORDED.name} set": f"identify {shlex.quote(str(RECORDED))} -o recorded",
+    "identify 60 s at 1 kHz": "identify panda log.parquet --force -o logged",
+    "diagnose planar_2r": "diagnose planar_2r run.csv --no-experiments -o diagnosis",
+    "report": "report model",
 }
 LIBRARIES = (
     "import numpy, scipy.linalg, scipy.optimize, scipy.special, scipy.fft, scipy.interpolate",
@@ -85,16 +86,12 @@ def main() -> None:
         print(line("libraries of identify", alone, folder, args.repeats))
         written = [sys.executable, "-c", LOG, str(folder / "log.parquet")]
         subprocess.run(written, cwd=Path(__file__).parent, check=True)
-        for command, more in COMMANDS.items():
-            words = [sys.executable, "-m", "excitant", *command.split(), *more.split()]
-            if command.endswith(" set"):
-                if not RECORDED.is_dir():
-                    print(f"{command:24s} {RECORDED} is not there; set EXCITANT_DATA")
-                    continue
-                words[3:] = ["identify", str(RECORDED), "-o", "recorded"]
-            if command.endswith("kHz"):
-                words[3:] = ["identify", "panda", "log.parquet", "--force", "-o", "logged"]
-            print(line(command, words, folder, args.repeats))
+        for command, words in COMMANDS.items():
+            if command.endswith(" set") and not RECORDED.is_dir():
+                print(f"{command:24s} {RECORDED} is not there; set EXCITANT_DATA")
+                continue
+            excitant = [sys.executable, "-m", "excitant", *shlex.split(words)]
+            print(line(command, excitant, folder, args.repeats))
 
 
 if __name__ == "__main__":

@@ -106,7 +106,7 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
     draw.draw_curve(torque, time, joins, measured, color=draw.MEASURED, lw=1.3)
     residual.axhline(0, color="#8a8f94", lw=0.7)
     said = []
-    half, after = (_of_rows(series, key, k, len(t)) for key in (curves.band, curves.after))
+    half, after = (v.curve(series, key, k, len(t)) for key in (curves.band, curves.after))
     if half is not None and np.isfinite(half).all() and after is not None:
         draw_band(torque, time, joins, after, half)
         draw_band(residual, time, joins, np.zeros(len(t)), half)
@@ -115,7 +115,7 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
         (curves.before, _GIVEN, draw.GIVEN),
         (curves.after, curves.after_label, draw.FITTED),
     ):
-        model = _of_rows(series, key, k, len(t))
+        model = v.curve(series, key, k, len(t))
         if model is None:
             continue
         draw.draw_curve(torque, time, joins, model, color=colour, lw=0.9)
@@ -124,11 +124,6 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
     draw.label_y(torque, f"torque [{unit}]" if unit != "A" else "current [A]")
     draw.over_time(residual, time, f"residual [{unit}]")
     return draw.panel(torque, f"{joint}: measured torque over time; {'; '.join(said)}", joint)
-
-
-def _of_rows(series: Series, key: str, joint: int, n: int) -> Array | None:
-    found = v.curve(series, key, joint)
-    return found if found is not None and len(found) == n else None
 
 
 def draw_band(ax: draw.Axes, t: Array, joins: Sequence[int], centre: Array, half: Array) -> None:
@@ -221,7 +216,7 @@ def tracking_figure(joints: Sequence[str], result: Result, series: Series) -> Fi
         said = []
         for ax, (when, title, models) in zip(both, _FOLLOWED, strict=True):
             for model in models:
-                error = _of_rows(series, f"{when}_{model}", k, len(t))
+                error = v.curve(series, f"{when}_{model}", k, len(t))
                 if error is None:
                     continue
                 name, colour = _MODELS[model]

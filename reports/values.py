@@ -93,19 +93,21 @@ def _finite(values: Array) -> Array | None:
     return values if np.isfinite(values).any() else None
 
 
-def curve(series: Series, key: str, joint: int | None = None) -> Array | None:
-    """One series over rows, or its column of a joint; None when absent or nowhere finite."""
+def curve(
+    series: Series, key: str, joint: int | None = None, rows: int | None = None
+) -> Array | None:
+    """One series over so many rows, or its column of a joint; None when other or nowhere finite."""
     if joint is None:
-        return array(series, key, None)
-    table = array(series, key, None, None)
+        return array(series, key, rows)
+    table = array(series, key, rows, None)
     return None if table is None or joint >= table.shape[1] else _finite(table[:, joint])
 
 
 def curves(series: Series, joint: int, first: str, *keys: str) -> list[Array | None]:
     """Columns of a joint: the first, and those of the others that have as many rows."""
-    known, *others = (curve(series, key, joint) for key in (first, *keys))
+    known = curve(series, first, joint)
     rows = -1 if known is None else len(known)
-    return [known, *(x if x is not None and len(x) == rows else None for x in others)]
+    return [known, *(curve(series, key, joint, rows) for key in keys)]
 
 
 def times(series: Series) -> Array | None:

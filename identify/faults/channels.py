@@ -295,7 +295,9 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
         for values in r.values():
             values[around] = 0.0
     alarm = ALARM / (log.nv * len(r))
-    far = {name: _far(log, name, r[name], alarm) for name, _ in log.channels()}
+    far = {
+        name: _far(x, r[name], log.quanta[name], alarm, name != "tau") for name, x in log.channels()
+    }
     far["q"] &= _impossible(log, r["q"]) & log.moving.any(axis=0)  # a held joint's grain is none
     for name, x in log.channels()[1:]:
         apart = np.abs(x - _running_median(x, _WINDOW)) > 0.5 * np.abs(r[name])
@@ -325,19 +327,18 @@ def _running_median(x: Array, window: int) -> Array:
     return np.column_stack(columns)
 
 
-def _far(log: Log, name: str, r: Array, alarm: float) -> Mask:
+def _far(x: Array, r: Array, step: Array, alarm: float, alike: bool) -> Mask:
     """Whether values are farther off than by chance, and by more than their resolution.
 
     Of sensors that are alike, that of a joint at rest, which may show no noise at all, is not taken
     for finer than the finest of the others.
     """
-    x = dict(log.channels())[name]
     span, size = np.ptp(x, axis=0), np.abs(r)
     usual = np.maximum(_running_median(size, _AROUND), 0.2 * np.quantile(size, 0.75, axis=0))
     z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
     bound = [tail_bound(column[column > 0], alarm) for column in z.T]
-    floor = np.maximum(log.quanta[name], _SINGLE * np.abs(x).max(axis=0))
-    if name != "tau":
+    floor = np.maximum(step, _SINGLE * np.abs(x).max(axis=0))
+    if alike:
         seen = np.quantile(size, 0.75, axis=0)
         floor = np.maximum(floor, seen[seen > 0].min(initial=np.inf) if seen.any() else 0.0)
     return np.asarray((z > bound) & (size > 3 * floor), bool)

@@ -7,7 +7,6 @@ import gc
 import os
 import signal
 import sys
-import threading
 from contextlib import suppress
 
 _AGAIN = 0.1  # s after an interrupt that was lost
@@ -31,6 +30,8 @@ def run() -> None:
     # not sys.exit: it takes 0.3 s to free what ends with the process, and Ctrl-C amid exec(), as of
     # a dataclass, would end Python by that signal, whoever caught it
     if status != 130:  # work that was interrupted is not waited for
+        import threading
+
         threading._shutdown()  # type: ignore[attr-defined]  # it ends the processes of joblib
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
@@ -41,6 +42,8 @@ def run() -> None:
 
 def _interrupt_again(lost: sys.UnraisableHookArgs) -> None:
     """Where Python had to drop an interrupt, as within a destructor, send it once more."""
+    import threading  # not above: nothing may take long before interrupts are waited for
+
     if issubclass(lost.exc_type, KeyboardInterrupt):
         threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
     else:
