@@ -6,13 +6,8 @@ Okabe and Ito (2008), which the colour-blind can tell apart.
 
 from __future__ import annotations
 
-import hashlib
-import html
-import io
 import math
-import re
 import textwrap
-from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
@@ -37,7 +32,6 @@ DASHED = (0, (5, 3))
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
 _BINS = 200
-_COLOURS, _DPI = 16, 150  # of an image
 _TITLE, _COLUMNS, _EVEN = 0.26, 2, 1e-6  # of a sheet: room above a panel [inch], columns
 _EDGE = 0.12  # inch: between panels
 _LETTER = 0.065  # inch: width of one in a legend
@@ -47,6 +41,7 @@ _STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "excitant",
     "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Verdana"],  # letters of one width
     "font.size": 9,
     "text.parse_math": False,
     "text.usetex": False,
@@ -72,7 +67,6 @@ _STYLE: Any = {
     "ytick.minor.left": False,
     "lines.solid_capstyle": "round",
     "lines.linewidth": 1.1,
-    "savefig.transparent": True,
 }
 
 
@@ -334,46 +328,9 @@ def single(
 
 
 def _svg(figure: Figure, label: str) -> str:
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", dpi=_DPI, metadata={"Date": None, "Creator": None})
-    raw = buffer.getvalue()
-    drawing = raw[raw.index("<svg") :]
-    drawing = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", drawing, flags=re.DOTALL)
-    drawing = re.sub(
-        r' id="(?:figure|axes|patch|line2d|text|matplotlib|xtick|ytick)[^"]*"', "", drawing
-    )
-    drawing = re.sub(r"<[^>]*>", _shorten_tag, drawing).replace("xlink:href", "href")
-    drawing = re.sub(r"(?<=base64,)[^\"]*", _with_few_colours, drawing)
-    mark = hashlib.sha1((label + drawing).encode(), usedforsecurity=False).hexdigest()[:8]
-    drawing = re.sub(r'(id="|href="#|url\(#)', rf"\1f{mark}", drawing)
-    drawing = re.sub(r">\s+<", "><", drawing)
-    box = drawing.split('viewBox="', 1)[1].split('"', 1)[0]
-    head = f'<svg role="img" aria-label="{html.escape(label)}" viewBox="{box}">'
-    return head + drawing[drawing.index(">") + 1 :].strip()
+    from excitant.reports.svg import svg
 
-
-def _with_few_colours(found: re.Match[str]) -> str:
-    """An image of points with a palette, which takes a third of the room."""
-    from PIL import Image
-
-    packed = io.BytesIO()
-    with Image.open(io.BytesIO(b64decode(found[0]))) as image:
-        few = image.quantize(_COLOURS, Image.Quantize.FASTOCTREE)
-        few.save(packed, "png")
-    return b64encode(packed.getvalue()).decode()
-
-
-def _shorten_tag(found: re.Match[str]) -> str:
-    tag = re.sub(r'd="[^"]*"', _shorten_path, found[0])
-    if tag.startswith("<image"):
-        return tag
-    return re.sub(r"-?\d+\.\d{3,}", lambda m: f"{float(m[0]):.2f}", tag)
-
-
-def _shorten_path(found: re.Match[str]) -> str:
-    path = re.sub(r"-?\d+\.\d+", lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), found[0])
-    path = " ".join(path.split())
-    return re.sub(r"(?<=\d) L (?=[-\d])", " ", path)
+    return svg(figure, label)
 
 
 def timeline(t: Array) -> tuple[Array, list[int]]:
