@@ -10,7 +10,7 @@ import sys
 from contextlib import suppress
 
 _AGAIN = 0.1  # s after an interrupt that was lost
-_GARBAGE = 100_000  # objects between collections: a command makes many that stay, few cycles
+_GARBAGE = 1_000_000  # objects between collections: a command makes many that stay, few cycles
 
 
 def run() -> None:
