@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -55,7 +56,7 @@ def design_section(result: Result, series: Series) -> p.Section:
         [
             *_motion(result, series),
             ("Least excited parameters", [_weakest(result)]),
-            ("The search", [convergence_figure(result)]),
+            ("The search", [partial(convergence_figure, result)]),
         ],
     )
 
@@ -184,7 +185,7 @@ def rehearse_section(result: Result, series: Series) -> p.Section:
         ],
         "Every value planted in the arm and what was recovered of it.",
     )
-    motion = motion_figure(v.joint_names(result), result, series)
+    motion = partial(motion_figure, v.joint_names(result), result, series)
     return p.section(
         "Rehearsal",
         v.sentence(headline),
@@ -252,7 +253,7 @@ def _tracking(result: Result, series: Series) -> p.Blocks:
         f"after its change. The position loop is the same for all: {v.quantity(loop, 'Hz')}, "
         "critically damped, with noisy readings.",
     )
-    return [tracking_figure(v.joint_names(result), result, series), table]
+    return [partial(tracking_figure, v.joint_names(result), result, series), table]
 
 
 def _met(row: Result) -> bool:
@@ -270,11 +271,11 @@ def _error(row: Result) -> p.Cell:
 
 
 def _motion(result: Result, series: Series) -> p.Parts:
-    motion = motion_figure(v.joint_names(result), result, series)
+    motion = partial(motion_figure, v.joint_names(result), result, series)
     return [
         ("Motion against limits", [*_limits(result), motion]),
-        ("Path of the tool", [space_figure(result, series)]),
-        ("Excitation of the parameters", [spectrum_figure(series)]),
+        ("Path of the tool", [partial(space_figure, result, series)]),
+        ("Excitation of the parameters", [partial(spectrum_figure, series)]),
     ]
 
 

@@ -66,9 +66,9 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
         (("diagnosed", lead), *_told(findings)),
         [
             ("Further findings", others),
-            ("Error step by step", [waterfall_figure(result) if changed else None]),
+            ("Error step by step", [partial(waterfall_figure, result) if changed else None]),
             ("Error per joint", _errors(result, unit, changed)),
-            (over_holdout(unit), [torque_figure(joints, series, unit, curves)]),
+            (over_holdout(unit), [partial(torque_figure, joints, series, unit, curves)]),
             ("Not explained", _unexplained(result)),
             ("Notes", [p.notes(said)]),
         ],
@@ -170,7 +170,7 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> tuple[p
         title = f"Finding {k + 1}: {_cause(finding)}{' at ' * bool(joints)}{joints}"
         blocks: p.Blocks = [
             p.notes([_sentence(finding, unit)]),
-            evidence_figure(k, finding, series, unit),
+            partial(evidence_figure, k, finding, series, unit),
             _kinds(finding, unit),
             _parameters(finding),
             _rivals(finding),
@@ -181,7 +181,7 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> tuple[p
             share, verdict = v.real(finding, "explained"), v.text(finding, "verdict")
             aside = [v.percent(share)] * (share is not None) + [verdict] * bool(verdict)
             title += f" ({', '.join(aside)})" if aside else ""
-            others.append(p.Folded(title, tuple(block for block in blocks if block is not None)))
+            others.append((title, blocks))
     return parts, others
 
 
@@ -394,7 +394,7 @@ def _errors(result: Result, unit: str, changed: bool) -> p.Blocks:
         f"The model as given{' and with the findings added' * changed}, on the hold-out{same}; "
         "nrmse is rms over the measured torque's standard deviation.",
     )
-    return [error_bars(pairs, [model for _, model in models], unit, _CURVES, what), table]
+    return [partial(error_bars, pairs, [model for _, model in models], unit, _CURVES, what), table]
 
 
 def _unexplained(result: Result) -> p.Blocks:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ def fleet_section(result: Result, series: Series) -> p.Section:
                 "What changes with time",
                 [
                     p.notes([_changes(row) for row in drifts], brief="changes"),
-                    _figure(drifts, series),
+                    partial(_figure, drifts, series),
                     _drifts(drifts),
                 ],
             ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -60,20 +61,20 @@ def identify_section(result: Result, series: Series) -> p.Section:
         ],
         _brief(result, unit),
         [
-            ("Friction curves", [friction_figure(result, series)]),
+            ("Friction curves", [partial(friction_figure, result, series)]),
             ("Error per joint", _errors(result, unit)),
             (
                 over_holdout(unit),
-                [torque_figure(joints, series, unit, CURVES), _intervals(result, unit)],
+                [partial(torque_figure, joints, series, unit, CURVES), _intervals(result, unit)],
             ),
-            ("Measured against predicted", [agreement_figure(result, series, unit)]),
+            ("Measured against predicted", [partial(agreement_figure, result, series, unit)]),
             (
                 "Residual by position, velocity, load and frequency",
-                [residual_figure(result, series, unit)],
+                [partial(residual_figure, result, series, unit)],
             ),
             ("In MuJoCo", _in_mujoco(result, series, unit)),
             *_online(result, series),
-            ("Parameters, given and identified", [forest_figure(result)]),
+            ("Parameters, given and identified", [partial(forest_figure, result)]),
             ("Base parameters", _base_parameters(result)),
             ("Standard parameters", [_parameter_table(result)]),
             ("How it was fitted", [_how(result), _physical(result), p.notes(said)]),
@@ -188,7 +189,7 @@ def _errors(result: Result, unit: str) -> p.Blocks:
         + ("; last, the error on the data it was fitted to" if held else "")
         + ". nrmse is rms over the measured torque's standard deviation.",
     )
-    return [error_bars(rows, models, unit, CURVES, what), table]
+    return [partial(error_bars, rows, models, unit, CURVES, what), table]
 
 
 def _intervals(result: Result, unit: str) -> p.Table | None:
@@ -227,7 +228,7 @@ def _in_mujoco(result: Result, series: Series, unit: str) -> p.Blocks:
         "deviation): where a joint turns back, dry friction takes 2 ms there, and what MJCF cannot "
         "hold is missing.",
     )
-    figure = torque_figure(v.joint_names(result), series, unit, _IN_MUJOCO)
+    figure = partial(torque_figure, v.joint_names(result), series, unit, _IN_MUJOCO)
     return [table, figure, p.notes([v.sentence(n) for n in v.words(found, "notes")], p.FAIR)]
 
 
@@ -368,7 +369,7 @@ def _link_by_link(result: Result, unit: str) -> p.Blocks:
         "Prediction error on the hold-out, fitted to the same recordings. All links at once: "
         f"{v.text(found, 'comparison', 'all_at_once')}.",
     )
-    folds = (p.Folded(f"Link {v.text(x, 'link')}", tuple(filter(None, _stage(x)))) for x in stages)
+    folds = ((f"Link {v.text(stage, 'link')}", _stage(stage)) for stage in stages)
     return [p.Facts((count,)), comparison, *folds]
 
 
@@ -403,7 +404,7 @@ def _payload(payload: Result | None) -> p.Blocks:
         _payload_facts(payload),
         p.notes([v.sentence(each) for each in v.words(payload, "shortcomings")], p.FAIR),
         p.notes([v.sentence(each) for each in v.words(payload, "notes")]),
-        payload_figure(payload),
+        partial(payload_figure, payload),
         p.table(
             v.records(payload, "parameters"),
             [
@@ -446,8 +447,8 @@ def _online(result: Result, series: Series) -> p.Parts:
     )
     return [
         ("On-line estimation", [_online_facts(result), messages]),
-        ("Estimates over time", [estimates_figure(result, series)]),
-        ("Excitation over time", [excitation_figure(result)]),
+        ("Estimates over time", [partial(estimates_figure, result, series)]),
+        ("Excitation over time", [partial(excitation_figure, result)]),
     ]
 
 

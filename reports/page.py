@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
+from excitant.processes import together
 from excitant.reports import values as v
 from excitant.reports.values import NONE, Result
 from excitant.robots.motion import Array
@@ -196,7 +197,10 @@ class Folded:
 
 
 Block = Table | Figure | Matrix | Player | Facts | Notes | Folded
-Blocks = list[Block | None]
+Drawing = Callable[[], Figure | None]
+"""A figure still to draw."""
+Blocks = list["Block | Drawing | tuple[str, Blocks] | None"]
+"""What stands in a part; a title with blocks is a part within it."""
 Parts = list[tuple[str, Blocks]]
 Brief = tuple[tuple[str, str], ...]
 
@@ -391,11 +395,31 @@ def section(
 ) -> Section:
     """A section without the blocks that are None and the parts that are left empty.
 
-    After the parts come those that are behind their titles.
+    After the parts come those that are behind their titles. All figures are drawn together.
     """
-    kept = (
-        Folded(heading, tuple(b for b in blocks if b is not None), behind)
-        for behind, several in ((False, parts), (True, closed or []))
-        for heading, blocks in several
-    )
+    figures = iter(together([*_drawings(parts), *_drawings(closed or [])]))
+    kept = [_part(*part, figures) for part in parts]
+    kept += [_part(*part, figures, True) for part in closed or []]
     return Section(title, lead, tuple(part for part in kept if part.blocks), brief)
+
+
+def _drawings(parts: Parts) -> Iterator[Drawing]:
+    for _, blocks in parts:
+        for block in blocks:
+            if isinstance(block, tuple):
+                yield from _drawings([block])
+            elif callable(block):
+                yield block
+
+
+def _part(
+    title: str, blocks: Blocks, figures: Iterator[Figure | None], closed: bool = False
+) -> Folded:
+    """A part with the next of the figures that were drawn for it."""
+    built: list[Block | None] = []
+    for block in blocks:
+        if isinstance(block, tuple):
+            built.append(_part(*block, figures))
+        else:
+            built.append(next(figures) if callable(block) else block)
+    return Folded(title, tuple(block for block in built if block is not None), closed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from excitant.reports import page as p
 from excitant.reports import values as v
@@ -44,7 +45,7 @@ def robot_section(result: Result, series: Series) -> p.Section:
                     p.notes(v.words(result, "notes")),
                 ],
             ),
-            ("The arm", [arm_figure(series)]),
+            ("The arm", [partial(arm_figure, series)]),
             ("Joints", [_joints(joints)]),
             ("Links", [_links(result)]),
             ("Friction and drives", [_effects(result)]),

@@ -6,7 +6,7 @@ import io
 import json
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from os.path import isdir, isfile
@@ -18,9 +18,8 @@ import numpy as np
 from excitant.exceptions import BadInput
 from excitant.files import read_bytes, write_file, write_folder
 from excitant.identify.importers.arrays import read_arrays
+from excitant.processes import ahead
 from excitant.reports.page import Page
-from excitant.reports.pages import page_of
-from excitant.reports.render import html, summary
 from excitant.robots.motion import Array
 from excitant.robots.schema import finite, parsed_json
 
@@ -29,6 +28,41 @@ RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "r
 _LONG = 1000  # values; longer arrays are saved in single precision where that loses nothing
 _SINGLE = 1e-6  # of an array's range: error allowed to single precision
 _HEIGHT = 640  # pixels of a report's frame in a notebook
+
+
+Write = Callable[[Mapping[str, Any], Mapping[str, Array]], tuple[Page, str, str]]
+_ready: list[Write] = []  # by another process
+
+
+def get_ready() -> None:
+    """Let another process import, while a command works, what the page of its run takes."""
+    _ready.append(ahead(_warm_writer))
+
+
+def _warm_writer() -> Write:
+    """A writer that has drawn and written before, so that fonts and templates are at hand."""
+    from excitant.identify.spectra import power_density
+    from excitant.reports import drawing
+    from excitant.reports.render import html
+
+    write = _writer()
+    with drawing.style():
+        drawing.panel(drawing.axes(1.0)[0], "")
+    power_density(np.zeros(8), 1.0, 8)
+    html(Page("", "", (), ()))
+    return write
+
+
+def _writer() -> Write:
+    """What makes a page of a result and its series, and writes it as text and as HTML."""
+    from excitant.reports.pages import page_of
+    from excitant.reports.render import html, summary
+
+    def written(result: Mapping[str, Any], series: Mapping[str, Array]) -> tuple[Page, str, str]:
+        page = page_of(result, series)
+        return page, summary(page), html(page)
+
+    return written
 
 
 def save_run(
@@ -62,9 +96,8 @@ def save_run(
     contents[SERIES] = packed
     old = (_beside(directory, parts, contents) for parts in _parts(read))
     beside = dict.fromkeys([*filter(None, old), *contents, SUMMARY, RESULT])
-    page = page_of(read | {"files": list(beside)}, arrays)
-    contents[SUMMARY] = summary(page)
-    contents[REPORT] = html(page)
+    write = _ready.pop() if _ready else _writer()
+    page, contents[SUMMARY], contents[REPORT] = write(read | {"files": list(beside)}, arrays)
     contents[RESULT] = encoded
     return write_folder(directory, contents, _files_of(directory) - _names(read)), page
 
@@ -261,4 +294,7 @@ def _require_reportable(noun: object) -> None:
 def report(noun: Reportable) -> Report:
     """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
     _require_reportable(noun)
+    from excitant.reports.pages import page_of
+    from excitant.reports.render import html
+
     return Report(html(page_of(*as_saved(noun.result(), noun.series())), saved=False))

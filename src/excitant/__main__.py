@@ -20,7 +20,9 @@ def run() -> None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         gc.set_threshold(_GARBAGE)
         from excitant.cli import main
+        from excitant.processes import may_fork
 
+        may_fork()
         status = main()
     except KeyboardInterrupt:  # amid imports
         status = 130

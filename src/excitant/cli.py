@@ -96,6 +96,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if isinstance(run := bound.arguments.get("run"), Run):
             run.require()
+        if command in _LONG:
+            from excitant.reports.run import get_ready
+
+            get_ready()
         status = command(*bound.args, **bound.kwargs) or 0
         print(end="", flush=True)  # here, where a full disk is told
         return status
@@ -300,6 +304,10 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
     ),
 }
 """The commands in the order of the work, each with examples."""
+
+_LONG = {recordings.go, demo, motions.design, recordings.identify, recordings.diagnose}
+_LONG |= {motions.rehearse, fleets.fleet}
+"""Commands with time for another process to get ready for their page."""
 
 for _order, (_verb, _examples) in enumerate(_VERBS.items()):
     _verb.__doc__ = re.sub(r"\n {8}", " ", inspect.getdoc(_verb) or "")  # help breaks lines itself

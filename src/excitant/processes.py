@@ -1,18 +1,21 @@
-"""Work on processes of this machine or of a Dask cluster.
+"""Work on processes of this machine or of a Dask cluster, and on one forked from a command.
 
 Processes here leave Ctrl-C to the one that started them, and end with it.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
+import pickle
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, partial
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Generic, NoReturn, ParamSpec, TypeVar
 
 from excitant.exceptions import BadInput, WorkerDied
 
@@ -20,6 +23,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 _LOOK = 0.5  # s between looks for the process that started this one
 _PATIENCE = "20s"  # for a cluster to answer
+_INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
+_NUMBER = 2  # bytes of a task's number
+_forks = False  # whether this process is a command's
 
 
 def connect(address: str) -> Any:
@@ -86,6 +92,134 @@ def unordered(
 def owned(function: Callable[P, T]) -> Callable[P, T]:
     """A function for a worker process of this one, which ends soon after this one has died."""
     return partial(_run, os.getpid(), function)
+
+
+def may_fork() -> None:
+    """Let `ahead` and `together` fork this process, which is a command's; elsewhere they do not.
+
+    They do so on Linux, where there is a second core, while the process has one thread.
+    """
+    global _forks
+    _forks = True
+
+
+def ahead(prepare: Callable[[], Callable[P, T]]) -> Callable[P, T]:
+    """The function that ``prepare`` makes, for one call; meanwhile another process makes it.
+
+    Arguments and result are pickled. Where there is no other process, or it fails, the function is
+    made and called here.
+    """
+    asked, asking = os.pipe()
+
+    def answer() -> T:
+        os.close(asking)
+        function = prepare()
+        with os.fdopen(asked, "rb") as stream:
+            args, kwargs = pickle.load(stream)
+        return function(*args, **kwargs)
+
+    other = _forked(answer)
+    os.close(asked)
+
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        with suppress(BrokenPipeError), os.fdopen(asking, "wb") as stream:
+            if other is not None:
+                pickle.dump((args, kwargs), stream, pickle.HIGHEST_PROTOCOL)
+        found = None if other is None else other.result()
+        return prepare()(*args, **kwargs) if found is None else found[0]
+
+    return call
+
+
+def together(tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """Results of tasks in their order; two processes share the tasks where this one may fork.
+
+    Results are pickled. What the other process fails to do is done here.
+    """
+    left, numbers = os.pipe()
+
+    def share() -> dict[int, T]:
+        found = {}
+        while number := os.read(left, _NUMBER):
+            k = int.from_bytes(number)
+            found[k] = tasks[k]()
+        return found
+
+    os.write(numbers, b"".join(k.to_bytes(_NUMBER) for k in range(len(tasks))))
+    os.close(numbers)
+    other = _forked(share) if len(tasks) > 1 else None
+    try:
+        done = share()
+        if other is not None and (found := other.result()):
+            done |= found[0]
+    finally:
+        os.close(left)
+        if other is not None:
+            other.end()
+    return [done[k] if k in done else task() for k, task in enumerate(tasks)]
+
+
+class _Fork(Generic[T]):
+    """A process forked from this one for a piece of work; it ends with this one."""
+
+    def __init__(self, work: Callable[[], T]) -> None:
+        reader, writer = os.pipe()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)  # none is lost
+        try:
+            self._pid = os.fork()
+            if not self._pid:
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+                signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if not self._pid:
+            os.close(reader)
+            _answer(work, writer)
+        os.close(writer)
+        self._reader = reader
+        atexit.register(self.end)
+
+    def result(self) -> tuple[T] | None:
+        """What came of the work; None where it failed."""
+        try:
+            with os.fdopen(self._reader, "rb") as stream:
+                return (pickle.load(stream),)
+        except (EOFError, pickle.UnpicklingError):
+            return None
+        finally:
+            self.end()
+
+    def end(self) -> None:
+        """End the process, if it has not ended yet."""
+        if self._pid:
+            with suppress(ProcessLookupError):
+                os.kill(self._pid, signal.SIGKILL)
+            os.waitpid(self._pid, 0)
+            self._pid = 0
+            atexit.unregister(self.end)
+
+
+def _forked(work: Callable[[], T]) -> _Fork[T] | None:
+    """Work begun in a process forked now; None where that may not or cannot be."""
+    if not _forks or sys.platform != "linux" or threading.active_count() > 1:
+        return None
+    if len(os.sched_getaffinity(0)) < 2:
+        return None
+    try:
+        return _Fork(work)
+    except OSError:
+        return None
+
+
+def _answer(work: Callable[[], Any], writer: int) -> NoReturn:
+    status = 1
+    try:
+        answer = pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)
+        with os.fdopen(writer, "wb") as stream:
+            stream.write(answer)
+        status = 0
+    finally:  # whatever was raised: the process it was forked from does the work
+        os._exit(status)
 
 
 def _run(owner: int, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
