@@ -397,7 +397,8 @@ def section(
 
     After the parts come those that are behind their titles. All figures are drawn together.
     """
-    figures = iter(together([*_drawings(parts), *_drawings(closed or [])]))
+    drawings = [*_drawings(parts), *_drawings(closed or [])]
+    figures = reversed(together(drawings[::-1]))  # the largest are at the end, as a rule
     kept = [_part(*part, figures) for part in parts]
     kept += [_part(*part, figures, True) for part in closed or []]
     return Section(title, lead, tuple(part for part in kept if part.blocks), brief)

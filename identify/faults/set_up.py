@@ -10,9 +10,9 @@ directions of gravity and all angles of a joint: the search is global.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ from excitant.identify.faults.physics import (
     unlike,
 )
 from excitant.identify.recording import Recording
+from excitant.processes import together
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -58,6 +59,10 @@ _ALIKE = 2.0  # twice the log of the ratio of evidence: set-ups that look the sa
 _STEP = np.pi / 18  # between zero positions tried
 _TIE = 1e-9  # of it: rounding
 _RIGHT = np.pi / 2  # zero positions are off by multiples of it, unless another angle is better
+
+Test = Callable[[TorqueFit], Iterable[Fault]]
+Search = Callable[[], list[list[Fault]]]
+"""What finds set-ups, each by its faults."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +99,17 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
     """Faults of the set-up: that which explains most first, the others with it amended."""
     found: list[Fault] = []
     for _ in range(case.robot.nv):
-        tests = (order, torque_signs)
-        tested = [faults for faults in ([*test(case)] for test in tests) if faults]
-        proposed = [_amended(case, faults) for faults in tested]
+        tests: list[Search] = [partial(_one, order, case), partial(_one, torque_signs, case)]
+        tests.append(partial(_each, rate, case))
+        *others, orders, signs, rates = together([*_searches(case), *tests])
+        proposed = [_amended(case, faults) for faults in (*orders, *signs)]
         if _known(case.robot) and (frames := [*wrong_frame(case)]):
             moved = case.robot.with_parameters(in_joint_frames(case.robot))
             proposed.append(replace(_amended(case, frames), robot=moved))
-        proposed += [_amended(case, [fault]) for fault in rate(case)]
+        proposed += [_amended(case, faults) for faults in rates]
         judged = [(_gain(case, each), each) for each in proposed]
-        searched = [(_gain(case, each), each) for each in _searched(case)]
+        amends = (_set_up(case, faults) for each in others for faults in each)
+        searched = [(_gain(case, each), each) for each in amends]
         if not (able := [*judged, *(each for each in searched if each[0] > 0)]):
             break
         fit_well = [each for gain, each in (*judged, *searched) if np.isfinite(gain)]
@@ -111,6 +118,21 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
         found += _beside(best.faults, alike[1:])
         case = _fit(case, best)
     return found
+
+
+def _one(test: Test, case: TorqueFit) -> list[list[Fault]]:
+    """What a test finds, as faults of one set-up."""
+    return [faults] if (faults := [*test(case)]) else []
+
+
+def _each(test: Test, case: TorqueFit) -> list[list[Fault]]:
+    """What a test finds, each fault a set-up of its own."""
+    return [[fault] for fault in test(case)]
+
+
+def _set_up(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
+    """The set-up with the remedies of faults applied, the robot mounted and counted as they say."""
+    return replace(_amended(case, faults), robot=amended(case.robot, faults))
 
 
 def _likeliest(case: TorqueFit, among: Sequence[_SetUp]) -> list[_SetUp]:
@@ -208,18 +230,13 @@ def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
     return _SetUp(faults, case.robot, data, at)
 
 
-def _searched(case: TorqueFit) -> Iterator[_SetUp]:
-    """The best mounting, and the best zero position and signs of each joint that turns."""
+def _searches(case: TorqueFit) -> list[Search]:
+    """Searches for the best mounting, and zero position and signs of each joint that turns."""
     robot = case.robot
-    if not _known(robot):
-        return
-    if fits(case, _spread(robot, robot.nv - 1)):
-        return
-    turning = (j for j in case.joints if robot.revolute[j])
-    if (turned := _mounting(case)) is not None:
-        yield turned
-    for j in turning:
-        yield from _zeros(case, j)
+    if not _known(robot) or fits(case, _spread(robot, robot.nv - 1)):
+        return []
+    turning = [j for j in case.joints if robot.revolute[j]]
+    return [partial(_mounting, case), *(partial(_zeros, case, j) for j in turning)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,12 +312,12 @@ def _sharper(case: TorqueFit, at: _Mixtures, found: _SetUp) -> _Mixtures:
     return replace(at, weights=(case.rows / noise)[case.joints])
 
 
-def _mounting(case: TorqueFit) -> _SetUp | None:
+def _mounting(case: TorqueFit) -> list[list[Fault]]:
     """The arm under the direction of gravity that suits its torque best."""
     robot, motion = case.robot, case.data.motion
     size = float(np.linalg.norm(robot.gravity))
     if size == 0:
-        return None
+        return []
     still = np.zeros_like(motion.q)
     rest = replace(motion, dq=still, ddq=still)
     pulls = [(robot.with_gravity(unit), rest) for unit in np.eye(3)]
@@ -339,11 +356,11 @@ def _mounting(case: TorqueFit) -> _SetUp | None:
         f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
         f"in the base frame, {angle:.0f}° from the given direction; give robot.yaml that gravity"
     )
-    fault = Fault("wrong_mounting", case.log.joints, detail, {"gravity": gravity, "angle": angle})
-    return _SetUp([fault], robot.with_gravity(gravity), case.data, range(robot.nv))
+    evidence = {"gravity": gravity, "angle": angle}
+    return [[Fault("wrong_mounting", case.log.joints, detail, evidence)]]
 
 
-def _zeros(case: TorqueFit, j: int) -> Iterator[_SetUp]:
+def _zeros(case: TorqueFit, j: int) -> list[list[Fault]]:
     """One joint at another zero position, counting or measuring torque the other way.
 
     The simplest, and that which measures torque as it is recorded; none where that is as it stands.
@@ -367,9 +384,8 @@ def _zeros(case: TorqueFit, j: int) -> Iterator[_SetUp]:
                 found.append((float(squares), flipped is not None, sign, float(angle)))
     found.sort(key=lambda each: (each[2] < 0) + each[1])
     ways = [found, [each for each in found if not each[1]]]
-    for simplest in dict.fromkeys(_simplest(case, way) for way in ways):
-        if simplest != (False, 1.0, 0.0):
-            yield _set_up_of(case, j, *simplest)
+    simplest = dict.fromkeys(_simplest(case, way) for way in ways)
+    return [_zero_faults(case, j, *each) for each in simplest if each != (False, 1.0, 0.0)]
 
 
 def _left_at(angle: Any, mixtures: _Mixtures, flipped: int | None) -> Any:
@@ -390,7 +406,7 @@ def _simplest(
     return next(each[1:] for each in found if each[0] < least + chance)
 
 
-def _set_up_of(case: TorqueFit, j: int, flipped: bool, sign: float, angle: float) -> _SetUp:
+def _zero_faults(case: TorqueFit, j: int, flipped: bool, sign: float, angle: float) -> list[Fault]:
     joint, faults = case.log.joints[j], list[Fault]()
     if channels := ("q", "dq") * (sign < 0) + ("tau",) * flipped:
         what = " and ".join(name for name in channels if name != "dq")
@@ -398,12 +414,11 @@ def _set_up_of(case: TorqueFit, j: int, flipped: bool, sign: float, angle: float
         done = f"negates {what}{' (and dq)' * (sign < 0)} of {joint}"
         remedies = tuple(Remedy("scale", name, (j,), factor=-1.0) for name in channels)
         faults.append(Fault("wrong_sign", (joint,), detail, {"channel": what}, done, remedies))
-    set_up = _amended(case, faults)
     if angle:
         off = f"{'+' if angle > 0 else '−'} {abs(np.degrees(angle)):.3g}°"
         detail = f"the zero position of {joint} is off: its true angle is the reading {off}"
         faults.append(Fault("wrong_zero", (joint,), detail, {"offset": angle}))
-    return replace(set_up, robot=case.robot.with_zero(joint, angle))
+    return faults
 
 
 def amended(robot: Robot, faults: Sequence[Fault]) -> Robot:
@@ -427,7 +442,7 @@ def support(
     dead = {f.joints[0] for f in others if (f.fault, f.evidence.get("channel")) == NO_TORQUE}
     if (data := smooth(log)) is None or (case := torque_fit(robot, log, data, dead)) is None:
         return 0.0
-    return _evidence(case, replace(_amended(case, faults), robot=amended(robot, faults)))
+    return _evidence(case, _set_up(case, faults))
 
 
 def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, int]]:

@@ -134,12 +134,14 @@ def ahead(prepare: Callable[[], Callable[P, T]]) -> Callable[P, T]:
 def together(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Results of tasks in their order; two processes share the tasks where this one may fork.
 
-    Results are pickled. What the other process fails to do is done here.
+    Results are pickled. What the other process fails to do is done here. A task forks nothing.
     """
+    global _forks
     left, numbers = os.pipe()
 
     def share() -> dict[int, T]:
-        found = {}
+        global _forks
+        _forks, found = False, {}
         while number := os.read(left, _NUMBER):
             k = int.from_bytes(number)
             found[k] = tasks[k]()
@@ -147,12 +149,13 @@ def together(tasks: Sequence[Callable[[], T]]) -> list[T]:
 
     os.write(numbers, b"".join(k.to_bytes(_NUMBER) for k in range(len(tasks))))
     os.close(numbers)
-    other = _forked(share) if len(tasks) > 1 else None
+    before, other = _forks, _forked(share) if len(tasks) > 1 else None
     try:
         done = share()
         if other is not None and (found := other.result()):
             done |= found[0]
     finally:
+        _forks = before
         os.close(left)
         if other is not None:
             other.end()
