@@ -4,6 +4,7 @@ import importlib
 import io
 import itertools
 import os
+import pickle
 import re
 import signal
 import subprocess
