@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
@@ -168,12 +169,12 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
         power = np.pad(s, (0, len(U) - len(s)))
         seen = (U.T @ scipy.linalg.solve_triangular(root, left, lower=True)) ** 2
 
-        def surprise(log_sigma: float) -> float:
-            variance = 1 + (np.exp(log_sigma) * power) ** 2
-            return float((np.log(variance) + seen / variance).sum())
+        def surprise(log_sigma: Any) -> Any:
+            variance = 1 + np.multiply.outer(np.exp(log_sigma), power) ** 2
+            return (np.log(variance) + seen / variance).sum(axis=-1)
 
         grid = np.log(np.geomspace(*SIGMAS, _GRID))
-        k = int(np.argmin([surprise(x) for x in grid]))
+        k = int(np.argmin(surprise(grid)))
         ends = grid[max(k - 1, 0)], grid[min(k + 1, _GRID - 1)]
         found = scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded")
         return float(np.exp(found.x)), float(found.fun) + 2 * float(

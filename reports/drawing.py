@@ -112,9 +112,11 @@ def axes(
         sheet.panels.append(([sheet.onto], height, ""))
         return [sheet.onto]
     _begin()
+    from matplotlib.figure import Figure
+
     from excitant.reports.light_axes import LightAxes
 
-    figure = _blank(height) if sheet is None else sheet.blank(height)
+    figure = Figure(figsize=(WIDTH, height)) if sheet is None else sheet.blank(height)
     grid = figure.subplots(
         len(ratios),
         1,
@@ -139,15 +141,6 @@ def axes(
     if sheet is not None:
         sheet.panels.append((found, height, ""))
     return found
-
-
-def _blank(height: float) -> Figure:
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasSVG(figure)
-    return figure
 
 
 def ink(colour: str) -> str:
