@@ -30,39 +30,33 @@ _SINGLE = 1e-6  # of an array's range: error allowed to single precision
 _HEIGHT = 640  # pixels of a report's frame in a notebook
 
 
-Write = Callable[[Mapping[str, Any], Mapping[str, Array]], tuple[Page, str, str]]
-_ready: list[Write] = []  # by another process
+Written = tuple[Page, str, str]
+_ready: list[Callable[[Mapping[str, Any], Mapping[str, Array]], Written]] = []
 
 
 def get_ready() -> None:
-    """Let another process import, while a command works, what the page of its run takes."""
-    _ready.append(ahead(_warm_writer))
+    """Let another process prepare, while a command works, to write the page of its run."""
+    _ready[:] = [ahead(_warm_up, _written)]
 
 
-def _warm_writer() -> Write:
-    """A writer that has drawn and written before, so that fonts and templates are at hand."""
+def _warm_up() -> None:
+    """Draw and write once, so that what it takes is imported, and fonts and template are read."""
     from excitant.identify.spectra import power_density
-    from excitant.reports import drawing
-    from excitant.reports.render import html
+    from excitant.reports import drawing, pages, render
 
-    write = _writer()
     with drawing.style():
         drawing.panel(drawing.axes(1.0)[0], "")
     power_density(np.zeros(8), 1.0, 8)
-    html(Page("", "", (), ()))
-    return write
+    render.html(pages.page_of({"verb": "identify"}, {}))
 
 
-def _writer() -> Write:
-    """What makes a page of a result and its series, and writes it as text and as HTML."""
+def _written(result: Mapping[str, Any], series: Mapping[str, Array]) -> Written:
+    """The page of a result and its series, as text, and as HTML."""
     from excitant.reports.pages import page_of
     from excitant.reports.render import html, summary
 
-    def written(result: Mapping[str, Any], series: Mapping[str, Array]) -> tuple[Page, str, str]:
-        page = page_of(result, series)
-        return page, summary(page), html(page)
-
-    return written
+    page = page_of(result, series)
+    return page, summary(page), html(page)
 
 
 def save_run(
@@ -96,7 +90,7 @@ def save_run(
     contents[SERIES] = packed
     old = (_beside(directory, parts, contents) for parts in _parts(read))
     beside = dict.fromkeys([*filter(None, old), *contents, SUMMARY, RESULT])
-    write = _ready.pop() if _ready else _writer()
+    write = _ready.pop() if _ready else _written
     page, contents[SUMMARY], contents[REPORT] = write(read | {"files": list(beside)}, arrays)
     contents[RESULT] = encoded
     return write_folder(directory, contents, _files_of(directory) - _names(read)), page

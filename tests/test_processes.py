@@ -34,11 +34,7 @@ def only_here(k):
 def refused(k):
     raise ValueError(f"task {k}")
 
-def late(function):
-    def prepare():
-        time.sleep(0.1)
-        return function
-    return prepare
+ahead = partial(ahead, partial(time.sleep, 0.1))
 """
 
 
@@ -63,7 +59,7 @@ def test_what_the_other_process_fails_to_do_is_done_here() -> None:
     script = """
 found = together([partial(only_here, k) for k in range(4)])
 print([k for k, pid in found if pid == me])
-print(ahead(late(only_here))(5) == (5, me))
+print(ahead(only_here)(5) == (5, me))
 unpicklable = together([partial(lambda k: (slow(k), lambda: k), k) for k in range(4)])
 print([k for (k, pid), _ in unpicklable if pid == me])
 """
@@ -72,12 +68,12 @@ print([k for (k, pid), _ in unpicklable if pid == me])
 
 def test_errors_are_those_of_a_call_here() -> None:
     assert said("together([partial(refused, k) for k in range(2)])")[0].startswith("ValueError: ta")
-    assert said("ahead(late(refused))(5)") == ["ValueError: task 5"]
+    assert said("ahead(refused)(5)") == ["ValueError: task 5"]
 
 
 def test_another_process_gets_ready_meanwhile() -> None:
     script = """
-call, unused = ahead(late(slow)), ahead(late(slow))
+call, unused = ahead(slow), ahead(slow)
 k, pid = call(8)
 print(k, pid != me)
 """
@@ -86,7 +82,7 @@ print(k, pid != me)
 
 def test_only_a_command_is_forked() -> None:
     assert together([os.getpid, os.getpid]) == 2 * [os.getpid()]
-    assert ahead(lambda: os.getpid)() == os.getpid()
+    assert ahead(os.getpid, os.getpid)() == os.getpid()
 
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cell3"

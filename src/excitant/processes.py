@@ -103,30 +103,32 @@ def may_fork() -> None:
     _forks = True
 
 
-def ahead(prepare: Callable[[], Callable[P, T]]) -> Callable[P, T]:
-    """The function that ``prepare`` makes, for one call; meanwhile another process makes it.
+def ahead(prepare: Callable[[], object], function: Callable[P, T]) -> Callable[P, T]:
+    """A function for one call in another process, which prepares for it meanwhile.
 
     Arguments and result are pickled. Where there is no other process, or it fails, the function is
-    made and called here.
+    called here.
     """
     asked, asking = os.pipe()
 
     def answer() -> T:
         os.close(asking)
-        function = prepare()
+        prepare()
         with os.fdopen(asked, "rb") as stream:
             args, kwargs = pickle.load(stream)
         return function(*args, **kwargs)
 
     other = _forked(answer)
     os.close(asked)
+    if other is None:
+        os.close(asking)
+        return function
 
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         with suppress(BrokenPipeError), os.fdopen(asking, "wb") as stream:
-            if other is not None:
-                pickle.dump((args, kwargs), stream, pickle.HIGHEST_PROTOCOL)
-        found = None if other is None else other.result()
-        return prepare()(*args, **kwargs) if found is None else found[0]
+            pickle.dump((args, kwargs), stream, pickle.HIGHEST_PROTOCOL)
+        found = other.result()
+        return function(*args, **kwargs) if found is None else found[0]
 
     return call
 
