@@ -34,15 +34,14 @@ def only_here(k):
 def refused(k):
     raise ValueError(f"task {k}")
 
-ahead = partial(ahead, partial(time.sleep, 0.1))
+fork, ahead = ahead, partial(ahead, partial(time.sleep, 0.1))
 """
 
 
 def said(script: str) -> list[str]:
     """Lines that a script prints, and the last one of an error."""
-    done = subprocess.run(
-        [sys.executable, "-c", BEGIN + script], capture_output=True, text=True, check=False
-    )
+    words, limit = [sys.executable, "-c", BEGIN + script], 60.0
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=limit)
     return done.stdout.splitlines() + done.stderr.splitlines()[-1:]
 
 
@@ -60,10 +59,13 @@ def test_what_the_other_process_fails_to_do_is_done_here() -> None:
 found = together([partial(only_here, k) for k in range(4)])
 print([k for k, pid in found if pid == me])
 print(ahead(only_here)(5) == (5, me))
+dying = fork(partial(os._exit, 3), slow)
+time.sleep(0.5)
+print(dying(6) == (6, me))
 unpicklable = together([partial(lambda k: (slow(k), lambda: k), k) for k in range(4)])
 print([k for (k, pid), _ in unpicklable if pid == me])
 """
-    assert said(script) == ["[0, 1, 2, 3]", "True", "[0, 1, 2, 3]"]
+    assert said(script) == ["[0, 1, 2, 3]", "True", "True", "[0, 1, 2, 3]"]
 
 
 def test_errors_are_those_of_a_call_here() -> None:
@@ -71,9 +73,9 @@ def test_errors_are_those_of_a_call_here() -> None:
     assert said("ahead(refused)(5)") == ["ValueError: task 5"]
 
 
-def test_another_process_gets_ready_meanwhile() -> None:
+def test_another_process_gets_ready_meanwhile_and_ends_with_this_one() -> None:
     script = """
-call, unused = ahead(slow), ahead(slow)
+call, unused = ahead(slow), fork(partial(time.sleep, 1000), slow)
 k, pid = call(8)
 print(k, pid != me)
 """
