@@ -78,7 +78,7 @@ def power_density(values: Array, rate_hz: float, longest: int) -> tuple[Array, A
     parts = np.lib.stride_tricks.sliding_window_view(values, size, axis=0)[:: size - size // 2]
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / size)
     windowed = window * (parts - parts.mean(axis=-1, keepdims=True))
-    power = (np.abs(scipy.fft.rfft(windowed, axis=-1)) ** 2).mean(axis=0)
+    power = (np.abs(np.fft.rfft(windowed, axis=-1)) ** 2).mean(axis=0)
     power /= rate_hz * (window**2).sum()
     power[..., 1 : (size + 1) // 2] *= 2  # negative frequencies; neither 0 nor the Nyquist one
     f = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), float)

@@ -41,12 +41,10 @@ def get_ready() -> None:
 
 def _warm_up() -> None:
     """Draw and write once, so that what it takes is imported, and fonts and template are read."""
-    from excitant.identify.spectra import power_density
     from excitant.reports import drawing, pages, render
 
     with drawing.style():
         drawing.panel(drawing.axes(1.0)[0], "")
-    power_density(np.zeros(8), 1.0, 8)
     render.html(pages.page_of({"verb": "identify"}, {}))
 
 
