@@ -41,7 +41,7 @@ _STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "excitant",
     "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans", "Verdana"],  # letters of one width
+    "font.sans-serif": ["DejaVu Sans", "Verdana"],  # alike in width
     "font.size": 9,
     "text.parse_math": False,
     "text.usetex": False,
