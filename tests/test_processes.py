@@ -45,8 +45,10 @@ def said(script: str) -> list[str]:
     return done.stdout.splitlines() + done.stderr.splitlines()[-1:]
 
 
-def test_two_processes_share_tasks() -> None:
-    script = """
+@pytest.mark.parametrize("ended", ["SIG_DFL", "SIG_IGN"])
+def test_two_processes_share_tasks(ended: str) -> None:
+    script = f"import signal; signal.signal(signal.SIGCHLD, signal.{ended})"
+    script += """
 found = together([partial(slow, k) for k in range(6)])
 print([k for k, _ in found], len({pid for _, pid in found}))
 print(together([]), [k for k, pid in together([partial(slow, 7)]) if pid == me])

@@ -197,9 +197,11 @@ class _Fork(Generic[T]):
     def end(self) -> None:
         """End the process, if it has not ended yet."""
         if self._pid:
-            with suppress(ProcessLookupError):
+            with suppress(
+                ProcessLookupError, ChildProcessError
+            ):  # nobody waits if SIGCHLD is ignored
                 os.kill(self._pid, signal.SIGKILL)
-            os.waitpid(self._pid, 0)
+                os.waitpid(self._pid, 0)
             self._pid = 0
             atexit.unregister(self.end)
 
