@@ -21,10 +21,12 @@ from typing import Any
 import joblib
 import numpy as np
 import pinocchio as pin
+import scipy
 from joblib.externals.loky import get_reusable_executor
-from judge import States, left_columns, observation, random_states
+from judge import States, each, left_columns, observation, random_states
 
 from excitant.design import (
+    check,
     design_trajectory,
     from_coefficients,
     random_trajectory,
@@ -39,7 +41,9 @@ from excitant.robots import Robot, builtin_robots, load_limits, load_robot
 HERE = Path(__file__).resolve().parent
 _FIGAROH_TIMEOUT = 1800.0  # s
 _ATTEMPTS = 3  # initial guesses of FIGAROH per segment
-_PER_HARMONIC = 16  # samples by which random search judges
+_PER_HARMONIC = 16  # samples by which random search and L-BFGS judge
+_PENALTY = 100.0  # on squares of what exceeds a limit, in units of log κ
+_SHRINK, _SHRINKS = 0.99, 100
 _LIMITS = ("position", "velocity", "acceleration", "torque")
 
 
@@ -162,32 +166,103 @@ def excitant(
     return found.condition_final, found.trajectory, len(found.starts)
 
 
-def random_search(problem: Problem, settings: Settings) -> Found:
-    draws, file = joblib.delayed(owned(_random_draws)), problem.folder / "problem.json"
-    found = joblib.Parallel(settings.jobs)(draws(file, settings, k) for k in range(settings.jobs))
+Draws = Callable[[Problem, Settings, Any, np.random.Generator], Found]
+
+
+def on_all_processes(work: Draws, problem: Problem, settings: Settings) -> Found:
+    """The best that work found which goes on to the deadline in each process."""
+    task, file = joblib.delayed(owned(_of_one)), problem.folder / "problem.json"
+    found = joblib.Parallel(settings.jobs)(
+        task(work, file, settings, k) for k in range(settings.jobs)
+    )
     condition, trajectory, _ = min(found, key=lambda f: f[0])
     return condition, trajectory, sum(runs for _, _, runs in found)
 
 
-def _random_draws(file: Path, settings: Settings, job: int) -> Found:
-    """The best draw of one process, which reads the problem anew: models are not sent."""
+def _of_one(work: Draws, file: Path, settings: Settings, job: int) -> Found:
+    """What one process finds, which reads the problem anew: models are not sent."""
     problem = load_problem(file, harmonics=settings.harmonics)
     model, rng = pin.buildModelFromUrdf(str(problem.urdf)), np.random.default_rng(0)
     columns = left_columns(observation(model, random_states(problem.limits, rng)))
-    rng = np.random.default_rng([settings.seed, job])
-    least, best, draws = np.inf, None, 0
+
+    def condition(states: States) -> float:
+        return float(np.linalg.cond(observation(model, states)[:, columns]))
+
+    return work(problem, settings, condition, np.random.default_rng([settings.seed, job]))
+
+
+def _drawn(problem: Problem, rng: np.random.Generator) -> tuple[Any, int]:
+    """A random series, and of how many of its periods the motion is made."""
     most = max(1, int(TOP_HZ * problem.duration / problem.harmonics))
+    periods = int(rng.integers(1, most, endpoint=True))
+    period = problem.duration / periods
+    return random_trajectory(problem.robot, rng, period, problem.harmonics), periods
+
+
+def _states(trajectory: Any, harmonics: int) -> States:
+    motion = trajectory.sample(_PER_HARMONIC * harmonics + 1)
+    return States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1])
+
+
+def random_draws(
+    problem: Problem, settings: Settings, condition: Any, rng: np.random.Generator
+) -> Found:
+    least, best, draws = np.inf, None, 0
     while not draws or time.time() < settings.deadline:
-        periods = int(rng.integers(1, most, endpoint=True))
-        period = problem.duration / periods
-        drawn = random_trajectory(problem.robot, rng, period, problem.harmonics)
-        motion = drawn.sample(_PER_HARMONIC * problem.harmonics + 1)
-        W = observation(model, States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1]))
-        condition = float(np.linalg.cond(W[:, columns]))
-        if condition < least:
-            least, best = condition, from_coefficients(drawn.coefficients, period, periods)
+        drawn, periods = _drawn(problem, rng)
+        reached = condition(_states(drawn, problem.harmonics))
+        if reached < least:
+            whole = from_coefficients(drawn.coefficients, drawn.period, periods)
+            least, best = reached, whole
         draws += 1
     return least, best, draws
+
+
+def descents(
+    problem: Problem, settings: Settings, condition: Any, rng: np.random.Generator
+) -> Found:
+    """L-BFGS from random series, as scripts for identification do it.
+
+    Forward differences, squares of what exceeds a limit as penalty, at rest by the choice of
+    unknowns; what comes out shrinks until it keeps the limits.
+    """
+    H, limits, model = problem.harmonics, problem.limits, pin.buildModelFromUrdf(str(problem.urdf))
+    low, high = np.asarray(limits["position"], float).T
+    order = np.arange(1.0, H + 1)
+    still = scipy.linalg.block_diag(order**2, order)  # no acceleration, no velocity at the ends
+    basis = scipy.linalg.block_diag(np.eye(1), scipy.linalg.null_space(still))
+
+    def penalised(x: Any, period: float) -> float:
+        motion = _states(from_coefficients(basis @ x.reshape(basis.shape[1], -1), period), H)
+        used = {"position": 2 * (motion.q - low) / (high - low) - 1, "velocity": motion.dq}
+        used |= {"acceleration": motion.ddq, "torque": np.array(each(pin.rnea, model, motion))}
+        beyond = 0.0
+        for name, values in used.items():
+            most = np.asarray(limits.get(name, np.inf) if name != "position" else 1.0, float)
+            beyond += float((np.maximum(np.abs(values) / most - 1, 0) ** 2).sum())
+        return float(np.log(condition(motion))) + _PENALTY * beyond
+
+    def late(_: Any) -> None:
+        if time.time() > settings.deadline:
+            raise StopIteration
+
+    least, best, runs = np.inf, None, 0
+    while not runs or time.time() < settings.deadline:
+        drawn, periods = _drawn(problem, rng)
+        start = (basis.T @ drawn.coefficients).ravel()
+        search: Any = {"method": "L-BFGS-B", "args": (drawn.period,), "callback": late}
+        end = scipy.optimize.minimize(penalised, start, **search).x
+        found = basis @ end.reshape(basis.shape[1], -1)
+        for _ in range(_SHRINKS):
+            whole = from_coefficients(found, drawn.period, periods)
+            if check(problem.robot, whole).worst.ratio <= 1:
+                reached = condition(_states(from_coefficients(found, drawn.period), H))
+                if reached < least:
+                    least, best = reached, whole
+                break
+            found[1:] *= _SHRINK
+        runs += 1
+    return least, best, runs
 
 
 CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
@@ -195,7 +270,8 @@ CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
     "a-optimal": partial(excitant, criterion="a"),
     "searched": partial(excitant, searched=True),
     "spline": partial(excitant, series="spline", searched=True),
-    "random": random_search,
+    "l-bfgs": partial(on_all_processes, descents),
+    "random": partial(on_all_processes, random_draws),
 }
 
 

@@ -1,4 +1,4 @@
-"""excitant's design beside FIGAROH and random search, on one problem in one run.
+"""excitant's design beside FIGAROH, L-BFGS and random search, on one problem in one run.
 
 Every contestant gets the same arm, limits and duration, runs in processes of its own, and is
 judged by the same code, which is none of theirs: see README.md for what each column means.
@@ -164,7 +164,7 @@ def reference(row: Row, rows: Sequence[Row]) -> Row | None:
     if row.method != "figaroh":
         same = (r for r in rows if r.method == "excitant" and r.setting == row.setting)
         return next((r for r in same if r.samples), None)
-    ours = [r for r in rows if r.method not in ("random", "figaroh") and r.samples]
+    ours = [r for r in rows if r.method not in ("l-bfgs", "random", "figaroh") and r.samples]
     gentle = [r for r in ours if r.peak_ddq <= row.peak_ddq]
     if gentle:
         return min(gentle, key=lambda r: r.left)
