@@ -41,11 +41,11 @@ def get_ready() -> None:
 
 def _warm_up() -> None:
     """Draw and write once, so that what it takes is imported, and fonts and template are read."""
-    from excitant.reports import drawing, pages, render
+    from excitant.reports import drawing
 
     with drawing.style():
         drawing.panel(drawing.axes(1.0)[0], "")
-    render.html(pages.page_of({"verb": "identify"}, {}))
+    _written({"verb": "analyze"}, {})  # one figure at most, for which no process is forked
 
 
 def _written(result: Mapping[str, Any], series: Mapping[str, Array]) -> Written:
