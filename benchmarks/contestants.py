@@ -34,6 +34,7 @@ from excitant.design import (
     trajectory_json,
 )
 from excitant.design.optimal import TOP_HZ
+from excitant.design.trajectory import FourierTrajectory
 from excitant.exceptions import BadInput, BadRobot
 from excitant.processes import owned
 from excitant.robots import Robot, builtin_robots, load_limits, load_robot
@@ -166,103 +167,92 @@ def excitant(
     return found.condition_final, found.trajectory, len(found.starts)
 
 
-Draws = Callable[[Problem, Settings, Any, np.random.Generator], Found]
+Condition = Callable[[FourierTrajectory], float]
+Attempt = Callable[[Problem, FourierTrajectory, Condition, float], FourierTrajectory]
 
 
-def on_all_processes(work: Draws, problem: Problem, settings: Settings) -> Found:
-    """The best that work found which goes on to the deadline in each process."""
-    task, file = joblib.delayed(owned(_of_one)), problem.folder / "problem.json"
+def on_all_processes(attempt: Attempt, problem: Problem, settings: Settings) -> Found:
+    """The best of attempts from random series, made in each process until the deadline."""
+    task, file = joblib.delayed(owned(_attempts)), problem.folder / "problem.json"
     found = joblib.Parallel(settings.jobs)(
-        task(work, file, settings, k) for k in range(settings.jobs)
+        task(attempt, file, settings, k) for k in range(settings.jobs)
     )
     condition, trajectory, _ = min(found, key=lambda f: f[0])
     return condition, trajectory, sum(runs for _, _, runs in found)
 
 
-def _of_one(work: Draws, file: Path, settings: Settings, job: int) -> Found:
-    """What one process finds, which reads the problem anew: models are not sent."""
+def _attempts(attempt: Attempt, file: Path, settings: Settings, job: int) -> Found:
+    """The best of one process, which reads the problem anew: models are not sent."""
     problem = load_problem(file, harmonics=settings.harmonics)
     model, rng = pin.buildModelFromUrdf(str(problem.urdf)), np.random.default_rng(0)
     columns = left_columns(observation(model, random_states(problem.limits, rng)))
 
-    def condition(states: States) -> float:
-        return float(np.linalg.cond(observation(model, states)[:, columns]))
+    def condition(series: FourierTrajectory) -> float:
+        return float(np.linalg.cond(observation(model, _states(series, problem))[:, columns]))
 
-    return work(problem, settings, condition, np.random.default_rng([settings.seed, job]))
-
-
-def _drawn(problem: Problem, rng: np.random.Generator) -> tuple[Any, int]:
-    """A random series, and of how many of its periods the motion is made."""
+    rng = np.random.default_rng([settings.seed, job])
+    least, best, runs = np.inf, None, 0
     most = max(1, int(TOP_HZ * problem.duration / problem.harmonics))
-    periods = int(rng.integers(1, most, endpoint=True))
-    period = problem.duration / periods
-    return random_trajectory(problem.robot, rng, period, problem.harmonics), periods
+    while not runs or time.time() < settings.deadline:
+        periods = int(rng.integers(1, most, endpoint=True))
+        period = problem.duration / periods
+        drawn = random_trajectory(problem.robot, rng, period, problem.harmonics)
+        found = attempt(problem, drawn, condition, settings.deadline)
+        reached = condition(found)
+        if reached < least:
+            least, best = reached, from_coefficients(found.coefficients, period, periods)
+        runs += 1
+    return least, best, runs
 
 
-def _states(trajectory: Any, harmonics: int) -> States:
-    motion = trajectory.sample(_PER_HARMONIC * harmonics + 1)
+def _states(series: FourierTrajectory, problem: Problem) -> States:
+    motion = series.sample(_PER_HARMONIC * problem.harmonics + 1)
     return States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1])
 
 
-def random_draws(
-    problem: Problem, settings: Settings, condition: Any, rng: np.random.Generator
-) -> Found:
-    least, best, draws = np.inf, None, 0
-    while not draws or time.time() < settings.deadline:
-        drawn, periods = _drawn(problem, rng)
-        reached = condition(_states(drawn, problem.harmonics))
-        if reached < least:
-            whole = from_coefficients(drawn.coefficients, drawn.period, periods)
-            least, best = reached, whole
-        draws += 1
-    return least, best, draws
+def as_drawn(
+    problem: Problem, drawn: FourierTrajectory, condition: Condition, deadline: float
+) -> FourierTrajectory:
+    return drawn
 
 
-def descents(
-    problem: Problem, settings: Settings, condition: Any, rng: np.random.Generator
-) -> Found:
-    """L-BFGS from random series, as scripts for identification do it.
+def descended(
+    problem: Problem, drawn: FourierTrajectory, condition: Condition, deadline: float
+) -> FourierTrajectory:
+    """The end of L-BFGS from a series, as scripts for identification do it.
 
     Forward differences, squares of what exceeds a limit as penalty, at rest by the choice of
     unknowns; what comes out shrinks until it keeps the limits.
     """
-    H, limits, model = problem.harmonics, problem.limits, pin.buildModelFromUrdf(str(problem.urdf))
-    low, high = np.asarray(limits["position"], float).T
-    order = np.arange(1.0, H + 1)
+    model, period = pin.buildModelFromUrdf(str(problem.urdf)), drawn.period
+    low, high = np.asarray(problem.limits["position"], float).T
+    limits = problem.limits | {"position": 1.0}  # of the range's half, about its middle
+    order = np.arange(1.0, problem.harmonics + 1)
     still = scipy.linalg.block_diag(order**2, order)  # no acceleration, no velocity at the ends
     basis = scipy.linalg.block_diag(np.eye(1), scipy.linalg.null_space(still))
 
-    def penalised(x: Any, period: float) -> float:
-        motion = _states(from_coefficients(basis @ x.reshape(basis.shape[1], -1), period), H)
+    def penalised(x: Any) -> float:
+        series = from_coefficients(basis @ x.reshape(basis.shape[1], -1), period)
+        motion = _states(series, problem)
         used = {"position": 2 * (motion.q - low) / (high - low) - 1, "velocity": motion.dq}
         used |= {"acceleration": motion.ddq, "torque": np.array(each(pin.rnea, model, motion))}
-        beyond = 0.0
-        for name, values in used.items():
-            most = np.asarray(limits.get(name, np.inf) if name != "position" else 1.0, float)
-            beyond += float((np.maximum(np.abs(values) / most - 1, 0) ** 2).sum())
-        return float(np.log(condition(motion))) + _PENALTY * beyond
+        beyond = (np.abs(used[name]) / np.asarray(most, float) - 1 for name, most in limits.items())
+        penalty = sum(float((np.maximum(excess, 0) ** 2).sum()) for excess in beyond)
+        return float(np.log(condition(series))) + _PENALTY * penalty
 
     def late(_: Any) -> None:
-        if time.time() > settings.deadline:
+        if time.time() > deadline:
             raise StopIteration
 
-    least, best, runs = np.inf, None, 0
-    while not runs or time.time() < settings.deadline:
-        drawn, periods = _drawn(problem, rng)
-        start = (basis.T @ drawn.coefficients).ravel()
-        search: Any = {"method": "L-BFGS-B", "args": (drawn.period,), "callback": late}
-        end = scipy.optimize.minimize(penalised, start, **search).x
-        found = basis @ end.reshape(basis.shape[1], -1)
-        for _ in range(_SHRINKS):
-            whole = from_coefficients(found, drawn.period, periods)
-            if check(problem.robot, whole).worst.ratio <= 1:
-                reached = condition(_states(from_coefficients(found, drawn.period), H))
-                if reached < least:
-                    least, best = reached, whole
-                break
-            found[1:] *= _SHRINK
-        runs += 1
-    return least, best, runs
+    start = (basis.T @ drawn.coefficients).ravel()
+    end = scipy.optimize.minimize(penalised, start, method="L-BFGS-B", callback=late).x
+    found = basis @ end.reshape(basis.shape[1], -1)
+    for _ in range(_SHRINKS):
+        series = from_coefficients(found, period)
+        if check(problem.robot, series).worst.ratio <= 1:
+            return series
+        found[1:] *= _SHRINK
+    return drawn
 
 
 CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
@@ -270,8 +260,8 @@ CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
     "a-optimal": partial(excitant, criterion="a"),
     "searched": partial(excitant, searched=True),
     "spline": partial(excitant, series="spline", searched=True),
-    "l-bfgs": partial(on_all_processes, descents),
-    "random": partial(on_all_processes, random_draws),
+    "l-bfgs": partial(on_all_processes, descended),
+    "random": partial(on_all_processes, as_drawn),
 }
 
 
