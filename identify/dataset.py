@@ -17,8 +17,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import size_of
@@ -251,6 +249,9 @@ def read_recordings(
 
 def _samples(path: Path) -> int:
     """Number of samples of a Parquet file, about that of a text file, else 0; 0 if unreadable."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
     suffix = suffix_of(path)
     try:
         size = size_of(path)

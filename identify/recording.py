@@ -6,15 +6,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os.path import isdir
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.files import size_of
-from excitant.identify.importers import bags, tables
+from excitant.identify.importers import bags, cells, tables
 from excitant.identify.importers.arrays import refuse_size
 from excitant.identify.importers.columns import Channel, Columns, resolve, with_names_of
 from excitant.identify.importers.names import ColumnMap
@@ -25,6 +24,8 @@ from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from excitant.identify.drive_gains import DriveGains
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
@@ -120,6 +121,8 @@ class Recording(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """The recording as a table ``t, q1.., dq1.., tau1..`` (or ``i1..``) and other columns."""
+        import pandas as pd
+
         said = {"tau": "i"} if self.unit == "A" else {}
         columns = {
             f"{said.get(name, name)}{j + 1}": values[:, j]
@@ -145,9 +148,9 @@ class Recording(Shown):
         return heads, rows
 
 
-RecordingLike = Recording | pd.DataFrame | str | Path
+RecordingLike: TypeAlias = "Recording | pd.DataFrame | str | Path"
 """A recording, a table in memory, or a file."""
-Recordings = RecordingLike | Sequence[RecordingLike]
+Recordings: TypeAlias = "RecordingLike | Sequence[RecordingLike]"
 
 
 def as_recordings(given: Recordings, robot: Robot) -> list[Recording]:
@@ -156,16 +159,18 @@ def as_recordings(given: Recordings, robot: Robot) -> list[Recording]:
     Raises:
         BadRecording: One that cannot be used, or of another number of joints than the robot's.
     """
-    several = [given] if isinstance(given, RecordingLike) else list(given)
+    several = [*given] if isinstance(given, Sequence) and not isinstance(given, str) else [given]
     read, found = iter(list[Recording]()), list[Recording]()
     if paths := [each for each in several if isinstance(each, str | Path)]:
         from excitant.identify.dataset import read_recordings
 
         read = iter(read_recordings(paths, robot))
     for k, each in enumerate(several, start=1):
-        if isinstance(each, pd.DataFrame):
+        if isinstance(each, str | Path):
+            each = next(read)
+        elif not isinstance(each, Recording):
             each = recording_from_table(each, robot, file=f"table {k}", name=f"table {k}")
-        found.append(each if isinstance(each, Recording) else next(read))
+        found.append(each)
         if found[-1].nv != robot.nv:
             why = f"has {found[-1].nv} joints, but {robot.name} has {robot.nv}"
             raise BadRecording(found[-1].file, f"{why}; load it for this robot")
@@ -297,10 +302,10 @@ def _pieces(
     narrow = columns.names if rows is not None or table.joined else None
     timed = columns.t_unit is not None or len(columns.t) > 1
     for frame in table.frames(rows, narrow):
-        if rows is not None and frame.empty:
+        if rows is not None and not len(frame[columns.t[0]]):
             continue
         if not timed:
-            unit, what = tables.stamps_unit(frame[columns.t[0]])
+            unit, what = cells.stamps_unit(frame[columns.t[0]])
             notes = (f"time: {columns.t[0]} holds {what}",) if unit else ()
             columns = replace(columns, t_unit=unit, notes=(*columns.notes, *notes))
         timed = True
@@ -310,23 +315,23 @@ def _pieces(
 
 
 def _in_si_units(
-    table: tables.Table, frame: pd.DataFrame, columns: Columns, origin: tuple[float, float] | None
+    table: tables.Table, frame: cells.Frame, columns: Columns, origin: tuple[float, float] | None
 ) -> Recording:
     texts: dict[tuple[int, str], str] = {}
 
     def remembered(column: str, values: Array) -> Array:
         for row in np.flatnonzero(~np.isfinite(values))[:_REMEMBERED]:
-            texts[int(row), column] = str(frame[column].iloc[row])
+            texts[int(row), column] = str(np.asarray(frame[column])[row])
         return values
 
     def channel(found: Channel) -> Array:
-        values = [remembered(name, tables.as_numbers(frame[name])) for name in found.columns]
+        values = [remembered(name, cells.as_numbers(frame[name])) for name in found.columns]
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(np.column_stack(values) * found.factors)
 
-    whole, rest = tables.in_seconds(frame[columns.t[0]], columns.t_unit)
+    whole, rest = cells.in_seconds(frame[columns.t[0]], columns.t_unit)
     if len(columns.t) == 2:
-        rest = rest + 1e-9 * tables.as_numbers(frame[columns.t[1]])
+        rest = rest + 1e-9 * cells.as_numbers(frame[columns.t[1]])
     usable = np.flatnonzero(np.isfinite(remembered(columns.t[0], whole + rest)))
     if origin is None:
         origin = (float(whole[usable[0]]), float(rest[usable[0]])) if len(usable) else (0.0, 0.0)
@@ -342,9 +347,9 @@ def _in_si_units(
         dq=None if columns.dq is None else channel(columns.dq),
         notes=(*table.notes, *columns.notes),
         extras={
-            str(name): tables.as_numbers(frame[name])
-            for name in frame.columns.drop_duplicates(keep=False)
-            if name not in columns.names and pd.api.types.is_numeric_dtype(frame[name])
+            name: cells.as_numbers(values)
+            for name, values in frame.items()
+            if name not in columns.names and values.dtype.kind in "iuf"
         },
         columns=(columns.t[0], *columns.q.columns, *columns.tau.columns),
         start=origin,

@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 import scipy
 
 from excitant.identify.faults.fault import (
@@ -152,6 +151,8 @@ def _order_of(log: Log) -> _Order:
     rows = rows[np.diff(t[rows], prepend=-np.inf) != 0]
     if (np.diff(t[rows]) > 0).all():
         return _Order()
+    import pandas as pd
+
     values = pd.DataFrame(np.column_stack([t, *(x for _, x in log.channels())])[rows])
     again = rows[values.duplicated()]
     rows = np.setdiff1d(rows, again)

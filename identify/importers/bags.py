@@ -10,9 +10,10 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import numpy as np
 
 from excitant.exceptions import BadRecording
+from excitant.identify.importers.cells import Frame, as_numbers
 from excitant.identify.importers.names import meaning
 from excitant.identify.importers.tables import Table, table_of_frame, unreadable
 from excitant.robots.schema import parsed_yaml
@@ -79,6 +80,8 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
         with path.open("rb") as stream:
             if stream.read(len(_ROS1)) != _ROS1:
                 raise BadRecording(path, "cannot be read (it is no bag of ROS 1); record it again")
+    import pandas as pd
+
     with _opened(path) as reader:
         topic, notes = _topic(reader, topic, path)
         cells = _cells_of_messages(reader, topic, path)
@@ -93,10 +96,11 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
         log["stamp_ns"] = log[""]
     table = table_of_frame(log.drop(columns=""), str(path), notes)
 
-    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         for part in table.frames(rows, columns):
-            kept = part.drop(columns="stamp_ns").notna().any(axis=1)
-            yield part[kept].reset_index(drop=True)
+            told = [~np.isnan(as_numbers(x)) for name, x in part.items() if name != "stamp_ns"]
+            kept = np.any(told, axis=0)
+            yield {name: x[kept] for name, x in part.items()}
 
     return replace(table, frames=frames, labels=dict(enumerate(joints)), joined=True)
 

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import pandas as pd
 import yaml
 
 from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.importers.cells import Frame
 from excitant.identify.importers.names import (
     PARTS_OF_TIME,
     ColumnMap,
@@ -93,10 +93,10 @@ def with_names_of(table: Table, joints: Sequence[str]) -> Table:
     back = {f"{new}.{part}": f"{old}.{part}" for old, new in own.items() for part in parts}
     renamed = {old: new for new, old in back.items()}
 
-    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         asked = None if columns is None else [back.get(name, name) for name in columns]
         for frame in table.frames(rows, asked):
-            yield frame.rename(columns=renamed)
+            yield {renamed.get(name, name): cells for name, cells in frame.items()}
 
     note = f"joints: the prefix '{prefix}' is taken off the names, as in {next(iter(own))}"
     return replace(

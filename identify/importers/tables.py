@@ -1,4 +1,4 @@
-"""Tables of logs: Parquet, JSON, NPZ and MAT files; their cells as numbers and time."""
+"""Tables of logs: Parquet, JSON, NPZ and MAT files."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from decimal import Decimal
-from numbers import Real
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 import numpy as np
-import pandas as pd
 
 from excitant.exceptions import BadRecording
 from excitant.identify.importers import mat
 from excitant.identify.importers.arrays import MOST, read_arrays, refuse_size
-from excitant.identify.importers.names import Unit, factor, meaning
-from excitant.robots.motion import Array
+from excitant.identify.importers.cells import Cells, Frame, cells, framed
+from excitant.identify.importers.names import meaning
 from excitant.robots.schema import parsed_json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def opened(path: Path) -> BinaryIO:
@@ -31,19 +31,14 @@ def opened(path: Path) -> BinaryIO:
     return cast(BinaryIO, gzip.open(path)) if packed else path.open("rb")
 
 
-Frames = Callable[[int | None, Sequence[str] | None], Iterator[pd.DataFrame]]
-ISO = "ISO 8601"
+Frames = Callable[[int | None, Sequence[str] | None], Iterator[Frame]]
 
 _BUFFER = 1 << 18  # bytes of a Parquet column at a time: row groups may be larger than memory
 _PIECE = 1 << 20  # bytes unpacked at a time
 _COMPRESSED = 15  # type of an element of a MAT file
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _NAMES = re.compile("name|joint", re.IGNORECASE)
-_ORDERS = ("%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f")
 _PER_NUMBER = 16  # bytes that a byte of JSON may take once it is read
-_SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
-_SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
 
 
 @dataclass(frozen=True)
@@ -71,13 +66,23 @@ def unreadable(path: str | Path, error: BaseException) -> BadRecording:
 def table_of_frame(frame: pd.DataFrame, file: str, notes: tuple[str, ...] = ()) -> Table:
     """A table in memory."""
     names = tuple(str(name) for name in frame.columns)
+    return _table(names, [cells(frame.iloc[:, k]) for k in range(len(names))], file, notes)
 
-    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
-        kept = [k for k, name in enumerate(names) if columns is None or name in columns]
-        part = frame.iloc[:, kept].set_axis([names[k] for k in kept], axis=1)
-        step = rows or max(len(part), 1)
-        for start in range(0, max(len(part), 1), step):
-            yield part.iloc[start : start + step]
+
+def _table(
+    names: tuple[str, ...], columns: Sequence[Cells], file: str, notes: tuple[str, ...]
+) -> Table:
+    whole = framed(names, columns)
+    n = max(len(columns[0]), 1) if columns else 1
+
+    def frames(rows: int | None, asked: Sequence[str] | None) -> Iterator[Frame]:
+        kept = {name: x for name, x in whole.items() if asked is None or name in asked}
+        for start in range(0, n, rows or n):
+            some = slice(start, start + (rows or n))
+            yield {
+                name: x[some] if isinstance(x, np.ndarray) else x.iloc[some]
+                for name, x in kept.items()
+            }
 
     return Table(file, names, frames, notes=notes)
 
@@ -87,7 +92,7 @@ def parquet_table(path: Path) -> Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         wanted = None if columns is None else [name for name in names if name in columns]
         try:
             with pq.ParquetFile(
@@ -96,17 +101,22 @@ def parquet_table(path: Path) -> Table:
                 if rows is None:
                     kept = len(names) if wanted is None else len(wanted)
                     refuse_size(8 * file.metadata.num_rows * kept)
-                    yield framed(file.read(columns=wanted, use_threads=False))
+                    yield frame(file.read(columns=wanted, use_threads=False))
                     return
                 for batch in file.iter_batches(rows, columns=wanted, use_threads=False):
-                    yield framed(batch)
+                    yield frame(batch)
         except (pa.ArrowException, OSError, ValueError) as error:
             raise unreadable(path, error) from None
 
-    def framed(table: Any) -> pd.DataFrame:
-        columns = [pd.Series(each.to_pandas()) for each in table.columns]
-        frame = pd.concat(columns, axis=1) if columns else pd.DataFrame()
-        return frame.set_axis(table.schema.names, axis=1)
+    def frame(table: Any) -> Frame:
+        return framed(table.schema.names, map(column, table.columns))
+
+    def column(values: Any) -> Cells:
+        plain = pa.types.is_integer(values.type) or pa.types.is_floating(values.type)
+        if values.null_count or not plain:
+            return cells(values.to_pandas())
+        whole = values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
+        return np.from_dlpack(whole)  # to_numpy would import pandas
 
     schema = pq.read_schema(path)
     names = tuple(schema.names)
@@ -234,7 +244,7 @@ def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
         width = rows.shape[1]
         columns |= {f"{name}[{k}]" if width > 1 else name: rows[:, k] for k in range(width)}
     notes = (f"arrays of other lengths left out: {', '.join(others)}",) if others else ()
-    table = table_of_frame(pd.DataFrame(columns), str(path), notes)
+    table = _table((*columns,), [*columns.values()], str(path), notes)
     return replace(table, labels=_labels(arrays))
 
 
@@ -246,92 +256,3 @@ def _labels(arrays: Mapping[str, Any]) -> dict[int, str]:
             if (rows == rows[0]).all():
                 return dict(enumerate(rows[0].tolist()))
     return {}
-
-
-def as_numbers(values: pd.Series) -> Array:
-    """Numbers of a column; NaN for text, dates, truth values and where there is nothing."""
-    kinds = pd.api.types
-    others = (kinds.is_bool_dtype, kinds.is_complex_dtype, kinds.is_timedelta64_dtype, _is_date)
-    if any(is_other(values) for is_other in others):
-        return np.full(len(values), np.nan)
-    if not kinds.is_numeric_dtype(values) and not isinstance(values.dtype, pd.StringDtype):
-        real = (str, Real, Decimal)
-        plain = [isinstance(v, real) and not isinstance(v, bool | np.bool_) for v in values]
-        values = values.astype(object).where(np.array(plain, bool), None)
-    numbers = pd.to_numeric(values, errors="coerce")
-    return np.asarray(numbers.to_numpy(float, na_value=np.nan))
-
-
-def stamps_unit(values: pd.Series) -> tuple[str | None, str]:
-    """The unit of time that numbers show, None where it is seconds, and what they are.
-
-    Stamps of the years 2000 to 2103 are in the one unit in which they lie there. Other numbers are
-    in the largest in which two samples are less than half a second apart; every step exactly 1 may
-    count samples, and stays.
-    """
-    if _is_date(values):
-        return ISO, "dates"
-    if pd.api.types.is_timedelta64_dtype(values):
-        return None, ""
-    numbers = as_numbers(values)
-    numbers = numbers[np.isfinite(numbers)]
-    if not len(numbers):
-        return (ISO, "dates") if _dates(values).notna().any() else (None, "")
-    with np.errstate(over="ignore"):
-        steps, (low, high) = np.diff(numbers), _SECONDS_SINCE_1970
-    middle, forward = float(np.median(numbers)), steps[(steps > 0) & (steps != 1)]
-    step = float(np.median(forward)) if 2 * len(forward) > len(steps) else 0.0
-    short = {unit: s for unit, s in _SCALES.items() if step * s < _FAR_APART}
-    since = [unit for unit, s in short.items() if low <= middle * s <= high]
-    unit = next(iter(since or short), "s")
-    if unit == "s":
-        return None, ""
-    if since:
-        return unit, f"stamps since 1970 [{unit}]"
-    return unit, f"[{unit}], for as seconds its samples would be {step:.4g} s apart"
-
-
-def in_seconds(values: pd.Series, unit: Unit | None) -> tuple[Array, Array]:
-    """Whole and remaining seconds of stamps, so that nanoseconds since 1970 keep their digits.
-
-    ``unit`` is `ISO` for dates, or seconds per logged unit; cells that are no time become NaN.
-    """
-    dated, lasting = unit == ISO or _is_date(values), pd.api.types.is_timedelta64_dtype(values)
-    if dated or lasting:
-        values = _dates(values) if dated else values
-        kind: Any = "datetime64[{}, UTC]" if dated else "timedelta64[{}]"
-        try:
-            stamps, per_second = values.astype(kind.format("ns")), 1_000_000_000
-        except (pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta, OverflowError):
-            stamps, per_second = values.astype(kind.format("us")), 1_000_000
-        ticks, bad = stamps.astype("int64").to_numpy(), values.isna().to_numpy()
-    else:
-        scale = (factor("t", unit) or 1.0) if isinstance(unit, str) else unit or 1.0
-        whole = pd.api.types.is_integer_dtype(values) and not values.isna().any()
-        if not whole or scale not in (1e-3, 1e-6, 1e-9):
-            with np.errstate(over="ignore", invalid="ignore"):
-                return as_numbers(values) * scale, np.zeros(len(values))
-        ticks, per_second, bad = values.to_numpy(), round(1 / scale), np.zeros(len(values), bool)
-    seconds = np.where(bad, np.nan, ticks // per_second)
-    return seconds, (ticks % per_second).astype(float) / per_second
-
-
-def _is_date(values: pd.Series) -> bool:
-    return bool(pd.api.types.is_datetime64_any_dtype(values))
-
-
-def _dates(values: pd.Series) -> pd.Series:
-    """Instants of dates, written in the order of ISO 8601 or with the day or month first.
-
-    Times of day alone are those of one day.
-    """
-    if _is_date(values):
-        return pd.to_datetime(values, utc=True)
-    text = values.astype(str).str.replace(",", ".", regex=False)
-    found = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
-    for order in _ORDERS if found.isna().all() else ():
-        if (dated := pd.to_datetime(text, format=order, errors="coerce", utc=True)).notna().all():
-            return dated
-    if found.isna().all():
-        return pd.to_timedelta(text, errors="coerce") + pd.Timestamp(0, tz="UTC")
-    return found

@@ -11,14 +11,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TextIO
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, TextIO
 
 from excitant.exceptions import BadRecording
 from excitant.identify.importers.arrays import MOST, refuse_size
+from excitant.identify.importers.cells import Frame, cells, framed
 from excitant.identify.importers.names import spelled
 from excitant.identify.importers.tables import Table, opened, unreadable
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _COMMENTS = ("#", "%", "//")
 _SEPARATORS = ("\t", ";", "|", ",", " ")
@@ -50,7 +52,9 @@ def text_table(path: Path) -> Table:
     """The log in a text file."""
     dialect = _dialect_of(path)
 
-    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[pd.DataFrame]:
+    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
+        import pandas as pd  # here only: it takes long to import
+
         kept = [k for k, name in enumerate(dialect.names) if columns is None or name in columns]
         with io.TextIOWrapper(opened(path), dialect.encoding, "replace") as stream:
             lines: Any = _Lines(stream, dialect, str(path), MOST if rows is None else math.inf)
@@ -72,10 +76,10 @@ def text_table(path: Path) -> Table:
                     chunksize=rows or sys.maxsize,
                 ) as parts:
                     for part in parts:
-                        frame = part.reset_index(drop=True)
                         if dialect.decimal == ",":
-                            _write_points(frame)
-                        yield frame.set_axis([dialect.names[k] for k in kept], axis=1)
+                            _write_points(part)
+                        names = [dialect.names[k] for k in kept]
+                        yield framed(names, [cells(part[k]) for k in kept])
             except (ValueError, OSError, OverflowError) as error:
                 raise lines.refusal or unreadable(path, error) from None
 
@@ -84,6 +88,8 @@ def text_table(path: Path) -> Table:
 
 def _write_points(frame: pd.DataFrame) -> None:
     """Text with decimal commas as text with points, where a column holds other text too."""
+    import pandas as pd
+
     for column in frame.columns:
         if pd.api.types.is_string_dtype(frame[column]):
             text = frame[column].astype(str)

@@ -1,0 +1,139 @@
+"""Cells of a log by column: numbers, dates and text, read as numbers and as time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from decimal import Decimal
+from numbers import Real
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from excitant.identify.importers.names import Unit, factor
+from excitant.robots.motion import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Cells: TypeAlias = "npt.NDArray[Any] | pd.Series"
+"""Cells of a column: an array of numbers, or a series of anything else."""
+Frame: TypeAlias = Mapping[str, Cells]
+"""Some rows of a log by column."""
+ISO = "ISO 8601"
+
+_ORDERS = ("%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f")
+_SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
+_SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
+
+
+def framed(names: Sequence[str], columns: Iterable[Cells]) -> Frame:
+    """Columns by name, those left out whose name is there twice."""
+    return {n: c for n, c in zip(names, columns, strict=True) if names.count(n) == 1}
+
+
+def cells(series: pd.Series) -> Cells:
+    """Cells of a series: an array where they are numbers, whole ones where none is missing."""
+    kind = series.dtype.kind
+    if kind not in "iuf":
+        return series
+    if isinstance(series.dtype, np.dtype):
+        return series.to_numpy()
+    whole = np.dtype(f"{kind}8")
+    return series.to_numpy(float, na_value=np.nan) if series.hasnans else series.to_numpy(whole)
+
+
+def as_numbers(values: Cells) -> Array:
+    """Numbers of a column; NaN for text, dates, truth values and where there is nothing."""
+    if values.dtype.kind in "bcmM":
+        return np.full(len(values), np.nan)
+    if isinstance(values, np.ndarray):
+        return np.asarray(values, float)
+    import pandas as pd
+
+    if not isinstance(values.dtype, pd.StringDtype):
+        real = (str, Real, Decimal)
+        plain = [isinstance(v, real) and not isinstance(v, bool | np.bool_) for v in values]
+        values = values.astype(object).where(np.array(plain, bool), None)
+    numbers = pd.to_numeric(values, errors="coerce")
+    return np.asarray(numbers.to_numpy(float, na_value=np.nan))
+
+
+def stamps_unit(values: Cells) -> tuple[str | None, str]:
+    """The unit of time that numbers show, None where it is seconds, and what they are.
+
+    Stamps of the years 2000 to 2103 are in the one unit in which they lie there. Other numbers are
+    in the largest in which two samples are less than half a second apart; every step exactly 1 may
+    count samples, and stays.
+    """
+    if _is_date(values):
+        return ISO, "dates"
+    if values.dtype.kind == "m":
+        return None, ""
+    numbers = as_numbers(values)
+    numbers = numbers[np.isfinite(numbers)]
+    if not len(numbers):
+        return (ISO, "dates") if _dates(values).notna().any() else (None, "")
+    with np.errstate(over="ignore"):
+        steps, (low, high) = np.diff(numbers), _SECONDS_SINCE_1970
+    middle, forward = float(np.median(numbers)), steps[(steps > 0) & (steps != 1)]
+    step = float(np.median(forward)) if 2 * len(forward) > len(steps) else 0.0
+    short = {unit: s for unit, s in _SCALES.items() if step * s < _FAR_APART}
+    since = [unit for unit, s in short.items() if low <= middle * s <= high]
+    unit = next(iter(since or short), "s")
+    if unit == "s":
+        return None, ""
+    if since:
+        return unit, f"stamps since 1970 [{unit}]"
+    return unit, f"[{unit}], for as seconds its samples would be {step:.4g} s apart"
+
+
+def in_seconds(values: Cells, unit: Unit | None) -> tuple[Array, Array]:
+    """Whole and remaining seconds of stamps, so that nanoseconds since 1970 keep their digits.
+
+    ``unit`` is `ISO` for dates, or seconds per logged unit; cells that are no time become NaN.
+    """
+    dated, lasting = unit == ISO or _is_date(values), values.dtype.kind == "m"
+    if dated or lasting:
+        import pandas as pd
+
+        times = _dates(values) if dated else pd.Series(values)
+        kind: Any = "datetime64[{}, UTC]" if dated else "timedelta64[{}]"
+        try:
+            stamps, per_second = times.astype(kind.format("ns")), 1_000_000_000
+        except (pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta, OverflowError):
+            stamps, per_second = times.astype(kind.format("us")), 1_000_000
+        ticks: Any = stamps.astype("int64").to_numpy()
+        bad = times.isna().to_numpy()
+    else:
+        scale = (factor("t", unit) or 1.0) if isinstance(unit, str) else unit or 1.0
+        if values.dtype.kind not in "iu" or scale not in (1e-3, 1e-6, 1e-9):
+            with np.errstate(over="ignore", invalid="ignore"):
+                return as_numbers(values) * scale, np.zeros(len(values))
+        ticks, per_second, bad = values, round(1 / scale), np.zeros(len(values), bool)
+    seconds = np.where(bad, np.nan, ticks // per_second)
+    return seconds, (ticks % per_second).astype(float) / per_second
+
+
+def _is_date(values: Cells) -> bool:
+    return values.dtype.kind == "M"
+
+
+def _dates(values: Cells) -> pd.Series:
+    """Instants of dates, written in the order of ISO 8601 or with the day or month first.
+
+    Times of day alone are those of one day.
+    """
+    import pandas as pd
+
+    if _is_date(values):
+        return pd.to_datetime(pd.Series(values), utc=True)
+    text = pd.Series(values).astype(str).str.replace(",", ".", regex=False)
+    found = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
+    for order in _ORDERS if found.isna().all() else ():
+        if (dated := pd.to_datetime(text, format=order, errors="coerce", utc=True)).notna().all():
+            return dated
+    if found.isna().all():
+        return pd.to_timedelta(text, errors="coerce") + pd.Timestamp(0, tz="UTC")
+    return found
