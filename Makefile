@@ -51,6 +51,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 	@rm -rf $(VENV)/lib/python*/site-packages/cmeel.prefix/include # 0.2 GB of headers for C++
 	@echo "Installing excitant from this folder"
 	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m compileall -q design identify analysis reports robots src # pip does libraries
 	@touch $@
 
 $(DEVELOPED): $(INSTALLED) requirements-dev.lock

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bou
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.spectra import low_pass
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
@@ -612,9 +612,10 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
         )
 
 
+@lru_cache(maxsize=8)
 def spread(robot: Robot) -> Array:
     """Root of the covariance of bodies near the given ones, to 30 %, (10 nv, 10 nv)."""
-    return link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, _OFF)
+    return read_only(link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, _OFF))
 
 
 def _doubt(case: TorqueFit) -> Array:

@@ -85,8 +85,7 @@ def physics_faults(case: TorqueFit) -> list[Fault]:
     signs = [*position_signs(case)]
     if _known(case.robot):  # what such bodies contradict is something that no model has
         signs = [fault for fault in signs if _gain(case, _amended(case, [fault])) > 0]
-    readings = [*rate(case), *signs]
-    return sorted(readings, key=lambda fault: -fault.evidence["gain"])[:1]
+    return sorted(signs, key=lambda fault: -fault.evidence["gain"])[:1]
 
 
 def _known(robot: Robot) -> bool:
@@ -202,7 +201,7 @@ def _evidence(case: TorqueFit, other: _SetUp) -> float:
 
 def _spread(robot: Robot, other: int) -> Array:
     """Root of the covariance of bodies near the given ones, of which one may be another."""
-    S = spread(robot)
+    S = spread(robot).copy()
     S[:, 10 * other : 10 * other + 10] *= _TOOL if other == robot.nv - 1 else _OTHER
     return S
 
