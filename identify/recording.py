@@ -381,7 +381,8 @@ def _refuse_bad_rows(raw: Recording, first_row: int = 0, before: float = -np.inf
     """
     values = np.column_stack([raw.t, raw.q, raw.tau])
     bad = ~np.isfinite(values)
-    steps = np.diff(raw.t, prepend=before)
+    with np.errstate(invalid="ignore"):  # between times that are not finite
+        steps = np.diff(raw.t, prepend=before)
     if bad.any():
         row, k = np.argwhere(bad)[0].tolist()
         text = raw.unreadable.get((row, raw.columns[k]), f"{values[row, k]:g}")
