@@ -21,6 +21,7 @@ from excitant.identify import (
     load_dataset,
     load_recording,
     raw_recording,
+    recording_from_table,
 )
 from excitant.identify.importers import mat
 from excitant.robots import load_robot
@@ -233,6 +234,29 @@ def test_times_and_numbers_of_any_kind_are_read(kind: str, load: Load) -> None:
         found = same(load(log, suffix=suffix))
         if "epoch" in kind or kind == "dates":  # integers keep every digit
             np.testing.assert_allclose(found.t, T, atol=1e-12)
+
+
+WHOLE: dict[str, Callable[..., pd.DataFrame]] = {
+    "whole": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype("int64")),
+    "whole, nullable": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype("Int64")),
+    "whole, of Arrow": lambda x: WHOLE["whole"](x).convert_dtypes(dtype_backend="pyarrow"),
+}
+
+
+@pytest.mark.parametrize("kind", [*WHOLE, *(kind for kind in TYPES if kind != "an index")])
+def test_data_frames_of_any_kind_are_read(kind: str) -> None:
+    found = same(recording_from_table((WHOLE | TYPES)[kind](EXACT), ARM, file="log", name="log"))
+    if kind in WHOLE:  # every digit
+        np.testing.assert_allclose(found.t, T, atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "Float64", "double[pyarrow]"])
+def test_a_value_that_is_missing_is_refused(dtype: str) -> None:
+    log = EXACT.astype(dtype)
+    log.loc[7, "q2"] = None
+    with pytest.raises(BadRecording, match="'nan' is not a finite number") as refusal:
+        recording_from_table(log, ARM, file="log", name="log")
+    assert (refusal.value.row, refusal.value.column) == (7, "q2")
 
 
 @pytest.mark.parametrize("kind", UNUSABLE)

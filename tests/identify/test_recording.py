@@ -124,6 +124,19 @@ def test_parts_of_a_recording_cover_it_once(cuts: list[float]) -> None:
     np.testing.assert_array_equal(np.concatenate(parts), t)
 
 
+@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
+def test_numbers_are_read_without_pandas(suffix: str, table: pd.DataFrame, save: Save) -> None:
+    code = f"""
+import sys
+from excitant.identify import load_recording, read_chunks
+log = {str(save(table, f"log{suffix}"))!r}
+rows = len(load_recording(log, 2)), sum(map(len, read_chunks(log, 2, 100)))
+print(*rows, "pandas" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == [str(len(table)), str(len(table)), "False"]
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
 @pytest.mark.parametrize("rows", [1, 100, 210, 1000])
 def test_pieces_put_together_are_the_whole(
