@@ -52,6 +52,7 @@ VERBS = 0.08  # share of commands among the damaged inputs; the others only read
 WRONG, CLAIMED = 0.1, 3.0  # nrmse on an unseen motion, and times the one that was reported
 MEMORY = 2.5  # GB of a process that runs cases; an idle one has 0.34, damaged inputs are small
 ORPHANS = 15.0  # s after which no process of a run that was killed is left
+BEGINNING = 0.1  # s: Python itself begins, and SIGTERM ends it
 GOOD = ("result", "refused")
 RUN = {"result.json", "series.npz", "summary.txt", "report.html"}
 
@@ -470,9 +471,10 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
     again = contents(out)
     left = [path.name for path in folder.glob(".excitant-*")]
     found = "refused" if status else "result"
+    unheard = status == -signal.SIGTERM and after < BEGINNING
     if orphans:
         found = "orphan"
-    elif "Fatal Python error: init_" in err:  # Python itself had not begun yet
+    elif unheard or "Fatal Python error: init_" in err:  # Python itself had not begun yet
         found = "refused"
     elif "Traceback" in err or "a bug (" in err:
         found = "traceback"
