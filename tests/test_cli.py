@@ -89,6 +89,7 @@ def test_show_writes_one_page_and_does_not_judge(here: Path, excitant: Any) -> N
     assert "Written by excitant.</p>" in page  # nothing stands beside it
 
 
+@pytest.mark.slow
 def test_a_first_run_is_slower_and_checked_by_itself(here: Path, excitant: Any) -> None:
     options = "--duration 4 --harmonics 2 --starts 1 --jobs 1 --use 0.5 --speed 0.2 --floor -2"
     ran = excitant(f"design planar_2r {options} --json -o out")

@@ -85,6 +85,7 @@ def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
     assert any(note.startswith("interrupted: ") for note in result["notes"])
 
 
+@pytest.mark.slow
 def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
     robot = load_robot("ur10")
     motion = random_trajectory(robot, np.random.default_rng(0), 2000.0, 2)
@@ -94,6 +95,7 @@ def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.rglob("*")] == ["slow.json"]
 
 
+@pytest.mark.slow
 def test_a_command_that_is_done_leaves_no_process(tmp_path: Path) -> None:
     """It ends without waiting for what ends with it."""
     words = "design planar_2r --harmonics 2 --periods 1 --duration 4 --starts 2 --jobs 2 -o out"

@@ -89,6 +89,7 @@ def test_a_model_that_is_right_is_kept(here: Path, excitant: Callable[..., Any])
     assert load_run(here / "out")[0]["verdict"]["use"] == "given"
 
 
+@pytest.mark.slow
 def test_wrong_data_are_refused_first_until_they_are_repaired(
     logs: dict[str, pd.DataFrame], here: Path, excitant: Callable[..., Any]
 ) -> None:

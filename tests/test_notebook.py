@@ -43,6 +43,7 @@ def shown() -> dict[str, str]:
     return {line: eval(line, names)._repr_html_() for line in (*SHOWN, "ex.report(estimate)")}
 
 
+@pytest.mark.slow
 def test_every_noun_shows_itself(shown: dict[str, str]) -> None:
     for line, title in SHOWN.items():
         tags = list(ET.fromstring(f"<div>{shown[line]}</div>").iter())  # refuses what is not closed

@@ -154,6 +154,7 @@ def test_samples_too_few_to_be_filtered_are_not_predicted(
     np.testing.assert_array_equal(known, parted.t < 7.0)
 
 
+@pytest.mark.slow
 def test_currents_are_predicted_as_currents(
     planar: Robot, runs: Callable[..., list[Recording]]
 ) -> None:

@@ -474,7 +474,9 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     assert headline(diagnosis).endswith(at_rest(diagnosis))
 
 
-@pytest.mark.parametrize(("name", "link"), [("ur10", 3), ("puma560", 3)])
+@pytest.mark.parametrize(
+    ("name", "link"), [("ur10", 3), pytest.param("puma560", 3, marks=pytest.mark.slow)]
+)
 def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(
     name: str, link: int, diagnosed: Diagnosed
 ) -> None:

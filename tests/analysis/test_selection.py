@@ -55,6 +55,7 @@ def plain(planar: Robot, two: list[Recording]) -> Estimate:
     return identify_robot(planar, two[:1], validate=two[1:])
 
 
+@pytest.mark.slow
 def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(
     planar: Robot, two: list[Recording], plain: Estimate
 ) -> None:

@@ -105,6 +105,7 @@ def assert_zero_found(found: SetUp, joint: str, angle: float) -> None:
     assert abs((turn + np.pi) % (2 * np.pi) - np.pi) < 0.03
 
 
+@pytest.mark.slow
 def test_a_zero_position_that_is_off_is_named_first(ur10: Robot) -> None:
     robot, joint = bare(ur10), ur10.joints[1]
     fitted, held = with_zero_off(robot, 1, np.pi / 2)

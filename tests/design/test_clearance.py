@@ -187,6 +187,7 @@ def drawn_close(gap: float) -> Robot:
     return robot_from_urdf(text, source="close.urdf")
 
 
+@pytest.mark.slow
 def test_bodies_drawn_closer_than_the_clearance_keep_half_of_their_distance() -> None:
     robot = drawn_close(0.006)
     around, apart = scene(robot), scene(robot, (), 0.0)

@@ -81,6 +81,7 @@ def test_every_criterion_improves_its_own_value(planar: Robot, criterion: str) -
     assert_limits_hold(result)
 
 
+@pytest.mark.slow
 def test_numbers_of_processes_and_threads_do_not_change_a_digit(planar: Robot) -> None:
     found = []
     for jobs, threads in ((1, 1), (2, 2), (1, 2)):
@@ -129,6 +130,7 @@ def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
     assert {start.status for start in result.starts} == {"interrupted"}
 
 
+@pytest.mark.slow
 def test_progress_tells_what_is_reached(planar: Robot) -> None:
     told: list[tuple[int, int | None, float, float]] = []
     options = {"harmonics": 3, "periods": 1, "starts": 2, "jobs": 1}
@@ -237,6 +239,7 @@ def test_noise_weights_equations(planar: Robot) -> None:
         information(planar, noise=[1.0])
 
 
+@pytest.mark.slow
 def test_what_next_makes_up_for_what_a_recording_lacks(planar: Robot) -> None:
     """After a motion of joint 2 alone, a design that knows of it does better in the sum."""
     rng = np.random.default_rng(1)
@@ -270,9 +273,10 @@ def test_harmonics_are_added_while_they_pay(planar: Robot) -> None:
     assert best.trajectory.at_rest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("duration", "columns"),
-    [(12.0, "inertial"), pytest.param(8.0, "friction", marks=pytest.mark.slow)],
+    [(12.0, "inertial"), (8.0, "friction")],
 )
 def test_a_motion_has_as_many_periods_as_excite_best(
     planar: Robot, duration: float, columns: str
@@ -289,6 +293,7 @@ def test_a_motion_has_as_many_periods_as_excite_best(
     assert found.limits.hold
 
 
+@pytest.mark.slow
 def test_torque_holds_for_every_mass_within_the_uncertainty(ur10: Robot) -> None:
     nominal = limited(ur10, acceleration=10.0, torque=0.45 * ur10.limits.torque)
     wary = limited(nominal, mass_uncertainty=0.2)

@@ -348,7 +348,7 @@ def test_any_chain_needs_the_same_torque_in_every_format(
 AGREE = 0.02  # of the torque's standard deviation: MuJoCo's dry friction turns within 2 ms
 
 
-@pytest.mark.parametrize("name", ["planar_2r", "ur10"])
+@pytest.mark.parametrize("name", ["planar_2r", pytest.param("ur10", marks=pytest.mark.slow)])
 def test_the_models_need_in_mujoco_what_excitant_predicts(name: str, runs: Any) -> None:
     robot = load_robot(name)
     fit, held = runs(robot, 4, tolerance=0.03)

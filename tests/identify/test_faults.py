@@ -143,7 +143,7 @@ def test_functions_warn_once_of_what_commands_list(clean: Log) -> None:
         diagnose(PLANAR, [recording])
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_an_arm_off_its_model_counts_the_right_way(runs: Any, ur10: Robot, seed: int) -> None:
     """Bodies off by 3 %: with seed 2 the first joint, negated, explained four joints better."""
     for log in runs(ur10, seed, sensors=industrial_sensors(ur10), tolerance=0.03):
@@ -156,7 +156,13 @@ def test_faultless_recordings_raise_none(ur10: Robot, real: tuple[Robot, Log], c
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param("panda", marks=pytest.mark.slow), "planar_2r", "cmu_dd_arm_ii", "real"]
+    "name",
+    [
+        pytest.param("panda", marks=pytest.mark.slow),
+        "planar_2r",
+        pytest.param("cmu_dd_arm_ii", marks=pytest.mark.slow),
+        "real",
+    ],
 )
 def test_inertias_are_told_by_their_frames(name: str, real: tuple[Robot, Log]) -> None:
     robot, log = real if name == "real" else (load_robot(name), run(name, 1))

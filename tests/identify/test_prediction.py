@@ -40,7 +40,7 @@ def noise(rho: float, rng: np.random.Generator, n: int) -> Array:
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
-@pytest.mark.parametrize("n", [150, 600])
+@pytest.mark.parametrize("n", [150, pytest.param(600, marks=pytest.mark.slow)])
 def test_intervals_hold_95_percent_of_unseen_readings(rho: float, n: int) -> None:
     hits, plain = [], []
     for draw in range(200):

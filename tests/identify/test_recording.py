@@ -239,7 +239,7 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
     return (whole.take(slice(k, k + rows)) for k in range(0, len(whole), rows))
 
 
-@pytest.mark.parametrize("jitter", [0.0, 0.3])
+@pytest.mark.parametrize("jitter", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_windows_of_a_long_log_give_its_estimate(
     jitter: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

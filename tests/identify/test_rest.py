@@ -62,7 +62,7 @@ def good() -> Estimate:
 
 
 @pytest.mark.parametrize("toggling", [False, True])
-@pytest.mark.parametrize("count", [1, 3, 10])
+@pytest.mark.parametrize("count", [1, 3, pytest.param(10, marks=pytest.mark.slow)])
 def test_recordings_in_which_a_joint_rests_spoil_nothing(
     good: Estimate, count: int, toggling: bool
 ) -> None:

@@ -47,7 +47,9 @@ def test_any_arm_is_read(spec: RobotSpec, joints: int) -> None:
     assert load_robot(spec).nv == joints
 
 
-@pytest.mark.parametrize("kind", ["xacro", "mjcf", "both arms of two"])
+@pytest.mark.parametrize(
+    "kind", ["xacro", "mjcf", pytest.param("both arms of two", marks=pytest.mark.slow)]
+)
 def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Refused) -> None:
     robot = load_robot(READ[kind][0])
     if kind == "mjcf":  # which has no word for the limit of a speed

@@ -191,6 +191,7 @@ def test_effects_compose_in_any_order(planar: Robot) -> None:
     np.testing.assert_allclose(swapped.tau, run.tau, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_jammed_shaft_couples_the_joints(ur10: Robot) -> None:
     """With dry friction that nothing overcomes, q̇_j + r q̇_k stays zero while both joints move."""
     run = Recorded(ur10, hidden("friction_coupling", *ur10.joints[4:], Fc=1e3, ratio=1.0))
