@@ -15,7 +15,7 @@ from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.regression import dense, effect_columns
 from excitant.identify.rows import implausible_size
 from excitant.robots.effects import Effect, Parameter, joint_facts, proposals
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, frozen
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
@@ -64,14 +64,14 @@ class Observed:
         known = self._by_robot if effect.depends_on_model else self._by_motion
         if effect not in known:
             parts = [effect_columns(self.robot, effect, s) for s in self.segments]
-            known[effect] = read_only(np.concatenate(parts))
+            known[effect] = frozen(np.concatenate(parts))
         return known[effect]
 
 
 def observed(robot: Robot, segments: Sequence[Segment]) -> Observed:
     """Columns of a robot at the rows of segments."""
     links = np.concatenate([s.rows(partial(regressor, robot)) for s in segments])
-    return Observed(robot, tuple(segments), read_only(links))
+    return Observed(robot, tuple(segments), frozen(links))
 
 
 def cause_columns(effect: Effect, given: Observed, understood: Observed) -> Array:
@@ -161,6 +161,6 @@ def _coordinates(
     if effect.role == "body":
         units = bodies[:, 0].sum() * np.repeat([1.0, _REACH, _REACH**2], [1, 3, 6])
         return np.diag(units), np.ones(10)
-    acts = columns.any(axis=(0, 2))
+    acts = columns.any(axis=0).any(axis=-1)
     size = coefficient_sizes(effect.parameters(robot), columns[:, acts], torque[:, acts])
     return np.diag(size), np.ones(len(size))

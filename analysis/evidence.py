@@ -27,7 +27,7 @@ import scipy
 from excitant.identify.least_squares import autocorrelation_time, believed
 from excitant.identify.regression import Index, Mask, Regression
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, frozen
 from excitant.robots.parameters import PLACEHOLDER
 from excitant.robots.robot import Robot
 
@@ -94,7 +94,7 @@ class Evidence:
     @cached_property
     def products(self) -> Array:
         """[X r]ᵀ Λ [X r] of all columns and the residual, shape (p + 1, p + 1)."""
-        return read_only(self.problem.gram(self.weight))
+        return frozen(self.problem.gram(self.weight))
 
     @property
     def gram(self) -> Array:

@@ -22,7 +22,7 @@ import scipy
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, freeze, read_only
+from excitant.robots.motion import Array, freeze, frozen, read_only
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names
@@ -109,7 +109,7 @@ class Regression:
             here = np.flatnonzero(place[own] >= 0)
             here = here[np.argsort(place[own[here]])]
             index.append(place[own[here]])
-            kept.append(read_only(values[:, here]))
+            kept.append(frozen(values[:, here]))
         named = tuple(names) if names is not None else tuple(self.names[k] for k in columns)
         return replace(self, names=named, index=tuple(index), columns=tuple(kept))
 
@@ -120,7 +120,7 @@ class Regression:
         for j, (own, values) in enumerate(zip(self.index, self.columns, strict=True)):
             acting = np.flatnonzero(more[:, j].any(axis=0))
             index.append(np.concatenate([own, self.p + acting]))
-            wider.append(read_only(np.asfortranarray(np.hstack([values, more[:, j, acting]]))))
+            wider.append(frozen(np.asfortranarray(np.hstack([values, more[:, j, acting]]))))
         return replace(self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider))
 
     def counting(self, rows: Mask) -> Regression:
@@ -128,7 +128,7 @@ class Regression:
         used = rows if self.used is None else rows & self.used
         columns = (v * used[:, [j]] for j, v in enumerate(self.columns))
         tau = self.tau * used
-        return replace(self, columns=tuple(map(read_only, columns)), tau=tau, used=used)
+        return replace(self, columns=tuple(map(frozen, columns)), tau=tau, used=used)
 
     def at(self, instants: slice) -> Regression:
         """The problem at some instants."""
@@ -144,7 +144,7 @@ class Regression:
     def grams(self) -> tuple[Array, ...]:
         """Of each joint [W τ]ᵀ[W τ], shape (u + 1, u + 1)."""
         whole = (np.column_stack([X, self.tau[:, j]]) for j, X in enumerate(self.columns))
-        return tuple(read_only(A.T @ A) for A in whole)
+        return tuple(frozen(A.T @ A) for A in whole)
 
     def gram(self, weight: Array, columns: Index | None = None) -> Array:
         """[W τ]ᵀ[W τ] of all p or some columns, joints weighted, shape (p + 1, p + 1)."""
@@ -216,7 +216,7 @@ def dense(
     for j, own in enumerate(acts):
         parts = np.split(own, np.cumsum([block.shape[-1] for block in blocks])[:-1])
         here = [block[:, j, part].T for block, part in zip(blocks, parts, strict=True)]
-        columns.append(read_only(np.concatenate(here).T))
+        columns.append(frozen(np.concatenate(here).T))
     return Regression(tuple(names), tuple(map(np.flatnonzero, acts)), tuple(columns), tau, used)
 
 
@@ -255,6 +255,6 @@ def joined(parts: Sequence[Regression]) -> Regression:
             found[rows, np.searchsorted(acting, part.index[j])] = part.columns[j]
             begin += len(part)
         index.append(acting)
-        columns.append(read_only(found))
+        columns.append(frozen(found))
     tau = np.concatenate([part.tau for part in parts])
     return Regression(parts[0].names, tuple(index), tuple(columns), tau)

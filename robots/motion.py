@@ -21,6 +21,14 @@ def read_only(values: npt.ArrayLike) -> Array:
     return array
 
 
+def frozen(made: Array) -> Array:
+    """An array just made, which nobody else holds, as `read_only` without a copy."""
+    for each in (made, made.base):
+        if isinstance(each, np.ndarray):
+            each.setflags(write=False)
+    return made
+
+
 def freeze(noun: object, *names: str) -> None:
     """Replace arrays of a frozen dataclass, as it is made, by copies that refuse writing."""
     for name in names:
