@@ -80,7 +80,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=3, help="of which the least counts")
     args = parser.parse_args()
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # of an installed excitant it is there
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # byte code is there after `make`
     print(f"{'command':24s} {'wall s':>7s} {'CPU s':>7s} {'imports s':>10s} {'peak MB':>8s}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

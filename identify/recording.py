@@ -159,7 +159,10 @@ def as_recordings(given: Recordings, robot: Robot) -> list[Recording]:
     Raises:
         BadRecording: One that cannot be used, or of another number of joints than the robot's.
     """
-    several = [*given] if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    # recordings and data frames have columns, which tells them without importing pandas
+    some: Any = given
+    one = isinstance(given, str | Path) or hasattr(given, "columns")
+    several = [some] if one else list(some)
     read, found = iter(list[Recording]()), list[Recording]()
     if paths := [each for each in several if isinstance(each, str | Path)]:
         from excitant.identify.dataset import read_recordings

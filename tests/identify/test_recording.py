@@ -39,6 +39,7 @@ from excitant.identify import (
 )
 from excitant.identify.dataset import excerpt
 from excitant.identify.faults import find_faults
+from excitant.identify.recording import as_recordings
 from excitant.robots import load_robot
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]
@@ -122,6 +123,14 @@ def test_parts_of_a_recording_cover_it_once(cuts: list[float]) -> None:
     ends = itertools.pairwise(sorted({0.0, *cuts, 1.0}))
     parts = [recording.between(*pair, "part").t for pair in ends]
     np.testing.assert_array_equal(np.concatenate(parts), t)
+
+
+def test_one_or_several_stand_for_recordings(table: pd.DataFrame, save: Save) -> None:
+    arm, file = load_robot("planar_2r"), save(table, "log.parquet")
+    for one in (table, file, str(file), load_recording(file, arm)):
+        for some, count in ((one, 1), ([one], 1), ((one, one), 2), (iter([one, one]), 2)):
+            assert [len(each) for each in as_recordings(some, arm)] == count * [len(table)]
+    assert as_recordings((), arm) == []
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".npz"])
