@@ -25,12 +25,12 @@ def low_pass(values: Array, cutoff_hz: float, rate_hz: float, kept: slice = slic
     passed = np.zeros((len(flat[kept]), flat.shape[1]))
     live = np.flatnonzero(flat.any(axis=0))
     for some in np.array_split(live, -(-live.size * len(flat) // _TOGETHER)) if live.size else ():
-        passed[:, some] = _low_passed(flat[:, some], cutoff_hz, rate_hz)[:, kept].T
+        passed[:, some] = _low_passed(flat[:, some], cutoff_hz, rate_hz, kept).T
     return passed.reshape(len(passed), *np.shape(values)[1:])
 
 
-def _low_passed(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
-    """Columns, shape (n, k), as rows, filtered."""
+def _low_passed(values: Array, cutoff_hz: float, rate_hz: float, kept: slice) -> Array:
+    """Columns, shape (n, k), as rows, filtered, at some instants."""
     n = len(values)
     before = min(n - 1, int(_FORGOTTEN * rate_hz / cutoff_hz))
     size = scipy.fft.next_fast_len(n + 2 * before, real=True)
@@ -41,13 +41,12 @@ def _low_passed(values: Array, cutoff_hz: float, rate_hz: float) -> Array:
     x[:, :before] = 2 * x[:, before, None] - x[:, 2 * before : before : -1]
     end = before + n - 1
     x[:, end + 1 :] = 2 * x[:, end, None] - x[:, end - 1 : end - 1 - after : -1]
-    first, slope = x[:, :1].copy(), (x[:, -1:] - x[:, :1]) / max(size - 1, 1)
-    along = np.arange(size)
-    x -= first + slope * along
+    slope, along = (x[:, -1:] - x[:, :1]) / max(size - 1, 1), np.arange(size)
+    x -= slope * along
     spectrum = scipy.fft.rfft(x, overwrite_x=True)
     spectrum *= _gain(size, cutoff_hz / rate_hz)
-    passed = scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, inner]
-    return np.asarray(passed + first + slope * along[inner], float)
+    passed = scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, inner][:, kept]
+    return np.asarray(passed + slope * along[inner][kept], float)
 
 
 @lru_cache(maxsize=64)

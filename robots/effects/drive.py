@@ -35,6 +35,7 @@ _DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
 _LONGEST = 0.04  # s, of a delay where another is at work
 _ORDERS = 3  # of ripple at each joint, the best of all
 _MOST_ORDERS = 600
+_TOGETHER = 30  # orders at a time: they fit into the processor's cache
 _WAVES = 3.0  # periods per turn, below which a ripple is as smooth as a spring
 _RIDGE = 1e-8  # of the determinant of two columns: nothing is left of them
 _SLOWEST = 1e-3  # rad/s
@@ -181,8 +182,7 @@ class TorqueRipple(JointEffect):
             return []
         q, step = facts.q, _step(facts)
         local, _ = np.linalg.qr(np.column_stack([np.ones_like(q), q, np.cos(q), np.sin(q)]))
-        parts = np.array_split(orders, 20)
-        gains = np.concatenate([_gains(part, q, facts.unexplained, local) for part in parts])
+        gains = _gains(orders, q, facts.unexplained, local)
         found: list[float] = []
         for order in orders[np.argsort(-gains)].tolist():
             if len(found) < _ORDERS and all(abs(order - known) > 3 * step for known in found):
@@ -241,17 +241,27 @@ def _orders(facts: JointFacts) -> Array:
 
 
 def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
-    """Fall of ‖e‖² by a cosine and a sine of each order, shape (orders,).
+    """Fall of ‖e‖² by a cosine and a sine of each of evenly spaced orders, shape (orders,).
 
     Beside orthonormal columns, (n, k), that are free; none where these leave nothing of the two.
     """
-    angle = np.outer(q, orders)
-    c, s = np.cos(angle), np.sin(angle)
-    c, s = c - beside @ (beside.T @ c), s - beside @ (beside.T @ s)
-    cc, ss, cs = (c * c).sum(axis=0), (s * s).sum(axis=0), (c * s).sum(axis=0)
-    a, b, determinant = e @ c, e @ s, cc * ss - cs**2
-    fall = (ss * a**2 - 2 * cs * a * b + cc * b**2) / np.maximum(determinant, _RIDGE * len(q) ** 2)
-    return np.asarray(np.where(determinant > _RIDGE * len(q) ** 2, fall, 0.0), float)
+    columns = np.column_stack([beside, e - beside @ (beside.T @ e)])
+    steps = np.outer(q, (orders - orders[0])[:_TOGETHER])
+    waves, n, m = np.cos(steps) + 1j * np.sin(steps), len(q), len(orders)
+    squares, along = np.empty(m, complex), np.empty((columns.shape[1], m), complex)
+    for k in range(0, m, _TOGETHER):
+        part = slice(k, k + _TOGETHER)
+        first = np.cos(orders[k] * q) + 1j * np.sin(orders[k] * q)
+        z = first[:, None] * waves[:, : len(orders[part])]  # e^{i N q}
+        along[:, part] = (columns.T @ z.view(float)).view(complex)
+        squares[part] = np.einsum("no,no->o", z, z)
+    known, own = along[:-1], along[-1]
+    # with what is left of them, c and s: Σ c² + s², Σ (c + i s)², and four times their determinant
+    power, square = n - (np.abs(known) ** 2).sum(axis=0), squares - (known**2).sum(axis=0)
+    determinant, least = power**2 - np.abs(square) ** 2, 4 * _RIDGE * n**2
+    fall = 2 * (power * np.abs(own) ** 2 - (square.conj() * own**2).real)
+    gains = np.where(determinant > least, fall / np.maximum(determinant, least), 0.0)
+    return np.asarray(gains, float)
 
 
 @registered

@@ -88,9 +88,10 @@ class KinematicError(_GeometryEffect):
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        """Central differences by the translation."""
-        j = self.rows(robot)[0]
-        parts = []
+        """Central differences by the translation; the first joint feels the same everywhere."""
+        j, parts = self.rows(robot)[0], []
+        if robot.model.parents[j + 1] == 0:
+            return np.zeros((*motion.q.shape, 3))
         for step in _METRE * np.eye(3):
             ahead, behind = (rigid_body_torque(_moved(robot, j, s * step), motion) for s in (1, -1))
             parts.append((ahead - behind) / (2 * _METRE))

@@ -318,3 +318,24 @@ def test_ripple_of_any_order_is_proposed_beside_a_spring(order: float) -> None:
     for _ in range(4):  # as each round of a diagnosis does
         best = min([best, *best.refined([], facts)], key=lambda effect: abs(effect.order - order))
     assert abs(best.order - order) <= step / 18 * 1.01
+
+
+@pytest.mark.parametrize("order", [5.3, 30.0, 60.0])
+def test_orders_of_ripple_are_those_of_least_squares(order: float) -> None:
+    t = np.linspace(0.0, 40.0, 1500)
+    q, dq = np.sin(t) * 1.1, np.cos(t) * 1.1
+    e = 2.0 + q + 0.3 * np.cos(order * q) + 0.1 * np.random.default_rng(1).normal(size=len(t))
+    facts = fx.JointFacts(q=q, dq=dq, unexplained=e, cutoff_hz=10.0)
+    step = np.pi / (2 * np.ptp(q))
+    orders = 1 + step * np.arange(1, 110)
+    local = np.column_stack([np.ones_like(q), q, np.cos(q), np.sin(q)])
+    left = []
+    for each in orders:
+        columns = np.column_stack([local, np.cos(each * q), np.sin(each * q)])
+        left.append(float(np.linalg.lstsq(columns, e, rcond=None)[1][0]))
+    wanted: list[float] = []
+    for each in orders[np.argsort(left)].tolist():
+        if len(wanted) < 3 and all(abs(each - known) > 3 * step for known in wanted):
+            wanted.append(each)
+    found = [effect.order for effect in fx.TorqueRipple.candidates("joint1", facts)]
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
