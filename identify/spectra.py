@@ -41,12 +41,13 @@ def _low_passed(values: Array, cutoff_hz: float, rate_hz: float, kept: slice) ->
     x[:, :before] = 2 * x[:, before, None] - x[:, 2 * before : before : -1]
     end = before + n - 1
     x[:, end + 1 :] = 2 * x[:, end, None] - x[:, end - 1 : end - 1 - after : -1]
-    slope, along = (x[:, -1:] - x[:, :1]) / max(size - 1, 1), np.arange(size)
-    x -= slope * along
+    first, slope = x[:, :1].copy(), (x[:, -1:] - x[:, :1]) / max(size - 1, 1)
+    along = np.arange(size)
+    x -= first + slope * along  # a constant passes without rounding
     spectrum = scipy.fft.rfft(x, overwrite_x=True)
     spectrum *= _gain(size, cutoff_hz / rate_hz)
     passed = scipy.fft.irfft(spectrum, size, overwrite_x=True)[:, inner][:, kept]
-    return np.asarray(passed + slope * along[inner][kept], float)
+    return np.asarray(passed + first + slope * along[inner][kept], float)
 
 
 @lru_cache(maxsize=64)

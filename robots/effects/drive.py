@@ -246,13 +246,11 @@ def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
     Beside orthonormal columns, (n, k), that are free; none where these leave nothing of the two.
     """
     columns = np.column_stack([beside, e - beside @ (beside.T @ e)])
-    steps = np.outer(q, (orders - orders[0])[:_TOGETHER])
-    waves, n, m = np.cos(steps) + 1j * np.sin(steps), len(q), len(orders)
+    waves, n, m = np.exp(1j * np.outer(q, (orders - orders[0])[:_TOGETHER])), len(q), len(orders)
     squares, along = np.empty(m, complex), np.empty((columns.shape[1], m), complex)
     for k in range(0, m, _TOGETHER):
         part = slice(k, k + _TOGETHER)
-        first = np.cos(orders[k] * q) + 1j * np.sin(orders[k] * q)
-        z = first[:, None] * waves[:, : len(orders[part])]  # e^{i N q}
+        z = np.exp(1j * orders[k] * q)[:, None] * waves[:, : len(orders[part])]  # e^{i N q}
         along[:, part] = (columns.T @ z.view(float)).view(complex)
         squares[part] = np.einsum("no,no->o", z, z)
     known, own = along[:-1], along[-1]
