@@ -12,7 +12,7 @@ from excitant.analysis.evidence import Candidate, Evidence, calibrated, weigh
 from excitant.analysis.residuals import position_noise
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
-from excitant.identify.regression import dense, effect_columns
+from excitant.identify.regression import ActingColumns, dense, effect_columns
 from excitant.identify.rows import implausible_size
 from excitant.robots.effects import Effect, Parameter, joint_facts, proposals
 from excitant.robots.motion import Array, frozen
@@ -31,8 +31,8 @@ class Observed:
     robot: Robot  # effects that depend on torque take that of this model
     segments: tuple[Segment, ...]
     links: Array  # columns of the standard parameters, shape (n, nv, 10 nv)
-    _by_motion: dict[Effect, Array] = field(default_factory=dict, repr=False)
-    _by_robot: dict[Effect, Array] = field(default_factory=dict, repr=False)
+    _by_motion: dict[Effect, ActingColumns] = field(default_factory=dict, repr=False)
+    _by_robot: dict[Effect, ActingColumns] = field(default_factory=dict, repr=False)
 
     def by(self, robot: Robot, keep: Set[Effect] = frozenset()) -> Observed:
         """The same rows of the same arm with other inertias and effects.
@@ -47,7 +47,14 @@ class Observed:
         if effect.link(self.robot) is not None:
             rows = effect.rows(self.robot)
             return self.links[:, :, [10 * j + k for j in rows for k in range(10)]]
-        return np.concatenate([self._once(each) for each in effect.singles()], axis=2)
+        parts = [self._once(each).on(self.robot.nv) for each in effect.singles()]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+
+    def acting(self, effect: Effect) -> ActingColumns:
+        """Columns of one effect on the joints where they act."""
+        if effect.link(self.robot) is None and len(singles := effect.singles()) == 1:
+            return self._once(singles[0])
+        return ActingColumns.of(self.columns(effect))
 
     def matrix(self, effects: Sequence[Effect]) -> Array:
         """Columns of the standard parameters followed by those of effects, shape (n, nv, p)."""
@@ -60,11 +67,10 @@ class Observed:
             tau = tau + self.columns(effect) @ np.array(effect.values or ())
         return tau
 
-    def _once(self, effect: Effect) -> Array:
+    def _once(self, effect: Effect) -> ActingColumns:
         known = self._by_robot if effect.depends_on_model else self._by_motion
         if effect not in known:
-            parts = [effect_columns(self.robot, effect, s) for s in self.segments]
-            known[effect] = frozen(np.concatenate(parts))
+            known[effect] = effect_columns(self.robot, effect, self.segments)
         return known[effect]
 
 
@@ -74,9 +80,9 @@ def observed(robot: Robot, segments: Sequence[Segment]) -> Observed:
     return Observed(robot, tuple(segments), frozen(links))
 
 
-def cause_columns(effect: Effect, given: Observed, understood: Observed) -> Array:
-    """Columns of a cause, (n, nv, k): for a gain by the given robot, else by the model so far."""
-    return (given if effect.of_given_torque else understood).columns(effect)
+def cause_columns(effect: Effect, given: Observed, understood: Observed) -> ActingColumns:
+    """Columns of a cause: for a gain by the given robot, else by the model so far."""
+    return (given if effect.of_given_torque else understood).acting(effect)
 
 
 def gather(
@@ -102,12 +108,13 @@ def gather(
     spread = TOLERANCE * np.where(values > 0, values, 1e-9)
     if identified:
         spread = implausible_size(known, tau)
-    blocks = [train.links @ link_coordinates(bodies), known * spread]
+    parts = [train.links @ link_coordinates(bodies), known * spread]
     sigma = PRIOR_SIGMA if identified else TOLERANCE
     weights = [link_weights(robot.nv, sigma) ** 2, np.ones(len(spread))]
     if gains is not None:
-        blocks.append(given.torque()[:, :, None] * gain_root(gains))
+        parts.append(given.torque()[:, :, None] * gain_root(gains))
         weights.append(np.ones(robot.nv))
+    columns = [*map(ActingColumns.of, parts)]
     nuisance = start = sum(map(len, weights))
     candidates = []
     motions, rows = [s.motion for s in segments], [s.keep for s in segments]
@@ -118,19 +125,18 @@ def gather(
             continue
         if gains is not None and effect.of_given_torque:  # is no other than the drive's gain
             continue
-        block = cause_columns(effect, given, train)
-        if not block.any():
+        own = cause_columns(effect, given, train)
+        if not len(own.joints):
             continue
-        scale, weight = _coordinates(robot, effect, bodies, block, tau)
+        scale, weight = _coordinates(robot, effect, bodies, own, tau)
         stop = start + len(weight)
         candidates.append(Candidate(effect, slice(start, stop), scale, trials))
-        blocks.append(block @ scale)
+        columns.append(own @ scale)
         weights.append(weight)
         start = stop
     names = [str(k) for k in range(start)]
     evidence = weigh(
-        dense(blocks, tau - given.torque(), names),
-        away_from_rest(segments),
+        dense(columns, tau - given.torque(), names, away_from_rest(segments)),
         np.concatenate(weights),
         nuisance,
         candidates,
@@ -154,13 +160,13 @@ def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: A
 
 
 def _coordinates(
-    robot: Robot, effect: Effect, bodies: Array, columns: Array, torque: Array
+    robot: Robot, effect: Effect, bodies: Array, columns: ActingColumns, torque: Array
 ) -> tuple[Array, Array]:
     if effect.role == "link":
         return link_coordinates(bodies[effect.rows(robot)]), link_weights(1, WRONG_LINK) ** 2
     if effect.role == "body":
         units = bodies[:, 0].sum() * np.repeat([1.0, _REACH, _REACH**2], [1, 3, 6])
         return np.diag(units), np.ones(10)
-    acts = columns.any(axis=0).any(axis=-1)
-    size = coefficient_sizes(effect.parameters(robot), columns[:, acts], torque[:, acts])
+    parameters, felt = effect.parameters(robot), torque[:, columns.joints]
+    size = coefficient_sizes(parameters, columns.values, felt)
     return np.diag(size), np.ones(len(size))

@@ -21,13 +21,14 @@ from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
+from excitant.identify.regression import dense
 from excitant.identify.rows import Series, identified_robot, predicted_torque, series
 from excitant.robots.effects import Effect, merged
 from excitant.robots.effects.geometry import GivenInertias
 from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.torque import effect_values
+from excitant.robots.torque import column_names, effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
 DEVIATIONS = 2.0  # standard errors by which a gain must exceed zero, a value the given one
@@ -191,20 +192,16 @@ class Extender:
         """The extended model with a set of causes."""
         robot, evidence = self.held.observed.robot, self.evidence
         effects = _effects(robot, chosen)
-        W = self.train.matrix(effects)
-        weight = away_from_rest(self.train.segments) / (
-            evidence.sigma * np.sqrt(evidence.inflation)
-        )
-        rows = np.concatenate([W, self.tau[:, :, None]], axis=2) * weight[:, :, None]
-        R = np.asarray(np.linalg.qr(rows.reshape(-1, W.shape[2] + 1), mode="r"), float)
+        W, names = self.train.matrix(effects), column_names(robot, effects)
+        problem = dense(W, self.tau, names, away_from_rest(self.train.segments))
+        R, z = problem.factor(np.sqrt(evidence.weight))
         bodies, sigma = self._bodies(chosen)
         open_ = self._effect_prior(effects, chosen, W[:, :, 10 * len(bodies) :])
-        fit = fit_physical(R[:, :-1], R[:, -1], BodyPrior(bodies, sigma), open_)
-        names = [p.name for e in effects for p in e.parameters(robot)]
+        fit = fit_physical(R, z, BodyPrior(bodies, sigma), open_)
         std = np.sqrt(np.diag(fit.covariance)).tolist()
         model = identified_robot(robot, effects, fit.x)
         found = self.held.observed.by(model)
-        known = dict(zip([*robot.parameter_names, *names], std, strict=True))
+        known = dict(zip(names, std, strict=True))
         predicted = found.torque() / self.held.gains
         extension = Extension(evidence, tuple(chosen), model, known, found, predicted)
         return replace(extension, findings=_findings(robot, extension, self.held))

@@ -26,7 +26,7 @@ from excitant.analysis.evidence import widened
 from excitant.analysis.selection import ALIKE
 from excitant.identify.preprocessing import Segment, away_from_rest, top_speed
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
-from excitant.identify.regression import dense
+from excitant.identify.regression import ActingColumns, dense
 from excitant.robots.effects import Effect, JointFacts, joint_facts
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
@@ -200,19 +200,20 @@ class Contest:
     def _gram(self, segments: Sequence[Segment]) -> Array:
         """Weighted products of all columns at the rows of segments, those at rest left out."""
         # a joint rests while it is slow relative to its recorded motion
-        W = np.concatenate(list(self._blocks(segments)), axis=2)
-        problem = dense(W, np.zeros(W.shape[:2]), [str(k) for k in range(W.shape[2])])
+        parts = list(self._parts(segments))
+        names = [str(k) for k in range(sum(part.values.shape[2] for part in parts))]
         counts = away_from_rest(segments, top_speed(self.recorded) if self.recorded else 0.0)
-        return problem.counting(counts).gram(self.weight)[:-1, :-1]
+        problem = dense(parts, np.zeros(counts.shape), names, counts)
+        return problem.gram(self.weight)[:-1, :-1]
 
-    def _blocks(self, segments: Sequence[Segment]) -> Iterator[Array]:
+    def _parts(self, segments: Sequence[Segment]) -> Iterator[ActingColumns]:
         links = np.concatenate([self._links(s) for s in segments])
         understood = Observed(self.model, tuple(segments), links)
         given = understood.by(self.robot)
-        yield links @ self._metric
+        yield ActingColumns.of(links) @ self._metric
         for effect in self.robot.effects:
             size = np.maximum(np.abs(np.array(effect.values or ())), 1e-9)
-            yield cause_columns(effect, given, understood) * self.tolerance * size
+            yield cause_columns(effect, given, understood) @ np.diag(self.tolerance * size)
         for effect in self.causes:
             yield cause_columns(effect, given, understood)
 

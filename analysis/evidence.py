@@ -307,7 +307,6 @@ def cross_validation(
 
 def weigh(
     problem: Regression,
-    counts: Mask,
     precision: Array,
     nuisance: int,
     candidates: Sequence[Candidate],
@@ -316,10 +315,10 @@ def weigh(
     by_share: bool = False,
     gains: range = range(0),
 ) -> Evidence:
-    """Evidence from rows that count (n, nv), a period [s] apart; for the rest see `Evidence`."""
-    n, problem = len(counts), problem.counting(counts)
+    """Evidence from the rows that count, a period [s] apart; for the rest see `Evidence`."""
+    n = len(problem)
     count = int(np.clip(n * period / _BLOCK_S, *_BLOCKS))
-    counted = np.maximum(counts.sum(axis=0), 1)
+    counted = np.maximum([len(rows) for rows in problem.counted(problem.tau)], 1)
     blocks = np.linspace(0, n, count, endpoint=False).astype(np.intp)
     noise = _noise(problem.tau, counted)
     first = Evidence(

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +22,9 @@ import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment
+from excitant.identify.spectra import live
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, freeze, frozen, read_only
+from excitant.robots.motion import Array, Motion, freeze, frozen, read_only
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names
@@ -33,6 +35,35 @@ _MEMBER = 0.1  # of a dependence: its columns with at least this part
 
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
+
+
+class ActingColumns(NamedTuple):
+    """Columns of torque at n instants, k of them, on the m joints where they act; else zero."""
+
+    joints: Index  # shape (m,)
+    values: Array  # shape (n, m, k)
+
+    @classmethod
+    def of(cls, columns: Array, joints: Sequence[int] | None = None) -> ActingColumns:
+        """Columns of all joints or some, shape (n, m, k)."""
+        acts, known = live(columns).any(axis=1), np.arange(columns.shape[1])
+        return cls(
+            (known if joints is None else np.array(joints))[acts],
+            columns if acts.all() else frozen(columns[:, acts]),
+        )
+
+    def __matmul__(self, x: Array) -> ActingColumns:
+        """Their combinations by x, shape (k, l)."""
+        return ActingColumns(self.joints, np.tensordot(self.values, x, 1))
+
+    def on(self, nv: int) -> Array:
+        """The columns with zeros where they do not act, shape (n, nv, k)."""
+        if len(self.joints) == nv:
+            return self.values
+        n, _, k = self.values.shape
+        found: Array = np.zeros((n, nv, k))
+        found[:, self.joints] = self.values
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +149,7 @@ class Regression:
         index, wider = [], []
         more = more if self.used is None else more * self.used[:, :, None]
         for j, (own, values) in enumerate(zip(self.index, self.columns, strict=True)):
-            acting = np.flatnonzero(more[:, j].any(axis=0))
+            acting = np.flatnonzero(live(more[:, j]))
             index.append(np.concatenate([own, self.p + acting]))
             wider.append(frozen(np.asfortranarray(np.hstack([values, more[:, j, acting]]))))
         return replace(self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider))
@@ -143,8 +174,11 @@ class Regression:
     @cached_property
     def grams(self) -> tuple[Array, ...]:
         """Of each joint [W τ]ᵀ[W τ], shape (u + 1, u + 1)."""
-        whole = (np.column_stack([X, self.tau[:, j]]) for j, X in enumerate(self.columns))
-        return tuple(frozen(A.T @ A) for A in whole)
+        found = []
+        for X, tau in zip(self.columns, self.tau.T, strict=True):
+            b = X.T @ tau
+            found.append(frozen(np.block([[X.T @ X, b[:, None]], [b, tau @ tau]])))
+        return tuple(found)
 
     def gram(self, weight: Array, columns: Index | None = None) -> Array:
         """[W τ]ᵀ[W τ] of all p or some columns, joints weighted, shape (p + 1, p + 1)."""
@@ -201,23 +235,38 @@ def triangle(A: Array) -> Array:
 
 
 def dense(
-    W: Array | Sequence[Array], tau: Array, names: Sequence[str], used: Mask | None = None
+    W: Array | Sequence[ActingColumns], tau: Array, names: Sequence[str], used: Mask | None = None
 ) -> Regression:
-    """The problem of columns of shape (n, nv, p), or of blocks of such, and torque (n, nv)."""
-    blocks = [W] if isinstance(W, np.ndarray) else list(W)
-    p = sum(block.shape[-1] for block in blocks)
-    if any(block.ndim != 3 or block.shape[:2] != tau.shape for block in blocks) or len(names) != p:
+    """The problem of columns of shape (n, nv, p), or of parts of them, and torque (n, nv).
+
+    Rows that do not count are set to zero.
+    """
+    n, nv = tau.shape
+    parts = [ActingColumns(np.arange(nv), W)] if isinstance(W, np.ndarray) else W
+    shapes = [part.values.shape for part in parts]
+    p = sum(shape[-1] for shape in shapes)
+    fitting = [(n, len(part.joints), shape[-1]) for part, shape in zip(parts, shapes, strict=True)]
+    if shapes != fitting or len(names) != p:
         raise BadInput(
-            f"regression: columns of shape {' + '.join(str(block.shape) for block in blocks)} with "
+            f"regression: columns of shape {' + '.join(map(str, shapes))} with "
             f"torque of shape {tau.shape} and {len(names)} names; give (n, nv, p), (n, nv) and p"
         )
-    acts = np.concatenate([block.any(axis=0) for block in blocks], axis=1)
-    columns = []
-    for j, own in enumerate(acts):
-        parts = np.split(own, np.cumsum([block.shape[-1] for block in blocks])[:-1])
-        here = [block[:, j, part].T for block, part in zip(blocks, parts, strict=True)]
-        columns.append(frozen(np.concatenate(here).T))
-    return Regression(tuple(names), tuple(map(np.flatnonzero, acts)), tuple(columns), tau, used)
+    index: list[list[Index]] = [[np.zeros(0, np.intp)] for _ in range(nv)]
+    rows: list[list[Array]] = [[np.zeros((0, n))] for _ in range(nv)]
+    start = 0
+    for part, shape in zip(parts, shapes, strict=True):
+        for j, own in zip(part.joints, part.values.transpose(1, 2, 0), strict=True):
+            acts = np.flatnonzero(live(own.T))
+            index[j].append(start + acts)
+            rows[j].append(own if len(acts) == len(own) else own[acts])
+        start += shape[-1]
+    columns = [np.concatenate(own) for own in rows]
+    if used is not None:
+        tau = tau * used
+        for own, counts in zip(columns, used.T, strict=True):
+            own *= counts
+    found = tuple(frozen(own.T) for own in columns)
+    return Regression(tuple(names), tuple(map(np.concatenate, index)), found, tau, used)
 
 
 def regression_of(
@@ -231,16 +280,21 @@ def regression_of(
     names = column_names(robot, effects)
     parts = []
     for s in segments:
-        columns = [s.thin.rows(partial(regressor, robot))]
-        columns += [effect_columns(robot, effect, s) for effect in effects]
+        columns = [ActingColumns.of(s.thin.rows(partial(regressor, robot)))]
+        columns += [effect_columns(robot, effect, [s]) for effect in effects]
         parts.append(dense(columns, s.tau[s.keep], names))
     return joined(parts)
 
 
-def effect_columns(robot: Robot, effect: Effect, segment: Segment) -> Array:
-    """Columns of one effect at the rows of a segment, shape (rows, nv, k); see `regression_of`."""
-    held = segment.thin if effect.smooth else segment
-    return held.rows(partial(effect.columns, robot))
+def effect_columns(robot: Robot, effect: Effect, segments: Sequence[Segment]) -> ActingColumns:
+    """Columns of one effect at the rows of segments; see `regression_of`."""
+    joints = effect.affected(robot)
+
+    def columns(motion: Motion) -> Array:
+        return effect.columns(robot, motion)[:, joints]
+
+    parts = [(s.thin if effect.smooth else s).rows(columns) for s in segments]
+    return ActingColumns.of(frozen(np.concatenate(parts)), joints)
 
 
 def joined(parts: Sequence[Regression]) -> Regression:

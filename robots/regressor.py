@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.motion import Array, Motion, frozen, read_only
 from excitant.robots.robot import Robot
 
 _ANGLES = 0.4 * np.pi * np.arange(1, 5)
@@ -88,9 +88,10 @@ def rigid_torque(robot: Robot, motion: Motion) -> Array:
 
 
 def _without_rounding(values: Array) -> Array:
-    """Values of which those that are only what rounding leaves of zero are zero."""
+    """Values just made, of which those that are only what rounding leaves of zero become zero."""
     size = np.abs(values)
-    return read_only(np.where(size > _ROUNDING * size.max(initial=0.0), values, 0.0))
+    values[size <= _ROUNDING * size.max(initial=0.0)] = 0.0
+    return frozen(values)
 
 
 @lru_cache(maxsize=_KEPT)
@@ -133,9 +134,10 @@ def torque_along(robot: Robot, motion: Motion, joint: int, shift: Array) -> Arra
         Shape (n, nv) [N·m per unit].
     """
     changed, rate = np.zeros(motion.q.shape), shift
-    for by in torque_derivatives(robot, motion):
+    for order, by in enumerate(torque_derivatives(robot, motion)):
+        if order:
+            rate = np.gradient(rate, motion.t) if len(rate) > 1 else np.zeros_like(rate)
         changed += by[:, :, joint] * rate[:, None]
-        rate = np.gradient(rate, motion.t) if len(rate) > 1 else np.zeros_like(rate)
     return changed
 
 

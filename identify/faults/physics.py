@@ -26,6 +26,7 @@ from excitant.identify.drive_gains import gain_doubt, without_effects
 from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bound
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
+from excitant.identify.regression import Index
 from excitant.identify.spectra import low_pass
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.regressor import regressor, rigid_body_torque
@@ -242,15 +243,26 @@ class TorqueFit:
             per, self.loose = self._readings_per_torque()
             self.G, self.D = per[:, None] * self.G, per[:, None] * self.D
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
-        own = np.einsum("njk,ji->njik", self.F, np.eye(robot.nv)).reshape(len(self.F), robot.nv, -1)
-        still, moved = np.dstack([self.G, own]), np.dstack([self.D, 0 * own])
-        W, V, y = (x[:, joints].swapaxes(0, 1) for x in (still, moved, self.tau[..., None]))
-        Wt, Vt = W.swapaxes(1, 2), V.swapaxes(1, 2)
-        self._columns, self.freedom = W + V, W.shape[2]
-        self._A = Wt @ W, Wt @ V + Vt @ W, Vt @ V
-        self._b = (Wt @ y)[..., 0], (Vt @ y)[..., 0]
+        self.freedom = p = 14 * robot.nv
+        self._A = tuple(np.zeros((len(joints), p, p)) for _ in range(3))
+        self._b = tuple(np.zeros((len(joints), p)) for _ in range(2))
+        for k, j in enumerate(joints):
+            links, effects = self._own(j)
+            own, m = np.append(links, effects), len(links) + 4
+            X = np.column_stack([self.G[:, j, links], self.F[:, j], self.D[:, j, links]])
+            C, c = X.T @ X, X.T @ self.tau[:, j]
+            self._A[0][k][np.ix_(own, own)] = C[:m, :m]
+            self._A[1][k][np.ix_(own, links)] = C[:m, m:]
+            self._A[1][k] += self._A[1][k].T
+            self._A[2][k][np.ix_(links, links)] = C[m:, m:]
+            self._b[0][k, own], self._b[1][k, links] = c[:m], c[m:]
         A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
         self.sigma = np.sqrt(self._left(A, b, np.array(list(map(_solve, A, b)))))
+
+    def _own(self, j: int) -> tuple[Index, Index]:
+        """Parameters on which a joint's torque depends: of no link before it, its own effects."""
+        links = 10 * self.robot.nv
+        return np.arange(10 * j, links), np.arange(links + 4 * j, links + 4 * j + 4)
 
     def filtered(self, values: Array) -> Array:
         """Values at the instants of the motion, (n, ...), filtered once more; its ends left out."""
@@ -281,9 +293,11 @@ class TorqueFit:
     @cached_property
     def rows(self) -> Array:
         """Independent rows of each joint's error, shape (nv,)."""
-        rows = np.ones(self.robot.nv)
-        for j, predicted in zip(self.joints, self._columns @ self.fit()[0], strict=True):
-            error = self.tau[:, j] - predicted
+        rows, x = np.ones(self.robot.nv), self.fit()[0]
+        for j in self.joints:
+            links, effects = self._own(j)
+            columns = self.G[:, j, links] + self.D[:, j, links]
+            error = self.tau[:, j] - columns @ x[links] - self.F[:, j] @ x[effects]
             rows[j] = len(error) / autocorrelation_time(error) if error.any() else 1.0
         return rows
 

@@ -57,9 +57,9 @@ def residual(X: np.ndarray, rng: np.random.Generator, rho: float = 0.0) -> np.nd
 def weighed(
     X: np.ndarray, r: np.ndarray, counts: np.ndarray | bool = True, known: float = PRECISION[0]
 ) -> Evidence:
-    problem = dense(X, r, [str(k) for k in range(X.shape[2])])
     counts = np.broadcast_to(counts, r.shape)
-    return weigh(problem, counts, np.r_[known, PRECISION[1:]], NUISANCE, candidates(), PERIOD)
+    problem = dense(X, r, [str(k) for k in range(X.shape[2])], counts)
+    return weigh(problem, np.r_[known, PRECISION[1:]], NUISANCE, candidates(), PERIOD)
 
 
 def evidence(seed: int = 0, rho: float = 0.0, planted: float = 0.0, n: int = N) -> Evidence:

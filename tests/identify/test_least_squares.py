@@ -24,7 +24,7 @@ from excitant.identify.least_squares import (
     weighted_least_squares,
 )
 from excitant.identify.preprocessing import prepare
-from excitant.identify.regression import Regression, dense, joined
+from excitant.identify.regression import ActingColumns, Regression, dense, joined
 
 N, NV, P = 60, 3, 5
 NAMES = tuple("abcde")
@@ -35,6 +35,7 @@ TAU = RNG.standard_normal((N, NV))
 W, OTHER, MORE = (  # columns, some of which act on some joints only
     RNG.standard_normal((N, NV, p)) * (RNG.random((NV, p)) < 0.7) for p in (P, P, 2)
 )
+MIXTURE = RNG.standard_normal((P, 2))
 PROBLEM = dense(W, TAU, NAMES)
 
 
@@ -65,11 +66,31 @@ def test_other_problems_are_those_of_other_rows_and_columns() -> None:
         (counted, W * count[:, :, None]),
         (PROBLEM.at(slice(None, None, 4)), W[::4]),
         (joined([PROBLEM, dense(OTHER, TAU, NAMES)]), np.concatenate([W, OTHER])),
+        (dense(W, TAU, NAMES, count), W * count[:, :, None]),
     ):
         np.testing.assert_array_equal(problem.W, rows)
     assert few.names == ("d", "a")
     np.testing.assert_array_equal(counted.tau, TAU * count)
     np.testing.assert_array_equal(PROBLEM.select([]).residual(np.zeros(0)), TAU)
+
+
+def test_parts_without_the_joints_where_they_do_not_act_are_the_same_columns() -> None:
+    zeros = np.zeros((N, NV, 1))
+    last, first = (zeros + np.eye(NV)[j][:, None] for j in (NV - 1, 0))
+    all_of = [W, first, zeros, last]
+    parts = [ActingColumns.of(part) for part in all_of[:3]]
+    parts.append(ActingColumns.of(last[:, 1:], range(1, NV)))
+    assert [part.joints.tolist() for part in parts[1:]] == [[0], [], [NV - 1]]
+    for part, whole in zip(parts, all_of, strict=True):
+        np.testing.assert_array_equal(part.on(NV), whole)
+    mixed = parts[0] @ MIXTURE
+    np.testing.assert_allclose(mixed.on(NV), W @ MIXTURE, atol=1e-14)
+    wide = np.concatenate(all_of, axis=2)
+    names = [str(k) for k in range(wide.shape[2])]
+    found, expected = dense(parts, TAU, names), dense(wide, TAU, names)
+    np.testing.assert_array_equal(found.W, wide)
+    for own, other in zip(found.index, expected.index, strict=True):
+        np.testing.assert_array_equal(own, other)
 
 
 def test_what_does_not_fit_is_refused() -> None:
@@ -80,6 +101,8 @@ def test_what_does_not_fit_is_refused() -> None:
     ):
         with pytest.raises(BadInput, match=why):
             dense(W, tau, names)
+    with pytest.raises(BadInput, match="shape"):
+        dense([ActingColumns(np.arange(2), W)], TAU, NAMES)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1e-6, 1e-9, 0.0])

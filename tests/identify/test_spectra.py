@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from excitant.identify.spectra import detrended, low_pass, power_density
+from excitant.identify.spectra import detrended, live, low_pass, power_density
 
 RATE = 250.0
 SIZES = [64, 65, 1000, 5003]
@@ -44,6 +44,19 @@ def test_the_filter_is_linear_passes_lines_and_keeps_shapes() -> None:
     np.testing.assert_allclose(low_pass(line, 10.0, RATE), line, atol=1e-12)
     for shape in [(1, 2), (2,), (7,), (30, 2, 3)]:
         np.testing.assert_allclose(low_pass(np.ones(shape), 10.0, RATE), np.ones(shape))
+
+
+def test_a_constant_stays_exactly_constant_for_a_dead_channel_is_known_by_that() -> None:
+    passed = low_pass(np.full((999, 2), 3.7), 10.0, RATE, slice(30, 960, 7))
+    np.testing.assert_array_equal(passed, np.full((133, 2), 3.7))
+
+
+def test_columns_are_live_by_their_only_row_that_is_not_zero() -> None:
+    values = np.zeros((500, 3, 400))
+    for column in range(1, 400):
+        values[column, column % 3, column] = [1e-300, np.nan, -np.inf][column % 3]
+    np.testing.assert_array_equal(live(values), values.any(axis=0))
+    assert live(np.zeros((0, 2))).tolist() == [False, False]
 
 
 def test_half_of_a_sine_at_the_cut_off_passes() -> None:
