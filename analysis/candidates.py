@@ -48,7 +48,7 @@ class Observed:
             rows = effect.rows(self.robot)
             return self.links[:, :, [10 * j + k for j in rows for k in range(10)]]
         parts = [self._once(each).on(self.robot.nv) for each in effect.singles()]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+        return np.concatenate(parts, axis=2)
 
     def acting(self, effect: Effect) -> ActingColumns:
         """Columns of one effect on the joints where they act."""

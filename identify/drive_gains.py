@@ -39,6 +39,7 @@ from excitant.identify.preprocessing import Mask
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, dense
+from excitant.identify.spectra import live
 from excitant.robots.base_parameters import BaseParameters, independent_columns
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
@@ -245,7 +246,7 @@ def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask, spread: Arr
 
 def _log_gain(Y: Array, F: Array, current: Array, phi: Array, spread: Array) -> tuple[float, float]:
     """Logarithm of the gain with which given torque Y φ explains a current, and its variance."""
-    count = int(np.any(F != 0, axis=0).sum())
+    count = int(live(F).sum())
     if len(current) <= count + 1:
         return 0.0, np.inf
     Y, i = without_effects(F, Y, current)
@@ -268,7 +269,7 @@ def gain_doubt(Y: Array, phi: Array, spread: Array) -> float:
 
 def without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
     """Values at a joint's rows less what its own effect columns F, shape (n, e), can explain."""
-    Q = np.linalg.qr(F[:, np.any(F != 0, axis=0)])[0]
+    Q = np.linalg.qr(F[:, live(F)])[0]
     return tuple(x - Q @ (Q.T @ x) for x in values)
 
 

@@ -58,8 +58,6 @@ class ActingColumns(NamedTuple):
 
     def on(self, nv: int) -> Array:
         """The columns with zeros where they do not act, shape (n, nv, k)."""
-        if len(self.joints) == nv:
-            return self.values
         n, _, k = self.values.shape
         found: Array = np.zeros((n, nv, k))
         found[:, self.joints] = self.values

@@ -34,6 +34,7 @@ from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import FitRows
+from excitant.identify.spectra import live
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, joint_facts
 from excitant.robots.motion import Array, read_only
@@ -202,8 +203,9 @@ class _Search:
             effect, joint = self.effects[k], self.effects[k].joints[0]
             own = np.arange(place.start, place.stop) + self.links
             others = np.delete(self.R, own, axis=1)
-            live = others[:, (others != 0).any(axis=0)]
-            Q = scipy.linalg.qr(live / np.linalg.norm(live, axis=0), mode="economic", pivoting=True)
+            others = others[:, live(others)]
+            unit = others / np.linalg.norm(others, axis=0)
+            Q = scipy.linalg.qr(unit, mode="economic", pivoting=True)
             rank = int((np.abs(np.diag(Q[1])) > 1e-9 * abs(Q[1][0, 0])).sum())
             basis = Q[0][:, :rank]
             left = self.z - basis @ (basis.T @ self.z)

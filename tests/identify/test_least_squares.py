@@ -83,6 +83,8 @@ def test_parts_without_the_joints_where_they_do_not_act_are_the_same_columns() -
     assert [part.joints.tolist() for part in parts[1:]] == [[0], [], [NV - 1]]
     for part, whole in zip(parts, all_of, strict=True):
         np.testing.assert_array_equal(part.on(NV), whole)
+    turned = ActingColumns.of(W[:, ::-1], range(NV)[::-1])
+    np.testing.assert_array_equal(turned.on(NV), W)
     mixed = parts[0] @ MIXTURE
     np.testing.assert_allclose(mixed.on(NV), W @ MIXTURE, atol=1e-14)
     wide = np.concatenate(all_of, axis=2)
