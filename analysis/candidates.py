@@ -20,7 +20,8 @@ from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
 TOLERANCE = 0.05  # relative standard deviation of the given values: right to ±10 %
-WRONG_LINK = 1.0  # relative standard deviation of a link with wrong `inertial_parameters`
+# relative standard deviation of a link with wrong `inertial_parameters`
+WRONG_LINK = 1.0
 _REACH = 0.3  # m: lever that scales the coordinates of a payload
 
 
@@ -80,7 +81,9 @@ def observed(robot: Robot, segments: Sequence[Segment]) -> Observed:
     return Observed(robot, tuple(segments), frozen(links))
 
 
-def cause_columns(effect: Effect, given: Observed, understood: Observed) -> ActingColumns:
+def cause_columns(
+    effect: Effect, given: Observed, understood: Observed
+) -> ActingColumns:
     """Columns of a cause: for a gain by the given robot, else by the model so far."""
     return (given if effect.of_given_torque else understood).acting(effect)
 
@@ -102,9 +105,12 @@ def gather(
     wide as in an identification, and then only effects beyond the standard model are candidates.
     Of torque from currents, ``gains`` is the covariance of the gains' logarithms, (nv, nv).
     """
-    given, segments = train.by(robot), train.segments
+    given = train.by(robot)
+    segments = train.segments
     known = train.matrix(robot.effects)[:, :, 10 * robot.nv :]
-    values = np.concatenate([np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)])
+    values = np.concatenate(
+        [np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)]
+    )
     spread = TOLERANCE * np.where(values > 0, values, 1e-9)
     if identified:
         spread = implausible_size(known, tau)
@@ -117,13 +123,19 @@ def gather(
     columns = [*map(ActingColumns.of, parts)]
     nuisance = start = sum(map(len, weights))
     candidates = []
-    motions, rows = [s.motion for s in segments], [s.keep for s in segments]
-    left, noise = tau - train.torque(), position_noise(segments)
+    motions = [s.motion for s in segments]
+    rows = [s.keep for s in segments]
+    left = tau - train.torque()
+    noise = position_noise(segments)
     facts = joint_facts(motions, rows, left, segments[0].cutoff_hz, noise)
-    for effect, trials in proposals(robot, facts, [(c.effect, c.trials) for c in believed]):
+    for effect, trials in proposals(
+        robot, facts, [(c.effect, c.trials) for c in believed]
+    ):
         if identified and not effect.further:
             continue
-        if gains is not None and effect.of_given_torque:  # is no other than the drive's gain
+        if (
+            gains is not None and effect.of_given_torque
+        ):  # is no other than the drive's gain
             continue
         own = cause_columns(effect, given, train)
         if not len(own.joints):
@@ -153,9 +165,13 @@ def gain_root(covariance: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), float)
 
 
-def coefficient_sizes(parameters: Sequence[Parameter], columns: Array, torque: Array) -> Array:
+def coefficient_sizes(
+    parameters: Sequence[Parameter], columns: Array, torque: Array
+) -> Array:
     """Prior scale (e,) of free coefficients, typical or implausible; columns (n, joints, e)."""
-    typical = np.array([p.typical if p.typical is not None else np.nan for p in parameters])
+    typical = np.array(
+        [p.typical if p.typical is not None else np.nan for p in parameters]
+    )
     return np.where(np.isnan(typical), implausible_size(columns, torque), typical)
 
 
@@ -163,10 +179,13 @@ def _coordinates(
     robot: Robot, effect: Effect, bodies: Array, columns: ActingColumns, torque: Array
 ) -> tuple[Array, Array]:
     if effect.role == "link":
-        return link_coordinates(bodies[effect.rows(robot)]), link_weights(1, WRONG_LINK) ** 2
+        return link_coordinates(bodies[effect.rows(robot)]), link_weights(
+            1, WRONG_LINK
+        ) ** 2
     if effect.role == "body":
         units = bodies[:, 0].sum() * np.repeat([1.0, _REACH, _REACH**2], [1, 3, 6])
         return np.diag(units), np.ones(10)
-    parameters, felt = effect.parameters(robot), torque[:, columns.joints]
+    parameters = effect.parameters(robot)
+    felt = torque[:, columns.joints]
     size = coefficient_sizes(parameters, columns.values, felt)
     return np.diag(size), np.ones(len(size))

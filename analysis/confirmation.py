@@ -15,7 +15,13 @@ from excitant.analysis.candidates import (
     coefficient_sizes,
     observed,
 )
-from excitant.analysis.evidence import Candidate, Evidence, Key, are_placeholders, widened
+from excitant.analysis.evidence import (
+    Candidate,
+    Evidence,
+    Key,
+    are_placeholders,
+    widened,
+)
 from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, underlies
 from excitant.identify.physical import fit_physical
@@ -31,14 +37,17 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, effect_values
 
 _BLOCKS = 10  # of the hold-out, to see how much the gain varies
-DEVIATIONS = 2.0  # standard errors by which a gain must exceed zero, a value the given one
-_CONTRADICTED = 3.0  # standard errors by which a joint's error grows with a cause common to all
+# standard errors by which a gain must exceed zero, a value the given one
+DEVIATIONS = 2.0
+# standard errors by which a joint's error grows with a cause common to all
+_CONTRADICTED = 3.0
 _PLAIN = 0.1  # of a joint's squared error: a gain as large counts even below the noise
 _FAINT = 0.005  # of a joint's torque: no model is right to so much
 IDEAL = 0.01  # of it: what is missed by ideal friction, filters and samples
 FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
 _PAYLOAD_SIGMA = 100.0  # relative: a payload is left free
-_PAYLOAD_SHARE, _PAYLOAD_RADIUS = 0.05, 0.1  # its reference body: of the arm's mass, m
+_PAYLOAD_SHARE = 0.05  # its reference body: of the arm's mass
+_PAYLOAD_RADIUS = 0.1  # m
 
 
 class Asked(NamedTuple):
@@ -108,7 +117,11 @@ class Finding:
     @property
     def as_given(self) -> bool:
         """Whether it is a value that the model has, to two standard deviations."""
-        return self.effect.role == "torque" and bool(np.any(self.given)) and self.near_given
+        return (
+            self.effect.role == "torque"
+            and bool(np.any(self.given))
+            and self.near_given
+        )
 
     @property
     def refuted(self) -> bool:
@@ -141,12 +154,17 @@ class HeldOut:
         """Whether a prediction has a larger squared error than another, by a share, in motion."""
         measured = self.series.measured
         weight = self.series.moves / measured.std(axis=0)
-        errors = [float((((measured - tau) * weight) ** 2).sum()) for tau in (predicted, than)]
+        errors = [
+            float((((measured - tau) * weight) ** 2).sum()) for tau in (predicted, than)
+        ]
         return errors[0] > (1 + share) * errors[1]
 
 
 def held_out(
-    robot: Robot, segments: tuple[Segment, ...], gains: Array, given: Robot | None = None
+    robot: Robot,
+    segments: tuple[Segment, ...],
+    gains: Array,
+    given: Robot | None = None,
 ) -> HeldOut:
     """The hold-out of a robot as it is set up, and as given; its torque per reading, (nv,)."""
     found = observed(robot, segments)
@@ -169,7 +187,9 @@ class Extension:
     held: Observed  # columns of that model at the rows of the hold-out
     predicted: Array  # its torque at them, shape (n, nv) [torque unit]
     findings: tuple[Finding, ...] = ()  # each cause with its gain on the hold-out
-    refuted: frozenset[Key] = frozenset()  # selected causes with which the hold-out is worse
+    refuted: frozenset[Key] = (
+        frozenset()
+    )  # selected causes with which the hold-out is worse
 
 
 def unextended(evidence: Evidence, held: HeldOut) -> Extension:
@@ -190,9 +210,11 @@ class Extender:
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
-        robot, evidence = self.held.observed.robot, self.evidence
+        robot = self.held.observed.robot
+        evidence = self.evidence
         effects = _effects(robot, chosen)
-        W, names = self.train.matrix(effects), column_names(robot, effects)
+        W = self.train.matrix(effects)
+        names = column_names(robot, effects)
         problem = dense(W, self.tau, names, away_from_rest(self.train.segments))
         R, z = problem.factor(np.sqrt(evidence.weight))
         bodies, sigma = self._bodies(chosen)
@@ -210,12 +232,19 @@ class Extender:
         """Prior and its relative uncertainty for every link, and for a payload if there is one."""
         robot = self.held.observed.robot
         sigma = TOLERANCE * widened(robot, self.evidence.tolerance[0])
-        wrong = [row for c in chosen if c.effect.role == "link" for row in c.effect.rows(robot)]
+        wrong = [
+            row
+            for c in chosen
+            if c.effect.role == "link"
+            for row in c.effect.rows(robot)
+        ]
         sigma[wrong] = np.maximum(sigma[wrong], WRONG_LINK)
         if not any(c.effect.role == "body" for c in chosen):
             return self.prior, sigma
         mass = _PAYLOAD_SHARE * self.prior[:, 0].sum()
-        reference = from_pseudo_inertia(mass * np.diag([*(_PAYLOAD_RADIUS**2,) * 3, 1.0]))
+        reference = from_pseudo_inertia(
+            mass * np.diag([*(_PAYLOAD_RADIUS**2,) * 3, 1.0])
+        )
         return np.vstack([self.prior, reference]), np.array([*sigma, _PAYLOAD_SIGMA])
 
     def _effect_prior(
@@ -225,7 +254,9 @@ class Extender:
         free = {p.name for c in chosen for p in c.effect.parameters(robot)}
         scalar = [e for e in effects if e.role != "body"]
         parameters = [p for e in scalar for p in e.parameters(robot)]
-        mean = np.array([v for e in scalar for v in e.values or (0.0,) * len(e.parameters(robot))])
+        mean = np.array(
+            [v for e in scalar for v in e.values or (0.0,) * len(e.parameters(robot))]
+        )
         tight = np.maximum(self.evidence.tolerance[1] * TOLERANCE * np.abs(mean), 1e-9)
         loose = np.array([p.name in free for p in parameters], dtype=bool)
         std = np.where(loose, coefficient_sizes(parameters, columns, self.tau), tight)
@@ -245,8 +276,10 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
 
     Plain friction below finer friction stays, and a cause without which the refit is clearly worse.
     """
-    held, fit = extender.held, extender(chosen)
-    kept, refuted = set[Candidate](), set[Key]()
+    held = extender.held
+    fit = extender(chosen)
+    kept = set[Candidate]()
+    refuted = set[Key]()
     while (worst := _weakest(held.observed.robot, fit, kept)) is not None:
         if fit.findings[fit.chosen.index(worst)].refuted:
             refuted.add(worst.key)
@@ -275,8 +308,13 @@ def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...
         values, given, std = _coefficients(robot, fit, candidate.effect)
         torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
         effect = candidate.effect.with_values(values.tolist())
-        found = finding_of(robot, fit, held, effect, torque, given.tolist(), std.tolist())
-        if effect.role == "torque" and (np.abs(values - given) < DEVIATIONS * std).all():
+        found = finding_of(
+            robot, fit, held, effect, torque, given.tolist(), std.tolist()
+        )
+        if (
+            effect.role == "torque"
+            and (np.abs(values - given) < DEVIATIONS * std).all()
+        ):
             found = replace(found, margin=min(found.margin, -FLOOR))
         findings.append(found)
     return tuple(findings)
@@ -286,7 +324,9 @@ def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding
     """The given effects, joint by joint, whose values the data correct noticeably."""
     least = _noticed(fit.evidence.tolerance[1])
     taken = {candidate.key for candidate in fit.chosen}
-    for effect in (single for each in robot.effects for single in each.singles() if fit.std):
+    for effect in (
+        single for each in robot.effects for single in each.singles() if fit.std
+    ):
         if effect.role != "torque" or (effect.name, effect.joints) in taken:
             continue
         values, given, std = _coefficients(robot, fit, effect)
@@ -307,16 +347,25 @@ def _noticed(tolerance: float) -> float:
 
 def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
     """The links whose given inertias the data contradict, as one finding; None where none pays."""
-    apart = {row for c in fit.chosen if c.effect.role != "torque" for row in c.effect.rows(robot)}
+    apart = {
+        row
+        for c in fit.chosen
+        if c.effect.role != "torque"
+        for row in c.effect.rows(robot)
+    }
     if are_placeholders(robot) or not fit.std:
         return None
-    change, std = fit.model.phi - robot.phi, [fit.std[name] for name in robot.parameter_names]
+    change = fit.model.phi - robot.phi
+    std = [fit.std[name] for name in robot.parameter_names]
 
     def of(rows: Sequence[int]) -> Finding:
         at = np.concatenate([np.arange(10 * k, 10 * k + 10) for k in rows])
-        effect = GivenInertias(tuple(robot.joints[k] for k in rows)).with_values(change[at])
+        effect = GivenInertias(tuple(robot.joints[k] for k in rows)).with_values(
+            change[at]
+        )
         torque = fit.held.links[:, :, at] @ change[at] / held.gains
-        given, spread = (0.0,) * len(at), [std[k] for k in at]
+        given = (0.0,) * len(at)
+        spread = [std[k] for k in at]
         return finding_of(robot, fit, held, effect, torque, given, spread)
 
     rows = [k for k in range(robot.nv) if k not in apart and of([k]).pays]
@@ -335,7 +384,8 @@ def finding_of(
     std: Sequence[float],
 ) -> Finding:
     """A cause with its gain on the hold-out, where it makes a torque (n, nv) [torque unit]."""
-    rows, error = held.series, held.series.measured - fit.predicted
+    rows = held.series
+    error = held.series.measured - fit.predicted
     weight = rows.moves * held.gains / fit.evidence.sigma
     power = float(((held.given * weight) ** 2).sum())
     joints = np.array(effect.affected(robot))
@@ -348,10 +398,14 @@ def finding_of(
     if not effect.jointwise:
         most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
     alike = joints[robot.revolute[joints] == robot.revolute[most]]
-    before, after = (np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error))
+    before, after = (
+        np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error)
+    )
     # what depends on the model looks like noise of positions
     plain = asked.gain > _PLAIN and not effect.depends_on_model
-    share = float((rows.rms(torque) / np.maximum(rows.rms(rows.measured), 1e-300)).max())
+    share = float(
+        (rows.rms(torque) / np.maximum(rows.rms(rows.measured), 1e-300)).max()
+    )
     if not (plain or shows.any()) or share < _FAINT:
         margin = min(margin, -FLOOR)
     return Finding(
@@ -366,7 +420,9 @@ def finding_of(
         torque=torque,
         share=share,
         margin=margin,
-        downgrade=_contradicted(robot, effect, without * rows.moves, torque * rows.moves),
+        downgrade=_contradicted(
+            robot, effect, without * rows.moves, torque * rows.moves
+        ),
     )
 
 
@@ -392,16 +448,21 @@ def _asked(error: Array, torque: Array) -> Asked:
     size = (error * torque).sum() / power
     scores = torque * (error - size * torque)
     blocks = np.array([part.sum() for part in np.array_split(scores, _BLOCKS)])
-    return Asked(float(size), float(np.linalg.norm(blocks) / power), power / (error**2).sum())
+    return Asked(
+        float(size), float(np.linalg.norm(blocks) / power), power / (error**2).sum()
+    )
 
 
-def _coefficients(robot: Robot, fit: Extension, effect: Effect) -> tuple[Array, Array, Array]:
+def _coefficients(
+    robot: Robot, fit: Extension, effect: Effect
+) -> tuple[Array, Array, Array]:
     if effect.role == "link":
         j = robot.joint_index(effect.joints[0])
         part = slice(10 * j, 10 * j + 10)
         std = np.array([fit.std[name] for name in robot.parameter_names[part]])
         return fit.model.phi[part] - robot.phi[part], np.zeros(10), std
-    fitted, known = effect_values(fit.model), effect_values(robot)
+    fitted = effect_values(fit.model)
+    known = effect_values(robot)
     names = [p.name for p in effect.parameters(robot)]
     columns = [(fitted[name], known.get(name, 0.0), fit.std[name]) for name in names]
     value, given, std = np.array(columns).T

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from excitant.analysis.candidates import TOLERANCE, Observed, gain_root, gather, observed
+from excitant.analysis.candidates import (
+    TOLERANCE,
+    Observed,
+    gain_root,
+    gather,
+    observed,
+)
 from excitant.analysis.confirmation import (
     FLOOR,
     Extender,
@@ -71,14 +77,24 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NO_PLAN = Plan()
-_GAINS_OFF = 1.0  # standard deviation of the logarithm of a gain from what bodies alone show
-_LEAST_GAIN, _NEAR = 0.2, 0.5  # of the gain assumed: least that is believed, that ends the search
+# standard deviation of the logarithm of a gain from what bodies alone show
+_GAINS_OFF = 1.0
+_LEAST_GAIN = 0.2  # of the gain assumed: least that is believed
+_NEAR = 0.5  # that ends the search
 _LACKS = 0.5  # of the friction found: a model with less lacks it
-_MINOR = 0.05  # of what friction explains: a part whose rivals do not matter to the whole
+# of what friction explains: a part whose rivals do not matter to the whole
+_MINOR = 0.05
 _LITTLE = 0.01  # of the squared error: a round that gains less is the last
 _SHOWN = 7  # causes, beyond which slight ones are told in a note
 _HARDLY_OFF = "what it changes is known no better than by half of its size"
-_COLUMNS = ("joints", "sentence", "verdict", "explained", "holdout.rms_before", "holdout.rms_after")
+_COLUMNS = (
+    "joints",
+    "sentence",
+    "verdict",
+    "explained",
+    "holdout.rms_before",
+    "holdout.rms_after",
+)
 _ROUNDS = 5  # of the search at most, as effects may depend on the model that it finds
 
 
@@ -143,7 +159,9 @@ class Diagnosis(Shown):
     @cached_property
     def forward(self) -> Forward:
         """Both models simulated forward over short windows of the hold-out."""
-        return forward(self.robot, self.extension.model, self.data.validate, self.held.gains)
+        return forward(
+            self.robot, self.extension.model, self.data.validate, self.held.gains
+        )
 
     @cached_property
     def headline(self) -> str:
@@ -158,14 +176,20 @@ class Diagnosis(Shown):
     @cached_property
     def bare(self) -> frozenset[str]:
         """Joints of which the given model has less than half the friction, if they are most."""
-        robot, known = self.robot, [e for e in self.robot.effects if e.family == "friction"]
-        rms, nothing = self.held.series.rms, np.zeros_like(self.held.simulated)
-        given = sum((self.held.observed.columns(e) @ np.array(e.values) for e in known), nothing)
+        robot = self.robot
+        known = [e for e in self.robot.effects if e.family == "friction"]
+        rms = self.held.series.rms
+        nothing = np.zeros_like(self.held.simulated)
+        given = sum(
+            (self.held.observed.columns(e) @ np.array(e.values) for e in known), nothing
+        )
         found = [f for f in self.findings if f.effect.family == "friction"]
         more = sum((f.torque for f in found), nothing)
         where = {joint for f in found for joint in f.effect.joints}
         lacking = rms(given / self.held.gains) < _LACKS * rms(more)
-        bare = where & {joint for joint, yes in zip(robot.joints, lacking, strict=True) if yes}
+        bare = where & {
+            joint for joint, yes in zip(robot.joints, lacking, strict=True) if yes
+        }
         return frozenset(bare if 2 * len(bare) > robot.nv > 2 else ())
 
     @cached_property
@@ -175,7 +199,9 @@ class Diagnosis(Shown):
         Of more than seven, those that are too slight to be told from what larger causes leave are
         in the notes instead.
         """
-        return [g for k, g in enumerate(self._all_groups) if k < _SHOWN or not _slight(g)]
+        return [
+            g for k, g in enumerate(self._all_groups) if k < _SHOWN or not _slight(g)
+        ]
 
     @property
     def _too_slight(self) -> str:
@@ -185,7 +211,9 @@ class Diagnosis(Shown):
             for group in self._all_groups[_SHOWN:]
             if _slight(group)
         ]
-        said = f"Too slight to be told from what larger causes leave: {'; '.join(names)}."
+        said = (
+            f"Too slight to be told from what larger causes leave: {'; '.join(names)}."
+        )
         return said if names else ""
 
     @cached_property
@@ -196,20 +224,30 @@ class Diagnosis(Shown):
             key = effect.name, finding.verdict, effect.jointwise or effect.joints
             missing = effect.family == "friction" and {*effect.joints} <= self.bare
             turns = self.robot.revolute[finding.joint]
-            groups.setdefault((turns, "friction" if missing else key), []).append(finding)
-        return sorted(groups.values(), key=lambda group: -sum(f.explained for f in group))
+            groups.setdefault((turns, "friction" if missing else key), []).append(
+                finding
+            )
+        return sorted(
+            groups.values(), key=lambda group: -sum(f.explained for f in group)
+        )
 
     @cached_property
     def ordered(self) -> list[list[Finding] | list[Residual]]:
         """Groups of findings by their gain, the set-up first, and what is left visibly."""
-        known = () if self.set_up is None else (*self.set_up.faults, *self.set_up.effects)
+        known = (
+            () if self.set_up is None else (*self.set_up.faults, *self.set_up.effects)
+        )
         first = {(effect.name, joint) for effect in known for joint in effect.joints}
         items = list[tuple[float, list[Finding] | list[Residual]]]()
         for group in self.groups:
             lead = group[0].effect
             of_set_up = (lead.name, lead.joints[0]) in first
-            items.append((np.inf if of_set_up else sum(f.explained for f in group), group))
-        if left := sorted((r for r in self.residuals if r.visible), key=self.share_of)[::-1]:
+            items.append(
+                (np.inf if of_set_up else sum(f.explained for f in group), group)
+            )
+        if left := sorted((r for r in self.residuals if r.visible), key=self.share_of)[
+            ::-1
+        ]:
             items.append((sum(map(self.share_of, left)), left))
         return [item for _, item in sorted(items, key=lambda pair: -pair[0])]
 
@@ -244,12 +282,16 @@ class Diagnosis(Shown):
 
     def before_and_after(self, group: Sequence[Finding]) -> tuple[float, float]:
         """Rms error on the hold-out without and with a cause, over its joints of one unit."""
-        robot, rms = self.robot, self.held.series.rms
+        robot = self.robot
+        rms = self.held.series.rms
         joints = list({j for f in group for j in f.effect.affected(robot)})
-        alike = [j for j in joints if robot.revolute[j] == robot.revolute[group[0].joint]]
+        alike = [
+            j for j in joints if robot.revolute[j] == robot.revolute[group[0].joint]
+        ]
         torque = np.sum([f.torque for f in group], axis=0)
         before, after = (
-            float(np.sqrt((rms(e)[alike] ** 2).mean())) for e in (self.left + torque, self.left)
+            float(np.sqrt((rms(e)[alike] ** 2).mean()))
+            for e in (self.left + torque, self.left)
         )
         return before, after
 
@@ -266,17 +308,33 @@ class Diagnosis(Shown):
             "headline": self.headline,
             "unit": self.unit(),
             "cutoff_hz": self.data.cutoff_hz,
-            **({"drive_gain_Nm_per_A": None} if self.drive is None else self.drive.result()),
+            **(
+                {"drive_gain_Nm_per_A": None}
+                if self.drive is None
+                else self.drive.result()
+            ),
             "holdout": self.data.holdout,
             "simulation": {"joints": self._joints(self.simulation)},
             "faults": [],
             "findings": [
                 entry
-                | {"figure": {"x_label": curve.x_label, "y_label": y, "joint": joints[curve.joint]}}
-                for entry, curve, y in zip(self._findings(plan), self.curves, labels, strict=True)
+                | {
+                    "figure": {
+                        "x_label": curve.x_label,
+                        "y_label": y,
+                        "joint": joints[curve.joint],
+                    }
+                }
+                for entry, curve, y in zip(
+                    self._findings(plan), self.curves, labels, strict=True
+                )
             ],
             "unexplained": [
-                {"joint": left.joint, "share": float(np.clip(1 - r2, 0, 1)), **left.unexplained()}
+                {
+                    "joint": left.joint,
+                    "share": float(np.clip(1 - r2, 0, 1)),
+                    **left.unexplained(),
+                }
                 for left, r2 in zip(self.residuals, self.extended.r2, strict=True)
             ],
             "extended": {"joints": self._joints(self.extended)},
@@ -288,7 +346,9 @@ class Diagnosis(Shown):
             },
             "refit": self._refit(),
             "forward": self._forward(),
-            "waterfall": [{"label": label, "rms": size} for label, size in self.waterfall],
+            "waterfall": [
+                {"label": label, "rms": size} for label, size in self.waterfall
+            ],
             "notes": [note for note in notes if note],
         }
 
@@ -308,7 +368,9 @@ class Diagnosis(Shown):
 
     def _findings(self, plan: Plan) -> list[dict[str, Any]]:
         return [
-            _cause(self, group, plan) if (group := causes(item)) else _unknown(self, left_of(item))
+            _cause(self, group, plan)
+            if (group := causes(item))
+            else _unknown(self, left_of(item))
             for item in self.ordered
         ]
 
@@ -317,7 +379,10 @@ class Diagnosis(Shown):
         return data_frame(self._findings(_NO_PLAN), "effect", _COLUMNS)
 
     def _joints(self, accuracy: Accuracy) -> list[dict[str, Any]]:
-        return [{"name": joint, **accuracy.entry(j)} for j, joint in enumerate(self.robot.joints)]
+        return [
+            {"name": joint, **accuracy.entry(j)}
+            for j, joint in enumerate(self.robot.joints)
+        ]
 
     def _refit(self) -> dict[str, Any]:
         try:
@@ -325,8 +390,14 @@ class Diagnosis(Shown):
         except ExcitantError as error:
             return {"sentence": f"Re-fitting the inertias alone failed: {error}"}
         bodies = [f.effect for f in self.findings if f.effect.role != "torque"]
-        wrong = {self.robot.links[row] for effect in bodies for row in effect.rows(self.robot)}
-        said = found.sentence(self.robot.joints, self.unit(), bool(self.findings), wrong)
+        wrong = {
+            self.robot.links[row]
+            for effect in bodies
+            for row in effect.rows(self.robot)
+        }
+        said = found.sentence(
+            self.robot.joints, self.unit(), bool(self.findings), wrong
+        )
         return {"sentence": said, **found.result(self.robot.joints)}
 
     def _forward(self) -> dict[str, Any]:
@@ -336,7 +407,10 @@ class Diagnosis(Shown):
             return {"joints": [], "notes": [f"Forward simulation failed: {error}"]}
 
     def _lines(self) -> list[str]:
-        errors = (share(float(np.nanmedian(x.nrmse))) for x in (self.simulation, self.extended))
+        errors = (
+            share(float(np.nanmedian(x.nrmse)))
+            for x in (self.simulation, self.extended)
+        )
         count = f"{len(self.findings)} finding{'s' * (len(self.findings) != 1)}"
         return [
             f"Errors of the model of {self.robot.name} by cause: {count}",
@@ -346,17 +420,26 @@ class Diagnosis(Shown):
 
     def _table(self) -> Table:
         rows = [
-            (f.effect.name, ", ".join(f.effect.joints), f.verdict, f.rms_before, f.rms_after)
+            (
+                f.effect.name,
+                ", ".join(f.effect.joints),
+                f.verdict,
+                f.rms_before,
+                f.rms_after,
+            )
             for f in self.findings
         ]
         heads = ("cause", "joints", "verdict", "rms error without it", "with it")
         return heads, rows
 
 
-def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[str, Any]:
+def _cause(
+    diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan
+) -> dict[str, Any]:
     """One cause at some joints; friction of several kinds with each kind as a part."""
     kinds = list(dict.fromkeys(f.effect.name for f in group))
-    robot, several = diagnosis.robot, len(kinds) > 1
+    robot = diagnosis.robot
+    several = len(kinds) > 1
     before, after = diagnosis.before_and_after(group)
     whole = sum(f.explained for f in group)
     rivals = {
@@ -369,9 +452,13 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[s
     named = all(f.verdict == "named" for f in group) or (several and not rivals)
     entry = {
         "effect": "friction" if several else kinds[0],
-        "joints": list(dict.fromkeys(joint for f in group for joint in f.effect.joints)),
+        "joints": list(
+            dict.fromkeys(joint for f in group for joint in f.effect.joints)
+        ),
         "sentence": sentence(group, diagnosis),
-        "parameters": [entry for f in group for entry in _parameters(f, robot, diagnosis.drive)],
+        "parameters": [
+            entry for f in group for entry in _parameters(f, robot, diagnosis.drive)
+        ],
         "explained": whole,
         "holdout": {"rms_before": before, "rms_after": after},
         "unit": diagnosis.unit(group[0].joint),
@@ -398,7 +485,9 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> dict[s
     return entry
 
 
-def _parameters(found: Finding, robot: Robot, drive: DriveGains | None) -> Iterator[dict[str, Any]]:
+def _parameters(
+    found: Finding, robot: Robot, drive: DriveGains | None
+) -> Iterator[dict[str, Any]]:
     rows = zip(
         found.effect.parameters(robot),
         found.effect.values or (),
@@ -410,12 +499,16 @@ def _parameters(found: Finding, robot: Robot, drive: DriveGains | None) -> Itera
     for p, value, given, std, gains in rows:
         factor, unit = told(p, robot, drive)
         spread = float(np.sqrt(std**2 - (factor != 1) * gains**2)) * factor
-        yield {"name": p.name, "value": factor * value, "given": factor * given, "unit": unit} | {
-            "std": spread
-        }
+        yield {
+            "name": p.name,
+            "value": factor * value,
+            "given": factor * given,
+            "unit": unit,
+        } | {"std": spread}
     for s in found.effect.shapes:
         if s.positive and not s.trial:
-            name, value = f"{found.effect.joints[0]}.{s.name}", getattr(found.effect, s.name)
+            name = f"{found.effect.joints[0]}.{s.name}"
+            value = getattr(found.effect, s.name)
             unit = found.effect.shape_unit(robot, s)
             yield {"name": name, "value": value, "std": None, "unit": unit}
 
@@ -461,14 +554,18 @@ def diagnose(
         BadRobot: Links without mass.
     """
     given = robot = as_robot(robot)
-    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
+    recordings = as_recordings(recordings, robot)
+    validate = as_recordings(validate, robot)
     prior = prior_parameters(robot)
     warn_of_faults(given, recordings)
     mounted, amended = set_up(given, recordings, validate)
-    fitted, unseen = amended[: len(recordings)], amended[len(recordings) :]
+    fitted = amended[: len(recordings)]
+    unseen = amended[len(recordings) :]
     data = split(fitted, unseen, cutoff_hz)
-    measured, robot = series(data.train).measured, mounted.robot
-    notes, drive = [data.holdout, *mounted.notes], data.drive
+    measured = series(data.train).measured
+    robot = mounted.robot
+    notes = [data.holdout, *mounted.notes]
+    drive = data.drive
     train = observed(robot, data.train)
     if data.unit == "A":
         usual = standard_effects(robot.joints)
@@ -484,7 +581,8 @@ def diagnose(
         drive = _regained(robot, train, tau, prior, drive)
     if drive is not None:
         notes.append(drive.sentence(robot.joints))
-    gains, doubt = gains_of(robot, data, drive), None if drive is None else drive.covariance
+    gains = gains_of(robot, data, drive)
+    doubt = None if drive is None else drive.covariance
     tau = measured * gains
     held = held_out(robot, data.validate, gains, given)
     evidence = gather(robot, train, tau, prior, gains=doubt)
@@ -498,30 +596,45 @@ def diagnose(
     if held.worse(fit.predicted, held.mounted):
         fit = unextended(fit.evidence, held)
     error = held.series.measured - fit.predicted
-    errors = residuals(robot.joints, data.validate, held.given, held.given, held.simulated)
+    errors = residuals(
+        robot.joints, data.validate, held.given, held.given, held.simulated
+    )
     left = residuals(robot.joints, data.validate, error, held.given, fit.predicted)
     paying = [
-        replace(finding, rivals=tuple(rivals(fit.evidence, robot, fit.chosen, candidate)))
+        replace(
+            finding, rivals=tuple(rivals(fit.evidence, robot, fit.chosen, candidate))
+        )
         for finding, candidate in zip(fit.findings, fit.chosen, strict=True)
         if finding.pays
     ]
     if (off := off_bodies(robot, fit, held)) is not None:
         paying.append(off)
     paying += off_effects(robot, fit, held)
-    paying = [f for f in (_with_gains(each, robot, drive) for each in paying) if not f.as_given]
+    paying = [
+        f
+        for f in (_with_gains(each, robot, drive) for each in paying)
+        if not f.as_given
+    ]
     off_by = TOLERANCE * max(1.0, fit.evidence.tolerance[0])
-    first_of_all = [_of_set_up(mounted, effect, fit, held) for effect in mounted.effects]
+    first_of_all = [
+        _of_set_up(mounted, effect, fit, held) for effect in mounted.effects
+    ]
     if mounted.faults:
         raw = split(recordings, validate, data.cutoff_hz).validate
         first_of_all = [*_of_faults(mounted, raw, fit, held), *first_of_all]
     first_of_all = [
-        replace(f, rivals=mounted.rivals, downgrade=_HARDLY_OFF if f.near_given else f.downgrade)
+        replace(
+            f,
+            rivals=mounted.rivals,
+            downgrade=_HARDLY_OFF if f.near_given else f.downgrade,
+        )
         for f in first_of_all
     ]
     judged = first_of_all + [
         replace(
             f,
-            downgrade=f.downgrade or reason_to_downgrade(robot, f, paying, left, off_by),
+            downgrade=f.downgrade
+            or reason_to_downgrade(robot, f, paying, left, off_by),
         )
         for f in sorted(paying, key=lambda f: -f.explained)
     ]
@@ -543,16 +656,24 @@ def _regained(
     before = drive.covariance + _GAINS_OFF**2 * np.diag(
         [joint not in bare for joint in robot.joints]
     )
-    root, gains = gain_root(before), drive.gains
+    root = gain_root(before)
+    gains = drive.gains
     for _ in range(_ROUNDS):
         scaled = tau * (gains / drive.gains)
-        evidence, chosen = select(gather(robot, train, scaled, prior, gains=before), robot)
+        evidence, chosen = select(
+            gather(robot, train, scaled, prior, gains=before), robot
+        )
         x, covariance = evidence.solve(chosen)
         off = 1 + root @ x[evidence.gains]
         gains = gains / np.maximum(off, _LEAST_GAIN)
         if (off > _NEAR).all():
             break
-    known = root @ covariance[np.ix_(evidence.gains, evidence.gains)] @ root.T / np.outer(off, off)
+    known = (
+        root
+        @ covariance[np.ix_(evidence.gains, evidence.gains)]
+        @ root.T
+        / np.outer(off, off)
+    )
     return replace(drive, gains=gains, covariance=known)
 
 
@@ -562,11 +683,16 @@ def _slight(group: Sequence[Finding]) -> bool:
     return open_ and sum(f.explained for f in group) < TOLERANCE**2
 
 
-def _of_set_up(mounted: SetUp, effect: Effect, fit: Extension, held: HeldOut) -> Finding:
+def _of_set_up(
+    mounted: SetUp, effect: Effect, fit: Extension, held: HeldOut
+) -> Finding:
     """The finding of a change of mounting or zero position."""
     model = mounted.without(effect, fit.model)
-    torque = fit.predicted - predicted_torque(model, held.observed.segments) / held.gains
-    given, std = (0.0,) * len(effect.values or ()), mounted.std_of(effect)
+    torque = (
+        fit.predicted - predicted_torque(model, held.observed.segments) / held.gains
+    )
+    given = (0.0,) * len(effect.values or ())
+    std = mounted.std_of(effect)
     return finding_of(mounted.robot, fit, held, effect, torque, given, std)
 
 
@@ -599,28 +725,43 @@ def _by_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Array
     if drive is None:
         return 0 * size
     effect = finding.effect
-    own = [robot.joint_index(joint) for joint in effect.joints if effect.role == "torque"]
-    spread = max(np.sqrt(drive.covariance[j, j]) for j in own) if own else drive.scale_std
+    own = [
+        robot.joint_index(joint) for joint in effect.joints if effect.role == "torque"
+    ]
+    spread = (
+        max(np.sqrt(drive.covariance[j, j]) for j in own) if own else drive.scale_std
+    )
     return np.asarray(spread * size, float)
 
 
 def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extension:
     """The model with the causes that the hold-out confirms, searched for again with that model."""
-    held, robot = first.held, first.train.robot
+    held = first.held
+    robot = first.train.robot
     best: Extension | None = None
-    extender, evidence = first, first.evidence
+    extender = first
+    evidence = first.evidence
     for _ in range(_ROUNDS):
         if best is not None:
             train = extender.train.by(best.model, keep=idle(evidence, best.chosen))
-            evidence = gather(robot, train, first.tau, first.prior, best.chosen, gains=first.gains)
+            evidence = gather(
+                robot, train, first.tau, first.prior, best.chosen, gains=first.gains
+            )
             extender = replace(first, train=train, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, refuted)
         fit = confirmed(replace(extender, evidence=evidence), chosen)
         if best is not None and held.worse(fit.predicted, best.predicted, FLOOR):
             break
-        before, best = best, fit
-        same = before is not None and {c.key for c in before.chosen} == {c.key for c in fit.chosen}
-        if before is not None and same and not held.worse(before.predicted, fit.predicted, _LITTLE):
+        before = best
+        best = fit
+        same = before is not None and {c.key for c in before.chosen} == {
+            c.key for c in fit.chosen
+        }
+        if (
+            before is not None
+            and same
+            and not held.worse(before.predicted, fit.predicted, _LITTLE)
+        ):
             break
         if not any(c.effect.depends_on_model or c.effect.shapes for c in fit.chosen):
             break
@@ -631,10 +772,13 @@ def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extensi
 def _waterfall(
     held: HeldOut, extended: Array, findings: Sequence[Finding]
 ) -> tuple[tuple[str, float], ...]:
-    steps, errors = ["given model"], [held.given]
+    steps = ["given model"]
+    errors = [held.given]
     for finding in findings:
         errors.append(errors[-1] - finding.torque)
-        steps.append(f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}")
+        steps.append(
+            f"+ {plain(finding.effect.name)} at {', '.join(finding.effect.joints)}"
+        )
     rms = np.array([held.series.rms(error) for error in (*errors, extended)])
     sizes = np.sqrt(((rms / rms[0]) ** 2).mean(axis=1))
     return tuple(zip([*steps, "all re-identified"], sizes.tolist(), strict=True))

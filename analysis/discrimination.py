@@ -35,7 +35,8 @@ from excitant.robots.robot import Robot
 if TYPE_CHECKING:
     from excitant.design import FourierTrajectory
 
-POWER, LEVEL = 0.9, 0.05
+POWER = 0.9
+LEVEL = 0.05
 MOST_RUNS = 10
 _ALIKE_LEVEL = 0.001  # where signatures are alike, for which `diagnose` is stricter
 _LOOSE = 1e-9  # prior precision of free coefficients, relative to their information
@@ -49,12 +50,16 @@ class Separation:
 
     delta: float  # Δ in squared standard deviations of the noise
     cosine: float  # between one cause's torque and its best imitation by the other
-    repetitions: int | None  # runs until `diagnose` decides; None where `MOST_RUNS` are too few
+    repetitions: (
+        int | None
+    )  # runs until `diagnose` decides; None where `MOST_RUNS` are too few
 
     @property
     def enough(self) -> bool:
         """Whether `diagnose` decides, at a stricter level where both still look alike."""
-        return self.delta >= needed(level=_ALIKE_LEVEL if self.cosine > ALIKE else LEVEL)
+        return self.delta >= needed(
+            level=_ALIKE_LEVEL if self.cosine > ALIKE else LEVEL
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +68,9 @@ class Pair:
 
     found: Effect  # its values relative to those of the given model
     rival: Effect  # its values are ignored
-    beside: tuple[Effect, ...] = ()  # further causes, whose coefficients the data decide
+    beside: tuple[
+        Effect, ...
+    ] = ()  # further causes, whose coefficients the data decide
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +78,9 @@ class Contest:
     """Pairs of rival causes of one arm, to be separated by a further motion."""
 
     robot: Robot  # as given, its values correct within their tolerance
-    model: Robot  # of the diagnosis; causes that depend on torque take that of this model
+    model: (
+        Robot  # of the diagnosis; causes that depend on torque take that of this model
+    )
     pairs: tuple[Pair, ...]
     weight: Array  # Λ: 1 / (variance × autocorrelation time) of each joint's noise, shape (nv,)
     cutoff_hz: float = 10.0  # of the filter that torque and columns pass
@@ -81,7 +90,9 @@ class Contest:
     @cached_property
     def causes(self) -> dict[Effect, slice]:
         """Columns of all causes in all their shapes, after those of the given values."""
-        start = 10 * self.robot.nv + sum(len(e.values or ()) for e in self.robot.effects)
+        start = 10 * self.robot.nv + sum(
+            len(e.values or ()) for e in self.robot.effects
+        )
         columns: dict[Effect, slice] = {}
         for pair in self.pairs:
             shapes = *self._shapes(pair.found), *self._shapes(pair.rival)
@@ -113,7 +124,8 @@ class Contest:
         R, floor = _without_given(self.known, self.precision)
         found = []
         for pair in self.pairs:
-            at, beside = self._indices(pair.found), self._beside(pair)
+            at = self._indices(pair.found)
+            beside = self._beside(pair)
             b = R[:, at] @ np.array(pair.found.values)
             both = [*beside, *self._indices(pair.rival)]
             found.append(_explaining(R, floor, both, b)[len(beside) :])
@@ -172,7 +184,13 @@ class Contest:
         return [replace(s, repetitions=n) for s, n in zip(once, runs, strict=True)]
 
     def _apart(
-        self, R: Array, floor: Array, beside: list[int], true: Effect, value: Array, other: Effect
+        self,
+        R: Array,
+        floor: Array,
+        beside: list[int],
+        true: Effect,
+        value: Array,
+        other: Effect,
     ) -> Separation:
         at = self._indices(true)
         b = R[:, at] @ value
@@ -188,10 +206,13 @@ class Contest:
         return Separation(left, cosine, repetitions(left))
 
     def _shapes(self, effect: Effect) -> list[Effect]:
-        return effect.alternatives(self._facts[self.robot.joint_index(effect.joints[0])])
+        return effect.alternatives(
+            self._facts[self.robot.joint_index(effect.joints[0])]
+        )
 
     def _indices(self, effect: Effect) -> list[int]:
-        at, skip = self.causes[effect.bare()], len(self.precision)
+        at = self.causes[effect.bare()]
+        skip = len(self.precision)
         return list(range(at.start - skip, at.stop - skip))
 
     def _beside(self, pair: Pair) -> list[int]:
@@ -202,7 +223,9 @@ class Contest:
         # a joint rests while it is slow relative to its recorded motion
         parts = list(self._parts(segments))
         names = [str(k) for k in range(sum(part.values.shape[2] for part in parts))]
-        counts = away_from_rest(segments, top_speed(self.recorded) if self.recorded else 0.0)
+        counts = away_from_rest(
+            segments, top_speed(self.recorded) if self.recorded else 0.0
+        )
         problem = dense(parts, np.zeros(counts.shape), names, counts)
         return problem.gram(self.weight)[:-1, :-1]
 
@@ -213,7 +236,9 @@ class Contest:
         yield ActingColumns.of(links) @ self._metric
         for effect in self.robot.effects:
             size = np.maximum(np.abs(np.array(effect.values or ())), 1e-9)
-            yield cause_columns(effect, given, understood) @ np.diag(self.tolerance * size)
+            yield cause_columns(effect, given, understood) @ np.diag(
+                self.tolerance * size
+            )
         for effect in self.causes:
             yield cause_columns(effect, given, understood)
 
@@ -226,7 +251,8 @@ class Contest:
 
 def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Segment:
     """Segment of an equidistant motion, at four rows per period of the cut-off by default."""
-    step, still = float(motion.t[1] - motion.t[0]), np.zeros_like(motion.q)
+    step = float(motion.t[1] - motion.t[0])
+    still = np.zeros_like(motion.q)
     edge = round(1 / (cutoff_hz * step))
     stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))
     keep = slice(edge, len(motion) - edge, stride)
@@ -252,7 +278,9 @@ def _without_given(information: Array, precision: Array) -> tuple[Array, Array]:
     """Information on causes with the given values eliminated, and its rounding error."""
     p = len(precision)
     A = information[:p, :p] + np.diag(precision)
-    half = scipy.linalg.solve_triangular(np.linalg.cholesky(A), information[:p, p:], lower=True)
+    half = scipy.linalg.solve_triangular(
+        np.linalg.cholesky(A), information[:p, p:], lower=True
+    )
     floor = 1e-10 * np.maximum(np.diag(information)[p:], 1e-12)
     return information[p:, p:] - half.T @ half, floor
 
@@ -274,7 +302,8 @@ class Advice:
     """Experiment that decides between two rivals, with the names of ``result.json``."""
 
     experiment: str  # what to do, as a sentence
-    separation: float | None = None  # expected, in standard deviations; None for an action
+    # expected, in standard deviations; None for an action
+    separation: float | None = None
     repetitions: int | None = None  # runs that are needed
     file: str | None = None  # motion to run
 
@@ -284,7 +313,9 @@ class Plan:
     """Experiments that decide an undecided diagnosis; general actions when empty."""
 
     experiments: Mapping[Key, Advice] = field(default_factory=dict)
-    motions: tuple[FourierTrajectory, ...] = ()  # in the order of their files separate-1, …
+    motions: tuple[
+        FourierTrajectory, ...
+    ] = ()  # in the order of their files separate-1, …
 
     def of(self, found: Effect, rival: Effect) -> Advice:
         """Experiment for a pair; the general action where no motion was looked for."""

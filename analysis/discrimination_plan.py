@@ -12,7 +12,15 @@ import numpy as np
 
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.discrimination import Advice, Contest, Pair, Plan, Separation, key, needed
+from excitant.analysis.discrimination import (
+    Advice,
+    Contest,
+    Pair,
+    Plan,
+    Separation,
+    key,
+    needed,
+)
 from excitant.analysis.selection import is_plain_friction
 from excitant.design import CLEARANCE, FourierTrajectory, random_trajectory
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
@@ -29,9 +37,11 @@ from excitant.robots.threads import on_one_thread
 _MATTERS = 0.01  # share of the given model's error that a finding explains, at least
 _DURATION = 20.0  # s of a motion
 _MOST = 3  # motions
-_NEAREST = 0.01  # m: where the recording comes nearer, the collision shapes are too rough
+# m: where the recording comes nearer, the collision shapes are too rough
+_NEAREST = 0.01
 HOPELESS = 4.0  # Δ below which no motion is worth running
-_SCREENED, _REFINED = 48, 48  # motions judged, at most
+_SCREENED = 48  # motions judged
+_REFINED = 48  # at most
 _SCREENING = 0.5  # of the time, at most
 _PLENTY = 6.0  # times the Δ required: more is of no use
 _MUCH_BETTER = 1.5  # times a motion's Δ that another one must promise to be run too
@@ -39,7 +49,8 @@ _TOP_HZ = 2.5  # fastest reversals
 _WAVES = (3, 5, 10, 20)  # harmonics of random motions
 _HELD = 0.5  # probability that a joint of no interest is held
 _SMALLEST = 0.01  # of the limits: smallest movement of a joint of interest
-_SHRINKS, _DRAWS = 6, 8
+_SHRINKS = 6
+_DRAWS = 8
 _TORQUE_SHARE = 0.98
 _ROOM = 0.97  # of the limits at the samples
 _POSES = 60  # checked for clearance before it is certified
@@ -74,11 +85,14 @@ def discriminating_motions(
     """
     deadline = time.monotonic() + time_limit
     series = FourierSeries(_DURATION, max(*_WAVES, round(_TOP_HZ * _DURATION)))
-    robot = _within_recording(contest.robot, [segment.motion for segment in contest.recorded])
+    robot = _within_recording(
+        contest.robot, [segment.motion for segment in contest.recorded]
+    )
     search = _Search(contest, robot, series, scene, rng)
     pool = search.screened(time.monotonic() + _SCREENING * time_limit)
     highest = np.max([np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0)
-    open_, motions = highest > HOPELESS, list[Discriminating]()
+    open_ = highest > HOPELESS
+    motions = list[Discriminating]()
     while open_.any() and len(motions) < _MOST:
         best = search.best(pool, open_)
         served = open_ & (best.deltas > HOPELESS) if best is not None else open_ & False
@@ -118,7 +132,9 @@ class _Search:
         """Motions of all kinds in turn, judged; those that cannot meet the limits are left out."""
         pool: list[Discriminating] = []
         for k in range(_SCREENED):
-            drawn = self._sweep() if k % 4 else self._random(_WAVES[k // 4 % len(_WAVES)])
+            drawn = (
+                self._sweep() if k % 4 else self._random(_WAVES[k // 4 % len(_WAVES)])
+            )
             if drawn is not None:
                 pool.append(self.judged(drawn))
             if pool and time.monotonic() > until:
@@ -137,13 +153,19 @@ class _Search:
     def best(self, pool: list[Discriminating], open_: Array) -> Discriminating | None:
         """The motion of a pool that best separates the open pairs within the limits."""
         for motion in sorted(pool, key=lambda m: -_worth(m.deltas[open_])):
-            if self._clear(motion.trajectory) and self._kept(motion.trajectory) is not None:
+            if (
+                self._clear(motion.trajectory)
+                and self._kept(motion.trajectory) is not None
+            ):
                 return motion
         return None
 
-    def improved(self, motion: Discriminating, served: Array, until: float) -> Discriminating:
+    def improved(
+        self, motion: Discriminating, served: Array, until: float
+    ) -> Discriminating:
         """A motion whose smallest Δ among the pairs it serves is larger, by random changes."""
-        step, steps = 0.5, [motion]
+        step = 0.5
+        steps = [motion]
         for _ in range(_REFINED):
             least = motion.deltas[served].min()
             if least > _PLENTY * needed() or time.monotonic() > until:
@@ -151,7 +173,8 @@ class _Search:
             changed = self._changed(motion.trajectory, step)
             other = None if changed is None else self.judged(changed)
             if other is not None and other.deltas[served].min() > least:
-                motion, step = other, min(1.5 * step, 1.0)
+                motion = other
+                step = min(1.5 * step, 1.0)
                 steps.append(motion)
             else:
                 step = max(0.85 * step, 0.05)
@@ -177,8 +200,10 @@ class _Search:
         except Infeasible:
             return None
         X = np.zeros((series.size, self.robot.nv))
-        X[0], first = drawn.offset, 1 + series.harmonics
-        X[1 : 1 + harmonics], X[first : first + harmonics] = drawn.cosine, drawn.sine
+        X[0] = drawn.offset
+        first = 1 + series.harmonics
+        X[1 : 1 + harmonics] = drawn.cosine
+        X[first : first + harmonics] = drawn.sine
         return from_coefficients(X, series.period)
 
     @property
@@ -209,16 +234,26 @@ class _Search:
                 return found
         return None
 
-    def _changed(self, trajectory: FourierTrajectory, step: float) -> FourierTrajectory | None:
-        series, rng = self.series, self.rng
-        X, half = trajectory.coefficients.copy(), position_range(self.robot.limits)[1]
-        pose = X[0] + step * 0.3 * half * rng.normal(size=self.robot.nv) * (rng.uniform() < 0.5)
+    def _changed(
+        self, trajectory: FourierTrajectory, step: float
+    ) -> FourierTrajectory | None:
+        series = self.series
+        rng = self.rng
+        X = trajectory.coefficients.copy()
+        half = position_range(self.robot.limits)[1]
+        pose = X[0] + step * 0.3 * half * rng.normal(size=self.robot.nv) * (
+            rng.uniform() < 0.5
+        )
         X[0] = 0.0
         for j in range(self.robot.nv):
             if rng.uniform() < 0.5:
                 X[:, j] *= np.exp(step * rng.normal())
             if rng.uniform() < 0.3:
-                fresh = _envelope(series, rng) if rng.uniform() < 0.5 else _wave(series, rng)
+                fresh = (
+                    _envelope(series, rng)
+                    if rng.uniform() < 0.5
+                    else _wave(series, rng)
+                )
                 X[:, j] += step * rng.uniform() * np.linalg.norm(X[:, j]) * fresh
         return self._fitted(X, pose)
 
@@ -238,7 +273,9 @@ class _Search:
         X = X * (np.minimum(room, 1.0) if share is None else share * room)
         for _ in range(_SHRINKS):
             whole = X + self.series.constant(pose)
-            use = torque_use(self.robot, Motion(t, *(basis @ whole for basis in bases[:3])))
+            use = torque_use(
+                self.robot, Motion(t, *(basis @ whole for basis in bases[:3]))
+            )
             if use.max() <= _TORQUE_SHARE:
                 found = from_coefficients(whole, self.series.period)
                 return found if self._clear(found) else None
@@ -260,7 +297,9 @@ def _envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
     k = min(round(float(np.exp(rng.uniform(np.log(2), np.log(max(top, 3)))))), top)
     n = 4 * series.harmonics + 4
     angle = 2 * np.pi * np.arange(n) / n
-    values = ((1 - np.cos(angle)) / 2) ** p * np.cos(k * angle + rng.uniform(0, 2 * np.pi))
+    values = ((1 - np.cos(angle)) / 2) ** p * np.cos(
+        k * angle + rng.uniform(0, 2 * np.pi)
+    )
     spectrum = np.fft.rfft(values)[1 : series.harmonics + 1] * 2 / n
     return _at_rest(series, np.concatenate([[0.0], spectrum.real, -spectrum.imag]))
 
@@ -284,7 +323,10 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
     limits = robot.limits
     if not recorded:
         return robot
-    low, high = (f(np.array([f(m.q, axis=0) for m in recorded]), axis=0) for f in (np.min, np.max))
+    low, high = (
+        f(np.array([f(m.q, axis=0) for m in recorded]), axis=0)
+        for f in (np.min, np.max)
+    )
     speed, push = (
         np.max([np.abs(getattr(m, name)).max(axis=0) for m in recorded], axis=0)
         for name in ("dq", "ddq")
@@ -294,24 +336,33 @@ def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
         limits,
         position=np.where(bounded, limits.position, np.column_stack([low, high])),
         velocity=np.where(np.isfinite(limits.velocity), limits.velocity, speed),
-        acceleration=np.where(np.isfinite(limits.acceleration), limits.acceleration, push),
+        acceleration=np.where(
+            np.isfinite(limits.acceleration), limits.acceleration, push
+        ),
     )
     return robot.with_limits(known)
 
 
 @on_one_thread
-def plan(diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = np.inf) -> Plan:
+def plan(
+    diagnosis: Diagnosis, rng: np.random.Generator, *, time_limit: float = np.inf
+) -> Plan:
     """Experiments that settle an undecided diagnosis; see `discriminating_motions`."""
-    contest, around = _contest(diagnosis), _surroundings(diagnosis)
+    contest = _contest(diagnosis)
+    around = _surroundings(diagnosis)
     if not contest.pairs:
         return Plan()
     motions = list[Discriminating]()
     with suppress(Infeasible):
-        motions, _ = discriminating_motions(contest, rng, time_limit=time_limit, scene=around)
+        motions, _ = discriminating_motions(
+            contest, rng, time_limit=time_limit, scene=around
+        )
     chosen = [_best(motions, index) for index in range(len(contest.pairs))]
     used = sorted((m for m in motions if m in chosen), key=lambda m: -chosen.count(m))
     found = {
-        key(pair.found, pair.rival): _experiment(diagnosis.robot, pair, index, best, used)
+        key(pair.found, pair.rival): _experiment(
+            diagnosis.robot, pair, index, best, used
+        )
         for index, (pair, best) in enumerate(zip(contest.pairs, chosen, strict=True))
     }
     return Plan(found, tuple(motion.trajectory for motion in used))
@@ -336,16 +387,23 @@ def _contest(diagnosis: Diagnosis) -> Contest:
 
 
 def _pairs(diagnosis: Diagnosis, finding: Finding) -> list[Pair]:
-    robot, own = diagnosis.robot, finding.effect
+    robot = diagnosis.robot
+    own = finding.effect
     others = [f.effect for f in diagnosis.findings if f is not finding]
     added = np.array(own.values or ()) - np.array(finding.given)
     return [
-        Pair(own.with_values(added), rival, (*others, *_friction(robot, own, rival, others)))
+        Pair(
+            own.with_values(added),
+            rival,
+            (*others, *_friction(robot, own, rival, others)),
+        )
         for rival in (r.candidate.effect for r in finding.rivals)
     ]
 
 
-def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effect]) -> list[Effect]:
+def _friction(
+    robot: Robot, found: Effect, rival: Effect, others: Sequence[Effect]
+) -> list[Effect]:
     known = {(e.name, j) for e in (*robot.effects, *others) for j in e.joints}
     known |= {(e.name, e.joints[0]) for e in (found, rival)}
     joints = {j for e in (found, rival) if e.family == "friction" for j in e.joints}
@@ -353,16 +411,21 @@ def _friction(robot: Robot, found: Effect, rival: Effect, others: Sequence[Effec
         effect
         for joint in robot.joints
         for effect in standard_effects((joint,))
-        if joint in joints and is_plain_friction(effect) and (effect.name, joint) not in known
+        if joint in joints
+        and is_plain_friction(effect)
+        and (effect.name, joint) not in known
     ]
 
 
 def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     """The arm's own bodies, where the recording does not contradict their shapes."""
-    q, found = diagnosis.states[0], None
+    q = diagnosis.states[0]
+    found = None
     with suppress(ValueError, RuntimeError):
         found = scene(diagnosis.robot)
-    near = found is None or found.distances(q[:: max(1, len(q) // 100)]).min() <= _NEAREST
+    near = (
+        found is None or found.distances(q[:: max(1, len(q) // 100)]).min() <= _NEAREST
+    )
     return None if near else found
 
 
@@ -380,13 +443,22 @@ def _experiment(
 ) -> Advice:
     action = pair.found.told_from(pair.rival)
     if best is None:
-        return Advice(f"no motion within the limits was found that separates them: {action}")
-    runs, deviations = best.separations[index].repetitions, np.sqrt(best.deltas[index])
+        return Advice(
+            f"no motion within the limits was found that separates them: {action}"
+        )
+    runs = best.separations[index].repetitions
+    deviations = np.sqrt(best.deltas[index])
     file = f"separate-{motions.index(best) + 1}.csv"
-    often = "one run is enough" if runs == 1 else f"{runs} runs are needed, or else: {action}"
+    often = (
+        "one run is enough"
+        if runs == 1
+        else f"{runs} runs are needed, or else: {action}"
+    )
     does = described(best.trajectory, robot)
     apart = f"separates by {deviations:.3g} standard deviations"
-    return Advice(f"run {file} ({does}): {apart}; {often}", float(deviations), runs, file)
+    return Advice(
+        f"run {file} ({does}): {apart}; {often}", float(deviations), runs, file
+    )
 
 
 def described(trajectory: FourierTrajectory, robot: Robot) -> str:
@@ -400,7 +472,11 @@ def described(trajectory: FourierTrajectory, robot: Robot) -> str:
             turns = int((np.diff(np.sign(motion.dq[1:-1, j])) != 0).sum())
             unit = "rad/s" if robot.revolute[j] else "m/s"
             often = "once" if turns == 1 else f"{turns} times"
-            parts.append(f"{robot.joints[j]} reverses {often} at up to {speed[j]:.2g} {unit}")
+            parts.append(
+                f"{robot.joints[j]} reverses {often} at up to {speed[j]:.2g} {unit}"
+            )
         return ", ".join([*parts, "the other joints held"])
     held = ", ".join(joint for j, joint in enumerate(robot.joints) if j not in moving)
-    return f"{parts[0]}, {f'{held} held, the others move' if held else 'all joints move'}"
+    return (
+        f"{parts[0]}, {f'{held} held, the others move' if held else 'all joints move'}"
+    )

@@ -39,14 +39,18 @@ _ROUNDS = 3  # of estimating the noise
 _RIDGE = 1e-3  # of a candidate's information that other blocks hold, at least
 _ROUNDING = 1e-12  # of a column, below which it cannot be told from those before
 _LEAST = 0.5  # λ at least, also where correlation of the noise favours a candidate
-_LOOSE = 1e-6  # of the prior precision, where only the noise is estimated: bodies are free
+# of the prior precision, where only the noise is estimated: bodies are free
+_LOOSE = 1e-6
 _BLOCK_S = 0.5  # s, at least: longer than the correlation time of filtered torque noise
 _BLOCKS = (16, 40)  # at least, at most
 _PARTS = 4  # of the rows, each predicted from the others
-_DETERMINED = 25.0  # least ratio of data to prior information in a direction that counts
-_FEWEST, _MANY = 4, 8  # such directions, to judge the tolerance by; to trust values more
+# least ratio of data to prior information in a direction that counts
+_DETERMINED = 25.0
+_FEWEST = 4  # such directions, to judge the tolerance by
+_MANY = 8  # to trust values more
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
-_LEAST_OFF, _MOST_OFF = 0.02, 8.0  # ends of the tolerance of given values
+_LEAST_OFF = 0.02
+_MOST_OFF = 8.0  # ends of the tolerance of given values
 _UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeholder
 
 
@@ -84,7 +88,8 @@ class Evidence:
     sigma: Array  # noise of each joint [N·m], shape (nv,)
     inflation: Array  # integrated autocorrelation time of the noise [rows], shape (nv,)
     gains: range = range(0)  # columns of the nuisance: drive gains that are not known
-    tolerance: tuple[float, float] = (1.0, 1.0)  # of given bodies and effects, relative to ±10 %
+    # of given bodies and effects, relative to ±10 %
+    tolerance: tuple[float, float] = (1.0, 1.0)
 
     @property
     def weight(self) -> Array:
@@ -115,9 +120,12 @@ class Evidence:
         """Coordinates of all columns (zero where inactive) and their covariance."""
         active = self.active(chosen)
         factor = self._root(active), True
-        coordinates, covariance = np.zeros(len(self.moment)), np.zeros_like(self.gram)
+        coordinates = np.zeros(len(self.moment))
+        covariance = np.zeros_like(self.gram)
         coordinates[active] = scipy.linalg.cho_solve(factor, self.moment[active])
-        covariance[np.ix_(active, active)] = scipy.linalg.cho_solve(factor, np.eye(len(active)))
+        covariance[np.ix_(active, active)] = scipy.linalg.cho_solve(
+            factor, np.eye(len(active))
+        )
         return coordinates, covariance
 
     def cost(self, chosen: Sequence[Candidate]) -> float:
@@ -137,7 +145,9 @@ class Evidence:
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
         active = self.active(chosen)
-        half = self._halved(active, np.column_stack([self.gram[active], self.moment[active]]))
+        half = self._halved(
+            active, np.column_stack([self.gram[active], self.moment[active]])
+        )
         half, own = half[:, :-1], half[:, -1]
         rest = self.moment - half.T @ own
         falls = np.empty(len(self.candidates))
@@ -155,13 +165,16 @@ class Evidence:
         sizes = np.array([c.size for c in self.candidates], np.intp)
         starts = np.array([c.columns.start for c in self.candidates], np.intp)
         alike = ((np.flatnonzero(sizes == k), np.arange(k)) for k in np.unique(sizes))
-        return [(of_size, starts[of_size][:, None] + columns) for of_size, columns in alike]
+        return [
+            (of_size, starts[of_size][:, None] + columns) for of_size, columns in alike
+        ]
 
     def threshold(self, candidate: Candidate, beside: int = 0) -> float:
         """Fall of J over λ that a candidate must exceed beside others, the search accounted for."""
         # λ is estimated from the blocks and, to one half, known from theory
         alarms = FALSE_ALARM * (1 + beside if self.by_share else 1)
-        tail, size = alarms / (len(self.candidates) * candidate.trials), candidate.size
+        tail = alarms / (len(self.candidates) * candidate.trials)
+        size = candidate.size
         return size * _fisher_quantile(tail, size, 2 * size * (len(self.blocks) - 1))
 
     def dispersion(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
@@ -172,10 +185,14 @@ class Evidence:
         """
         active = self.active(chosen)
         at = np.arange(candidate.columns.start, candidate.columns.stop)
-        B = scipy.linalg.cho_solve((self._root(active), True), self.gram[np.ix_(active, at)])
+        B = scipy.linalg.cho_solve(
+            (self._root(active), True), self.gram[np.ix_(active, at)]
+        )
         coordinates = np.zeros((len(self.moment), len(at)))
-        coordinates[at], coordinates[active] = np.eye(len(at)), -B
-        S, e = self.problem.torque(coordinates), self.left([*chosen, candidate])
+        coordinates[at] = np.eye(len(at))
+        coordinates[active] = -B
+        S = self.problem.torque(coordinates)
+        e = self.left([*chosen, candidate])
         weighted = S * self.weight[:, None]
         scores = np.add.reduceat(np.einsum("njk,nj->nk", weighted, e), self.blocks)
         grams = np.add.reduceat(np.einsum("njk,njl->nkl", weighted, S), self.blocks)
@@ -204,12 +221,18 @@ class Evidence:
         squares = (self.left(chosen) ** 2 * self.weight).sum(axis=1)
         return np.asarray(np.add.reduceat(squares, self.blocks), float)
 
-    def separate_joints(self, chosen: Sequence[Candidate], cause: Candidate) -> tuple[float, int]:
+    def separate_joints(
+        self, chosen: Sequence[Candidate], cause: Candidate
+    ) -> tuple[float, int]:
         """Fall of J when each joint has its own coefficients of a cause, and their extra number."""
         active = self.active(chosen)
-        grams, crosses, moments, used = [], [], [], set[int]()
+        grams = []
+        crosses = []
+        moments = []
+        used = set[int]()
         for j, here in self.acting(cause):
-            at, weight = self.problem.index[j], self.weight[j]
+            at = self.problem.index[j]
+            weight = self.weight[j]
             G = weight * self.problem.grams[j]
             cross = np.zeros((len(self.moment), len(here)))
             cross[at] = G[:-1, here]
@@ -224,23 +247,31 @@ class Evidence:
         known = scipy.linalg.cho_solve((self._root(active), True), right)
         left = np.concatenate(moments) - cross.T @ known[:, -1]
         G = scipy.linalg.block_diag(*grams) - cross.T @ known[:, :-1]
-        return float(left @ np.linalg.lstsq(G, left, rcond=1e-9)[0]), len(left) - len(used)
+        return float(left @ np.linalg.lstsq(G, left, rcond=1e-9)[0]), len(left) - len(
+            used
+        )
 
     def acting(self, cause: Candidate) -> Iterator[tuple[int, Index]]:
         """Joints on which a cause acts, each with the indices of its columns among the joint's."""
         for j, at in enumerate(self.problem.index):
-            here = np.flatnonzero((at >= cause.columns.start) & (at < cause.columns.stop))
+            here = np.flatnonzero(
+                (at >= cause.columns.start) & (at < cause.columns.stop)
+            )
             if len(here):
                 yield j, here
 
     def active(self, chosen: Sequence[Candidate]) -> Index:
         """Active columns of a set: those of the nuisance and of its candidates."""
         columns = (slice(0, self.nuisance), *(c.columns for c in chosen))
-        return np.concatenate([np.arange(s.start, s.stop, dtype=np.intp) for s in columns])
+        return np.concatenate(
+            [np.arange(s.start, s.stop, dtype=np.intp) for s in columns]
+        )
 
     def _root(self, active: Index) -> Array:
         """L of L Lᵀ, the information of active columns."""
-        return _root(self.gram[np.ix_(active, active)] + np.diag(self.precision[active]))
+        return _root(
+            self.gram[np.ix_(active, active)] + np.diag(self.precision[active])
+        )
 
     @cached_property
     def _nuisance_root(self) -> Array:
@@ -281,11 +312,14 @@ def cross_validation(
     the rows, so that what is fitted to some of the motion must hold for the rest (Stone 1974).
     """
     active = evidence.active(chosen)
-    problem, place = evidence.problem.select(active.tolist()), np.full(evidence.problem.p, -1)
+    problem = evidence.problem.select(active.tolist())
+    place = np.full(evidence.problem.p, -1)
     place[active] = np.arange(len(active))
     bounds = itertools.pairwise([*evidence.blocks, None])
     blocks = [problem.at(slice(begin, end)) for begin, end in bounds]
-    grams = [np.array(each) for each in zip(*(block.grams for block in blocks), strict=True)]
+    grams = [
+        np.array(each) for each in zip(*(block.grams for block in blocks), strict=True)
+    ]
     whole = np.array([block.gram(evidence.weight) for block in blocks])
     folds = np.array_split(np.arange(len(blocks)), _PARTS)
     others = [np.delete(whole, fold, axis=0).sum(axis=0) for fold in folds]
@@ -294,9 +328,12 @@ def cross_validation(
         used = place[evidence.active(subset)]
         found = np.empty((len(blocks), problem.nv))
         for fold, total in zip(folds, others, strict=True):
-            root = _root(total[np.ix_(used, used)] + np.diag(evidence.precision[active[used]]))
+            root = _root(
+                total[np.ix_(used, used)] + np.diag(evidence.precision[active[used]])
+            )
             left = np.zeros(problem.p + 1)
-            left[used], left[-1] = -scipy.linalg.cho_solve((root, True), total[used, -1]), 1.0
+            left[used] = -scipy.linalg.cho_solve((root, True), total[used, -1])
+            left[-1] = 1.0
             for j, weight in enumerate(evidence.weight):
                 own = left[np.append(problem.index[j], problem.p)]
                 found[fold, j] = weight * (grams[j][fold] @ own) @ own
@@ -322,7 +359,15 @@ def weigh(
     blocks = np.linspace(0, n, count, endpoint=False).astype(np.intp)
     noise = _noise(problem.tau, counted)
     first = Evidence(
-        problem, counted, precision, nuisance, tuple(candidates), blocks, by_share, *noise, gains
+        problem,
+        counted,
+        precision,
+        nuisance,
+        tuple(candidates),
+        blocks,
+        by_share,
+        *noise,
+        gains,
     )
     return reweighed(first, [])
 
@@ -332,12 +377,18 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
 
     It has every usual cause at once and loose given values, so that no cause is taken for noise.
     """
-    rough = [*chosen, *(c for c in evidence.candidates if c.effect.usual and c not in chosen)]
-    active, problem = evidence.active(rough), evidence.problem
+    rough = [
+        *chosen,
+        *(c for c in evidence.candidates if c.effect.usual and c not in chosen),
+    ]
+    active = evidence.active(rough)
+    problem = evidence.problem
     loose = _LOOSE * np.diag(evidence.precision[active])
     coordinates = np.zeros(problem.p)
     for _ in range(_ROUNDS):
-        products = problem.gram(evidence.weight, active)  # of these columns alone, which is quick
+        products = problem.gram(
+            evidence.weight, active
+        )  # of these columns alone, which is quick
         root = _root(products[:-1, :-1] + loose), True
         coordinates[active] = scipy.linalg.cho_solve(root, products[:-1, -1])
         sigma, inflation = _noise(problem.residual(coordinates), evidence.counted)
@@ -388,15 +439,19 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
 
     The median of squares: a few values may be any. Few directions do not make it smaller than 1.
     """
-    given = {(effect.name, joint) for effect in robot.effects for joint in effect.joints}
+    given = {
+        (effect.name, joint) for effect in robot.effects for joint in effect.joints
+    }
     usual = [  # what joints have is left free, but not as what is given twice
         c
         for c in evidence.candidates
-        if c.effect.usual and not {(c.effect.name, joint) for joint in c.effect.joints} <= given
+        if c.effect.usual
+        and not {(c.effect.name, joint) for joint in c.effect.joints} <= given
     ]
     others = np.setdiff1d(evidence.active(usual), part)
     A = evidence.gram + np.diag(evidence.precision)
-    H, m = evidence.gram[np.ix_(part, part)], evidence.moment[part]
+    H = evidence.gram[np.ix_(part, part)]
+    m = evidence.moment[part]
     if len(others):
         root = _root(A[np.ix_(others, others)]), True
         cross = scipy.linalg.cho_solve(root, evidence.gram[np.ix_(others, part)])

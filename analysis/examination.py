@@ -24,7 +24,8 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 _SAME = 0.05  # of the error: a model that gains no more is not worth a change
-_STANDS_OUT, _SEEN = 2.0, 0.1  # times the median of the joints, and nrmse: an error worth a word
+_STANDS_OUT = 2.0  # times the median of the joints
+_SEEN = 0.1  # and nrmse: an error worth a word
 _POOR = 0.5  # nrmse from which on it is said that a joint is hardly predicted
 _NAMED = 3  # effects that are said to be lacking in a file
 _COMPLETE = {"identified": "model.yaml", "extended": "extended.yaml"}
@@ -74,8 +75,13 @@ class Examination:
         about as well as any. None, where the recordings are wrong, or only the given one is left
         and the mean torque predicts a joint better.
         """
-        errors = {name: float(np.nansum(a.nrmse)) for name, a in self.accuracies.items()}
-        kept = ["given", *(n for n, each in self.publications.items() if each.published)]
+        errors = {
+            name: float(np.nansum(a.nrmse)) for name, a in self.accuracies.items()
+        }
+        kept = [
+            "given",
+            *(n for n, each in self.publications.items() if each.published),
+        ]
         useless = bool((self.accuracies["given"].nrmse > 1).any())
         if self.wrong or (len(kept) == 1 and useless):
             return ""
@@ -85,7 +91,11 @@ class Examination:
     @property
     def files(self) -> dict[str, str]:
         """Files of the models that are published, by name."""
-        return {n: text for each in self.publications.values() for n, text in each.files.items()}
+        return {
+            n: text
+            for each in self.publications.values()
+            for n, text in each.files.items()
+        }
 
     @property
     def sentences(self) -> list[str]:
@@ -94,14 +104,22 @@ class Examination:
             return ["The recordings are wrong, and so is what they say of any model."]
         given, identified, extended = map(self._misses, self.accuracies.values())
         cause = main_cause(self.diagnosis, self.results["diagnose"]["findings"])
-        advice = "Keep the given model: no other is better" if self.use else "Use none of them"
+        advice = (
+            "Keep the given model: no other is better"
+            if self.use
+            else "Use none of them"
+        )
         if self.recommended:
             few = self._lacking[:_NAMED] + ["and more"] * (len(self._lacking) > _NAMED)
             missed = self.accuracies[self.use].nrmse > _POOR
-            poor = [j for j, yes in zip(self.check.robot.joints, missed, strict=True) if yes]
+            poor = [
+                j for j, yes in zip(self.check.robot.joints, missed, strict=True) if yes
+            ]
             advice = f"Use {self.recommended[0]}"
             advice += (
-                f", except at {', '.join(poor)}, where it misses more than half" if poor else ""
+                f", except at {', '.join(poor)}, where it misses more than half"
+                if poor
+                else ""
             )
             advice += f"; {self.use}.urdf lacks {', '.join(few)}" if few else ""
         return [
@@ -113,8 +131,10 @@ class Examination:
 
     def _misses(self, found: Accuracy) -> str:
         """The error of a model in words, with that of a joint which stands out."""
-        median, worst = float(np.nanmedian(found.nrmse)), int(np.nanargmax(found.nrmse))
-        joint, most = self.check.robot.joints[worst], float(found.nrmse[worst])
+        median = float(np.nanmedian(found.nrmse))
+        worst = int(np.nanargmax(found.nrmse))
+        joint = self.check.robot.joints[worst]
+        most = float(found.nrmse[worst])
         stands_out = most > max(_STANDS_OUT * median, _SEEN)
         return f"{percent(median)} %" + f" ({joint}: {percent(most)} %)" * stands_out
 
@@ -153,9 +173,18 @@ class Examination:
     @property
     def _lacking(self) -> list[str]:
         """Effects of the model to use that its URDF cannot hold, in words."""
-        models = {"identified": self.estimate.model, "extended": self.diagnosis.extension.model}
-        own = [e for e in models[self.use].effects if e.role == "torque" and any(e.values or ())]
-        return list(dict.fromkeys(plain(e.name) for e in own if "urdf" not in e.formats))
+        models = {
+            "identified": self.estimate.model,
+            "extended": self.diagnosis.extension.model,
+        }
+        own = [
+            e
+            for e in models[self.use].effects
+            if e.role == "torque" and any(e.values or ())
+        ]
+        return list(
+            dict.fromkeys(plain(e.name) for e in own if "urdf" not in e.formats)
+        )
 
     @cached_property
     def results(self) -> dict[str, dict[str, Any]]:
@@ -172,7 +201,9 @@ class Examination:
     def result(self) -> dict[str, Any]:
         """Contents of result.json."""
         findings = self.results["diagnose"]["findings"]
-        lead = findings[0] if findings else {"effect": None, "joints": [], "verdict": None}
+        lead = (
+            findings[0] if findings else {"effect": None, "joints": [], "verdict": None}
+        )
         return {
             "verb": "go",
             "robot": self.check.robot.name,
@@ -191,7 +222,9 @@ class Examination:
     def series(self) -> dict[str, Array]:
         """Arrays of the commands' figures, by ``command/key``."""
         series = {verb: noun.series() for verb, noun in self._nouns.items()}
-        return {f"{verb}/{key}": a for verb, own in series.items() for key, a in own.items()}
+        return {
+            f"{verb}/{key}": a for verb, own in series.items() for key, a in own.items()
+        }
 
 
 def examine(

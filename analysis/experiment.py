@@ -57,7 +57,8 @@ STEP = 0.2  # perturbation of the prior, relative to a link's inertia in any dir
 _NOTHING = 0.01  # of a parameter's uncertainty: a kind that reaches less is ignored
 _DRAWS = 8  # perturbations in the null space, and random ones
 _RESTS = 0.01  # rad or m: a joint that moves less than this rests
-_FLAT = 1e-3  # of the prior's second moment in some direction: at the limit of consistency
+# of the prior's second moment in some direction: at the limit of consistency
+_FLAT = 1e-3
 
 Response = Callable[[Array], Array]
 """Change of the estimate, shape (p,), when the prior is changed by δ, shape (p,)."""
@@ -79,13 +80,17 @@ class Prior:
     def posterior_std(self, R: Array) -> Array:
         """Standard deviation of each parameter after data, constraints ignored, shape (p,)."""
         s, Vt = self.directions(R)
-        return np.asarray(np.linalg.norm(self.L @ Vt.T / np.sqrt(1 + s**2), axis=1), float)
+        return np.asarray(
+            np.linalg.norm(self.L @ Vt.T / np.sqrt(1 + s**2), axis=1), float
+        )
 
     def stretches(self, w: Array) -> Array:
         """Eigenvalues of P̄⁻¹ P − 1 of each link, P̄ that of the prior, ascending, (links, 4)."""
         change = pseudo_inertia((self.L @ w)[: 10 * self.links].reshape(-1, 10))
         roots = np.linalg.inv(np.linalg.cholesky(self.bodies))
-        return np.asarray(np.linalg.eigvalsh(roots @ change @ roots.swapaxes(1, 2)), float)
+        return np.asarray(
+            np.linalg.eigvalsh(roots @ change @ roots.swapaxes(1, 2)), float
+        )
 
     @property
     def bodies(self) -> Array:
@@ -94,7 +99,9 @@ class Prior:
 
     def size(self, w: Array) -> float:
         """Largest relative change of any link in any direction, or of an effect in its std."""
-        return float(np.abs(np.append(self.stretches(w), w[10 * self.links :])).max(initial=0.0))
+        return float(
+            np.abs(np.append(self.stretches(w), w[10 * self.links :])).max(initial=0.0)
+        )
 
     def at_limit(self, x: Array) -> tuple[int, ...]:
         """Links of x, shape (p,), at the limit of physical consistency: almost flat or thin."""
@@ -103,7 +110,9 @@ class Prior:
         return tuple(int(k) for k in np.flatnonzero(smallest < _FLAT))
 
 
-def prior_of(phi: Array, effects: EffectPrior, sigma: float | Array = PRIOR_SIGMA) -> Prior:
+def prior_of(
+    phi: Array, effects: EffectPrior, sigma: float | Array = PRIOR_SIGMA
+) -> Prior:
     """The prior of `fit_physical`, of consistent standard parameters, shape (links, 10)."""
     _, J = BodyPrior(phi, sigma).quadratic(phi.ravel())
     root = np.linalg.inv(np.linalg.qr(J, mode="r"))
@@ -116,9 +125,13 @@ class PriorInfluence:
     """Sensitivity of each parameter to the prior, by kind of perturbation (`KINDS`)."""
 
     ratio: Array  # change of each parameter over that of its prior, (3, p); NaN where that is 0
-    reach: Array  # share of each parameter's prior uncertainty that a kind reaches, (3, p)
+    reach: (
+        Array  # share of each parameter's prior uncertainty that a kind reaches, (3, p)
+    )
     linear: Array  # ratio without the constraints of physical consistency, shape (3, p)
-    base_move: Array  # largest change of each base parameter, in standard deviations, (r,)
+    base_move: (
+        Array  # largest change of each base parameter, in standard deviations, (r,)
+    )
     refits: int  # number of refits; 0 where the change follows from linear theory
 
     @property
@@ -153,21 +166,31 @@ def prior_influence(
     """
     s, Vt = prior.directions(information.R)
     silent = s <= UNSEEN * s.max(initial=0.0)
-    null, weak, p = Vt[silent], Vt[~silent][-WEAKEST:], len(prior.mean)
+    null = Vt[silent]
+    weak = Vt[~silent][-WEAKEST:]
+    p = len(prior.mean)
     steps = {  # projected, so that they do not depend on the basis of the null space
-        "null space": [rng.normal(size=p) @ null.T @ null for _ in range(_DRAWS) if len(null)],
+        "null space": [
+            rng.normal(size=p) @ null.T @ null for _ in range(_DRAWS) if len(null)
+        ],
         "weakly seen": list(weak),
         "random": [_random_bodies(prior, rng) for _ in range(_DRAWS)],
     }
     ratio, linear, reach = (np.full((len(KINDS), p), np.nan) for _ in range(3))
-    base_move, base_std = np.zeros(len(regrouping)), information.std(np.eye(len(regrouping)))
+    base_move = np.zeros(len(regrouping))
+    base_std = information.std(np.eye(len(regrouping)))
     for k, kind in enumerate(KINDS):
         w = np.array([STEP * w / prior.size(w) for w in steps[kind]]).reshape(-1, p)
-        given, free = w @ prior.L.T, (w @ Vt.T / (1 + s**2)) @ Vt @ prior.L.T
-        moves = free if response is None else np.array([response(delta) for delta in given])
+        given = w @ prior.L.T
+        free = (w @ Vt.T / (1 + s**2)) @ Vt @ prior.L.T
+        moves = (
+            free if response is None else np.array([response(delta) for delta in given])
+        )
         moves = moves.reshape(-1, p)
         ratio[k], linear[k] = (_ratio(each, given, prior) for each in (moves, free))
-        relative = np.abs(moves @ regrouping.T) / np.where(base_std > 0, base_std, np.inf)
+        relative = np.abs(moves @ regrouping.T) / np.where(
+            base_std > 0, base_std, np.inf
+        )
         base_move = np.maximum(base_move, relative.max(axis=0, initial=0.0))
     reach[:2] = [reached(prior.L, part, x, prior.links) for part in (null, weak)]
     reach[0, silent_columns(information.R)] = 1.0
@@ -180,7 +203,8 @@ def prior_influence(
 def _ratio(moves: Array, given: Array, prior: Prior) -> Array:
     """Change of parameters over that of their prior; NaN where that is unchanged, (p,)."""
     got, size = (np.sqrt((values**2).sum(axis=0)) for values in (moves, given))
-    unmoved, std = np.full(len(size), np.nan), np.linalg.norm(prior.L, axis=1)
+    unmoved = np.full(len(size), np.nan)
+    std = np.linalg.norm(prior.L, axis=1)
     return np.asarray(np.divide(got, size, out=unmoved, where=size > 1e-9 * std), float)
 
 
@@ -198,13 +222,17 @@ def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
 def refits(estimate: Estimate, rows: FitRows) -> Response:
     """Response of an estimate to another prior by a refit, in the metric of the original one."""
     R, z = rows.regression.factor(estimate.least_squares.weight)
-    phi, effects = estimate.prior.reshape(-1, 10), rows.open_prior
-    links, given = phi.size, estimate.physical.prior
+    phi = estimate.prior.reshape(-1, 10)
+    effects = rows.open_prior
+    links = phi.size
+    given = estimate.physical.prior
 
     def moved(delta: Array) -> Array:
         other = replace(effects, mean=effects.mean + delta[links:])
         prior = replace(given, bodies=phi + delta[:links].reshape(-1, 10), metric=phi)
-        found = fit_physical(R, z, prior, other, estimate.knowledge, estimate.given.links)
+        found = fit_physical(
+            R, z, prior, other, estimate.knowledge, estimate.given.links
+        )
         return np.asarray(found.x - estimate.physical.x, float)
 
     return moved
@@ -220,13 +248,17 @@ class Experiment:
     known: tuple[bool, ...]  # which of them are known
     beta: Array  # values of the base parameters, shape (r,)
     prior: Prior | None  # knowledge without data; None where a link has no mass
-    std: Array | None  # standard deviation of each parameter as told, prior included, shape (p,)
+    std: (
+        Array | None
+    )  # standard deviation of each parameter as told, prior included, shape (p,)
     influence: PriorInfluence | None
     motion: Motion  # or the longest stretch of a recording
     q: Array  # positions at all rows, shape (n, nv) [rad or m]
     basis: str  # where the standard deviations come from, as a sentence
     notes: Sequence[str] = ()
-    told: Sequence[tuple[float, str]] = ()  # factor and unit of each parameter, if not its own
+    told: Sequence[
+        tuple[float, str]
+    ] = ()  # factor and unit of each parameter, if not its own
 
     @property
     def resting(self) -> tuple[int, ...]:
@@ -245,18 +277,28 @@ def planned_experiment(
     """A motion to judge before it is run, torque measured at the joints of ``rows``."""
     sigma = torque_noise(robot, noise)[rows]
     W = observation_columns(robot, effects, motion)[:, rows]
-    seen, known = motion_information(base, W, sigma), known_values(robot, effects)
+    seen = motion_information(base, W, sigma)
+    known = known_values(robot, effects)
     x = np.array([value or 0.0 for value in known])
     notes: list[str] = []
-    prior, influence = None, None
+    prior = None
+    influence = None
     try:
-        size = implausible_size(W[:, :, 10 * robot.nv :], torque(robot, motion)[:, rows])
+        size = implausible_size(
+            W[:, :, 10 * robot.nv :], torque(robot, motion)[:, rows]
+        )
         nothing = EffectPrior(np.zeros_like(size), size, np.full_like(size, -np.inf))
         prior = prior_of(prior_parameters(robot), nothing)
-        influence = prior_influence(seen, base.regrouping, prior, x, np.random.default_rng(0))
+        influence = prior_influence(
+            seen, base.regrouping, prior, x, np.random.default_rng(0)
+        )
     except BadRobot as error:
         notes.append(f"the prior is left out: {error.why}")
-    how = "as given" if noise is not None else f"of {100 * TORQUE_NOISE:g} % of each limit"
+    how = (
+        "as given"
+        if noise is not None
+        else f"of {100 * TORQUE_NOISE:g} % of each limit"
+    )
     return Experiment(
         sigma=sigma,
         information=seen,
@@ -274,16 +316,23 @@ def planned_experiment(
 
 
 def recorded_experiment(
-    robot: Robot, base: BaseParameters, estimate: Estimate, rng: np.random.Generator | None = None
+    robot: Robot,
+    base: BaseParameters,
+    estimate: Estimate,
+    rng: np.random.Generator | None = None,
 ) -> Experiment:
     """Experiment of an estimate; with a generator, the prior's influence is from refits."""
-    fit, effects = estimate.least_squares, estimate.model.effects
+    fit = estimate.least_squares
+    effects = estimate.model.effects
     rows = _clean(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)
     complete = estimate.base.columns == base.columns
     seen = motion_information(base, rows.W, sigma, fit.covariance if complete else None)
-    prior = prior_of(estimate.prior.reshape(-1, 10), rows.open_prior, estimate.physical.prior.sigma)
-    x, response = estimate.physical.x, None if rng is None else refits(estimate, rows)
+    prior = prior_of(
+        estimate.prior.reshape(-1, 10), rows.open_prior, estimate.physical.prior.sigma
+    )
+    x = estimate.physical.x
+    response = None if rng is None else refits(estimate, rows)
     draws = np.random.default_rng(0) if rng is None else rng
     influence = prior_influence(seen, base.regrouping, prior, x, draws, response)
     notes = []
@@ -340,7 +389,9 @@ def identify_shown(
     data = split(recordings, validate, cutoff_hz)
     used = certain_rows(effects, robot.joints, data.train)
     W = without_rounding(regression_of(robot, effects, data.train).counting(used).W)
-    rows = _clean(fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data))
+    rows = _clean(
+        fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data)
+    )
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
     known = Knowledge().of(robot)

@@ -44,8 +44,11 @@ def reason_to_downgrade(
 
     The given bodies have a relative standard deviation ``tolerance``.
     """
-    effect, torque = found.effect, found.torque
-    gains = {j for f in (found, *others) if f.effect.of_given_torque for j in f.effect.joints}
+    effect = found.effect
+    torque = found.torque
+    gains = {
+        j for f in (found, *others) if f.effect.of_given_torque for j in f.effect.joints
+    }
     several_gains = effect.of_given_torque and 2 * len(gains) > robot.nv
     if several_gains and np.abs(effect.values or 0.0).max() < _COMMON * tolerance:
         return "given masses that are all off by one factor would look the same"
@@ -54,8 +57,12 @@ def reason_to_downgrade(
         return f"models are hardly better than to {small}, which it makes"
     # noise of positions makes such torque too, which unseen data take back
     asked = found.asked
-    if effect.depends_on_model and 1 - asked.size > max(TOLERANCE, DEVIATIONS * asked.error):
-        return f"unseen data show {asked.size:.2f} ± {asked.error:.2g} times as much of it"
+    if effect.depends_on_model and 1 - asked.size > max(
+        TOLERANCE, DEVIATIONS * asked.error
+    ):
+        return (
+            f"unseen data show {asked.size:.2f} ± {asked.error:.2g} times as much of it"
+        )
     # a cause on several joints has to explain them all, so a smaller residual counts
     several = bool(torque.any(axis=0).sum() > 1)
     scale = np.array([r.floor for r in left])
@@ -77,11 +84,14 @@ def reason_to_downgrade(
     for other in others:
         if other is found:
             continue
-        name, same = plain(other.effect.name), {*effect.joints} <= {*other.effect.joints}
+        name = plain(other.effect.name)
+        same = {*effect.joints} <= {*other.effect.joints}
         if _taken_back(found, other):
             return f"it and {name} mostly take each other back"
         if same and other.effect.shapes and found.explained < _SMALL * other.explained:
-            return f"it is small compared with {name}, whose shape is only roughly known"
+            return (
+                f"it is small compared with {name}, whose shape is only roughly known"
+            )
         if same and _SMALL * found.explained < other.explained:
             if effect.is_friction_curve and other.effect.is_friction_curve:
                 return f"it shares the friction curve of the joint with {name}"
@@ -96,7 +106,8 @@ def _taken_back(one: Finding, other: Finding) -> bool:
     if apart or "torque" not in (one.effect.role, other.effect.role):
         return False
     both, *each = (
-        float((x**2).sum()) for x in (one.torque + other.torque, one.torque, other.torque)
+        float((x**2).sum())
+        for x in (one.torque + other.torque, one.torque, other.torque)
     )
     return both < _LEFT * min(each)
 
@@ -116,12 +127,15 @@ def at_rest(diagnosis: Diagnosis) -> str:
     """Note on joints whose error lies mostly at rest, which is not judged; else empty."""
     said = []
     for j, left in enumerate(diagnosis.residuals):
-        squares, rests = diagnosis.left[:, j] ** 2, ~diagnosis.held.series.moves[:, j]
+        squares = diagnosis.left[:, j] ** 2
+        rests = ~diagnosis.held.series.moves[:, j]
         if squares[rests].sum() <= _MOSTLY * squares.sum():
             continue
         rms = float(np.sqrt(squares[rests].mean()))
         if rms > _PLAINLY * left.floor:
-            said.append(f"{left.joint} has an error of {rms:.2g} {diagnosis.unit(j)} at rest")
+            said.append(
+                f"{left.joint} has an error of {rms:.2g} {diagnosis.unit(j)} at rest"
+            )
     if not said:
         return ""
     return (
@@ -137,8 +151,14 @@ def shared_friction(diagnosis: Diagnosis) -> str:
     for f in diagnosis.findings:
         for joint in f.effect.joints if f.effect.role == "torque" else ():
             found.setdefault(joint, []).append(f.effect.name)
-    beside = {joint: [n for n in names if n not in usual] for joint, names in found.items()}
-    shared = [joint for joint, more in beside.items() if more and set(found[joint]) - set(more)]
+    beside = {
+        joint: [n for n in names if n not in usual] for joint, names in found.items()
+    }
+    shared = [
+        joint
+        for joint, more in beside.items()
+        if more and set(found[joint]) - set(more)
+    ]
     if not shared:
         return ""
     names = dict.fromkeys(plain(name) for joint in shared for name in beside[joint])
@@ -159,10 +179,16 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"{nothing} {at_rest(diagnosis)}".rstrip()
     if not (lead := causes(order[0])):
         return unexplained(left_of(order[0]), diagnosis)
-    more = f" {len(order) - 1} more finding{'s' * (len(order) > 2)} below." if order[1:] else ""
+    more = (
+        f" {len(order) - 1} more finding{'s' * (len(order) > 2)} below."
+        if order[1:]
+        else ""
+    )
     if unknown := placeholders(diagnosis):
         apart = _apart_from("inertias", diagnosis.groups, diagnosis)
-        return f"{unknown.partition('. ')[0]}. With {_everything(diagnosis)}{apart}{more}"
+        return (
+            f"{unknown.partition('. ')[0]}. With {_everything(diagnosis)}{apart}{more}"
+        )
     if _lacks_friction(diagnosis):
         return _no_friction(diagnosis)
     before, after = diagnosis.before_and_after(lead)
@@ -182,11 +208,15 @@ def main_cause(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> s
         return "none that is known"
     if unknown := placeholders(diagnosis).partition(", which")[0]:
         return f"{unknown[0].lower()}{unknown[1:]}, as placeholders do"
-    said, joints = sentence(lead, diagnosis), findings[0]["joints"]
+    said = sentence(lead, diagnosis)
+    joints = findings[0]["joints"]
     if len(lead) > 1:
         where = "all joints" if len(joints) == diagnosis.robot.nv else ", ".join(joints)
         said = f"{plain(findings[0]['effect'])} missing or wrong at {where}"
-    rivals = [f"{plain(r['effect'])} at {', '.join(r['joints'])}" for r in findings[0]["rivals"]]
+    rivals = [
+        f"{plain(r['effect'])} at {', '.join(r['joints'])}"
+        for r in findings[0]["rivals"]
+    ]
     others = [*rivals[:1], *["more"] * (len(rivals) > 1)]
     alike = f": {' or '.join(others)} would look the same" if rivals else ""
     return f"{said} ({findings[0]['verdict']}{alike})"
@@ -211,7 +241,9 @@ def unexplained(left: Sequence[Residual], diagnosis: Diagnosis) -> str:
     """How much is left that no cause explains, joint by joint, and what it depends on."""
 
     def size(each: Residual) -> str:
-        return f"{each.rms:.2g} {diagnosis.unit(diagnosis.robot.joint_index(each.joint))}"
+        return (
+            f"{each.rms:.2g} {diagnosis.unit(diagnosis.robot.joint_index(each.joint))}"
+        )
 
     if len(left) == 1:
         (one,) = left
@@ -228,7 +260,9 @@ def unexplained(left: Sequence[Residual], diagnosis: Diagnosis) -> str:
 
 def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     """A cause in words, with its size: ± one standard deviation, or its range over joints."""
-    robot, effect, given = diagnosis.robot, group[0].effect, np.array(group[0].given)
+    robot = diagnosis.robot
+    effect = group[0].effect
+    given = np.array(group[0].given)
     kinds: dict[str, list[Finding]] = {}
     for f in group:
         kinds.setdefault(f.effect.name, []).append(f)
@@ -240,7 +274,9 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     parameters = effect.parameters(robot)
     if not parameters:  # a fault of the data
         return effect.sentence(robot, joints, ())
-    factors, units = zip(*(told(p, robot, diagnosis.drive) for p in parameters), strict=True)
+    factors, units = zip(
+        *(told(p, robot, diagnosis.drive) for p in parameters), strict=True
+    )
     effect = effect.with_values((np.array(effect.values) * factors).tolist())
     said = effect.sentence(robot, joints, (given * factors).tolist())
     for p, unit in zip(parameters, units, strict=True):
@@ -250,23 +286,33 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     if effect.name == "gravity_direction":
         spread = ", ".join(f"{std:.2g}" for std in group[0].std)
         return said.replace(") m/s²", f") ± ({spread}) m/s²")
-    for value, std, factor in zip(effect.values or (), group[0].std, factors, strict=True):
+    for value, std, factor in zip(
+        effect.values or (), group[0].std, factors, strict=True
+    ):
         number = re.escape(f"{value:.3g}")
         said = re.sub(
-            rf"(?<![\w.±-]){number}(?![\w.])", f"{value:.3g} ± {std * factor:.2g}", said, count=1
+            rf"(?<![\w.±-]){number}(?![\w.])",
+            f"{value:.3g} ± {std * factor:.2g}",
+            said,
+            count=1,
         )
     return said
 
 
 def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     """One effect of several joints: the range of its first coefficient, and at which."""
-    robot, lead = diagnosis.robot, group[0].effect
-    factors = [told(f.effect.parameters(robot)[0], robot, diagnosis.drive) for f in group]
+    robot = diagnosis.robot
+    lead = group[0].effect
+    factors = [
+        told(f.effect.parameters(robot)[0], robot, diagnosis.drive) for f in group
+    ]
     sizes = [
         abs((f.effect.values or (0.0,))[0] * factor)
         for f, (factor, _) in zip(group, factors, strict=True)
     ]
-    low, high, unit = f"{min(sizes):.2g}", f"{max(sizes):.2g}", factors[0][1].removeprefix("1")
+    low = f"{min(sizes):.2g}"
+    high = f"{max(sizes):.2g}"
+    unit = factors[0][1].removeprefix("1")
     size = " ".join(filter(None, [low if low == high else f"{low} to {high}", unit]))
     joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
     few = f" at {', '.join(joints)}" if 2 * len(joints) <= robot.nv else ""
@@ -311,16 +357,24 @@ def _no_friction(diagnosis: Diagnosis) -> str:
     named = ", ".join(kinds[:3]) + (" and more" if len(kinds) > 3 else "")
     nv = diagnosis.robot.nv
     where = "all" if len(joints) == nv else f"{len(joints)} of {nv}"
-    has = "has little" if any(e.family == "friction" for e in diagnosis.robot.effects) else "has no"
+    has = (
+        "has little"
+        if any(e.family == "friction" for e in diagnosis.robot.effects)
+        else "has no"
+    )
     said = (
         f"The given model {has} friction, and {where} joints have it ({named}); "
         f"with {_everything(diagnosis)}"
     )
-    others = [g for g in groups if g[0].effect.family != "friction" and g[0].explained > 0]
+    others = [
+        g for g in groups if g[0].effect.family != "friction" and g[0].explained > 0
+    ]
     return said + _apart_from("friction", others, diagnosis)
 
 
-def _apart_from(known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diagnosis) -> str:
+def _apart_from(
+    known: str, groups: Sequence[Sequence[Finding]], diagnosis: Diagnosis
+) -> str:
     if not groups:
         return ""
     words = sentence(groups[0], diagnosis)
@@ -339,35 +393,49 @@ class Curve:
     x: Array  # at the rows of the hold-out, NaN where not to be shown, shape (n,)
     residual: Array  # residual there without the cause, shape (n,) [torque unit]
     fit: Array | None = None  # torque of the cause; None where there is none
-    rival: Array | None = None  # of its closest rival, fitted to the residual; None without one
+    # of its closest rival, fitted to the residual; None without one
+    rival: Array | None = None
 
 
-def curve_of(diagnosis: Diagnosis, item: Sequence[Finding] | Sequence[Residual]) -> Curve:
+def curve_of(
+    diagnosis: Diagnosis, item: Sequence[Finding] | Sequence[Residual]
+) -> Curve:
     """The figure of a group of findings, by its first, or of the largest unexplained residual."""
     moves = diagnosis.held.series.moves
     if not (group := causes(item)):
         left = left_of(item)[0]
         j = diagnosis.robot.joint_index(left.joint)
-        label, x = _abscissa(diagnosis, _DRAWN_OVER.get(left.dominant, left.dominant), j)
+        label, x = _abscissa(
+            diagnosis, _DRAWN_OVER.get(left.dominant, left.dominant), j
+        )
         return Curve(j, label, np.where(moves[:, j], x, np.nan), diagnosis.left[:, j])
     lead = group[0]
-    j, joints = lead.joint, lead.effect.rows(diagnosis.robot)
+    j = lead.joint
+    joints = lead.effect.rows(diagnosis.robot)
     other = next((k for k in joints if k != j), j)
     # all friction of a joint is one curve
     torque = np.sum([f.torque[:, j] for f in group], axis=0)
     if lead.effect.abscissa == "own torque":
-        drawn = f"torque of the fitted {plain(lead.effect.name)} [{diagnosis.unit(j)}]", torque
+        drawn = (
+            f"torque of the fitted {plain(lead.effect.name)} [{diagnosis.unit(j)}]",
+            torque,
+        )
     else:
         drawn = _abscissa(diagnosis, lead.effect.abscissa, j, other)
     label, x = lead.effect.drawn(*drawn)
-    x, residual = np.where(moves[:, j], x, np.nan), diagnosis.left[:, j] + torque
+    x = np.where(moves[:, j], x, np.nan)
+    residual = diagnosis.left[:, j] + torque
     rival = (
-        _rival(diagnosis, lead, j, residual) if len({f.effect.name for f in group}) == 1 else None
+        _rival(diagnosis, lead, j, residual)
+        if len({f.effect.name for f in group}) == 1
+        else None
     )
     return Curve(j, label, x, residual, torque, rival)
 
 
-def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> Array | None:
+def _rival(
+    diagnosis: Diagnosis, finding: Finding, j: int, residual: Array
+) -> Array | None:
     """Torque of the first rival fitted to a joint's residual, friction against friction."""
     effects = [finding.effect, *(r.candidate.effect for r in finding.rivals[:1])]
     alike = all(e.jointwise and e.family == "friction" for e in effects)
@@ -376,7 +444,9 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
     usual = standard_effects((diagnosis.robot.joints[j],))
     beside = [e for e in usual if e.joint_property in ("viscous", "offset")]
     held = diagnosis.extension.held
-    columns = np.concatenate([held.columns(e)[:, j] for e in (effects[1], *beside)], axis=1)
+    columns = np.concatenate(
+        [held.columns(e)[:, j] for e in (effects[1], *beside)], axis=1
+    )
     rows = diagnosis.held.series.moves[:, j]
     sizes = np.sqrt((columns[rows] ** 2).sum(axis=0))
     unit = columns[:, sizes > 0] / sizes[sizes > 0]
@@ -386,11 +456,17 @@ def _rival(diagnosis: Diagnosis, finding: Finding, j: int, residual: Array) -> A
     return fitted
 
 
-def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tuple[str, Array]:
-    unit, name = diagnosis.unit(j), diagnosis.robot.joints[other]
-    way_unit, far_unit = ("rad" if diagnosis.robot.revolute[k] else "m" for k in (j, other))
+def _abscissa(
+    diagnosis: Diagnosis, domain: str, j: int, other: int = 0
+) -> tuple[str, Array]:
+    unit = diagnosis.unit(j)
+    name = diagnosis.robot.joints[other]
+    way_unit, far_unit = (
+        "rad" if diagnosis.robot.revolute[k] else "m" for k in (j, other)
+    )
     q, dq, ddq = diagnosis.states
-    t, torque = diagnosis.held.series.t, diagnosis.extension.predicted[:, j]
+    t = diagnosis.held.series.t
+    torque = diagnosis.extension.predicted[:, j]
     if domain == "reversal":
         where = explanatory(diagnosis.data.validate, diagnosis.extension.predicted)
         label = f"distance since the last reversal, signed by direction [{way_unit}]"
@@ -399,9 +475,15 @@ def _abscissa(diagnosis: Diagnosis, domain: str, j: int, other: int = 0) -> tupl
         "velocity": (f"joint velocity [{way_unit}/s]", dq[:, j]),
         "other velocity": (f"velocity of {name} [{far_unit}/s]", dq[:, other]),
         "acceleration": (f"joint acceleration [{way_unit}/s²]", ddq[:, j]),
-        "other acceleration": (f"acceleration of {name} [{far_unit}/s²]", ddq[:, other]),
+        "other acceleration": (
+            f"acceleration of {name} [{far_unit}/s²]",
+            ddq[:, other],
+        ),
         "position": (f"joint position [{way_unit}]", q[:, j]),
-        "torque": (f"torque of the given model [{unit}]", diagnosis.held.simulated[:, j]),
+        "torque": (
+            f"torque of the given model [{unit}]",
+            diagnosis.held.simulated[:, j],
+        ),
         "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
         "load": (
             f"magnitude of the joint's torque, signed by direction [{unit}]",

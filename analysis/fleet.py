@@ -31,7 +31,8 @@ from excitant.robots.motion import Array
 Mask = npt.NDArray[np.bool_]
 
 CHANCE = 0.05  # of a false alarm in a fleet
-FEWEST_ARMS, FEWEST_DATES = 4, 3  # of which one can be told from the others, or a line drawn
+FEWEST_ARMS = 4  # of which one can be told from the others
+FEWEST_DATES = 3  # or a line drawn
 _ODD = 4  # of so many arms one may be odd
 _TINY = 1e-9  # of a parameter's size: a standard deviation is no less
 YEAR = 365.25  # days
@@ -149,7 +150,9 @@ class Fleet:
         """Dates [days since 1970], values and standard deviations behind each drift."""
         found: dict[str, Array] = {}
         for k, drift in enumerate(self.drifts):
-            own = [e for e in self.examined if e.arm == drift.arm and e.day and e.values]
+            own = [
+                e for e in self.examined if e.arm == drift.arm and e.day and e.values
+            ]
             rows = [
                 (_days(e.day), *e.values[drift.parameter][:2])
                 for e in own
@@ -182,7 +185,9 @@ def _notes(done: Sequence[Examined]) -> Iterator[str]:
                 f"{kind}: {len(arms)} arm{'s' * (len(arms) > 1)}; from {FEWEST_ARMS} of a type on "
                 "one can be told from the others"
             )
-        dates = max(sum(e.arm == arm and e.day is not None for e in own) for arm in arms)
+        dates = max(
+            sum(e.arm == arm and e.day is not None for e in own) for arm in arms
+        )
         if dates < FEWEST_DATES:
             yield (
                 f"{kind}: at most {dates} dated data sets of an arm; from {FEWEST_DATES} on it is "
@@ -194,15 +199,19 @@ def _notes(done: Sequence[Examined]) -> Iterator[str]:
 def compare_arms(examined: Sequence[Examined]) -> Fleet:
     """The arms of a fleet beside each other and over time."""
     groups = list(_groups([each for each in examined if each.values]))
-    chance, lines = CHANCE / 2, sum(len(group.lines) for group in groups)
-    drifts, compared = list[Drift](), list[_Group]()
+    chance = CHANCE / 2
+    lines = sum(len(group.lines) for group in groups)
+    drifts = list[Drift]()
+    compared = list[_Group]()
     for group in groups:
         own = [d for d in group.drifts(lines) if d.chance <= chance]
         steady = group.without({d.arm for d in own})
         drifts += own
         compared += [steady] * (len(steady.arms) >= FEWEST_ARMS)
     drifts.sort(key=lambda d: d.chance)
-    deviations = [d for group in compared for d in group.deviations(chance / len(compared))]
+    deviations = [
+        d for group in compared for d in group.deviations(chance / len(compared))
+    ]
     deviations.sort(key=lambda d: -d.ratio)
     return Fleet(tuple(examined), tuple(deviations), tuple(drifts))
 
@@ -251,10 +260,17 @@ class _Group:
     def without(self, arms: Set[str]) -> _Group:
         """The group without some arms."""
         names = tuple(arm for arm in self.arms if arm not in arms)
-        place = np.array([names.index(arm) if arm in names else -1 for arm in self.arms])
+        place = np.array(
+            [names.index(arm) if arm in names else -1 for arm in self.arms]
+        )
         kept = place[self.arm] >= 0
-        arm, days, x, variance = place[self.arm][kept], self.days, self.x, self.variance
-        return _Group(self.name, self.unit, names, arm, days[kept], x[kept], variance[kept])
+        arm = place[self.arm][kept]
+        days = self.days
+        x = self.x
+        variance = self.variance
+        return _Group(
+            self.name, self.unit, names, arm, days[kept], x[kept], variance[kept]
+        )
 
     def fit(self, more: float) -> _Fit:
         """Lines and means, where data sets vary by so much more than their variance says."""
@@ -265,7 +281,8 @@ class _Group:
             return np.asarray(np.bincount(self.arm, w * values, len(self.arms)), float)
 
         weight = per_arm(np.ones(len(w)))
-        mean, middle = per_arm(self.x) / weight, per_arm(days) / weight
+        mean = per_arm(self.x) / weight
+        middle = per_arm(days) / weight
         t = np.where(self.dated, days - middle[self.arm], 0.0) / YEAR
         apart = self.x - mean[self.arm]
         spread = per_arm(t**2)
@@ -279,11 +296,14 @@ class _Group:
     def within(self) -> tuple[float, int]:
         """ω², and the degrees of freedom that it is estimated with."""
         freedom = int(self.used.sum()) - len(self.arms) - len(self.lines)
-        return _excess(lambda more: self.fit(more).squares, freedom) if freedom else 0.0, freedom
+        return _excess(
+            lambda more: self.fit(more).squares, freedom
+        ) if freedom else 0.0, freedom
 
     def drifts(self, tested: int) -> Iterator[Drift]:
         """Lines of all arms, with the chance among so many that were tested."""
-        (more, freedom), lines = self.within, self.lines
+        (more, freedom) = self.within
+        lines = self.lines
         fit = self.fit(more)
         t = np.abs(fit.slope) / np.sqrt(fit.slope_variance)
         chance = np.minimum(1.0, 2 * tested * scipy.special.stdtr(freedom, -t))
@@ -301,7 +321,8 @@ class _Group:
     def deviations(self, chance: float) -> Iterator[Deviation]:
         """Arms that differ, at a chance that any does where none is odd."""
         fit = self.fit(self.within[0])
-        mean, variance = fit.mean, fit.variance
+        mean = fit.mean
+        variance = fit.variance
         odd = odd_ones(mean, variance, chance)
         rest = np.setdiff1d(np.arange(len(mean)), [k for k, _ in odd])
         between = _between(mean[rest], variance[rest])
@@ -320,12 +341,15 @@ def odd_ones(x: Array, variance: Array, chance: float) -> list[tuple[int, float]
     Generalised extreme Studentised deviates (Rosner 1983) of values that have variances of their
     own; any is found by a chance where none is odd. At most every fourth can be.
     """
-    kept, removed, count = np.arange(len(x)), list[tuple[int, float]](), 0
+    kept = np.arange(len(x))
+    removed = list[tuple[int, float]]()
+    count = 0
     for _ in range(len(x) // _ODD):
         between = _between(x[kept], variance[kept])
         mean, _, _ = _about_mean(x[kept], variance[kept] + between)
         far = np.abs(x[kept] - mean) / np.sqrt(variance[kept] + between)
-        k, n = int(np.argmax(far)), len(kept)
+        k = int(np.argmax(far))
+        n = len(kept)
         t = float(scipy.special.stdtrit(n - 2, 1 - chance / (2 * n)))
         ratio = float(far[k]) / ((n - 1) * t / np.sqrt((n - 2 + t**2) * n))
         removed.append((int(kept[k]), float(ratio)))
@@ -354,7 +378,9 @@ def _excess(left: Callable[[float], float], freedom: int) -> float:
     high = 1e-30
     while left(high) > freedom:
         high *= 10.0
-    return float(scipy.optimize.brentq(lambda more: left(more) - freedom, 0.0, high, rtol=1e-6))
+    return float(
+        scipy.optimize.brentq(lambda more: left(more) - freedom, 0.0, high, rtol=1e-6)
+    )
 
 
 _EPOCH = date(1970, 1, 1).toordinal()
@@ -372,7 +398,9 @@ def _groups(examined: Sequence[Examined]) -> Iterator[_Group]:
         )
         for name in dict.fromkeys(name for each in own for name in each.values or ()):
             having = [
-                (each, each.values[name]) for each in own if each.values and name in each.values
+                (each, each.values[name])
+                for each in own
+                if each.values and name in each.values
             ]
             arms = tuple(dict.fromkeys(each.arm for each, _ in having))
             place = {arm: k for k, arm in enumerate(arms)}

@@ -53,12 +53,15 @@ class ParameterIdentifiability:
     unit: str
     category: str  # unique, combined or unidentifiable
     expressions: tuple[str, ...]  # base parameters that it is part of
-    margin: float  # factor on the tolerance of all rank decisions that changes its category
+    margin: (
+        float  # factor on the tolerance of all rank decisions that changes its category
+    )
     needed: str  # experiment that would show it by itself; empty where it is shown
     value: float | None = None  # estimate, or the value of the model as given, if known
     prior: float | None = None  # value before any data
     std: float | None = None  # standard deviation, prior included
-    std_data: float | None = None  # from the data alone; inf where they do not show it by itself
+    # from the data alone; inf where they do not show it by itself
+    std_data: float | None = None
     influence: float | None = None  # how far it follows the prior, 0 to 1
     decided_by: str = ""  # data, prior or physics (the limit of physical consistency)
     verdict: str = ""  # in a word, how well the motion determines it by itself
@@ -66,7 +69,9 @@ class ParameterIdentifiability:
     @property
     def rel_std(self) -> float | None:
         """Standard deviation relative to the value; None when either is not known or zero."""
-        return self.std / abs(self.value) if self.value and self.std is not None else None
+        return (
+            self.std / abs(self.value) if self.value and self.std is not None else None
+        )
 
     @property
     def prior_dominated(self) -> bool:
@@ -75,8 +80,19 @@ class ParameterIdentifiability:
 
     def result(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
-        same = ("name", "unit", "category", "value", "std", "rel_std", "std_data", "prior")
-        return {key: getattr(self, key) for key in (*same, "prior_dominated", "margin")} | {
+        same = (
+            "name",
+            "unit",
+            "category",
+            "value",
+            "std",
+            "rel_std",
+            "std_data",
+            "prior",
+        )
+        return {
+            key: getattr(self, key) for key in (*same, "prior_dominated", "margin")
+        } | {
             "verdict": self.verdict or None,
             "prior_influence": self.influence,
             "decided_by": self.decided_by or None,
@@ -89,7 +105,9 @@ class ParameterIdentifiability:
 class PracticalIdentifiability:
     """Practical identifiability of an arm by one motion or recording."""
 
-    condition_number: float  # of the unscaled base columns, cond₂(W); inf when some are not shown
+    condition_number: (
+        float  # of the unscaled base columns, cond₂(W); inf when some are not shown
+    )
     singular_values: Array  # of the base columns scaled to unit length, greatest first
     practical: tuple[Practical, ...]  # each base parameter
     directions: tuple[Direction, ...]  # of the base parameters, unseen or weakest
@@ -112,7 +130,9 @@ class PracticalIdentifiability:
             "basis": self.basis,
             "noise": self.noise,
             "resting_joints": self.resting,
-            "not_shown": [{key: row[key] for key in ("name", "needed")} for row in lost],
+            "not_shown": [
+                {key: row[key] for key in ("name", "needed")} for row in lost
+            ],
             "directions": [d.result() for d in self.directions],
             "persistency": self.persistency and self.persistency.result(),
         }
@@ -153,7 +173,11 @@ class Identifiability(Shown):
     def result(self) -> dict[str, Any]:
         """Contents of ``result.json`` as plain values."""
         links = zip(self.robot.links, self.robot.joints, strict=True)
-        without: dict[str, Any] = {"condition_number": None, "practical": [], "basis": ""}
+        without: dict[str, Any] = {
+            "condition_number": None,
+            "practical": [],
+            "basis": "",
+        }
         return {
             "verb": "analyze",
             "robot": self.robot.name,
@@ -173,15 +197,21 @@ class Identifiability(Shown):
         }
 
     def _link(self, link: str, joint: str) -> dict[str, Any]:
-        base, own = self.base, [k for k, e in enumerate(self.entries) if e.owner in (link, joint)]
+        base = self.base
+        own = [k for k, e in enumerate(self.entries) if e.owner in (link, joint)]
         entries = [self.entries[k] for k in own]
         return {
             "link": link,
             "joint": joint,
             "unique": [e.name for e in entries if e.category == "unique"],
-            "unidentifiable": [e.name for e in entries if e.category == "unidentifiable"],
+            "unidentifiable": [
+                e.name for e in entries if e.category == "unidentifiable"
+            ],
             "combined": [
-                {"expression": text, "members": [base.names[k] for k in np.flatnonzero(row)]}
+                {
+                    "expression": text,
+                    "members": [base.names[k] for k in np.flatnonzero(row)],
+                }
                 for row, text in zip(base.regrouping, base.expressions, strict=True)
                 if np.count_nonzero(row) > 1 and row[own].any()
             ],
@@ -192,18 +222,24 @@ class Identifiability(Shown):
         """For figures: singular values under a motion (r,), or of the structure with vectors."""
         found = self.structure
         if found.frames is not None:
-            values, vectors = found.singular_values, found.singular_vectors
+            values = found.singular_values
+            vectors = found.singular_vectors
             return {"structural_values": values, "structural_vectors": vectors}
         return {"singular_values": self.motion.singular_values} if self.motion else {}
 
-    def to_frame(self, of: Literal["parameters", "base_parameters"] = "parameters") -> pd.DataFrame:
+    def to_frame(
+        self, of: Literal["parameters", "base_parameters"] = "parameters"
+    ) -> pd.DataFrame:
         """Every parameter, or every base parameter under the motion, a row each."""
         UnknownName.refuse("table", [of], ("parameters", "base_parameters"))
         rows = self.entries if of == "parameters" else self.practical
-        return data_frame([row.result() for row in rows], "name", ("value", "std", "verdict"))
+        return data_frame(
+            [row.result() for row in rows], "name", ("value", "std", "verdict")
+        )
 
     def _lines(self) -> list[str]:
-        kinds, shown = self.structure.category, ""
+        kinds = self.structure.category
+        shown = ""
         if self.motion is not None:
             lost = sum(p.verdict == NOT_SHOWN for p in self.practical)
             shown = (
@@ -221,7 +257,9 @@ class Identifiability(Shown):
         if self.motion is None:
             rows = [
                 (name, kind)
-                for name, kind in zip(self.base.names, self.structure.category, strict=True)
+                for name, kind in zip(
+                    self.base.names, self.structure.category, strict=True
+                )
             ]
             return ("parameter", "identifiable"), rows
         shown = [(p.expression, p.value, p.std, p.verdict) for p in self.practical]
@@ -263,7 +301,8 @@ def analyze(
             noise that does not fit the arm; or circumstances that contradict each other.
         UnknownName: A joint that the arm does not have.
     """
-    robot, shown = as_robot(robot), motion is not None or estimate is not None
+    robot = as_robot(robot)
+    shown = motion is not None or estimate is not None
     refused = {
         "moving: leave it out, a trajectory or recording determines which joints move": (
             moving is not None and shown
@@ -287,7 +326,9 @@ def analyze(
     effects = tuple(effects) if estimate is None else estimate.model.effects
     places = distal_frames(robot) if frames == "dh" else None
     found = structure(robot, effects, moving=moving, measured=measured, frames=places)
-    rows = [j for j, name in enumerate(robot.joints) if measured is None or name in measured]
+    rows = [
+        j for j, name in enumerate(robot.joints) if measured is None or name in measured
+    ]
     given: Experiment | None = None
     if estimate is not None:
         from excitant.analysis.experiment import recorded_experiment
@@ -298,14 +339,22 @@ def analyze(
 
         given = planned_experiment(robot, found.base, effects, motion, noise, rows)
     noise_of_all = _noise_of_all(robot, given, rows)
-    still = [j for j, name in enumerate(robot.joints) if moving is not None and name not in moving]
+    still = [
+        j
+        for j, name in enumerate(robot.joints)
+        if moving is not None and name not in moving
+    ]
     rests, pose = (
-        (still, np.zeros(robot.nv)) if given is None else (given.resting, given.q.mean(axis=0))
+        (still, np.zeros(robot.nv))
+        if given is None
+        else (given.resting, given.q.mean(axis=0))
     )
     candidates = candidate_experiments(robot, effects, noise_of_all, rests, pose, rows)
     table = _entries(robot, effects, found, candidates, given)
     R = found.base.regrouping if given is None else given.information.R
-    follow = tuple(tuple(found.base.names[k] for k in group) for group in dependent_groups(R))
+    follow = tuple(
+        tuple(found.base.names[k] for k in group) for group in dependent_groups(R)
+    )
     if given is None:
         said = [] if places is None else [_contained(robot, found)]
         return Identifiability(robot, effects, found, table, follow, notes=tuple(said))
@@ -318,7 +367,9 @@ def _contained(robot: Robot, found: Structure) -> str:
     """How many of each link's ten parameters torque contains, as a sentence."""
     seen = np.array(found.category[: 10 * robot.nv]) != "unidentifiable"
     counts = seen.reshape(-1, 10).sum(axis=1)
-    each = ", ".join(f"{name} {count}" for name, count in zip(robot.links, counts, strict=True))
+    each = ", ".join(
+        f"{name} {count}" for name, count in zip(robot.links, counts, strict=True)
+    )
     return (
         "inertias are about the links' Denavit-Hartenberg frames (distal); of the ten parameters "
         f"of each link, torque contains: {each}"
@@ -329,7 +380,9 @@ def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -
     # of unmeasured joints, and where only rank matters, 1 % of the limit, or 1 N·m
     limits = robot.limits.torque
     usable = np.isfinite(limits) & (limits > 0)
-    sigma = np.asarray(np.where(usable, TORQUE_NOISE * np.where(usable, limits, 0.0), 1.0), float)
+    sigma = np.asarray(
+        np.where(usable, TORQUE_NOISE * np.where(usable, limits, 0.0), 1.0), float
+    )
     if given is not None:
         sigma[list(rows)] = given.sigma
     return sigma
@@ -348,8 +401,11 @@ def _under_motion(
     excitation = None
     if len(given.sigma) == robot.nv:
         noise = given.sigma
-        excitation = persistency(robot, given.motion, effects, sigma=noise, window=window)
-    columns, seen = list(base.columns), given.information
+        excitation = persistency(
+            robot, given.motion, effects, sigma=noise, window=window
+        )
+    columns = list(base.columns)
+    seen = given.information
     lengths = np.linalg.norm(seen.R[:, columns], axis=0)
     scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)
     units = [_units(robot, effects)[k] for k in columns]
@@ -357,7 +413,9 @@ def _under_motion(
         condition_number=seen.condition_number,
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
         practical=practical(base, given.beta, seen, candidates),
-        directions=weak_directions(base, units, seen, _sizes(robot, effects, base, given)),
+        directions=weak_directions(
+            base, units, seen, _sizes(robot, effects, base, given)
+        ),
         influence=given.influence,
         noise=given.sigma,
         resting=tuple(robot.joints[j] for j in given.resting),
@@ -373,15 +431,20 @@ def _sizes(
     if given.prior is not None:
         from excitant.identify.prior import base_prior
 
-        return np.asarray(np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float)
+        return np.asarray(
+            np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float
+        )
     signal = given.information.signal[list(base.columns)]
     return np.asarray(1 / np.maximum(signal, 1e-6 * signal.max()), float)
 
 
 def _notes(
-    found: Structure, under: PracticalIdentifiability, table: Sequence[ParameterIdentifiability]
+    found: Structure,
+    under: PracticalIdentifiability,
+    table: Sequence[ParameterIdentifiability],
 ) -> tuple[str, ...]:
-    base, notes = found.base, []
+    base = found.base
+    notes = []
     if under.resting:
         verb = "rests" if len(under.resting) == 1 else "rest"
         notes.append(f"{', '.join(under.resting)} {verb} in this motion")
@@ -401,7 +464,9 @@ def _notes(
     from excitant.analysis.experiment import STEP
 
     named = [entry for entry in table if entry.category != "unidentifiable"]
-    prior, physics = (sum(e.decided_by == who for e in named) for who in ("prior", "physics"))
+    prior, physics = (
+        sum(e.decided_by == who for e in named) for who in ("prior", "physics")
+    )
     notes.append(
         f"apart from unidentifiable ones, {prior} of {len(table)} parameters follow the prior "
         "rather than the data: that two sets of initial values agree proves nothing there"
@@ -430,25 +495,34 @@ def _entries(
     candidates: Mapping[str, Array],
     given: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
-    base, units, unique = found.base, _units(robot, effects), np.array(found.category) == "unique"
+    base = found.base
+    units = _units(robot, effects)
+    unique = np.array(found.category) == "unique"
     before = known_values(robot, effects)
     if found.frames is not None:
         bodies = robot.phi.reshape(-1, 10)
-        before[: 10 * robot.nv] = moved_parameters(bodies, np.linalg.inv(found.frames)).ravel()
-    R, size = base.regrouping, np.zeros(len(units))
+        before[: 10 * robot.nv] = moved_parameters(
+            bodies, np.linalg.inv(found.frames)
+        ).ravel()
+    R = base.regrouping
+    size = np.zeros(len(units))
     said: dict[str, Sequence[Any]] = {"value": before, "prior": before}
     if given is not None:
-        R, influence = given.information.R, given.influence
+        R = given.information.R
+        influence = given.influence
         std = given.information.std(np.eye(len(units))[:, list(base.columns)])
         std = np.where(unique, std, np.inf)
         negligible, size = resolution(given.x, std, given.information.signal)
         x = given.x.tolist()
         factors = np.ones(len(x))
         if given.told:
-            factors, units = np.array([f for f, _ in given.told]), tuple(u for _, u in given.told)
+            factors = np.array([f for f, _ in given.told])
+            units = tuple(u for _, u in given.told)
         values = (factors * given.x).tolist()
         said["std_data"] = (factors * std).tolist()
-        said["value"] = [v if known else None for v, known in zip(values, given.known, strict=True)]
+        said["value"] = [
+            v if known else None for v, known in zip(values, given.known, strict=True)
+        ]
         said["verdict"] = [
             verdict(std[k], x[k], bool(negligible[k])) if unique[k] else kind
             for k, kind in enumerate(found.category)
@@ -459,7 +533,8 @@ def _entries(
         if given.std is not None:
             said["std"] = given.std.tolist()
         if influence is not None:
-            said["influence"], said["decided_by"] = influence.overall.tolist(), influence.decided_by
+            said["influence"] = influence.overall.tolist()
+            said["decided_by"] = influence.decided_by
     needed = experiments_needed(R, np.eye(len(units)), size, candidates)
     expressions = np.array(base.expressions, object)
     return tuple(

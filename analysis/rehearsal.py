@@ -45,12 +45,19 @@ Path = Callable[[Array, int], Array]
 Progress = Callable[[float, str], None]
 
 _CHANGES = ("payload", "viscous_friction", "coulomb_friction")
-_SHARE = {"viscous": 0.1, "coulomb": 0.04, "rotor": 0.1, "offset": 0.01}  # of the torque limit
+_SHARE = {
+    "viscous": 0.1,
+    "coulomb": 0.04,
+    "rotor": 0.1,
+    "offset": 0.01,
+}  # of the torque limit
 _TOLERANCE = 0.05  # of masses, centres of mass and inertias
 _SLOWER = 0.8  # speed of the hold-out
-_READINGS, _CASES = 6, 300  # noisy recordings of the same run, and intervals to judge, at least
+_READINGS = 6
+_CASES = 300  # noisy recordings of the same run, and intervals to judge, at least
 
-_TEST, _HARMONICS = 3.0, 3  # s, of the motion that is followed last
+_TEST = 3.0  # s
+_HARMONICS = 3  # of the motion that is followed last
 
 _OVER = 0.05  # of a limit: an arm that tracks a motion overshoots it a little
 _KNOWN = 0.1  # of a friction coefficient: accuracy required
@@ -105,13 +112,19 @@ class Situation:
         ]
         if feeble:
             return f"move farther and faster: {', '.join(feeble)}"
-        times = f"{int(np.ceil(lack**2))} times as long" if 1 < lack < _HOPELESS else "longer"
+        times = (
+            f"{int(np.ceil(lack**2))} times as long"
+            if 1 < lack < _HOPELESS
+            else "longer"
+        )
         return f"record {times}, or design a motion with more harmonics"
 
 
 def limit_items(situation: Situation) -> list[Item]:
     """Limits compared with the motion of the arm, friction and tracking errors included."""
-    limits, run, items = situation.robot.limits, situation.run, []
+    limits = situation.robot.limits
+    run = situation.run
+    items = []
     bounded = np.isfinite(limits.position).all(axis=1)
     low, high = np.where(bounded, limits.position.T, 0.0)
     half = np.where(bounded, (high - low) / 2, np.inf)
@@ -121,7 +134,8 @@ def limit_items(situation: Situation) -> list[Item]:
         "torque": np.abs(run.tau).max(axis=0) / limits.torque,
     }
     for name, share in shares.items():
-        joint, worst = situation.robot.joints[int(share.argmax())], float(share.max())
+        joint = situation.robot.joints[int(share.argmax())]
+        worst = float(share.max())
         speed = min(1 / max(worst, 1.0) ** (0.5 if name == "torque" else 1.0), 0.99)
         slower = f"play the motion at {100 * speed:.0f} % of its speed"
         advice = f"make the motion of {joint} smaller" if name == "position" else slower
@@ -130,8 +144,11 @@ def limit_items(situation: Situation) -> list[Item]:
     return items
 
 
-def _recovered(situation: Situation, estimates: Sequence[Estimate], x: Array) -> list[Item]:
-    beta, std = estimates[0].base.regrouping @ x, [_std(e) for e in estimates]
+def _recovered(
+    situation: Situation, estimates: Sequence[Estimate], x: Array
+) -> list[Item]:
+    beta = estimates[0].base.regrouping @ x
+    std = [_std(e) for e in estimates]
     errors = np.array([e.least_squares.beta for e in estimates]) - beta
     inside = np.abs(errors) <= 1.96 * np.array(std)
     share = float(inside.mean())
@@ -152,14 +169,21 @@ def _std(estimate: Estimate) -> Array:
 
 
 def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Item]:
-    robot, items, std = situation.robot, [], _std(estimate)
+    robot = situation.robot
+    items = []
+    std = _std(estimate)
     names = [estimate.base.names[k] for k in estimate.base.columns]
     for effect in standard_effects(robot.joints)[:2]:
-        for joint, parameter in zip(robot.joints, effect.parameters(robot), strict=True):
+        for joint, parameter in zip(
+            robot.joints, effect.parameters(robot), strict=True
+        ):
             k = names.index(parameter.name)
-            true, value, s = map(float, (beta[k], estimate.least_squares.beta[k], std[k]))
+            true, value, s = map(
+                float, (beta[k], estimate.least_squares.beta[k], std[k])
+            )
             lack = max(abs(value - true), 1.96 * s) / (_KNOWN * abs(true))
-            unit, advice = parameter.unit, situation.faster(joint, lack)
+            unit = parameter.unit
+            advice = situation.faster(joint, lack)
             detail = f"planted {true:.4g}, recovered {value:.4g} ± {s:.2g} {unit}"
             item = _item(plain(effect.name), joint, lack <= 1, detail, advice)
             items.append(replace(item, planted=true, recovered=value, std=s, unit=unit))
@@ -167,7 +191,8 @@ def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Ite
 
 
 def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
-    robot, rms = situation.robot, estimate.validate.rms
+    robot = situation.robot
+    rms = estimate.validate.rms
     floor = estimate.holdout.accuracy(estimate.holdout_columns @ beta).rms
     worse = rms / floor
     j = int(worse.argmax())
@@ -175,22 +200,31 @@ def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     left = f"with the true parameters, noise leaves {floor[j]:.3g} {unit}"
     detail = f"rms error {rms[j]:.3g} {unit}; {left}"
     advice = situation.faster(lack=float(worse[j] / _WORSE))
-    return _item("torque on the hold-out", robot.joints[j], worse[j] <= _WORSE, detail, advice)
+    return _item(
+        "torque on the hold-out", robot.joints[j], worse[j] <= _WORSE, detail, advice
+    )
 
 
 def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     """Error at states within half the limits, which the motion need not have visited."""
-    robot, base = situation.robot, estimate.base
+    robot = situation.robot
+    base = estimate.base
     q, dq, ddq = typical_motion(robot)
     motion = Motion(np.arange(len(q), dtype=float), q, dq, ddq)
-    W = observation_columns(robot, standard_effects(robot.joints), motion)[:, :, base.columns]
+    W = observation_columns(robot, standard_effects(robot.joints), motion)[
+        :, :, base.columns
+    ]
     torque = np.sqrt(np.mean((W @ beta) ** 2, axis=0))
-    share = np.sqrt(np.mean((W @ (estimate.least_squares.beta - beta)) ** 2, axis=0)) / torque
+    share = (
+        np.sqrt(np.mean((W @ (estimate.least_squares.beta - beta)) ** 2, axis=0))
+        / torque
+    )
     j = int(share.argmax())
     unsure = np.sqrt(np.mean(W[:, j] ** 2, axis=0)) * _std(estimate)
     weak = base.names[base.columns[int(unsure.argmax())]]
     size = f"rms error {100 * share[j]:.2g} % of the torque at half the limits"
-    advice, passed = situation.faster(lack=float(share[j] / _ELSEWHERE)), share[j] <= _ELSEWHERE
+    advice = situation.faster(lack=float(share[j] / _ELSEWHERE))
+    passed = share[j] <= _ELSEWHERE
     detail = f"{size}; least certain: {weak}"
     return _item("torque at other motions", robot.joints[j], passed, detail, advice)
 
@@ -215,7 +249,9 @@ def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item
         named += f" (or {', '.join(_cause(rival.candidate) for rival in lead.rivals)})"
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
     mass = EFFECTS[change.effect].family == "body"
-    others = [r for r in lead.rivals if not (mass and r.candidate.effect.family == "body")]
+    others = [
+        r for r in lead.rivals if not (mass and r.candidate.effect.family == "body")
+    ]
     passed = right and not lead.downgrade and not others
     item = _item("diagnosis", change.joint, passed, f"{planted}: {named}", advice)
     if not right or lead.effect.values is None:
@@ -280,7 +316,8 @@ class Rehearsal(Shown):
             "effect": self.change.entry(),
             "tracking": self._tracking(),
             "limit_values": {
-                x: getattr(self.robot.limits, x) for x in ("position", "velocity", "torque")
+                x: getattr(self.robot.limits, x)
+                for x in ("position", "velocity", "torque")
             },
         }
 
@@ -288,7 +325,11 @@ class Rehearsal(Shown):
         if self.tracking is None:
             return None
         before, after = (each.entries(self.robot) for each in self.tracking)
-        test = {"duration": _TEST, "harmonics": _HARMONICS, "bandwidth_hz": BANDWIDTH_HZ}
+        test = {
+            "duration": _TEST,
+            "harmonics": _HARMONICS,
+            "bandwidth_hz": BANDWIDTH_HZ,
+        }
         return test | {"before": before, "after": after}
 
     def series(self) -> dict[str, Array]:
@@ -299,7 +340,11 @@ class Rehearsal(Shown):
         found = {name: getattr(self.run, name) for name in ("t", "q", "dq", "tau")}
         if self.tracking is not None:
             before, after = self.tracking
-            found |= {"tracking_t": before.t} | before.series("before") | after.series("after")
+            found |= (
+                {"tracking_t": before.t}
+                | before.series("before")
+                | after.series("after")
+            )
         return found
 
     @property
@@ -308,9 +353,15 @@ class Rehearsal(Shown):
         if self.passed:
             met = f"all {len(self.items)} requirements are met"
             return f"The motion would do: {met} on a virtual arm"
-        failed = [f"{x.name} of {x.joint}".removesuffix(" of ") for x in self.items if not x.passed]
+        failed = [
+            f"{x.name} of {x.joint}".removesuffix(" of ")
+            for x in self.items
+            if not x.passed
+        ]
         names = list(dict.fromkeys(failed))
-        listed = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+        listed = ", ".join(names[:4]) + (
+            f" and {len(names) - 4} more" if len(names) > 4 else ""
+        )
         return f"The motion would not do: {listed}"
 
     def _lines(self) -> list[str]:
@@ -323,7 +374,10 @@ class Rehearsal(Shown):
         ]
 
     def _table(self) -> Table:
-        rows = [("met" if x.passed else "not met", x.name, x.joint, x.detail) for x in self.items]
+        rows = [
+            ("met" if x.passed else "not met", x.name, x.joint, x.detail)
+            for x in self.items
+        ]
         return ("", "requirement", "joint", "figures"), rows
 
 
@@ -349,9 +403,11 @@ def rehearse(
         BadRecording: The motion is too short to be identified from.
         BadRobot: A link of negative mass.
     """
-    robot, tell = as_robot(robot), progress or (lambda fraction, words: None)
+    robot = as_robot(robot)
+    tell = progress or (lambda fraction, words: None)
     tell(0.0, "running the motion")
-    arm, change = rehearsal_arm(robot, rng), draw_change(robot, rng)
+    arm = rehearsal_arm(robot, rng)
+    change = draw_change(robot, rng)
     run = arm.run(path, duration, rng)
     situation = Situation(robot, run)
     common = (robot, duration, arm, change, run)
@@ -365,7 +421,8 @@ def rehearse(
     held = _recording(arm, arm.run(*slow, rng), "slower", rng)
     tell(0.35, "identifying")
     try:
-        estimates, count = list[Estimate](), _READINGS
+        estimates = list[Estimate]()
+        count = _READINGS
         while len(estimates) < count:
             reading = _recording(arm, run, "motion", rng)
             estimates.append(identify_robot(robot, [reading], validate=[held]))
@@ -377,7 +434,10 @@ def rehearse(
     later = changed(arm, change)
     recordings = [
         _recording(later, later.run(p, d, rng), name, rng)
-        for name, p, d in (("motion after the change", path, duration), ("slower after it", *slow))
+        for name, p, d in (
+            ("motion after the change", path, duration),
+            ("slower after it", *slow),
+        )
     ]
     tell(0.75, "diagnosing")
     found = diagnose(estimates[0].model, recordings[:1], validate=recordings[1:])
@@ -411,7 +471,9 @@ def _followed(
     return before, after
 
 
-def _recording(arm: VirtualArm, run: Run, name: str, rng: np.random.Generator) -> Recording:
+def _recording(
+    arm: VirtualArm, run: Run, name: str, rng: np.random.Generator
+) -> Recording:
     table = arm.recorded(run, rng)
     return recording_from_table(table, arm.nominal.nv, file=name, name=name)
 
@@ -431,15 +493,24 @@ def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
 
 def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
     known = robot.with_effects([e for e in robot.effects if e.standard])
-    given, strength = nominal_truth(known).drives, with_strength(robot).limits.torque
-    _, dq, ddq = (2 * np.abs(x).max(axis=0) for x in typical_motion(robot))  # close to the limits
-    per_unit = {"viscous": dq, "rotor": ddq, "offset": rng.choice([-1.0, 1.0], robot.nv)}
+    given = nominal_truth(known).drives
+    strength = with_strength(robot).limits.torque
+    _, dq, ddq = (
+        2 * np.abs(x).max(axis=0) for x in typical_motion(robot)
+    )  # close to the limits
+    per_unit = {
+        "viscous": dq,
+        "rotor": ddq,
+        "offset": rng.choice([-1.0, 1.0], robot.nv),
+    }
     effects = []
     for effect in standard_effects(robot.joints):
         drive = effect.joint_property
         own = getattr(given, drive)
         usual = _SHARE[drive] * strength / per_unit.get(drive, 1.0)
-        effects.append(replace(effect, values=tuple(np.where(own != 0, own, usual).tolist())))
+        effects.append(
+            replace(effect, values=tuple(np.where(own != 0, own, usual).tolist()))
+        )
     return effects
 
 

@@ -43,7 +43,8 @@ BANDS = ("slower", "motion", "faster")
 VISIBLE = 2.0  # times the noise floor: from here on an effect can be seen
 _SHARE = 0.1  # of the given model's squared error
 _LITTLE = 0.1  # of the error's power: a quantity with less explains nothing
-_NEARLY = 0.05  # of the error's power: how much more a less simple quantity must explain
+# of the error's power: how much more a less simple quantity must explain
+_NEARLY = 0.05
 _BINS = 24
 _TREND = 2  # degree of what changes slowly over time
 _PERIODS = 3.0  # of the motion: in a shorter time, a trend cannot be told from it
@@ -57,7 +58,8 @@ _SEEN = 1.5  # times the cut-off: up to where noise of positions is looked for
 _POSES = 50  # at which inertia is evaluated
 _LONGEST = 512  # samples of a periodogram's stretch
 _FORGETS = 0.1  # s: residuals with a shorter correlation time look like noise
-_MEASURABLE = 1e-3  # of the error: noise below this comes from a filter, not from a sensor
+# of the error: noise below this comes from a filter, not from a sensor
+_MEASURABLE = 1e-3
 _SAID = 100.0  # times the noise: larger ratios are not quoted
 
 
@@ -71,7 +73,9 @@ class Explanatory:
     reversal: Array  # distance since the joint last turned back, signed by velocity [rad or m]
     lengths: tuple[int, ...]  # rows of each uninterrupted part
     steps: tuple[float, ...]  # time between the rows of each part [s]
-    bands: Array  # lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz]
+    bands: (
+        Array  # lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz]
+    )
 
 
 def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
@@ -107,10 +111,14 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
 
     Time is left out where the motion repeats too little to tell a trend from it.
     """
-    e, time = e[rows], np.flatnonzero(rows).astype(float)
-    dq, load = by.velocity[rows, j], by.load[rows, j]
-    constant, total = float(e.mean()), max(float((e**2).sum()), 1e-300)
-    found, rest = {"constant": _explained(e, constant, 1) / total}, e - constant
+    e = e[rows]
+    time = np.flatnonzero(rows).astype(float)
+    dq = by.velocity[rows, j]
+    load = by.load[rows, j]
+    constant = float(e.mean())
+    total = max(float((e**2).sum()), 1e-300)
+    found = {"constant": _explained(e, constant, 1) / total}
+    rest = e - constant
     forward = (dq > 0).astype(np.intp)
 
     def even(x: Array, bins: int) -> Index:
@@ -138,13 +146,15 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
 def _explained(e: Array, fitted: Array | float, freedom: int) -> float:
     """Power of an error that a fit with some coefficients removes, less that by chance."""
     rest = e - fitted
-    left, independent = float((rest**2).sum()), max(len(e) / autocorrelation_time(rest), 1.0)
+    left = float((rest**2).sum())
+    independent = max(len(e) / autocorrelation_time(rest), 1.0)
     return float((e**2).sum()) - left - left * freedom / independent
 
 
 def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
     """Share of the power of joint j's error (n,), its mean left out, in each of `BANDS`."""
-    power, (low, high) = np.zeros(3), by.bands[j]
+    power = np.zeros(3)
+    (low, high) = by.bands[j]
     parts = np.split(e - e.mean(), np.cumsum(by.lengths)[:-1])
     for part, step in zip(parts, by.steps, strict=True):
         f, density = _spectrum(part[:, None], step)
@@ -204,7 +214,9 @@ class Residual:
         enough = max(self.shares.values()) - _NEARLY
         if enough < _LITTLE - _NEARLY:
             return ""
-        return next(name for name in QUANTITIES if self.shares.get(name, -1.0) >= enough)
+        return next(
+            name for name in QUANTITIES if self.shares.get(name, -1.0) >= enough
+        )
 
     @property
     def structure(self) -> str:
@@ -248,14 +260,20 @@ class Residual:
 
 
 def residuals(
-    joints: Sequence[str], segments: Sequence[Segment], error: Array, given: Array, load: Array
+    joints: Sequence[str],
+    segments: Sequence[Segment],
+    error: Array,
+    given: Array,
+    load: Array,
 ) -> tuple[Residual, ...]:
     """Residual torque of each joint where it moves.
 
     Error, the given model's error and the load, a model's torque, are (n, nv) [torque unit].
     """
-    by, moves = explanatory(segments, load), away_from_rest(segments)
-    step, cutoff = by.steps[0], segments[0].cutoff_hz
+    by = explanatory(segments, load)
+    moves = away_from_rest(segments)
+    step = by.steps[0]
+    cutoff = segments[0].cutoff_hz
     found = []
     for j, joint in enumerate(joints):
         at = moves[:, j] if moves[:, j].any() else ~moves[:, j]
@@ -264,7 +282,9 @@ def residuals(
             Residual(
                 joint,
                 rms=float(np.sqrt((e**2).mean())),
-                floor=max(noise_floor(segments, j), _fast(error[:, j], 1 / step, cutoff)),
+                floor=max(
+                    noise_floor(segments, j), _fast(error[:, j], 1 / step, cutoff)
+                ),
                 given=float(np.sqrt((given[at, j] ** 2).mean())),
                 correlation_s=float(autocorrelation_time(e) * step),
                 shares=shares(error[:, j], by, j, at),
@@ -276,7 +296,8 @@ def residuals(
 
 def noise_floor(segments: Sequence[Segment], j: int) -> float:
     """Rms that white noise of joint j's raw torque leaves after the filter; 0 if not visible."""
-    power, weight = 0.0, 0
+    power = 0.0
+    weight = 0
     for s in segments:
         n = len(s.tau_raw)
         f, density = power_density(s.tau_raw[:, j], s.rate_hz, _LONGEST)
@@ -293,13 +314,17 @@ def position_noise(segments: Sequence[Segment]) -> Array:
     It shows in accelerations as (2πf)⁴ times it between the cut-offs of torque and positions,
     where nothing of the motion is left.
     """
-    power, weight = np.zeros(segments[0].motion.q.shape[1]), 0
+    power = np.zeros(segments[0].motion.q.shape[1])
+    weight = 0
     for s in segments:
-        n, band = len(s.motion), slice(s.cutoff_hz, min(_SEEN * s.cutoff_hz, 0.45 * s.rate_hz))
+        n = len(s.motion)
+        band = slice(s.cutoff_hz, min(_SEEN * s.cutoff_hz, 0.45 * s.rate_hz))
         f, density = power_density(s.motion.ddq, s.rate_hz, _LONGEST)
         within = (f > band.start) & (f < band.stop)
         if within.any():
-            power += n * np.median(density[within] / _slope(s, f[within])[:, None], axis=0)
+            power += n * np.median(
+                density[within] / _slope(s, f[within])[:, None], axis=0
+            )
             weight += n
     return power / max(weight, 1)
 
@@ -312,7 +337,8 @@ def _slope(s: Segment, f: Array) -> Array:
 
 def motion_noise(robot: Robot, segments: Sequence[Segment]) -> Array:
     """Rms torque that noise of the positions puts on a model's, shape (nv,) [N·m or N]."""
-    white, power = position_noise(segments), np.zeros(robot.nv)
+    white = position_noise(segments)
+    power = np.zeros(robot.nv)
     for s in segments:
         f = np.linspace(0.0, s.rate_hz / 2, _LONGEST)
         passed = np.trapezoid(_slope(s, f) / (1 + (f / s.cutoff_hz) ** 8) ** 2, f)

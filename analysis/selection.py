@@ -11,7 +11,13 @@ import numpy as np
 import scipy
 
 from excitant.analysis.candidates import gather, observed
-from excitant.analysis.evidence import Candidate, Evidence, Key, cross_validation, reweighed
+from excitant.analysis.evidence import (
+    Candidate,
+    Evidence,
+    Key,
+    cross_validation,
+    reweighed,
+)
 from excitant.exceptions import RankDeficient
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.prior import prior_parameters
@@ -26,7 +32,8 @@ _LARGEST_SET = 60
 _TYPICAL = 0.1  # tail probability of the chance level used to rank causes
 _IDENTICAL = 0.9999  # |cos| of two causes that are identical on this motion
 _FADED = 0.5  # of a cause's fall of J when last tested: below this it is tested again
-_CANCELLED = 4.0  # times the squared error on its joints: a cause that others must cancel
+# times the squared error on its joints: a cause that others must cancel
+_CANCELLED = 4.0
 _SHARE = 0.05  # of what a cause explains: more by separate joints is a contradiction
 _BY_CHANCE = 1e-3  # probability of that when all joints agree
 _TIE = 2.0  # standard errors within which two causes explain the data equally well
@@ -34,7 +41,8 @@ _TIE_ALIKE = 3.3  # the same where their signatures are alike
 ALIKE = 0.9  # |cos| of such signatures
 _SAME = 0.999  # |cos| of a cause that is part of another
 _HALF = 0.5  # of what a cause explains: a rival must explain more
-_UNSEEN = 2.0  # standard errors by which the error of unseen parts must fall with a cause
+# standard errors by which the error of unseen parts must fall with a cause
+_UNSEEN = 2.0
 _ROUNDS = 2  # of choosing effects: the second with what the first identified
 
 
@@ -52,19 +60,26 @@ def select(
     standard = [c for c in allowed if c.effect.standard and {*c.effect.joints} <= bare]
     evidence, chosen = _grown(evidence, robot, [], standard)
     evidence, chosen = _grown(evidence, robot, chosen, allowed)
-    for common in [c for c in chosen if c.effect.of_given_torque and c.effect.is_common(robot)]:
+    for common in [
+        c for c in chosen if c.effect.of_given_torque and c.effect.is_common(robot)
+    ]:
         others = [c for c in allowed if c.key != common.key]
         rest = [c for c in chosen if c is not common]
         weighed, instead = _grown(evidence, robot, rest, others)
         if _beyond_chance(evidence, instead) < _beyond_chance(evidence, chosen):
-            evidence, chosen = weighed, instead
+            evidence = weighed
+            chosen = instead
     return evidence, chosen
 
 
 def _grown(
-    evidence: Evidence, robot: Robot, chosen: list[Candidate], allowed: Sequence[Candidate]
+    evidence: Evidence,
+    robot: Robot,
+    chosen: list[Candidate],
+    allowed: Sequence[Candidate],
 ) -> tuple[Evidence, list[Candidate]]:
-    seen, falls = set[frozenset[Candidate]](), dict[Candidate, float]()
+    seen = set[frozenset[Candidate]]()
+    falls = dict[Candidate, float]()
     while len(chosen) < _LARGEST_SET:
         evidence = reweighed(evidence, chosen)
         best = _best_addition(evidence, robot, chosen, allowed)
@@ -78,9 +93,13 @@ def _grown(
 
 
 def _best_addition(
-    evidence: Evidence, robot: Robot, chosen: list[Candidate], allowed: Sequence[Candidate]
+    evidence: Evidence,
+    robot: Robot,
+    chosen: list[Candidate],
+    allowed: Sequence[Candidate],
 ) -> Candidate | None:
-    falls, taken = evidence.additions(chosen), {c.key for c in chosen}
+    falls = evidence.additions(chosen)
+    taken = {c.key for c in chosen}
     scores = falls - [_chance(c.trials, c.size) for c in evidence.candidates]
     for k in np.argsort(-scores, kind="stable"):
         candidate: Candidate = evidence.candidates[k]
@@ -104,7 +123,9 @@ def _repeats(robot: Robot, chosen: Sequence[Candidate], candidate: Candidate) ->
     return any(effect.is_common(robot) != common for effect in alike)
 
 
-def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate) -> Candidate:
+def _simplest(
+    evidence: Evidence, chosen: Sequence[Candidate], found: Candidate
+) -> Candidate:
     """The best special case of the cause found where it is no more than all of them, else itself.
 
     Plain friction is a special case of all finer friction of its joint.
@@ -112,14 +133,23 @@ def _simplest(evidence: Evidence, chosen: Sequence[Candidate], found: Candidate)
     # so is a shape that this motion does not show: play that is never crossed is an offset
     if found.effect.shapes:
         for other in evidence.candidates:
-            same = other.size == found.size and {*other.effect.joints} == {*found.effect.joints}
-            if same and not other.effect.shapes and evidence.cosine(other, found) > _IDENTICAL:
+            same = other.size == found.size and {*other.effect.joints} == {
+                *found.effect.joints
+            }
+            if (
+                same
+                and not other.effect.shapes
+                and evidence.cosine(other, found) > _IDENTICAL
+            ):
                 return other
     finer = found.effect.family == "friction"
     special = [
         c
         for c in evidence.candidates
-        if (c.effect.name in found.effect.contains or (finer and is_plain_friction(c.effect)))
+        if (
+            c.effect.name in found.effect.contains
+            or (finer and is_plain_friction(c.effect))
+        )
         and c.effect.joints == found.effect.joints
         and c not in (*chosen, found)
     ]
@@ -164,7 +194,10 @@ def _significant(
 
 
 def _pruned(
-    evidence: Evidence, robot: Robot, chosen: list[Candidate], falls: dict[Candidate, float]
+    evidence: Evidence,
+    robot: Robot,
+    chosen: list[Candidate],
+    falls: dict[Candidate, float],
 ) -> list[Candidate]:
     """The set without causes whose removal costs no more than chance explains."""
     # ``falls`` is the fall of J by each when last tested; tested again when it has halved since
@@ -188,8 +221,14 @@ def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> 
     effect = candidate.effect
     if not is_plain_friction(effect) or not {*effect.joints} <= frictionless(robot):
         return False
-    finer = (c.effect for c in rest if c.effect.family == "friction" and not c.effect.standard)
-    return any(e.joints == effect.joints and effect.name not in e.contains for e in finer)
+    finer = (
+        c.effect
+        for c in rest
+        if c.effect.family == "friction" and not c.effect.standard
+    )
+    return any(
+        e.joints == effect.joints and effect.name not in e.contains for e in finer
+    )
 
 
 def is_plain_friction(effect: Effect) -> bool:
@@ -220,7 +259,9 @@ def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -
     if not freedom:
         return True
     explained = evidence.cost(rest) - evidence.cost([*rest, cause])
-    chance = evidence.dispersion(rest, cause) * scipy.special.chdtri(freedom, _BY_CHANCE)
+    chance = evidence.dispersion(rest, cause) * scipy.special.chdtri(
+        freedom, _BY_CHANCE
+    )
     return bool(more < max(chance, _SHARE * explained))
 
 
@@ -228,7 +269,8 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
     """Whether a cause makes far more torque than there is to explain, which others cancel."""
     made = there = 0.0
     for j, here in evidence.acting(cause):
-        x, G = coordinates[evidence.problem.index[j][here]], evidence.problem.grams[j]
+        x = coordinates[evidence.problem.index[j][here]]
+        G = evidence.problem.grams[j]
         made += float(evidence.weight[j] * (x @ G[np.ix_(here, here)] @ x))
         there += float(evidence.weight[j] * G[-1, -1])
     return made > _CANCELLED * there
@@ -236,7 +278,9 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
 
 def frictionless(robot: Robot) -> set[str]:
     """The joints of which the model has no plain friction."""
-    return set(robot.joints) - {j for e in robot.effects if is_plain_friction(e) for j in e.joints}
+    return set(robot.joints) - {
+        j for e in robot.effects if is_plain_friction(e) for j in e.joints
+    }
 
 
 @dataclass(frozen=True)
@@ -256,30 +300,46 @@ def rivals(
     A rival explains at least half of what the found cause explains, and leaves it less than half
     to explain. On joints without given friction, the standard model's may be added to it.
     """
-    rest, taken = [c for c in chosen if c is not found], {c.key for c in chosen}
-    bare, falls = frictionless(robot), evidence.additions(rest)
-    own, errors = falls[evidence.candidates.index(found)], evidence.block_errors(chosen)
-    standard = [c for c in evidence.candidates if is_plain_friction(c.effect) and c not in rest]
+    rest = [c for c in chosen if c is not found]
+    taken = {c.key for c in chosen}
+    bare = frictionless(robot)
+    falls = evidence.additions(rest)
+    own = falls[evidence.candidates.index(found)]
+    errors = evidence.block_errors(chosen)
+    standard = [
+        c for c in evidence.candidates if is_plain_friction(c.effect) and c not in rest
+    ]
     best: dict[Key, Rival] = {}
     for k, other in enumerate(evidence.candidates):
         if other.key in taken or _only_more(evidence, found, other):
             continue
         # standard friction at the joint of a friction cause, as far as it is missing
         missing = other.effect.family == "friction" and {*other.effect.joints} <= bare
-        added = [c for c in standard if missing and c.effect.joints == other.effect.joints]
+        added = [
+            c for c in standard if missing and c.effect.joints == other.effect.joints
+        ]
         if falls[k] <= _HALF * own and not added:
             continue
-        instead = [*rest, other, *(c for c in added if c is not other and c is not found)]
+        instead = [
+            *rest,
+            other,
+            *(c for c in added if c is not other and c is not found),
+        ]
         left = evidence.cost(instead) - evidence.cost([*instead, found])
         if left > _HALF * own:
             continue
         difference = evidence.block_errors(instead) - errors
-        z = float(difference.sum() / max(np.sqrt(len(difference)) * difference.std(ddof=1), 1e-12))
+        z = float(
+            difference.sum()
+            / max(np.sqrt(len(difference)) * difference.std(ddof=1), 1e-12)
+        )
         cosine = evidence.cosine(found, other)
         if z >= (_TIE_ALIKE if cosine > ALIKE else _TIE):
             continue
         known = best.get(other.key)
-        if (known is None or z < known.deviations) and _plausible(evidence, robot, instead, other):
+        if (known is None or z < known.deviations) and _plausible(
+            evidence, robot, instead, other
+        ):
             best[other.key] = Rival(other, z, cosine)
     return sorted(best.values(), key=lambda rival: rival.deviations)
 
@@ -305,7 +365,8 @@ def choose_effects(
     effect must also reduce the error of parts of the recordings from which it was not fitted.
     Progress is called with the fraction done and the effects found.
     """
-    standard, bodies = standard_effects(robot.joints), prior_parameters(robot)
+    standard = standard_effects(robot.joints)
+    bodies = prior_parameters(robot)
     given: dict[str, Any] = {"validate": recordings, "cutoff_hz": cutoff_hz}
     estimate, chosen = _determined(robot, recordings, [], given)
     train = observed(estimate.model, estimate.data.train)
@@ -313,7 +374,8 @@ def choose_effects(
     for k in range(_ROUNDS):
         rows = train.by(estimate.model)
         evidence = gather(train.robot, rows, tau, bodies, chosen, identified=True)
-        before, found = _with(standard, chosen), _predictive(*select(evidence, train.robot))
+        before = _with(standard, chosen)
+        found = _predictive(*select(evidence, train.robot))
         added = ", ".join(plain(e.name) for e in _with((), found))
         progress((k + 1) / _ROUNDS, added)
         if _with(standard, found) == before:
@@ -327,13 +389,17 @@ def _predictive(evidence: Evidence, chosen: Sequence[Candidate]) -> list[Candida
 
     With each the error of unseen parts falls beyond chance, and rises so at no joint it acts on.
     """
-    kept, errors = list(chosen), cross_validation(evidence, chosen)
+    kept = list(chosen)
+    errors = cross_validation(evidence, chosen)
     while kept:
-        before, scores = errors(kept), []
+        before = errors(kept)
+        scores = []
         for cause in kept:
             fall = errors([c for c in kept if c is not cause]) - before
             own = [j for j, _ in evidence.acting(cause)]
-            scores.append(min(_score(fall.sum(axis=1)), *(_score(fall[:, own]) + 2 * _UNSEEN)))
+            scores.append(
+                min(_score(fall.sum(axis=1)), *(_score(fall[:, own]) + 2 * _UNSEEN))
+            )
         if min(scores) >= _UNSEEN:
             break
         kept.pop(int(np.argmin(scores)))
@@ -346,12 +412,17 @@ def _score(falls: Array) -> Array:
     return np.asarray(falls.sum(axis=0) / np.maximum(spread, 1e-12), float)
 
 
-def _with(standard: Sequence[Effect], chosen: Sequence[Candidate]) -> tuple[Effect, ...]:
+def _with(
+    standard: Sequence[Effect], chosen: Sequence[Candidate]
+) -> tuple[Effect, ...]:
     return (*standard, *merged(c.effect for c in chosen))
 
 
 def _determined(
-    robot: Robot, recordings: Sequence[Recording], chosen: list[Candidate], given: dict[str, Any]
+    robot: Robot,
+    recordings: Sequence[Recording],
+    chosen: list[Candidate],
+    given: dict[str, Any],
 ) -> tuple[Estimate, list[Candidate]]:
     """The arm identified with what was chosen, less any that bodies and others can stand for."""
     try:
@@ -361,8 +432,14 @@ def _determined(
         if not chosen:
             raise
         own = [{p.name for p in c.effect.parameters(robot)} for c in chosen]
-        kept = [c for c, names in zip(chosen, own, strict=True) if names.isdisjoint(error.names)]
-        return _determined(robot, recordings, kept if kept != chosen else chosen[:-1], given)
+        kept = [
+            c
+            for c, names in zip(chosen, own, strict=True)
+            if names.isdisjoint(error.names)
+        ]
+        return _determined(
+            robot, recordings, kept if kept != chosen else chosen[:-1], given
+        )
 
 
 def described(effects: Sequence[Effect]) -> tuple[str, ...]:
@@ -371,7 +448,11 @@ def described(effects: Sequence[Effect]) -> tuple[str, ...]:
     for effect in effects:
         if effect.standard:
             continue
-        shapes = ", ".join(f"{s.name} {getattr(effect, s.name):.3g}" for s in effect.shapes)
+        shapes = ", ".join(
+            f"{s.name} {getattr(effect, s.name):.3g}" for s in effect.shapes
+        )
         where = f"{plain(effect.name)} at {', '.join(effect.joints)}"
         said.append(f"effect added: {where}{f' ({shapes})' if shapes else ''}")
-    return tuple(said) or ("effects: the recordings support none beyond the standard ones",)
+    return tuple(said) or (
+        "effects: the recordings support none beyond the standard ones",
+    )

@@ -51,7 +51,9 @@ class DataFault(Effect):
         """It has none."""
         return np.zeros((len(motion), robot.nv, 0))
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
         """The fault's own detail."""
         return f"{self.detail[:1].upper()}{self.detail[1:]} (repaired)"
 
@@ -86,8 +88,11 @@ class SetUp:
     @cached_property
     def rivals(self) -> tuple[Rival, ...]:
         """Other set-ups that would make the same torque; they have no columns."""
-        joints, none = self.robot.joints, np.zeros((0, 0))
-        alike = (each for fault in self.shown for each in fault.evidence.get("alike", ()))
+        joints = self.robot.joints
+        none = np.zeros((0, 0))
+        alike = (
+            each for fault in self.shown for each in fault.evidence.get("alike", ())
+        )
         return tuple(
             Rival(Candidate(_effect_of(fault, at, joints), slice(0, 0), none), 0.0, 1.0)
             for fault, at in alike
@@ -142,18 +147,27 @@ def set_up(
     """
     everything, swaps = find_swapped(robot, [*recordings, *validate])
     validate = everything[len(recordings) :]
-    faults = {each: [f for f in faults_of(robot, each) if _amendable(f)] for each in everything}
-    of_data = {each: [f for f in found if not f.of_the_arm] for each, found in faults.items()}
+    faults = {
+        each: [f for f in faults_of(robot, each) if _amendable(f)]
+        for each in everything
+    }
+    of_data = {
+        each: [f for f in found if not f.of_the_arm] for each, found in faults.items()
+    }
 
     def supported(shown: Sequence[Fault], by: Sequence[Recording]) -> float:
         return sum(support(robot, each, shown, of_data[each]) for each in by)
 
-    shown, most = tuple[Fault, ...](), odds_against(robot)
+    shown = tuple[Fault, ...]()
+    most = odds_against(robot)
     for each in (tuple(_of_the_arm(found)) for found in faults.values()):
         gain = supported(each, everything) if each else 0.0
         if gain > most and (not validate or supported(each, validate) > 0):
-            shown, most = each, gain
-    found, repaired, notes = list[Recording](), dict[str, tuple[Fault, ...]](), list[str]()
+            shown = each
+            most = gain
+    found = list[Recording]()
+    repaired = dict[str, tuple[Fault, ...]]()
+    notes = list[str]()
     for recording in everything:
         wrong = [f for f in (*of_data[recording], *shown) if f.remedies]
         wrong = [*((swaps[recording.name],) if recording.name in swaps else ()), *wrong]
@@ -169,7 +183,11 @@ def _effect_of(fault: str, at: tuple[str, ...], joints: tuple[str, ...]) -> Effe
     """What a fault is called among the causes of a model's errors."""
     if fault == "wrong_mounting":
         return EFFECTS["gravity_direction"](joints)
-    return EFFECTS["encoder_offset"](at) if fault == "wrong_zero" else DataFault(at, (), fault)
+    return (
+        EFFECTS["encoder_offset"](at)
+        if fault == "wrong_zero"
+        else DataFault(at, (), fault)
+    )
 
 
 def _amendable(fault: Fault) -> bool:
@@ -180,18 +198,22 @@ def _of_the_arm(faults: Sequence[Fault]) -> Iterator[Fault]:
     return (fault for fault in faults if fault.of_the_arm)
 
 
-def refined(found: SetUp, segments: Sequence[Segment], tau: Array, bodies: Array) -> SetUp:
+def refined(
+    found: SetUp, segments: Sequence[Segment], tau: Array, bodies: Array
+) -> SetUp:
     """The set-up with the angles that suit torque tau, (n, nv) [N·m], at the rows of segments best.
 
     Bodies (nv, 10) are the given ones, consistent.
     """
     size = float(np.linalg.norm(found.given.gravity))
-    robot, std = found.robot, dict[str, tuple[float, ...]]()
+    robot = found.robot
+    std = dict[str, tuple[float, ...]]()
     if not found.effects:
         return found
     for _ in range(_STEPS):
         train = observed(robot, segments)
-        columns, turns = list[Array](), np.zeros((3, 0))
+        columns = list[Array]()
+        turns = np.zeros((3, 0))
         for effect in found.effects:
             own = train.columns(effect)
             if effect.family == "static":  # of the tangents at gravity of its length
@@ -230,8 +252,10 @@ def _step(
     k = sum(part.shape[2] for part in columns)
     weights = link_weights(robot.nv, _OFF) ** 2
     precision = np.concatenate([np.full(k, _FREE**-2.0), weights, np.ones(len(scale))])
-    residual, counts = tau - train.torque(), away_from_rest(train.segments)
-    noise, x = np.ones(robot.nv), np.zeros(W.shape[2])
+    residual = tau - train.torque()
+    counts = away_from_rest(train.segments)
+    noise = np.ones(robot.nv)
+    x = np.zeros(W.shape[2])
     for _ in range(2):
         left = np.where(counts, residual - W @ x, 0.0)
         sigma = np.sqrt((left**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))

@@ -39,7 +39,9 @@ class Structure:
     """Structural identifiability of each parameter, under stated circumstances."""
 
     base: BaseParameters  # of links and effects
-    category: tuple[str, ...]  # unique, combined or unidentifiable, of each of ``base.names``
+    category: tuple[
+        str, ...
+    ]  # unique, combined or unidentifiable, of each of ``base.names``
     margin: Array  # factor on `TOLERANCE` that changes the category, at most `MARGIN`, shape (p,)
     circumstances: tuple[str, ...]  # under which it holds, as sentences
     close: tuple[str, ...]  # names of those whose margin is below `MARGIN`
@@ -48,7 +50,8 @@ class Structure:
     # each is seen of, one vector a row, shape (p, p); the last p − r span the null space
     singular_values: Array
     singular_vectors: Array
-    frames: Array | None = None  # of the links, in their joint frames, (nv, 4, 4); those when None
+    # of the links, in their joint frames, (nv, 4, 4); those when None
+    frames: Array | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "margin", "flips_at", "singular_values", "singular_vectors")
@@ -66,7 +69,8 @@ class Structure:
         """A sentence on categories that a small change of the tolerance would change."""
         if not self.close:
             return None
-        low, high = np.nanmin(self.flips_at), np.nanmax(self.flips_at)
+        low = np.nanmin(self.flips_at)
+        high = np.nanmax(self.flips_at)
         size = f"{low:.0e}" if high < 2 * low else f"{low:.0e} to {high:.0e}"
         return (
             f"{len(self.close)} of {len(self.base.names)} parameters have a category that depends "
@@ -90,14 +94,18 @@ def structure(
     Parameters are about the joint frames, or about frames in these, shape (nv, 4, 4).
     """
     positions = held if isinstance(held, Mapping) else {}
-    UnknownName.refuse("joint", (*(moving or ()), *(measured or ()), *positions), robot.joints)
+    UnknownName.refuse(
+        "joint", (*(moving or ()), *(measured or ()), *positions), robot.joints
+    )
     motion = _circumstantial(robot, moving, {} if held is None else held)
     rows = None if measured is None else np.isin(robot.joints, measured)
     seen = observe(robot, effects, motion, rows, frames)
     base = regroup(seen)
     category = categories(base)
     flips_at = _flips(seen, category)
-    margin = np.nan_to_num(np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=MARGIN)
+    margin = np.nan_to_num(
+        np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=MARGIN
+    )
     close = tuple(np.array(base.names)[np.isfinite(flips_at)].tolist())
     circumstances = _circumstances(robot, moving, measured, held)
     found = base, category, margin, circumstances, close, flips_at
@@ -108,7 +116,8 @@ def _decomposed(R: Array, category: Sequence[str]) -> tuple[Array, Array]:
     """Singular values (p,) and right singular vectors (p, p), those of absent columns last."""
     shown = np.array(category) != "unidentifiable"
     _, s, Vt = np.linalg.svd(R[:, shown], full_matrices=True)
-    values, vectors = np.zeros(len(shown)), np.zeros((len(shown), len(shown)))
+    values = np.zeros(len(shown))
+    vectors = np.zeros((len(shown), len(shown)))
     values[: len(s)] = s
     vectors[: len(Vt), shown] = Vt
     vectors[len(Vt) :, ~shown] = np.eye(int((~shown).sum()))
@@ -119,7 +128,8 @@ def _members(vector: Array, names: Sequence[str]) -> str:
     """Members of a unit vector that make nine tenths of it, six at most; the first is positive."""
     order = np.argsort(-np.abs(vector), kind="stable")
     count = int(np.searchsorted(np.cumsum(vector[order] ** 2), 0.9)) + 1
-    text, first = "", vector[order[0]]
+    text = ""
+    first = vector[order[0]]
     for k in order[: min(count, _LISTED)]:
         sign = (" − " if vector[k] * first < 0 else " + ") if text else ""
         size = f"{abs(vector[k]):.2g}"
@@ -152,7 +162,10 @@ def _flips(seen: Observation, category: tuple[str, ...]) -> Array:
 
 
 def _circumstances(
-    robot: Robot, moving: Sequence[str] | None, measured: Sequence[str] | None, held: Held | None
+    robot: Robot,
+    moving: Sequence[str] | None,
+    measured: Sequence[str] | None,
+    held: Held | None,
 ) -> tuple[str, ...]:
     found = ["the base is fixed", _gravity_sentence(robot.gravity)]
     if robot.locked:
@@ -162,8 +175,12 @@ def _circumstances(
         found.append(f"{_joints(still)} at rest in many positions")
     elif still:
         at = held if isinstance(held, Mapping) else {}
-        found.append(f"{_joints(_positions({name: at.get(name, 0.0) for name in still}))} held")
-    missing = [name for name in robot.joints if measured is not None and name not in measured]
+        found.append(
+            f"{_joints(_positions({name: at.get(name, 0.0) for name in still}))} held"
+        )
+    missing = [
+        name for name in robot.joints if measured is not None and name not in measured
+    ]
     if missing:
         found.append(f"torque of {_joints(missing)} not measured")
     return tuple(found)

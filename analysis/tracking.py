@@ -70,7 +70,10 @@ class Tracking:
 
     def series(self, name: str) -> dict[str, Array]:
         """Errors over time under keys that begin with a name, each of shape (n, nv)."""
-        return {f"{name}_{model}": e for model, e in zip(self.models, self.error, strict=True)}
+        return {
+            f"{name}_{model}": e
+            for model, e in zip(self.models, self.error, strict=True)
+        }
 
 
 def track(
@@ -94,7 +97,8 @@ def track(
     """
     t = np.linspace(0.0, duration, max(2, int(np.ceil(duration * _RATE_HZ)) + 1))
     motion = Motion(t, *(path(t, order) for order in range(3)))
-    seed, errors = int(rng.integers(2**32)), []
+    seed = int(rng.integers(2**32))
+    errors = []
     for model in models.values():
         tau = torque(model, motion)
 

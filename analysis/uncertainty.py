@@ -33,13 +33,15 @@ from excitant.robots.torque import effect_values, observation_columns
 Mask = npt.NDArray[np.bool_]
 
 TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording gives the noise
-WELL, ROUGHLY = 0.1, 0.3  # relative standard deviation
+WELL = 0.1
+ROUGHLY = 0.3  # relative standard deviation
 NOT_SHOWN = "not_shown"
 _MEMBER = 0.3  # coefficient of a unit vector from which on a parameter is named
 _SEEN = 1e-9  # smallest singular value of normalised columns, relative; below it is rounding
 _TOUCHES = 1e-6  # part of a unit vector in unseen directions from which on it counts
 
-_DURATION, _RATE_HZ = 10.0, 20.0  # of a further experiment
+_DURATION = 10.0
+_RATE_HZ = 20.0  # of a further experiment
 _REPEATS = 10.0  # longest recording worth proposing, in lengths of the given one
 PAYLOAD_KG = 1.0  # known payload that is tried, at the last joint's frame
 _SENSOR_NOISE = 0.01  # of the largest force and torque that the base sensor sees
@@ -106,7 +108,9 @@ def _unit_columns(R: Array) -> tuple[Array, Array]:
     """Lengths of the columns, and the columns scaled to length one, or to zero where negligible."""
     norms = np.linalg.norm(R, axis=0)
     shown = ~silent_columns(R)
-    scale = np.where(shown, norms, norms[shown].min(initial=np.inf) if shown.any() else 1.0)
+    scale = np.where(
+        shown, norms, norms[shown].min(initial=np.inf) if shown.any() else 1.0
+    )
     return scale, np.where(shown, R / scale, 0.0)
 
 
@@ -122,7 +126,9 @@ def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
     """The base parameters that columns (n, rows, p) of one motion show, which may be fewer."""
     R = triangle(W, np.ones(W.shape[1]))
     norms, unit = _unit_columns(R)
-    return regroup(Observation(names, unit, np.where(unit.any(axis=0), norms, 0.0)), _SEEN)
+    return regroup(
+        Observation(names, unit, np.where(unit.any(axis=0), norms, 0.0)), _SEEN
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,14 +136,20 @@ class MotionInformation:
     """Information of a motion's torque on the r base parameters β of p parameters x."""
 
     R: Array  # triangular factor of the whitened columns, shape (p, p)
-    covariance: Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
+    covariance: (
+        Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
+    )
     unseen: Array  # directions of β that change no torque, each with few members, shape (d, r)
     signal: Array  # largest rms torque per unit of each parameter over the noise, (p,)
-    condition_number: float = np.nan  # of the unscaled columns of β; inf when some are not shown
+    condition_number: float = (
+        np.nan
+    )  # of the unscaled columns of β; inf when some are not shown
 
     def std(self, C: Array) -> Array:
         """Standard deviation of combinations C β, C (m, r), shape (m,); inf where unseen."""
-        values = np.sqrt(np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0))
+        values = np.sqrt(
+            np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0)
+        )
         length = np.linalg.norm(self.unseen, axis=1, keepdims=True)
         hidden = (np.abs(C @ (self.unseen / length).T) > _TOUCHES).any(axis=1)
         return np.asarray(np.where(hidden, np.inf, values), float)
@@ -147,7 +159,8 @@ def motion_information(
     base: BaseParameters, W: Array, sigma: Array, covariance: Array | None = None
 ) -> MotionInformation:
     """Information of columns (n, rows, p) with noise (rows,), or covariance (r, r) if known."""
-    R, columns = triangle(W, sigma), list(base.columns)
+    R = triangle(W, sigma)
+    columns = list(base.columns)
     if covariance is None:
         scale, s, V, seen = _decomposed(R[:, columns])
         half = V[:, seen] / s[seen] / scale[:, None]
@@ -165,7 +178,9 @@ def unseen_directions(R: Array) -> Array:
     own, _ = independent_columns(unit, _SEEN)
     rest = [k for k in range(R.shape[1]) if k not in own]
     found = np.zeros((len(rest), R.shape[1]))
-    found[:, list(own)] = -np.linalg.lstsq(unit[:, list(own)], unit[:, rest], rcond=None)[0].T
+    found[:, list(own)] = -np.linalg.lstsq(
+        unit[:, list(own)], unit[:, rest], rcond=None
+    )[0].T
     found[np.abs(found) < _TOUCHES] = 0.0
     found[range(len(rest)), rest] = 1.0
     found /= scale
@@ -185,7 +200,9 @@ class Practical:
     @property
     def rel_std(self) -> float | None:
         """Standard deviation relative to the value; None when the value is zero or not shown."""
-        return self.std / abs(self.value) if self.value and np.isfinite(self.std) else None
+        return (
+            self.std / abs(self.value) if self.value and np.isfinite(self.std) else None
+        )
 
     @property
     def verdict(self) -> str:
@@ -194,7 +211,9 @@ class Practical:
 
     def result(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
-        figures = {key: getattr(self, key) for key in ("value", "std", "rel_std", "verdict")}
+        figures = {
+            key: getattr(self, key) for key in ("value", "std", "rel_std", "verdict")
+        }
         return {"name": self.expression, **figures, "needed": self.needed or None}
 
 
@@ -220,7 +239,10 @@ def resolution(value: Array, std: Array, signal: Array) -> tuple[Mask, Array]:
 
 
 def practical(
-    base: BaseParameters, values: Array, seen: MotionInformation, candidates: Mapping[str, Array]
+    base: BaseParameters,
+    values: Array,
+    seen: MotionInformation,
+    candidates: Mapping[str, Array],
 ) -> tuple[Practical, ...]:
     """Every base parameter under a motion, values (r,), and the experiment that would show it."""
     std = seen.std(np.eye(len(base)))
@@ -242,7 +264,8 @@ class Direction:
     @property
     def expression(self) -> str:
         """The direction as text, e.g. ``link3.Ixx − 0.83·link2.Izz``."""
-        text, lead = "", self.members[0][1]
+        text = ""
+        lead = self.members[0][1]
         for name, change, _ in self.members:
             size = f"{abs(change / lead):.2g}"
             sign = (" − " if change / lead < 0 else " + ") if text else ""
@@ -257,7 +280,9 @@ class Direction:
             if len(self.members) == 1:
                 return f"{name} changes no torque of this motion"
             others = listed([f"{other} by {c:.2g}" for other, c, _ in self.members[1:]])
-            return f"{name} by 1 with {others} (SI units) changes no torque of this motion"
+            return (
+                f"{name} by 1 with {others} (SI units) changes no torque of this motion"
+            )
         if len(self.members) == 1:
             return f"{name} may be {abs(change):.2g} {unit} off without showing above the noise"
         moves = [
@@ -271,7 +296,9 @@ class Direction:
 
     def result(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
-        members = [dict(zip(("name", "change", "unit"), m, strict=True)) for m in self.members]
+        members = [
+            dict(zip(("name", "change", "unit"), m, strict=True)) for m in self.members
+        ]
         said = {key: getattr(self, key) for key in ("expression", "meaning", "share")}
         return {**said, "rel_std": self.std, "members": members}
 
@@ -282,7 +309,11 @@ def listed(words: Sequence[str]) -> str:
 
 
 def weak_directions(
-    base: BaseParameters, units: Sequence[str], seen: MotionInformation, size: Array, count: int = 5
+    base: BaseParameters,
+    units: Sequence[str],
+    seen: MotionInformation,
+    size: Array,
+    count: int = 5,
 ) -> tuple[Direction, ...]:
     """Directions that a motion does not see, then a count of those it sees worst.
 
@@ -295,12 +326,19 @@ def weak_directions(
     for k in np.argsort(-values, kind="stable")[:count]:
         std = float(np.sqrt(max(float(values[k]), 0.0)))
         if std > 0:
-            found.append(_direction(U[:, k], U[:, k] * std * size, std, names, units, size))
+            found.append(
+                _direction(U[:, k], U[:, k] * std * size, std, names, units, size)
+            )
     return tuple(found)
 
 
 def _direction(
-    row: Array, change: Array, std: float, names: Sequence[str], units: Sequence[str], size: Array
+    row: Array,
+    change: Array,
+    std: float,
+    names: Sequence[str],
+    units: Sequence[str],
+    size: Array,
 ) -> Direction:
     weight = row if np.isfinite(std) else row / size
     weight = weight / np.linalg.norm(weight)
@@ -327,7 +365,9 @@ def candidate_experiments(
     """
     every_joint = reference_motion(robot, _DURATION, _RATE_HZ)
 
-    def factor(arm: Robot, motion: Motion = every_joint, others: Sequence[int] = ()) -> Array:
+    def factor(
+        arm: Robot, motion: Motion = every_joint, others: Sequence[int] = ()
+    ) -> Array:
         rows = [*measured, *others]
         return triangle(observation_columns(arm, effects, motion)[:, rows], sigma[rows])
 
@@ -336,23 +376,29 @@ def candidate_experiments(
         held = _holding(every_joint, [k for k in rests if k != j], pose)
         found[f"moving {robot.joints[j]}, which rests"] = factor(robot, held)
     if len(rests) > 1:
-        found[f"moving {listed([robot.joints[j] for j in rests])} together"] = factor(robot)
+        found[f"moving {listed([robot.joints[j] for j in rests])} together"] = factor(
+            robot
+        )
     elif not rests:
         found["a wider and faster motion of all joints"] = factor(robot)
     for j, name in enumerate(robot.joints):
         if j not in measured:
             found[f"measuring the torque of {name}"] = factor(robot, others=[j])
     sensor = f"{_NEVER}; by a force and torque sensor under the base"
-    tilts, others = _tilts(robot), sum(len(effect.parameters(robot)) for effect in effects)
+    tilts = _tilts(robot)
+    others = sum(len(effect.parameters(robot)) for effect in effects)
     found |= {f"the base {how}": factor(arm) for how, arm in tilts.items()}
     for how, arm in {"": robot, **tilts}.items():
-        found[f"{sensor}, {how}".removesuffix(", ")] = _base_sensor(arm, every_joint, others)
+        found[f"{sensor}, {how}".removesuffix(", ")] = _base_sensor(
+            arm, every_joint, others
+        )
     return found
 
 
 def _tilts(robot: Robot) -> dict[str, Robot]:
     """The arm with its base tilted by 90° about each of its axes that changes gravity."""
-    g, found = robot.gravity, {}
+    g = robot.gravity
+    found = {}
     for name, axis in zip("xyz", np.eye(3), strict=True):
         turned = np.cross(axis, g) + axis * (axis @ g)
         if np.linalg.norm(turned - g) > 1e-6:
@@ -371,14 +417,17 @@ def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
 
     The sum over links of the wrench that moves a body of inertia I: I (a − g) + v ×* I v.
     """
-    model, data = robot.model, robot.model.createData()
+    model = robot.model
+    data = robot.model.createData()
     columns = np.empty((len(motion), 6, 10 * robot.nv))
     for k in range(len(motion)):
         pin.forwardKinematics(model, data, motion.q[k], motion.dq[k], motion.ddq[k])
         for j in range(1, robot.nv + 1):
             a = data.a[j] - data.oMi[j].actInv(model.gravity)
             body = pin.bodyRegressor(data.v[j], a)
-            columns[k, :, 10 * j - 10 : 10 * j] = data.oMi[j].toDualActionMatrix() @ body
+            columns[k, :, 10 * j - 10 : 10 * j] = (
+                data.oMi[j].toDualActionMatrix() @ body
+            )
     return columns
 
 
@@ -399,7 +448,9 @@ def experiments_needed(
     """
     enough = np.where(size == 0, np.inf, ROUGHLY * np.abs(size))
     now = deviations(R, A)
-    tried = {what: deviations(np.vstack([R, more]), A) for what, more in candidates.items()}
+    tried = {
+        what: deviations(np.vstack([R, more]), A) for what, more in candidates.items()
+    }
     answers = []
     for k, (std, limit) in enumerate(zip(now, enough, strict=True)):
         some = [what for what, with_it in tried.items() if np.isfinite(with_it[k])]
@@ -408,7 +459,9 @@ def experiments_needed(
         if np.isfinite(std) and std <= limit:
             answers.append("")
         elif times <= _REPEATS:
-            answers.append(f"about {int(np.ceil(times))} times the length of this motion")
+            answers.append(
+                f"about {int(np.ceil(times))} times the length of this motion"
+            )
         elif good:
             answers.append(good[0])
         elif np.isfinite(std):
@@ -421,7 +474,10 @@ def experiments_needed(
 def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
     """Values of all parameters as the robot is given; None where not known."""
     known = effect_values(robot)
-    return [*robot.phi.tolist(), *(known.get(p.name) for e in effects for p in e.parameters(robot))]
+    return [
+        *robot.phi.tolist(),
+        *(known.get(p.name) for e in effects for p in e.parameters(robot)),
+    ]
 
 
 def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> float:
@@ -434,6 +490,9 @@ def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> fl
     load = np.zeros(W.shape[2])
     load[10 * robot.nv - 10] = PAYLOAD_KG
     x = np.array([value or 0.0 for value in known_values(robot, effects)])
-    rows = [np.concatenate([W, -(W @ values)[:, :, None]], axis=2) for values in (x, x + load)]
+    rows = [
+        np.concatenate([W, -(W @ values)[:, :, None]], axis=2)
+        for values in (x, x + load)
+    ]
     R = triangle(np.concatenate(rows), sigma)
     return float(deviations(R, np.eye(len(load) + 1)[-1:])[0])

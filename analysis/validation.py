@@ -41,11 +41,13 @@ from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error, forward_model
 
-LIKELY = 3.0  # times the tolerance's standard deviation: beyond it, given values are wrong
+# times the tolerance's standard deviation: beyond it, given values are wrong
+LIKELY = 3.0
 _ROUNDS = 4  # of fitting with the noise of the fit before
 _FREE = 30.0  # relative size of changes that only consistency restricts
 _WEAK = 1.0  # relative size of changes in the search for the smallest one
-_DEPENDENT = 1e-6  # of the largest singular value: directions that the motion does not show
+# of the largest singular value: directions that the motion does not show
+_DEPENDENT = 1e-6
 _CERTAIN = 0.99  # probability that physically consistent values lie nearer
 _HARDLY = 0.1  # of the squared error: less explains nothing
 
@@ -61,7 +63,9 @@ class Move:
     link: str
     mass: float  # change [kg]
     centre: float  # distance that its centre of mass moves [m]
-    inertia: float  # logarithm of the factor on its mean moment about the centre of mass
+    inertia: (
+        float  # logarithm of the factor on its mean moment about the centre of mass
+    )
     deviations: dict[str, float]  # of each of the three, over the std of given values
 
     @property
@@ -100,8 +104,12 @@ class Refit:
 
     errors: Mapping[str, Array]
     spread: Array  # standard deviation of the measured torque, shape (nv,)
-    possible: bool  # whether the unconstrained fit is physically consistent but for chance
-    distance: float  # of that fit from consistent values, relative to what chance allows
+    possible: (
+        bool  # whether the unconstrained fit is physically consistent but for chance
+    )
+    distance: (
+        float  # of that fit from consistent values, relative to what chance allows
+    )
     moves: tuple[Move, ...]  # of each link
 
     @property
@@ -112,17 +120,27 @@ class Refit:
     @property
     def gain(self) -> float:
         """Share of the squared error that free inertias remove, joints relative to torque."""
-        sizes = {name: (e / np.maximum(self.spread, 1e-12)) for name, e in self.errors.items()}
-        left, given = (float((sizes[name] ** 2).sum()) for name in ("inertias", "given"))
+        sizes = {
+            name: (e / np.maximum(self.spread, 1e-12))
+            for name, e in self.errors.items()
+        }
+        left, given = (
+            float((sizes[name] ** 2).sum()) for name in ("inertias", "given")
+        )
         return 1 - left / max(given, 1e-300)
 
     def sentence(
-        self, joints: Sequence[str], unit: str, findings: bool, wrong_links: Collection[str]
+        self,
+        joints: Sequence[str],
+        unit: str,
+        findings: bool,
+        wrong_links: Collection[str],
     ) -> str:
         """Refit of the inertias alone, and its plausibility."""
         worst = int(np.argmax(self.errors["given"] / np.maximum(self.spread, 1e-12)))
         given, free, extended = (
-            f"{self.errors[name][worst]:.3g}" for name in ("given", "inertias", "extended")
+            f"{self.errors[name][worst]:.3g}"
+            for name in ("given", "inertias", "extended")
         )
         quoted = f"{joints[worst]} from {given} to {free} {unit}"
         if findings:
@@ -152,20 +170,29 @@ class Refit:
         """Entries of result.json."""
         return {
             "joints": [
-                {"name": joint, **{key: float(each[j]) for key, each in self.errors.items()}}
+                {
+                    "name": joint,
+                    **{key: float(each[j]) for key, each in self.errors.items()},
+                }
                 for j, joint in enumerate(joints)
             ],
             "possible": self.possible,
             "distance": self.distance,
             "most_moved": self.most_moved.link,
-            "links": [move.result() for move in sorted(self.moves, key=lambda move: -move.most)],
+            "links": [
+                move.result()
+                for move in sorted(self.moves, key=lambda move: -move.most)
+            ],
         }
 
 
 def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
     """Fit the inertias alone to torque tau [N·m], and judge them beside the extended model."""
-    robot, Y, Yv = train.robot, train.links, held.observed.links
-    base, prior = base_parameters(robot), prior_parameters(robot)
+    robot = train.robot
+    Y = train.links
+    Yv = held.observed.links
+    base = base_parameters(robot)
+    prior = prior_parameters(robot)
     B = base.regrouping
     rest = tau - (train.torque() - Y @ robot.phi)
     W = Y[:, :, base.columns]
@@ -197,7 +224,8 @@ def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
 def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int]:
     """Root of the information on base parameters, their estimate, and its rank."""
     # directions that the motion does not show get the least norm and no information
-    problem, counted = problem.counting(counts), np.maximum(counts.sum(axis=0), 1)
+    problem = problem.counting(counts)
+    counted = np.maximum(counts.sum(axis=0), 1)
     scale = np.linalg.norm(problem.factor(np.ones(problem.nv))[0], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     sigma = problem.tau.std(axis=0)
@@ -215,10 +243,13 @@ def _moves(robot: Robot, prior: Array, found: Array) -> tuple[Move, ...]:
     for link, before, after in zip(robot.links, prior, found, strict=True):
         spread = link_coordinates(before[None]) / link_weights(1, TOLERANCE)
         root = _slopes(before) @ spread
-        covariance, change = root @ root.T, _figures(after) - _figures(before)
+        covariance = root @ root.T
+        change = _figures(after) - _figures(before)
         shift = float(np.linalg.norm(change[1:4]))
         way = change[1:4] / max(shift, 1e-300)
-        stds = np.sqrt([covariance[0, 0], way @ covariance[1:4, 1:4] @ way, covariance[4, 4]])
+        stds = np.sqrt(
+            [covariance[0, 0], way @ covariance[1:4, 1:4] @ way, covariance[4, 4]]
+        )
         size = {"mass": float(change[0]), "centre": shift, "inertia": float(change[4])}
         far = {
             name: abs(x) / max(float(s), 1e-300)
@@ -237,11 +268,13 @@ def _figures(phi: Array) -> Array:
 
 
 def _slopes(phi: Array) -> Array:
-    m, centre = phi[0], phi[1:4] / phi[0]
+    m = phi[0]
+    centre = phi[1:4] / phi[0]
     J = np.zeros((5, 10))
     J[0, 0] = 1.0
     J[1:4, 0], J[1:4, 1:4] = -centre / m, np.eye(3) / m
-    J[4, 0], J[4, 1:4] = centre @ centre, -2 * centre
+    J[4, 0] = centre @ centre
+    J[4, 1:4] = -2 * centre
     J[4, [4, 6, 9]] = 0.5
     J[4] /= np.exp(_figures(phi)[4])
     return J
@@ -254,7 +287,9 @@ class Simulated:
     position: Array  # [rad or m]; NaN where it diverges
     velocity: Array  # [rad/s or m/s]
     diverged: str  # why the simulation was stopped; empty when it was not
-    along: tuple[str, ...]  # effects of sensors or with memory, evaluated on the recorded motion
+    along: tuple[
+        str, ...
+    ]  # effects of sensors or with memory, evaluated on the recorded motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +308,9 @@ class Forward:
         notes = []
         for name, model in models.items():
             if model.diverged:
-                notes.append(f"Simulation of the {name} model was stopped: {model.diverged}.")
+                notes.append(
+                    f"Simulation of the {name} model was stopped: {model.diverged}."
+                )
             elif model.along:
                 along = ", ".join(map(plain, model.along))
                 notes.append(
@@ -296,7 +333,9 @@ class Forward:
         }
 
 
-def forward(given: Robot, extended: Robot, segments: Sequence[Segment], gains: Array) -> Forward:
+def forward(
+    given: Robot, extended: Robot, segments: Sequence[Segment], gains: Array
+) -> Forward:
     """Simulate two models forward over short windows of the hold-out; gains are (nv,)."""
     found = windows(segments)
     return Forward(
@@ -322,11 +361,15 @@ def windows(segments: Sequence[Segment]) -> list[tuple[Motion, Array]]:
     return found
 
 
-def _simulated(robot: Robot, gains: Array, found: list[tuple[Motion, Array]]) -> Simulated:
+def _simulated(
+    robot: Robot, gains: Array, found: list[tuple[Motion, Array]]
+) -> Simulated:
     kept = [effect for effect in robot.effects if _simulable(robot, effect)]
     along = [effect for effect in robot.effects if effect not in kept]
-    model, names = robot.with_effects(kept), tuple(dict.fromkeys(e.name for e in along))
-    nothing, errors = np.full(robot.nv, np.nan), []
+    model = robot.with_effects(kept)
+    names = tuple(dict.fromkeys(e.name for e in along))
+    nothing = np.full(robot.nv, np.nan)
+    errors = []
     for motion, reading in found:
         tau = reading * gains - sum(e.torque(robot, motion) for e in along)
         try:
@@ -341,5 +384,8 @@ def _simulated(robot: Robot, gains: Array, found: list[tuple[Motion, Array]]) ->
 def _simulable(robot: Robot, effect: Effect) -> bool:
     """Whether forward simulation supports an effect."""
     with suppress(BadInput):
-        return effect.of_state_alone and forward_model(robot.with_effects([effect])) is not None
+        return (
+            effect.of_state_alone
+            and forward_model(robot.with_effects([effect])) is not None
+        )
     return False

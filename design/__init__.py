@@ -1,7 +1,13 @@
 """Motions that make a robot arm's dynamics visible."""
 
 from excitant.design.bound import Bound, lower_bound
-from excitant.design.constraints import Clearance, LimitReport, LimitUse, check, clearance
+from excitant.design.constraints import (
+    Clearance,
+    LimitReport,
+    LimitUse,
+    check,
+    clearance,
+)
 from excitant.design.criterion import Information, condition_number, information
 from excitant.design.export import (
     load_trajectory,

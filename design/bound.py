@@ -19,20 +19,27 @@ from excitant.robots.threads import on_one_thread
 BoundProgress = Callable[[float, float, float], None]
 """Called after every round with the time taken [s], the bound so far and its ceiling."""
 
-_SEEDS, _SEED_STATES = 8, 40  # random trajectories to begin with, and states of each
-_SEED_HARMONICS, _SEED_PERIOD = 5, 10.0  # of those, where the motion has no band
+_SEEDS = 8  # random trajectories to begin with
+_SEED_STATES = 40  # and states of each
+_SEED_HARMONICS = 5  # of those
+_SEED_PERIOD = 10.0  # where the motion has no band
 _STARTS = 120  # of the ascent, from states of large weight and from random ones each
-_STEPS, _KEPT, _POLISH = 8, 80, 24  # steps of all, how many go on, and their further steps
-_FINAL_STARTS, _FINAL_STEPS = 300, 16  # of the last search for a violation
+_STEPS = 8  # steps of all
+_KEPT = 80  # how many go on
+_POLISH = 24  # and their further steps
+_FINAL_STARTS = 300
+_FINAL_STEPS = 16  # of the last search for a violation
 _FINAL_ROUNDS = 5  # of it at most: it is done again until it finds nothing worse
 _FINAL_SHARE = 0.1  # of the time limit, kept for that search
 _LOOSE_ROUNDS = 6  # with a loose master problem and no polish
-_LOOSE, _TIGHT = 1e-2, 1e-3  # gaps at which the master problem stops
+_LOOSE = 1e-2
+_TIGHT = 1e-3  # gaps at which the master problem stops
 _SPARE = 80  # states kept beyond twice those with weight
 _ADDED = 0.02  # of the worst violation: states that violate more are added
 _SUPPORT = 1e-3  # of the largest weight
 _CLOSED = 2e-3  # relative distance of bound and ceiling to stop at
-_MULTIPLIER = 0.1  # largest of an equality row, in units of the typical tr M; 0.03 occurs
+# largest of an equality row, in units of the typical tr M; 0.03 occurs
+_MULTIPLIER = 0.1
 
 _STEP = 0.95  # of the way to the boundary of the cone
 _ITERATIONS = 60
@@ -46,14 +53,21 @@ class Bound:
     """A numerical lower bound on cond₂(W): certified at every state tried, not proved."""
 
     value: float  # the bound
-    without_repair: float  # were no state to violate it; a mixture of states reaches it (to 0.1 %)
+    without_repair: (
+        float  # were no state to violate it; a mixture of states reaches it (to 0.1 %)
+    )
     relaxation: Relaxation  # what was relaxed
-    multipliers: Multipliers  # the certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P
-    assumptions: str  # for which motions it holds, and how far it is certain, in one sentence
+    multipliers: (
+        Multipliers  # the certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P
+    )
+    assumptions: (
+        str  # for which motions it holds, and how far it is certain, in one sentence
+    )
 
     def slack(self, motion: Motion) -> Array:
         """−⟨P − Q, M(x)⟩ − y·dφ/dt over the mean tr M, shape (n,); ≥ 0 where the bound holds."""
-        M, rows = self.relaxation.matrices(motion), self.relaxation.tests.rates(motion)
+        M = self.relaxation.matrices(motion)
+        rows = self.relaxation.tests.rates(motion)
         F = self.multipliers.P - self.multipliers.Q
         g = rows @ self.multipliers.y + np.einsum("nij,ij->n", M, F)
         slack: Array = -g / self.relaxation.unit
@@ -99,7 +113,9 @@ def lower_bound(
     if not (np.isfinite(period) and period > 0):
         raise BadInput(f"period {period} s is not a positive number")
     if harmonics is not None and harmonics < 2:
-        raise BadInput(f"{harmonics} harmonics cannot be at rest at both ends; use at least 2")
+        raise BadInput(
+            f"{harmonics} harmonics cannot be at rest at both ends; use at least 2"
+        )
     if not time_limit > 0:
         raise BadInput(f"time limit {time_limit} s is not positive")
     top = np.inf if harmonics is None else 2 * np.pi * harmonics / period
@@ -127,15 +143,22 @@ def lower_bound(
 class _Search:
     """Column generation with the best multipliers so far."""
 
-    def __init__(self, problem: Relaxation, rng: np.random.Generator, states: Motion) -> None:
-        self.problem, self.rng, self.states = problem, rng, states
+    def __init__(
+        self, problem: Relaxation, rng: np.random.Generator, states: Motion
+    ) -> None:
+        self.problem = problem
+        self.rng = rng
+        self.states = states
         self.rounds = 0
         self.archive = states
         self.best: Multipliers
         self.weights: Array
-        self.bound, self.violation = 0.0, np.inf
+        self.bound = 0.0
+        self.violation = np.inf
 
-    def run(self, began: float, time_limit: float, progress: BoundProgress | None) -> None:
+    def run(
+        self, began: float, time_limit: float, progress: BoundProgress | None
+    ) -> None:
         longest = 0.0
         while True:
             started = time.time()
@@ -157,7 +180,9 @@ class _Search:
         violation = float(price.max(initial=0.0))
         bound = float(np.sqrt(multipliers.value / (1 + violation)))
         if bound > self.bound:
-            self.best, self.bound, self.violation = multipliers, bound, violation
+            self.best = multipliers
+            self.bound = bound
+            self.violation = violation
         ceiling = float(np.sqrt(multipliers.value))
         self.rounds += 1
         self.exchange(multipliers, found[price > _ADDED * violation])
@@ -177,13 +202,17 @@ class _Search:
         price = self.problem.price(multipliers, self.archive)
         near = self.problem.space.cube(self.archive[np.argsort(-price)[:n]])
         known = near[: len(near) // 2]
-        return np.concatenate([near, self.problem.promising(multipliers, known, self.rng, n)])
+        return np.concatenate(
+            [near, self.problem.promising(multipliers, known, self.rng, n)]
+        )
 
     def certify(self) -> Multipliers:
         """The best multipliers, repaired by the violation that a longer search finds."""
         for _ in range(_FINAL_ROUNDS):
             starts = self.starts(self.best, _FINAL_STARTS)
-            found, price = self.problem.worst(self.best, starts, _FINAL_STEPS, _KEPT, _POLISH)
+            found, price = self.problem.worst(
+                self.best, starts, _FINAL_STEPS, _KEPT, _POLISH
+            )
             worst = float(price.max(initial=0.0))
             if worst <= self.violation:
                 break
@@ -199,23 +228,34 @@ def _seeds(
     pool: Sequence[Motion],
 ) -> Motion:
     if harmonics is None:
-        period, harmonics = _SEED_PERIOD, _SEED_HARMONICS
+        period = _SEED_PERIOD
+        harmonics = _SEED_HARMONICS
     t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * period
-    motions = [random_trajectory(robot, rng, period, harmonics).at(t) for _ in range(_SEEDS)]
+    motions = [
+        random_trajectory(robot, rng, period, harmonics).at(t) for _ in range(_SEEDS)
+    ]
     for motion in pool:
         if motion.nv != robot.nv:
-            raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
-        rows = np.linspace(0, len(motion) - 1, min(len(motion), 2 * _SEED_STATES)).round()
+            raise BadInput(
+                f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}"
+            )
+        rows = np.linspace(
+            0, len(motion) - 1, min(len(motion), 2 * _SEED_STATES)
+        ).round()
         motions.append(motion[np.unique(rows.astype(np.intp))])
     return _together(motions)
 
 
 def _together(motions: Sequence[Motion]) -> Motion:
     names = ("q", "dq", "ddq")
-    return numbered(*(np.concatenate([getattr(m, name) for m in motions]) for name in names))
+    return numbered(
+        *(np.concatenate([getattr(m, name) for m in motions]) for name in names)
+    )
 
 
-def mixture_of(problem: Relaxation, states: Motion, tolerance: float) -> tuple[Array, Multipliers]:
+def mixture_of(
+    problem: Relaxation, states: Motion, tolerance: float
+) -> tuple[Array, Multipliers]:
     """Weights of the best mixture of states, shape (n,), and its multipliers."""
     M = problem.matrices(states)
     size = np.trace(M, axis1=1, axis2=2) + 1e-9 * problem.unit
@@ -241,11 +281,14 @@ def best_mixture(
     n, m = rows.shape
     programme = _Programme(M, rows, bound)
     point = best = programme.start()
-    least, stalled = np.inf, 0
+    least = np.inf
+    stalled = 0
     for _ in range(_ITERATIONS):
         residual, merit = programme.residual(point)
         if merit < least:
-            best, least, stalled = point, merit, 0
+            best = point
+            least = merit
+            stalled = 0
         else:
             stalled += 1
         if merit < tolerance or stalled == _PATIENCE:
@@ -277,8 +320,11 @@ class _Point:
         """As far along a direction as it stays inside the cone, primal and dual apart."""
         primal = min(1.0, _STEP * min(_reach(self.X, d.X), _reach_line(self.x, d.x)))
         dual = min(1.0, _STEP * min(_reach(self.S, d.S), _reach_line(self.s, d.s)))
-        X, x = self.X + primal * d.X, self.x + primal * d.x
-        return _Point(X, x, self.S + dual * d.S, self.s + dual * d.s, self.v + dual * d.v)
+        X = self.X + primal * d.X
+        x = self.x + primal * d.x
+        return _Point(
+            X, x, self.S + dual * d.S, self.s + dual * d.s, self.v + dual * d.v
+        )
 
 
 class _Programme:
@@ -290,7 +336,8 @@ class _Programme:
 
     def __init__(self, M: Array, rows: Array, bound: float) -> None:
         n, m = rows.shape
-        self.M, self.n = M, n
+        self.M = M
+        self.n = n
         self.flat = M.reshape(n, -1)
         self.L = np.zeros((n + 1 + m, n + 3 * m))
         self.L[:n, :n] = -np.eye(n)
@@ -304,7 +351,9 @@ class _Programme:
         x = np.ones(self.L.shape[1])
         x[self.n :] = self.b[-1] / 3
         one = np.stack([np.eye(r)] * 2)
-        return _Point(one / r, x, _SLACK * one, np.full(len(x), _SLACK), np.zeros(len(self.b)))
+        return _Point(
+            one / r, x, _SLACK * one, np.full(len(x), _SLACK), np.zeros(len(self.b))
+        )
 
     def forward(self, X: Array, x: Array) -> Array:
         out: Array = self.L @ x
@@ -320,7 +369,8 @@ class _Programme:
     def residual(self, point: _Point) -> tuple[tuple[Array, Array], float]:
         """Dual residuals of X and of x, and the distance from optimality."""
         back, rest = self.adjoint(point.v)
-        dual, line = self.C - point.S - back, -point.s - rest
+        dual = self.C - point.S - back
+        line = -point.s - rest
         primal = self.b - self.forward(point.X, point.x)
         size = max(float(np.abs(part).max()) for part in (primal, line, dual))
         product = float(np.vdot(point.X, point.S) + point.x @ point.s)
@@ -348,7 +398,9 @@ class _Programme:
         H = self.schur(point.X, inverse, point.x / point.s)
         factor = scipy.linalg.cho_factor(H, lower=True, check_finite=False)
 
-        def direction(target: float, second: Array | float, second_line: Array | float) -> _Point:
+        def direction(
+            target: float, second: Array | float, second_line: Array | float
+        ) -> _Point:
             T = target * inverse - point.X @ dual @ inverse - second
             t = target / point.s - point.x * line / point.s - second_line
             right = self.b - self.forward(_symmetric(T), t)
@@ -360,15 +412,20 @@ class _Programme:
             return _Point(X, x, dual - back, line - rest, v)
 
         first = direction(0.0, 0.0, 0.0)
-        mu, after = point.mu(), point.moved(first).mu()
+        mu = point.mu()
+        after = point.moved(first).mu()
         target = mu * min(1.0, max(after / mu, 0.0)) ** 3
-        return direction(target, first.X @ first.S @ inverse, first.x * first.s / point.s)
+        return direction(
+            target, first.X @ first.S @ inverse, first.x * first.s / point.s
+        )
 
 
 def _reach(A: Array, D: Array) -> float:
     """Largest step along D that keeps A + step·D positive semidefinite, shapes (2, r, r)."""
     R = np.linalg.inv(_root(A))
-    low = float(np.linalg.eigvalsh(_symmetric(R @ D @ np.swapaxes(R, 1, 2)))[:, 0].min())
+    low = float(
+        np.linalg.eigvalsh(_symmetric(R @ D @ np.swapaxes(R, 1, 2)))[:, 0].min()
+    )
     return np.inf if low >= 0 else -1 / low
 
 

@@ -29,7 +29,9 @@ _INTERVALS = 200
 _LARGEST = 200_000  # poses; beyond them the bound stays looser than the resolution
 SCALE = 0.1  # m of missing clearance that count like a limit exceeded by its own size
 
-Extrema = tuple[Array, Array, Array, Array]  # smallest values, when; largest values, when; (nv,)
+Extrema = tuple[
+    Array, Array, Array, Array
+]  # smallest values, when; largest values, when; (nv,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +68,21 @@ class LimitUse:
         """Raise `OutsideLimits` with the worst joint, value and limit if one is exceeded."""
         if self.ratio > 1.0:
             j = int(self.ratios.argmax())
-            above, below = self.high[j] - self.limits[j, 1], self.limits[j, 0] - self.low[j]
+            above = self.high[j] - self.limits[j, 1]
+            below = self.limits[j, 0] - self.low[j]
             side = int(above > below)
-            value, limit = (self.low[j], self.high[j])[side], self.limits[j, side]
-            raise OutsideLimits(self.joint, self.quantity, float(value), float(limit), self.time)
+            value = (self.low[j], self.high[j])[side]
+            limit = self.limits[j, side]
+            raise OutsideLimits(
+                self.joint, self.quantity, float(value), float(limit), self.time
+            )
 
     def certified(self) -> list[dict[str, float] | None]:
         """Each joint's ``low``, ``high``, largest ``ratio`` and its ``t`` [s]; None unlimited."""
         names = ("low", "high", "ratio", "t")
-        table = np.stack([self.low, self.high, self.ratios, self.times], axis=1).tolist()
+        table = np.stack(
+            [self.low, self.high, self.ratios, self.times], axis=1
+        ).tolist()
         return [
             dict(zip(names, row, strict=True)) if np.isfinite(limits).all() else None
             for row, limits in zip(table, self.limits, strict=True)
@@ -109,9 +117,11 @@ class LimitReport:
 
     def entries(self, limits: Limits) -> dict[str, Any]:
         """Entries of result.json, by quantity."""
-        names, uses = [use.quantity for use in self.uses], self.uses
+        names = [use.quantity for use in self.uses]
+        uses = self.uses
         worst = (
-            {"joint": u.joint, "t": u.time, "ratio": u.ratio} if u.ratio else None for u in uses
+            {"joint": u.joint, "t": u.time, "ratio": u.ratio} if u.ratio else None
+            for u in uses
         )
         return {
             "limits": {use.quantity: use.ratio for use in uses},
@@ -131,7 +141,9 @@ def position_range(limits: Limits) -> tuple[Array, Array]:
     low = np.where(np.isinf(low) & np.isfinite(high), high - _ONE_SIDED, low)
     high = np.where(np.isinf(high) & np.isfinite(low), low + _ONE_SIDED, high)
     bounded = np.isfinite(low) & np.isfinite(high)
-    middle = np.where(bounded, (np.where(bounded, low, 0) + np.where(bounded, high, 0)) / 2, 0.0)
+    middle = np.where(
+        bounded, (np.where(bounded, low, 0) + np.where(bounded, high, 0)) / 2, 0.0
+    )
     return middle, np.where(bounded, high - middle, np.inf)
 
 
@@ -153,23 +165,36 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
         BadInput: The motion has another number of joints, or fewer than two samples.
     """
     if motion.nv != robot.nv:
-        raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
+        raise BadInput(
+            f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}"
+        )
     path: Trajectory | HermiteTrajectory
     orders = range(robot.limits.orders)
     if isinstance(motion, Trajectory):
-        path, stops = motion, motion.extrema_in_time(0)[0].ravel()
-        t = np.linspace(0.0, motion.period, _PER_HARMONIC * max(motion.harmonics, 1) + 1)
-        found = [_extreme(*(part.T for part in motion.extrema_in_time(k))) for k in orders]
+        path = motion
+        stops = motion.extrema_in_time(0)[0].ravel()
+        t = np.linspace(
+            0.0, motion.period, _PER_HARMONIC * max(motion.harmonics, 1) + 1
+        )
+        found = [
+            _extreme(*(part.T for part in motion.extrema_in_time(k))) for k in orders
+        ]
     else:
         if len(motion) < 2:
             raise BadInput(f"motion has {len(motion)} samples, at least two are needed")
-        path, share = HermiteTrajectory(motion), np.arange(_PER_SAMPLE) / _PER_SAMPLE
+        path = HermiteTrajectory(motion)
+        share = np.arange(_PER_SAMPLE) / _PER_SAMPLE
         t = (motion.t[:-1, None] + share * np.diff(motion.t)[:, None]).ravel()
         t = np.append(t, motion.t[-1])
         stops = _reversals(path, t)
-        found = [_extrema(partial(path, order=k), partial(path, order=k + 1), t) for k in orders]
+        found = [
+            _extrema(partial(path, order=k), partial(path, order=k + 1), t)
+            for k in orders
+        ]
     limits = zip(KINEMATIC, found, *kinematic_limits(robot.limits), strict=False)
-    position, velocity, acceleration, *jerk = (_use(robot, *quantity) for quantity in limits)
+    position, velocity, acceleration, *jerk = (
+        _use(robot, *quantity) for quantity in limits
+    )
     tau = _torque_use(robot, path, t, stops)
     return LimitReport(position, velocity, acceleration, tau, *jerk)
 
@@ -197,7 +222,8 @@ def within_limits(
     Meant for an excess of a small share of a limit: the middle is a pose, and torque need not
     fall on the way there. With a scene also None if bodies come nearer than ``least`` [m].
     """
-    X, one = trajectory.coefficients, trajectory.series.one
+    X = trajectory.coefficients
+    one = trajectory.series.one
     centre = trajectory.series.constant(one @ X / one.sum())
     for _ in range(_SHRINKS):
         excess = check(robot, trajectory).worst.ratio - 1
@@ -209,7 +235,9 @@ def within_limits(
     return None
 
 
-def _use(robot: Robot, quantity: str, found: Extrema, middle: Array, bound: Array) -> LimitUse:
+def _use(
+    robot: Robot, quantity: str, found: Extrema, middle: Array, bound: Array
+) -> LimitUse:
     low, t_low, high, t_high = found
     below = middle - low > high - middle
     with np.errstate(over="ignore"):  # of a limit that is hardly any
@@ -223,7 +251,8 @@ def _torque_use(
     robot: Robot, path: Trajectory | HermiteTrajectory, t: Array, stops: Array
 ) -> LimitUse:
     """Torque over continuous time; just before and after ``stops`` friction may jump."""
-    zero, bound = np.zeros(robot.nv), robot.limits.torque
+    zero = np.zeros(robot.nv)
+    bound = robot.limits.torque
     if np.all(np.isinf(bound)):
         return _use(robot, "torque", (zero,) * 4, zero, bound)
     dt = 1e-6 * float(np.median(np.diff(t)))
@@ -235,7 +264,8 @@ def _torque_use(
         return largest_torque(robot, path.at(s))
 
     def rate(s: Array) -> Array:
-        ahead, behind = np.minimum(s + dt, t[-1]), np.maximum(s - dt, t[0])
+        ahead = np.minimum(s + dt, t[-1])
+        behind = np.maximum(s - dt, t[0])
         slope: Array = (tau(ahead) - tau(behind)) / (ahead - behind)[:, None]
         return slope
 
@@ -245,7 +275,8 @@ def _torque_use(
 def _reversals(spline: HermiteTrajectory, t: Array) -> Array:
     v = spline(t, 1)
     k, joint = np.nonzero(v[:-1] * v[1:] < 0)
-    before, after = v[k, joint], v[k + 1, joint]
+    before = v[k, joint]
+    after = v[k + 1, joint]
     crossing: Array = t[k] + (t[k + 1] - t[k]) * before / (before - after)
     return crossing
 
@@ -269,7 +300,8 @@ def _extrema(
 def _extreme(times: Iterable[Array], values: Iterable[Array]) -> Extrema:
     found = []
     for t, x in zip(times, values, strict=True):
-        low, high = int(x.argmin()), int(x.argmax())
+        low = int(x.argmin())
+        high = int(x.argmax())
         found.append((x[low], t[low], x[high], t[high]))
     low, t_low, high, t_high = np.array(found).T
     return low, t_low, high, t_high
@@ -299,21 +331,28 @@ def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
     t = np.linspace(start, end, _INTERVALS + 1)
     distance = scene.distances(path(t))
     approach = scene.speeds() @ speed  # m/s, per pair
-    left, right = distance[:-1], distance[1:]
-    begin, length = t[:-1], t[1] - t[0]
-    best, evaluated = _smallest(scene, distance, t), len(t)
+    left = distance[:-1]
+    right = distance[1:]
+    begin = t[:-1]
+    length = t[1] - t[0]
+    best = _smallest(scene, distance, t)
+    evaluated = len(t)
     while True:
         bound = ((left + right - approach * length) / 2).min(axis=1)
         open_ = bound < best.distance - _RESOLUTION
         certified = min(best.distance - _RESOLUTION, float(bound.min(initial=np.inf)))
         if not open_.any() or evaluated > _LARGEST:
             return replace(best, certified=certified)
-        left, right, begin, length = left[open_], right[open_], begin[open_], length / 2
+        left = left[open_]
+        right = right[open_]
+        begin = begin[open_]
+        length = length / 2
         middle = scene.distances(path(begin + length))
         evaluated += len(middle)
         found = _smallest(scene, middle, begin + length)
         best = min(best, found, key=lambda c: c.distance)
-        left, right = np.vstack([left, middle]), np.vstack([middle, right])
+        left = np.vstack([left, middle])
+        right = np.vstack([middle, right])
         begin = np.concatenate([begin, begin + length])
 
 
@@ -328,7 +367,9 @@ def _span(path: Trajectory | HermiteTrajectory) -> tuple[float, float, Array]:
 def _smallest(scene: Scene, distance: Array, t: Array) -> Clearance:
     k, pair = np.unravel_index(int(np.argmin(distance)), distance.shape)
     value = float(distance[k, pair])
-    return Clearance(value, value, scene.pairs[int(pair)], float(t[k]), float(scene.scale[pair]))
+    return Clearance(
+        value, value, scene.pairs[int(pair)], float(t[k]), float(scene.scale[pair])
+    )
 
 
 def pose_use(scene: Scene | None, required: float, q: Array) -> Array:

@@ -33,7 +33,9 @@ class Information:
     columns: str
     base: BaseParameters  # of these columns
     weights: Array  # of each joint's equations, 1 / its noise relative to the others, shape (nv,)
-    earlier: Array  # information of earlier recordings per sample of the new motion, (r, r)
+    earlier: (
+        Array  # information of earlier recordings per sample of the new motion, (r, r)
+    )
 
     def __post_init__(self) -> None:
         freeze(self, "weights", "earlier")
@@ -50,7 +52,9 @@ class Information:
         """
         Y = observation_columns(self.robot, self.effects, motion)
         if smooth and self.effects:
-            j = np.arange(self.robot.nv)  # Coulomb columns, one per joint, follow the viscous ones
+            j = np.arange(
+                self.robot.nv
+            )  # Coulomb columns, one per joint, follow the viscous ones
             Y[:, j, 11 * len(j) + j] = np.tanh(motion.dq / sign_width(self.robot))
         return Y[:, :, list(self.base.columns)] * self.weights[:, None]
 
@@ -70,9 +74,13 @@ class Information:
         parts = [exact.Y, exact.by_q, exact.by_dq, exact.by_ddq]
         if self.columns == "friction":
             added = _friction_derivatives(self.robot, motion)
-            parts = [np.concatenate(pair, axis=-1) for pair in zip(parts, added, strict=True)]
+            parts = [
+                np.concatenate(pair, axis=-1) for pair in zip(parts, added, strict=True)
+            ]
         keep = list(self.base.columns)
-        return RegressorDerivatives(*(part[..., keep] * self.weights[:, None] for part in parts))
+        return RegressorDerivatives(
+            *(part[..., keep] * self.weights[:, None] for part in parts)
+        )
 
 
 def information(
@@ -100,7 +108,9 @@ def information(
     if columns not in COLUMNS:
         raise UnknownName("columns", columns, COLUMNS)
     sigma = np.ones(robot.nv) if noise is None else np.asarray(noise, float)
-    if sigma.shape != (robot.nv,) or not (np.isfinite(sigma).all() and (sigma > 0).all()):
+    if sigma.shape != (robot.nv,) or not (
+        np.isfinite(sigma).all() and (sigma > 0).all()
+    ):
         raise BadInput(
             f"torque noise: give one positive number [N·m] for each of the {robot.nv} joints of "
             f"{robot.name}"
@@ -111,7 +121,9 @@ def information(
     new = Information(robot, columns, base, np.exp(np.log(sigma).mean()) / sigma, known)
     for motion in earlier:
         if motion.nv != robot.nv:
-            raise BadInput(f"a recording has {motion.nv} joints, {robot.name} has {robot.nv}")
+            raise BadInput(
+                f"a recording has {motion.nv} joints, {robot.name} has {robot.nv}"
+            )
         known = known + new.matrix(motion) * float(np.ptp(motion.t)) / duration
     return replace(new, earlier=known)
 
@@ -132,9 +144,13 @@ def sign_width(robot: Robot) -> Array:
     return _SIGN_WIDTH * speed_scale(robot)
 
 
-def _friction_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Array, Array]:
+def _friction_derivatives(
+    robot: Robot, motion: Motion
+) -> tuple[Array, Array, Array, Array]:
     """Columns of `standard_effects` (smooth sign) and their derivatives by q, q̇, q̈."""
-    n, nv, j = len(motion), robot.nv, np.arange(robot.nv)
+    n = len(motion)
+    nv = robot.nv
+    j = np.arange(robot.nv)
     width = sign_width(robot)
     sign = np.tanh(motion.dq / width)
     Y = np.zeros((n, nv, 4 * nv))
@@ -147,17 +163,22 @@ def _friction_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, A
     return Y, by_q, by_dq, by_ddq
 
 
-def information_derivative(linear: RegressorDerivatives, basis: Sequence[Array], U: Array) -> Array:
+def information_derivative(
+    linear: RegressorDerivatives, basis: Sequence[Array], U: Array
+) -> Array:
     """Derivatives of UᵀMU by coefficients of q⁽ᵒ⁾ = basis[o] @ X, shape (c · nv, m, m).
 
     From the basis functions at n instants, each (n, c), and directions U (r, m); ordered as
     X.ravel().
     """
     n, nv, _ = linear.Y.shape
-    m, c = U.shape[1], basis[0].shape[1]
+    m = U.shape[1]
+    c = basis[0].shape[1]
     WU = np.swapaxes(linear.Y @ U, 1, 2)
     total = np.zeros((c, nv, m * m))
-    for phi, block in zip(basis, (linear.by_q, linear.by_dq, linear.by_ddq), strict=True):
+    for phi, block in zip(
+        basis, (linear.by_q, linear.by_dq, linear.by_ddq), strict=True
+    ):
         S = WU[None] @ (block @ U)
         total += np.tensordot(phi, S.reshape(nv, n, m * m), axes=(0, 1))
     D = total.reshape(c * nv, m, m) / n

@@ -28,7 +28,8 @@ _MESSAGE = "trajectory_msgs/msg/JointTrajectory"
 _FIELDS = ("positions", "velocities", "accelerations")
 _SERVOJ = "lookahead_time=0.1, gain=300"
 _FIRST = "a=0.3, v=0.2"  # rad/s² and rad/s of the move to the first pose
-_SETTLE = 0.48  # s at the last pose, which servoj reaches later than it is told; whole steps
+# s at the last pose, which servoj reaches later than it is told; whole steps
+_SETTLE = 0.48
 _Periods = Annotated[int, msgspec.Meta(ge=1, le=10_000)]
 _LARGEST = 1e9  # rad, rad/s, rad/s²: a sample beyond it is damaged
 
@@ -44,7 +45,9 @@ def _columns(nv: int) -> list[str]:
     return ["t", *(f"{kind}{j + 1}" for kind in _KINDS for j in range(nv))]
 
 
-def trajectory_csv(trajectory: Trajectory, rate_hz: float = 100.0, repetitions: int = 1) -> str:
+def trajectory_csv(
+    trajectory: Trajectory, rate_hz: float = 100.0, repetitions: int = 1
+) -> str:
     """All periods at a control rate [Hz], once or more, as a table with first and last sample."""
     return motion_csv(trajectory.motion(rate_hz, repetitions))
 
@@ -60,7 +63,9 @@ class _FourierRecord(msgspec.Struct, frozen=True):
     joints: Any = None
 
     def trajectory(self) -> Trajectory:
-        return FourierTrajectory(self.offset, self.cosine, self.sine, self.period, self.periods)
+        return FourierTrajectory(
+            self.offset, self.cosine, self.sine, self.period, self.periods
+        )
 
 
 class _SplineRecord(msgspec.Struct, frozen=True):
@@ -72,7 +77,9 @@ class _SplineRecord(msgspec.Struct, frozen=True):
     joints: Any = None
 
     def trajectory(self) -> Trajectory:
-        series = SplineSeries(self.period, len(self.control_points), periods=self.periods)
+        series = SplineSeries(
+            self.period, len(self.control_points), periods=self.periods
+        )
         return series.trajectory(self.control_points)
 
 
@@ -101,7 +108,8 @@ def load_trajectory(path: str | Path, robot: RobotLike) -> Trajectory | Motion:
         BadInput: Of file, row (from 0 after the header) and column: unreadable, missing, of
             another number of joints, not finite, or time that does not increase.
     """
-    path, robot = Path(path), as_robot(robot)
+    path = Path(path)
+    robot = as_robot(robot)
     if path.suffix.lower() == ".json":
         return _from_json(path, robot)
     try:
@@ -123,7 +131,11 @@ def _from_json(path: Path, robot: Robot) -> Trajectory:
         else convert(content, _FourierRecord, path)
     )
     joints = record.joints
-    if isinstance(joints, list) and len(joints) == robot.nv and tuple(joints) != robot.joints:
+    if (
+        isinstance(joints, list)
+        and len(joints) == robot.nv
+        and tuple(joints) != robot.joints
+    ):
         raise BadInput(
             f"trajectory {path}: its joints {', '.join(map(str, joints))} are not those of "
             f"{robot.name} ({', '.join(robot.joints)})"
@@ -140,7 +152,9 @@ def _from_json(path: Path, robot: Robot) -> Trajectory:
 
 
 def _from_csv(text: str, path: Path, robot: Robot) -> Motion:
-    lines = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]
+    lines = [
+        [cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row
+    ]
     if fault := _csv_fault(lines, robot):
         raise BadInput(f"trajectory {path}: {fault}")
     places = [lines[0].index(name) for name in _columns(robot.nv)]
@@ -157,7 +171,8 @@ def _from_csv(text: str, path: Path, robot: Robot) -> Motion:
 def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
     if len(lines) < 3:
         return "needs a header and at least two rows"
-    (header, *rows), nv = lines, robot.nv
+    (header, *rows) = lines
+    nv = robot.nv
     joints = sum(name.startswith("q") and name[1:].isdigit() for name in header)
     if joints and joints != nv:
         return f"{joints} joint columns q1..q{joints}, but {robot.name} has {nv} joints"
@@ -174,7 +189,11 @@ def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
         for k, cell in enumerate(row[header.index(name)] for row in rows):
             try:
                 value = float(cell)
-                beyond = "is more than an arm does" if np.isfinite(value) else "is not finite"
+                beyond = (
+                    "is more than an arm does"
+                    if np.isfinite(value)
+                    else "is not finite"
+                )
                 why = None if abs(value) <= _LARGEST else f"{value:g} {beyond}"
             except ValueError:
                 why = f"'{cell}' is not a number"
@@ -203,14 +222,20 @@ def write_formats(
         if write is None:
             found[suffix] = ros2_client(motions, robot)
         else:
-            found |= {stem + suffix: write(motion, robot) for stem, motion in motions.items()}
+            found |= {
+                stem + suffix: write(motion, robot) for stem, motion in motions.items()
+            }
     return found
 
 
 def _require(motion: Motion, robot: Robot) -> None:
     if motion.nv != robot.nv:
-        raise BadInput(f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}")
-    if not all(np.isfinite(x).all() for x in (motion.t, motion.q, motion.dq, motion.ddq)):
+        raise BadInput(
+            f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}"
+        )
+    if not all(
+        np.isfinite(x).all() for x in (motion.t, motion.q, motion.dq, motion.ddq)
+    ):
         raise BadInput("motion holds a value that is not finite")
     if len(motion) < 2 or np.any(np.diff(motion.t) <= 0):
         raise BadInput("motion needs at least two samples, at times that increase")
@@ -221,12 +246,17 @@ def ros2_client(motions: Mapping[str, Motion], robot: Robot) -> str:
 
     It needs ROS 2 and nothing of excitant; see its own first lines.
     """
-    text = files("excitant.design").joinpath("ros2_client.py").read_text(encoding="utf-8")
+    text = (
+        files("excitant.design").joinpath("ros2_client.py").read_text(encoding="utf-8")
+    )
     rows = ["MOTIONS = {"]
     for name, motion in motions.items():
         table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq]).tolist()
         rows += [f"    {name!r}: [", *(f"        {row}," for row in table), "    ],"]
-    held = {"JOINTS": f"JOINTS = {list(robot.joints)}", "MOTIONS": "\n".join([*rows, "}"])}
+    held = {
+        "JOINTS": f"JOINTS = {list(robot.joints)}",
+        "MOTIONS": "\n".join([*rows, "}"]),
+    }
     lines = (held.get(line.partition(":")[0], line) for line in text.splitlines())
     return "\n".join(lines) + "\n"
 
@@ -239,7 +269,10 @@ def joint_trajectory_yaml(motion: Motion, robot: Robot) -> str:
     for sec, nanosec, *values in _points(motion):
         for mark, field, row in zip("-  ", _FIELDS, values, strict=True):
             lines.append(f"{mark} {field}: [{', '.join(map(_yaml_number, row))}]")
-        lines += ["  effort: []", f"  time_from_start: {{sec: {sec}, nanosec: {nanosec}}}"]
+        lines += [
+            "  effort: []",
+            f"  time_from_start: {{sec: {sec}, nanosec: {nanosec}}}",
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -253,7 +286,9 @@ def mcap_bag(motion: Motion, robot: Robot) -> bytes:
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     types: Any = store.types
-    duration, time = (types[f"builtin_interfaces/msg/{name}"] for name in ("Duration", "Time"))
+    duration, time = (
+        types[f"builtin_interfaces/msg/{name}"] for name in ("Duration", "Time")
+    )
     points = [
         types["trajectory_msgs/msg/JointTrajectoryPoint"](
             **dict(zip(_FIELDS, map(np.array, values), strict=True)),
@@ -263,7 +298,9 @@ def mcap_bag(motion: Motion, robot: Robot) -> bytes:
         for sec, nanosec, *values in _points(motion)
     ]
     header = types["std_msgs/msg/Header"](stamp=time(sec=0, nanosec=0), frame_id="")
-    message = types[_MESSAGE](header=header, joint_names=list(robot.joints), points=points)
+    message = types[_MESSAGE](
+        header=header, joint_names=list(robot.joints), points=points
+    )
     with TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -286,7 +323,9 @@ def urscript(motion: Motion, robot: Robot) -> str:
     joints = ", ".join(robot.joints).encode("ascii", "replace").decode()
     poses = [f"[{', '.join(f'{x:.12f}' for x in row)}]" for row in motion.q]
     times = [f"{t:.9f}" for t in motion.t - motion.t[0]]
-    between = ", ".join(f"last[{j}] + share * (target[{j}] - last[{j}])" for j in range(6))
+    between = ", ".join(
+        f"last[{j}] + share * (target[{j}] - last[{j}])" for j in range(6)
+    )
     lines = [
         "def excitant_motion():",
         f"  # {len(poses)} poses of {joints} [rad] in {times[-1]} s",
@@ -305,7 +344,10 @@ def urscript(motion: Motion, robot: Robot) -> str:
         "    last = target",
         "  end",
         f"  movej(last, {_FIRST})",
-        *(f"  follow({pose}, {t})" for pose, t in zip(poses[1:], times[1:], strict=True)),
+        *(
+            f"  follow({pose}, {t})"
+            for pose, t in zip(poses[1:], times[1:], strict=True)
+        ),
         f"  servoj(last, t={_SETTLE}, {_SERVOJ})",
         "  stopj(2.0)",
         "end",
@@ -322,10 +364,14 @@ def npz(motion: Motion, robot: Robot) -> bytes:
     return buffer.getvalue()
 
 
-def _points(motion: Motion) -> Iterator[tuple[int, int, list[float], list[float], list[float]]]:
+def _points(
+    motion: Motion,
+) -> Iterator[tuple[int, int, list[float], list[float], list[float]]]:
     ticks = [round(1e9 * float(t)) for t in motion.t - motion.t[0]]
     for k in np.flatnonzero(np.diff(ticks) <= 0)[:1]:
-        raise BadInput(f"samples {k} and {k + 1} of the motion are less than 1 ns apart")
+        raise BadInput(
+            f"samples {k} and {k + 1} of the motion are less than 1 ns apart"
+        )
     rows = zip(motion.q.tolist(), motion.dq.tolist(), motion.ddq.tolist(), strict=True)
     for tick, values in zip(ticks, rows, strict=True):
         yield *divmod(tick, 10**9), *values

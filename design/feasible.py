@@ -21,7 +21,8 @@ _POSES = 2000
 _POLISH = 30
 _DRAWS = 20
 _SHRINKS = 40
-_WIDER = 4  # shares tried for each joint between all of its motion and what all joints may
+# shares tried for each joint between all of its motion and what all joints may
+_WIDER = 4
 _TORQUE_SAMPLES = 32  # per harmonic
 _WAVES = 10  # highest harmonic of a random start
 _TORQUE_SHARE = 0.99  # of the limit at the samples, which leaves room between them
@@ -92,7 +93,9 @@ def random_start(
 
 def torque_use(robot: Robot, motion: Motion) -> Array:
     """Largest torque over its limit per joint at the instants of a motion, shape (nv,)."""
-    use: Array = (np.abs(largest_torque(robot, motion)) / robot.limits.torque).max(axis=0)
+    use: Array = (np.abs(largest_torque(robot, motion)) / robot.limits.torque).max(
+        axis=0
+    )
     return use
 
 
@@ -110,10 +113,14 @@ def _draw(robot: Robot, rng: np.random.Generator, series: Series) -> Trajectory:
     X[0] = 0.0
     X = series.nearest(waves.trajectory(X))
     moved = series.trajectory(X)
-    reach = [np.maximum(*(np.abs(e) for e in moved.extrema(k))) for k in range(len(bound))]
+    reach = [
+        np.maximum(*(np.abs(e) for e in moved.extrema(k))) for k in range(len(bound))
+    ]
     shift = rng.uniform(0.0, 0.6, robot.nv) * rng.choice([-1.0, 1.0], robot.nv) * half
     room = [half - np.abs(shift), *bound[1:]]
-    share = np.min([b / np.maximum(r, 1e-12) for b, r in zip(room, reach, strict=True)], axis=0)
+    share = np.min(
+        [b / np.maximum(r, 1e-12) for b, r in zip(room, reach, strict=True)], axis=0
+    )
     X = X * share * rng.uniform(0.5, 0.99, robot.nv)
     return series.trajectory(X + series.constant(middle + shift))
 
@@ -124,10 +131,15 @@ def _standstill(
     """A pose that all limits allow, shape (nv,): the best random one, improved around itself."""
     middle, half = position_range(robot.limits)
     half = np.where(np.isfinite(half), half, np.pi)
-    width, pose, best = 1.0, middle, np.inf
-    use, apart = np.zeros(robot.nv), 0.0
+    width = 1.0
+    pose = middle
+    best = np.inf
+    use = np.zeros(robot.nv)
+    apart = 0.0
     for _ in range(_POLISH):
-        poses = pose + width * half * rng.uniform(-1, 1, (_POSES // _POLISH * 2, robot.nv))
+        poses = pose + width * half * rng.uniform(
+            -1, 1, (_POSES // _POLISH * 2, robot.nv)
+        )
         poses = np.clip(poses, middle - half, middle + half)
         zero = np.zeros_like(poses)
         held = Motion(np.arange(len(poses), dtype=float), poses, zero, zero)
@@ -136,13 +148,17 @@ def _standstill(
         worst = np.maximum(uses.max(axis=1), near)
         k = int(worst.argmin())
         if worst[k] < best:
-            best, pose, use, apart = float(worst[k]), poses[k], uses[k], float(near[k])
+            best = float(worst[k])
+            pose = poses[k]
+            use = uses[k]
+            apart = float(near[k])
         width *= 0.8
     if best < _TORQUE_SHARE:
         return pose
     if scene is not None and apart >= use.max():
         distance = scene.distances(pose[None])[0]
-        pair, least = scene.pairs[int(distance.argmin())], 1e3 * float(distance.min())
+        pair = scene.pairs[int(distance.argmin())]
+        least = 1e3 * float(distance.min())
         raise Infeasible(
             f"trajectory of {robot.name}",
             f"every pose tried is too close to an obstacle or to the arm itself: at best, "
@@ -151,7 +167,9 @@ def _standstill(
             "or widen the position limits",
         )
     tight = np.flatnonzero(use >= 0.999 * best).tolist()
-    limit = ", ".join(f"{robot.limits.torque[j]:.4g} {robot.torque_unit(joint=j)}" for j in tight)
+    limit = ", ".join(
+        f"{robot.limits.torque[j]:.4g} {robot.torque_unit(joint=j)}" for j in tight
+    )
     raise Infeasible(
         f"trajectory of {robot.name}",
         f"torque limit of {', '.join(robot.joints[j] for j in tight)} ({limit}) is below what "

@@ -152,14 +152,17 @@ def design_trajectory(
         BadInput: Duration, periods, use, harmonics or starts out of range, or no cluster there.
     """
     robot = as_robot(robot)
-    began, held = time.time(), robot.using(use)
+    began = time.time()
+    held = robot.using(use)
     with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
         first = build_design(
             held, duration=duration, periods=periods, harmonics=harmonics, series=series,
             criterion=criterion, columns=columns, noise=noise, earlier=earlier, scene=scene,
             clearance=clearance,
         )  # fmt: skip
-        initial = first.random(np.random.default_rng([seed, 0]))  # refuses what no motion keeps
+        initial = first.random(
+            np.random.default_rng([seed, 0])
+        )  # refuses what no motion keeps
         if progress is not None:
             effort = replace(effort, report=_Teller(effort.starts, progress))
         free = {"periods": periods is None, "harmonics": harmonics is None}
@@ -201,9 +204,13 @@ class _Teller:
     """Turns the states of the searches into what a progress callback wants."""
 
     def __init__(self, total: int | None, progress: Progress) -> None:
-        self.total, self.progress = total, progress
-        self.told, self.exact = np.inf, np.inf  # criterion of the search, and exactly
-        self.ratio, self.condition, self.done = np.inf, np.inf, 0
+        self.total = total
+        self.progress = progress
+        self.told = np.inf  # criterion of the search
+        self.exact = np.inf  # and exactly
+        self.ratio = np.inf
+        self.condition = np.inf
+        self.done = 0
 
     def __call__(self, problem: DesignProblem, states: Sequence[SearchState]) -> None:
         state = min(states, key=lambda s: s.best_value)
@@ -215,5 +222,7 @@ class _Teller:
             if exact < self.exact:
                 self.exact, self.condition = exact, condition_number(M)
                 self.ratio = check(problem.robot, trajectory).worst.ratio
-        self.done = max(self.done, sum(state.ended for state in states))  # periods are tried anew
+        self.done = max(
+            self.done, sum(state.ended for state in states)
+        )  # periods are tried anew
         self.progress(self.done, self.total, self.condition, self.ratio)

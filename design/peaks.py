@@ -23,12 +23,15 @@ from excitant.robots.regressor import torque_derivatives as rigid_derivatives
 from excitant.robots.torque import largest_torque, link_torques
 
 _CREEP = 1e-5  # speed that stands for a one-sided limit [rad/s or m/s]
-_STEP = 1e-6  # of central differences of effects; below `_CREEP`, so that no sign changes
+# of central differences of effects; below `_CREEP`, so that no sign changes
+_STEP = 1e-6
 _SLOW = 0.05  # of the speed scale, below which a joint almost turns
 _STILL = 1e-6  # acceleration, as a share of the largest, below which a turn stays where it is
 
 Joints = npt.NDArray[np.intp]
-Candidates = tuple[Array, Joints, Array, Array]  # instants, joints, sides and weights, each (k,)
+Candidates = tuple[
+    Array, Joints, Array, Array
+]  # instants, joints, sides and weights, each (k,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +65,19 @@ def torque_peaks(problem: DesignProblem, z: Array) -> TorquePeaks:
         candidates = [_smooth_peaks(problem, z, tau, 0.0)]
     else:
         jump = _jump(problem.robot, motion)
-        candidates = [_turns(problem, z, motion.dq), _almost_turns(problem, z, motion.dq)]
+        candidates = [
+            _turns(problem, z, motion.dq),
+            _almost_turns(problem, z, motion.dq),
+        ]
         for way in (1.0, -1.0):
             one_way = tau + way * jump * (way * motion.dq < 0)
             candidates.append(_smooth_peaks(problem, z, one_way, way))
     parts = [np.concatenate(part) for part in zip(*candidates, strict=True)]
     t, joint, side, weight = (part[parts[-1] > 0] for part in parts)
     peaks = TorquePeaks(t, joint, side, weight, np.zeros(len(t)))
-    worst = largest_torque(problem.robot, peaks.motion(problem, z))[np.arange(len(t)), joint]
+    worst = largest_torque(problem.robot, peaks.motion(problem, z))[
+        np.arange(len(t)), joint
+    ]
     return replace(peaks, use=weight * np.abs(worst) / problem.torque_bound[joint])
 
 
@@ -77,23 +85,30 @@ def _jump(robot: Robot, motion: Motion) -> Array:
     """Jump of a joint's torque if it turned to the positive side, shape (n, nv)."""
     jump = np.zeros_like(motion.q)
     for side in (1.0, -1.0):
-        creeping = Motion(motion.t, motion.q, np.full_like(jump, side * _CREEP), motion.ddq)
+        creeping = Motion(
+            motion.t, motion.q, np.full_like(jump, side * _CREEP), motion.ddq
+        )
         for effect in robot.effects:
             jump += side * effect.torque(robot, creeping)
     return jump
 
 
-def _smooth_peaks(problem: DesignProblem, z: Array, tau: Array, side: float) -> Candidates:
+def _smooth_peaks(
+    problem: DesignProblem, z: Array, tau: Array, side: float
+) -> Candidates:
     """Peaks with friction as if every joint moved to this side; else they count if it is slow."""
     use = np.abs(tau) / problem.torque_bound
-    before, after = np.roll(use, 1, axis=0), np.roll(use, -1, axis=0)
+    before = np.roll(use, 1, axis=0)
+    after = np.roll(use, -1, axis=0)
     k, joint = np.nonzero((use >= before) & (use > after))
     rise = after[k, joint] - before[k, joint]
     bend = before[k, joint] - 2 * use[k, joint] + after[k, joint]
     shift = np.clip(-0.5 * rise / np.minimum(bend, -1e-300), -0.5, 0.5)
     t = problem.instants[k] + shift * problem.period / len(use)
     along = side * _own(problem, z, t, joint, 1)
-    weight = np.clip(1 + np.minimum(along, 0.0) / _slow_speed(problem.robot)[joint], 0.0, 1.0)
+    weight = np.clip(
+        1 + np.minimum(along, 0.0) / _slow_speed(problem.robot)[joint], 0.0, 1.0
+    )
     return t, joint, np.where(along < 0, side, 0.0), weight
 
 
@@ -104,31 +119,44 @@ def _turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
     k, joint = np.nonzero(dq * following < 0)
     share = dq[k, joint] / (dq[k, joint] - following[k, joint])
     t = _polished(problem, z, (k + share) * problem.period / n, joint, 1)
-    t, joint = np.append(t, np.zeros(nv)), np.append(joint, np.arange(nv))
+    t = np.append(t, np.zeros(nv))
+    joint = np.append(joint, np.arange(nv))
     side = np.repeat([1.0, -1.0], len(t))
     return np.tile(t, 2), np.tile(joint, 2), side, np.ones(len(side))
 
 
 def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
     """The other side where a joint is slow: at the samples, and where it is slowest."""
-    size, n = np.abs(dq), len(dq)
-    before, after = np.roll(dq, 1, axis=0), np.roll(dq, -1, axis=0)
+    size = np.abs(dq)
+    n = len(dq)
+    before = np.roll(dq, 1, axis=0)
+    after = np.roll(dq, -1, axis=0)
     slowest = (size <= np.abs(before)) & (size < np.abs(after))
     k, joint = np.nonzero(slowest & (dq * before > 0) & (dq * after > 0))
     t = _polished(problem, z, k * problem.period / n, joint, 2)
     slow = np.nonzero(size < _slow_speed(problem.robot))
-    k, joint = np.append(k, slow[0]), np.append(joint, slow[1])
+    k = np.append(k, slow[0])
+    joint = np.append(joint, slow[1])
     t = np.append(t, problem.instants[slow[0]])
     side = -np.sign(dq[k, joint])
-    short = -side * _own(problem, z, t, joint, 1)  # below 0 it turns twice between two samples
-    return t, joint, side, np.clip(1 - short / _slow_speed(problem.robot)[joint], 0.0, 1.0)
+    short = -side * _own(
+        problem, z, t, joint, 1
+    )  # below 0 it turns twice between two samples
+    return (
+        t,
+        joint,
+        side,
+        np.clip(1 - short / _slow_speed(problem.robot)[joint], 0.0, 1.0),
+    )
 
 
 def _slow_speed(robot: Robot) -> Array:
     return _SLOW * speed_scale(robot)
 
 
-def _polished(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int) -> Array:
+def _polished(
+    problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int
+) -> Array:
     """Instants moved by Newton's method to zeros of a derivative, less than a grid step."""
     spacing = problem.period / len(problem.instants)
     for _ in range(2):
@@ -138,7 +166,9 @@ def _polished(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: 
     return t
 
 
-def _own(problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int) -> Array:
+def _own(
+    problem: DesignProblem, z: Array, t: Array, joint: Joints, order: int
+) -> Array:
     values: Array = np.einsum("kd,kd->k", problem.basis(t, order), z[:, joint].T)
     return values
 
@@ -148,8 +178,10 @@ def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, 
     if np.all(np.isinf(problem.torque_bound)):
         return np.zeros((0, problem.size)), np.zeros(0)
     peaks = torque_peaks(problem, z).above(share)
-    joint, m = peaks.joint, np.arange(len(peaks.t))
-    motion, bases = peaks.motion(problem, z), problem.bases(peaks.t)
+    joint = peaks.joint
+    m = np.arange(len(peaks.t))
+    motion = peaks.motion(problem, z)
+    bases = problem.bases(peaks.t)
     tau, *parts = torque_derivatives(problem.robot, motion, joint)
     sign = np.sign(tau[m, joint]) / problem.torque_bound[joint]
     rows = np.zeros((len(m), *z.shape))
@@ -160,7 +192,9 @@ def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, 
         rate += np.einsum("kj,kj->k", D[m, joint], speed)
     rows[m, :, joint] -= bases[1] * _delay(peaks, motion, rate)[:, None]
     v = np.einsum("kd,kd->k", bases[1], z[:, joint].T)
-    growth = np.where(peaks.weight < 1, -np.sign(v) / _slow_speed(problem.robot)[joint], 0.0)
+    growth = np.where(
+        peaks.weight < 1, -np.sign(v) / _slow_speed(problem.robot)[joint], 0.0
+    )
     rows *= peaks.weight[:, None, None]
     rows[m, :, joint] += bases[1] * (tau[m, joint] * growth)[:, None]
     use = tau[m, joint] * sign * peaks.weight
@@ -197,7 +231,10 @@ def _worst_bodies(robot: Robot, motion: Motion, joint: Joints) -> list[Robot]:
     """The arm with the masses that make ``joint[k]``'s torque at instant k largest."""
     k = np.arange(len(motion))
     total = torque(robot, motion)[k, joint]
-    way = np.sign(link_torques(robot, motion)[k, joint]) * np.where(total < 0, -1, 1)[:, None]
+    way = (
+        np.sign(link_torques(robot, motion)[k, joint])
+        * np.where(total < 0, -1, 1)[:, None]
+    )
     shares = 1 + robot.limits.mass_uncertainty * way
     return [robot.with_parameters(robot.phi * np.repeat(share, 10)) for share in shares]
 
@@ -209,7 +246,9 @@ def _effect_derivatives(robot: Robot, motion: Motion) -> Array:
     others = [effect for effect in robot.effects if effect.law is None]
     joints = np.arange(nv)
     for order in range(3):
-        D[order][:, joints, joints] = _difference(robot, own, motion, order, np.ones(nv))
+        D[order][:, joints, joints] = _difference(
+            robot, own, motion, order, np.ones(nv)
+        )
         if others:
             for j, unit in enumerate(np.eye(nv)):
                 D[order, :, :, j] += _difference(robot, others, motion, order, unit)
@@ -239,16 +278,22 @@ def worst_use(problem: DesignProblem, z: Array) -> float:
     return max(float(torque_peaks(problem, z).use.max(initial=0.0)), float(apart))
 
 
-def clearance_rows(problem: DesignProblem, z: Array, near: float) -> tuple[Array, Array]:
+def clearance_rows(
+    problem: DesignProblem, z: Array, near: float
+) -> tuple[Array, Array]:
     """Derivatives (m, unknowns) of the clearance's use above ``near``, and the use, (m,)."""
     if problem.scene is None:
         return np.zeros((0, problem.size)), np.zeros(0)
     q = problem.grid_bases[0] @ z
     distance = problem.scene.distances(q)
     use = 1 + (problem.required - distance) / SCALE
-    before, after = np.roll(distance, 1, axis=0), np.roll(distance, -1, axis=0)
-    rows, uses = [], []
-    for k, pair in np.argwhere((distance <= before) & (distance < after) & (use > near)):
+    before = np.roll(distance, 1, axis=0)
+    after = np.roll(distance, -1, axis=0)
+    rows = []
+    uses = []
+    for k, pair in np.argwhere(
+        (distance <= before) & (distance < after) & (use > near)
+    ):
         _, gradient = problem.scene.gradient(q[k], int(pair))
         rows.append(-np.outer(problem.grid_bases[0][k], gradient).ravel() / SCALE)
         uses.append(use[k, pair])

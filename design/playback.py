@@ -15,7 +15,8 @@ from excitant.robots.appearance import Appearance
 from excitant.robots.geometry import Scene
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
 
-_FRAMES_HZ, _FRAMES = 50.0, 5000  # rate, and no more frames than that
+_FRAMES_HZ = 50.0  # rate
+_FRAMES = 5000  # and no more frames than that
 _APART = 1e-3  # s: frames nearer to a moment that must be shown give way to it
 
 
@@ -40,7 +41,8 @@ class Playback:
     @cached_property
     def motion(self) -> Motion:
         """The frames."""
-        path, start = self.path, 0.0
+        path = self.path
+        start = 0.0
         if isinstance(path, Trajectory):
             end = path.period
         else:
@@ -72,7 +74,9 @@ class Playback:
         motion = self.motion
         shares = shares_of_limits(self.robot, motion)
         for k, use in enumerate(getattr(self.limits, name) for name in LIMIT_NAMES[:4]):
-            for j in np.flatnonzero(use.ratios >= TOUCHED):  # friction jumps where a joint turns
+            for j in np.flatnonzero(
+                use.ratios >= TOUCHED
+            ):  # friction jumps where a joint turns
                 shares[np.searchsorted(motion.t, use.times[j]), k, j] = use.ratios[j]
         series = {"play_t": motion.t, "play_q": motion.q, "play_dq": motion.dq}
         series["play_shares"] = shares

@@ -16,7 +16,8 @@ from excitant.design.trajectory import Series, Trajectory
 from excitant.robots import Array, Motion, Robot
 from excitant.robots.geometry import Scene
 
-_MARGIN = 1e-4  # share of every limit kept free, above what the exchange leaves violated
+# share of every limit kept free, above what the exchange leaves violated
+_MARGIN = 1e-4
 _SAMPLES = {"inertial": 12, "friction": 20}  # per harmonic, for the information
 _PEAK_SAMPLES = 32  # per harmonic, for finding peaks
 _REACH = np.pi  # taken as half the range of an unlimited joint
@@ -33,7 +34,8 @@ class DesignProblem:
     information: Information  # what is to be made visible, on which robot
     criterion: str  # ``"condition"``, ``"d"``, ``"a"`` or ``"e"``
     series: Series  # functions of time that the motion is a combination of; c of them
-    scene: Scene | None = None  # the arm's bodies and obstacles; None to leave clearance out
+    # the arm's bodies and obstacles; None to leave clearance out
+    scene: Scene | None = None
     required: float = 0.0  # smallest distance between bodies [m]
 
     @property
@@ -79,7 +81,9 @@ class DesignProblem:
     @cached_property
     def bound(self) -> Array:
         """Largest distance of q, q̇, q̈ (and jerk) from the middle, less a margin."""
-        return kinematic_limits(self.robot.limits)[1][: self.robot.limits.orders] * (1 - _MARGIN)
+        return kinematic_limits(self.robot.limits)[1][: self.robot.limits.orders] * (
+            1 - _MARGIN
+        )
 
     @cached_property
     def torque_bound(self) -> Array:
@@ -126,11 +130,15 @@ class DesignProblem:
         self, z: Array, order: int, share: float
     ) -> tuple[Array, npt.NDArray[np.intp]]:
         """Instants [s] and joints of extrema beyond a share of the bound, by one Newton step."""
-        value, slope, curve = (basis @ z for basis in self.grid_bases[order : order + 3])
+        value, slope, curve = (
+            basis @ z for basis in self.grid_bases[order : order + 3]
+        )
         use = np.abs(value - self.middle[order]) / self.bound[order]
         peak = (use >= np.roll(use, 1, axis=0)) & (use > np.roll(use, -1, axis=0))
         k, joint = np.nonzero(peak & (use > 0.98 * share))
-        slope, curve, spacing = slope[k, joint], curve[k, joint], self.period / len(use)
+        slope = slope[k, joint]
+        curve = curve[k, joint]
+        spacing = self.period / len(use)
         shift = -slope / np.where(curve == 0.0, np.inf, curve)
         shift = np.clip(shift, -spacing, spacing)
         rise = np.abs(shift * (slope + 0.5 * curve * shift)) / self.bound[order, joint]

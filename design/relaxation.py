@@ -21,7 +21,8 @@ _STATES = 1000  # random states for scales and symmetries
 _SAME = 1e-9
 _TORQUE_PENALTY = 1e3
 _DRAWS = 30  # random points per point kept
-_STEPS = (0.05, 0.25, 1.0, 4.0)  # tried along every gradient, as multiples of the last step
+# tried along every gradient, as multiples of the last step
+_STEPS = (0.05, 0.25, 1.0, 4.0)
 _IDENTITY_SHARE = 0.5
 _ONE, _SIN, _COS, _X, _XX = range(5)  # factors of test functions
 
@@ -63,7 +64,9 @@ class StateSpace:
 
     def use(self, motion: Motion) -> Array:
         """Largest torque over its limit at each state, shape (n,)."""
-        use: Array = (np.abs(torque(self.robot, motion)) / self.robot.limits.torque).max(axis=1)
+        use: Array = (
+            np.abs(torque(self.robot, motion)) / self.robot.limits.torque
+        ).max(axis=1)
         return use
 
     def slowed(self, motion: Motion) -> Motion:
@@ -77,7 +80,9 @@ class StateSpace:
         return _stretched(motion[keep], share[keep])
 
     def _speeds(self, u1: Array) -> Array:
-        return _arc(u1, np.where(self.bounded, self.top * self.half, np.inf), self.speed)
+        return _arc(
+            u1, np.where(self.bounded, self.top * self.half, np.inf), self.speed
+        )
 
     def _accelerations(self, dq: Array) -> Array:
         return _arc(dq / self.speed, self.top * self.speed, self.acceleration)
@@ -108,7 +113,9 @@ def state_space(robot: Robot, top: float) -> StateSpace:
     speed = np.minimum(limits.velocity, np.where(bounded, top * half, np.inf))
     acceleration = np.minimum(limits.acceleration, top * speed)
     if np.isinf(acceleration).any() and np.isfinite(speed).all():
-        acceleration = np.minimum(acceleration, _torque_reach(robot, middle, half, speed))
+        acceleration = np.minimum(
+            acceleration, _torque_reach(robot, middle, half, speed)
+        )
     for lacking, why in (
         (~bounded & ~robot.revolute, "slides without position limits"),
         (np.isinf(speed), "has no velocity limit"),
@@ -128,10 +135,14 @@ def _torque_reach(robot: Robot, middle: Array, half: Array, speed: Array) -> Arr
     q = middle + half * rng.uniform(-1, 1, (_POSES, robot.nv))
     dq = speed * rng.uniform(-1, 1, q.shape)
     units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.nv))
-    at_rest, *moving = (torque(robot, numbered(q, dq, a)) for a in (np.zeros_like(q), *units))
+    at_rest, *moving = (
+        torque(robot, numbered(q, dq, a)) for a in (np.zeros_like(q), *units)
+    )
     inverse = np.linalg.inv(np.stack([tau - at_rest for tau in moving], axis=2))
     with np.errstate(invalid="ignore"):
-        reach = np.einsum("nij,nj->ni", np.abs(inverse), robot.limits.torque + np.abs(at_rest))
+        reach = np.einsum(
+            "nij,nj->ni", np.abs(inverse), robot.limits.torque + np.abs(at_rest)
+        )
     most: Array = 2 * reach.max(axis=0)
     return np.where(np.isnan(most), np.inf, most)
 
@@ -152,7 +163,9 @@ class TestFunctions:
         """dφ/dt at n states, shape (n, m)."""
         j, kind, i = self.table.T
         x = motion.q[:, j]
-        sin, cos, one = np.sin(x), np.cos(x), np.ones_like(x)
+        sin = np.sin(x)
+        cos = np.cos(x)
+        one = np.ones_like(x)
         f = np.choose(kind, [one, sin, cos, x, x * x])
         df = np.choose(kind, [0 * one, cos, -sin, one, 2 * x])
         rates: Array = df * motion.dq[:, j] * motion.dq[:, i] + f * motion.ddq[:, i]
@@ -184,7 +197,9 @@ class Multipliers:
     def repaired(self, violation: float) -> Multipliers:
         """Multipliers that hold wherever the violation is at most this: Q + violation R."""
         e = 1 + violation
-        return Multipliers(self.P / e, (self.Q + violation * self.repair) / e, self.y / e)
+        return Multipliers(
+            self.P / e, (self.Q + violation * self.repair) / e, self.y / e
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,12 +229,20 @@ class Relaxation:
         g = ⟨P − Q, M⟩ + y·dφ/dt must not be positive; R repairs it.
         """
         Y = self.information.observation(motion)
-        g = _form(Y, multipliers.P - multipliers.Q) + self.tests.rates(motion) @ multipliers.y
+        g = (
+            _form(Y, multipliers.P - multipliers.Q)
+            + self.tests.rates(motion) @ multipliers.y
+        )
         price: Array = g / (_form(Y, multipliers.repair) + 1e-300)
         return price
 
     def worst(
-        self, multipliers: Multipliers, starts: Array, steps: int, kept: int, polish: int
+        self,
+        multipliers: Multipliers,
+        starts: Array,
+        steps: int,
+        kept: int,
+        polish: int,
     ) -> tuple[Motion, Array]:
         """States of highest price and their prices, highest first, by ascent from starts (n, 3 nv).
 
@@ -235,20 +258,27 @@ class Relaxation:
         order = np.argsort(-price)
         return motion[order], price[order]
 
-    def _ascend(self, multipliers: Multipliers, u: Array, steps: int) -> tuple[Array, Array]:
+    def _ascend(
+        self, multipliers: Multipliers, u: Array, steps: int
+    ) -> tuple[Array, Array]:
         """Projected gradient ascent: points and merits. Of several steps the best is taken."""
-        value, reach = self._merit(multipliers, u), np.full(len(u), 0.3)
+        value = self._merit(multipliers, u)
+        reach = np.full(len(u), 0.3)
         for _ in range(steps):
             d = self._slope(multipliers, u, value)
             d = np.where((np.abs(u) >= 1) & (d * u > 0), 0.0, d)
             d /= np.maximum(np.abs(d).max(axis=1, keepdims=True), 1e-300)
-            best, top, used = u.copy(), value.copy(), 0.2 * reach
+            best = u.copy()
+            top = value.copy()
+            used = 0.2 * reach
             for factor in _STEPS:
                 there = np.clip(u + (factor * reach)[:, None] * d, -1, 1)
                 merit = self._merit(multipliers, there)
                 up = merit > top
                 best[up], top[up], used[up] = there[up], merit[up], factor * reach[up]
-            u, value, reach = best, top, np.clip(used, 1e-5, 2.0)
+            u = best
+            value = top
+            reach = np.clip(used, 1e-5, 2.0)
         return u, value
 
     def promising(
@@ -257,7 +287,9 @@ class Relaxation:
         """The n best-priced of many points of the cube: random ones and mutants of known ones."""
         count = _DRAWS * n
         u = rng.uniform(-1, 1, (count, 3 * self.space.robot.nv))
-        u = np.where(rng.random(u.shape) < rng.choice([0.0, 0.5], (count, 1)), np.sign(u), u)
+        u = np.where(
+            rng.random(u.shape) < rng.choice([0.0, 0.5], (count, 1)), np.sign(u), u
+        )
         parents = known[rng.integers(len(known), size=count)]
         inherited = rng.random(u.shape) < rng.choice([0.0, 0.7, 0.9], (count, 1))
         u = np.where(inherited, parents, u)
@@ -285,9 +317,12 @@ def _form(Y: Array, F: Array) -> Array:
     return np.asarray(np.einsum("nij,nij->n", Y @ F, Y))
 
 
-def relaxation(robot: Robot, columns: str, top: float, *, stationary: bool) -> Relaxation:
+def relaxation(
+    robot: Robot, columns: str, top: float, *, stationary: bool
+) -> Relaxation:
     """The relaxation up to ``top`` [rad/s]; ``stationary`` says whether E[dφ/dt] = 0 holds."""
-    visible, space = information(robot, columns), state_space(robot, top)
+    visible = information(robot, columns)
+    space = state_space(robot, top)
     rng = np.random.default_rng(0)
     motion = space.motion(rng.uniform(-1, 1, (_STATES, 3 * robot.nv)))
     Y = visible.observation(motion)
@@ -296,9 +331,19 @@ def relaxation(robot: Robot, columns: str, top: float, *, stationary: bool) -> R
     factors = [(0, _ONE)]
     for j, unit in enumerate(np.eye(robot.nv)):
         moved = visible.observation(numbered(motion.q + unit, motion.dq, motion.ddq))
-        if np.abs(moved - Y).max() > _SAME * np.abs(Y).max():  # not a first joint along gravity
-            factors += [(j, kind) for kind in ((_SIN, _COS) if robot.revolute[j] else (_X, _XX))]
-    table = [(*factor, i) for factor in factors for i in range(robot.nv)] if stationary else []
-    tests = TestFunctions(np.reshape(np.array(table, np.intp), (-1, 3)), np.ones(len(table)))
+        if (
+            np.abs(moved - Y).max() > _SAME * np.abs(Y).max()
+        ):  # not a first joint along gravity
+            factors += [
+                (j, kind) for kind in ((_SIN, _COS) if robot.revolute[j] else (_X, _XX))
+            ]
+    table = (
+        [(*factor, i) for factor in factors for i in range(robot.nv)]
+        if stationary
+        else []
+    )
+    tests = TestFunctions(
+        np.reshape(np.array(table, np.intp), (-1, 3)), np.ones(len(table))
+    )
     tests = replace(tests, scale=np.sqrt((tests.rates(motion) ** 2).mean(axis=0)))
     return Relaxation(visible, space, odd, tests, float((Y**2).sum(axis=(1, 2)).mean()))

@@ -25,7 +25,8 @@ from excitant.robots.parameters import UNITS
 from excitant.robots.shown import Shown, Table, share
 from excitant.robots.torque import effect_values
 
-_DENSE_HZ, _DENSE = 100.0, 1000  # samples of the figures reported: rate, and at least so many
+_DENSE_HZ = 100.0  # samples of the figures reported: rate
+_DENSE = 1000  # and at least so many
 _POSES = 4  # of the arm, drawn along the motion
 _WEAKEST = 10  # base parameters listed
 
@@ -127,14 +128,21 @@ class Design(Shown):
     @property
     def playback(self) -> Playback:
         """The motion to watch."""
-        return Playback(self.robot, self.trajectory, self.limits, self.scene, self.clearance)
+        return Playback(
+            self.robot, self.trajectory, self.limits, self.scene, self.clearance
+        )
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
-        robot, near = self.robot, self.clearance
+        robot = self.robot
+        near = self.clearance
         names = [self.base.names[k] for k in self.base.columns]
-        before, after, limits = self.before, self.after, self.limits.entries(robot.limits)
-        limits["limit_values"] = {k: _plain(x) for k, x in limits["limit_values"].items()}
+        before = self.before
+        after = self.after
+        limits = self.limits.entries(robot.limits)
+        limits["limit_values"] = {
+            k: _plain(x) for k, x in limits["limit_values"].items()
+        }
         return {
             "verb": "design",
             "robot": robot.name,
@@ -176,7 +184,8 @@ class Design(Shown):
             "iterations": sum(start.iterations for start in self.starts),
             "wall_s": self.wall_s,
             "notes": [
-                *["interrupted: this is the best motion found by then"] * self.interrupted,
+                *["interrupted: this is the best motion found by then"]
+                * self.interrupted,
                 *[_TIMED] * any(start.status == "time limit" for start in self.starts),
             ],
             "files": {},
@@ -193,7 +202,8 @@ class Design(Shown):
             lines are parted by NaN. With a limit on jerk also ``dddq`` (n, nv). And the series of
             the `Playback`.
         """
-        robot, motion = self.robot, dense_motion(self.trajectory)
+        robot = self.robot
+        motion = dense_motion(self.trajectory)
         tool, others, arm = _skeleton(robot, motion.q)
         near = None if self.clearance is None else self.clearance.time
         poses = _telling_poses(tool, motion.t, near)
@@ -223,7 +233,9 @@ class Design(Shown):
         }
 
     def _lines(self) -> list[str]:
-        first, last, worst = self.condition_initial, self.condition_final, self.limits.worst
+        first = self.condition_initial
+        last = self.condition_final
+        worst = self.limits.worst
         return [
             f"Design for {self.robot.name}: condition number {first:.4g} → {last:.4g}",
             f"{self.duration:.4g} s, {self.harmonics} harmonics, criterion {self.criterion}, "
@@ -232,17 +244,24 @@ class Design(Shown):
         ]
 
     def _table(self) -> Table:
-        rows = [(use.quantity, use.joint, use.ratio, use.time) for use in self.limits.uses]
+        rows = [
+            (use.quantity, use.joint, use.ratio, use.time) for use in self.limits.uses
+        ]
         return ("limit", "joint that comes closest", "share of it", "at [s]"), rows
 
     def _weakest(self, names: Sequence[str]) -> list[dict[str, Any]]:
-        base, robot = self.base, self.robot
+        base = self.base
+        robot = self.robot
         root = math.sqrt(max(_DENSE, round(_DENSE_HZ * self.duration)) + 1)
         lone = {"initial": lone_torque(self.before), "final": lone_torque(self.after)}
         known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
         known |= effect_values(robot)
         beta = base.regrouping @ np.array([known.get(name, 0.0) for name in base.names])
-        added = (p.unit for effect in self.information.effects for p in effect.parameters(robot))
+        added = (
+            p.unit
+            for effect in self.information.effects
+            for p in effect.parameters(robot)
+        )
         units = [*UNITS * robot.nv, *added]
         rows = []
         for k in np.argsort(lone["final"], kind="stable")[:_WEAKEST]:
@@ -268,7 +287,9 @@ class TrajectoryCheck:
     @cached_property
     def limits(self) -> LimitReport:
         """Worst use of every limit over the continuous motion."""
-        return check(self.robot, self.path if isinstance(self.path, Trajectory) else self.motion)
+        return check(
+            self.robot, self.path if isinstance(self.path, Trajectory) else self.motion
+        )
 
     @cached_property
     def clearance(self) -> Clearance | None:
@@ -287,9 +308,13 @@ class TrajectoryCheck:
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``."""
-        robot, near, asked = self.robot, self.clearance, self.information
+        robot = self.robot
+        near = self.clearance
+        asked = self.information
         entries = self.limits.entries(robot.limits)
-        entries["worst"] = {name: worst for name, worst in entries["worst"].items() if worst}
+        entries["worst"] = {
+            name: worst for name, worst in entries["worst"].items() if worst
+        }
         verdicts = [
             f"{use.quantity} limit of {use.joint} exceeded by {100 * (use.ratio - 1):.3g} % "
             f"at {use.time:.4g} s"
@@ -333,10 +358,14 @@ class TrajectoryCheck:
         if (near := self.clearance) is not None and self.touched:
             bodies = " and ".join(near.bodies)
             least = self.least / near.scale
-            raise OutsideLimits(bodies, "distance", near.distance / near.scale, least, near.time)
+            raise OutsideLimits(
+                bodies, "distance", near.distance / near.scale, least, near.time
+            )
 
 
-def _surroundings(robot: Robot, scene: Scene | None, near: Clearance | None) -> dict[str, Any]:
+def _surroundings(
+    robot: Robot, scene: Scene | None, near: Clearance | None
+) -> dict[str, Any]:
     """Entries of result.json about what a motion is to keep clear of."""
     return {
         "unchecked": unchecked(robot, scene),
@@ -370,11 +399,14 @@ def lone_torque(M: Array) -> Array:
 
 
 def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
-    model, data = robot.model, robot.model.createData()
+    model = robot.model
+    data = robot.model.createData()
     leaves = sorted(set(range(1, robot.nv + 1)) - set(list(model.parents)[1:]))
     chains = [(list(model.supports[leaf]), _last_body(robot, leaf)) for leaf in leaves]
     gap = np.full(3, np.nan)
-    tool, others, arm = [], [], []
+    tool = []
+    others = []
+    arm = []
     for pose in q:
         pin.framesForwardKinematics(model, data, pose)
         frames = {end: data.oMf[end].translation.copy() for _, end in chains}
@@ -393,7 +425,9 @@ def _last_body(robot: Robot, joint: int) -> int:
     if frames[robot.tip].parentJoint == joint:
         return robot.tip
     fixed = [k for k, f in enumerate(frames) if f.parentJoint == joint]
-    return max((k for k in fixed if frames[k].type == pin.FrameType.BODY), default=max(fixed))
+    return max(
+        (k for k in fixed if frames[k].type == pin.FrameType.BODY), default=max(fixed)
+    )
 
 
 def _telling_poses(tool: Array, t: Array, near: float | None) -> list[int]:

@@ -21,7 +21,9 @@ import time
 from typing import Any
 
 JOINTS: list[str] = []
-MOTIONS: dict[str, list[list[float]]] = {}  # rows t [s], positions, velocities, accelerations
+MOTIONS: dict[
+    str, list[list[float]]
+] = {}  # rows t [s], positions, velocities, accelerations
 
 LEAD = 1.0  # s from where the arm stands to where a motion begins
 START = 0.02  # rad or m off where a motion begins: farther away it is not sent
@@ -40,7 +42,8 @@ def goal(rows: list[list[float]], scale: float, tolerance: float) -> Any:
     from control_msgs.msg import JointTolerance
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-    n, points = len(JOINTS), []
+    n = len(JOINTS)
+    points = []
     for t, *values in rows:
         sec, nanosec = divmod(round(1e9 * (LEAD + (t - rows[0][0]) / scale)), 10**9)
         points.append(
@@ -74,7 +77,9 @@ class Client:
         self.name = f"{controller.rstrip('/')}/follow_joint_trajectory"
         self.action = ActionClient(node, FollowJointTrajectory, self.name)
         self.states = states
-        node.create_subscription(JointState, states, self.heard, qos_profile_sensor_data)
+        node.create_subscription(
+            JointState, states, self.heard, qos_profile_sensor_data
+        )
 
     def heard(self, message: Any) -> None:
         """Keep a message that holds all joints; others on the topic are of other parts."""
@@ -99,7 +104,9 @@ class Client:
     def require_start(self, name: str, row: list[float]) -> None:
         """Refuse unless the arm rests where a motion begins, by a state that comes from now on."""
         self.state = None
-        missing = f"no message on {self.states} within {PATIENCE:g} s that holds {JOINTS}"
+        missing = (
+            f"no message on {self.states} within {PATIENCE:g} s that holds {JOINTS}"
+        )
         self.wait(lambda: self.state is not None, PATIENCE, missing)
         self.wait(self.rests, PATIENCE, f"the arm still moves; {name} begins at rest")
         stands = dict(zip(self.state.name, self.state.position, strict=False))
@@ -119,16 +126,25 @@ class Client:
         handle = sent.result()
         if not handle.accepted:
             raise Refused(f"{self.name} does not accept {name}; its log says why")
-        result, lasts = handle.get_result_async(), LEAD + (rows[-1][0] - rows[0][0]) / scale
+        result = handle.get_result_async()
+        lasts = LEAD + (rows[-1][0] - rows[0][0]) / scale
         try:
-            self.wait(result.done, 2 * lasts + PATIENCE, f"{name} does not come to its end")
+            self.wait(
+                result.done, 2 * lasts + PATIENCE, f"{name} does not come to its end"
+            )
         except (KeyboardInterrupt, Refused):
             cancelled = handle.cancel_goal_async()
-            self.wait(cancelled.done, PATIENCE, f"{name} cannot be cancelled; stop the arm by hand")
+            self.wait(
+                cancelled.done,
+                PATIENCE,
+                f"{name} cannot be cancelled; stop the arm by hand",
+            )
             raise
         found = result.result().result
         if found.error_code != found.SUCCESSFUL:
-            raise Refused(f"{name} ended with error {found.error_code}: {found.error_string}")
+            raise Refused(
+                f"{name} ended with error {found.error_code}: {found.error_string}"
+            )
         print(f"{name}: done", flush=True)
 
 
@@ -144,18 +160,27 @@ def main() -> int:
     """Say what would be sent, or send it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--go", action="store_true", help="move the arm")
-    parser.add_argument("--scale", type=share, default=0.2, help="share of the speed (0.2)")
+    parser.add_argument(
+        "--scale", type=share, default=0.2, help="share of the speed (0.2)"
+    )
     parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS))
     parser.add_argument("--controller", default="/joint_trajectory_controller")
-    parser.add_argument("--states", default="/joint_states", help="topic of JointState messages")
     parser.add_argument(
-        "--tolerance", type=float, default=0.1, help="how far the arm may lag [rad or m] (0.1)"
+        "--states", default="/joint_states", help="topic of JointState messages"
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=0.1,
+        help="how far the arm may lag [rad or m] (0.1)",
     )
     given = parser.parse_args()
     for name in given.motions:
         rows = MOTIONS[name]
         duration = (rows[-1][0] - rows[0][0]) / given.scale
-        print(f"{name}: {len(rows)} points, {duration:.1f} s at {given.scale:g} of the speed")
+        print(
+            f"{name}: {len(rows)} points, {duration:.1f} s at {given.scale:g} of the speed"
+        )
     if not given.go:
         print("nothing was sent; with --go it will be")
         return 0

@@ -25,9 +25,11 @@ from excitant.robots.threads import on_one_thread
 
 _FEASIBLE = 5e-5  # torque excess that the margin kept in the bounds covers
 _RADIUS = 0.3  # of each coefficient's reach
-_RADIUS_MIN, _RADIUS_MAX = 1e-5, 1.0
+_RADIUS_MIN = 1e-5
+_RADIUS_MAX = 1.0
 _GAIN = 1e-4  # predicted decrease of the merit at which a search has converged
-_COARSE, _FINE = 1.5e-2, 2e-3  # least decrease of the merit over `_STALL` iterations
+_COARSE = 1.5e-2
+_FINE = 2e-3  # least decrease of the merit over `_STALL` iterations
 _STALL = 8
 _HOPELESS = 4.0  # gap to the target over the decrease in as many iterations
 _ITERATIONS = 300
@@ -42,12 +44,16 @@ _ROUNDS = 2  # of restarts without a gain after which random starts begin anew
 _WORTH = 1e-3  # decrease of the merit that counts as a gain
 _POLISHED = 4  # best searches that are driven to convergence
 
-_SPLITS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # numbers of periods that are compared
-_SAMPLED, _COMPARING = 4, 0.1  # starts that compare them, and share of the remaining time for each
+# numbers of periods that are compared
+_SPLITS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+_SAMPLED = 4  # starts that compare them
+_COMPARING = 0.1  # and share of the remaining time for each
 _WORSE = 0.2  # increase of the criterion that a few starts can tell
-_GROWTH = 0.02  # least decrease of the criterion that more periods or harmonics are worth
+# least decrease of the criterion that more periods or harmonics are worth
+_GROWTH = 0.02
 _FAMILY = 2  # best solutions that go on with more harmonics
-_FIRST, _SHARE = 0.1, 0.35  # of the remaining time for the first and each further number
+_FIRST = 0.1
+_SHARE = 0.35  # of the remaining time for the first and each further number
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +63,21 @@ class SearchState:
     index: int  # number of the start
     z: Array  # unknowns, shape (c − 2, nv); before the first iteration those to begin from, if any
     value: float = np.inf  # criterion to be minimised, at z
-    excess: float = np.inf  # torque beyond its bound at z, as a share of it; or clearance missing
-    best: Array | None = None  # unknowns of the lowest value within all limits, if there is one yet
+    excess: float = (
+        np.inf
+    )  # torque beyond its bound at z, as a share of it; or clearance missing
+    # unknowns of the lowest value within all limits, if there is one yet
+    best: Array | None = None
     best_value: float = np.inf  # that value
     radius: float = _RADIUS  # trust region
     # "running", "stalled" (slow; may go on), "stopped" (not worth it beside others), "converged",
     # "iteration limit", "time limit", "interrupted" or "infeasible"
     status: str = "running"
-    parent: int | None = None  # start whose solution, mixed with a random one, this began from
-    history: tuple[float, ...] = ()  # condition number at the beginning and after every iteration
+    # start whose solution, mixed with a random one, this began from
+    parent: int | None = None
+    history: tuple[
+        float, ...
+    ] = ()  # condition number at the beginning and after every iteration
     merits: tuple[float, ...] = field(default=(), repr=False)  # merit likewise
 
     @property
@@ -91,7 +103,11 @@ class SearchState:
     @property
     def recent_gain(self) -> float:
         """Decrease of the merit over the last iterations."""
-        return self.merits[-_STALL - 1] - self.merit if len(self.merits) > _STALL else np.inf
+        return (
+            self.merits[-_STALL - 1] - self.merit
+            if len(self.merits) > _STALL
+            else np.inf
+        )
 
     def at(self, problem: DesignProblem, z: Array) -> SearchState:
         """The search moved to z, and that entered into its history."""
@@ -115,7 +131,9 @@ Report = Callable[[DesignProblem, Sequence[SearchState]], None]
 
 def best_solutions(searches: Iterable[SearchState], count: int) -> list[Array]:
     """Unknowns of the best that searches found within all limits, best first."""
-    found = sorted((s.best_value, s.index, s.best) for s in searches if s.best is not None)
+    found = sorted(
+        (s.best_value, s.index, s.best) for s in searches if s.best is not None
+    )
     return [z for _, _, z in found[:count]]
 
 
@@ -145,7 +163,10 @@ def _advance(problem: DesignProblem, task: Task, deadline: float) -> SearchState
         if state.recent_gain < task.pace:
             slow = task.pace > _FINE
             state = replace(state, status="stalled") if slow else state.exhausted()
-        elif state.merit - task.target > _HOPELESS * state.recent_gain and task.target > -np.inf:
+        elif (
+            state.merit - task.target > _HOPELESS * state.recent_gain
+            and task.target > -np.inf
+        ):
             state = replace(state, status="stopped")
     return state
 
@@ -185,18 +206,29 @@ class Effort:
     def share(self, starts: int | None, share: float) -> Effort:
         """Other starts within a share of the time left."""
         now = time.time()
-        return replace(self, starts=starts, deadline=now + share * (self.deadline - now))
+        return replace(
+            self, starts=starts, deadline=now + share * (self.deadline - now)
+        )
 
 
 def search(
-    problem: DesignProblem, effort: Effort, *, periods: bool, harmonics: bool, top_hz: float
+    problem: DesignProblem,
+    effort: Effort,
+    *,
+    periods: bool,
+    harmonics: bool,
+    top_hz: float,
 ) -> tuple[DesignProblem, Searches]:
     """All searches for a problem, and the problem with the periods and harmonics chosen.
 
     It comes with one period if the number of periods is to be chosen, and with the fewest harmonics
     if theirs is; neither goes beyond ``top_hz``.
     """
-    first = _most_telling(problem, effort, top_hz) if periods else _MultiStart(problem, effort)
+    first = (
+        _most_telling(problem, effort, top_hz)
+        if periods
+        else _MultiStart(problem, effort)
+    )
     if not harmonics:
         return first.problem, first.run()
     first.go_on(effort.share(effort.starts, _FIRST))
@@ -211,9 +243,14 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
     best = None
     for count in _SPLITS:
         candidate = replace(problem, series=problem.series.split(count))
-        if best is not None and _most_terms(candidate.series, top_hz) < candidate.series.terms:
+        if (
+            best is not None
+            and _most_terms(candidate.series, top_hz) < candidate.series.terms
+        ):
             break
-        starts = _SAMPLED if effort.starts is None else max(1, effort.starts // _SAMPLED)
+        starts = (
+            _SAMPLED if effort.starts is None else max(1, effort.starts // _SAMPLED)
+        )
         tried = _MultiStart(candidate, effort.share(starts, _COMPARING))
         searches = tried.begin()
         loss = -np.inf if best is None else _value(searches) - _value(best.searches)
@@ -229,11 +266,17 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
 
 
 def _grow(
-    problem: DesignProblem, searches: Searches, effort: Effort, periods: bool, top_hz: float
+    problem: DesignProblem,
+    searches: Searches,
+    effort: Effort,
+    periods: bool,
+    top_hz: float,
 ) -> tuple[DesignProblem, Searches]:
     """Searches with harmonics added while κ falls, each from the best solutions before."""
     gain = np.inf
-    while gain > _GROWTH and time.time() < effort.deadline and not _interrupted(searches):
+    while (
+        gain > _GROWTH and time.time() < effort.deadline and not _interrupted(searches)
+    ):
         gain = 0.0
         for series in _larger(problem.series, periods, top_hz):
             larger = replace(problem, series=series)
@@ -242,7 +285,8 @@ def _grow(
             found = _MultiStart(larger, effort.share(starts, _SHARE), seeds).run()
             gain = _value(searches) - _value(found)
             if gain > 0:
-                problem, searches = larger, found
+                problem = larger
+                searches = found
                 break
     seeds = _seeds(problem, problem, searches)
     if seeds and effort.starts is None and not _interrupted(searches):
@@ -265,14 +309,18 @@ def _most_terms(series: Series, top_hz: float) -> int:
     return int(top_hz * series.period * (1 + 1e-9))
 
 
-def _seeds(problem: DesignProblem, before: DesignProblem, searches: Searches) -> tuple[Array, ...]:
+def _seeds(
+    problem: DesignProblem, before: DesignProblem, searches: Searches
+) -> tuple[Array, ...]:
     """The best solutions of a search as unknowns of a problem, within its limits."""
     near = (
         problem.trajectory(problem.unknowns(before.trajectory(z)))
         for z in best_solutions(searches, _FAMILY)
     )
     kept = (within_limits(problem.robot, trajectory) for trajectory in near)
-    return tuple(problem.unknowns(trajectory) for trajectory in kept if trajectory is not None)
+    return tuple(
+        problem.unknowns(trajectory) for trajectory in kept if trajectory is not None
+    )
 
 
 def _value(searches: Searches) -> float:
@@ -295,7 +343,9 @@ class _MultiStart:
     def __init__(
         self, problem: DesignProblem, effort: Effort, seeds: tuple[Array, ...] = ()
     ) -> None:
-        self.problem, self.effort, self.seeds = problem, effort, seeds
+        self.problem = problem
+        self.effort = effort
+        self.seeds = seeds
         self.states: dict[int, SearchState] = {}
         self.nothing = np.zeros((0, problem.robot.nv))  # unknowns still to be drawn
         self.first = 0  # start of the island
@@ -315,7 +365,10 @@ class _MultiStart:
             while self.more():
                 self.island(len(self.states))
             self.work(self.polishing(_POLISHED, 0))
-            self.end("stopped", [s for s in self.ranked(0)[_POLISHED:] if s.status == "stalled"])
+            self.end(
+                "stopped",
+                [s for s in self.ranked(0)[_POLISHED:] if s.status == "stalled"],
+            )
             late = time.time() > self.effort.deadline
             self.end("time limit" if late else "iteration limit", self.ranked(0))
         return self.searches
@@ -358,8 +411,12 @@ class _MultiStart:
         count = int(min(self.room, max(3, min(_RANDOM, self.room / 2))))
         begun: dict[int, Array] = {}
         if first < len(self.seeds):
-            count, begun = len(self.seeds), dict(enumerate(self.seeds))
-        new = [SearchState(k, begun.get(k, self.nothing)) for k in range(first, first + count)]
+            count = len(self.seeds)
+            begun = dict(enumerate(self.seeds))
+        new = [
+            SearchState(k, begun.get(k, self.nothing))
+            for k in range(first, first + count)
+        ]
         self.work([Task(state, _SCREENING) for state in new])
         ranked = self.ranked(first)
         keep = len(ranked) if len(ranked) < 4 else -(-len(ranked) // 2)
@@ -381,7 +438,11 @@ class _MultiStart:
 
     @property
     def room(self) -> float:
-        return np.inf if self.effort.starts is None else self.effort.starts - len(self.states)
+        return (
+            np.inf
+            if self.effort.starts is None
+            else self.effort.starts - len(self.states)
+        )
 
     def more(self) -> bool:
         return self.room > 0 and time.time() < self.effort.deadline
@@ -425,7 +486,9 @@ def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchSta
     problem: DesignProblem = _unpacked(packed)
     if not task.state.history:
         if task.state.index >= _FEWEST and time.time() > deadline:
-            return replace(task.state, status="time limit")  # a pose takes long in a big scene
+            return replace(
+                task.state, status="time limit"
+            )  # a pose takes long in a big scene
         try:
             task = replace(task, state=_begun(problem, task.state, seed))
         except Infeasible:

@@ -41,7 +41,15 @@ from excitant.robots.threads import on_one_thread
 
 _STARTS = 6  # per motion
 _POSES = 200  # drawn for one that keeps clear
-_SHARED = ("joints", "revolute", "series", "limit_use", "limit_values", "obstacles", "unchecked")
+_SHARED = (
+    "joints",
+    "revolute",
+    "series",
+    "limit_use",
+    "limit_values",
+    "obstacles",
+    "unchecked",
+)
 _SHOWN = ("appearance", "bodies")  # of the playback
 _OWN = (
     "duration",
@@ -76,14 +84,24 @@ class LinkByLinkDesign:
         """The content of ``result.json``: the worst of all at the top, each in ``stages``."""
         designs = list(self.motions.values())
         single = [design.result() for design in designs]
-        starts = np.cumsum([0.0, *(design.trajectory.period for design in designs)]).tolist()
+        starts = np.cumsum(
+            [0.0, *(design.trajectory.period for design in designs)]
+        ).tolist()
         worst = int(np.argmax([design.condition_final for design in designs]))
-        limits, when = {}, {}
+        limits = {}
+        when = {}
         for quantity in single[0]["limits"]:
-            k = max(range(len(single)), key=lambda k: single[k]["limits"][quantity] or 0.0)
-            limits[quantity], row = single[k]["limits"][quantity], single[k]["worst"][quantity]
+            k = max(
+                range(len(single)), key=lambda k: single[k]["limits"][quantity] or 0.0
+            )
+            limits[quantity], row = (
+                single[k]["limits"][quantity],
+                single[k]["worst"][quantity],
+            )
             when[quantity] = row and row | {"t": row["t"] + starts[k]}
-        distances = [one["clearance_m"] for one in single if one["clearance_m"] is not None]
+        distances = [
+            one["clearance_m"] for one in single if one["clearance_m"] is not None
+        ]
         stages = [
             {
                 "link": self.robot.links[joint],
@@ -123,20 +141,29 @@ class LinkByLinkDesign:
 
     def series(self) -> dict[str, Array]:
         """Curves of a period of each motion one after the other, as of `Design.series`."""
-        parts, start = [], 0.0
+        parts = []
+        start = 0.0
         for design in self.motions.values():
             part = design.series()
-            parts.append(part | {key: part[key] + start for key in ("t", "arm_t", "play_t")})
+            parts.append(
+                part | {key: part[key] + start for key in ("t", "arm_t", "play_t")}
+            )
             start += design.trajectory.period
         curves = [key for key in parts[0] if not key.startswith("mesh")]
-        return parts[0] | {key: np.concatenate([part[key] for part in parts]) for key in curves}
+        return parts[0] | {
+            key: np.concatenate([part[key] for part in parts]) for key in curves
+        }
 
     def files(self, rate_hz: float, repetitions: int = 1) -> dict[str, str | bytes]:
         """``link<i>.csv`` and ``link<i>.json`` of every motion, the last link's first."""
         files: dict[str, str | bytes] = {}
         for joint, design in self.motions.items():
-            files[f"{_stem(joint)}.csv"] = trajectory_csv(design.trajectory, rate_hz, repetitions)
-            files[f"{_stem(joint)}.json"] = trajectory_json(design.trajectory, self.robot)
+            files[f"{_stem(joint)}.csv"] = trajectory_csv(
+                design.trajectory, rate_hz, repetitions
+            )
+            files[f"{_stem(joint)}.json"] = trajectory_json(
+                design.trajectory, self.robot
+            )
         return files
 
 
@@ -171,7 +198,8 @@ def design_link_by_link(
     each link's columns in its own row. ``starts`` counts the searches per motion, 6 by default;
     the time limit [s] is that of all motions together.
     """
-    began, held = time.time(), robot.using(use)
+    began = time.time()
+    held = robot.using(use)
     options: dict[str, Any] = {
         "duration": duration,
         "periods": periods,
@@ -196,13 +224,23 @@ def design_link_by_link(
             problem = _problem(held, joint, pose, scene, options)
             problem, searches = search(problem, part, **free, top_hz=top_hz)
             initial = problem.random(np.random.default_rng([seed, 0]))
-            drawn = [initial, *map(problem.trajectory, best_solutions(searches, CANDIDATES))]
+            drawn = [
+                initial,
+                *map(problem.trajectory, best_solutions(searches, CANDIDATES)),
+            ]
             kept = _keeping(held, [_whole(x, pose) for x in drawn], scene, clearance)
             seen = _of_link(goal, joint, last == joint)
-            values = [objective(seen.matrix(dense_motion(motion)), criterion) for motion in kept]
+            values = [
+                objective(seen.matrix(dense_motion(motion)), criterion)
+                for motion in kept
+            ]
             chosen = kept[int(np.argmin(values))]
-            motions[joint] = Design(seen, criterion, kept[0], chosen, scene, use, searches, 0.0)
-    return LinkByLinkDesign(robot, columns, criterion, len(last), motions, time.time() - began)
+            motions[joint] = Design(
+                seen, criterion, kept[0], chosen, scene, use, searches, 0.0
+            )
+    return LinkByLinkDesign(
+        robot, columns, criterion, len(last), motions, time.time() - began
+    )
 
 
 def _problem(
@@ -216,9 +254,12 @@ def _problem(
     return replace(problem, information=_of_link(seen, joint, last == joint))
 
 
-def _of_link(information: Information, joint: int, chosen: npt.NDArray[np.bool_]) -> Information:
+def _of_link(
+    information: Information, joint: int, chosen: npt.NDArray[np.bool_]
+) -> Information:
     """Information of row τ_i alone on some of the base parameters."""
-    robot, base = information.robot, information.base
+    robot = information.robot
+    base = information.base
     part = replace(
         base,
         columns=tuple(np.array(base.columns)[chosen].tolist()),
@@ -263,19 +304,26 @@ def _resting_pose(robot: Robot, scene: Scene | None, clearance: float) -> Array:
     for candidate in (pose, *drawn):
         if scene.distances(candidate[None]).min(initial=np.inf) > 2 * clearance:
             return read_only(candidate)
-    raise Infeasible("link-by-link design", "no pose keeps the arm clear; give it more room")
+    raise Infeasible(
+        "link-by-link design", "no pose keeps the arm clear; give it more room"
+    )
 
 
 def _held(robot: Robot, joint: int, pose: Array) -> Robot:
     """The arm with the joints after one locked, whose links that one then carries."""
-    kept, names = joint + 1, robot.joints
+    kept = joint + 1
+    names = robot.joints
     if kept == robot.nv:
         return robot
     reference = pin.neutral(robot.model)
     for k, value in enumerate(pose):
         reference[robot.model.joints[k + 1].idx_q] = value
-    model = pin.buildReducedModel(robot.model, list(range(kept + 1, robot.nv + 1)), reference)
-    locked = dict(robot.locked) | dict(zip(names[kept:], pose[kept:].tolist(), strict=True))
+    model = pin.buildReducedModel(
+        robot.model, list(range(kept + 1, robot.nv + 1)), reference
+    )
+    locked = dict(robot.locked) | dict(
+        zip(names[kept:], pose[kept:].tolist(), strict=True)
+    )
     return replace(
         robot,
         model=model,

@@ -14,9 +14,11 @@ from excitant.design.peaks import clearance_rows, torque_rows
 from excitant.design.problem import DesignProblem
 from excitant.robots import Array
 
-PENALTY = 50.0  # of a torque violation (as share of the limit) against the log criterion
+# of a torque violation (as share of the limit) against the log criterion
+PENALTY = 50.0
 
-_LOWEST, _HIGHEST = 8, 4  # eigenvectors whose subspace an LMI follows
+_LOWEST = 8
+_HIGHEST = 4  # eigenvectors whose subspace an LMI follows
 _NEAR = 0.5  # share of a limit from which an extremum is a row
 _NEAR_TORQUE = 0.7
 _NEAR_CLEARANCE = -0.5  # 15 cm more than required
@@ -51,17 +53,24 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
     linear = problem.information.linearise(problem.sampled(z))
     M = problem.information.gram(linear.Y)
     k = problem.size
-    gradient, hessian, blocks = np.zeros(k), np.zeros((k, k)), []
+    gradient = np.zeros(k)
+    hessian = np.zeros((k, k))
+    blocks = []
     if problem.criterion in ("a", "d"):
         dM = information_derivative(linear, problem.sample_bases, np.eye(len(M)))
         gradient, hessian = smooth_model(M, dM, problem.criterion)
     else:
         eigenvalues, V = np.linalg.eigh(M)
-        spans = [(-1.0, slice(0, _LOWEST)), (1.0, slice(max(len(M) - _HIGHEST, 0), None))]
+        spans = [
+            (-1.0, slice(0, _LOWEST)),
+            (1.0, slice(max(len(M) - _HIGHEST, 0), None)),
+        ]
         for sign, span in spans[: 1 + (problem.criterion == "condition")]:
             scale = eigenvalues[0 if sign < 0 else -1]
             value = np.diag(eigenvalues[span]) / scale
-            dM = information_derivative(linear, problem.sample_bases, V[:, span]) / scale
+            dM = (
+                information_derivative(linear, problem.sample_bases, V[:, span]) / scale
+            )
             blocks.append(Block(value, dM, sign))
     torque = torque_rows(problem, z, _NEAR_TORQUE)
     apart = clearance_rows(problem, z, _NEAR_CLEARANCE)
@@ -82,16 +91,21 @@ def solve_step(
     for _ in range(_EXCHANGES):
         wide = np.pad(rows, ((0, 0), (0, A.shape[1] - rows.shape[1])))
         all_cones = [*cones, clarabel.NonnegativeConeT(len(rows))]
-        solution = _solved(cost, np.vstack([A, wide]), np.concatenate([right, room]), all_cones)
+        solution = _solved(
+            cost, np.vstack([A, wide]), np.concatenate([right, room]), all_cones
+        )
         if solution is None:
             return None
         dz = solution[: problem.size].reshape(model.z.shape)
         length = float(np.abs(problem.series.rest @ dz / problem.reach).max())
         tolerance = max(_TOLERANCE, _LOOSE * length)
-        added, added_room = _extremum_rows(problem, model.z, model.z + dz, 1 + tolerance)
+        added, added_room = _extremum_rows(
+            problem, model.z, model.z + dz, 1 + tolerance
+        )
         if not len(added):
             return dz, _predicted_gain(problem, model, solution)
-        rows, room = np.vstack([rows, added]), np.concatenate([room, added_room])
+        rows = np.vstack([rows, added])
+        room = np.concatenate([room, added_room])
     return None
 
 
@@ -99,12 +113,16 @@ def _extremum_rows(
     problem: DesignProblem, z: Array, there: Array, share: float
 ) -> tuple[Array, Array]:
     """Rows a·dz ≤ room around z for the extrema of ``there`` beyond a share of their limit."""
-    parts, rooms = [], []
+    parts = []
+    rooms = []
     for order in range(problem.robot.limits.orders):
         t, joint = problem.kinematic_peaks(there, order, share)
         phi = problem.basis(t, order)
-        middle, bound = problem.middle[order, joint], problem.bound[order, joint]
-        here, then = (np.einsum("kd,kd->k", phi, x[:, joint].T) - middle for x in (z, there))
+        middle = problem.middle[order, joint]
+        bound = problem.bound[order, joint]
+        here, then = (
+            np.einsum("kd,kd->k", phi, x[:, joint].T) - middle for x in (z, there)
+        )
         scale = np.sign(then) / bound
         rows = np.zeros((len(t), *z.shape))
         rows[np.arange(len(t)), :, joint] = phi * scale[:, None]
@@ -117,15 +135,20 @@ def _programme(
     problem: DesignProblem, model: LocalModel, radius: float
 ) -> tuple[tuple[sp.csc_matrix, Array], Array, Array, list[Any]]:
     """(P, c), A, b, cones of min ½vᵀPv + cᵀv; v is dz, a bound per block and the torque excess."""
-    k, nb, m = problem.size, len(model.blocks), len(model.use)
+    k = problem.size
+    nb = len(model.blocks)
+    m = len(model.use)
     n = k + nb + 1
-    box = np.kron(problem.series.rest, np.eye(problem.robot.nv)) / problem.reach.reshape(-1, 1)
+    box = np.kron(
+        problem.series.rest, np.eye(problem.robot.nv)
+    ) / problem.reach.reshape(-1, 1)
     linear = np.zeros((2 * len(box) + m + 1, n))
     linear[: 2 * len(box), :k] = np.vstack([box, -box])
     linear[2 * len(box) : -1, :k] = model.rows
     linear[2 * len(box) :, -1] = -1.0
     right = [np.full(2 * len(box), radius), 1 - model.use, np.zeros(1)]
-    parts, cones = [linear], [clarabel.NonnegativeConeT(len(linear))]
+    parts = [linear]
+    cones = [clarabel.NonnegativeConeT(len(linear))]
     for i, block in enumerate(model.blocks):
         A, b = _lmi(block, k, i, n)
         parts.append(A)
@@ -133,7 +156,9 @@ def _programme(
         cones.append(clarabel.PSDTriangleConeT(len(block.value)))
     P = np.zeros((n, n))
     P[:k, :k] = np.triu(model.hessian)
-    c = np.concatenate([model.gradient, [block.sign for block in model.blocks], [PENALTY]])
+    c = np.concatenate(
+        [model.gradient, [block.sign for block in model.blocks], [PENALTY]]
+    )
     return (sp.csc_matrix(P), c), np.vstack(parts), np.concatenate(right), cones
 
 
@@ -151,12 +176,16 @@ def _solved(
     cost: tuple[sp.csc_matrix, Array], A: Array, right: Array, cones: list[Any]
 ) -> Array | None:
     sparse = sp.csc_matrix(A)
-    for refined in (False, True):  # refinement costs a fifth of the time and is rarely needed
+    for refined in (
+        False,
+        True,
+    ):  # refinement costs a fifth of the time and is rarely needed
         settings = clarabel.DefaultSettings()
         settings.iterative_refinement_enable = refined
         settings.verbose = False
         settings.max_iter = 60
-        settings.direct_solve_method = "qdldl"  # others start threads beside other searches
+        # others start threads beside other searches
+        settings.direct_solve_method = "qdldl"
         settings.tol_gap_abs = settings.tol_gap_rel = 1e-6
         settings.tol_feas = 1e-7
         solution = clarabel.DefaultSolver(*cost, sparse, right, cones, settings).solve()
@@ -165,7 +194,9 @@ def _solved(
     return None
 
 
-def _predicted_gain(problem: DesignProblem, model: LocalModel, solution: Array) -> float:
+def _predicted_gain(
+    problem: DesignProblem, model: LocalModel, solution: Array
+) -> float:
     k = problem.size
     dz = solution[:k]
     change = model.gradient @ dz + 0.5 * dz @ model.hessian @ dz

@@ -17,10 +17,13 @@ from excitant.robots.geometry import Scene
 from excitant.robots.motion import read_only
 from excitant.robots.torque import largest_torque
 
-DEFAULT_ACCELERATION = 10.0  # rad/s² or m/s², of a joint with neither acceleration nor torque limit
-HOLDING = 0.95  # share of a torque limit that holding the arm may take; the rest moves it
+# rad/s² or m/s², of a joint with neither acceleration nor torque limit
+DEFAULT_ACCELERATION = 10.0
+# share of a torque limit that holding the arm may take; the rest moves it
+HOLDING = 0.95
 
-_RESOLUTION = 0.02, 0.005  # between checked poses: rad of a revolute joint, m of a prismatic one
+# between checked poses: rad of a revolute joint, m of a prismatic one
+_RESOLUTION = (0.02, 0.005)
 _SAMPLES = 1000  # via points tried
 _REACH = 0.4  # rad or m: longest branch that the search grows at once
 _SHORTCUTS = 60
@@ -85,7 +88,8 @@ def approach(
     path = _free_path(robot, ends[0], ends[1], scene, clearance, rng)
     if isinstance(path, str):
         raise Infeasible(
-            name, f"{path} of the straight line and no way around was found; choose another pose"
+            name,
+            f"{path} of the straight line and no way around was found; choose another pose",
         )
     return timed(robot, path, rate_hz, name)
 
@@ -110,7 +114,9 @@ def _end_pose(
         )
     low, high = robot.limits.position.T
     hair = 1e-9 * np.maximum(1.0, np.abs(pose))
-    for j in np.flatnonzero(~((pose >= low - hair) & (pose <= high + hair) & np.isfinite(pose))):
+    for j in np.flatnonzero(
+        ~((pose >= low - hair) & (pose <= high + hair) & np.isfinite(pose))
+    ):
         raise BadInput(
             f"{name}: {which}: joint {robot.joints[j]} at {pose[j]:.6g} is outside its limits "
             f"{low[j]:.6g} to {high[j]:.6g}"
@@ -176,7 +182,8 @@ def rounded_path(waypoints: Array, spacing: float = 1.0) -> Path:
     knots = np.concatenate([np.zeros(3), np.linspace(0, 1, pieces + 1), np.ones(3)])
     greville = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
     control = _between(waypoints, length / length[-1], greville)
-    control[0], control[-1] = waypoints[0], waypoints[-1]
+    control[0] = waypoints[0]
+    control[-1] = waypoints[-1]
     return Path(BSpline(knots, control, 3), pieces)
 
 
@@ -207,7 +214,9 @@ def _free_path(
     return blocked
 
 
-def _obstruction(robot: Robot, path: Path, scene: Scene | None, clearance: float) -> str | None:
+def _obstruction(
+    robot: Robot, path: Path, scene: Scene | None, clearance: float
+) -> str | None:
     coarse = path(np.linspace(0.0, 1.0, 20 * path.pieces + 1))
     travel = np.abs(np.diff(coarse, axis=0)) / np.where(robot.revolute, *_RESOLUTION)
     s = np.linspace(0.0, 1.0, max(8, int(np.ceil(travel.max(axis=1).sum()))) + 1)
@@ -247,12 +256,16 @@ def _detour(
 ) -> Array | None:
     """Waypoints (k, nv) over free segments, by RRT-Connect (Kuffner and LaValle 2000), or None."""
     # at most half a turn beyond the box of start and goal
-    around = np.stack([np.minimum(start, goal) - np.pi, np.maximum(start, goal) + np.pi])
+    around = np.stack(
+        [np.minimum(start, goal) - np.pi, np.maximum(start, goal) + np.pi]
+    )
     low, high = np.clip(around, *robot.limits.position.T)
-    trees, edges = [[[start]], [[goal]]], [free, lambda a, b: free(b, a)]  # the way back from goal
+    trees = [[[start]], [[goal]]]
+    edges = [free, lambda a, b: free(b, a)]  # the way back from goal
     for count in range(_SAMPLES):
         order = slice(None, None, -1 if count % 2 else 1)
-        (here, there), (edge, back) = trees[order], edges[order]
+        (here, there) = trees[order]
+        (edge, back) = edges[order]
         grown = _grow(here, rng.uniform(low, high), edge, once=True)
         if grown is None:
             continue
@@ -263,13 +276,18 @@ def _detour(
     return None
 
 
-def _grow(tree: list[Branch], target: Array, free: Edge, *, once: bool) -> Branch | None:
+def _grow(
+    tree: list[Branch], target: Array, free: Edge, *, once: bool
+) -> Branch | None:
     ends = np.array([branch[-1] for branch in tree])
-    branch, added = tree[int(np.linalg.norm(ends - target, axis=1).argmin())], None
+    branch = tree[int(np.linalg.norm(ends - target, axis=1).argmin())]
+    added = None
     while True:
         ahead = target - branch[-1]
         distance = float(np.linalg.norm(ahead))
-        pose = target if distance <= _REACH else branch[-1] + ahead * (_REACH / distance)
+        pose = (
+            target if distance <= _REACH else branch[-1] + ahead * (_REACH / distance)
+        )
         if distance == 0 or not free(branch[-1], pose):
             return added
         branch = added = [*branch, pose]
@@ -284,7 +302,8 @@ def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
         cut = np.sort(rng.uniform(0.0, length[-1], 2))
         a, b = _between(waypoints, length, cut)
         if free(a, b):
-            before, after = waypoints[length < cut[0]], waypoints[length > cut[1]]
+            before = waypoints[length < cut[0]]
+            after = waypoints[length > cut[1]]
             waypoints = np.vstack([before, a, b, after])
     kept = np.append(True, np.linalg.norm(np.diff(waypoints, axis=0), axis=1) > 1e-9)
     shortened: Array = waypoints[kept]
@@ -337,7 +356,9 @@ class Profile:
     @property
     def t(self) -> Array:
         """When each position is reached, shape (n,) [s]."""
-        return np.append(0.0, np.cumsum(2 * np.diff(self.s) / (self.speed[:-1] + self.speed[1:])))
+        return np.append(
+            0.0, np.cumsum(2 * np.diff(self.s) / (self.speed[:-1] + self.speed[1:]))
+        )
 
     @property
     def duration(self) -> float:
@@ -350,8 +371,11 @@ class Profile:
         i = np.clip(np.searchsorted(t, instants, side="right") - 1, 0, len(t) - 2)
         into = instants - t[i]
         rate = (self.speed[i + 1] - self.speed[i]) / (t[i + 1] - t[i])
-        s: Array = np.clip(self.s[i] + self.speed[i] * into + rate * into**2 / 2, 0.0, 1.0)
-        s[0], s[-1] = 0.0, 1.0
+        s: Array = np.clip(
+            self.s[i] + self.speed[i] * into + rate * into**2 / 2, 0.0, 1.0
+        )
+        s[0] = 0.0
+        s[-1] = 1.0
         return s
 
     def motion(self, path: Path, rate_hz: float) -> Motion:
@@ -362,7 +386,9 @@ class Profile:
         """
         n = max(1, int(np.ceil(self.duration * rate_hz - 1e-9)))
         control = np.concatenate([np.zeros(2), self._positions(n + 1), np.ones(2)])
-        before, now, after = control[:-2], control[1:-1], control[2:]
+        before = control[:-2]
+        now = control[1:-1]
+        after = control[2:]
         s = (before + 4 * now + after) / 6
         ds = ((after - before) * rate_hz / 2)[:, None]
         dds = ((after - 2 * now + before) * rate_hz**2)[:, None]
@@ -371,7 +397,9 @@ class Profile:
         return Motion(t, path(s), dq * ds, dq * dds + path(s, 2) * ds**2)
 
 
-def time_optimal(robot: Robot, path: Path, *, blur: float = 0.0, name: str = "timing") -> Profile:
+def time_optimal(
+    robot: Robot, path: Path, *, blur: float = 0.0, name: str = "timing"
+) -> Profile:
     """Fastest speed along a path from rest to rest, by TOPP-RA (Pham and Pham 2018).
 
     Friction that depends on the speed is linearised in its square at the result before, until
@@ -382,28 +410,39 @@ def time_optimal(robot: Robot, path: Path, *, blur: float = 0.0, name: str = "ti
     limits = robot.limits
     unlimited = np.isinf(limits.acceleration) & np.isinf(limits.torque)
     acceleration = np.where(unlimited, DEFAULT_ACCELERATION, limits.acceleration)
-    way = np.abs(np.diff(path(np.linspace(0, 1, 20 * path.pieces + 1)), axis=0)).sum(axis=0)
+    way = np.abs(np.diff(path(np.linspace(0, 1, 20 * path.pieces + 1)), axis=0)).sum(
+        axis=0
+    )
     finite = np.where(np.isinf(acceleration), DEFAULT_ACCELERATION, acceleration)
     unit = float(np.max(np.maximum(way / limits.velocity, 2 * np.sqrt(way / finite))))
     profile = None
     for _ in range(_PASSES):
         speed = None if profile is None else profile.speed
         dynamics = _dynamics(robot, path, s, speed, blur)
-        found = _topp(path, s, limits.velocity, (acceleration, limits.torque), dynamics, unit)
+        found = _topp(
+            path, s, limits.velocity, (acceleration, limits.torque), dynamics, unit
+        )
         if found is None:
             break
         settled = profile is not None and abs(found.duration / unit - 1) < _SETTLED
-        profile, unit = found, found.duration
+        profile = found
+        unit = found.duration
         if settled:
             break
     if profile is None:
-        raise Infeasible(name, "no speed along the path holds the limits; choose another path")
+        raise Infeasible(
+            name, "no speed along the path holds the limits; choose another path"
+        )
     return profile
 
 
-def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None, blur: float) -> Dynamics:
+def _dynamics(
+    robot: Robot, path: Path, s: Array, speed: Array | None, blur: float
+) -> Dynamics:
     """a, b, smallest and largest c of τ = a s̈ + b ṡ² + c, each (n, nv) (Bobrow et al. 1985)."""
-    q, dq, ddq = path(s), path(s, 1), path(s, 2)
+    q = path(s)
+    dq = path(s, 1)
+    ddq = path(s, 2)
     zero = np.zeros_like(q)
 
     def tau(v: Array, a: Array) -> Array:
@@ -417,7 +456,9 @@ def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None, blur: flo
         return a, b, c, c
     v = speed[:, None]
     friction = tau(v * dq, v**2 * ddq) - b * v**2 - c
-    b = b + np.divide(friction, v**2, out=np.zeros_like(b), where=v > 1e-6 * speed.max())
+    b = b + np.divide(
+        friction, v**2, out=np.zeros_like(b), where=v > 1e-6 * speed.max()
+    )
     reach = np.ceil(blur * speed / (s[1] - s[0])).astype(int)
     return a, b, -_largest_around(-c, reach), _largest_around(c, reach)
 
@@ -452,7 +493,11 @@ def _topp(
             limits.append(_linear_constraint(parts, bound, unit))
     problem = TOPPRA(limits, path, gridpoints=s, solver_wrapper="seidel")
     speed = problem.compute_parameterization(0.0, 0.0)[1]
-    if speed is None or not np.isfinite(speed).all() or np.any(speed[:-1] + speed[1:] <= 0):
+    if (
+        speed is None
+        or not np.isfinite(speed).all()
+        or np.any(speed[:-1] + speed[1:] <= 0)
+    ):
         return None
     return Profile(s, speed / unit)
 
@@ -464,13 +509,15 @@ def _linear_constraint(dynamics: Dynamics, bound: Array, unit: float) -> Any:
 
     bounded = np.isfinite(bound)
     a, b, low, high = ((part / bound)[:, bounded] for part in dynamics)
-    a, b = np.hstack([a, -a]) / unit**2, np.hstack([b, -b]) / unit**2
+    a = np.hstack([a, -a]) / unit**2
+    b = np.hstack([b, -b]) / unit**2
     c = np.hstack([high, -low])
-    F, g = np.eye(a.shape[1]), np.ones(a.shape[1])
+    F = np.eye(a.shape[1])
+    g = np.ones(a.shape[1])
     constraint = LinearConstraint()
     constraint.identical = True
     constraint.set_discretization_type(DiscretizationType.Interpolation)
-    constraint.compute_constraint_params = lambda path, grid: canlinear_colloc_to_interpolate(
-        a, b, c, F, g, None, None, grid, identical=True
+    constraint.compute_constraint_params = lambda path, grid: (
+        canlinear_colloc_to_interpolate(a, b, c, F, g, None, None, grid, identical=True)
     )
     return constraint

@@ -164,7 +164,8 @@ class Trajectory(_Curve, Shown):
     @property
     def at_rest(self) -> bool:
         """Whether q̇ = q̈ = 0 at t = 0 and t = period."""
-        w, size = 2 * np.pi * self.harmonics / self.period, np.abs(self.coefficients).max()
+        w = 2 * np.pi * self.harmonics / self.period
+        size = np.abs(self.coefficients).max()
         return all(np.abs(self(0.0, k)).max() <= _REST * w**k * size for k in (1, 2))
 
     def sample(self, n: int) -> Motion:
@@ -235,12 +236,15 @@ class FourierSeries(Series):
         """Orthonormal basis of Σ h sine_h = 0 and Σ h² cosine_h = 0, shape (1 + 2 H, 2 H − 1)."""
         h = np.arange(1.0, self.harmonics + 1)
         zero = np.zeros(self.harmonics)
-        return scipy.linalg.null_space(np.array([[0.0, *zero, *h], [0.0, *(h**2), *zero]]))
+        return scipy.linalg.null_space(
+            np.array([[0.0, *zero, *h], [0.0, *(h**2), *zero]])
+        )
 
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
         w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
         angle = np.atleast_1d(np.asarray(t, float))[:, None] * w
-        cos, sin = np.cos(angle), np.sin(angle)
+        cos = np.cos(angle)
+        sin = np.sin(angle)
         turned = ((cos, sin), (-sin, cos), (-cos, -sin), (sin, -cos))[order % 4]
         constant = np.full((len(angle), 1), float(order == 0))
         return np.hstack([constant, turned[0] * w**order, turned[1] * w**order])
@@ -257,10 +261,17 @@ class FourierSeries(Series):
         scaled = FourierSeries(2 * np.pi, self.harmonics)
         theta = np.stack([_root_angles(x, order + 1) for x in coefficients.T], axis=1)
         for _ in range(4):
-            slope, curve = (scaled.along(theta, coefficients, order + k) for k in (1, 2))
-            step = np.divide(slope, curve, out=np.zeros_like(slope), where=np.abs(curve) > 1e-12)
-            theta = theta - np.where(np.abs(step) < 0.5 / max(self.harmonics, 1), step, 0.0)
-        w, start = 2 * np.pi / self.period, np.zeros(coefficients.shape[1])
+            slope, curve = (
+                scaled.along(theta, coefficients, order + k) for k in (1, 2)
+            )
+            step = np.divide(
+                slope, curve, out=np.zeros_like(slope), where=np.abs(curve) > 1e-12
+            )
+            theta = theta - np.where(
+                np.abs(step) < 0.5 / max(self.harmonics, 1), step, 0.0
+            )
+        w = 2 * np.pi / self.period
+        start = np.zeros(coefficients.shape[1])
         times: Array = np.vstack([start, np.mod(theta, 2 * np.pi) / w])
         return times
 
@@ -269,7 +280,9 @@ class FourierSeries(Series):
 
     def reach(self, bound: Array) -> Array:
         w = 2 * np.pi / self.period * np.arange(1, self.harmonics + 1)
-        peaks = [np.concatenate([[float(k == 0)], w**k, w**k]) for k in range(len(bound))]
+        peaks = [
+            np.concatenate([[float(k == 0)], w**k, w**k]) for k in range(len(bound))
+        ]
         with np.errstate(divide="ignore"):
             each = [b / peak[:, None] for b, peak in zip(bound, peaks, strict=True)]
         least: Array = np.min(each, axis=0)
@@ -301,9 +314,12 @@ class FourierTrajectory(Trajectory):
         shapes = [part.shape for part in parts]
         if len(shapes[0]) != 1 or shapes[1] != shapes[2] or shapes[1][1:] != shapes[0]:
             names = zip(("offset", "cosine", "sine"), shapes, strict=True)
-            raise ValueError("shapes differ: " + ", ".join(f"{n} {shape}" for n, shape in names))
+            raise ValueError(
+                "shapes differ: " + ", ".join(f"{n} {shape}" for n, shape in names)
+            )
         super().__init__(
-            FourierSeries(float(period), len(parts[1]), periods=periods), np.vstack(parts)
+            FourierSeries(float(period), len(parts[1]), periods=periods),
+            np.vstack(parts),
         )
 
     @property
@@ -370,7 +386,9 @@ class SplineSeries(Series):
         return self._spline(np.eye(self.pieces))
 
     def _spline(self, coefficients: Array) -> BSpline:
-        knots = np.arange(-_DEGREE, self.pieces + _DEGREE + 1) * (self.period / self.pieces)
+        knots = np.arange(-_DEGREE, self.pieces + _DEGREE + 1) * (
+            self.period / self.pieces
+        )
         wrapped = coefficients[np.arange(self.pieces + _DEGREE) % self.pieces]
         return BSpline(knots, wrapped, _DEGREE)
 
@@ -385,12 +403,16 @@ class SplineSeries(Series):
         found = []
         for points in coefficients.T:
             spline = self._spline(points)
-            slope = PPoly.from_spline((spline.t, spline.c, _DEGREE)).derivative(order + 1)
+            slope = PPoly.from_spline((spline.t, spline.c, _DEGREE)).derivative(
+                order + 1
+            )
             roots = slope.roots(extrapolate=False)
             inside = roots[np.isfinite(roots) & (roots >= 0) & (roots <= self.period)]
             found.append(np.concatenate([knots, inside]))
         length = max(map(len, found))
-        return np.stack([np.pad(times, (0, length - len(times))) for times in found], axis=1)
+        return np.stack(
+            [np.pad(times, (0, length - len(times))) for times in found], axis=1
+        )
 
     def resized(self, terms: int) -> Self:
         return replace(self, pieces=2 * terms)

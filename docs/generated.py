@@ -31,8 +31,14 @@ def commands(program: str) -> str:
 def names(package: str) -> str:
     """Everything that a package or module offers, for mkdocstrings."""
     module = import_module(package)
-    visible = [n for n, v in vars(module).items() if n[0] != "_" and not isinstance(v, ModuleType)]
-    public = sorted(getattr(module, "__all__", visible), key=lambda name: (name.lower(), name))
+    visible = [
+        n
+        for n, v in vars(module).items()
+        if n[0] != "_" and not isinstance(v, ModuleType)
+    ]
+    public = sorted(
+        getattr(module, "__all__", visible), key=lambda name: (name.lower(), name)
+    )
     return "\n".join(f"::: {_place(module, name)}\n" for name in public)
 
 
@@ -50,7 +56,9 @@ def _parts(cell: dict[str, Any]) -> Iterator[str]:
         if picture := data.get("image/png"):
             yield f'<img alt="what the cell draws" src="data:image/png;base64,{picture}">'
         elif table := data.get("text/html"):
-            plain = re.sub("<table[^>]*>", "<table>", re.sub("(?s)<style.*?</style>", "", table))
+            plain = re.sub(
+                "<table[^>]*>", "<table>", re.sub("(?s)<style.*?</style>", "", table)
+            )
             yield f"<div>{' '.join(plain.split())}</div>"
         else:
             yield f"```text\n{''.join(shown.get('text', ())) or data['text/plain']}\n```"

@@ -33,8 +33,17 @@ def _outputs(source: str, names: dict[str, Any]) -> list[dict[str, Any]]:
     last = tree.body[-1]
     asked = isinstance(last, ast.Expr) and not source.rstrip().endswith(";")
     with contextlib.redirect_stdout(printed):
-        exec(compile(ast.Module(tree.body[: len(tree.body) - asked], []), "cell", "exec"), names)
-        value = eval(compile(ast.Expression(last.value), "cell", "eval"), names) if asked else None
+        exec(
+            compile(
+                ast.Module(tree.body[: len(tree.body) - asked], []), "cell", "exec"
+            ),
+            names,
+        )
+        value = (
+            eval(compile(ast.Expression(last.value), "cell", "eval"), names)
+            if asked
+            else None
+        )
     if printed.getvalue():
         text = printed.getvalue().splitlines(keepends=True)
         shown.append({"output_type": "stream", "name": "stdout", "text": text})

@@ -41,7 +41,9 @@ def main() -> None:
     arm = ex.virtual_arm(robot, rng, hidden=[MORE], sensors=sensors)
     for name, duration in (("run1", 20.0), ("run2", 10.0)):
         motion = ex.random_trajectory(robot, rng, 10.0, 5)
-        logged(arm.record(motion, duration, rng), rng).to_csv(FOLDER / f"{name}.csv", index=False)
+        logged(arm.record(motion, duration, rng), rng).to_csv(
+            FOLDER / f"{name}.csv", index=False
+        )
 
 
 if __name__ == "__main__":

@@ -21,7 +21,12 @@ import numpy as np
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import size_of
 from excitant.identify.importers.bags import described, is_bag
-from excitant.identify.importers.names import ColumnMap, column_map, drive_of, load_column_map
+from excitant.identify.importers.names import (
+    ColumnMap,
+    column_map,
+    drive_of,
+    load_column_map,
+)
 from excitant.identify.recording import (
     SUFFIXES,
     TEXTS,
@@ -61,7 +66,8 @@ class _Torque(msgspec.Struct, frozen=True):
 class _Sidecar(msgspec.Struct, frozen=True):
     """Entries read from a ``dataset.json``; others are ignored."""
 
-    arm: str | None = None  # serial number, or what else tells it from others of its type
+    # serial number, or what else tells it from others of its type
+    arm: str | None = None
     date: date | None = None
     kinematics: _Kinematics | None = None
     torque: _Torque | None = None
@@ -73,11 +79,14 @@ class Dataset:
     """A robot and where its recordings are."""
 
     robot: Robot
-    folder: Path | None = None  # the recordings are named relative to; None when they are paths
+    # the recordings are named relative to; None when they are paths
+    folder: Path | None = None
     mapping: ColumnMap = field(default_factory=ColumnMap)  # of columns and drives
     bag: Path | None = None  # that described the robot, and is its recording
 
-    def recordings(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Recording]:
+    def recordings(
+        self, names: Sequence[str], *, without: Sequence[str] = ()
+    ) -> list[Recording]:
         """Recordings by name; all of the folder that are not held out when none is named.
 
         Raises:
@@ -98,7 +107,9 @@ class Dataset:
         paths = [p for path in given for p in _inside(path)] or self._all()
         kept = [path for path in paths if path.resolve() not in held]
         if not kept:
-            raise BadInput(f"{self.folder}: every recording is held out; none is left to fit")
+            raise BadInput(
+                f"{self.folder}: every recording is held out; none is left to fit"
+            )
         return kept
 
     def _path(self, name: str) -> Path:
@@ -125,7 +136,9 @@ def _inside(path: Path) -> list[Path]:
         p for p in files if suffix_of(p) in SUFFIXES or is_bag(p)
     ]
     if not found:
-        raise BadInput(f"{path}: no .parquet or .csv recording in this folder, and it is no bag")
+        raise BadInput(
+            f"{path}: no .parquet or .csv recording in this folder, and it is no bag"
+        )
     return found
 
 
@@ -146,11 +159,15 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
         return Dataset(_robot_in(folder, spec), mapping=given, bag=folder)
     if not isdir(folder):
         return Dataset(load_robot(spec), mapping=_with_drive(given, folder))
-    sidecar, beside = folder / "dataset.json", folder / "columns.yaml"
+    sidecar = folder / "dataset.json"
+    beside = folder / "columns.yaml"
     if columns is None and isfile(beside):
         given = load_column_map(beside)
-    known = read_yaml(sidecar, _Sidecar, "a data set") if isfile(sidecar) else _Sidecar()
-    kinematics, torque = known.kinematics or _Kinematics(), known.torque or _Torque()
+    known = (
+        read_yaml(sidecar, _Sidecar, "a data set") if isfile(sidecar) else _Sidecar()
+    )
+    kinematics = known.kinematics or _Kinematics()
+    torque = known.torque or _Torque()
     candidates = [folder / name for name in (kinematics.urdf, "robot.yaml") if name]
     model = next((path for path in candidates if isfile(path)), None)
     if model is None:
@@ -162,16 +179,28 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
             f"give ROBOT and the paths of the recordings"
         )
     if kinematics.urdf != _Kinematics().urdf and model == candidates[0]:
-        within(model, sidecar, allow="ROBOT and the paths of the recordings on the command line")
+        within(
+            model,
+            sidecar,
+            allow="ROBOT and the paths of the recordings on the command line",
+        )
     try:
-        robot = load_robot(model, lock=dict.fromkeys(kinematics.lock or [], 0.0) or None)
+        robot = load_robot(
+            model, lock=dict.fromkeys(kinematics.lock or [], 0.0) or None
+        )
     except UnknownName as error:
         raise BadInput(f"{sidecar}: {error}") from None
     if isinstance(known.units, dict) and not given.units:
-        given = replace(given, units=column_map({"units": known.units}, str(sidecar)).units)
+        given = replace(
+            given, units=column_map({"units": known.units}, str(sidecar)).units
+        )
     if given.drive is None and isinstance(torque.gains, list):
-        given = replace(given, drive=drive_of({"gain_Nm_per_A": torque.gains}, str(sidecar)))
-    return Dataset(robot, folder, replace(_with_drive(given, model), torque=torque.column))
+        given = replace(
+            given, drive=drive_of({"gain_Nm_per_A": torque.gains}, str(sidecar))
+        )
+    return Dataset(
+        robot, folder, replace(_with_drive(given, model), torque=torque.column)
+    )
 
 
 def _robot_in(bag: Path, spec: str | Path | RobotSpec) -> Robot:
@@ -183,7 +212,9 @@ def _robot_in(bag: Path, spec: str | Path | RobotSpec) -> Robot:
         )
     spec = spec if isinstance(spec, RobotSpec) else RobotSpec(spec)
     joints = parse_xml(found.urdf, bag).findall("joint")
-    movable = [str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"]
+    movable = [
+        str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"
+    ]
     coupled = {
         name
         for joint in joints
@@ -192,11 +223,15 @@ def _robot_in(bag: Path, spec: str | Path | RobotSpec) -> Robot:
     }
     seen = {*found.joints} - coupled | {*(spec.joints or ())}
     held = [name for name in movable if name not in seen]
-    held = held if len(held) < len(movable) else []  # else names differ, by a prefix perhaps
+    held = (
+        held if len(held) < len(movable) else []
+    )  # else names differ, by a prefix perhaps
     spec = replace(spec, lock={**dict.fromkeys(held, 0.0), **spec.lock})
     robot = robot_of(Description(found.urdf), spec)
     if any(joint in robot.joints for joint in found.limits):
-        robot = robot.with_limits(limits_from({"joint_limits": found.limits}, robot, bag))
+        robot = robot.with_limits(
+            limits_from({"joint_limits": found.limits}, robot, bag)
+        )
     said = f"held at 0, without states of their own in the bag: {', '.join(held)}"
     return replace(robot, notes=(*robot.notes, *[said] * bool(held)))
 
@@ -218,8 +253,11 @@ def origin(folder: Path, name: str) -> tuple[str, date | None]:
         BadInput: A ``dataset.json`` that cannot be read.
     """
     sidecar = folder / "dataset.json"
-    known = read_yaml(sidecar, _Sidecar, "a data set") if isfile(sidecar) else _Sidecar()
-    arm, day = name, None
+    known = (
+        read_yaml(sidecar, _Sidecar, "a data set") if isfile(sidecar) else _Sidecar()
+    )
+    arm = name
+    day = None
     for found in _DATE.finditer(name):
         with suppress(ValueError):
             day = date(*map(int, found.groups()))
@@ -243,7 +281,9 @@ def read_recordings(
     """
     share = LONG / max(1, sum(_samples(Path(path)) for path in paths))
     if share < 1:
-        return [excerpt(read_chunks(path, robot, mapping=mapping), share) for path in paths]
+        return [
+            excerpt(read_chunks(path, robot, mapping=mapping), share) for path in paths
+        ]
     return [load_recording(path, robot, mapping=mapping) for path in paths]
 
 
@@ -280,7 +320,9 @@ def excerpt(pieces: Iterable[Recording], share: float) -> Recording:
         rows = np.flatnonzero(np.mod(piece.t, every) < WINDOW_S)
         if len(rows):
             kept.append(piece.take(rows))
-    first = min(kept, key=lambda part: len(part.channels()))  # speeds may end within the log
+    first = min(
+        kept, key=lambda part: len(part.channels())
+    )  # speeds may end within the log
     names = ("t", *(name for name, _ in first.channels()))
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in kept]) for name in names

@@ -40,8 +40,11 @@ _CANDIDATES = 12  # windows tried
 def _step(t: Array, needed: int, who: str) -> float:
     """Sampling period of regular time [s]; refuses less than so many samples."""
     if len(t) < needed:
-        raise BadInput(f"{who}: {len(t)} samples, at least {needed} are needed; record longer")
-    steps, step = np.diff(t), float(t[-1] - t[0]) / (len(t) - 1)
+        raise BadInput(
+            f"{who}: {len(t)} samples, at least {needed} are needed; record longer"
+        )
+    steps = np.diff(t)
+    step = float(t[-1] - t[0]) / (len(t) - 1)
     worst = int(np.argmax(np.abs(steps - step)))
     if abs(steps[worst] - step) > _IRREGULAR * step:
         raise BadInput(
@@ -71,7 +74,9 @@ class LocalPolynomial:
     @property
     def name(self) -> str:
         """Name with its settings."""
-        return f"Savitzky-Golay ({2 * self.half_width + 1} samples, degree {self.degree})"
+        return (
+            f"Savitzky-Golay ({2 * self.half_width + 1} samples, degree {self.degree})"
+        )
 
     def kernel(self, order: int) -> Array:
         """Weights c with f⁽ᵒ⁾ ≈ Σ c_k f_k / Tᵒ, oldest sample first, shape (2m + 1,)."""
@@ -96,10 +101,14 @@ class LocalPolynomial:
 
     def __call__(self, t: Array, q: Array) -> Motion:
         """Motion at the middle of every whole window, shape (n − 2m, nv)."""
-        m, n = self.half_width, len(t)
-        step, inner = _step(t, 2 * m + 1, self.name), slice(m, n - m)
+        m = self.half_width
+        n = len(t)
+        step = _step(t, 2 * m + 1, self.name)
+        inner = slice(m, n - m)
         parts = (
-            scipy.signal.savgol_filter(q, 2 * m + 1, self.degree, k, step, axis=0)[inner]
+            scipy.signal.savgol_filter(q, 2 * m + 1, self.degree, k, step, axis=0)[
+                inner
+            ]
             for k in range(3)
         )
         return Motion(t[inner], *parts)
@@ -109,7 +118,9 @@ class LocalPolynomial:
 def _kernels(half_width: int, degree: int) -> tuple[Array, ...]:
     k = np.arange(-half_width, half_width + 1) / half_width
     weights = np.linalg.pinv(k[:, None] ** np.arange(degree + 1))
-    return tuple(weights[order] * factorial(order) / half_width**order for order in range(3))
+    return tuple(
+        weights[order] * factorial(order) / half_width**order for order in range(3)
+    )
 
 
 @dataclass(frozen=True)
@@ -130,7 +141,9 @@ class ZeroPhaseButterworth:
                 f"{name}: the cut-off does not fit a rate of {rate:.4g} Hz; "
                 f"choose one below {rate / 2:.4g} Hz"
             )
-        spline = scipy.interpolate.make_interp_spline(t, low_pass(q, self.cutoff_hz, rate), k=5)
+        spline = scipy.interpolate.make_interp_spline(
+            t, low_pass(q, self.cutoff_hz, rate), k=5
+        )
         return Motion(t, spline(t), spline(t, 1), spline(t, 2))
 
 
@@ -161,7 +174,8 @@ def position_spectrum(t: Array, q: Array) -> Spectrum:
     regular = np.column_stack([np.interp(grid, t, column) for column in q.T])
     rate = float((len(t) - 1) / (t[-1] - t[0]))
     f, power, floor = _density(regular, rate)
-    upper, stands_out = _upper(f), power > floor * 2 * np.log(len(f))
+    upper = _upper(f)
+    stands_out = power > floor * 2 * np.log(len(f))
     signal = np.where(stands_out & ~upper[:, None], np.maximum(power - floor, 0), 0.0)
     return Spectrum(f, signal, np.sqrt(floor * rate / 2), rate, len(t))
 
@@ -193,7 +207,9 @@ class Choice(NamedTuple):
 def causal_polynomials(spectrum: Spectrum) -> list[LocalPolynomial]:
     """Polynomials worth a try at this rate, windows in geometric steps."""
     shortest, longest = (span * spectrum.rate_hz / 2 for span in _TIME_SPAN)
-    widths = np.unique(np.geomspace(max(shortest, 2), max(longest, 4), _CANDIDATES).astype(int))
+    widths = np.unique(
+        np.geomspace(max(shortest, 2), max(longest, 4), _CANDIDATES).astype(int)
+    )
     sizes = [(2, 2)] + [
         (m, degree)
         for m in map(int, widths)
@@ -205,12 +221,17 @@ def causal_polynomials(spectrum: Spectrum) -> list[LocalPolynomial]:
 
 def causal_polynomial(spectrum: Spectrum) -> Choice:
     """The causal polynomial of smallest predicted error, relative to what joints accelerate."""
-    options, (f, signal, noise, rate, _) = causal_polynomials(spectrum), spectrum
+    options = causal_polynomials(spectrum)
+    (f, signal, noise, rate, _) = spectrum
     power = (2 * np.pi * f) ** 4 * (f[1] - f[0])
     size = np.sqrt(power @ signal)
     moving = size > 0
-    weight = np.where(moving, 1 / np.where(moving, size, 1.0), 0.0 if moving.any() else 1.0)
-    lost = [np.sqrt((power * (each.gain(f, rate, 2) - 1) ** 2) @ signal) for each in options]
+    weight = np.where(
+        moving, 1 / np.where(moving, size, 1.0), 0.0 if moving.any() else 1.0
+    )
+    lost = [
+        np.sqrt((power * (each.gain(f, rate, 2) - 1) ** 2) @ signal) for each in options
+    ]
     passed = [noise * each.noise_gain(rate, 2) for each in options]
     total = np.hypot(lost, passed)
     k, *others = np.argsort((weight**2 * total**2).sum(axis=1))

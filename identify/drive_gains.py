@@ -34,7 +34,11 @@ import pinocchio as pin
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.least_squares import autocorrelation_time, factorised, with_covariance
+from excitant.identify.least_squares import (
+    autocorrelation_time,
+    factorised,
+    with_covariance,
+)
 from excitant.identify.preprocessing import Mask
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.recording import Recording
@@ -46,11 +50,16 @@ from excitant.robots.robot import Robot
 
 _SPREAD = 0.5  # relative, of drives of one arm: decides only what data leave open
 _REWEIGHTINGS = 4  # of the noise of each joint
-_ALTERNATIONS, _CONVERGED = 200, 1e-6
-_LINKS, _PLACEHOLDERS = 0.3, 3.0  # relative uncertainty of given links
-_TOGETHER = 0.5  # share of a joint's rows with another joint moving, from which rows compare
-_HARDLY = 0.2  # relative uncertainty of the common scale, from which the payload is refused
-_ROUNDS, _SETTLED = 30, 1e-8
+_ALTERNATIONS = 200
+_CONVERGED = 1e-6
+_LINKS = 0.3
+_PLACEHOLDERS = 3.0  # relative uncertainty of given links
+# share of a joint's rows with another joint moving, from which rows compare
+_TOGETHER = 0.5
+# relative uncertainty of the common scale, from which the payload is refused
+_HARDLY = 0.2
+_ROUNDS = 30
+_SETTLED = 1e-8
 _DEPENDENT = 1e-7  # part of a unit column that is outside the others
 _IN_AMPERES = (
     ("(N·m)", "A"),
@@ -69,8 +78,11 @@ class DriveGains:
     gains: Array  # shape (nv,) [N·m/A]
     covariance: Array  # of their logarithms, shape (nv, nv)
     scale_std: float  # relative standard deviation of their common scale
-    compared: bool = True  # whether joints were compared; else each is judged by its own rows
-    shown: tuple[bool, ...] = ()  # of a known payload: whether the recordings show each gain
+    # whether joints were compared; else each is judged by its own rows
+    compared: bool = True
+    shown: tuple[
+        bool, ...
+    ] = ()  # of a known payload: whether the recordings show each gain
 
     def __post_init__(self) -> None:
         freeze(self, "gains", "covariance")
@@ -87,10 +99,17 @@ class DriveGains:
 
     def sentence(self, joints: Sequence[str]) -> str:
         """The gains, where they come from, and what the recordings leave open."""
-        pairs = ", ".join(f"{k:.4g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True))
-        said, scale = f"torque was recorded as current; drive gains ({pairs} N·m/A)", self.scale_std
+        pairs = ", ".join(
+            f"{k:.4g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True)
+        )
+        said = f"torque was recorded as current; drive gains ({pairs} N·m/A)"
+        scale = self.scale_std
         if self.shown:
-            hidden = [joint for joint, seen in zip(joints, self.shown, strict=True) if not seen]
+            hidden = [
+                joint
+                for joint, seen in zip(joints, self.shown, strict=True)
+                if not seen
+            ]
             rest = f"; that of {', '.join(hidden)} is not shown and was taken from the other joints"
             return (
                 f"{said} follow from the known payload, their common scale to ±{100 * scale:.2g} %"
@@ -122,12 +141,17 @@ class DriveGains:
         for torque, current in _IN_AMPERES:
             if torque in unit and not self.fixed:
                 k = float(self.gains[joint])
-                return (k if torque.startswith("(") else 1 / k), unit.replace(torque, current)
+                return (k if torque.startswith("(") else 1 / k), unit.replace(
+                    torque, current
+                )
         return 1.0, unit
 
     def torque(self, recordings: Sequence[Recording]) -> list[Recording]:
         """Recordings of currents as recordings of torque, which rests on these gains."""
-        return [replace(r, tau=r.tau * self.gains, unit="N·m", drive=self) for r in recordings]
+        return [
+            replace(r, tau=r.tau * self.gains, unit="N·m", drive=self)
+            for r in recordings
+        ]
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
@@ -140,7 +164,11 @@ class DriveGains:
 
 
 def current_gains(
-    robot: Robot, base: BaseParameters, W: Array, current: Array, moves: Mask | None = None
+    robot: Robot,
+    base: BaseParameters,
+    W: Array,
+    current: Array,
+    moves: Mask | None = None,
 ) -> DriveGains:
     """Gains k with torque = k · current.
 
@@ -153,12 +181,17 @@ def current_gains(
     spread = link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, sigma)
     if moves is not None:
         several = moves.sum(axis=1) > 1
-        share = (moves & several[:, None]).sum(axis=0) / np.maximum(moves.sum(axis=0), 1)
+        share = (moves & several[:, None]).sum(axis=0) / np.maximum(
+            moves.sum(axis=0), 1
+        )
         if (share < _TOGETHER).any():
             return _each_alone(robot, W, current, moves, spread)
-        W, current = W * moves[:, :, None], current * moves
+        W = W * moves[:, :, None]
+        current = current * moves
     shown = [c for c in base.columns if c < links]
-    return _compared(W[:, :, :links], W[:, :, links:], current, shown, robot.phi, spread)
+    return _compared(
+        W[:, :, :links], W[:, :, links:], current, shown, robot.phi, spread
+    )
 
 
 def _compared(
@@ -167,15 +200,22 @@ def _compared(
     nv = Y.shape[1]
     effects = [F[:, j] for j in range(nv)]
     alike = [_stand_in(F_j, Y[:, j] @ phi) for j, F_j in enumerate(effects)]
-    if None not in alike:  # as on a gantry without gravity, where rotors are like masses
+    if (
+        None not in alike
+    ):  # as on a gantry without gravity, where rotors are like masses
         pairs = zip(effects, alike, strict=True)
         effects = [np.delete(F_j, k, axis=1) for F_j, k in pairs if k is not None]
-    parts = [without_effects(F_j, Y[:, j], current[:, j]) for j, F_j in enumerate(effects)]
+    parts = [
+        without_effects(F_j, Y[:, j], current[:, j]) for j, F_j in enumerate(effects)
+    ]
     Y, current = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
-    W, given = Y[:, :, shown], Y @ phi
+    W = Y[:, :, shown]
+    given = Y @ phi
     gram = np.einsum("njr,njs->jrs", W, W, optimize=True)
     moment = np.einsum("njr,nj->jr", W, current, optimize=True)
-    gains, sigma, independent = np.ones(nv), np.maximum(current.std(axis=0), 1e-12), np.ones(nv)
+    gains = np.ones(nv)
+    sigma = np.maximum(current.std(axis=0), 1e-12)
+    independent = np.ones(nv)
     beta = np.zeros(len(shown))
     for _ in range(_REWEIGHTINGS):
         gains, beta = _alternate(gram, moment, independent / sigma**2, gains)
@@ -188,7 +228,10 @@ def _compared(
     # relative to each other, to first order in the noise, beside the parameters
     information = np.zeros((nv + len(shown),) * 2)
     for j in range(nv):
-        columns = np.column_stack([np.outer(-W[:, j] @ beta, np.eye(nv)[j]), W[:, j]]) / gains[j]
+        columns = (
+            np.column_stack([np.outer(-W[:, j] @ beta, np.eye(nv)[j]), W[:, j]])
+            / gains[j]
+        )
         information += columns.T @ columns * independent[j] / sigma[j] ** 2
     contrasts = scipy.linalg.null_space(np.ones((1, nv)))
     reduced = scipy.linalg.block_diag(contrasts, np.eye(len(shown)))
@@ -210,7 +253,9 @@ def _stand_in(F: Array, given: Array) -> int | None:
     return int(np.argmax(np.abs(x) * np.linalg.norm(F, axis=0)))
 
 
-def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
+def _alternate(
+    gram: Array, moment: Array, weight: Array, gains: Array
+) -> tuple[Array, Array]:
     prior = 1 / _SPREAD**2  # of 1/k around the geometric mean, which is kept at 1
     for _ in range(_ALTERNATIONS):
         A = np.einsum("j,jrs->rs", weight / gains**2, gram)
@@ -226,11 +271,16 @@ def _alternate(gram: Array, moment: Array, weight: Array, gains: Array) -> tuple
     return gains, beta
 
 
-def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask, spread: Array) -> DriveGains:
+def _each_alone(
+    robot: Robot, W: Array, current: Array, moves: Mask, spread: Array
+) -> DriveGains:
     """Gains from each joint's own rows, as logarithms that scatter around a common one."""
-    links, nv = 10 * robot.nv, robot.nv
+    links = 10 * robot.nv
+    nv = robot.nv
     pairs = [
-        _log_gain(W[rows, j, :links], W[rows, j, links:], current[rows, j], robot.phi, spread)
+        _log_gain(
+            W[rows, j, :links], W[rows, j, links:], current[rows, j], robot.phi, spread
+        )
         for j, rows in enumerate(moves.T)
     ]
     own, variance = np.array(pairs).T
@@ -241,10 +291,14 @@ def _each_alone(robot: Robot, W: Array, current: Array, moves: Mask, spread: Arr
     gains = np.exp(common + _SPREAD**2 * weight * (own - common))
     unsure = 1 / float(weight.sum())
     covariance = np.diag(_SPREAD**2 * (1 - _SPREAD**2 * weight)) + unsure
-    return DriveGains(np.asarray(gains, float), covariance, float(np.sqrt(unsure)), False)
+    return DriveGains(
+        np.asarray(gains, float), covariance, float(np.sqrt(unsure)), False
+    )
 
 
-def _log_gain(Y: Array, F: Array, current: Array, phi: Array, spread: Array) -> tuple[float, float]:
+def _log_gain(
+    Y: Array, F: Array, current: Array, phi: Array, spread: Array
+) -> tuple[float, float]:
     """Logarithm of the gain with which given torque Y φ explains a current, and its variance."""
     count = int(live(F).sum())
     if len(current) <= count + 1:
@@ -324,7 +378,9 @@ def payload_gains(
         raise BadInput(
             f"{hardly}: they fix the common scale of the drive gains to ±{100 * scale:.0f} % only"
         )
-    return DriveGains(k, log_cov + weighed, scale, shown=tuple(bool(each) for each in shown))
+    return DriveGains(
+        k, log_cov + weighed, scale, shown=tuple(bool(each) for each in shown)
+    )
 
 
 def _exact_columns(free: Array, loaded: Array, own: Array, hardly: str) -> Array:
@@ -353,16 +409,22 @@ def _solved(exact: Array, current: Array) -> tuple[Array, Array, Mask]:
         np.asarray(np.linalg.qr(np.column_stack([X, i]), mode="r"), float)
         for X, i in zip(exact.transpose(1, 0, 2), current.T, strict=True)
     ]
-    k, sigma = np.ones(nv), np.maximum(current.std(axis=0), 1e-12)
+    k = np.ones(nv)
+    sigma = np.maximum(current.std(axis=0), 1e-12)
     for _ in range(_ROUNDS):
         weight = 1 / (k * sigma)
         found, theta, shown = _eliminated(triangles, weight, n * (weight * sigma) ** 2)
         rest = [
-            np.linalg.norm(found[j] * T[:, -1] - T[:, :-1] @ theta) for j, T in enumerate(triangles)
+            np.linalg.norm(found[j] * T[:, -1] - T[:, :-1] @ theta)
+            for j, T in enumerate(triangles)
         ]
         ahead = np.maximum(np.array(rest) / np.sqrt(n) / np.abs(found), 1e-12)
-        change = np.abs(found / k / np.mean(found / k) - 1).max() + np.abs(ahead / sigma - 1).max()
-        k, sigma = np.abs(found), ahead
+        change = (
+            np.abs(found / k / np.mean(found / k) - 1).max()
+            + np.abs(ahead / sigma - 1).max()
+        )
+        k = np.abs(found)
+        sigma = ahead
         if change < _SETTLED:
             break
     return found / theta[-1], theta / theta[-1], shown
@@ -393,11 +455,15 @@ def _eliminated(
     return sign * k, sign * np.asarray(theta, float), shown
 
 
-def _covariance(exact: Array, current: Array, k: Array, theta: Array, shown: Mask) -> Array:
+def _covariance(
+    exact: Array, current: Array, k: Array, theta: Array, shown: Mask
+) -> Array:
     """Covariance of the logarithms of the gains, to first order in coloured noise, (nv, nv)."""
     torque = exact @ theta
     per_gain = np.einsum("nj,jk->njk", -torque / k, np.eye(len(k)))
-    columns = np.concatenate([per_gain[:, :, shown], exact[:, :, :-1] / k[:, None]], axis=2)
+    columns = np.concatenate(
+        [per_gain[:, :, shown], exact[:, :, :-1] / k[:, None]], axis=2
+    )
     residual = current - torque / k
     sigma = np.maximum(residual.std(axis=0), 1e-12)
     names = tuple(f"column {c}" for c in range(columns.shape[2]))

@@ -16,7 +16,11 @@ from excitant.files import write_file
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.faults import warn_of_faults
-from excitant.identify.friction import FrictionCurve, curves_over_velocity, friction_curve
+from excitant.identify.friction import (
+    FrictionCurve,
+    curves_over_velocity,
+    friction_curve,
+)
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     LeastSquares,
@@ -68,7 +72,8 @@ if TYPE_CHECKING:
 LEVEL = 0.95
 _FEWEST = 3.0  # degrees of freedom, below which no noise is known
 _MOST = 0.5  # of the residual's variance that is given back
-_FAR, _CERTAIN = 0.02, 2.0  # share of samples and standard deviations that chance is allowed
+_FAR = 0.02
+_CERTAIN = 2.0  # share of samples and standard deviations that chance is allowed
 _HALF = 0.5  # of a mass or a length: so large a change is named
 _SLIGHT = 0.01  # m: a smaller one is not
 _BY = ("data", "both", "prior")
@@ -77,7 +82,8 @@ _WHO = {
     "both": "between data and prior",
     "prior": "as shared out by the prior",
 }
-_MOVED = 0.01  # standard errors by which columns at a lower rate may move a base parameter
+# standard errors by which columns at a lower rate may move a base parameter
+_MOVED = 0.01
 _ROUNDS = 2  # until the torque that columns hold is that of the identified arm
 
 
@@ -106,7 +112,8 @@ class BodyChange:
     @property
     def moved(self) -> str:
         """What moved by half of the given mass or of the link's length, in words; empty if not."""
-        said, (size, std) = [], self.shift
+        said = []
+        (size, std) = self.shift
         if abs(self.mass - self.given_mass) >= _HALF * self.given_mass:
             said.append(
                 f"mass {self.given_mass:.3g} → {self.mass:.3g} ± {self.mass_std:.2g} kg "
@@ -121,7 +128,11 @@ class BodyChange:
     def entry(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
         mass = {"given": self.given_mass, "value": self.mass, "std": self.mass_std}
-        centre = {"given": self.given_centre, "value": self.centre, "std": self.centre_std}
+        centre = {
+            "given": self.given_centre,
+            "value": self.centre,
+            "std": self.centre_std,
+        }
         lists = {name: values.tolist() for name, values in centre.items()}
         lists |= dict(zip(("shift", "shift_std"), self.shift, strict=True))
         return {
@@ -250,23 +261,32 @@ class Estimate(Shown):
     @cached_property
     def interval(self) -> PredictionInterval:
         """95 % intervals of readings at the rows of the hold-out."""
-        W, fit, lengths = self.holdout_columns, self.least_squares, self.lengths
+        W = self.holdout_columns
+        fit = self.least_squares
+        lengths = self.lengths
         if lengths is not None:
             W = np.concatenate([W, lengths.columns(self.data.validate)], axis=2)
-            left = [e / gain for e, gain in zip(lengths.residuals, self.gains, strict=True)]
-            return prediction_interval(W, fit, left, self.gains, lengths.of_prediction(fit))
+            left = [
+                e / gain for e, gain in zip(lengths.residuals, self.gains, strict=True)
+            ]
+            return prediction_interval(
+                W, fit, left, self.gains, lengths.of_prediction(fit)
+            )
         residuals = self.fitted.counted(self.fitted.measured - self.predicted_fitted)
         return prediction_interval(W, fit, residuals, self.gains)
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result of `identify`."""
-        robot, fit = self.given, self.least_squares
+        robot = self.given
+        fit = self.least_squares
         broken = violations(self.phi, robot.links)
-        half, known = self.interval.half_width, self.interval.parameters
+        half = self.interval.half_width
+        known = self.interval.parameters
         error = np.abs(self.holdout.measured - self.predicted)
         inside = [each <= 0 for each in self.holdout.counted(error - half)]
         held = coverage(inside)
-        sensors, cutoff_hz = self.data.sensors, self.data.cutoff_hz
+        sensors = self.data.sensors
+        cutoff_hz = self.data.cutoff_hz
         intervals = [
             {
                 "half_width": float(half[:, j].mean()),
@@ -285,17 +305,27 @@ class Estimate(Shown):
             **({} if self.lengths is None else {"lengths": self.lengths.entry()}),
             "unit": robot.torque_unit(self.data.unit),
             "holdout": self.data.holdout,
-            **({"drive_gain_Nm_per_A": None} if self.drive is None else self.drive.result()),
+            **(
+                {"drive_gain_Nm_per_A": None}
+                if self.drive is None
+                else self.drive.result()
+            ),
             "joints": [
                 {
                     "name": joint,
                     "train": self.train.entry(j),
                     "validate": self.validate.entry(j) | {"interval95": intervals[j]},
                     "baseline": self.baseline.entry(j),
-                    **({} if sensors is None else {"motion": sensors.entry(j, cutoff_hz)}),
+                    **(
+                        {}
+                        if sensors is None
+                        else {"motion": sensors.entry(j, cutoff_hz)}
+                    ),
                     **({} if curve is None else {"friction": curve.entry()}),
                 }
-                for j, (joint, curve) in enumerate(zip(robot.joints, self.friction, strict=True))
+                for j, (joint, curve) in enumerate(
+                    zip(robot.joints, self.friction, strict=True)
+                )
             ],
             "links": [body.entry() for body in self.bodies],
             "prior_sigma": self._sigma.tolist(),
@@ -336,10 +366,13 @@ class Estimate(Shown):
         (run,) = self._alike(recording)
         found = np.full(run.tau.shape, np.nan)
         for s in prepare(run, self.data.cutoff_hz):
-            tau, t = torque(self.model, s.motion) / self.gains, s.motion.t
+            tau = torque(self.model, s.motion) / self.gains
+            t = s.motion.t
             tau = s.filtered(tau) if filtered else tau
             at = (run.t >= t[0]) & (run.t < t[-1] + 1 / s.rate_hz)
-            found[at] = np.column_stack([np.interp(run.t[at], t, column) for column in tau.T])
+            found[at] = np.column_stack(
+                [np.interp(run.t[at], t, column) for column in tau.T]
+            )
         return read_only(found)
 
     def score(self, recordings: Recordings) -> list[dict[str, Any]]:
@@ -351,7 +384,9 @@ class Estimate(Shown):
         cutoff_hz = self.data.cutoff_hz
         rows = [s for each in self._alike(recordings) for s in prepare(each, cutoff_hz)]
         found = series(rows).accuracy(predicted_torque(self.model, rows) / self.gains)
-        return [{"name": name, **found.entry(j)} for j, name in enumerate(self.given.joints)]
+        return [
+            {"name": name, **found.entry(j)} for j, name in enumerate(self.given.joints)
+        ]
 
     def _alike(self, recordings: Recordings) -> list[Recording]:
         found = as_recordings(recordings, self.given)
@@ -362,7 +397,8 @@ class Estimate(Shown):
         return found
 
     def to_frame(
-        self, of: Literal["parameters", "base_parameters", "joints", "links"] = "parameters"
+        self,
+        of: Literal["parameters", "base_parameters", "joints", "links"] = "parameters",
     ) -> pd.DataFrame:
         """Records of ``result.json`` of one kind, a row each."""
         names = {"parameters": "name", "base_parameters": "expression"}
@@ -394,14 +430,18 @@ class Estimate(Shown):
         """
         from excitant.identify.export import model_files
 
-        path, gains = Path(path), self.gains if self.data.unit == "A" else None
+        path = Path(path)
+        gains = self.gains if self.data.unit == "A" else None
         if not path.suffix:
             why = "name a file, such as model.yaml; excitant.save(estimate, folder) saves the run"
             raise BadInput(f"{path}: a model is saved into one file; {why}")
         files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
         formats = {Path(name).suffix for name in files} - {".csv"}
         UnknownName.refuse("format", [path.suffix], sorted(formats))
-        beside = [path.with_suffix(".urdf"), path.with_name(f"{path.stem}-estimate.csv")]
+        beside = [
+            path.with_suffix(".urdf"),
+            path.with_name(f"{path.stem}-estimate.csv"),
+        ]
         written = [path] + beside * (path.suffix == ".yaml")
         for file in written:
             write_file(file, files[file.name])
@@ -416,17 +456,25 @@ class Estimate(Shown):
     @cached_property
     def bodies(self) -> tuple[BodyChange, ...]:
         """Masses and centres of mass of the links, given and identified."""
-        covariance, changes = self.physical.covariance, list[BodyChange]()
+        covariance = self.physical.covariance
+        changes = list[BodyChange]()
         who = decided_by(self.physical.influence)
         places = list(self.given.model.jointPlacements)
         for k, link in enumerate(self.given.links):
             at = slice(10 * k, 10 * k + 10)
             body = inertia(self.prior[at])
             centre, std = centre_of_mass(self.phi[at], covariance[at, at])
-            ends = [np.array(body.lever), *(place.translation for place in places[k + 2 : k + 3])]
+            ends = [
+                np.array(body.lever),
+                *(place.translation for place in places[k + 2 : k + 3]),
+            ]
             radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
             length = max(radius, *(np.linalg.norm(end) for end in ends))
-            mass = float(self.phi[10 * k]), float(np.sqrt(covariance[10 * k, 10 * k])), who[10 * k]
+            mass = (
+                float(self.phi[10 * k]),
+                float(np.sqrt(covariance[10 * k, 10 * k])),
+                who[10 * k],
+            )
             by = max(who[10 * k + 1 : 10 * k + 4], key=_BY.index)
             change = body.mass, *mass, ends[0], centre, std, by, float(length)
             changes.append(BodyChange(link, *change))
@@ -434,10 +482,16 @@ class Estimate(Shown):
 
     def _essential(self) -> dict[str, Any]:
         """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""
-        essential = essential_parameters(self.least_squares.beta, self.least_squares.covariance)
+        essential = essential_parameters(
+            self.least_squares.beta, self.least_squares.covariance
+        )
         names = self.base.expressions
         every, few = (
-            float(np.nanmedian(self.holdout.accuracy(self.holdout_columns @ b / self.gains).nrmse))
+            float(
+                np.nanmedian(
+                    self.holdout.accuracy(self.holdout_columns @ b / self.gains).nrmse
+                )
+            )
             for b in (self.least_squares.beta, essential.beta)
         )
         return {
@@ -455,7 +509,8 @@ class Estimate(Shown):
 
     def _moved(self) -> list[str]:
         """Sentences on how far the given bodies agree with the data, and which moved by half."""
-        sigma, tool = self._sigma[0], self._sigma[-1]
+        sigma = self._sigma[0]
+        tool = self._sigma[-1]
         last = f" ({self.given.links[-1]}: {100 * tool:.0f} %)" if tool != sigma else ""
         found = [
             f"the given bodies are off by about {100 * sigma:.0f} %{last} where the recordings see "
@@ -466,7 +521,8 @@ class Estimate(Shown):
         return found
 
     def _parameters(self) -> list[dict[str, Any]]:
-        robot, physical = self.given, self.physical
+        robot = self.given
+        physical = self.physical
         effects = [p for e in self.model.effects for p in e.parameters(robot)]
         owners = [link for link in robot.links for _ in UNITS]
         owners += [p.name.rpartition(".")[0] for p in effects]
@@ -493,9 +549,12 @@ class Estimate(Shown):
         ]
 
     def _lines(self) -> list[str]:
-        errors = (share(float(np.nanmedian(x.nrmse))) for x in (self.baseline, self.validate))
+        errors = (
+            share(float(np.nanmedian(x.nrmse))) for x in (self.baseline, self.validate)
+        )
         below = f"{self.data.cutoff_hz:.3g} Hz"
-        broken, effects = violations(self.phi, self.given.links), self.model.effects
+        broken = violations(self.phi, self.given.links)
+        effects = self.model.effects
         return [
             f"Estimate of {self.given.name} ({self.estimator}), on the hold-out",
             f"error {' → '.join(errors)} (nrmse, median over joints, below {below})",
@@ -504,8 +563,15 @@ class Estimate(Shown):
         ]
 
     def _table(self) -> Table:
-        columns = (self.baseline.rms, self.validate.rms, self.validate.nrmse, self.validate.r2)
-        rows = zip(self.given.joints, *(column.tolist() for column in columns), strict=True)
+        columns = (
+            self.baseline.rms,
+            self.validate.rms,
+            self.validate.nrmse,
+            self.validate.r2,
+        )
+        rows = zip(
+            self.given.joints, *(column.tolist() for column in columns), strict=True
+        )
         heads = ("joint", "rms error as given", "identified", "nrmse", "r²")
         return heads, rows
 
@@ -554,9 +620,13 @@ def identify_robot(
     """
     UnknownName.refuse("estimator", [estimator], ESTIMATORS)
     robot = as_robot(robot)
-    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
-    unsure = length_deviations(robot.length_std if length_std is None else length_std, robot)
-    prior, known = prior_parameters(robot), (knowledge or Knowledge()).of(robot)
+    recordings = as_recordings(recordings, robot)
+    validate = as_recordings(validate, robot)
+    unsure = length_deviations(
+        robot.length_std if length_std is None else length_std, robot
+    )
+    prior = prior_parameters(robot)
+    known = (knowledge or Knowledge()).of(robot)
     warn_of_faults(robot, recordings)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
@@ -573,8 +643,12 @@ def identify_robot(
         R, z = rows.regression.factor(fit.weight)
         if name != "wls":
             z = R[:, rows.base.columns] @ fit.beta
-        physical = fit_physical(R, z, prior, rows.open_prior, knowledge=known, links=robot.links)
-        lengths = length_errors(rows, fit, physical, unsure) if unsure[1:].any() else None
+        physical = fit_physical(
+            R, z, prior, rows.open_prior, knowledge=known, links=robot.links
+        )
+        lengths = (
+            length_errors(rows, fit, physical, unsure) if unsure[1:].any() else None
+        )
         if lengths is not None:
             fit, physical = lengths.widened(fit, physical)
             said += (lengths.sentence,)
@@ -582,7 +656,9 @@ def identify_robot(
             fit, physical = shapes.widened(fit, physical, rows.base)
         found = judged(robot, rows, fit, physical, (*notes, *said))
         found = replace(found, estimator=ESTIMATORS[name], knowledge=known)
-        return replace(found, shapes=shapes, lengths=lengths), _moved_by_rate(rows, fit, physical.x)
+        return replace(found, shapes=shapes, lengths=lengths), _moved_by_rate(
+            rows, fit, physical.x
+        )
 
     found, moved = fitted_to(data)
     if moved > _MOVED:
@@ -615,7 +691,11 @@ def _moved_by_rate(rows: FitRows, fit: LeastSquares, x: Array) -> float:
 
 
 def judged(
-    robot: Robot, rows: FitRows, fit: LeastSquares, physical: PhysicalFit, notes: tuple[str, ...]
+    robot: Robot,
+    rows: FitRows,
+    fit: LeastSquares,
+    physical: PhysicalFit,
+    notes: tuple[str, ...],
 ) -> Estimate:
     """The estimate of a robot as given from rows, with base parameters and physical ones.
 
@@ -623,7 +703,8 @@ def judged(
     scales its joint's torque, so the columns of J are A⁻¹ W_jᵀ τ_j, A that of the normal equations.
     Predicted currents rest on no gain, so the least-squares covariance stays as it is.
     """
-    drive, widened = rows.drive, fit.covariance
+    drive = rows.drive
+    widened = fit.covariance
     std = np.sqrt(np.diag(physical.covariance))
     if drive is not None:
         pull = rows.by_gain(fit.weight)
@@ -637,11 +718,15 @@ def judged(
         std = np.where(factors == 1, np.sqrt(np.diag(wider)), factors * std)
     model = identified_robot(robot, rows.effects, physical.x)
     if is_covariance(widened):
-        model = replace(model, estimate=BaseEstimate(rows.base.leading, fit.beta, widened))
+        model = replace(
+            model, estimate=BaseEstimate(rows.base.leading, fit.beta, widened)
+        )
     notes += () if drive is None else (drive.sentence(robot.joints),)
     notes += (physical.note,) if physical.note else ()
     stds = std, np.sqrt(np.diag(widened))
-    return Estimate(robot, model, rows.base, fit, physical, *stds, rows.data, notes, drive=drive)
+    return Estimate(
+        robot, model, rows.base, fit, physical, *stds, rows.data, notes, drive=drive
+    )
 
 
 def _told(
@@ -655,14 +740,17 @@ def _told(
 
 def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:
     """Notes on the hold-out, the cut-off and the prior."""
-    robot, notes = rows.robot, [rows.data.holdout, rows.data.cutoff_why]
+    robot = rows.robot
+    notes = [rows.data.holdout, rows.data.cutoff_why]
     if rows.data.sensors is not None:
         notes.append(rows.data.sensors.sentence(robot.joints))
     if rows.rests:
         notes.append(rows.rests)
     moved = [
         link
-        for link, given, used in zip(robot.links, robot.phi.reshape(-1, 10), prior, strict=True)
+        for link, given, used in zip(
+            robot.links, robot.phi.reshape(-1, 10), prior, strict=True
+        )
         if not np.allclose(given, used)
     ]
     if moved:
@@ -680,18 +768,25 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
     one may be far off. The arm is identified without them first, then with those that it
     selects. The prior has shape (nv, 10).
     """
-    robot, effects = rows.robot, rows.effects
+    robot = rows.robot
+    effects = rows.effects
     apart = tuple(e for e in effects if not e.depends_on_model)
     if len(apart) == len(effects):
         return rows
     counts = [len(e.parameters(robot)) for e in effects]
-    links, *places = np.split(range(rows.regression.p), np.cumsum([10 * robot.nv, *counts])[:-1])
+    links, *places = np.split(
+        range(rows.regression.p), np.cumsum([10 * robot.nv, *counts])[:-1]
+    )
     own = [at for e, at in zip(effects, places, strict=True) if not e.depends_on_model]
     regression = rows.regression.select(np.concatenate([links, *own]).tolist())
-    known = replace(rows, effects=apart, base=base_parameters(robot, apart), regression=regression)
+    known = replace(
+        rows, effects=apart, base=base_parameters(robot, apart), regression=regression
+    )
     for _ in range(_ROUNDS):
         R, z = known.regression.factor(weighted_least_squares(known.reduced).weight)
-        found = fit_physical(R, z, prior, known.open_prior, knowledge=knowledge, links=robot.links)
+        found = fit_physical(
+            R, z, prior, known.open_prior, knowledge=knowledge, links=robot.links
+        )
         reference = identified_robot(robot, known.effects, found.x)
         columns = regression_of(reference, effects, rows.data.train)
         known = replace(rows, robot=reference, regression=rows.fitting(columns))
@@ -774,7 +869,9 @@ def prediction_interval(
     left = 1 - np.minimum(fit.inflation * len(fit.beta) / size, _MOST)
     noise = np.sqrt(np.array([(e**2).mean() for e in residuals]) / left)
     freedom = np.array([independent_squares(e) for e in residuals]) * left
-    parameters = torque_std(W, fit.covariance if covariance is None else covariance) / gains
+    parameters = (
+        torque_std(W, fit.covariance if covariance is None else covariance) / gains
+    )
     return PredictionInterval(parameters, noise, np.maximum(freedom, _FEWEST))
 
 

@@ -41,7 +41,13 @@ from excitant.identify.preprocessing import (
 )
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import Regression, dense, joined, regression_of, triangle
+from excitant.identify.regression import (
+    Regression,
+    dense,
+    joined,
+    regression_of,
+    triangle,
+)
 from excitant.identify.rows import FitRows, identified_robot
 from excitant.identify.spectra import detrended, low_pass
 from excitant.robots.motion import Array, Motion
@@ -60,7 +66,8 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 """Name and description of every estimator."""
 
 _CERTAIN = 0.01  # chance of a false alarm of the test for errors in the motion
-_ROUNDS, _SETTLED = 200, 1e-7  # of reweighting; change of the fitted torque, rms, of the noise
+_ROUNDS = 200  # of reweighting
+_SETTLED = 1e-7  # change of the fitted torque, rms, of the noise
 _ROUNDING = 1e-13  # of the largest torque: what rounding leaves of an exact fit
 _FLATTEST = 0.05  # mean slope of an influence; less is no minimum
 _NORMAL = 0.6744897501960817  # median magnitude of a standard normal variable
@@ -70,15 +77,19 @@ _STAGES = 3  # of re-estimating the noise of each joint with instruments
 _SAME = 1e-6  # of a column's length: smaller errors are those of interpolation
 _RATE_SHARE = 0.2  # of the rate of all samples: 0.8 of what every second one can show
 _SIMULATIONS = 15  # at most; two to four do
-_STILL, _UNCHANGED = 1e-2, 1e-6  # of a standard deviation; of the rms torque
+_STILL = 1e-2  # of a standard deviation
+_UNCHANGED = 1e-6  # of the rms torque
 _WIDER = 2.5  # than the motion: cut-off of the reference, which leaves the motion alone to 1e-3
 _HIGHEST = 0.4  # of the sampling rate
 _SHARES = (1.0, 0.5, 0.25, 0.1)  # of the way from the given arm to an estimate
 _MASS_MOVES = 1e-3  # as easily as other parameters where β leaves a choice
 _CAUTION = 2.0  # times the noise, lest the largest of many frequencies pass for motion
-_BLACKMAN_HARRIS = np.array([0.35875, -0.48829, 0.14128, -0.01168])  # of cosines of 0 to 3 turns
+_BLACKMAN_HARRIS = np.array(
+    [0.35875, -0.48829, 0.14128, -0.01168]
+)  # of cosines of 0 to 3 turns
 _QUINTIC = 5  # degree of a spline
-_FLOOR = (0.5, 0.9)  # of half the rate: where positions show nothing but the noise of encoders
+# of half the rate: where positions show nothing but the noise of encoders
+_FLOOR = (0.5, 0.9)
 
 
 def estimated(
@@ -93,7 +104,8 @@ def estimated(
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: Robust regression or output error that does not converge.
     """
-    problem, said = rows.reduced, f"base parameters by {ESTIMATORS[name]}"
+    problem = rows.reduced
+    said = f"base parameters by {ESTIMATORS[name]}"
     if name == "wls":
         return weighted_least_squares(problem), name, ()
     if name == "irls":
@@ -165,7 +177,9 @@ def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) ->
     problem = start.problem
     inverse = start.inverse / start.norms[:, None]
     parts = enumerate(zip(problem.index, problem.columns, strict=True))
-    Q = np.stack([X @ inverse[index] / start.weight[j] for j, (index, X) in parts], axis=1)
+    Q = np.stack(
+        [X @ inverse[index] / start.weight[j] for j, (index, X) in parts], axis=1
+    )
     flat = Q.reshape(-1, problem.p)
     for _ in range(_ROUNDS):
         residual = problem.residual(beta)
@@ -184,7 +198,8 @@ def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) ->
                 "record more",
             ) from None
         beta = beta + inverse @ step
-        moved, rounding = Q @ step * start.weight, _ROUNDING * np.abs(problem.tau).max(axis=0)
+        moved = Q @ step * start.weight
+        rounding = _ROUNDING * np.abs(problem.tau).max(axis=0)
         if float(((moved / (sigma + rounding / _SETTLED)) ** 2).mean()) <= _SETTLED**2:
             return beta
     raise Infeasible(
@@ -215,9 +230,12 @@ def iv(problem: Regression, instruments: Regression) -> LeastSquares:
     return with_covariance(factor, beta, residual, sigma)
 
 
-def _projected(problem: Regression, instruments: Regression, sigma: Array) -> Regression:
+def _projected(
+    problem: Regression, instruments: Regression, sigma: Array
+) -> Regression:
     """The problem with the part of its columns that instruments explain."""
-    k, r = instruments.p, problem.p
+    k = instruments.p
+    r = problem.p
     stage = factorised(instruments, sigma)
     both = instruments.with_columns(problem.W, problem.names)
     R = triangle(both.stacked(1 / sigma)[:, :-1] / np.append(stage.norms, np.ones(r)))
@@ -227,7 +245,9 @@ def _projected(problem: Regression, instruments: Regression, sigma: Array) -> Re
     return dense(explained, problem.tau, problem.names, problem.used)
 
 
-def errors_in_variables(problem: Regression, instruments: Regression) -> tuple[float, float]:
+def errors_in_variables(
+    problem: Regression, instruments: Regression
+) -> tuple[float, float]:
     """Test whether errors of W move with those of the torque (Durbin, Wu, Hausman 1978).
 
     V is the part of W that instruments do not explain. Without errors in W that matter, V has no
@@ -242,7 +262,8 @@ def errors_in_variables(problem: Regression, instruments: Regression) -> tuple[f
         BadInput: Instruments that explain W entirely leave nothing to test.
         RankDeficient: Columns, or instruments, that the motion does not show.
     """
-    r, W = problem.p, problem.W
+    r = problem.p
+    W = problem.W
     sigma = weighted_least_squares(problem).sigma
     left = (W - _projected(problem, instruments, sigma).W) / sigma[:, None]
     lengths = np.linalg.norm(W / sigma[:, None], axis=(0, 1))
@@ -256,7 +277,8 @@ def errors_in_variables(problem: Regression, instruments: Regression) -> tuple[f
     V = U[:, keep].reshape(*W.shape[:2], -1) * sigma[:, None]
     added = tuple(f"error {k + 1}" for k in range(V.shape[2]))
     fit = weighted_least_squares(problem.with_columns(V, added))
-    gamma, C = fit.beta[r:], fit.covariance[r:, r:]
+    gamma = fit.beta[r:]
+    C = fit.covariance[r:, r:]
     statistic = float(gamma @ scipy.linalg.solve(C, gamma, assume_a="pos"))
     return statistic, float(scipy.special.chdtrc(len(gamma), statistic))
 
@@ -284,7 +306,9 @@ def every_second(recording: Recording, first: int) -> Recording:
         values = np.array(channel)
         for part in uninterrupted(t):
             if len(seen := part[first::2]) > _QUINTIC:
-                spline = scipy.interpolate.make_interp_spline(t[seen], values[seen], k=_QUINTIC)
+                spline = scipy.interpolate.make_interp_spline(
+                    t[seen], values[seen], k=_QUINTIC
+                )
                 values[part] = spline(t[part])
         return values
 
@@ -304,7 +328,8 @@ def half_regressions(
     Raises:
         BadInput: A rate below five times the cut-off.
     """
-    cutoff_hz, halves = rows.data.cutoff_hz, []
+    cutoff_hz = rows.data.cutoff_hz
+    halves = []
     for first in (0, 1):
         segments = []
         for recording in recordings:
@@ -334,8 +359,11 @@ class OutputError(NamedTuple):
 
     def sentence(self, bandwidth_hz: Array) -> str:
         """Simulation with positions up to a bandwidth for reference [Hz]."""
-        low, high = bandwidth_hz.min(), bandwidth_hz.max()
-        width = f"{low:.3g} Hz" if high - low < 0.1 * low else f"{low:.3g} to {high:.3g} Hz"
+        low = bandwidth_hz.min()
+        high = bandwidth_hz.max()
+        width = (
+            f"{low:.3g} Hz" if high - low < 0.1 * low else f"{low:.3g} to {high:.3g} Hz"
+        )
         moved = np.abs(self.fit.beta - self.start.beta) / self.fit.std
         return (
             f"the model was simulated on the measured motion up to {width}, as the positions "
@@ -344,7 +372,9 @@ class OutputError(NamedTuple):
         )
 
 
-def output_error(problem: Regression, simulated: Callable[[Array], Regression]) -> OutputError:
+def output_error(
+    problem: Regression, simulated: Callable[[Array], Regression]
+) -> OutputError:
     """Output error by direct and inverse models (DIDIM: Gautier, Janot, Vandanjon 2013).
 
     The closed loop of the model is simulated with the current β, which gives columns W_s(β) of a
@@ -405,7 +435,9 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
     """
     pairs = _with_recordings(rows.data.train, recordings)
     loops = [_reference(segment, recording) for segment, recording in pairs]
-    used = certain_rows(rows.effects, rows.robot.joints, [segment for segment, *_ in loops])
+    used = certain_rows(
+        rows.effects, rows.robot.joints, [segment for segment, *_ in loops]
+    )
     commands = [command for _, command, _ in loops]
     model_of = _completion(rows)
 
@@ -414,7 +446,9 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
         for (segment, _, _), motion in zip(loops, motions, strict=True):
             columns = observation_columns(rows.robot, rows.effects, motion)
             W = segment.filtered(columns[:, :, rows.base.columns], segment.keep)
-            parts.append(dense(W, segment.tau[segment.keep] * rows.gains, rows.base.expressions))
+            parts.append(
+                dense(W, segment.tau[segment.keep] * rows.gains, rows.base.expressions)
+            )
         return joined(parts).counting(used)
 
     def simulated_at(beta: Array, share: float) -> Regression:
@@ -427,14 +461,17 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
                 return simulated_at(beta, share)
         return simulated_at(beta, 0.0)
 
-    return ClosedLoop(regression(commands), simulated, np.array([width for *_, width in loops]))
+    return ClosedLoop(
+        regression(commands), simulated, np.array([width for *_, width in loops])
+    )
 
 
 def _with_recordings(
     segments: Sequence[Segment], recordings: Sequence[Recording]
 ) -> list[tuple[Segment, Recording]]:
     """Every segment with the recording that it is a part of, both in order."""
-    found, left = [], list(segments)
+    found = []
+    left = list(segments)
     for recording in recordings:
         last = -np.inf
         while left and left[0].name == recording.name and left[0].motion.t[0] > last:
@@ -445,16 +482,28 @@ def _with_recordings(
 
 def _reference(segment: Segment, recording: Recording) -> tuple[Segment, Motion, Array]:
     """Rows away from the edges of the filter, positions up to the bandwidth, and it, (nv,)."""
-    rate, t = segment.rate_hz, segment.motion.t
+    rate = segment.rate_hz
+    t = segment.motion.t
     part = (recording.t >= t[0] - 1e-9) & (recording.t <= t[-1] + 1e-6 + 1 / rate)
-    q = scipy.interpolate.make_interp_spline(recording.t[part], recording.q[part], k=3)(t)
-    width = np.clip(_WIDER * _motion_bandwidth(q, rate), 4 * rate / len(q), _HIGHEST * rate)
-    smooth = np.column_stack([low_pass(q[:, j], float(hz), rate) for j, hz in enumerate(width)])
-    spline, keep = scipy.interpolate.make_interp_spline(t, smooth, k=5), segment.keep
+    q = scipy.interpolate.make_interp_spline(recording.t[part], recording.q[part], k=3)(
+        t
+    )
+    width = np.clip(
+        _WIDER * _motion_bandwidth(q, rate), 4 * rate / len(q), _HIGHEST * rate
+    )
+    smooth = np.column_stack(
+        [low_pass(q[:, j], float(hz), rate) for j, hz in enumerate(width)]
+    )
+    spline = scipy.interpolate.make_interp_spline(t, smooth, k=5)
+    keep = segment.keep
     edge = max(keep.start, round(rate / float(width.min())))
     first = keep.start + keep.step * int(np.ceil((edge - keep.start) / keep.step))
     inner = slice(first, min(keep.stop, len(t) - edge), keep.step)
-    return replace(segment, keep=inner), Motion(t, *(spline(t, k) for k in range(3))), width
+    return (
+        replace(segment, keep=inner),
+        Motion(t, *(spline(t, k) for k in range(3))),
+        width,
+    )
 
 
 def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
@@ -480,7 +529,8 @@ def _completion(rows: FitRows) -> Callable[[Array, float], Robot]:
 
     The choice makes no difference to any torque; masses move least, so that they stay positive.
     """
-    B, links = rows.base.regrouping, 10 * rows.robot.nv
+    B = rows.base.regrouping
+    links = 10 * rows.robot.nv
     given = np.zeros(B.shape[1])
     given[:links] = prior_parameters(rows.robot).ravel()
     size = np.sqrt((rows.W**2).mean(axis=(0, 1)))

@@ -20,7 +20,12 @@ import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.information import square_root
-from excitant.identify.prior import BasePrior, base_prior, needed_torque, reference_motion
+from excitant.identify.prior import (
+    BasePrior,
+    base_prior,
+    needed_torque,
+    reference_motion,
+)
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.motion import Array, Motion, freeze
@@ -28,7 +33,8 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
 ROWS_PER_SECOND = 20.0  # independent rows of torque filtered at 10 Hz
-_NOISE_SHARE = 0.01  # noise of a row in parts of the torque of a reference motion, when not known
+# noise of a row in parts of the torque of a reference motion, when not known
+_NOISE_SHARE = 0.01
 _ENOUGH = 1.0  # the window knows as much as the prior
 _VISIBLE = 10.0  # level of a reference motion that makes a direction worth asking for
 _LISTED = 6  # weak directions that are spelt out
@@ -51,10 +57,16 @@ class WindowExcitation:
     start: float
     end: float
     levels: Array  # of each visible direction, ascending, shape (v,)
-    weak: tuple[WeakDirection, ...] = ()  # those below level 1, the weakest first, at most six
-    joints: tuple[str, ...] = ()  # whose motion is missing, that which would help most first
-    shown: int = 0  # of all combinations, those better known from the window than from the prior
-    combinations: int = 0  # base parameters of links and effects, whether a motion can show them
+    weak: tuple[
+        WeakDirection, ...
+    ] = ()  # those below level 1, the weakest first, at most six
+    joints: tuple[
+        str, ...
+    ] = ()  # whose motion is missing, that which would help most first
+    # of all combinations, those better known from the window than from the prior
+    shown: int = 0
+    # base parameters of links and effects, whether a motion can show them
+    combinations: int = 0
 
     def __post_init__(self) -> None:
         freeze(self, "levels")
@@ -129,13 +141,17 @@ class ExcitationJudge:
         )
         if found.enough:
             return found
-        robot, weak, helpers = self.robot, V[:, : found.missing], list[tuple[str, ...]]()
+        robot = self.robot
+        weak = V[:, : found.missing]
+        helpers = list[tuple[str, ...]]()
         for help_of in self._levels_if_livelier(motion, weak).T:  # of each joint
             order = np.argsort(-help_of)
             best = (j for j in order if help_of[j] >= 0.5 * help_of.max())
             helpers.append(tuple(robot.joints[j] for j in best))
         listed = zip(weak.T, found.levels.tolist(), helpers, strict=False)
-        directions = tuple(WeakDirection(self._leading(v), *rest) for v, *rest in listed)
+        directions = tuple(
+            WeakDirection(self._leading(v), *rest) for v, *rest in listed
+        )
         count = Counter(name for names in helpers for name in names)
         joints = sorted(filter(count.get, robot.joints), key=lambda name: -count[name])
         return replace(found, weak=directions[:_LISTED], joints=tuple(joints))
@@ -144,12 +160,15 @@ class ExcitationJudge:
         """Level of each weak direction if one joint moved as in the reference, (nv, weak)."""
         n = min(len(motion), len(self.reference))
         thin, reference = (
-            each[np.linspace(0, len(each) - 1, n).astype(int)] for each in (motion, self.reference)
+            each[np.linspace(0, len(each) - 1, n).astype(int)]
+            for each in (motion, self.reference)
         )
         levels = np.empty((self.robot.nv, V.shape[1]))
         for j in range(self.robot.nv):
             parts = [np.array(x) for x in (thin.q, thin.dq, thin.ddq)]
-            for own, values in zip(parts, (reference.q, reference.dq, reference.ddq), strict=True):
+            for own, values in zip(
+                parts, (reference.q, reference.dq, reference.ddq), strict=True
+            ):
                 own[:, j] = values[:, j]
             seen = self.rows(Motion(reference.t, *parts))[:, :, self.hidden :] @ V
             levels[j] = _share(reference) * (seen**2).sum(axis=(0, 1))
@@ -162,7 +181,9 @@ class ExcitationJudge:
         share = (visible @ v / np.where(spread > 0, spread, 1.0)) ** 2
         order = np.argsort(-share)
         count = int(np.searchsorted(np.cumsum(share[order]), 0.9 * share.sum())) + 1
-        return tuple(self.base.names[self.base.columns[k]] for k in order[: min(count, 3)])
+        return tuple(
+            self.base.names[self.base.columns[k]] for k in order[: min(count, 3)]
+        )
 
 
 def _share(motion: Motion) -> float:
@@ -172,7 +193,9 @@ def _share(motion: Motion) -> float:
 
 
 def _information(motion: Motion, rows: Array) -> Array:
-    return np.asarray(_share(motion) * np.tensordot(rows, rows, ((0, 1), (0, 1))), float)
+    return np.asarray(
+        _share(motion) * np.tensordot(rows, rows, ((0, 1), (0, 1))), float
+    )
 
 
 def excitation_judge(
@@ -185,7 +208,9 @@ def excitation_judge(
     prior: BasePrior,
 ) -> ExcitationJudge:
     """Prepare to judge windows of one length [s]; sigma as in `persistency`."""
-    reference = reference_motion(robot, window, ROWS_PER_SECOND if window > 2 else 40 / window)
+    reference = reference_motion(
+        robot, window, ROWS_PER_SECOND if window > 2 else 40 / window
+    )
     if sigma is None:
         sigma = _NOISE_SHARE * needed_torque(robot, reference)
     L = square_root(prior.covariance)
@@ -204,7 +229,8 @@ class Persistency(WindowExcitation):
     @property
     def sentence(self) -> str:
         """The finding in words."""
-        visible, length = len(self.levels), f"{self.end - self.start:.3g} s"
+        visible = len(self.levels)
+        length = f"{self.end - self.start:.3g} s"
         if not visible:
             return "no motion of this arm shows any parameter above the noise"
         over = f"windows of {length}" if self.windows > 1 else length
@@ -277,14 +303,19 @@ def persistency(
             f"excitation: a window of {length:g} s in a motion of {duration:.4g} s; give "
             f"{least:.2g} to {duration:.4g} s"
         )
-    judge = excitation_judge(robot, effects, window=length, sigma=sigma, base=base, prior=prior)
+    judge = excitation_judge(
+        robot, effects, window=length, sigma=sigma, base=base, prior=prior
+    )
     rows = judge.rows(thin)
     if window is not None:
         each = list(_windows(judge, thin, rows, window))
         weakest = min(each, key=lambda found: (found.enough, found.shown, found.level))
         return Persistency(**vars(weakest), windows=len(each))
-    found, shortest = judge.judge(thin, rows), None
-    for length in duration / 2.0 ** np.arange(max(1, int(np.log2(len(thin) / _SHORTEST)))):
+    found = judge.judge(thin, rows)
+    shortest = None
+    for length in duration / 2.0 ** np.arange(
+        max(1, int(np.log2(len(thin) / _SHORTEST)))
+    ):
         if not all(each.enough for each in _windows(judge, thin, rows, float(length))):
             break
         shortest = float(length)
@@ -295,7 +326,8 @@ def _windows(
     judge: ExcitationJudge, motion: Motion, rows: Array, window: float
 ) -> Iterator[WindowExcitation]:
     """Excitation in windows that overlap by half."""
-    start, end = float(motion.t[0]), float(motion.t[-1])
+    start = float(motion.t[0])
+    end = float(motion.t[-1])
     count = max(1, int(np.ceil(2 * (end - start) / window - 1 - 1e-9)))
     for first in np.linspace(start, max(start, end - window), count):
         inside = (motion.t >= first - 1e-9) & (motion.t <= first + window + 1e-9)

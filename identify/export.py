@@ -86,7 +86,9 @@ def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
     given = robot
     for effect in given.effects:
         if effect.values is None:
-            raise BadInput(f"{robot.name}: effect {effect.name} has no values; identify it first")
+            raise BadInput(
+                f"{robot.name}: effect {effect.name} has no values; identify it first"
+            )
         if effect.role != "torque":
             robot = effect.applied(robot)
         elif effect.joint_property:
@@ -97,9 +99,12 @@ def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
 
 def comment(robot: Robot, file_format: str, complete: str) -> str:
     """Deviations of a file from the model, and the file that is complete."""
-    left_out, own = [], []
+    left_out = []
+    own = []
     for effect in robot.effects:
-        values, joints, below = effect.values or (), list(effect.joints), list[str]()
+        values = effect.values or ()
+        joints = list(effect.joints)
+        below = list[str]()
         if effect.joint_property:
             lowest = [p.lower for p in effect.parameters(robot)]
             rows = list(zip(joints, values, lowest, strict=True))
@@ -147,7 +152,10 @@ def _yaml(arm: Robot, beside: Mapping[str, str], gains: Array | None) -> str:
 def _ros2_control(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
     """Parameters of ROS 2 for any node, which are doubles throughout, in SI units."""
     friction = {
-        joint: {name: float(drives[name][j]) for name in ("viscous", "coulomb", "offset", "rotor")}
+        joint: {
+            name: float(drives[name][j])
+            for name in ("viscous", "coulomb", "offset", "rotor")
+        }
         for j, joint in enumerate(arm.joints)
     }
     bodies = map(inertia, arm.phi.reshape(-1, 10))
@@ -155,7 +163,10 @@ def _ros2_control(arm: Robot, drives: Mapping[str, Array], complete: str) -> str
         link: {"mass": float(body.mass), "centre_of_mass": body.lever.tolist()}
         for link, body in zip(arm.links, bodies, strict=True)
     }
-    gains = {joint: {"ff_velocity_scale": max(x["viscous"], 0.0)} for joint, x in friction.items()}
+    gains = {
+        joint: {"ff_velocity_scale": max(x["viscous"], 0.0)}
+        for joint, x in friction.items()
+    }
     parameters = {"gains": gains, "friction": friction, "links": links}
     parameters |= {"gravity": arm.gravity.tolist()}
     remarks = comment(arm, "ros2_control", complete).strip().splitlines()
@@ -164,7 +175,9 @@ def _ros2_control(arm: Robot, drives: Mapping[str, Array], complete: str) -> str
     return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
-def _mjcf(arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array | None) -> str:
+def _mjcf(
+    arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array | None
+) -> str:
     """MJCF text; a control is a torque [N·m], or a current [A] where drive gains are given."""
     root = ET.Element("mujoco", model=arm.name)
     root.append(ET.Comment(comment(arm, "mjcf", complete)))
@@ -175,24 +188,33 @@ def _mjcf(arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array |
     _sites(elements[0], arm, 0)
     actuators = _add(root, "actuator")
     for j, (joint, link) in enumerate(zip(arm.joints, arm.links, strict=True)):
-        place, parent = arm.model.jointPlacements[j + 1], elements[arm.model.parents[j + 1]]
+        place = arm.model.jointPlacements[j + 1]
+        parent = elements[arm.model.parents[j + 1]]
         length = float(np.linalg.norm(place.translation))
         if parent is not elements[0] and length > _THIN:  # a line to look at, no more
             line = f"0 0 0 {_written(place.translation)}"
-            _add(parent, "geom", type="capsule", size=0.1 * min(length, 0.5), fromto=line)
+            _add(
+                parent, "geom", type="capsule", size=0.1 * min(length, 0.5), fromto=line
+            )
         name = link if link != "world" else "world_"  # that of MuJoCo's own root
         body = _add(parent, "body", name=name, **_pose(place))
         elements.append(body)
         central = inertia(arm.phi[10 * j : 10 * j + 10])
         moments, axes = np.linalg.eigh(central.inertia)
         axes[:, 0] *= np.linalg.det(axes)
-        frame, mass = _pose(pin.SE3(axes, central.lever)), central.mass
+        frame = _pose(pin.SE3(axes, central.lever))
+        mass = central.mass
         _add(body, "inertial", **frame, mass=mass, diaginertia=moments)
-        kind, limits = "hinge" if arm.revolute[j] else "slide", arm.limits.position[j]
+        kind = "hinge" if arm.revolute[j] else "slide"
+        limits = arm.limits.position[j]
         known = {"range": limits} if np.isfinite(limits).all() else {}
         names = {"damping": "viscous", "frictionloss": "coulomb", "armature": "rotor"}
-        known |= {key: drives[own][j] for key, own in names.items() if drives[own][j] > 0}
-        if "frictionloss" in known:  # the default is so soft that a slow joint has half of it
+        known |= {
+            key: drives[own][j] for key, own in names.items() if drives[own][j] > 0
+        }
+        if (
+            "frictionloss" in known
+        ):  # the default is so soft that a slow joint has half of it
             known |= {"solreffriction": (0.004, 1.0), "solimpfriction": (0.999, 0.999)}
         _add(body, "joint", name=joint, type=kind, axis=_axis(arm, j), **known)
         _sites(body, arm, j + 1)
@@ -230,9 +252,16 @@ def _sdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
     _add(mount, "child", links[0])
     for j, (link, joint) in enumerate(zip(links[1:], joints, strict=True)):
         _sdf_link(model, link, joint, inertia(arm.phi[10 * j : 10 * j + 10]))
-        (low, high), limits = arm.limits.position[j], arm.limits
+        (low, high) = arm.limits.position[j]
+        limits = arm.limits
         bounded = bool(np.isfinite([low, high]).all())
-        kind = "prismatic" if not arm.revolute[j] else "revolute" if bounded else "continuous"
+        kind = (
+            "prismatic"
+            if not arm.revolute[j]
+            else "revolute"
+            if bounded
+            else "continuous"
+        )
         element = _add(model, "joint", name=joint, type=kind)
         parent = links[arm.model.parents[j + 1]]
         _placed(element, arm.model.jointPlacements[j + 1], parent)
@@ -240,8 +269,11 @@ def _sdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
         _add(element, "child", link)
         axis = _add(element, "axis")
         _add(axis, "xyz", _axis(arm, j))
-        limit, ends = _add(axis, "limit"), (low, high, limits.torque[j], limits.velocity[j])
-        for key, value in zip(("lower", "upper", "effort", "velocity"), ends, strict=True):
+        limit = _add(axis, "limit")
+        ends = (low, high, limits.torque[j], limits.velocity[j])
+        for key, value in zip(
+            ("lower", "upper", "effort", "velocity"), ends, strict=True
+        ):
             if np.isfinite(value):
                 _add(limit, key, value)
         dynamics = _add(axis, "dynamics")
@@ -265,7 +297,9 @@ def _sdf_link(model: ET.Element, name: str, joint: str, central: pin.Inertia) ->
         _add(tensor, f"i{'xyz'[i]}{'xyz'[j]}", central.inertia[i, j])
 
 
-def _sdf_frames(model: ET.Element, arm: Robot, joint: int, link: str, taken: set[str]) -> None:
+def _sdf_frames(
+    model: ET.Element, arm: Robot, joint: int, link: str, taken: set[str]
+) -> None:
     for frame, place in _frames(arm, joint):
         name = _fresh(_unreserved(frame), taken)
         _placed(_add(model, "frame", name=name, attached_to=link), place, link)
@@ -309,7 +343,10 @@ def _pose(T: pin.SE3) -> dict[str, str]:
 
 
 def _add(
-    parent: ET.Element, tag: str, content: str | npt.ArrayLike | None = None, **attributes: Any
+    parent: ET.Element,
+    tag: str,
+    content: str | npt.ArrayLike | None = None,
+    **attributes: Any,
 ) -> ET.Element:
     own = {k: v if isinstance(v, str) else _written(v) for k, v in attributes.items()}
     element = ET.SubElement(parent, tag, own)
@@ -386,21 +423,32 @@ def published(
     Torques have shape (n, nv).
     """
     useless, worse, whole = _against(joints, rows, predicted, given)
-    why, advice = [*faults], list[str]()
+    why = [*faults]
+    advice = list[str]()
     if faults:
         advice = ["correct the recording, with --repair where it says so"]
     elif useless:
-        advice = ["look at the torque and position columns there: order, sign, unit, resolution"]
+        advice = [
+            "look at the torque and position columns there: order, sign, unit, resolution"
+        ]
     elif whole:
-        advice = ["see whether fit and hold-out are of the same arm and load, or excite more"]
+        advice = [
+            "see whether fit and hold-out are of the same arm and load, or excite more"
+        ]
     if useless:
-        why.append(f"it predicts the hold-out worse than no model at {'; '.join(useless)}")
+        why.append(
+            f"it predicts the hold-out worse than no model at {'; '.join(useless)}"
+        )
     if whole:
         why.append(f"it predicts the hold-out worse than the model as given, {whole}")
-    where = [f"worst at {'; '.join(worse)}"] if whole and worse and len(why) == 1 else []
+    where = (
+        [f"worst at {'; '.join(worse)}"] if whole and worse and len(why) == 1 else []
+    )
     said = "; ".join([*why, *where])
     if why and not force:
-        note = f"the {kind} model is not published: {said}; {advice[0]}, or give --force"
+        note = (
+            f"the {kind} model is not published: {said}; {advice[0]}, or give --force"
+        )
         return Publication({}, False, note)
     note = f"published because it was forced: {said}" if why else ""
     if worse and not why:
@@ -412,7 +460,8 @@ def _against(
     joints: Sequence[str], rows: Series, predicted: Array, given: Array
 ) -> tuple[list[str], list[str], str]:
     """Joints of no use and joints that got worse, with figures; all joints if these got worse."""
-    found, before = rows.accuracy(predicted), rows.accuracy(given)
+    found = rows.accuracy(predicted)
+    before = rows.accuracy(given)
     losses = rows.losses(predicted, given)
     useless = [
         f"{joint} (r² = {r2:.3g})"

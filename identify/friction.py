@@ -45,17 +45,27 @@ class FrictionCurve:
 
     def entry(self) -> dict[str, Any]:
         """What is not an array, for ``result.json``."""
-        return {key: getattr(self, key) for key in ("unit", "velocity_unit", "per_reading")}
+        return {
+            key: getattr(self, key) for key in ("unit", "velocity_unit", "per_reading")
+        }
 
 
 def friction_curve(estimate: Estimate, joint: str) -> FrictionCurve | None:
     """Friction of a joint by its velocity as estimated; None where none was."""
-    robot, j = estimate.given, estimate.given.joint_index(joint)
-    first, places, laws = 10 * robot.nv, list[int](), []
+    robot = estimate.given
+    j = estimate.given.joint_index(joint)
+    first = 10 * robot.nv
+    places = list[int]()
+    laws = []
     for effect in estimate.model.effects:
         names = [p.name.rpartition(".")[0] for p in effect.parameters(robot)]
         own = [first + k for k, name in enumerate(names) if name == joint]
-        if own and effect.family == "friction" and effect.abscissa == "velocity" and effect.law:
+        if (
+            own
+            and effect.family == "friction"
+            and effect.abscissa == "velocity"
+            and effect.law
+        ):
             places += own
             laws.append(effect.law)
         first += len(names)
@@ -76,13 +86,17 @@ def friction_curve(estimate: Estimate, joint: str) -> FrictionCurve | None:
     torque = Parameter(f"{joint}.friction", robot.torque_unit("N·m", j))
     factor, unit = told(torque, robot, estimate.drive)
     turns = "rad/s" if robot.revolute[j] else "m/s"
-    return FrictionCurve(joint, unit, turns, float(factor * estimate.gains[j]), v, C @ x, half)
+    return FrictionCurve(
+        joint, unit, turns, float(factor * estimate.gains[j]), v, C @ x, half
+    )
 
 
 def curves_over_velocity(estimate: Estimate) -> dict[str, Array]:
     """Series of the curves of all joints, each (m, nv); NaN beyond them and where there is none."""
     keys = ("velocity", "torque", "half_width")
-    arrays = {f"friction_{key}": np.full((_POINTS, estimate.given.nv), np.nan) for key in keys}
+    arrays = {
+        f"friction_{key}": np.full((_POINTS, estimate.given.nv), np.nan) for key in keys
+    }
     for j, curve in enumerate(estimate.friction):
         for key in keys if curve is not None else ():
             values = getattr(curve, key)

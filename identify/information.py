@@ -63,7 +63,8 @@ def information_of(A: Array, b: Array) -> Information:
 
 def combined(parts: Sequence[Information]) -> Information:
     """Information of independent parts about the same parameters."""
-    A, b = np.vstack([part.R for part in parts]), np.concatenate([part.z for part in parts])
+    A = np.vstack([part.R for part in parts])
+    b = np.concatenate([part.z for part in parts])
     total = information_of(A, b)
     return Information(total.R, total.z, total.rest + sum(part.rest for part in parts))
 
@@ -77,7 +78,9 @@ def square_root(covariance: Array) -> Array:
 
 def gaussian(mean: Array, covariance: Array) -> Information:
     """Information form of a normal distribution with regular covariance."""
-    A = scipy.linalg.solve_triangular(square_root(covariance), np.eye(len(mean)), lower=True)
+    A = scipy.linalg.solve_triangular(
+        square_root(covariance), np.eye(len(mean)), lower=True
+    )
     return information_of(A, A @ mean)
 
 
@@ -88,12 +91,14 @@ class InformationFilter:
     """
 
     def __init__(self, columns: npt.NDArray[np.intp], p: int) -> None:
-        self.columns, self.p = columns, p
+        self.columns = columns
+        self.p = p
         self._picked = np.append(columns, -1)
         self._size = len(columns) + 1
         self._factor = np.zeros((self._size, self._size), order="F")
         self._scale = 1.0  # of the factor, by which what it holds is forgotten
-        self._rows, self.waiting = np.zeros((2 * TOGETHER, self._size)), 0
+        self._rows = np.zeros((2 * TOGETHER, self._size))
+        self.waiting = 0
 
     def add(self, row: Array) -> None:
         """Let a row [a, b] of all parameters wait, shape (p + 1,)."""
@@ -109,7 +114,8 @@ class InformationFilter:
             factor = self._factor if self._scale == 1.0 else self._scale * self._factor
             panel = min(_PANEL, self._size)
             self._factor = lapack.dtpqrt(0, panel, factor, stacked, 1, 1)[0]
-            self._scale, self.waiting = 1.0, 0
+            self._scale = 1.0
+            self.waiting = 0
 
     def forget(self, factor: float) -> None:
         """Weigh everything so far by a factor on the information, 0 < factor ≤ 1."""
@@ -119,7 +125,8 @@ class InformationFilter:
     def information(self) -> Information:
         """Information of the rows so far on all p parameters."""
         self.take()
-        n, own = self._size - 1, self._scale * self._factor
+        n = self._size - 1
+        own = self._scale * self._factor
         R = np.zeros((n, self.p))
         R[:, self.columns] = own[:n, :n]
         full = information_of(R, own[:n, n])

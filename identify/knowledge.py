@@ -74,7 +74,9 @@ class LinkKnowledge(Record, frozen=True, omit_defaults=True):
     @property
     def regions(self) -> list[str]:
         """Names of the regions known."""
-        return [key for key in self.__struct_fields__[1:] if getattr(self, key) is not None]
+        return [
+            key for key in self.__struct_fields__[1:] if getattr(self, key) is not None
+        ]
 
 
 class _File(Record, frozen=True):
@@ -102,7 +104,8 @@ class Knowledge:
         """The same, with the geometry of a robot's links."""
         boxes = centre_regions(robot).items()
         regions = {
-            name: Box(tuple(low.tolist()), tuple(high.tolist())) for name, (low, high) in boxes
+            name: Box(tuple(low.tolist()), tuple(high.tolist()))
+            for name, (low, high) in boxes
         }
         return replace(self, regions=regions)
 
@@ -121,9 +124,15 @@ class Knowledge:
     def sentence(self) -> str:
         """Description of the knowledge used beside the given bodies; empty where there is none."""
         masses = self.masses
-        said = [f"total mass {masses['total_mass']} kg"] if "total_mass" in masses else []
+        said = (
+            [f"total mass {masses['total_mass']} kg"] if "total_mass" in masses else []
+        )
         for name, link in self.links.items():
-            mass = [f"mass {masses[f'mass of {name}']} kg"] if link.mass is not None else []
+            mass = (
+                [f"mass {masses[f'mass of {name}']} kg"]
+                if link.mass is not None
+                else []
+            )
             said.append(f"{name}: {', '.join([*mass, *link.regions])}")
         return f"taken for known from {self.source}: {'; '.join(said)}" if said else ""
 
@@ -172,9 +181,12 @@ def known_rows(
         if name not in links:
             raise BadInput(f"{knowledge.source}: links: the arm has no link '{name}'")
     p = 10 * len(links)
-    of_link = {f"mass of {name}": row for name, row in zip(links, np.eye(p)[::10], strict=True)}
+    of_link = {
+        f"mass of {name}": row for name, row in zip(links, np.eye(p)[::10], strict=True)
+    }
     mass_rows = {"total_mass": np.sum(list(of_link.values()), axis=0)} | of_link
-    rows, values = [np.zeros((0, p))], [np.zeros(0)]
+    rows = [np.zeros((0, p))]
+    values = [np.zeros(0)]
     restrictions: list[Restriction] = []
     for name, mass in knowledge.masses.items():
         row = mass_rows[name][None]
@@ -191,19 +203,26 @@ def known_rows(
     ]
     for name, known in (*regions, *knowledge.links.items()):
         place = np.eye(p)[10 * links.index(name) :][:10]
-        restrictions += [replace(each, G=each.G @ place) for each in _regions(known, name)]
+        restrictions += [
+            replace(each, G=each.G @ place) for each in _regions(known, name)
+        ]
     return np.vstack(rows), np.concatenate(values), restrictions
 
 
 def _regions(known: LinkKnowledge, name: str) -> Iterator[Restriction]:
     """Restrictions of one link's ten parameters."""
-    mass, first = np.eye(10)[0], np.eye(10)[1:4]
+    mass = np.eye(10)[0]
+    first = np.eye(10)[1:4]
     if known.com_box is not None:
         # where the box has no width, a coordinate is known
-        low, high = np.array(known.com_box.low), np.array(known.com_box.high)
+        low = np.array(known.com_box.low)
+        high = np.array(known.com_box.high)
         flat = low == high
         G = np.array([first - np.outer(low, mass), np.outer(high, mass) - first])
-        for cone, rows in (("nonnegative", G[:, ~flat].reshape(-1, 10)), ("zero", G[0, flat])):
+        for cone, rows in (
+            ("nonnegative", G[:, ~flat].reshape(-1, 10)),
+            ("zero", G[0, flat]),
+        ):
             if len(rows):
                 yield Restriction(cone, rows, np.zeros(len(rows)), f"com_box of {name}")
     if known.com_ellipsoid is not None:
@@ -213,4 +232,6 @@ def _regions(known: LinkKnowledge, name: str) -> Iterator[Restriction]:
         to_unit = known.body_ellipsoid.to_unit()
         E = np.diag([0.0, 0.0, 0.0, 1.0]) - to_unit.T @ to_unit
         row = np.einsum("kij,ij->k", PSEUDO_INERTIA_BASIS, E)
-        yield Restriction("nonnegative", row[None], np.zeros(1), f"body_ellipsoid of {name}")
+        yield Restriction(
+            "nonnegative", row[None], np.zeros(1), f"body_ellipsoid of {name}"
+        )

@@ -31,17 +31,20 @@ from excitant.exceptions import RankDeficient
 from excitant.identify.regression import Regression, triangle
 from excitant.robots.motion import Array, freeze
 
-_ROUNDS = 4  # of re-estimating the noise of each joint; the weights settle in two or three
+# of re-estimating the noise of each joint; the weights settle in two or three
+_ROUNDS = 4
 SMALLEST = 1e-12  # torque noise taken for none
 _FINEST = 1e-6  # of the largest noise: finer rows would leave no digits to those of other joints
 _UNDETERMINED = (
     "this motion does not determine these parameters (move the joints that show them, "
     "or design an excitation)"
 )
-_GIVEN_BACK = 4  # rounds of giving back what the fit took; each leaves the share that it takes
+# rounds of giving back what the fit took; each leaves the share that it takes
+_GIVEN_BACK = 4
 _FEWEST = 3.0  # degrees of freedom, below which no noise is known
 _STABLE = 0.9999  # largest reflection coefficient of an autoregression
-_TOGETHER = 0.05  # probability by chance, of all dropped ones, below which elimination stops
+# probability by chance, of all dropped ones, below which elimination stops
+_TOGETHER = 0.05
 _ALONE = 0.01  # of one of them
 
 
@@ -90,12 +93,16 @@ class Factor:
 
     def solve(self) -> Array:
         """β of least squares, shape (r,)."""
-        return np.asarray(scipy.linalg.solve_triangular(self.R, self.z) / self.norms, float)
+        return np.asarray(
+            scipy.linalg.solve_triangular(self.R, self.z) / self.norms, float
+        )
 
     @property
     def inverse(self) -> Array:
         """R⁻¹, shape (r, r)."""
-        return np.asarray(scipy.linalg.solve_triangular(self.R, np.eye(len(self.R))), float)
+        return np.asarray(
+            scipy.linalg.solve_triangular(self.R, np.eye(len(self.R))), float
+        )
 
 
 def factorised(problem: Regression, weight: Array) -> Factor:
@@ -104,7 +111,8 @@ def factorised(problem: Regression, weight: Array) -> Factor:
     Raises:
         RankDeficient: Columns that are silent, or that others explain.
     """
-    r, names = problem.p, problem.names
+    r = problem.p
+    names = problem.names
     if problem.undetermined:
         raise RankDeficient([names[k] for k in problem.undetermined], _UNDETERMINED)
     rows = problem.stacked(1 / weight)
@@ -140,16 +148,22 @@ def noise_of(residuals: Sequence[Array], r: int) -> Array:
     """
     rows = np.array([len(e) for e in residuals])
     squares = np.array([e @ e for e in residuals]) / np.maximum(rows, 1)
-    variance = np.where(rows > 0, squares, squares.max()) * (rows.sum() / max(rows.sum() - r, 1))
+    variance = np.where(rows > 0, squares, squares.max()) * (
+        rows.sum() / max(rows.sum() - r, 1)
+    )
     return believed(np.sqrt(variance))
 
 
 def believed(sigma: Array) -> Array:
     """Noise of joints, none so fine beside the others that their rows vanish, shape (nv,)."""
-    return np.asarray(np.maximum(sigma, max(SMALLEST, _FINEST * float(sigma.max()))), float)
+    return np.asarray(
+        np.maximum(sigma, max(SMALLEST, _FINEST * float(sigma.max()))), float
+    )
 
 
-def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> LeastSquares:
+def with_covariance(
+    factor: Factor, beta: Array, error: Array, sigma: Array
+) -> LeastSquares:
     """An estimate with its covariance A⁻¹ Ω A⁻¹, widened for what the noise is known from.
 
     Every estimator here is, to first order in the noise, least squares of some columns X_j with an
@@ -158,11 +172,19 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
 
     The error, shape (n, nv), is ε_j as the residual shows it; sigma is reported as noise, (nv,).
     """
-    problem, inverse, norms = factor.problem, factor.inverse, factor.norms
+    problem = factor.problem
+    inverse = factor.inverse
+    norms = factor.norms
     scaled = error / factor.weight
     size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
     joints = list(
-        zip(problem.index, problem.columns, problem.triangles, factor.weight, strict=True)
+        zip(
+            problem.index,
+            problem.columns,
+            problem.triangles,
+            factor.weight,
+            strict=True,
+        )
     )
     rows = [
         JointRows(index, columns[problem.rows(j)] / w / norms[index])
@@ -175,7 +197,8 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
     parts = root @ inner @ root.T
     # Student's t of the sum of all joints' variances (Satterthwaite 1946)
     variances = np.diagonal(parts, axis1=1, axis2=2)
-    total, spread = variances.sum(axis=0), (variances**2 / freedom[:, None]).sum(axis=0)
+    total = variances.sum(axis=0)
+    spread = (variances**2 / freedom[:, None]).sum(axis=0)
     nu = np.divide(total**2, spread, out=np.full(len(total), np.inf), where=spread > 0)
     covariance = parts.sum(axis=0) * np.outer(student_width(nu), student_width(nu))
     alone = [np.sum((R[:, :-1] / norms[k] @ inverse[k]) ** 2) for k, _, R, _ in joints]
@@ -187,7 +210,9 @@ def with_covariance(factor: Factor, beta: Array, error: Array, sigma: Array) -> 
 
 def student_width(freedom: Array | float) -> Array:
     """Student's over normal 97.5 % quantile, for degrees of freedom of any shape."""
-    return np.asarray(scipy.special.stdtrit(freedom, 0.975) / scipy.special.ndtri(0.975), float)
+    return np.asarray(
+        scipy.special.stdtrit(freedom, 0.975) / scipy.special.ndtri(0.975), float
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +240,9 @@ class JointRows:
         n = len(self.W)
         a, variance = autoregression(gamma, n)
         power = variance / np.abs(scipy.fft.rfft(a, self.size)) ** 2
-        return np.asarray(scipy.fft.irfft(power * self.spectrum, self.size)[:, :n], float)
+        return np.asarray(
+            scipy.fft.irfft(power * self.spectrum, self.size)[:, :n], float
+        )
 
     def taken(self, G: Array, inverse: Array, both: Array, lags: int) -> Array:
         """Autocovariance that the fit took, with G = W_jᵀ Γ_j, A⁻¹ and A⁻¹ Ω A⁻¹, (lags + 1,)."""
@@ -223,8 +250,12 @@ class JointRows:
         H = inverse[block] @ G - both[block] @ self.W.T / 2
         if not len(self.W):
             return np.zeros(lags + 1)
-        cross = np.einsum("uf,uf->f", self.spectrum.conj(), scipy.fft.rfft(H, self.size)).real
-        return np.asarray(scipy.fft.irfft(2 * cross, self.size)[: lags + 1] / len(self.W))
+        cross = np.einsum(
+            "uf,uf->f", self.spectrum.conj(), scipy.fft.rfft(H, self.size)
+        ).real
+        return np.asarray(
+            scipy.fft.irfft(2 * cross, self.size)[: lags + 1] / len(self.W)
+        )
 
 
 def score_covariances(
@@ -240,7 +271,9 @@ def score_covariances(
     observed = [autocovariance(e, k) for e, k in zip(residuals, lags, strict=True)]
     gammas = observed.copy()
     for left in range(_GIVEN_BACK, -1, -1):
-        parts = [joint.coloured(gamma) for joint, gamma in zip(rows, gammas, strict=True)]
+        parts = [
+            joint.coloured(gamma) for joint, gamma in zip(rows, gammas, strict=True)
+        ]
         scores = np.zeros((len(rows), *inverse.shape))
         for score, joint, G in zip(scores, rows, parts, strict=True):
             S = G @ joint.W
@@ -284,7 +317,8 @@ def autoregression(gamma: Array, n: int) -> tuple[Array, float]:
     From the autocovariance of n samples at lags 0 to p: polynomial 1 + a_1 z⁻¹ + …, and the
     variance of the innovations.
     """
-    a, variance = np.ones(1), float(gamma[0])
+    a = np.ones(1)
+    variance = float(gamma[0])
     best = (n * np.log(variance), a, variance)
     for p in range(1, len(gamma)):
         reflection = -float(a @ gamma[p:0:-1]) / variance
@@ -300,7 +334,8 @@ def autoregression(gamma: Array, n: int) -> tuple[Array, float]:
 
 def autocorrelation(values: Array) -> Array:
     """ρ_k of the first third of all lags, ρ_0 = 1, shape (n,) → (n / 3,); white if constant."""
-    centred, n = values - values.mean(), len(values)
+    centred = values - values.mean()
+    n = len(values)
     size = scipy.fft.next_fast_len(2 * n, True)
     spectrum = np.abs(scipy.fft.rfft(centred, size)) ** 2
     correlation = np.asarray(scipy.fft.irfft(spectrum, size)[: max(n // 3, 1)], float)
@@ -342,12 +377,19 @@ def essential_parameters(beta: Array, covariance: Array) -> Essential:
     """
     unit = np.sqrt(np.diag(covariance))
     unit = np.where(unit > 0, unit, 1.0)
-    b, S = beta / unit, covariance / np.outer(unit, unit)
-    kept, dropped, statistic, p_value = list(range(len(beta))), list[int](), 0.0, 1.0
+    b = beta / unit
+    S = covariance / np.outer(unit, unit)
+    kept = list(range(len(beta)))
+    dropped = list[int]()
+    statistic = 0.0
+    p_value = 1.0
     while kept:
         variance = np.maximum(np.diag(S)[kept], 0.0)
         squares = np.divide(
-            b[kept] ** 2, variance, out=np.full(len(kept), np.inf), where=variance > 1e-12
+            b[kept] ** 2,
+            variance,
+            out=np.full(len(kept), np.inf),
+            where=variance > 1e-12,
         )
         k = kept[int(squares.argmin())]
         square = float(squares.min())
@@ -356,9 +398,12 @@ def essential_parameters(beta: Array, covariance: Array) -> Essential:
             break
         b = b - S[:, k] * b[k] / S[k, k]
         S = S - np.outer(S[:, k], S[k]) / S[k, k]
-        statistic, p_value = statistic + square, together
+        statistic = statistic + square
+        p_value = together
         kept.remove(k)
         dropped.append(k)
     b[dropped] = S[dropped] = 0.0
     S[:, dropped] = 0.0
-    return Essential(tuple(kept), tuple(dropped), b * unit, S * np.outer(unit, unit), p_value)
+    return Essential(
+        tuple(kept), tuple(dropped), b * unit, S * np.outer(unit, unit), p_value
+    )

@@ -84,7 +84,9 @@ class LengthErrors:
     @property
     def widening(self) -> Array:
         """Standard deviations of base parameters with these errors over those without, (r,)."""
-        return np.asarray(np.sqrt(1 + (self.base**2).sum(axis=1) / np.diag(self.by_noise)), float)
+        return np.asarray(
+            np.sqrt(1 + (self.base**2).sum(axis=1) / np.diag(self.by_noise)), float
+        )
 
     @property
     def sentence(self) -> str:
@@ -101,14 +103,20 @@ class LengthErrors:
 
     def entry(self) -> dict[str, Any]:
         """As an entry of result.json."""
-        median, largest = float(np.median(self.widening)), float(self.widening.max())
-        return {"std": self.std.tolist(), "widening": {"median": median, "largest": largest}}
+        median = float(np.median(self.widening))
+        largest = float(self.widening.max())
+        return {
+            "std": self.std.tolist(),
+            "widening": {"median": median, "largest": largest},
+        }
 
     def columns(self, segments: Sequence[Segment]) -> Array:
         """J by standard deviations at the rows of segments, shape (n, nv, 3 nv) [N·m]."""
         return _columns(self.model, self.std, segments)
 
-    def widened(self, fit: LeastSquares, physical: PhysicalFit) -> tuple[LeastSquares, PhysicalFit]:
+    def widened(
+        self, fit: LeastSquares, physical: PhysicalFit
+    ) -> tuple[LeastSquares, PhysicalFit]:
         """Fits with the covariance that counts these errors."""
         return (
             replace(fit, covariance=self.by_noise + self.base @ self.base.T),
@@ -130,7 +138,8 @@ def length_errors(
     """What errors of lengths, (nv,) [m], do to the estimates of these rows."""
     model = identified_robot(rows.robot, rows.effects, physical.x)
     J = _columns(model, std, rows.data.train)
-    problem, size = rows.reduced, J.shape[2]
+    problem = rows.reduced
+    size = J.shape[2]
     wide = problem.with_columns(J, [f"length {k + 1}" for k in range(size)])
     R, _ = wide.factor(1 / fit.sigma)
     r = problem.p
@@ -139,7 +148,9 @@ def length_errors(
     R, z = wide.factor(fit.weight)
     likely = np.vstack([R, np.eye(r + size)[r:]]), np.concatenate([z, np.zeros(size)])
     residual = wide.residual(np.linalg.lstsq(*likely)[0])
-    noise = with_covariance(factorised(problem, fit.sigma), fit.beta, residual, fit.sigma)
+    noise = with_covariance(
+        factorised(problem, fit.sigma), fit.beta, residual, fit.sigma
+    )
     wide = rows.regression.with_columns(J, wide.names[r:])
     p = rows.regression.p
     R, _ = wide.factor(fit.weight)
@@ -152,5 +163,7 @@ def _columns(robot: Robot, std: Array, segments: Sequence[Segment]) -> Array:
     parts = []
     for joint, size in zip(robot.joints, std, strict=True):
         columns = partial(KinematicError((joint,)).columns, robot)
-        parts.append(size * np.concatenate([segment.rows(columns) for segment in segments]))
+        parts.append(
+            size * np.concatenate([segment.rows(columns) for segment in segments])
+        )
     return np.concatenate(parts, axis=2)

@@ -17,7 +17,9 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
 
-def mujoco_torque(robot: Robot, segments: Sequence[Segment], gains: Array | None = None) -> Array:
+def mujoco_torque(
+    robot: Robot, segments: Sequence[Segment], gains: Array | None = None
+) -> Array:
     """Controls that MuJoCo's arm needs at the rows of segments, filtered alike, shape (n, nv).
 
     The arm is the MJCF that is written of the robot, with its damping, armatures, friction and
@@ -36,13 +38,17 @@ def mujoco_torque(robot: Robot, segments: Sequence[Segment], gains: Array | None
     except ValueError as error:
         raise BadInput(f"MuJoCo refuses {robot.name}: {error}") from None
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
-    data, gear = mujoco.MjData(model), model.actuator_gear[:, 0]
-    order = [model.joint(joint).dofadr[0] for joint in robot.joints]  # one branch after the other
+    data = mujoco.MjData(model)
+    gear = model.actuator_gear[:, 0]
+    order = [
+        model.joint(joint).dofadr[0] for joint in robot.joints
+    ]  # one branch after the other
 
     def controls(motion: Motion) -> Array:
         force = np.empty(motion.q.shape)
         for k in range(len(motion)):
-            data.qpos[order], data.qvel[order] = motion.q[k], motion.dq[k]
+            data.qpos[order] = motion.q[k]
+            data.qvel[order] = motion.dq[k]
             data.qacc[order] = motion.ddq[k]
             mujoco.mj_inverse(model, data)
             force[k] = data.qfrc_inverse[order]
@@ -69,10 +75,12 @@ class SideBySide:
 
     def result(self) -> dict[str, Any]:
         """Its entry in ``result.json``; ``differs`` from excitant's torque by share of its std."""
-        rows, own = self.estimate.holdout, self.estimate.predicted
+        rows = self.estimate.holdout
+        own = self.estimate.predicted
         spread = rows.measured.std(axis=0, where=rows.counts)
         differs = rows.rms(self.identified - own) / np.where(spread > 0, spread, np.nan)
-        found, given = rows.accuracy(self.identified), None
+        found = rows.accuracy(self.identified)
+        given = None
         if self.given is not None:
             given = rows.accuracy(self.given)
         return {
@@ -98,7 +106,8 @@ class SideBySide:
 def side_by_side(estimate: Estimate) -> SideBySide:
     """Both models of an identification in MuJoCo, on its hold-out; BadInput as `mujoco_torque`."""
     gains = estimate.gains if estimate.data.unit == "A" else None
-    held, notes = estimate.data.validate, list[str]()
+    held = estimate.data.validate
+    notes = list[str]()
     identified = mujoco_torque(estimate.model, held, gains)
     try:
         given: Array | None = mujoco_torque(estimate.given, held, gains)

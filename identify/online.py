@@ -21,9 +21,17 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.differentiators import LocalPolynomial, causal_polynomial, position_spectrum
+from excitant.identify.differentiators import (
+    LocalPolynomial,
+    causal_polynomial,
+    position_spectrum,
+)
 from excitant.identify.estimate import Estimate, judged
-from excitant.identify.excitation import ROWS_PER_SECOND, WindowExcitation, excitation_judge
+from excitant.identify.excitation import (
+    ROWS_PER_SECOND,
+    WindowExcitation,
+    excitation_judge,
+)
 from excitant.identify.information import (
     TOGETHER,
     Information,
@@ -34,7 +42,12 @@ from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, resampled, uninterrupted
-from excitant.identify.prior import BasePrior, base_prior, prior_parameters, reference_motion
+from excitant.identify.prior import (
+    BasePrior,
+    base_prior,
+    prior_parameters,
+    reference_motion,
+)
 from excitant.identify.recording import Recording, Recordings, as_recordings
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
@@ -60,7 +73,8 @@ _STATES = 100  # random ones, for the structure of the columns
 _LOOKED_AT = 8.0  # s of motion that the monitor looks at
 PERIOD = 0.5  # s between two looks
 _KEPT = 100  # looks written to result.json
-_REFERENCE = 10.0  # s of reference motion over which the uncertainty of the torque is taken
+# s of reference motion over which the uncertainty of the torque is taken
+_REFERENCE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +125,20 @@ class OnlineEstimator:
         position_noise: Array | float = 0.0,
         base: BaseParameters | None = None,
     ) -> None:
-        self.robot, self.rate_hz, self.rows = robot, rate_hz, 0
-        self.effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+        self.robot = robot
+        self.rate_hz = rate_hz
+        self.rows = 0
+        self.effects = (
+            standard_effects(robot.joints) if effects is None else tuple(effects)
+        )
         self.base = base_parameters(robot, self.effects) if base is None else base
         half = max(2, round(_WINDOW_S * rate_hz))
         self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half))
         self.block = max(1, round(_BLOCK_S * rate_hz)) if block is None else block
         if self.block < 1:
-            raise BadInput(f"on-line estimation: a block of {self.block} samples; give at least 1")
+            raise BadInput(
+                f"on-line estimation: a block of {self.block} samples; give at least 1"
+            )
         if forgetting is not None and not forgetting > self.row_period:
             raise BadInput(
                 f"on-line estimation: forgetting within {forgetting:g} s, but a row takes "
@@ -129,20 +149,30 @@ class OnlineEstimator:
         self.prior = prior.information() if prior else None
         self._sigma = None if sigma is None else np.array(sigma, float)
         self._last_sigma: Array | None = None
-        self._fade = 1.0 if forgetting is None else float(np.exp(-self.row_period / forgetting))
+        self._fade = (
+            1.0 if forgetting is None else float(np.exp(-self.row_period / forgetting))
+        )
         noise = np.broadcast_to(np.maximum(position_noise, _ROUNDING), (robot.nv,))
         self._still = _CERTAIN * np.sqrt(2) * noise
         self._dry = dry_joints(self.effects, robot.joints)
         acting = _acting_columns(robot, self.effects, self.base)
-        self._filters = [InformationFilter(columns, len(self.base)) for columns in acting]
+        self._filters = [
+            InformationFilter(columns, len(self.base)) for columns in acting
+        ]
         self._weight = np.zeros(robot.nv)
-        self._kernels = np.array([self.differentiator.kernel(k) * rate_hz**k for k in range(3)])
-        self.span = self._kernels.shape[1] + self.block - 1  # samples that a row depends on
-        self._samples, self._filled = np.zeros((self.span, 2 * robot.nv)), 0
+        self._kernels = np.array(
+            [self.differentiator.kernel(k) * rate_hz**k for k in range(3)]
+        )
+        self.span = (
+            self._kernels.shape[1] + self.block - 1
+        )  # samples that a row depends on
+        self._samples = np.zeros((self.span, 2 * robot.nv))
+        self._filled = 0
         self._corners = np.linspace(-self.span, -1, _CORNERS).astype(int)
         self._clock, self._turn, self._data = -np.inf, 0, robot.model.createData()
         # of the instants of a block so far: how many, states, sums of columns and torque
-        self._count, self._start = 0, 0.0
+        self._count = 0
+        self._start = 0.0
         self._states = np.zeros((self.block, 3, robot.nv))
         self._sort_effects()
         most = max(64, round(_RECENT / self.row_period))
@@ -150,23 +180,34 @@ class OnlineEstimator:
 
     def _sort_effects(self) -> None:
         """Sort effects by what they depend on: a joint's own state at an instant, or more."""
-        places, end = list[Array](), 10 * self.robot.nv
+        places = list[Array]()
+        end = 10 * self.robot.nv
         self._laws, self._others = list[tuple[Law, Any]](), list[tuple[Effect, slice]]()
         for effect in self.effects:
             own = np.arange(end, end := end + len(effect.parameters(self.robot)))
             if effect.law is None:
                 self._others.append((effect, slice(own[0], end)))
             else:  # terms of one joint after those of another
-                rows, of_joints = effect.rows(self.robot), own.reshape(len(effect.joints), -1)
+                rows = effect.rows(self.robot)
+                of_joints = own.reshape(len(effect.joints), -1)
                 all_joints = rows == list(range(self.robot.nv))
-                self._laws.append((effect.law, slice(None) if all_joints else np.array(rows)))
+                self._laws.append(
+                    (effect.law, slice(None) if all_joints else np.array(rows))
+                )
                 places += [np.array([rows, k]) for k in of_joints.T]
         self._picked = np.array([*self.base.columns, end])
         self._row = np.zeros((self.robot.nv, end + 1))
-        self._Y, self._tau = np.zeros((self.robot.nv, 10 * self.robot.nv)), np.zeros(self.robot.nv)
-        self._places = np.concatenate(places, axis=1) if places else np.zeros((2, 0), int)
+        self._Y, self._tau = (
+            np.zeros((self.robot.nv, 10 * self.robot.nv)),
+            np.zeros(self.robot.nv),
+        )
+        self._places = (
+            np.concatenate(places, axis=1) if places else np.zeros((2, 0), int)
+        )
         self._terms = np.zeros(self._places.shape[1])
-        self._each = np.split(self._terms, np.cumsum([place.shape[1] for place in places])[:-1])
+        self._each = np.split(
+            self._terms, np.cumsum([place.shape[1] for place in places])[:-1]
+        )
 
     @property
     def row_period(self) -> float:
@@ -185,13 +226,18 @@ class OnlineEstimator:
             BadInput: Time that goes back, or a value that is not a number.
         """
         if not t > self._clock:
-            raise BadInput(f"on-line estimation: time {t:g} s after {self._clock:g} s goes back")
+            raise BadInput(
+                f"on-line estimation: time {t:g} s after {self._clock:g} s goes back"
+            )
         if (t - self._clock) * self.rate_hz > _PAUSE:
-            self._filled, self._count = 0, 0
+            self._filled = 0
+            self._count = 0
         self._clock = t
-        nv, width = self.robot.nv, self._kernels.shape[1]
+        nv = self.robot.nv
+        width = self._kernels.shape[1]
         self._samples[:-1] = self._samples[1:]
-        self._samples[-1, :nv], self._samples[-1, nv:] = q, tau
+        self._samples[-1, :nv] = q
+        self._samples[-1, nv:] = tau
         self._filled += 1
         if self._filled >= width:
             self._take_instant(t - self.delay, self._samples[-width:])
@@ -209,11 +255,17 @@ class OnlineEstimator:
             self.push(float(t[k]), q[k], tau[k])
 
     def _take_instant(self, t: float, window: Array) -> None:
-        k, nv = self._count, self.robot.nv
+        k = self._count
+        nv = self.robot.nv
         if k == 0:
-            self._start, self._Y[:], self._tau[:], self._terms[:] = t, 0.0, 0.0, 0.0
+            self._start = t
+            self._Y[:] = 0.0
+            self._tau[:] = 0.0
+            self._terms[:] = 0.0
         q, dq, ddq = self._states[k] = self._kernels @ window[:, :nv]
-        self._Y += pin.computeJointTorqueRegressor(self.robot.model, self._data, q, dq, ddq)
+        self._Y += pin.computeJointTorqueRegressor(
+            self.robot.model, self._data, q, dq, ddq
+        )
         self._tau += window[len(window) // 2, nv:]
         sums = iter(self._each)
         for law, own in self._laws:
@@ -223,7 +275,9 @@ class OnlineEstimator:
         self._count = k + 1
 
     def _finish_block(self) -> None:
-        row, motion, self._count = self._row, None, 0
+        row = self._row
+        motion = None
+        self._count = 0
         row[:, : 10 * self.robot.nv], row[:, -1] = self._Y, self._tau
         row[*self._places] = self._terms
         for effect, own in self._others:
@@ -232,7 +286,9 @@ class OnlineEstimator:
             row[:, own] = effect.columns(self.robot, motion).sum(axis=0)
         rows = row[:, self._picked] / self.block
         if not np.isfinite(rows).all():
-            raise BadInput(f"on-line estimation: a value before {self._clock:g} s is not a number")
+            raise BadInput(
+                f"on-line estimation: a value before {self._clock:g} s is not a number"
+            )
         used = self._goes_one_way() | ~self._dry
         self._weight = self._fade * self._weight + used
         for row, counts, grown in zip(rows, used, self._filters, strict=True):
@@ -255,7 +311,9 @@ class OnlineEstimator:
         """Rows of the last ten seconds; refuses when there are none yet."""
         if not self._recent:
             raise BadInput("on-line estimation: no row yet; push more samples")
-        t, middles, rows, used = (np.array(each) for each in zip(*self._recent, strict=True))
+        t, middles, rows, used = (
+            np.array(each) for each in zip(*self._recent, strict=True)
+        )
         motion = Motion(t, *middles.transpose(1, 0, 2))
         return RecentRows(motion, rows[:, :, :-1], rows[:, :, -1], used)
 
@@ -266,15 +324,21 @@ class OnlineEstimator:
         sigma, beta = self._noise(parts)
         residual = rows.tau - rows.W @ beta
         counted = [e[used] for e, used in zip(residual.T, rows.used.T, strict=True)]
-        inflation = np.array([autocorrelation_time(e) if len(e) > 20 else 1.0 for e in counted])
+        inflation = np.array(
+            [autocorrelation_time(e) if len(e) > 20 else 1.0 for e in counted]
+        )
         data, total = self._total(parts, sigma * np.sqrt(inflation))
         known = np.abs(np.diag(total.R)).min() > 0
         covariance = total.covariance() if known else np.full(total.R.shape, np.inf)
         t = float(rows.motion.t[-1])
         return OnlineEstimate(total.solve(), covariance, sigma, inflation, t, data)
 
-    def _total(self, parts: list[Information], sigma: Array) -> tuple[Information, Information]:
-        data = combined([part.scaled(1 / s) for part, s in zip(parts, sigma, strict=True)])
+    def _total(
+        self, parts: list[Information], sigma: Array
+    ) -> tuple[Information, Information]:
+        data = combined(
+            [part.scaled(1 / s) for part, s in zip(parts, sigma, strict=True)]
+        )
         return data, data if self.prior is None else combined([data, self.prior])
 
     def _noise(self, parts: list[Information]) -> tuple[Array, Array]:
@@ -286,18 +350,25 @@ class OnlineEstimator:
         if self._sigma is not None:
             return self._sigma, self._total(parts, self._sigma)[1].solve()
         count = np.maximum(self._weight, 1.0)
-        torque = np.sqrt([p.squares(np.zeros(len(p.z))) for p in parts]) / np.sqrt(count)
+        torque = np.sqrt([p.squares(np.zeros(len(p.z))) for p in parts]) / np.sqrt(
+            count
+        )
         floor = 1e-9 * torque + 1e-12  # data without noise
         rest = np.array([part.rest for part in parts])
         sigma = np.sqrt(rest / count) if self._last_sigma is None else self._last_sigma
         for _ in range(_ROUNDS):
             sigma = np.maximum(sigma, floor)
             total = self._total(parts, sigma)[1]
-            beta, half = total.solve(), np.linalg.pinv(total.R, rcond=1e-12)
+            beta = total.solve()
+            half = np.linalg.pinv(total.R, rcond=1e-12)
             squares = np.array([part.squares(beta) for part in parts])
-            taken = np.array([np.sum((part.R @ half) ** 2) for part in parts]) / sigma**2
+            taken = (
+                np.array([np.sum((part.R @ half) ** 2) for part in parts]) / sigma**2
+            )
             left = count - taken
-            sigma = np.where(left >= 1, np.sqrt(squares / np.maximum(left, 1.0)), torque)
+            sigma = np.where(
+                left >= 1, np.sqrt(squares / np.maximum(left, 1.0)), torque
+            )
         sigma = np.maximum(sigma, floor)
         self._last_sigma = sigma
         return sigma, beta
@@ -307,9 +378,12 @@ def _acting_columns(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters
 ) -> list[npt.NDArray[np.intp]]:
     """Base columns that can act on each joint; refuses effects that depend on the past."""
-    rng, t = np.random.default_rng(1), np.arange(float(_STATES))
-    states, order = robot.random_motion(rng, _STATES), rng.permutation(_STATES)
-    motion, shuffled = Motion(t, *states), Motion(t, *(x[order] for x in states))
+    rng = np.random.default_rng(1)
+    t = np.arange(float(_STATES))
+    states = robot.random_motion(rng, _STATES)
+    order = rng.permutation(_STATES)
+    motion = Motion(t, *states)
+    shuffled = Motion(t, *(x[order] for x in states))
     for effect in effects:
         plain = effect.columns(robot, motion)
         if not np.allclose(plain[order], effect.columns(robot, shuffled)):
@@ -339,12 +413,15 @@ def replayable(
     Raises:
         BadRecording: Too short for one row.
     """
-    times, end = [], float(recordings[0].t[0])
+    times = []
+    end = float(recordings[0].t[0])
     for each in recordings:
         times.append(each.t - each.t[0] + end)
         end = float(times[-1][-1]) + _BETWEEN
     file = recordings[0].file
-    q, tau = (np.concatenate([getattr(r, name) for r in recordings]) for name in ("q", "tau"))
+    q, tau = (
+        np.concatenate([getattr(r, name) for r in recordings]) for name in ("q", "tau")
+    )
     recording = Recording(file, file, np.concatenate(times), q, tau)
     parts = [part for part in uninterrupted(recording.t) if len(part) >= _FEWEST]
     if not parts:
@@ -374,8 +451,12 @@ class Look:
     """Reading of the monitor at an instant."""
 
     estimate: OnlineEstimate
-    excitation: WindowExcitation | None  # of the last seconds; None before a whole window
-    uncertainty: Array  # of torque on a reference motion, rms, shape (nv,) [torque unit]
+    excitation: (
+        WindowExcitation | None
+    )  # of the last seconds; None before a whole window
+    uncertainty: (
+        Array  # of torque on a reference motion, rms, shape (nv,) [torque unit]
+    )
 
     @property
     def converged(self) -> bool:
@@ -393,9 +474,14 @@ class Monitor:
     def __init__(
         self, estimator: OnlineEstimator, prior: BasePrior, window: float = _LOOKED_AT
     ) -> None:
-        self.estimator, self.prior, self.window = estimator, prior, window
-        self.messages: list[tuple[float, str]] = []  # what changed from look to look, time [s]
-        self._enough, self._converged = True, False
+        self.estimator = estimator
+        self.prior = prior
+        self.window = window
+        self.messages: list[
+            tuple[float, str]
+        ] = []  # what changed from look to look, time [s]
+        self._enough = True
+        self._converged = False
         motion = reference_motion(estimator.robot, _REFERENCE, ROWS_PER_SECOND)
         columns = observation_columns(estimator.robot, estimator.effects, motion)
         self._reference: Array = columns[:, :, estimator.base.columns]
@@ -424,15 +510,23 @@ class Monitor:
         return np.asarray(np.sqrt(np.maximum(variance, 0)), float)
 
     def _excitation(self, estimate: OnlineEstimate) -> WindowExcitation | None:
-        e, rows = self.estimator, self.estimator.recent()
+        e = self.estimator
+        rows = self.estimator.recent()
         if estimate.t - rows.motion.t[0] < self.window - 2 * e.row_period:
             return None
         independent = estimate.inflation * ROWS_PER_SECOND * e.row_period
         sigma = estimate.sigma * np.sqrt(np.maximum(independent, 1e-12))
         judge = excitation_judge(
-            e.robot, e.effects, window=self.window, sigma=sigma, base=e.base, prior=self.prior
+            e.robot,
+            e.effects,
+            window=self.window,
+            sigma=sigma,
+            base=e.base,
+            prior=self.prior,
         )
-        late = slice(int(np.searchsorted(rows.motion.t, estimate.t - self.window)), None)
+        late = slice(
+            int(np.searchsorted(rows.motion.t, estimate.t - self.window)), None
+        )
         W = judge.whitened(rows.W[late] * rows.used[late, :, None])
         return judge.judge(rows.motion[late], W)
 
@@ -449,7 +543,8 @@ class OnlineIdentification:
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result: that of `identify`, and the way there under ``online``."""
-        looks, last = list(self.looks[:: -(-len(self.looks) // _KEPT)]), self.looks[-1]
+        looks = list(self.looks[:: -(-len(self.looks) // _KEPT)])
+        last = self.looks[-1]
         looks += [last] if looks[-1] is not last else []
         return self.estimate.result() | {
             "estimator": "recursive least squares in square-root information form, on line; "
@@ -457,22 +552,32 @@ class OnlineIdentification:
             "online": {
                 "delay_s": self.delay,
                 "differentiator": self.differentiator,
-                "messages": [{"t": float(t), "text": text} for t, text in self.messages],
+                "messages": [
+                    {"t": float(t), "text": text} for t, text in self.messages
+                ],
                 "converged": last.converged,
                 "history": {
                     "t": [look.estimate.t for look in looks],
                     "value": [look.estimate.beta.tolist() for look in looks],
                     "std": [look.estimate.std.tolist() for look in looks],
-                    "excitation_level": [x.excitation and x.excitation.level for x in looks],
+                    "excitation_level": [
+                        x.excitation and x.excitation.level for x in looks
+                    ],
                 },
             },
         }
 
     def series(self) -> dict[str, Array]:
         """For figures: estimates over time, ``online_t`` (k,), values and std (k, r)."""
-        looks = [(each.estimate.t, each.estimate.beta, each.estimate.std) for each in self.looks]
+        looks = [
+            (each.estimate.t, each.estimate.beta, each.estimate.std)
+            for each in self.looks
+        ]
         keys = ("online_t", "online_value", "online_std")
-        return {key: np.array(x) for key, x in zip(keys, zip(*looks, strict=True), strict=True)}
+        return {
+            key: np.array(x)
+            for key, x in zip(keys, zip(*looks, strict=True), strict=True)
+        }
 
 
 @on_one_thread
@@ -492,15 +597,22 @@ def identify_online(
     is forgotten when None); ``progress`` is told the fraction done.
     """
     robot = as_robot(robot)
-    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
+    recordings = as_recordings(recordings, robot)
+    validate = as_recordings(validate, robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, data)
     estimator, samples, why = replayable(
-        robot, fitted(recordings, validate), effects, base, gains=rows.gains, forgetting=forgetting
+        robot,
+        fitted(recordings, validate),
+        effects,
+        base,
+        gains=rows.gains,
+        forgetting=forgetting,
     )
-    monitor, looks = Monitor(estimator, base_prior(robot, effects, base)), list[Look]()
+    monitor = Monitor(estimator, base_prior(robot, effects, base))
+    looks = list[Look]()
     due = samples[0][0] + 1.0
     for k, (t, q, tau) in enumerate(zip(*samples, strict=True)):
         estimator.push(float(t), q, tau)
@@ -512,9 +624,12 @@ def identify_online(
     if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
         looks.append(monitor.look())
     fit = looks[-1].estimate
-    R, z = fit.data.R @ base.regrouping, fit.data.z
+    R = fit.data.R @ base.regrouping
+    z = fit.data.z
     known = Knowledge().of(robot)
-    physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior, known, robot.links)
+    physical = fit_physical(
+        R, z, prior_parameters(robot), rows.open_prior, known, robot.links
+    )
     estimate = judged(robot, rows, fit, physical, (data.holdout, why))
     messages = tuple(monitor.messages)
     return OnlineIdentification(estimate, tuple(looks), messages, estimator.delay, why)

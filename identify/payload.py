@@ -43,10 +43,12 @@ from excitant.robots.threads import on_one_thread
 _SHARE = 0.05  # of the arm's mass: the payload expected
 _RADIUS = 0.1  # m: its radius of gyration about each axis
 _OPEN = 100.0  # relative uncertainty of that expectation: nothing is known
-_MASS_GOAL, _CENTRE_GOAL = 0.02, 0.003  # relative, m
+_MASS_GOAL = 0.02  # relative
+_CENTRE_GOAL = 0.003  # m
 _SEEN = 3.0  # standard deviations: a body that is possible only with mass is some above zero
 _CERTAIN = 2.0  # standard deviations
-_MODEL_ERROR = 0.01  # of a given model, where neither recording nor estimate says better
+# of a given model, where neither recording nor estimate says better
+_MODEL_ERROR = 0.01
 _CURRENT = (
     "torque was recorded as current: a gain that is wrong by 1 % makes mass, first moments and "
     "inertia wrong by 1 %, which no current shows; weigh one load to fix it (the centre of mass "
@@ -61,8 +63,11 @@ class PayloadEstimate:
     link: str  # that carries it
     fit: PhysicalFit  # of its standard parameters
     notes: tuple[str, ...] = ()
-    scale_std: float = 0.0  # relative, of the scale of drive gains on which its mass rests
-    history: tuple[tuple[float, PayloadEstimate], ...] = ()  # time [s] and estimate on the way
+    # relative, of the scale of drive gains on which its mass rests
+    scale_std: float = 0.0
+    history: tuple[
+        tuple[float, PayloadEstimate], ...
+    ] = ()  # time [s] and estimate on the way
 
     @property
     def phi(self) -> Array:
@@ -93,9 +98,12 @@ class PayloadEstimate:
     @property
     def shortcomings(self) -> tuple[str, ...]:
         """Reason for uncertainty above 2 % or 3 mm at 95 % confidence; empty below."""
-        spread, centre = _CERTAIN * float(self.std[0]), _CERTAIN * self.centre_std
+        spread = _CERTAIN * float(self.std[0])
+        centre = _CERTAIN * self.centre_std
         if self.mass < _SEEN * float(self.std[0]):
-            return (f"no payload is seen: {self.mass:.2g} kg, give or take {spread:.2g} kg",)
+            return (
+                f"no payload is seen: {self.mass:.2g} kg, give or take {spread:.2g} kg",
+            )
         found = []
         if spread > _MASS_GOAL * self.mass:
             found.append(
@@ -107,7 +115,8 @@ class PayloadEstimate:
                 )
             )
         if centre.max() > _CENTRE_GOAL:
-            worst, off = int(np.argmax(centre)), float(f"{1e3 * centre.max():.2g}")
+            worst = int(np.argmax(centre))
+            off = float(f"{1e3 * centre.max():.2g}")
             found.append(
                 f"centre of mass along {'xyz'[worst]} is known to ±{off:g} mm only: turn the last "
                 "joints through more orientations"
@@ -117,13 +126,19 @@ class PayloadEstimate:
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
         rows = zip(STANDARD, self.phi.tolist(), self.std.tolist(), UNITS, strict=True)
-        parameters = [dict(zip(("name", "value", "std", "unit"), row, strict=True)) for row in rows]
+        parameters = [
+            dict(zip(("name", "value", "std", "unit"), row, strict=True))
+            for row in rows
+        ]
         for entry, share in zip(parameters, self.fit.prior_share, strict=True):
             entry["prior_dominated"] = bool(share > 0.5)
-        centre, std = self.centre.tolist(), self.centre_std.tolist()
+        centre = self.centre.tolist()
+        std = self.centre_std.tolist()
         history: dict[str, Any] = {"t": [t for t, _ in self.history]}
         for key in ("mass", "centre", "centre_std"):
-            history[key] = [np.asarray(getattr(each, key)).tolist() for _, each in self.history]
+            history[key] = [
+                np.asarray(getattr(each, key)).tolist() for _, each in self.history
+            ]
         history["mass_std"] = [float(each.std[0]) for _, each in self.history]
         return {
             "link": self.link,
@@ -161,7 +176,9 @@ class PayloadEstimator:
         **options: Any,
     ) -> None:
         effects = _own_effects(robot, effects)
-        self.arm = OnlineEstimator(robot, effects, rate_hz=rate_hz, prior=False, **options)
+        self.arm = OnlineEstimator(
+            robot, effects, rate_hz=rate_hz, prior=False, **options
+        )
         self._known, _ = _given_arm(robot, effects, self.arm.base)
 
     def push(self, t: float, q: Array, tau: Array) -> None:
@@ -230,17 +247,21 @@ def identify_payload(
         BadRecording: Recordings that cannot be used.
     """
     robot = as_robot(robot)
-    loaded, unloaded = as_recordings(loaded, robot), as_recordings(unloaded, robot)
+    loaded = as_recordings(loaded, robot)
+    unloaded = as_recordings(unloaded, robot)
     effects = _own_effects(robot, effects)
     base = base_parameters(robot, effects)
-    unit, drive = loaded[0].unit, loaded[0].drive
+    unit = loaded[0].unit
+    drive = loaded[0].drive
     if not unloaded and unit == "A":
         raise BadInput(
             f"payload: {loaded[0].file} has currents, whose gain the load would be taken for; "
             "name recordings without load (--unloaded)"
         )
     if any(each.unit != unit for each in (*loaded, *unloaded)):
-        raise BadInput("payload: recordings in N·m and in A; use recordings of one unit")
+        raise BadInput(
+            "payload: recordings in N·m and in A; use recordings of one unit"
+        )
     if unit == "A":
         drive = fit_rows(robot, effects, base, split(unloaded, unloaded)).drive
     gains = drive.gains if drive is not None and unit == "A" else np.ones(robot.nv)
@@ -248,15 +269,14 @@ def identify_payload(
     if unloaded:
         estimator, samples, _ = replayable(robot, unloaded, effects, base, **replay)
         estimator.extend(*samples)
-        known, note = estimator.estimate().data, "the unloaded arm was recorded"
+        known = estimator.estimate().data
+        note = "the unloaded arm was recorded"
     else:
         known, note = _given_arm(robot, effects, base)
     replay["forgetting"] = forgetting
     estimator, samples, _ = replayable(robot, loaded, effects, base, **replay)
-    scale, history = (
-        0.0 if drive is None else drive.scale_std,
-        list[tuple[float, PayloadEstimate]](),
-    )
+    scale = 0.0 if drive is None else drive.scale_std
+    history = list[tuple[float, PayloadEstimate]]()
 
     def found() -> PayloadEstimate:
         body = estimate_payload(robot, base, estimator.estimate().data, known)
@@ -284,7 +304,9 @@ def estimate_payload(
     # a ball at the flange with a twentieth of the arm's mass
     mass = _SHARE * float(prior_parameters(robot)[:, 0].sum())
     tip = list(robot.model.frames)[robot.tip].placement.translation
-    ball = pin.Inertia(mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)).toDynamicParameters()
+    ball = pin.Inertia(
+        mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)
+    ).toDynamicParameters()
     nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
     fit = fit_physical(about.R, about.z, BodyPrior(ball[None], _OPEN), nothing)
     return PayloadEstimate(robot.links[-1], fit)
@@ -340,6 +362,7 @@ def identify_drive_gains(
     free = split(recordings, validate, cutoff_hz)
     held = split(loaded, loaded, free.cutoff_hz)
     without, with_it = (
-        regression_of(robot, effects, data.train).select(base.columns) for data in (free, held)
+        regression_of(robot, effects, data.train).select(base.columns)
+        for data in (free, held)
     )
     return payload_gains(without, with_it, payload, _body(robot, base))

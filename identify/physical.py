@@ -81,14 +81,17 @@ class PhysicalFit:
     @property
     def prior_share(self) -> Array:
         """Part of each parameter's uncertainty that no data reduced, shape (p,)."""
-        after, before = np.diag(self.covariance), (self.root**2).sum(axis=1)
+        after = np.diag(self.covariance)
+        before = (self.root**2).sum(axis=1)
         ratio = np.divide(after, before, out=np.ones_like(before), where=before > 0)
         return np.asarray(np.sqrt(np.clip(ratio, 0.0, 1.0)), float)
 
     @cached_property
     def influence(self) -> Array:
         """Sensitivity of each parameter to the prior in linear theory, 0 to 1, shape (p,)."""
-        return read_only(linear_influence(self.R, self.root, self.x, len(self.prior.bodies)))
+        return read_only(
+            linear_influence(self.R, self.root, self.x, len(self.prior.bodies))
+        )
 
 
 def centre_of_mass(phi: Array, covariance: Array) -> tuple[Array, Array]:
@@ -127,10 +130,14 @@ def fit_physical(
     given = prior.bodies.ravel()
     names = links or [f"link {k + 1}" for k in range(len(prior.bodies))]
     # units of the effect coefficients that make their columns alike
-    units = np.sqrt(len(R) / ((R[:, len(given) :] ** 2).sum(axis=0) + effects.std**-2.0))
+    units = np.sqrt(
+        len(R) / ((R[:, len(given) :] ** 2).sum(axis=0) + effects.std**-2.0)
+    )
     scale = scipy.linalg.block_diag(prior.T, np.diag(units))
     centre = np.concatenate([np.linalg.solve(prior.T, given), effects.mean / units])
-    known, about, restrictions = _known(knowledge, names, prior, effects.lower / units, centre)
+    known, about, restrictions = _known(
+        knowledge, names, prior, effects.lower / units, centre
+    )
     weight = units / effects.std
     C = scipy.linalg.block_diag(known, np.diag(weight))
     d = np.concatenate([about, effects.mean / effects.std])
@@ -138,7 +145,9 @@ def fit_physical(
     found = solve(program, centre)
     covariance, root = _uncertainty(program, found.y, scale)
     note = "" if found.settled else _UNSETTLED.format(found.error)
-    return PhysicalFit(scale @ found.y, covariance, found.kkt(program), R, root, prior, note)
+    return PhysicalFit(
+        scale @ found.y, covariance, found.kkt(program), R, root, prior, note
+    )
 
 
 def agreement(R: Array, z: Array, prior: Array) -> Array:
@@ -152,14 +161,19 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     against chance among as many links. No description is taken to be right to better than
     `SIGMAS[0]`. Shapes as in `fit_physical`.
     """
-    p, T, links = R.shape[1], link_coordinates(prior), len(prior)
+    p = R.shape[1]
+    T = link_coordinates(prior)
+    links = len(prior)
     both = np.asarray(np.linalg.qr(np.column_stack([R, z]), mode="r"), float)[:p]
     free = scipy.linalg.null_space(both[:, len(T) : p].T).T
     columns = free @ both[:, : len(T)] @ T / link_weights(links, 1.0)
     left = free @ (both[:, p] - both[:, : len(T)] @ prior.ravel())
     seen, size, _ = np.linalg.svd(columns, full_matrices=False)
-    seen = seen[:, size > _ROUNDING * max(size[:1], default=1.0)]  # σ is of no account elsewhere
-    columns, left = seen.T @ columns, seen.T @ left
+    seen = seen[
+        :, size > _ROUNDING * max(size[:1], default=1.0)
+    ]  # σ is of no account elsewhere
+    columns = seen.T @ columns
+    left = seen.T @ left
 
     def most_likely(block: Array, others: Array) -> tuple[float, float]:
         """σ of a block of columns beside others of unit variance, and −2 log likelihood."""
@@ -185,15 +199,20 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
 
     def with_own(own: Sequence[int], sigma: Array) -> tuple[float, Array]:
         """The surprise, and σ of every link: those of some, and that of all others."""
-        others, sigma, least = [k for k in range(links) if k not in own], sigma.copy(), np.inf
-        for group in [*([k] for k in reversed(own)), others] * (_ALTERNATIONS if own else 1):
+        others = [k for k in range(links) if k not in own]
+        sigma = sigma.copy()
+        least = np.inf
+        for group in [*([k] for k in reversed(own)), others] * (
+            _ALTERNATIONS if own else 1
+        ):
             sigma[group] = 0.0
             joined = np.concatenate(blocks[group], axis=1)
             beside = np.concatenate(blocks * sigma[:, None, None], axis=1)
             sigma[group], least = most_likely(joined, beside)
         return least, sigma
 
-    own, chance = list[int](), np.append(np.full(links - 1, _CHANCE / links), _CHANCE)
+    own = list[int]()
+    chance = np.append(np.full(links - 1, _CHANCE / links), _CHANCE)
     least, sigma = with_own(own, np.zeros(links))
     while len(own) < links - 1:
         others = [k for k in range(links) if k not in own]
@@ -212,12 +231,17 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
 
 
 def _known(
-    knowledge: Knowledge, links: Sequence[str], prior: BodyPrior, lower: Array, centre: Array
+    knowledge: Knowledge,
+    links: Sequence[str],
+    prior: BodyPrior,
+    lower: Array,
+    centre: Array,
 ) -> tuple[Array, Array, tuple[Restriction, ...]]:
     """Rows C y ≈ d of unit noise about the links' coordinates, and what all of y must satisfy."""
     C, d, known = known_rows(knowledge, links)
     T = prior.T
-    p, bounded = len(T) + len(lower), np.isfinite(lower)
+    p = len(T) + len(lower)
+    bounded = np.isfinite(lower)
     restrictions = [_scaled(restriction, T, p) for restriction in known]
     if bounded.any():
         signs = np.eye(p)[len(T) :][bounded]
@@ -226,7 +250,9 @@ def _known(
     if known and any(each.violation(centre) > 0 for each in restrictions):
         names = contradiction((*possible(prior, p, _MARGIN), *restrictions))
     if names:
-        what = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        what = " and ".join(
+            [", ".join(names[:-1]), names[-1]] if len(names) > 1 else names
+        )
         together = "contradict each other" if len(names) > 1 else "cannot be"
         raise BadInput(
             f"{knowledge.source}: {what} {together}: no body near the given one fulfils "
@@ -242,7 +268,9 @@ def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
     norms = np.linalg.norm(G, axis=1, keepdims=True)
     if restriction.cone == "second_order":
         norms = np.full_like(norms, norms.max())
-    return Restriction(restriction.cone, G / norms, restriction.h / norms[:, 0], restriction.name)
+    return Restriction(
+        restriction.cone, G / norms, restriction.h / norms[:, 0], restriction.name
+    )
 
 
 def _uncertainty(program: Program, y: Array, scale: Array) -> tuple[Array, Array]:
@@ -254,5 +282,7 @@ def _uncertainty(program: Program, y: Array, scale: Array) -> tuple[Array, Array
     both = np.vstack([program.A, prior])
     factors = (np.linalg.qr(rows @ N, mode="r") for rows in (both, prior))
     after, root = (scipy.linalg.solve_triangular(F, S.T, trans=1).T for F in factors)
-    root[np.linalg.norm(root, axis=1) <= _ROUNDING * np.linalg.norm(scale, axis=1)] = 0.0
+    root[np.linalg.norm(root, axis=1) <= _ROUNDING * np.linalg.norm(scale, axis=1)] = (
+        0.0
+    )
     return after @ after.T, root

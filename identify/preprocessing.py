@@ -31,22 +31,27 @@ from excitant.robots.robot import Robot
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
 _NYQUIST_SHARE = 0.8
-_AT_ONCE = 10_000  # instants whose columns are evaluated together, of a segment thrice as long
+# instants whose columns are evaluated together, of a segment thrice as long
+_AT_ONCE = 10_000
 _HELD = 8.0  # times the cut-off: sampling rate at which positions and their products are held
 _REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten
 _MOST_ROWS = 15_000  # of a recording: evenly taken of a longer one
 _TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
 _SAME = 1e-5  # of a step: samples at regular time
-_GAP_STEPS, _GAP_TIME = 3.0, 0.05  # a gap is longer than both [median steps, s]
+_GAP_STEPS = 3.0  # a gap is longer than both [median steps
+_GAP_TIME = 0.05  # s]
 _BURSTS = 10.0  # times the median step: a mean step beyond it has no regular rate
 _TINY = 1e-12  # rad/s: either side of standstill
-_SHARE = 0.02  # of a joint's fastest motion in all recordings, below which it stands still
-_LEAST = 2e-3  # of its velocity limit, likewise: what a controller lets a held joint creep
+# of a joint's fastest motion in all recordings, below which it stands still
+_SHARE = 0.02
+# of its velocity limit, likewise: what a controller lets a held joint creep
+_LEAST = 2e-3
 _TRAVEL = 1e-2  # rad or m, over a segment, likewise
 _FREE_SPEED = 3.0  # rad/s, where there is no limit
 _SLOW = 0.015  # of a joint's top speed: slower is at rest
 _RESTS_S = 0.04  # s, at least; a reversal without a rest is quicker
-_REACH = 0.5  # of the period of the filter's cut-off: how far a rest affects filtered torque
+# of the period of the filter's cut-off: how far a rest affects filtered torque
+_REACH = 0.5
 
 Mask = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.intp]
@@ -95,11 +100,14 @@ class Segment:
     @cached_property
     def thin(self) -> Segment:
         """The segment at the lowest rate that holds all that positions pass, rows as they are."""
-        start, stop, step = self.keep.start, self.keep.stop, self.keep.step or 1
+        start = self.keep.start
+        stop = self.keep.stop
+        step = self.keep.step or 1
         every = _every(self.rate_hz, self.cutoff_hz)
         if every == 1 or step % every or self.whole:
             return self
-        part, first = slice(start % every, None, every), start // every
+        part = slice(start % every, None, every)
+        first = start // every
         keep = slice(first, first + -(-(stop - start) // every), step // every)
         known = (self.motion[part], self.tau[part], self.tau_raw[part])
         return Segment(self.name, *known, self.cutoff_hz, keep, self.sensors)
@@ -109,7 +117,9 @@ class Segment:
 
         Long segments are evaluated in parts that overlap by what the filter remembers.
         """
-        start, stop, step = self.keep.start, self.keep.stop, self.keep.step or 1
+        start = self.keep.start
+        stop = self.keep.stop
+        step = self.keep.step or 1
         reach = int(_REMEMBERED * self.rate_hz / self.cutoff_hz)
         own = -(-_AT_ONCE // step) * step
         if len(self.motion) <= 3 * own + 2 * reach:
@@ -153,7 +163,8 @@ def prepare(
         BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
             part is long enough.
     """
-    t, step = recording.t, _step(recording)
+    t = recording.t
+    step = _step(recording)
     if cutoff_hz is None:
         cutoff_hz = min(CUTOFF_HZ, default_cutoff(recording))
     highest = 0.5 * _NYQUIST_SHARE / step
@@ -202,7 +213,9 @@ def _segment(
     if len(motion) < len(grid):
         raise BadInput("a causal differentiator is for loops; give one without delay")
     edge = round(1 / (cutoff_hz * step))
-    stride = max(int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(recording) // _MOST_ROWS), 1)
+    stride = max(
+        int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(recording) // _MOST_ROWS), 1
+    )
     stride -= stride % _every(1 / step, cutoff_hz)
     keep = slice(edge, len(grid) - edge, stride)
     passed = low_pass(tau, cutoff_hz, 1 / step)
@@ -220,7 +233,9 @@ def default_cutoff(recording: Recording) -> float:
 def _step(recording: Recording) -> float:
     if len(recording) < 2:
         why = f"'{recording.name}' holds {len(recording)} samples; cut the recording at its gap"
-        raise BadRecording(recording.file, f"{why}, or name a hold-out of its own", column="t")
+        raise BadRecording(
+            recording.file, f"{why}, or name a hold-out of its own", column="t"
+        )
     return float(np.median(np.diff(recording.t)))
 
 
@@ -236,10 +251,13 @@ def longest_step(step: float) -> float:
     return max(_GAP_STEPS * step, _GAP_TIME)
 
 
-def resampled(recording: Recording, part: Index) -> tuple[Array, Array, Array, Array | None]:
+def resampled(
+    recording: Recording, part: Index
+) -> tuple[Array, Array, Array, Array | None]:
     """Time, positions, torque and speeds of a part at a regular rate, that of the median step."""
     rows = slice(int(part[0]), int(part[-1]) + 1)  # no copy of a long recording
-    t, step = recording.t[rows], float(np.median(np.diff(recording.t)))
+    t = recording.t[rows]
+    step = float(np.median(np.diff(recording.t)))
     refuse_bursts(t, step, recording.file)
     grid = np.arange(t[0], t[-1] + _SAME * step, step)
     q, tau = at_instants(t, recording.q[rows], recording.tau[rows], grid)
@@ -273,7 +291,8 @@ def at_instants(t: Array, q: Array, tau: Array, grid: Array) -> tuple[Array, Arr
 
 def dry_joints(effects: Sequence[Effect], joints: Sequence[str]) -> Mask:
     """Joints on which some effect jumps where the velocity changes sign, shape (nv,)."""
-    dry, zero = set[str](), np.zeros(1)
+    dry = set[str]()
+    zero = np.zeros(1)
     for effect in effects:
         if effect.law is not None:
             ahead, behind = (effect.law(zero, zero + v, zero) for v in (_TINY, -_TINY))
@@ -291,7 +310,9 @@ def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
     speeds = [np.abs(segment.motion.dq) for segment in segments]
     fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
     limit = robot.limits.velocity
-    slow = np.maximum(_SHARE * fastest, _LEAST * np.where(limit < 1e3, limit, _FREE_SPEED))
+    slow = np.maximum(
+        _SHARE * fastest, _LEAST * np.where(limit < 1e3, limit, _FREE_SPEED)
+    )
     masks = []
     for segment, speed in zip(segments, speeds, strict=True):
         width = 2 * round(segment.rate_hz / (2 * segment.cutoff_hz)) + 1
@@ -304,7 +325,9 @@ def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
 
 def top_speed(segments: Sequence[Segment]) -> Array:
     """Highest speed of each joint, shape (nv,) [rad/s or m/s]."""
-    return np.asarray(np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0), float)
+    return np.asarray(
+        np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0), float
+    )
 
 
 def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
@@ -321,8 +344,11 @@ def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) ->
         least = max(1, round(_RESTS_S * s.rate_hz))
         reach = max(1, round(_REACH * s.rate_hz / s.cutoff_hz))
         # a rest is the union of windows of its least length in which a joint is slow throughout
-        whole = scipy.ndimage.minimum_filter1d(slow, least, axis=0, mode="constant", cval=0)
-        size, middle = least + 2 * reach, -(1 - least % 2)
+        whole = scipy.ndimage.minimum_filter1d(
+            slow, least, axis=0, mode="constant", cval=0
+        )
+        size = least + 2 * reach
+        middle = -(1 - least % 2)
         near = scipy.ndimage.maximum_filter1d(
             whole, size, axis=0, mode="constant", cval=0, origin=middle
         )
@@ -343,7 +369,8 @@ def certain_rows(
 
 def stilled(segment: Segment, moves: Mask) -> Segment:
     """The segment with joints that do not move, (nv,), held exactly, at their mean position."""
-    motion, still = segment.motion, ~moves
+    motion = segment.motion
+    still = ~moves
     if not still.any():
         return segment
     q, dq, ddq = (np.array(values) for values in (motion.q, motion.dq, motion.ddq))

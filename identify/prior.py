@@ -49,7 +49,8 @@ from excitant.robots.torque import effect_values, observation_columns, torque
 
 _NO_MASS = 1e-3  # kg a link: an arm so light has no masses
 _BALL = 0.1  # m: radius of gyration about each axis of a link of which nothing is known
-PRIOR_SIGMA = 1.0  # links are known to about ±100 %; decides only what the data leave open
+# links are known to about ±100 %; decides only what the data leave open
+PRIOR_SIGMA = 1.0
 UPPER = np.triu_indices(4)  # of Q: its coordinates
 NORMS = np.where(UPPER[0] == UPPER[1], 1.0, np.sqrt(2.0))  # Σ (norm · y)² = ‖Q‖_F²
 SYMMETRIC = np.zeros((10, 4, 4))  # Q = Σ_k y_k · SYMMETRIC[k]
@@ -59,18 +60,23 @@ for _k, (_i, _j) in enumerate(zip(*UPPER, strict=True)):
 _BELOW = np.tril_indices(4, -1)
 _HALF = np.tril(np.ones((4, 4))) - np.eye(4) / 2
 _NEAR_ONE = 1e-6  # logarithm of a factor, below which its series is exact
-_IDLE = 1e-2  # of the largest torque, and of its own limit: what a joint without load needs
+# of the largest torque, and of its own limit: what a joint without load needs
+_IDLE = 1e-2
 _HARMONICS = 5
-_LIMIT_SHARE = 0.5  # share of the limits on speed and acceleration that a reference motion uses
-_FREE_SPEED, _FREE_ACCELERATION = 3.0, 10.0  # rad/s, rad/s² where there is no limit
+# share of the limits on speed and acceleration that a reference motion uses
+_LIMIT_SHARE = 0.5
+_FREE_SPEED = 3.0  # rad/s
+_FREE_ACCELERATION = 10.0  # rad/s² where there is no limit
 _RANGE = 0.9  # share of the position limits
 
 KINDS = ("null space", "weakly seen", "random")
 DOMINATED = 0.5  # influence from which an entry counts as the prior's
 SHARED = 0.1  # from which it lies between data and prior
 WEAKEST = 4  # directions seen worst, of all seen
-UNSEEN = 1e-9  # singular value relative to the largest, up to which a direction is not seen
-_MATERIAL = 0.25  # of an entry's uncertainty: less means a move of less than 5 % of the entry
+# singular value relative to the largest, up to which a direction is not seen
+UNSEEN = 1e-9
+# of an entry's uncertainty: less means a move of less than 5 % of the entry
+_MATERIAL = 0.25
 _SILENT = 1e-11  # norm of a column relative to the largest; below it is rounding
 
 
@@ -86,8 +92,11 @@ def prior_parameters(robot: Robot) -> Array:
     phi = np.array(robot.phi.reshape(robot.nv, 10))
     for link, values in zip(robot.links, phi, strict=True):
         if values[0] < 0:
-            raise BadRobot(robot.source, f"link '{link}' has mass {values[0]:g} kg; correct it")
-    mass, total = phi[:, 0], float(phi[:, 0].sum())
+            raise BadRobot(
+                robot.source, f"link '{link}' has mass {values[0]:g} kg; correct it"
+            )
+    mass = phi[:, 0]
+    total = float(phi[:, 0].sum())
     least = PLACEHOLDER * total if total > _NO_MASS * robot.nv else 1.0
     phi[mass == 0] = from_pseudo_inertia(least * np.diag([*(_BALL**2,) * 3, 1.0]))
     phi *= np.maximum(1.0, least / mass)[:, None]
@@ -101,7 +110,9 @@ def link_weights(links: int, sigma: float | Array) -> Array:
 
 def link_coordinates(reference: Array) -> Array:
     """Map T, φ = T y, to standard parameters; y is relative to consistent ones, (links, 10)."""
-    roots = np.linalg.cholesky([pseudo_inertia(isotropic(values)) for values in reference])
+    roots = np.linalg.cholesky(
+        [pseudo_inertia(isotropic(values)) for values in reference]
+    )
     blocks = (from_pseudo_inertia(L @ SYMMETRIC @ L.T).T for L in roots)
     return np.asarray(scipy.linalg.block_diag(*blocks), float)
 
@@ -170,7 +181,9 @@ class BodyPrior:
         Σ_(i>j) G_ij² + Σ_i (G_ii² − 2 log G_ii − 1).
         """
         G = self._relative(phi)
-        entropic = np.sqrt(self.draws)[:, None] * np.hstack([_diagonal(G)[0], G[:, *_BELOW]])
+        entropic = np.sqrt(self.draws)[:, None] * np.hstack(
+            [_diagonal(G)[0], G[:, *_BELOW]]
+        )
         distance = self._distance @ (phi - self.bodies.ravel())
         return np.concatenate([distance, entropic.ravel()])
 
@@ -189,7 +202,9 @@ class BodyPrior:
     def _relative(self, phi: Array) -> Array:
         """Cholesky factors G of the bodies relative to the given ones, shape (links, 4, 4)."""
         P = pseudo_inertia(phi.reshape(-1, 10))
-        return np.asarray(np.linalg.cholesky(self._roots @ P @ self._roots.swapaxes(1, 2)), float)
+        return np.asarray(
+            np.linalg.cholesky(self._roots @ P @ self._roots.swapaxes(1, 2)), float
+        )
 
     def quadratic(self, phi: Array, barrier: float = 0.0) -> tuple[Array, Array]:
         """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order; as `slopes`.
@@ -203,7 +218,9 @@ class BodyPrior:
         values = scale * NORMS * (self.draws[:, None] / weight * Q - np.eye(4)[UPPER])
         blocks = scipy.linalg.block_diag(*(scale[:, :, None] * relative_rows(phi)))
         distance = self._distance @ (phi - self.bodies.ravel())
-        return np.concatenate([distance, values.ravel()]), np.vstack([self._distance, blocks])
+        return np.concatenate([distance, values.ravel()]), np.vstack(
+            [self._distance, blocks]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +248,10 @@ class BasePrior:
 
 
 def base_prior(
-    robot: Robot, effects: Sequence[Effect], base: BaseParameters, sigma: float = PRIOR_SIGMA
+    robot: Robot,
+    effects: Sequence[Effect],
+    base: BaseParameters,
+    sigma: float = PRIOR_SIGMA,
 ) -> BasePrior:
     """The given robot as a prior of its base parameters.
 
@@ -261,7 +281,8 @@ def needed_torque(robot: Robot, motion: Motion) -> Array:
     small that it needs no torque. A joint without load still has friction, and a strong drive.
     """
     bodies = [isotropic(body) for body in prior_parameters(robot)]
-    tau, limit = torque(robot.with_parameters(bodies), motion), robot.limits.torque
+    tau = torque(robot.with_parameters(bodies), motion)
+    limit = robot.limits.torque
     needed = np.sqrt((tau**2).mean(axis=0))
     strong = np.maximum(needed.max(), np.where(np.isfinite(limit), limit, 0.0))
     return np.asarray(np.maximum(needed, _IDLE * strong), float)
@@ -291,16 +312,25 @@ def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
     size = rng.uniform(0.5, 1.0, phase.shape) / omega[:, None]
     angle = omega[:, None] * t[:, None, None] + phase
     orders = [
-        (size * omega[:, None] ** k * np.sin(angle + k * np.pi / 2)).sum(axis=1) for k in range(3)
+        (size * omega[:, None] ** k * np.sin(angle + k * np.pi / 2)).sum(axis=1)
+        for k in range(3)
     ]
     low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
     speed = np.where(robot.limits.velocity < 1e3, robot.limits.velocity, _FREE_SPEED)
     limit = robot.limits.acceleration
     acceleration = np.where(limit < 1e4, limit, _FREE_ACCELERATION)
-    ends = (_RANGE * (high - low) / 2, _LIMIT_SHARE * speed, _LIMIT_SHARE * acceleration)
+    ends = (
+        _RANGE * (high - low) / 2,
+        _LIMIT_SHARE * speed,
+        _LIMIT_SHARE * acceleration,
+    )
     largest = [np.abs(values).max(axis=0) for values in orders]
-    scale = np.min([end / size for end, size in zip(ends, largest, strict=True)], axis=0)
-    return Motion(t, (low + high) / 2 + scale * orders[0], scale * orders[1], scale * orders[2])
+    scale = np.min(
+        [end / size for end, size in zip(ends, largest, strict=True)], axis=0
+    )
+    return Motion(
+        t, (low + high) / 2 + scale * orders[0], scale * orders[1], scale * orders[2]
+    )
 
 
 def follows(ratio: Array, reach: Array) -> Array:
@@ -316,7 +346,8 @@ def follows(ratio: Array, reach: Array) -> Array:
 def decided_by(influence: Array) -> tuple[str, ...]:
     """Who decided entries that follow the prior by 0 to 1: data, prior, or both together, (p,)."""
     return tuple(
-        "prior" if each > DOMINATED else "both" if each > SHARED else "data" for each in influence
+        "prior" if each > DOMINATED else "both" if each > SHARED else "data"
+        for each in influence
     )
 
 
@@ -326,7 +357,8 @@ def reached(L: Array, directions: Array, x: Array, links: int) -> Array:
     An effect has no prior value; its estimate x, after those of links, is what a share of it is
     compared with. L is a root of the prior covariance, (p, k); directions are rows, (d, k).
     """
-    spread, size = np.linalg.norm(L @ directions.T, axis=1), np.linalg.norm(L, axis=1)
+    spread = np.linalg.norm(L @ directions.T, axis=1)
+    size = np.linalg.norm(L, axis=1)
     effects = slice(10 * links, None)
     size[effects] = np.minimum(size[effects], np.abs(x[effects]) + 1e-6 * size[effects])
     return np.minimum(_share(spread, size), 1.0)
@@ -347,16 +379,23 @@ def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
     _, s, Vt = np.linalg.svd(R @ L)
     s = np.pad(s, (0, len(Vt) - len(s)))
     seen = s > UNSEEN * s.max(initial=0.0)
-    moves, sizes = L @ Vt.T / (1 + s**2), np.linalg.norm(L, axis=1)
+    moves = L @ Vt.T / (1 + s**2)
+    sizes = np.linalg.norm(L, axis=1)
     weak = np.flatnonzero(seen)[-WEAKEST:]
     random = np.arange(len(x)) < 10 * links
-    reach = np.array([reached(L, Vt[~seen], x, links), reached(L, Vt[weak], x, links), random])
+    reach = np.array(
+        [reached(L, Vt[~seen], x, links), reached(L, Vt[weak], x, links), random]
+    )
     reach[0, silent_columns(R)] = 1.0
     along = np.linalg.norm((L @ Vt.T)[:, weak], axis=1)
     weakly = _share(np.linalg.norm(moves[:, weak], axis=1), along)
-    ratio = np.array([np.ones(len(x)), weakly, _share(np.linalg.norm(moves, axis=1), sizes)])
+    ratio = np.array(
+        [np.ones(len(x)), weakly, _share(np.linalg.norm(moves, axis=1), sizes)]
+    )
     return np.asarray(np.where(sizes > 0, follows(ratio, reach), 1.0), float)
 
 
 def _share(part: Array, whole: Array) -> Array:
-    return np.asarray(np.divide(part, whole, out=np.zeros_like(part), where=whole > 0), float)
+    return np.asarray(
+        np.divide(part, whole, out=np.zeros_like(part), where=whole > 0), float
+    )

@@ -80,8 +80,11 @@ class Recording(Shown):
     notes: tuple[str, ...] = ()
     extras: Mapping[str, Array] = field(default_factory=dict)
     columns: tuple[str, ...] = ()  # names in the file, of time, positions and torque
-    start: tuple[float, float] = (0.0, 0.0)  # of time as logged, whole and remaining seconds
-    unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)  # by row and column
+    # of time as logged, whole and remaining seconds
+    start: tuple[float, float] = (0.0, 0.0)
+    unreadable: Mapping[tuple[int, str], str] = field(
+        default_factory=dict
+    )  # by row and column
     drive: DriveGains | None = None
     starts: tuple[float, ...] = ()
 
@@ -105,16 +108,23 @@ class Recording(Shown):
 
     def channels(self) -> list[tuple[str, Array]]:
         """Names and arrays, shape (n, nv), of positions, speeds where logged, and torque."""
-        return [(name, x) for name in CHANNELS if (x := getattr(self, name)) is not None]
+        return [
+            (name, x) for name in CHANNELS if (x := getattr(self, name)) is not None
+        ]
 
     def take(self, rows: npt.NDArray[Any] | slice) -> Self:
         """The recording at some of its rows."""
-        arrays: dict[str, Any] = {n: x[rows] for n, x in (("t", self.t), *self.channels())}
-        return replace(self, **arrays, extras={n: x[rows] for n, x in self.extras.items()})
+        arrays: dict[str, Any] = {
+            n: x[rows] for n, x in (("t", self.t), *self.channels())
+        }
+        return replace(
+            self, **arrays, extras={n: x[rows] for n, x in self.extras.items()}
+        )
 
     def between(self, start: float, end: float, label: str) -> Recording:
         """The part between two fractions of its duration, 0 ≤ start < end ≤ 1."""
-        low, high = self.t[0] + self.duration * start, self.t[0] + self.duration * end
+        low = self.t[0] + self.duration * start
+        high = self.t[0] + self.duration * end
         last = np.searchsorted(self.t, high, "right" if end >= 1 else "left")
         part = self.take(slice(int(np.searchsorted(self.t, low)), int(last)))
         return replace(part, name=f"{self.name} ({label})")
@@ -142,7 +152,11 @@ class Recording(Shown):
         ]
 
     def _table(self) -> Table:
-        ranges = (edge(x, axis=0).tolist() for x in (self.q, self.tau) for edge in (np.min, np.max))
+        ranges = (
+            edge(x, axis=0).tolist()
+            for x in (self.q, self.tau)
+            for edge in (np.min, np.max)
+        )
         rows = zip(range(1, self.nv + 1), *ranges, strict=True)
         heads = ("joint", "q from", "q to", f"torque from [{self.unit}]", "torque to")
         return heads, rows
@@ -163,7 +177,8 @@ def as_recordings(given: Recordings, robot: Robot) -> list[Recording]:
     some: Any = given
     one = isinstance(given, str | Path) or hasattr(given, "columns")
     several = [some] if one else list(some)
-    read, found = iter(list[Recording]()), list[Recording]()
+    read = iter(list[Recording]())
+    found = list[Recording]()
     if paths := [each for each in several if isinstance(each, str | Path)]:
         from excitant.identify.dataset import read_recordings
 
@@ -172,7 +187,9 @@ def as_recordings(given: Recordings, robot: Robot) -> list[Recording]:
         if isinstance(each, str | Path):
             each = next(read)
         elif not isinstance(each, Recording):
-            each = recording_from_table(each, robot, file=f"table {k}", name=f"table {k}")
+            each = recording_from_table(
+                each, robot, file=f"table {k}", name=f"table {k}"
+            )
         found.append(each)
         if found[-1].nv != robot.nv:
             why = f"has {found[-1].nv} joints, but {robot.name} has {robot.nv}"
@@ -239,14 +256,18 @@ def read_chunks(
     if rows < 1:
         raise BadInput(f"rows is {rows}; a piece must hold at least one row")
     files = [paths] if isinstance(paths, str | Path) else list(paths)
-    origin, end, extremes = None, -np.inf, np.zeros((0, 0))
+    origin = None
+    end = -np.inf
+    extremes = np.zeros((0, 0))
     for file in files:
         first_row = 0
         for raw in _pieces(_open_log(file, mapping), robot, mapping, rows, origin):
             _refuse_bad_rows(raw, first_row, end)
             seen = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
             extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
-            origin, end, first_row = raw.start, float(raw.t[-1]), first_row + len(raw)
+            origin = raw.start
+            end = float(raw.t[-1])
+            first_row = first_row + len(raw)
             yield _with_usable_speeds(raw)
     if end < MINIMUM_DURATION:
         why = f"too short: {max(end, 0.0):.3g} s, at least {MINIMUM_DURATION:g} s are needed"
@@ -262,7 +283,8 @@ def suffix_of(path: Path) -> str:
 
 def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     path = Path(path)
-    is_bag, suffix = bags.is_bag(path), suffix_of(path)
+    is_bag = bags.is_bag(path)
+    suffix = suffix_of(path)
     why = f"unknown format '{suffix}'; give .parquet or .csv, .json, .npz, .mat, .bag or .mcap"
     try:
         size = 0 if isdir(path) else size_of(path)
@@ -318,7 +340,10 @@ def _pieces(
 
 
 def _in_si_units(
-    table: tables.Table, frame: cells.Frame, columns: Columns, origin: tuple[float, float] | None
+    table: tables.Table,
+    frame: cells.Frame,
+    columns: Columns,
+    origin: tuple[float, float] | None,
 ) -> Recording:
     texts: dict[tuple[int, str], str] = {}
 
@@ -328,7 +353,9 @@ def _in_si_units(
         return values
 
     def channel(found: Channel) -> Array:
-        values = [remembered(name, cells.as_numbers(frame[name])) for name in found.columns]
+        values = [
+            remembered(name, cells.as_numbers(frame[name])) for name in found.columns
+        ]
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(np.column_stack(values) * found.factors)
 
@@ -337,7 +364,11 @@ def _in_si_units(
         rest = rest + 1e-9 * cells.as_numbers(frame[columns.t[1]])
     usable = np.flatnonzero(np.isfinite(remembered(columns.t[0], whole + rest)))
     if origin is None:
-        origin = (float(whole[usable[0]]), float(rest[usable[0]])) if len(usable) else (0.0, 0.0)
+        origin = (
+            (float(whole[usable[0]]), float(rest[usable[0]]))
+            if len(usable)
+            else (0.0, 0.0)
+        )
     with np.errstate(invalid="ignore", over="ignore"):
         t = (whole - origin[0]) + (rest - origin[1])
     return Recording(
@@ -377,7 +408,9 @@ def checked(raw: Recording) -> Recording:
     return _with_usable_speeds(raw)
 
 
-def _refuse_bad_rows(raw: Recording, first_row: int = 0, before: float = -np.inf) -> None:
+def _refuse_bad_rows(
+    raw: Recording, first_row: int = 0, before: float = -np.inf
+) -> None:
     """Refuse cells of time, position and torque that are no finite number, and time not rising.
 
     Of a part of a log, ``first_row`` is its first row's, ``before`` the time of the row before [s].
@@ -392,14 +425,16 @@ def _refuse_bad_rows(raw: Recording, first_row: int = 0, before: float = -np.inf
         why = f"value '{text}' is not a finite number ({int(bad.any(axis=1).sum())} such rows)"
         why += "; remove or repair them"
     elif (steps <= 0).any():
-        row, k = int(np.argmax(steps <= 0)), 0
+        row = int(np.argmax(steps <= 0))
+        k = 0
         why = (
             f"time {'repeats' if steps[row] == 0 else 'goes back'} "
             f"({raw.t[row]:.6g} after {raw.t[row] - steps[row]:.6g} s); "
             f"sort or remove those rows, which --repair does where they fit"
         )
     elif len(raw) > 2 and (step := float(np.median(steps[1:]))) > _RAREST:
-        row, k = 0, 0
+        row = 0
+        k = 0
         why = (
             f"samples are {step:.4g} s apart, which shows no motion; say the unit of time in a "
             "file for --map, such as {units: {t: ms}}"
@@ -413,7 +448,8 @@ def _refuse_dead(tau: Array, raw: Recording) -> None:
     """Refuse torque (or its extremes), shape (n, nv), of a joint that is the same in every row."""
     dead = np.flatnonzero(np.ptp(tau, axis=0) == 0)
     if len(dead):
-        value, column = tau[0, dead[0]], raw.columns[1 + raw.nv + dead[0]]
+        value = tau[0, dead[0]]
+        column = raw.columns[1 + raw.nv + dead[0]]
         why = f"dead channel: {value:g} in every row; repair the sensor or lock this joint"
         raise BadRecording(raw.file, why, column=column)
 

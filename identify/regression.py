@@ -46,7 +46,8 @@ class ActingColumns(NamedTuple):
     @classmethod
     def of(cls, columns: Array, joints: Sequence[int] | None = None) -> ActingColumns:
         """Columns of all joints or some, shape (n, m, k)."""
-        acts, known = live(columns).any(axis=1), np.arange(columns.shape[1])
+        acts = live(columns).any(axis=1)
+        known = np.arange(columns.shape[1])
         return cls(
             (known if joints is None else np.array(joints))[acts],
             columns if acts.all() else frozen(columns[:, acts]),
@@ -85,7 +86,9 @@ class Regression:
     def __post_init__(self) -> None:
         freeze(self, "tau")
         if not all(np.isfinite(values).all() for values in (*self.columns, self.tau)):
-            raise BadInput("regression: values that are no finite numbers; remove their instants")
+            raise BadInput(
+                "regression: values that are no finite numbers; remove their instants"
+            )
 
     def __len__(self) -> int:
         return len(self.tau)
@@ -104,7 +107,9 @@ class Regression:
     def W(self) -> Array:
         """All columns, zeros too, shape (n, nv, p)."""
         found: Array = np.zeros((len(self), self.nv, self.p))
-        for j, (index, columns) in enumerate(zip(self.index, self.columns, strict=True)):
+        for j, (index, columns) in enumerate(
+            zip(self.index, self.columns, strict=True)
+        ):
             found[:, j, index] = columns
         return found
 
@@ -121,7 +126,9 @@ class Regression:
         found = []
         for index, columns in zip(self.index, self.columns, strict=True):
             own = x[index]
-            some = np.flatnonzero(own.any(axis=tuple(range(1, own.ndim))))  # few of all candidates
+            some = np.flatnonzero(
+                own.any(axis=tuple(range(1, own.ndim)))
+            )  # few of all candidates
             found.append(columns[:, some] @ own[some])
         return np.stack(found, axis=1)
 
@@ -129,28 +136,38 @@ class Regression:
         """τ − W x, shape (n, nv)."""
         return np.asarray(self.tau - self.torque(x), float)
 
-    def select(self, columns: Sequence[int], names: Sequence[str] | None = None) -> Regression:
+    def select(
+        self, columns: Sequence[int], names: Sequence[str] | None = None
+    ) -> Regression:
         """The problem with some of its columns, in this order, and names for them."""
         place = np.full(self.p, -1)
         place[list(columns)] = np.arange(len(columns))
-        index, kept = [], []
+        index = []
+        kept = []
         for own, values in zip(self.index, self.columns, strict=True):
             here = np.flatnonzero(place[own] >= 0)
             here = here[np.argsort(place[own[here]])]
             index.append(place[own[here]])
             kept.append(frozen(values[:, here]))
-        named = tuple(names) if names is not None else tuple(self.names[k] for k in columns)
+        named = (
+            tuple(names) if names is not None else tuple(self.names[k] for k in columns)
+        )
         return replace(self, names=named, index=tuple(index), columns=tuple(kept))
 
     def with_columns(self, more: Array, names: Sequence[str]) -> Regression:
         """The problem with further columns, shape (n, nv, k)."""
-        index, wider = [], []
+        index = []
+        wider = []
         more = more if self.used is None else more * self.used[:, :, None]
         for j, (own, values) in enumerate(zip(self.index, self.columns, strict=True)):
             acting = np.flatnonzero(live(more[:, j]))
             index.append(np.concatenate([own, self.p + acting]))
-            wider.append(frozen(np.asfortranarray(np.hstack([values, more[:, j, acting]]))))
-        return replace(self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider))
+            wider.append(
+                frozen(np.asfortranarray(np.hstack([values, more[:, j, acting]])))
+            )
+        return replace(
+            self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider)
+        )
 
     def counting(self, rows: Mask) -> Regression:
         """The problem with rows of joints that do not count set to zero, shape (n, nv)."""
@@ -233,7 +250,10 @@ def triangle(A: Array) -> Array:
 
 
 def dense(
-    W: Array | Sequence[ActingColumns], tau: Array, names: Sequence[str], used: Mask | None = None
+    W: Array | Sequence[ActingColumns],
+    tau: Array,
+    names: Sequence[str],
+    used: Mask | None = None,
 ) -> Regression:
     """The problem of columns of shape (n, nv, p), or of parts of them, and torque (n, nv).
 
@@ -243,7 +263,10 @@ def dense(
     parts = [ActingColumns(np.arange(nv), W)] if isinstance(W, np.ndarray) else W
     shapes = [part.values.shape for part in parts]
     p = sum(shape[-1] for shape in shapes)
-    fitting = [(n, len(part.joints), shape[-1]) for part, shape in zip(parts, shapes, strict=True)]
+    fitting = [
+        (n, len(part.joints), shape[-1])
+        for part, shape in zip(parts, shapes, strict=True)
+    ]
     if shapes != fitting or len(names) != p:
         raise BadInput(
             f"regression: columns of shape {' + '.join(map(str, shapes))} with "
@@ -284,7 +307,9 @@ def regression_of(
     return joined(parts)
 
 
-def effect_columns(robot: Robot, effect: Effect, segments: Sequence[Segment]) -> ActingColumns:
+def effect_columns(
+    robot: Robot, effect: Effect, segments: Sequence[Segment]
+) -> ActingColumns:
     """Columns of one effect at the rows of segments; see `regression_of`."""
     joints = effect.affected(robot)
 
@@ -297,7 +322,8 @@ def effect_columns(robot: Robot, effect: Effect, segments: Sequence[Segment]) ->
 
 def joined(parts: Sequence[Regression]) -> Regression:
     """One problem of problems with the same columns, one after the other."""
-    index, columns = [], []
+    index = []
+    columns = []
     for j in range(parts[0].nv):
         acting = np.unique(np.concatenate([part.index[j] for part in parts]))
         found = np.zeros((sum(map(len, parts)), len(acting)), order="F")

@@ -89,7 +89,8 @@ def split(
     """
     if not recordings:
         raise BadInput("no recording given; give at least one")
-    first, why = recordings[0], "as given"
+    first = recordings[0]
+    why = "as given"
     for recording in (*recordings, *validate):
         if recording.unit != first.unit:
             raise BadRecording(
@@ -99,7 +100,9 @@ def split(
             )
     if cutoff_hz is None:
         wanted = max(CUTOFF_HZ, _PRODUCTS * (harmonics_hz or 0.0))
-        highest = min(default_cutoff(r) for group in _parts(recordings, validate) for r in group)
+        highest = min(
+            default_cutoff(r) for group in _parts(recordings, validate) for r in group
+        )
         cutoff_hz = min(wanted, highest)
         why = (
             "a fifth of the lowest sampling rate, so that positions are still filtered at twice it"
@@ -118,7 +121,9 @@ def split(
     return Data(train, held, first.unit, cutoff_hz, said, reason, first.drive)
 
 
-def fitted(recordings: Sequence[Recording], validate: Sequence[Recording]) -> list[Recording]:
+def fitted(
+    recordings: Sequence[Recording], validate: Sequence[Recording]
+) -> list[Recording]:
     """Recordings to fit: as they are, or their first part where none is held out."""
     return list(_parts(recordings, validate)[0])
 
@@ -179,7 +184,9 @@ class Series:
 
     def counted(self, values: Array) -> list[Array]:
         """Values of each joint, shape (n, nv), at its rows that count."""
-        return [column[rows] for column, rows in zip(values.T, self.counts.T, strict=True)]
+        return [
+            column[rows] for column, rows in zip(values.T, self.counts.T, strict=True)
+        ]
 
     def rms(self, error: Array) -> Array:
         """Root mean square of an error, (n, nv), of each joint, shape (nv,)."""
@@ -187,7 +194,8 @@ class Series:
 
     def accuracy(self, predicted: Array) -> Accuracy:
         """Accuracy of a prediction at these rows, shape (n, nv)."""
-        rms, raw = self.rms(self.measured - predicted), self.rms(self.raw - predicted)
+        rms = self.rms(self.measured - predicted)
+        raw = self.rms(self.raw - predicted)
         spread = self.measured.std(axis=0, where=self.counts)
         nrmse = np.divide(rms, spread, out=np.full_like(rms, np.nan), where=spread > 0)
         return Accuracy(*map(read_only, (rms, raw, nrmse, 1 - nrmse**2)))
@@ -196,7 +204,9 @@ class Series:
     def judged(self) -> Mask:
         """Joints that move here and whose torque varies by more than its noise, shape (nv,)."""
         spread = self.measured.std(axis=0, where=self.counts)
-        return np.asarray(self.moves.any(axis=0) & (spread > [noise(x) for x in self.raw.T]))
+        return np.asarray(
+            self.moves.any(axis=0) & (spread > [noise(x) for x in self.raw.T])
+        )
 
     def losses(self, predicted: Array, instead: Array) -> Array:
         """How much larger the squared error of one prediction is than that of another, (n, nv).
@@ -214,7 +224,9 @@ def chance_of_loss(losses: Array) -> float:
 
     Student's t of the means of ten blocks of time, in which errors that go on stay together.
     """
-    means = np.array([block.mean() for block in np.array_split(losses, _BLOCKS) if len(block)])
+    means = np.array(
+        [block.mean() for block in np.array_split(losses, _BLOCKS) if len(block)]
+    )
     error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) == _BLOCKS else 0.0
     if not error > 0:
         return 1.0
@@ -223,7 +235,8 @@ def chance_of_loss(losses: Array) -> float:
 
 def series(segments: Sequence[Segment]) -> Series:
     """Rows of all segments, one after the other."""
-    times, start = [], 0.0
+    times = []
+    start = 0.0
     for segment in segments:
         times.append(segment.t - segment.t[0] + start)
         start = times[-1][-1] + (segment.t[1] - segment.t[0])
@@ -235,13 +248,17 @@ def series(segments: Sequence[Segment]) -> Series:
 def states(segments: Sequence[Segment]) -> tuple[Array, Array, Array]:
     """Positions, velocities and accelerations of the joints at the rows, each (n, nv)."""
     motions = [s.motion[s.keep] for s in segments]
-    q, dq, ddq = (np.concatenate([getattr(m, x) for m in motions]) for x in ("q", "dq", "ddq"))
+    q, dq, ddq = (
+        np.concatenate([getattr(m, x) for m in motions]) for x in ("q", "dq", "ddq")
+    )
     return q, dq, ddq
 
 
 def predicted_torque(robot: Robot, segments: Sequence[Segment]) -> Array:
     """Torque of the robot with its effects at the rows, filtered alike, shape (n, nv) [N·m]."""
-    return np.concatenate([s.rows(lambda motion: torque(robot, motion)) for s in segments])
+    return np.concatenate(
+        [s.rows(lambda motion: torque(robot, motion)) for s in segments]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +322,9 @@ class FitRows:
         Shape (p, nv).
         """
         pull = np.zeros((self.regression.p, self.robot.nv))
-        parts = zip(self.regression.index, self.regression.triangles, weight, strict=True)
+        parts = zip(
+            self.regression.index, self.regression.triangles, weight, strict=True
+        )
         for j, (index, T, w) in enumerate(parts):
             pull[index, j] = w**2 * T[:, :-1].T @ T[:, -1]
         return pull
@@ -320,13 +339,18 @@ class FitRows:
         """Nothing known of coefficients of effects but their signs."""
         effects = self.regression.select(range(10 * self.robot.nv, self.regression.p))
         std = implausible_size(effects.W, self.tau)
-        lower = np.array([p.lower for e in self.effects for p in e.parameters(self.robot)])
+        lower = np.array(
+            [p.lower for e in self.effects for p in e.parameters(self.robot)]
+        )
         return EffectPrior(np.zeros_like(std), std, lower)
 
 
-def fit_rows(robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data) -> FitRows:
+def fit_rows(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data
+) -> FitRows:
     """The rows of the training segments at which no dry friction may hold a joint."""
-    used, drive = certain_rows(effects, robot.joints, data.train), data.drive
+    used = certain_rows(effects, robot.joints, data.train)
+    drive = data.drive
     regression = regression_of(robot, effects, data.train).counting(used)
     if data.unit == "A":
         drive = current_gains(robot, base, regression.W, regression.tau, used)
@@ -339,7 +363,9 @@ def gains_of(robot: Robot, data: Data, drive: DriveGains | None) -> Array:
     return drive.gains if drive is not None and data.unit == "A" else np.ones(robot.nv)
 
 
-def told(parameter: Parameter, robot: Robot, drive: DriveGains | None) -> tuple[float, str]:
+def told(
+    parameter: Parameter, robot: Robot, drive: DriveGains | None
+) -> tuple[float, str]:
     """Factor and unit in which to tell a coefficient: in amperes where nothing fixes gains."""
     owner = parameter.name.rpartition(".")[0]
     if drive is None or owner not in robot.joints:
@@ -349,13 +375,18 @@ def told(parameter: Parameter, robot: Robot, drive: DriveGains | None) -> tuple[
 
 def implausible_size(columns: Array, tau: Array) -> Array:
     """A hundred times the coefficient of columns, (n, nv, e), that explains all torque, (e,)."""
-    size, most = np.sqrt((columns**2).mean(axis=(0, 1))), np.sqrt((tau**2).mean())
-    return np.asarray(np.where(size > 0, 100 * most / np.where(size > 0, size, 1.0), 1e3))
+    size = np.sqrt((columns**2).mean(axis=(0, 1)))
+    most = np.sqrt((tau**2).mean())
+    return np.asarray(
+        np.where(size > 0, 100 * most / np.where(size > 0, size, 1.0), 1e3)
+    )
 
 
 def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot:
     """The robot with identified inertias and effects; x as in `PhysicalFit`."""
     counts = [len(effect.parameters(robot)) for effect in effects]
     phi, *values = np.split(x, np.cumsum([10 * robot.nv, *counts])[:-1])
-    valued = [effect.with_values(own) for effect, own in zip(effects, values, strict=True)]
+    valued = [
+        effect.with_values(own) for effect, own in zip(effects, values, strict=True)
+    ]
     return robot.with_parameters(phi).with_effects(valued)

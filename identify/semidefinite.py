@@ -37,7 +37,8 @@ _SOLVED = ("Solved", "AlmostSolved")  # states of the conic solver with a soluti
 _MARGINS = (1e-2, 1e-4, 1e-6)  # of a point inside all restrictions, in their units
 _LEAST = 1e-10  # μ at the end: within 1e-4 standard deviations of the minimum
 _FALL = 0.1  # of μ
-_CENTRED = 0.1  # of μ: the decrement λ² from which Newton's method converges quadratically
+# of μ: the decrement λ² from which Newton's method converges quadratically
+_CENTRED = 0.1
 _SETTLED = 1e-6  # decrement λ at the end, in standard deviations; the error is about its square
 _STEPS = 60  # of Newton's method for one μ
 _PRECISE = 1e-2  # posterior standard deviations from the minimum, or
@@ -77,10 +78,14 @@ class Restriction:
 
 def possible(bodies: BodyPrior, p: int, margin: float) -> tuple[Restriction, ...]:
     """No link is less than a part of what is given, in any direction; y has p coordinates."""
-    h, T, rows = margin * np.eye(4)[UPPER], bodies.T, np.zeros((len(bodies.bodies), 10, p))
+    h = margin * np.eye(4)[UPPER]
+    T = bodies.T
+    rows = np.zeros((len(bodies.bodies), 10, p))
     for k, own in enumerate(relative_rows(bodies.bodies)):
         rows[k, :, : len(T)] = own @ T[10 * k : 10 * k + 10]
-    return tuple(Restriction("semidefinite", each[_COLUMNS], h[_COLUMNS]) for each in rows)
+    return tuple(
+        Restriction("semidefinite", each[_COLUMNS], h[_COLUMNS]) for each in rows
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +111,16 @@ class Program:
         T = self.bodies.T
         residual, J = self.bodies.quadratic(T @ y[: len(T)], barrier)
         rows = np.pad(J @ T, ((0, 0), (0, len(y) - len(T))))
-        return np.vstack([rows, self.C]), np.concatenate([residual, self.C @ y - self.d])
+        return np.vstack([rows, self.C]), np.concatenate(
+            [residual, self.C @ y - self.d]
+        )
 
     def gradient(self, y: Array) -> Array:
         """Gradient of the objective, shape (p,)."""
         J, residual = self.prior(y)
-        return np.asarray(2 * (self.A.T @ (self.A @ y - self.z) + J.T @ residual), float)
+        return np.asarray(
+            2 * (self.A.T @ (self.A @ y - self.z) + J.T @ residual), float
+        )
 
 
 @dataclass(frozen=True)
@@ -161,11 +170,15 @@ def solve(program: Program, centre: Array) -> Solution:
     y = start = interior(program, centre)
     path = _CentralPath(program, start)
     barrier = max(1.0, path.squares(y) / path.logarithms)
-    reached, least, error = y, barrier, np.inf
+    reached = y
+    least = barrier
+    error = np.inf
     while True:
         y, decrement = path.centred(y, barrier)
         if decrement <= np.sqrt(barrier) or not np.isfinite(error):
-            reached, least, error = y, barrier, decrement + np.sqrt(path.logarithms * barrier)
+            reached = y
+            least = barrier
+            error = decrement + np.sqrt(path.logarithms * barrier)
         else:
             break
         if barrier <= _LEAST:
@@ -181,19 +194,26 @@ class _CentralPath:
     """Newton's method on the objective of a programme with logarithmic barriers."""
 
     def __init__(self, program: Program, start: Array) -> None:
-        self.program, self.bodies = program, program.bodies
+        self.program = program
+        self.bodies = program.bodies
         self.cones = [r for r in program.restrictions if r.cone != "zero"]
         self.exact = _equalities(program.restrictions, len(start))
         self.links = len(self.bodies.bodies)
         self.orders = [2 if r.cone == "second_order" else len(r.h) for r in self.cones]
         self.logarithms = 4 * self.links + sum(self.orders)
         J, residual = program.prior(start)
-        fixed = np.r_[: 10 * self.links, 20 * self.links : len(J)]  # rows that do not change
+        fixed = np.r_[
+            : 10 * self.links, 20 * self.links : len(J)
+        ]  # rows that do not change
         rows = np.vstack([program.A, J[fixed]])
         goal = np.concatenate([program.z, J[fixed] @ start - residual[fixed]])
         both = np.asarray(np.linalg.qr(np.column_stack([rows, goal]), mode="r"), float)
         self.U, self.t = both[: len(start), :-1], both[: len(start), -1]
-        self.N = scipy.linalg.null_space(self.exact) if len(self.exact) else np.eye(len(start))
+        self.N = (
+            scipy.linalg.null_space(self.exact)
+            if len(self.exact)
+            else np.eye(len(start))
+        )
         self.Q, self.R = np.linalg.qr(self.U @ self.N)
 
     def squares(self, y: Array) -> float:
@@ -202,7 +222,8 @@ class _CentralPath:
 
     def centred(self, y: Array, barrier: float) -> tuple[Array, float]:
         """Minimiser of the objective with barriers, from inside, and the last decrement λ."""
-        enough, decrement = np.sqrt(_CENTRED * barrier), np.inf
+        enough = np.sqrt(_CENTRED * barrier)
+        decrement = np.inf
         for _ in range(_STEPS):
             step, decrement, length = self._newton(y, barrier)
             while not self._inside(y + length * step):  # for rounding
@@ -225,10 +246,12 @@ class _CentralPath:
         both = np.hstack([self.exact.T, *forces])
         left = self.program.gradient(y) - sum(force.sum(axis=1) for force in forces)
         size = np.linalg.lstsq(both, left, rcond=_ROUNDING)[0]
-        exact, size = size[: len(self.exact)], 1 + size[len(self.exact) :]
+        exact = size[: len(self.exact)]
+        size = 1 + size[len(self.exact) :]
         found = dict[int, Array]()
         for r, part in zip(self.cones, parts, strict=True):
-            found[id(r)], size = part @ size[: part.shape[1]], size[part.shape[1] :]
+            found[id(r)] = part @ size[: part.shape[1]]
+            size = size[part.shape[1] :]
         for r in self.program.restrictions:
             if r.cone == "zero":
                 found[id(r)], exact = exact[: len(r.h)], exact[len(r.h) :]
@@ -255,8 +278,14 @@ class _CentralPath:
             self.R, self.Q.T @ (self.t - self.U @ y), rows @ self.N, goal
         )
         weight = self.bodies.draws + barrier
-        S = matrices((J @ step).reshape(-1, 10) / NORMS / np.sqrt(weight / 2)[:, None], self.links)
-        rates = [np.linalg.eigvalsh(S).ravel(), *(_rates(r, y, step) for r in self.cones)]
+        S = matrices(
+            (J @ step).reshape(-1, 10) / NORMS / np.sqrt(weight / 2)[:, None],
+            self.links,
+        )
+        rates = [
+            np.linalg.eigvalsh(S).ravel(),
+            *(_rates(r, y, step) for r in self.cones),
+        ]
         weights = np.repeat(
             [*weight, *[barrier] * len(self.cones)], [*[4] * self.links, *self.orders]
         )
@@ -266,7 +295,8 @@ class _CentralPath:
 
 def _least_squares(R: Array, goal: Array, rows: Array, further: Array) -> Array:
     """Minimiser of ‖R d − goal‖² + ‖rows d − further‖²."""
-    p, both = len(R), np.vstack([np.column_stack([R, goal]), np.column_stack([rows, further])])
+    p = len(R)
+    both = np.vstack([np.column_stack([R, goal]), np.column_stack([rows, further])])
     factor = np.asarray(np.linalg.qr(both, mode="r"), float)
     found: Array = scipy.linalg.solve_triangular(factor[:p, :p], factor[:p, p])
     return found
@@ -296,8 +326,10 @@ def _logarithm(restriction: Restriction, y: Array) -> tuple[Array, Array, Array]
     if restriction.cone == "nonnegative":
         return restriction.G / slack[:, None], np.ones_like(slack), 1 / slack
     # the root of its Hessian 2 (2 w wᵀ − J) / s², w = J slack / s, is √2 (2 v vᵀ − J) / s
-    s, mirror = _size(slack), np.array([1.0, *-np.ones(len(slack) - 1)])
-    w, unit = mirror * slack / s, np.eye(len(slack))[0]
+    s = _size(slack)
+    mirror = np.array([1.0, *-np.ones(len(slack) - 1)])
+    w = mirror * slack / s
+    unit = np.eye(len(slack))[0]
     v = (w + unit) / np.sqrt(2 * (w[0] + 1))
     root = np.sqrt(2) / s * (2 * np.outer(v, v) - np.diag(mirror))
     return root @ restriction.G, np.sqrt(2) * unit, 2 * w / s
@@ -311,10 +343,12 @@ def _size(slack: Array) -> float:
 
 def _rates(restriction: Restriction, y: Array, step: Array) -> Array:
     """Rates s at which slacks change along a step, as Π (1 + a s) of what they are at y."""
-    slack, change = restriction.slack(y), restriction.G @ step
+    slack = restriction.slack(y)
+    change = restriction.G @ step
     if restriction.cone == "nonnegative":
         return np.asarray(change / slack, float)
-    w, root = slack / _size(slack), change / _size(slack)
+    w = slack / _size(slack)
+    root = change / _size(slack)
     half = w[0] * root[0] - float(w[1:] @ root[1:])
     product = root[0] ** 2 - float(root[1:] @ root[1:])
     spread = np.sqrt(max(half**2 - product, 0.0))
@@ -327,19 +361,24 @@ def interior(program: Program, centre: Array) -> Array:
     Raises:
         Infeasible: There is none.
     """
-    p, restrictions = len(centre), program.restrictions
+    p = len(centre)
+    restrictions = program.restrictions
     for margin in (0.0, *_MARGINS):
-        bodies, y = possible(program.bodies, p, margin), centre
+        bodies = possible(program.bodies, p, margin)
+        y = centre
         if margin:
             near = _nearest([*bodies, *_narrowed(restrictions, margin)], centre)
             if near is None:
                 continue
             y = near
         y = _equal(y, restrictions)
-        if all(r.violation(y) < 0 for r in (*bodies, *restrictions) if r.cone != "zero"):
+        if all(
+            r.violation(y) < 0 for r in (*bodies, *restrictions) if r.cone != "zero"
+        ):
             return np.asarray(y, float)
     raise Infeasible(
-        "physically consistent fit", "what is known of the bodies leaves no room; widen it"
+        "physically consistent fit",
+        "what is known of the bodies leaves no room; widen it",
     )
 
 
@@ -348,14 +387,18 @@ def _narrowed(restrictions: Sequence[Restriction], margin: float) -> list[Restri
     found = []
     for r in restrictions:
         least = np.zeros_like(r.h)
-        least[: 1 if r.cone == "second_order" else None] = 0.0 if r.cone == "zero" else margin
+        least[: 1 if r.cone == "second_order" else None] = (
+            0.0 if r.cone == "zero" else margin
+        )
         found.append(replace(r, h=r.h + least))
     return found
 
 
 def _equalities(restrictions: Sequence[Restriction], p: int) -> Array:
     """Rows of what holds exactly, shape (k, p)."""
-    return np.vstack([np.zeros((0, p)), *(r.G for r in restrictions if r.cone == "zero")])
+    return np.vstack(
+        [np.zeros((0, p)), *(r.G for r in restrictions if r.cone == "zero")]
+    )
 
 
 def _equal(y: Array, restrictions: Sequence[Restriction]) -> Array:
@@ -373,7 +416,9 @@ def _nearest(restrictions: Sequence[Restriction], centre: Array) -> Array | None
     cones = [_CONES[r.cone](len(r.h)) for r in restrictions]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    found = clarabel.DefaultSolver(P, np.zeros(len(centre)), A, b, cones, settings).solve()
+    found = clarabel.DefaultSolver(
+        P, np.zeros(len(centre)), A, b, cones, settings
+    ).solve()
     return centre + np.array(found.x) if str(found.status) in _SOLVED else None
 
 
@@ -382,7 +427,8 @@ def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:
 
     Those without a name always stay.
     """
-    kept, nowhere = list(restrictions), np.zeros(restrictions[0].G.shape[1])
+    kept = list(restrictions)
+    nowhere = np.zeros(restrictions[0].G.shape[1])
     if _nearest(kept, nowhere) is not None:
         return ()
     for each in restrictions:

@@ -57,11 +57,15 @@ from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 
 _SURER = 2.0  # times surer than the given robot: then the recordings decide
-_CLEAR = (0.3, 0.1, 1e-2, 1e-4, 1e-7)  # share of a leading parameter outside those before it
+# share of a leading parameter outside those before it
+_CLEAR = (0.3, 0.1, 1e-2, 1e-4, 1e-7)
 _NOTHING = 1e-6  # coefficient, in units of the parameters' scale
-_ROUNDING = 1e-8  # of the clearest direction: less than rounding and interpolation leave
-_NEGLIGIBLE = 0.05  # standard deviations of a combination: terms that matter less are not written
-_SOMETIMES = 0.1  # of the time that a joint moves: what happens more rarely is not mentioned
+# of the clearest direction: less than rounding and interpolation leave
+_ROUNDING = 1e-8
+# standard deviations of a combination: terms that matter less are not written
+_NEGLIGIBLE = 0.05
+# of the time that a joint moves: what happens more rarely is not mentioned
+_SOMETIMES = 0.1
 _STATES = 40  # at which a motion is tried, beyond the parameters sought
 _VISIBLE = 1e-6  # of the largest singular value
 _PAIRS = 10  # joints up to which pairs of them are tried
@@ -90,12 +94,16 @@ class Cascade:
     def covariance(self) -> Array:
         """Their covariance; that of the given robot in directions not shown, shape (r, r)."""
         left = np.eye(len(self.mean)) - self.D @ self.D.T
-        return np.asarray(self.L @ (self.D @ self.P @ self.D.T + left) @ self.L.T, float)
+        return np.asarray(
+            self.L @ (self.D @ self.P @ self.D.T + left) @ self.L.T, float
+        )
 
     @property
     def functionals(self) -> Array:
         """The combinations of base parameters known: rows F with F β = F β̂, shape (k, r)."""
-        return np.asarray(scipy.linalg.solve_triangular(self.L, self.D, lower=True, trans=1).T)
+        return np.asarray(
+            scipy.linalg.solve_triangular(self.L, self.D, lower=True, trans=1).T
+        )
 
     def information(self) -> Information:
         """All that is known, as rows about β of unit noise; nothing of the given robot in it."""
@@ -117,7 +125,8 @@ def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float
     """
     if len(tau) == 0:
         return known, np.nan, 1.0
-    A, D = W @ known.L, known.D
+    A = W @ known.L
+    D = known.D
     outer = A @ D
     target = tau - W @ known.mean - outer @ known.c
     size = float(np.linalg.norm(A))
@@ -126,7 +135,9 @@ def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float
     shown = s >= _SURER * np.sqrt(np.diag(scores))
     if not shown.any():
         return known, sigma, inflation
-    U, s, V = U[:, shown], s[shown], Vt[shown].T
+    U = U[:, shown]
+    s = s[shown]
+    V = Vt[shown].T
     own = scores[np.ix_(shown, shown)] / np.outer(s, s)
     H = U.T / s[:, None]
     G = H @ outer
@@ -149,7 +160,9 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
     """Covariance of scores Uᵀε, size of ε, inflation; U lies in the span of every, (n, m)."""
     n, m = every.shape
     residual = target - every @ (every.T @ target)
-    floor = 1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12  # data without noise
+    floor = (
+        1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12
+    )  # data without noise
     sigma = max(float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor)
     scores, freedom = score_covariances(
         [JointRows(np.arange(m), every)], [residual / sigma], np.eye(m)
@@ -194,8 +207,12 @@ def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
 class LinkRows(FitRows):
     """Rows of recordings; a joint still in all of a segment is held exactly."""
 
-    moves: tuple[Mask, ...]  # instants at which joints move, per segment at its full rate, (n, nv)
-    last: npt.NDArray[np.intp]  # joint, the last whose row holds each base parameter, shape (r,)
+    moves: tuple[
+        Mask, ...
+    ]  # instants at which joints move, per segment at its full rate, (n, nv)
+    last: npt.NDArray[
+        np.intp
+    ]  # joint, the last whose row holds each base parameter, shape (r,)
     scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
 
     def recordings(self, joint: int) -> tuple[str, ...]:
@@ -213,7 +230,8 @@ class LinkRows(FitRows):
 
     def mode(self, joint: int) -> str:
         """Joints that move along with a joint, in words; rare moments are left aside."""
-        times, poses = [], []
+        times = []
+        poses = []
         for segment, moves in zip(self.data.train, self.moves, strict=True):
             now = moves[:, joint]
             if now.any():
@@ -225,12 +243,16 @@ class LinkRows(FitRows):
         own = each[:, joint]
         share = np.delete(each.sum(axis=0) / own.sum(), joint)
         others = [k for k in range(self.robot.nv) if k != joint]
-        moved = [k for k, often in zip(others, share > _SOMETIMES, strict=True) if often]
+        moved = [
+            k for k, often in zip(others, share > _SOMETIMES, strict=True) if often
+        ]
         if moved:
             if joint and set(range(joint)) <= set(moved):
                 return "moves with all joints before it"
             return "moves with " + ", ".join(self.robot.joints[k] for k in moved)
-        spread = np.ptp(np.array(poses)[own > _SOMETIMES * own.sum()], axis=0).max(initial=0.0)
+        spread = np.ptp(np.array(poses)[own > _SOMETIMES * own.sum()], axis=0).max(
+            initial=0.0
+        )
         briefly = " but for moments" if share.max(initial=0.0) > 0 else ""
         several = "several poses" if spread > _POSE else "one pose"
         return f"moves alone{briefly}, the others in {several}"
@@ -240,7 +262,8 @@ def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows
     """Rows of the training segments, see `LinkRows`."""
     moves = tuple(moving(robot, data.train))
     train = tuple(
-        stilled(s, np.asarray(m.any(axis=0))) for s, m in zip(data.train, moves, strict=True)
+        stilled(s, np.asarray(m.any(axis=0)))
+        for s, m in zip(data.train, moves, strict=True)
     )
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, replace(data, train=train))
@@ -290,11 +313,14 @@ class LinkByLink:
     cascade: Cascade  # the base parameters with their covariance
     stages: tuple[Stage, ...]  # the links, last one first
     all_at_once: Estimate  # all links from all rows together, for comparison
-    refusal: str  # why weighted least squares of all rows was not possible; empty if it was
+    refusal: (
+        str  # why weighted least squares of all rows was not possible; empty if it was
+    )
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json: those of `identify`, and the stages under ``link_by_link``."""
-        robot, estimate = self.estimate.given, self.estimate
+        robot = self.estimate.given
+        estimate = self.estimate
         how = (
             "all rows with the given robot as prior, because weighted least squares refuses: "
             if self.refusal
@@ -316,7 +342,8 @@ class LinkByLink:
                     "all_at_once": how,
                     "refusal": self.refusal or None,
                     "joints": [
-                        {"name": joint} | {key: float(each[j]) for key, each in rms.items()}
+                        {"name": joint}
+                        | {key: float(each[j]) for key, each in rms.items()}
                         for j, joint in enumerate(robot.joints)
                     ],
                 },
@@ -342,16 +369,20 @@ def identify_link_by_link(
     Args and errors are those of `identify_robot`, but no motion is refused for what it leaves open.
     """
     robot = as_robot(robot)
-    recordings, validate = as_recordings(recordings, robot), as_recordings(validate, robot)
+    recordings = as_recordings(recordings, robot)
+    validate = as_recordings(validate, robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     prior = prior_parameters(robot)
     rows = link_rows(robot, effects, split(recordings, validate, cutoff_hz))
     cascade, stages = run_stages(rows)
-    noise, inflation = np.array([(stage.noise, stage.inflation) for stage in reversed(stages)]).T
+    noise, inflation = np.array(
+        [(stage.noise, stage.inflation) for stage in reversed(stages)]
+    ).T
     fit = LeastSquares(cascade.beta, cascade.covariance, noise, inflation)
     known = cascade.information()
     about = Knowledge().of(robot)
-    R, z = known.R @ rows.base.regrouping, known.z
+    R = known.R @ rows.base.regrouping
+    z = known.z
     physical = fit_physical(R, z, prior, rows.open_prior, about, robot.links)
     estimate = judged(robot, rows, fit, physical, _notes(rows, stages, prior))
     try:
@@ -359,7 +390,9 @@ def identify_link_by_link(
             robot, recordings, validate=validate, effects=effects, cutoff_hz=cutoff_hz
         )
         refusal = ""
-    except RankDeficient as error:  # then with the given robot as prior, the noise of the stages
+    except (
+        RankDeficient
+    ) as error:  # then with the given robot as prior, the noise of the stages
         refusal = str(error)
         weight = replace(fit, sigma=np.where(np.isfinite(noise), noise, np.inf)).weight
         R, z = rows.regression.factor(weight)
@@ -370,14 +403,21 @@ def identify_link_by_link(
 
 def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
     """Estimate of the base parameters after all stages, and the stages, last joint first."""
-    W, tau, base = rows.W[:, :, rows.base.columns], rows.tau, rows.base
+    W = rows.W[:, :, rows.base.columns]
+    tau = rows.tau
+    base = rows.base
     known = beginning(base_prior(rows.robot, rows.effects, base))
-    F, leading, stages = np.zeros((0, len(base))), list[int](), []
+    F = np.zeros((0, len(base)))
+    leading = list[int]()
+    stages = []
     for j in reversed(range(rows.robot.nv)):
-        before, counted = len(leading), rows.used[:, j]
+        before = len(leading)
+        counted = rows.used[:, j]
         known, noise, inflation = further(known, W[counted, j], tau[counted, j])
         own = np.flatnonzero(rows.last == j).tolist()
-        F, leading = _led_combinations(F, leading, known.functionals[before:], rows.scale, own)
+        F, leading = _led_combinations(
+            F, leading, known.functionals[before:], rows.scale, own
+        )
         found = _determined(rows, known, F[before:], leading[before:])
         of = rows.recordings(j), rows.mode(j), found
         stages.append(Stage(j, int(counted.sum()), noise, inflation, *of))
@@ -387,7 +427,9 @@ def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
 def _determined(
     rows: LinkRows, known: Cascade, F: Array, leading: Sequence[int]
 ) -> tuple[Determined, ...]:
-    base, J, found = rows.base, F @ known.L @ known.D, []
+    base = rows.base
+    J = F @ known.L @ known.D
+    found = []
     spread = np.sqrt(np.diag(J @ known.P @ J.T))
     for row, lead, value, s in zip(F, leading, F @ known.beta, spread, strict=True):
         kept = np.where(np.abs(row) * rows.scale > _NEGLIGIBLE * s, row, 0.0)
@@ -410,11 +452,16 @@ def _completed(rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage) -
     return replace(stage, missing=expressions, needed=(sentence,))
 
 
-def _needed_motion(rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown: Array) -> str:
+def _needed_motion(
+    rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown: Array
+) -> str:
     """The smallest change of the recordings that shows a joint's own m parameters; shown (k, m)."""
-    robot, scale = rows.robot, rows.scale[own]
-    columns, count = [rows.base.columns[k] for k in own], len(own) + _STATES
-    name, pose = robot.joints[joint], rows.pose(joint)
+    robot = rows.robot
+    scale = rows.scale[own]
+    columns = [rows.base.columns[k] for k in own]
+    count = len(own) + _STATES
+    name = robot.joints[joint]
+    pose = rows.pose(joint)
     for moved, turned in _changes(robot.nv, joint):
         q, dq, ddq = robot.random_motion(np.random.default_rng(0), count)
         still = np.ones(robot.nv, bool)
@@ -424,7 +471,10 @@ def _needed_motion(rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown:
         q[:, still] = pose[still]
         motion = Motion(np.arange(float(count)), q, dq, ddq)
         W = observation_columns(robot, rows.effects, motion)[:, joint, columns]
-        parts = [A / max(float(np.linalg.norm(A)), 1e-300) for A in (W * scale, shown * scale)]
+        parts = [
+            A / max(float(np.linalg.norm(A)), 1e-300)
+            for A in (W * scale, shown * scale)
+        ]
         s = np.linalg.svd(np.vstack(parts), compute_uv=False)
         if len(s) == len(own) and s[-1] > _VISIBLE * s[0]:
             listed = " and ".join(robot.joints[k] for k in (*moved, *turned))
@@ -447,7 +497,8 @@ def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, 
 
 
 def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, ...]:
-    count, r = sum(len(stage.determined) for stage in stages), len(rows.base)
+    count = sum(len(stage.determined) for stage in stages)
+    r = len(rows.base)
     rest = "" if count == r else "; the rest stays at the given robot"
     notes = notes_on(rows, prior)
     said = f"link by link, these recordings determine {count} of {r} base combinations{rest}"

@@ -44,7 +44,8 @@ _CHANCE = 0.01  # that shapes change where the ones they had are right
 _DECADE = float(np.log(10.0))  # σ: a shape is known to a factor of ten
 _INSTANTS = 1500  # at most, evenly taken
 _STEP = 1e-5  # of a shape, for its derivative
-_EVALUATIONS, _TOLERANCE = 60, 1e-5  # of the descent, where no minimum is demanded
+_EVALUATIONS = 60  # of the descent
+_TOLERANCE = 1e-5  # where no minimum is demanded
 _OFF = ((0, 1), (1, 2), (0, 2))  # s₁₂, s₂₃, s₁₃, the order of Rucker and Wensing
 
 
@@ -79,7 +80,9 @@ class Shapes:
     @property
     def better(self) -> bool:
         """Whether the objective falls by more than chance has it fall."""
-        return self.before - self.after > float(scipy.special.chdtri(len(self.found), _CHANCE))
+        return self.before - self.after > float(
+            scipy.special.chdtri(len(self.found), _CHANCE)
+        )
 
     @property
     def sentence(self) -> str:
@@ -119,7 +122,9 @@ class Shapes:
         moved = base.regrouping @ self.spread
         return (
             replace(fit, covariance=fit.covariance + moved @ moved.T),
-            replace(physical, covariance=physical.covariance + self.spread @ self.spread.T),
+            replace(
+                physical, covariance=physical.covariance + self.spread @ self.spread.T
+            ),
         )
 
 
@@ -128,7 +133,9 @@ def refined_shapes(rows: FitRows, prior: Array, knowledge: Knowledge) -> Shapes 
 
     The prior has shape (nv, 10). What is known of the bodies is of no account in the descent.
     """
-    effects = tuple(own for e in rows.effects for own in (e.singles() if e.tuned else [e]))
+    effects = tuple(
+        own for e in rows.effects for own in (e.singles() if e.tuned else [e])
+    )
     if not any(effect.tuned for effect in effects):
         return None
     rows = replace(rows, effects=effects)
@@ -149,13 +156,17 @@ class _Search:
     """The whitened problem with columns of effects for any shapes."""
 
     def __init__(self, rows: FitRows) -> None:
-        self.fitted, self.robot, self.effects = rows, rows.robot, rows.effects
+        self.fitted = rows
+        self.robot = rows.robot
+        self.effects = rows.effects
         self.links = 10 * rows.robot.nv
         stride = -(-len(rows.regression) // _INSTANTS)
         self.some = slice(None, None, stride)
         fit = weighted_least_squares(rows.reduced)
         # a row that stands for many counts as many, as far as these are independent
-        self.weight = replace(fit, inflation=np.maximum(fit.inflation / stride, 1.0)).weight
+        self.weight = replace(
+            fit, inflation=np.maximum(fit.inflation / stride, 1.0)
+        ).weight
         self.problem = rows.regression.at(self.some)
         W = self.problem.W
         self.R = (W * self.weight[:, None]).reshape(-1, W.shape[2])
@@ -173,7 +184,9 @@ class _Search:
     def columns(self, effect: Effect) -> Array:
         """Whitened columns of an effect at the rows, shape (rows, k)."""
         segments = self.fitted.data.train
-        parts = [s.rows(lambda motion: effect.columns(self.robot, motion)) for s in segments]
+        parts = [
+            s.rows(lambda motion: effect.columns(self.robot, motion)) for s in segments
+        ]
         found = np.concatenate(parts) * self.fitted.used[:, :, None]
         found = found[self.some] * self.weight[:, None]
         return np.asarray(found.reshape(len(self.z), -1), float)
@@ -181,7 +194,8 @@ class _Search:
     def refined(self, prior: Array, knowledge: Knowledge) -> Shapes:
         """Best shapes of the grids, then all at once."""
         given = np.array([getattr(self.effects[k], name) for k, _, name in self.places])
-        open_prior, links = self.fitted.open_prior, self.robot.links
+        open_prior = self.fitted.open_prior
+        links = self.robot.links
         R, z = self.problem.factor(self.weight)
         start = fit_physical(R, z, prior, open_prior, knowledge=knowledge, links=links)
         known = EffectPrior(
@@ -198,9 +212,11 @@ class _Search:
 
     def _on_grids(self) -> Array:
         """Each shape as it is given or, where that explains more, from the effect's own grid."""
-        best, facts = [], joint_facts([segment.motion for segment in self.fitted.data.train])
+        best = []
+        facts = joint_facts([segment.motion for segment in self.fitted.data.train])
         for k, place, name in self.places:
-            effect, joint = self.effects[k], self.effects[k].joints[0]
+            effect = self.effects[k]
+            joint = self.effects[k].joints[0]
             own = np.arange(place.start, place.stop) + self.links
             others = np.delete(self.R, own, axis=1)
             others = others[:, live(others)]
@@ -235,7 +251,9 @@ class _Search:
         values, columns = self._columns(theta)
         further = []
         for (k, own, name), s in zip(self.places, theta[len(values) :], strict=True):
-            moved = self.columns(self.effects[k].reshaped(name, float(np.exp(s + _STEP))))
+            moved = self.columns(
+                self.effects[k].reshaped(name, float(np.exp(s + _STEP)))
+            )
             further.append((moved - columns[:, own]) @ values[own] / _STEP)
         return np.column_stack([columns, *further])
 
@@ -245,19 +263,27 @@ class _Search:
         if self.last[0] != theta[count:].tobytes():
             columns = self.R[:, self.links :].copy()
             for (k, own, name), s in zip(self.places, theta[count:], strict=True):
-                columns[:, own] = self.columns(self.effects[k].reshaped(name, float(np.exp(s))))
+                columns[:, own] = self.columns(
+                    self.effects[k].reshaped(name, float(np.exp(s)))
+                )
             self.last = theta[count:].tobytes(), columns
         return theta[:count], self.last[1]
 
-    def _shapes(self, given: Array, x: Array, C: Array, before: float, after: float) -> Shapes:
+    def _shapes(
+        self, given: Array, x: Array, C: Array, before: float, after: float
+    ) -> Shapes:
         """The result of a descent to x with covariance C."""
         p = len(x) - len(given)
-        values, std = np.exp(x[p:]), np.sqrt(np.diag(C)[p:])
+        values = np.exp(x[p:])
+        std = np.sqrt(np.diag(C)[p:])
         # the part of the parameters' covariance that comes from that of the shapes
         root = np.linalg.cholesky(C[p:, p:])
         spread = scipy.linalg.solve_triangular(root, C[:p, p:].T, lower=True).T
-        effects, found = list(self.effects), []
-        for (k, _, name), old, new, s in zip(self.places, given, values, std, strict=True):
+        effects = list(self.effects)
+        found = []
+        for (k, _, name), old, new, s in zip(
+            self.places, given, values, std, strict=True
+        ):
             shape = effects[k].tuned
             assert shape is not None
             effects[k] = effects[k].reshaped(name, float(new))
@@ -282,7 +308,9 @@ def to_log_cholesky(phi: Array) -> Array:
     try:
         flip = np.linalg.cholesky(pseudo_inertia(phi)[::-1, ::-1])
     except np.linalg.LinAlgError:
-        raise BadInput("log-Cholesky: parameters that no body of positive density has") from None
+        raise BadInput(
+            "log-Cholesky: parameters that no body of positive density has"
+        ) from None
     U = flip[::-1, ::-1]  # upper triangular with U Uᵀ = P
     unit = U / U[3, 3]
     off = [unit[k] for k in _OFF]
@@ -318,9 +346,13 @@ class Descent:
         """
         lower = self.known.lower
         theta = np.where(theta > lower, theta, lower + 1e-3 * np.abs(self.known.std))
-        numbers = np.concatenate([*(to_log_cholesky(values) for values in bodies), theta])
+        numbers = np.concatenate(
+            [*(to_log_cholesky(values) for values in bodies), theta]
+        )
         bounds = np.concatenate([np.full(self.prior.bodies.size, -np.inf), lower])
-        with np.errstate(over="ignore", invalid="ignore"):  # steps too long are taken back
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # steps too long are taken back
             found = scipy.optimize.least_squares(
                 self.residual,
                 numbers,
@@ -340,7 +372,10 @@ class Descent:
     def objective(self, x: Array) -> float:
         """The objective at standard parameters and θ, shape (10 links + k,)."""
         return float(
-            (self._misfit(x[: self.prior.bodies.size], x[self.prior.bodies.size :]) ** 2).sum()
+            (
+                self._misfit(x[: self.prior.bodies.size], x[self.prior.bodies.size :])
+                ** 2
+            ).sum()
         )
 
     def residual(self, numbers: Array) -> Array:

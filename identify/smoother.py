@@ -68,7 +68,11 @@ def _low(gaps: Array) -> float:
 def _gaps(x: Array) -> Array:
     levels = np.unique(x[np.isfinite(x)])
     gaps = np.diff(levels)
-    return gaps[gaps > _ROUNDING * max(float(np.ptp(levels)), 1e-300)] if len(gaps) else gaps
+    return (
+        gaps[gaps > _ROUNDING * max(float(np.ptp(levels)), 1e-300)]
+        if len(gaps)
+        else gaps
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +119,14 @@ class SensorNoise:
         """From which frequency speeds count more than positions, joint by joint."""
         if not np.isfinite(self.speed).any():
             return "motion from positions alone: no speeds were recorded for all joints"
-        top, found = self.rate_hz / 2, dict(zip(joints, self.crossover_hz.tolist(), strict=True))
+        top = self.rate_hz / 2
+        found = dict(zip(joints, self.crossover_hz.tolist(), strict=True))
         both = ", ".join(f"{joint} {f:.3g}" for joint, f in found.items() if f < top)
         never = ", ".join(joint for joint, f in found.items() if f >= top)
         told = [f"speeds count more above [Hz] {both}"] * bool(both)
         told += [f"positions count more at every frequency at {never}"] * bool(never)
-        return (
-            f"motion from positions and recorded speeds, weighed by their noise: {'; '.join(told)}"
-        )
+        shares = "; ".join(told)
+        return f"motion from positions and recorded speeds, weighed by their noise: {shares}"
 
     def speed_share(self, f: Array | float) -> Array:
         """Weight of speeds at frequencies [Hz], shape (..., nv); positions have the rest."""
@@ -151,14 +155,19 @@ def mean_noise(parts: Sequence[SensorNoise], samples: Sequence[int]) -> SensorNo
     """Noise of several parts of so many samples together, rms; the coarsest step."""
 
     def rms(values: list[Array]) -> Array:
-        return np.asarray(np.sqrt(np.average(np.square(values), axis=0, weights=samples)), float)
+        return np.asarray(
+            np.sqrt(np.average(np.square(values), axis=0, weights=samples)), float
+        )
 
-    position, speed = rms([part.position for part in parts]), rms([part.speed for part in parts])
+    position = rms([part.position for part in parts])
+    speed = rms([part.speed for part in parts])
     step = np.max([part.step for part in parts], axis=0)
     return SensorNoise(min(part.rate_hz for part in parts), position, speed, step)
 
 
-def smoothed(t: Array, q: Array, dq: Array | None, band_hz: float) -> tuple[Array, SensorNoise]:
+def smoothed(
+    t: Array, q: Array, dq: Array | None, band_hz: float
+) -> tuple[Array, SensorNoise]:
     """Positions that measured speeds refine, and the noise of both.
 
     Args:
@@ -173,7 +182,8 @@ def smoothed(t: Array, q: Array, dq: Array | None, band_hz: float) -> tuple[Arra
     if dq is None:
         return q, SensorNoise(1 / period, least, np.full(q.shape[1], np.inf), step)
     way = scipy.interpolate.make_interp_spline(t, dq, k=3).antiderivative()(t)
-    found, levels = np.empty_like(q), np.empty((2, q.shape[1]))
+    found = np.empty_like(q)
+    levels = np.empty((2, q.shape[1]))
     least_of_speeds = _least(dq, np.array([resolution(x) for x in dq.T]), period)
     for j in range(q.shape[1]):
         known = np.column_stack([np.ones_like(t), t - t.mean(), way[:, j], dq[:, j]])
@@ -199,7 +209,8 @@ def _variances(steps: Array, period: float, band_hz: float) -> tuple[float, floa
     """Variances of a random walk per step and of white noise on it, from its differences (n,)."""
     f, power = power_density(steps, 1 / period, len(steps))
     band = (f > 1.5 * f[1]) & (f <= band_hz)  # the window smears the mean over two bins
-    power, size = power[band] / (2 * period), 4 * np.sin(np.pi * f[band] * period) ** 2
+    power = power[band] / (2 * period)
+    size = 4 * np.sin(np.pi * f[band] * period) ** 2
     power = np.maximum(power, np.finfo(float).tiny)
 
     def surprise(log_ratio: float) -> float:
@@ -208,7 +219,11 @@ def _variances(steps: Array, period: float, band_hz: float) -> tuple[float, floa
 
     k = int(np.argmin([surprise(x) for x in _RATIOS]))
     ends = _RATIOS[max(k - 1, 0)], _RATIOS[min(k + 1, len(_RATIOS) - 1)]
-    ratio = float(np.exp(scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded").x))
+    ratio = float(
+        np.exp(
+            scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded").x
+        )
+    )
     walk = float((power / (1 + ratio * size)).mean())
     return walk, ratio * walk
 

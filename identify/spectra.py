@@ -17,7 +17,9 @@ _TOGETHER = 60_000  # values filtered together: they fit into the processor's ca
 _FEW = 16  # rows in which most columns show that they are not zero
 
 
-def low_pass(values: Array, cutoff_hz: float, rate_hz: float, kept: slice = slice(None)) -> Array:
+def low_pass(
+    values: Array, cutoff_hz: float, rate_hz: float, kept: slice = slice(None)
+) -> Array:
     """Columns, shape (n, ...), through a Butterworth filter forward and backward along time.
 
     Beyond its ends a signal goes on as its mirror image in the point there (Gustafsson 1996), until
@@ -38,13 +40,15 @@ def _low_passed(values: Array, cutoff_hz: float, rate_hz: float, kept: slice) ->
     before = min(n - 1, int(_FORGOTTEN * rate_hz / cutoff_hz))
     size = scipy.fft.next_fast_len(n + 2 * before, real=True)
     after = min(n - 1, size - n - before)
-    size, inner = before + n + after, slice(before, before + n)
+    size = before + n + after
+    inner = slice(before, before + n)
     x = np.empty((values.shape[1], size))
     x[:, inner] = values.T
     x[:, :before] = 2 * x[:, before, None] - x[:, 2 * before : before : -1]
     end = before + n - 1
     x[:, end + 1 :] = 2 * x[:, end, None] - x[:, end - 1 : end - 1 - after : -1]
-    first, slope = x[:, :1].copy(), (x[:, -1:] - x[:, :1]) / max(size - 1, 1)
+    first = x[:, :1].copy()
+    slope = (x[:, -1:] - x[:, :1]) / max(size - 1, 1)
     along = np.arange(size)
     x -= first + slope * along  # a constant passes without rounding
     spectrum = scipy.fft.rfft(x, overwrite_x=True)
@@ -86,11 +90,15 @@ def power_density(values: Array, rate_hz: float, longest: int) -> tuple[Array, A
     under a Hann window (Welch 1967).
     """
     size = min(longest, len(values))
-    parts = np.lib.stride_tricks.sliding_window_view(values, size, axis=0)[:: size - size // 2]
+    parts = np.lib.stride_tricks.sliding_window_view(values, size, axis=0)[
+        :: size - size // 2
+    ]
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / size)
     windowed = window * (parts - parts.mean(axis=-1, keepdims=True))
     power = (np.abs(np.fft.rfft(windowed, axis=-1)) ** 2).mean(axis=0)
     power /= rate_hz * (window**2).sum()
-    power[..., 1 : (size + 1) // 2] *= 2  # negative frequencies; neither 0 nor the Nyquist one
+    power[..., 1 : (size + 1) // 2] *= (
+        2  # negative frequencies; neither 0 nor the Nyquist one
+    )
     f = np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), float)
     return f, np.moveaxis(power, -1, 0)

@@ -36,7 +36,10 @@ def analyze_section(result: Result, series: Series) -> p.Section:
         "Identifiability",
         lead,
         [
-            ("Key figures", [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")]),
+            (
+                "Key figures",
+                [_facts(result), p.notes(_basis(result)), p.notes(said, brief="")],
+            ),
             ("Data faults", [fault_table(result)]),
             ("Parameters by link", [_matrix(links)]),
             ("Singular values", [_singular(result)]),
@@ -57,7 +60,11 @@ def analyze_section(result: Result, series: Series) -> p.Section:
 def links_folded(found: p.Section, result: Result) -> p.Section:
     """A section whose links stand in one part, each behind a line until it is opened."""
     titles = {_title(link) for link in v.records(result, "links")}
-    folds = tuple(p.Folded(part.title, part.blocks) for part in found.parts if part.title in titles)
+    folds = tuple(
+        p.Folded(part.title, part.blocks)
+        for part in found.parts
+        if part.title in titles
+    )
     others = tuple(part for part in found.parts if part.title not in titles)
     one = p.Folded("Link by link", folds, closed=True)
     return replace(found, parts=(*others, *[one] * bool(folds)))
@@ -65,8 +72,11 @@ def links_folded(found: p.Section, result: Result) -> p.Section:
 
 def _lead_and_brief(result: Result) -> tuple[str, p.Brief]:
     links = v.records(result, "links")
-    unique, none = (sum(len(v.words(k, n)) for k in links) for n in ("unique", "unidentifiable"))
-    total, base = v.text(result, "standard_parameters"), v.text(result, "base_parameters")
+    unique, none = (
+        sum(len(v.words(k, n)) for k in links) for n in ("unique", "unidentifiable")
+    )
+    total = v.text(result, "standard_parameters")
+    base = v.text(result, "base_parameters")
     lead = "What torque can and cannot show of each link."
     if total and base:
         lead = (
@@ -77,7 +87,9 @@ def _lead_and_brief(result: Result) -> tuple[str, p.Brief]:
     lines = [("identifiable", f"{base} combinations of {total} parameters; {counts}")]
     verdicts = [v.text(row, "verdict") for row in v.records(result, "practical")]
     if weak := verdicts.count("hardly"):
-        lines.append(("", f"this motion hardly shows {weak} of {len(verdicts)} combinations"))
+        lines.append(
+            ("", f"this motion hardly shows {weak} of {len(verdicts)} combinations")
+        )
     elif verdicts and "not_shown" not in verdicts:
         better = v.real(result, "persistency", "shown")
         than = "" if better is None else f", {better:.0f} better than they were known"
@@ -86,26 +98,41 @@ def _lead_and_brief(result: Result) -> tuple[str, p.Brief]:
 
 
 def _facts(result: Result) -> p.Facts | None:
-    rows = [row for link in v.records(result, "links") for row in v.records(link, "parameters")]
+    rows = [
+        row
+        for link in v.records(result, "links")
+        for row in v.records(link, "parameters")
+    ]
     visible = [row for row in rows if v.text(row, "category") != "unidentifiable"]
     decided = sum(v.text(row, "decided_by") == "prior" for row in visible)
-    hidden = len(v.records(result, "not_shown")) if v.records(result, "practical") else None
+    hidden = (
+        len(v.records(result, "not_shown")) if v.records(result, "practical") else None
+    )
     keys = ("standard_parameters", "base_parameters", "condition_number")
     total, base, kappa = (v.real(result, key) for key in keys)
     of = f"of {v.whole(base)} base parameters"
     decisive = f"of {len(visible)} that torque contains, rather than by the data"
     judged = any(v.text(row, "decided_by") for row in rows)
     return p.facts(
-        p.fact("Parameters", total, v.whole, "of all links, and of their joints' effects"),
+        p.fact(
+            "Parameters", total, v.whole, "of all links, and of their joints' effects"
+        ),
         p.fact("Base parameters", base, v.whole, "identifiable combinations"),
         p.fact("Condition number", kappa, v.number, "with the given motion"),
-        p.fact("Not shown by this motion", hidden, v.whole, of, p.POOR if hidden else p.GOOD),
+        p.fact(
+            "Not shown by this motion",
+            hidden,
+            v.whole,
+            of,
+            p.POOR if hidden else p.GOOD,
+        ),
         p.fact("Decided by the prior", decided if judged else None, v.whole, decisive),
     )
 
 
 def _basis(result: Result) -> list[str]:
-    basis, near = v.text(result, "basis"), v.text(result, "structure", "marginal")
+    basis = v.text(result, "basis")
+    near = v.text(result, "structure", "marginal")
     holds = v.listing(v.words(result, "structure", "circumstances"), "", "; ")
     said = (
         f"Holds for: {holds}." * bool(holds),
@@ -116,7 +143,12 @@ def _basis(result: Result) -> list[str]:
 
 
 def _matrix(links: list[Result]) -> p.Matrix | None:
-    shared = {n for k in links for row in v.records(k, "combined") for n in v.words(row, "members")}
+    shared = {
+        n
+        for k in links
+        for row in v.records(k, "combined")
+        for n in v.words(row, "members")
+    }
 
     def shown_as(link: Result, symbol: str) -> str:
         names = {f"{v.text(link, 'link')}.{symbol}", symbol}
@@ -126,7 +158,10 @@ def _matrix(links: list[Result]) -> p.Matrix | None:
             return "none"
         return "combined" if names & shared else ""
 
-    rows = ((v.text(link, "link"), tuple(shown_as(link, s) for s in STANDARD)) for link in links)
+    rows = (
+        (v.text(link, "link"), tuple(shown_as(link, s) for s in STANDARD))
+        for link in links
+    )
     caption = (
         "Each link's ten parameters: mass m [kg], first moment mc [kg·m], inertia I [kg·m²] about "
         "the joint frame; links near the base show few of theirs because they move little."
@@ -139,7 +174,8 @@ def _singular(result: Result) -> p.Table | None:
     if v.text(result, "structure", "frames") != "dh":
         return None
     values = v.reals(result, "structure", "singular_values")
-    words, rank = v.words(result, "structure", "singular_vectors"), v.at(result, "base_parameters")
+    words = v.words(result, "structure", "singular_vectors")
+    rank = v.at(result, "base_parameters")
     rows = [
         {"k": k, "value": value, "vector": text, "seen": k <= rank}
         for k, (value, text) in enumerate(zip(values, words, strict=False), start=1)
@@ -149,7 +185,11 @@ def _singular(result: Result) -> p.Table | None:
         [
             ("number:No.", "k", v.whole),
             ("number:Singular value", "value"),
-            ("text:Torque", "seen", lambda seen: "shows it" if seen else "does not contain it"),
+            (
+                "text:Torque",
+                "seen",
+                lambda seen: "shows it" if seen else "does not contain it",
+            ),
             ("expression:Right singular vector, by its largest members", "vector"),
         ],
         "Of the columns of all parameters over random states, in units of the arm. A parameter is "
@@ -186,7 +226,9 @@ def _motion(result: Result, series: Series) -> p.Blocks:
 
 def _determined(row: Result) -> p.Cell:
     verdict = v.plain(v.text(row, "verdict"))
-    return p.Cell(verdict or NONE, _TONES.get(verdict, p.quality(v.real(row, "rel_std"))))
+    return p.Cell(
+        verdict or NONE, _TONES.get(verdict, p.quality(v.real(row, "rel_std")))
+    )
 
 
 def _weakest(result: Result) -> p.Table | None:
@@ -209,14 +251,18 @@ def _weakest(result: Result) -> p.Table | None:
 
 
 def _title(link: Result) -> str:
-    name, joint = v.text(link, "link"), v.text(link, "joint")
+    name = v.text(link, "link")
+    joint = v.text(link, "joint")
     return f"{name} at {joint}" if joint not in ("", name) else name
 
 
 def _link(result: Result, link: Result, place: str) -> p.Blocks:
-    inertial = [row for row in v.records(link, "parameters") if _symbol(row) in STANDARD]
+    inertial = [
+        row for row in v.records(link, "parameters") if _symbol(row) in STANDARD
+    ]
     unique, combined, none = (
-        sum(v.text(row, "category") == category for row in inertial) for category in _CATEGORY
+        sum(v.text(row, "category") == category for row in inertial)
+        for category in _CATEGORY
     )
     mass = next((v.at(row, "value") for row in inertial if _symbol(row) == "m"), None)
     where = place if mass is None else f"{place}, {v.quantity(mass, 'kg')}"
@@ -244,7 +290,10 @@ def _link(result: Result, link: Result, place: str) -> p.Blocks:
     seen: tuple[p.Column, ...] = (*p.estimates(), ("text:Determined", _determined))
     combinations = p.table(
         [{"expression": name, **known.get(name, {})} for name in names],
-        [("expression:Identifiable combination", "expression"), *(seen if known else ())],
+        [
+            ("expression:Identifiable combination", "expression"),
+            *(seen if known else ()),
+        ],
         "Torque depends on these sums alone, not on how they divide among their members.",
         p.folded(f"Its {len(names)} combinations", len(names), 1),
     )
@@ -279,7 +328,10 @@ def _parameters(link: Result) -> p.Table | None:
             ("name:Parameter", _symbol),
             *(p.estimates() if motion else (plain,)),
             ("text:Unit", "unit"),
-            ("text:Identifiable", lambda r: p.Cell(*_CATEGORY.get(v.text(r, "category"), (NONE,)))),
+            (
+                "text:Identifiable",
+                lambda r: p.Cell(*_CATEGORY.get(v.text(r, "category"), (NONE,))),
+            ),
             ("text:This motion determines it", _shown) if motion else None,
             ("number:Prior", "prior") if motion else None,
             ("number:Follows prior", "prior_influence") if influence else None,
@@ -293,6 +345,11 @@ def _shown(row: Result) -> p.Cell:
     if v.text(row, "category") != "unique":
         return p.Cell(NONE)
     word = v.plain(v.text(row, "verdict"))
-    value, std = v.real(row, "value"), v.real(row, "std_data")
-    share = f", ±{v.percent(std / abs(value))}" if value and std and word != "negligible" else ""
+    value = v.real(row, "value")
+    std = v.real(row, "std_data")
+    share = (
+        f", ±{v.percent(std / abs(value))}"
+        if value and std and word != "negligible"
+        else ""
+    )
     return p.Cell(word + share if word else NONE, _TONES.get(word, p.PLAIN))

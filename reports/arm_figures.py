@@ -15,7 +15,10 @@ from excitant.reports.page import Figure, Key, Panel
 from excitant.reports.values import Result, Series
 from excitant.robots.motion import Array
 
-_FILLS = (("#c3dcec", "#7fb0cf"), ("#e3e7ea", "#aab2b8"))  # by turns, so that neighbours differ
+_FILLS = (
+    ("#c3dcec", "#7fb0cf"),
+    ("#e3e7ea", "#aab2b8"),
+)  # by turns, so that neighbours differ
 _BASE = ("#8a9299", draw.MEASURED)
 _ROUND = np.linspace(0, 2 * np.pi, 33)
 _CIRCLE = np.column_stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)])
@@ -26,7 +29,8 @@ _EDGES_OF_BLOCK = [(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k 
 _AXIS = 0.13  # of the picture: length of a joint's axis
 _TOGETHER = 0.09  # of the picture: joints nearer than this share a label
 _MARGIN = 1.35  # of the arm's reach: what is shown of large obstacles
-_ON_EDGE = 0.02  # of the whole extent: below it there is nothing to see in that direction
+# of the whole extent: below it there is nothing to see in that direction
+_ON_EDGE = 0.02
 _HEIGHT = 3.3  # inch
 _SAMPLES = 400  # drawn of a path
 
@@ -59,8 +63,12 @@ def _oblique(azimuth: float, elevation: float) -> Array:
     return np.array([right, np.cross(eye, right), eye])
 
 
-_SIDE = _View("from the side", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), ("x", "z"))
-_FRONT = _View("from the front", np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), ("y", "z"))
+_SIDE = _View(
+    "from the side", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), ("x", "z")
+)
+_FRONT = _View(
+    "from the front", np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), ("y", "z")
+)
 _ABOVE = _View("from above", np.eye(3), ("x", "y"))
 _CORNER = _View("obliquely", _oblique(-50.0, 22.0))
 
@@ -76,18 +84,25 @@ class _Arm:
     def outermost(self, view: _View) -> Array:
         """Points between which all of it lies in a view, shape (n, 3)."""
         sides = np.vstack([view.screen[:2], -view.screen[:2]])
-        ends, radii = self.solids[:, 1:7].reshape(-1, 2, 1, 3), self.solids[:, 7]
-        return np.vstack([self.points, (ends + radii[:, None, None, None] * sides).reshape(-1, 3)])
+        ends = self.solids[:, 1:7].reshape(-1, 2, 1, 3)
+        radii = self.solids[:, 7]
+        return np.vstack(
+            [self.points, (ends + radii[:, None, None, None] * sides).reshape(-1, 3)]
+        )
 
 
 def arm_figure(series: Series) -> Figure | None:
     """The arm at zero from the two sides that show most, and bent; None without data."""
-    zero, bent = _arm(series, "zero"), _arm(series, "bent")
+    zero = _arm(series, "zero")
+    bent = _arm(series, "bent")
     if zero is None:
         return None
     views = [_SIDE, _FRONT, _ABOVE]
     views.remove(
-        min(views, key=lambda x: np.prod(np.ptp(zero.outermost(x) @ x.screen[:2].T, axis=0)))
+        min(
+            views,
+            key=lambda x: np.prod(np.ptp(zero.outermost(x) @ x.screen[:2].T, axis=0)),
+        )
     )
     panels = [_arm_panel(zero, view, f"at zero, {view.name}") for view in views]
     if bent is not None:
@@ -107,12 +122,18 @@ def arm_figure(series: Series) -> Figure | None:
 
 
 def _arm(series: Series, name: str) -> _Arm | None:
-    points, directions = (v.array(series, f"{name}_{key}", None, 3) for key in ("points", "axes"))
+    points, directions = (
+        v.array(series, f"{name}_{key}", None, 3) for key in ("points", "axes")
+    )
     solids = np.asarray(series.get(f"{name}_solids", np.empty((0, 8))), dtype=float)
     if points is None or directions is None or len(points) != len(directions) + 2:
         return None
     parts = (points, directions, solids)
-    known = solids.ndim == 2 and solids.shape[1] == 8 and all(np.isfinite(x).all() for x in parts)
+    known = (
+        solids.ndim == 2
+        and solids.shape[1] == 8
+        and all(np.isfinite(x).all() for x in parts)
+    )
     return _Arm(*parts) if known else None
 
 
@@ -120,14 +141,19 @@ def _arm_panel(arm: _Arm, view: _View, title: str) -> Panel:
     ax, size = view.axes(arm.outermost(view), 1.14)
     depth = arm.solids[:, 1:7].reshape(-1, 2, 3).mean(axis=1) @ view.screen[2]
     for order, solid in enumerate(arm.solids[np.argsort(depth)]):
-        joint, outline = int(solid[0]), _outline(solid[1:7].reshape(2, 3) @ view.screen.T, solid[7])
+        joint = int(solid[0])
+        outline = _outline(solid[1:7].reshape(2, 3) @ view.screen.T, solid[7])
         fill, edge = _FILLS[joint % 2] if joint else _BASE
-        ax.fill(*outline.T, facecolor=fill, edgecolor=edge, lw=0.7, zorder=1 + 0.001 * order)
+        ax.fill(
+            *outline.T, facecolor=fill, edgecolor=edge, lw=0.7, zorder=1 + 0.001 * order
+        )
     flat = arm.points @ view.screen[:2].T
     ax.plot(*flat.T, color=draw.MEASURED, lw=1.4, solid_joinstyle="round", zorder=3)
     for centre, axis in zip(flat[1:-1], arm.axes @ view.screen.T, strict=True):
         _draw_axis(ax, centre, axis, size)
-    ax.plot(*flat[1:-1].T, "o", ms=4.0, mec=draw.MEASURED, mfc="white", mew=1.0, zorder=5)
+    ax.plot(
+        *flat[1:-1].T, "o", ms=4.0, mec=draw.MEASURED, mfc="white", mew=1.0, zorder=5
+    )
     ax.plot(*flat[-1], "o", ms=4.0, color=draw.FITTED, zorder=5)
     _number_joints(ax, flat[1:-1], _TOGETHER * size)
     return draw.panel(ax, f"the arm with {len(arm.axes)} joints {title}", title)
@@ -156,7 +182,9 @@ def _draw_axis(ax: Any, centre: Array, axis: Array, size: float) -> None:
         return
     look = {"arrowstyle": "-|>", "color": draw.GIVEN, "lw": 1.1, "mutation_scale": 7}
     tip = centre + _AXIS * size * axis[:2]
-    ax.annotate("", tip, centre, zorder=4, arrowprops={**look, "shrinkA": 0, "shrinkB": 0})
+    ax.annotate(
+        "", tip, centre, zorder=4, arrowprops={**look, "shrinkA": 0, "shrinkB": 0}
+    )
 
 
 def _number_joints(ax: draw.Axes, points: Array, near: float) -> None:
@@ -169,10 +197,17 @@ def _number_joints(ax: draw.Axes, points: Array, near: float) -> None:
             groups.append(group := [])
         group.append(k)
     paper = {"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": 0.75}
-    look: Any = {"textcoords": "offset points", "fontsize": 8.5, "color": "#111111", "bbox": paper}
+    look: Any = {
+        "textcoords": "offset points",
+        "fontsize": 8.5,
+        "color": "#111111",
+        "bbox": paper,
+    }
     for group in groups:
         x, y = points[group].mean(axis=0)
-        ax.annotate(",".join(str(k + 1) for k in group), (x, y), (6, 6), zorder=6, **look)
+        ax.annotate(
+            ",".join(str(k + 1) for k in group), (x, y), (6, 6), zorder=6, **look
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,14 +221,16 @@ class Solid:
 
 def space_figure(result: Result, series: Series) -> Figure | None:
     """The tool's path with poses of the arm, obliquely and from the sides not seen on edge."""
-    tool, arm = v.array(series, "tool", None, 3), v.array(series, "arm", None, None, 3)
+    tool = v.array(series, "tool", None, 3)
+    arm = v.array(series, "arm", None, None, 3)
     if tool is None or not np.isfinite(tool).all():
         return None
     arm = np.empty((0, 1, 3)) if arm is None else arm
     others = v.array(series, "other_tools", None, None, 3)
     paths = (tool, *(() if others is None else np.swapaxes(others, 0, 1)))
     box = _box([*paths, arm.reshape(-1, 3), np.zeros((1, 3))])
-    centre, reach = box.mean(axis=0), _MARGIN * float(np.linalg.norm(box[1] - box[0])) / 2
+    centre = box.mean(axis=0)
+    reach = _MARGIN * float(np.linalg.norm(box[1] - box[0])) / 2
     obstacles = v.records(result, "obstacles")
     # half-spaces have no end of their own: they are drawn beside all the rest
     bounded = [o for o in obstacles if v.text(o, "shape") != "half_space"]
@@ -201,11 +238,15 @@ def space_figure(result: Result, series: Series) -> Figure | None:
         found = [solid_of(obstacle, centre, reach, *box) for obstacle in drawn]
         solids = [solid for solid in found if solid is not None]
         box = _box([box, *(edge for solid in solids for edge in solid.edges)])
-    when, t = v.real(result, "closest", "t"), v.array(series, "arm_t", len(arm))
+    when = v.real(result, "closest", "t")
+    t = v.array(series, "arm_t", len(arm))
     near = None  # the pose at the instant of least clearance
     if when is not None and t is not None and np.abs(t - when).min() < 0.05:
         near = int(np.abs(t - when).argmin())
-    seen = [(v.text(o, "name"), s is not None) for o, s in zip(obstacles, found, strict=True)]
+    seen = [
+        (v.text(o, "name"), s is not None)
+        for o, s in zip(obstacles, found, strict=True)
+    ]
     names = [name for name, shown in seen if shown]
     label = f"path of the tool with {len(arm)} poses of the arm"
     label += f" and obstacles {v.listing(names)}" if names else ""
@@ -221,8 +262,10 @@ def space_figure(result: Result, series: Series) -> Figure | None:
     inside = [solid.inside for solid in solids]
     legend = (
         Key("line", draw.FITTED, "path of the tool"),
-        *[Key("line", draw.LIGHT, "arm at some instants")] * (len(arm) > (near is not None)),
-        *[Key("line", draw.MEASURED, "arm where the clearance is least")] * (near is not None),
+        *[Key("line", draw.LIGHT, "arm at some instants")]
+        * (len(arm) > (near is not None)),
+        *[Key("line", draw.MEASURED, "arm where the clearance is least")]
+        * (near is not None),
         *[Key("dash", draw.GREEN, "workspace of the tool")] * any(inside),
         *[Key("box", draw.AMBER, "obstacle")] * (not all(inside)),
     )
@@ -231,24 +274,49 @@ def space_figure(result: Result, series: Series) -> Figure | None:
 
 
 def _draw_cell(
-    ax: Any, view: _View, paths: Sequence[Array], arm: Array, near: int | None, solids: list[Solid]
+    ax: Any,
+    view: _View,
+    paths: Sequence[Array],
+    arm: Array,
+    near: int | None,
+    solids: list[Solid],
 ) -> None:
     from matplotlib.collections import PolyCollection
 
     flat = view.screen[:2].T
     for solid in solids:
         polygons = [face @ flat for face in solid.faces]
-        ax.add_collection(PolyCollection(polygons, facecolor=draw.AMBER, alpha=0.13, lw=0))
-        colour, stroke = (draw.GREEN, (0, (5, 3))) if solid.inside else (draw.AMBER, "-")
+        ax.add_collection(
+            PolyCollection(polygons, facecolor=draw.AMBER, alpha=0.13, lw=0)
+        )
+        colour, stroke = (
+            (draw.GREEN, (0, (5, 3))) if solid.inside else (draw.AMBER, "-")
+        )
         for edge in solid.edges:
             ax.plot(*(edge @ flat).T, lw=0.9, color=colour, ls=stroke)
     for k, pose in enumerate(arm):
         colour, width = (draw.MEASURED, 2.0) if k == near else (draw.LIGHT, 1.6)
-        ax.plot(*(pose @ flat).T, "o-", ms=2.6, color=colour, lw=width, solid_joinstyle="round")
+        ax.plot(
+            *(pose @ flat).T,
+            "o-",
+            ms=2.6,
+            color=colour,
+            lw=width,
+            solid_joinstyle="round",
+        )
     for path in paths:
-        keep = np.linspace(0, len(path) - 1, min(len(path), _SAMPLES)).round().astype(int)
+        keep = (
+            np.linspace(0, len(path) - 1, min(len(path), _SAMPLES)).round().astype(int)
+        )
         ax.plot(*(path[keep] @ flat).T, color=draw.FITTED, lw=1.3)
-        ax.plot(*(path[:1] @ flat).T, marker="o", ms=5, mfc="white", mec=draw.FITTED, ls="none")
+        ax.plot(
+            *(path[:1] @ flat).T,
+            marker="o",
+            ms=5,
+            mfc="white",
+            mec=draw.FITTED,
+            ls="none",
+        )
 
 
 def _box(points: Sequence[Array]) -> Array:
@@ -258,7 +326,9 @@ def _box(points: Sequence[Array]) -> Array:
 
 def _draw_base(ax: Any, view: _View, extent: float) -> None:
     """The axes of the base frame with their length, round and at most a third of the extent."""
-    length = max(x for x in np.outer(10.0 ** np.arange(-6, 4), [1, 2, 5]).flat if 3 * x <= extent)
+    length = max(
+        x for x in np.outer(10.0 ** np.arange(-6, 4), [1, 2, 5]).flat if 3 * x <= extent
+    )
     for name, tip in zip("xyz", length * view.screen[:2].T, strict=True):
         ax.plot([0, tip[0]], [0, tip[1]], color="#222222", lw=1.2, zorder=4)
         ax.text(*(1.12 * tip), name, ha="center", va="center", fontsize=8, zorder=4)
@@ -266,17 +336,22 @@ def _draw_base(ax: Any, view: _View, extent: float) -> None:
 
 
 def _caption(result: Result, paths: Sequence[Array], hidden: list[str]) -> str:
-    span = " and ".join(" × ".join(f"{x:.2f}" for x in np.ptp(path, axis=0)) for path in paths)
+    span = " and ".join(
+        " × ".join(f"{x:.2f}" for x in np.ptp(path, axis=0)) for path in paths
+    )
     tools = "tool" if len(paths) == 1 else "tools"
     sentence = f"One period of the {tools} in the base frame, a space of {span}\u00a0m"
-    distance, bodies = v.real(result, "closest", "distance_m"), v.words(result, "closest", "bodies")
+    distance = v.real(result, "closest", "distance_m")
+    bodies = v.words(result, "closest", "bodies")
     if distance is not None and len(bodies) == 2:
         sentence += (
             f"; the closest bodies are {bodies[0]} and {bodies[1]}, "
             f"{v.quantity(1000 * distance, 'mm')} apart "
             f"in the sampled pose at {v.quantity(v.at(result, 'closest', 't'), 's')}"
         )
-    outside = f" Not in the picture, farther away: {v.listing(hidden)}." if hidden else ""
+    outside = (
+        f" Not in the picture, farther away: {v.listing(hidden)}." if hidden else ""
+    )
     return f"{sentence}.{outside}"
 
 
@@ -290,15 +365,14 @@ def solid_of(
         values = v.reals(obstacle, key)
         return values if values.shape == (3,) and np.isfinite(values).all() else default
 
-    position, radius = vector("position"), v.real(obstacle, "radius")
+    position = vector("position")
+    radius = v.real(obstacle, "radius")
     match v.text(obstacle, "shape"):
         case "box" if (size := vector("size")) is not None and position is not None:
             R = pin.rpy.rpyToMatrix(vector("rpy", np.zeros(3)))
             middle = R.T @ (centre - position)
-            first, last = (
-                np.maximum(-size / 2, middle - reach),
-                np.minimum(size / 2, middle + reach),
-            )
+            first = np.maximum(-size / 2, middle - reach)
+            last = np.minimum(size / 2, middle + reach)
             return None if (first >= last).any() else _block(first, last, R, position)
         case "workspace" if (first := vector("low")) is not None and (
             last := vector("high")
@@ -306,9 +380,14 @@ def solid_of(
             ends = np.maximum(first, centre - reach), np.minimum(last, centre + reach)
             return Solid((), _block(*ends, np.eye(3), np.zeros(3)).edges, inside=True)
         case "sphere" if radius is not None and position is not None:
-            if radius > reach or float(np.linalg.norm(position - centre)) > reach + radius:
+            if (
+                radius > reach
+                or float(np.linalg.norm(position - centre)) > reach + radius
+            ):
                 return None
-            circles = tuple(position + radius * np.roll(_CIRCLE, k, axis=1) for k in range(3))
+            circles = tuple(
+                position + radius * np.roll(_CIRCLE, k, axis=1) for k in range(3)
+            )
             return Solid(circles, circles)
         case "half_space" if (normal := vector("normal")) is not None and normal.any():
             return _plane(normal, v.real(obstacle, "offset"), low, high, reach)
@@ -325,7 +404,8 @@ def _plane(
 ) -> Solid | None:
     if offset is None:
         return None
-    n, d = normal / np.linalg.norm(normal), offset / float(np.linalg.norm(normal))
+    n = normal / np.linalg.norm(normal)
+    d = offset / float(np.linalg.norm(normal))
     corners = np.array(list(product(*zip(low, high, strict=True))))
     gap = corners @ n - d
     if min(abs(gap.min()), abs(gap.max())) > reach and gap.min() * gap.max() > 0:
@@ -333,6 +413,10 @@ def _plane(
     u = np.cross(n, np.eye(3)[int(np.abs(n).argmin())])
     u /= np.linalg.norm(u)
     w = np.cross(n, u)
-    (a, b), (e, f) = (((corners @ side).min(), (corners @ side).max()) for side in (u, w))
-    loop = np.array([d * n + x * u + y * w for x, y in ((a, e), (a, f), (b, f), (b, e))])
+    (a, b), (e, f) = (
+        ((corners @ side).min(), (corners @ side).max()) for side in (u, w)
+    )
+    loop = np.array(
+        [d * n + x * u + y * w for x, y in ((a, e), (a, f), (b, f), (b, e))]
+    )
     return Solid((loop,), (np.vstack([loop, loop[:1]]),))

@@ -22,12 +22,18 @@ from excitant.reports.player import FULL, moments, player
 from excitant.reports.values import NONE, Result, Series
 
 _CRITERIA = {
-    "condition": ("condition number", "least ratio of the extreme singular values of W"),
+    "condition": (
+        "condition number",
+        "least ratio of the extreme singular values of W",
+    ),
     "d": ("D-optimal", "least volume of uncertainty: greatest determinant of WᵀW"),
     "a": ("A-optimal", "least mean variance: least trace of (WᵀW)⁻¹"),
     "e": ("E-optimal", "greatest least singular value of W"),
 }
-_COLUMNS = {"friction": "of links, friction, offsets and rotors", "inertial": "of the links only"}
+_COLUMNS = {
+    "friction": "of links, friction, offsets and rotors",
+    "inertial": "of the links only",
+}
 
 
 def design_section(result: Result, series: Series) -> p.Section:
@@ -71,7 +77,8 @@ def excitation_sentence(result: Result) -> list[str]:
 
 def check_section(result: Result, series: Series) -> p.Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
-    kappa, said = v.at(result, "condition_number"), v.words(result, "verdicts")
+    kappa = v.at(result, "condition_number")
+    said = v.words(result, "verdicts")
     _, limits, tone = _kept(result)
     key_figures = p.facts(
         p.Fact("Limits", limits, "", tone),
@@ -94,7 +101,10 @@ def check_section(result: Result, series: Series) -> p.Section:
                 ("", verdict) if k else ("checked", verdict + _unchecked(result))
                 for k, verdict in enumerate(said)
             ),
-            ("", f"condition number {v.number(kappa)} ({v.text(result, 'columns')} columns)"),
+            (
+                "",
+                f"condition number {v.number(kappa)} ({v.text(result, 'columns')} columns)",
+            ),
             *[("", found) for found in _shown(result)],
         ),
     )
@@ -109,7 +119,10 @@ def show_section(result: Result, series: Series) -> p.Section:
         _kept_sentence(result),
         [
             ("The arm in motion", [player(result, series)]),
-            ("Verdicts", [p.notes([v.sentence(each) for each in v.words(result, "verdicts")])]),
+            (
+                "Verdicts",
+                [p.notes([v.sentence(each) for each in v.words(result, "verdicts")])],
+            ),
         ],
         (("checked", said + _unchecked(result)), *touched),
     )
@@ -124,17 +137,20 @@ def _kept(result: Result) -> tuple[str, str, str]:
 
 
 def _kept_sentence(result: Result) -> str:
-    name, robot = v.text(result, "trajectory"), v.text(result, "robot")
+    name = v.text(result, "trajectory")
+    robot = v.text(result, "robot")
     keeps = f"{name or 'The trajectory'} {_kept(result)[0]}"
     return f"{keeps} of {robot or 'the arm'}{_unchecked(result)}."
 
 
 def _shown(result: Result) -> list[str]:
     found = v.at(result, "persistency")
-    shown, of = v.real(found, "shown"), v.real(found, "combinations")
+    shown = v.real(found, "shown")
+    of = v.real(found, "combinations")
     if shown is None or of is None:
         return []
-    windows, length = v.real(found, "windows") or 1, v.quantity(v.at(found, "window_s"), "s")
+    windows = v.real(found, "windows") or 1
+    length = v.quantity(v.at(found, "window_s"), "s")
     over = f" in every window of {length}" if windows > 1 else ""
     return [f"shows {shown:.0f} of {of:.0f} combinations{over}"]
 
@@ -146,12 +162,18 @@ def _unchecked(result: Result) -> str:
 
 def rehearse_section(result: Result, series: Series) -> p.Section:
     """Whether a motion suffices, requirement by requirement."""
-    rows, passed = v.records(result, "items"), v.at(result, "passed") is True
-    headline, hidden = v.text(result, "headline"), v.plain(v.text(result, "effect", "effect"))
+    rows = v.records(result, "items")
+    passed = v.at(result, "passed") is True
+    headline = v.text(result, "headline")
+    hidden = v.plain(v.text(result, "effect", "effect"))
     met = sum(_met(row) for row in rows)
-    known = [r for r in rows if None not in (v.real(r, "planted"), v.real(r, "recovered"))]
+    known = [
+        r for r in rows if None not in (v.real(r, "planted"), v.real(r, "recovered"))
+    ]
     key_figures = p.facts(
-        p.Fact("Verdict", "go" if passed else "no go", "", p.GOOD if passed else p.POOR),
+        p.Fact(
+            "Verdict", "go" if passed else "no go", "", p.GOOD if passed else p.POOR
+        ),
         p.Fact("Requirements met", f"{met} of {len(rows)}", number=met),
         _duration(result),
         p.Fact("Planted change", hidden, v.text(result, "effect", "joint")),
@@ -191,7 +213,10 @@ def rehearse_section(result: Result, series: Series) -> p.Section:
         v.sentence(headline),
         [
             ("Key figures", [key_figures]),
-            ("What to change", [p.notes(v.words(result, "advice"), p.FAIR, brief="to change")]),
+            (
+                "What to change",
+                [p.notes(v.words(result, "advice"), p.FAIR, brief="to change")],
+            ),
             ("Requirements", [requirements]),
             ("Planted and recovered", [recovered]),
             ("Tracking by each model", _tracking(result, series)),
@@ -205,7 +230,11 @@ def _closer(result: Result) -> p.Brief:
     """How much closer the arm follows by the identified model, and by the extended one later."""
     said = []
     for when, model in (("before", "identified"), ("after", "extended")):
-        times = [x for row in v.records(result, "tracking", when) if (x := v.real(row, "ratio"))]
+        times = [
+            x
+            for row in v.records(result, "tracking", when)
+            if (x := v.real(row, "ratio"))
+        ]
         if times:
             ends = dict.fromkeys(v.number(each, 2) for each in (min(times), max(times)))
             said.append(f"{' to '.join(ends)} times less with the {model} model")
@@ -223,7 +252,11 @@ def _tracking(result: Result, series: Series) -> p.Blocks:
     def error(*keys: str) -> Callable[[Result], p.Cell]:
         def cell(row: Result) -> p.Cell:
             size = v.real(row, *keys)
-            shown = NONE if size is None else v.quantity(1e3 * size, f"m{v.text(row, 'unit')}")
+            shown = (
+                NONE
+                if size is None
+                else v.quantity(1e3 * size, f"m{v.text(row, 'unit')}")
+            )
             return p.Cell(shown, value=size)
 
         return cell
@@ -231,7 +264,9 @@ def _tracking(result: Result, series: Series) -> p.Blocks:
     def closer(*keys: str) -> Callable[[Result], p.Cell]:
         def cell(row: Result) -> p.Cell:
             times = v.real(row, *keys)
-            return _verdict((times or 0.0) > 1, f"{v.number(times)} times", v.number(times))
+            return _verdict(
+                (times or 0.0) > 1, f"{v.number(times)} times", v.number(times)
+            )
 
         return cell
 
@@ -265,7 +300,8 @@ def _verdict(holds: bool, yes: str, no: str) -> p.Cell:
 
 
 def _error(row: Result) -> p.Cell:
-    planted, value = v.real(row, "planted") or 0.0, v.real(row, "value") or 0.0
+    planted = v.real(row, "planted") or 0.0
+    value = v.real(row, "value") or 0.0
     error = (value - planted) / abs(planted) if planted else None
     return p.Cell(v.percent(error), p.GOOD if _met(row) else p.POOR, error)
 
@@ -281,17 +317,23 @@ def _motion(result: Result, series: Series) -> p.Parts:
 
 def _ends(result: Result, which: str = "") -> list[float | None]:
     """The condition number before and after the search, of W or of W with scaled columns."""
-    return [v.real(result, f"condition_number{which}", key) for key in ("initial", "final")]
+    return [
+        v.real(result, f"condition_number{which}", key) for key in ("initial", "final")
+    ]
 
 
 def _lead(result: Result) -> str:
     initial, final = _ends(result)
-    duration, stages = v.real(result, "duration"), v.records(result, "link_by_link", "stages")
+    duration = v.real(result, "duration")
+    stages = v.records(result, "link_by_link", "stages")
     if final is None:
         return f"A motion was designed for {v.text(result, 'robot') or 'the arm'}."
-    motion = "The motion" if duration is None else f"A motion of {v.quantity(duration, 's')}"
+    motion = (
+        "The motion" if duration is None else f"A motion of {v.quantity(duration, 's')}"
+    )
     motion += _split(result, ", {} periods of {},")
-    worst, holds = _worst_ratio(result), ""
+    worst = _worst_ratio(result)
+    holds = ""
     if worst is not None:
         used = share_of_limit(worst)
         holds = f" Limits are exceeded: {used} of one is used{_unchecked(result)}."
@@ -303,47 +345,69 @@ def _lead(result: Result) -> str:
             f"{len(stages)} motions, one per link, of {v.quantity(duration, 's')} in all, reach "
             f"{reached} or less each (1 would be best).{holds}"
         )
-    before = "" if initial is None else f", {v.number(initial)} at the start of the search"
+    before = (
+        "" if initial is None else f", {v.number(initial)} at the start of the search"
+    )
     return f"{motion} reaches {reached}{before} (1 would be best).{holds}"
 
 
 def _facts(result: Result) -> p.Facts | None:
     stages = v.records(result, "link_by_link", "stages")
     bound = v.real(result, "condition_number", "lower_bound")
-    kappa, scaled = _ends(result), _ends(result, "_scaled")
-    said = f"the worst of {len(stages)} links" if stages else f"from {v.number(kappa[0])}"
+    kappa = _ends(result)
+    scaled = _ends(result, "_scaled")
+    said = (
+        f"the worst of {len(stages)} links" if stages else f"from {v.number(kappa[0])}"
+    )
     said += "" if bound is None else f"; no motion below {v.number(bound)}"
     since = "" if scaled[0] is None else f"from {v.number(scaled[0])}; "
     unit_length = f"{since}columns of W at unit length"
     criterion = v.text(result, "criterion")
     name, meaning = _CRITERIA.get(criterion, (v.plain(criterion), ""))
-    starts, iterations = len(v.records(result, "starts")), v.real(result, "iterations")
+    starts = len(v.records(result, "starts"))
+    iterations = v.real(result, "iterations")
     effort = [f"{starts} starts"] * bool(starts)
     effort += [] if iterations is None else [f"{iterations:.0f} iterations"]
     return p.facts(
         p.fact("Condition number", kappa[1], v.number, said),
         p.fact("Condition number, scaled", scaled[1], v.number, unit_length),
         _duration(result),
-        p.fact("Base parameters", v.at(result, "base_parameters"), v.whole, _columns(result)),
+        p.fact(
+            "Base parameters",
+            v.at(result, "base_parameters"),
+            v.whole,
+            _columns(result),
+        ),
         p.Fact("Criterion", name, meaning),
         _clearance(result),
-        p.Fact("Search", v.quantity(v.at(result, "wall_s"), "s"), ", ".join(effort), timing=True),
+        p.Fact(
+            "Search",
+            v.quantity(v.at(result, "wall_s"), "s"),
+            ", ".join(effort),
+            timing=True,
+        ),
     )
 
 
 def _duration(result: Result) -> p.Fact:
-    count, duration = v.real(result, "harmonics"), v.real(result, "duration")
+    count = v.real(result, "harmonics")
+    duration = v.real(result, "duration")
     series = ""
     if count is not None:
-        spline = v.text(result, "series") == "spline"  # twice as many pieces as harmonics
-        series = f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
+        spline = (
+            v.text(result, "series") == "spline"
+        )  # twice as many pieces as harmonics
+        series = (
+            f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
+        )
     series = _split(result, "{} periods of {}, ") + series
     return p.fact("Duration", duration, v.unit_of("s"), series)
 
 
 def _split(result: Result, words: str) -> str:
     """Number and length of the periods of a motion in words, if it has more than one."""
-    duration, count = v.real(result, "duration"), v.real(result, "periods") or 1.0
+    duration = v.real(result, "duration")
+    count = v.real(result, "periods") or 1.0
     if duration is None or count == 1:
         return ""
     return words.format(f"{count:.0f}", v.quantity(duration / count, "s"))
@@ -355,7 +419,10 @@ def _clearance(result: Result) -> p.Fact:
     height = "".join(f"floor at {v.quantity(v.at(r, 'offset'), 'm')}, " for r in floors)
     remark = f"to {height}obstacles and itself, between samples too"
     return p.fact(
-        "Clearance", distance, lambda d: f"≥ {v.quantity(1e3 * d, 'mm')}" if d else "", remark
+        "Clearance",
+        distance,
+        lambda d: f"≥ {v.quantity(1e3 * d, 'mm')}" if d else "",
+        remark,
     )
 
 
@@ -369,18 +436,22 @@ def _worst(result: Result) -> list[Result]:
     limits = v.at(result, "limits")
     rows: list[Result] = []
     for quantity in limits if isinstance(limits, Mapping) else ():
-        ratio, where = v.real(limits, quantity), v.at(result, "worst", quantity)
+        ratio = v.real(limits, quantity)
+        where = v.at(result, "worst", quantity)
         ratio = None if ratio == 0 and where is None else ratio
         rows.append({"t": None, **(where or {}), "quantity": quantity, "ratio": ratio})
     return rows
 
 
 def _worst_ratio(result: Result) -> float | None:
-    return max((x for row in _worst(result) if (x := row["ratio"]) is not None), default=None)
+    return max(
+        (x for row in _worst(result) if (x := row["ratio"]) is not None), default=None
+    )
 
 
 def _limits(result: Result) -> p.Blocks:
-    names, certified = v.joint_names(result), v.at(result, "certified")
+    names = v.joint_names(result)
+    certified = v.at(result, "certified")
 
     def joint(row: Result) -> str:
         where = v.at(row, "joint")
@@ -414,7 +485,10 @@ def _limits(result: Result) -> p.Blocks:
         rows if quantities else [],
         [
             ("name:Joint", "joint"),
-            *((f"number:{v.plain(q).capitalize()}", q, share_of_limit) for q in quantities),
+            *(
+                (f"number:{v.plain(q).capitalize()}", q, share_of_limit)
+                for q in quantities
+            ),
         ],
         "Certified share of every joint's limit: a limit used to 100 % bounds what the motion can "
         "show; a dash means no limit.",

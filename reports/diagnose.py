@@ -21,7 +21,15 @@ from excitant.reports.identify import CUTOFF_REMARK, fault_table
 from excitant.reports.values import NONE, Result, Series
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
-_QUANTITIES = ("constant", "direction", "velocity", "position", "load", "reversal", "time")
+_QUANTITIES = (
+    "constant",
+    "direction",
+    "velocity",
+    "position",
+    "load",
+    "reversal",
+    "time",
+)
 _MEANING = (
     "Constant: offset. Direction of motion: dry friction. Velocity: viscous friction. Position: "
     "springs, ripple. Load: gain, load-dependent friction. Distance since the last reversal: "
@@ -48,27 +56,43 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
     """The diagnosis: faults, findings in order of importance with evidence, what stays open."""
     unit = v.text(result, "unit") or "N·m"
     joints = [v.text(row, "name") for row in _pairs(result)]
-    findings, changed = v.records(result, "findings"), _changed(result)
+    findings = v.records(result, "findings")
+    changed = _changed(result)
     lead = v.text(result, "headline")
-    said = [v.sentence(note) for note in v.words(result, "notes") if note and note not in lead]
+    said = [
+        v.sentence(note)
+        for note in v.words(result, "notes")
+        if note and note not in lead
+    ]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
-    wrong = "What is wrong with the given model" if findings else "Error of the given model"
+    wrong = (
+        "What is wrong with the given model" if findings else "Error of the given model"
+    )
     shares = [_shares(result, left, unit) for left in (False, True)[: 1 + changed]]
     first, others = _finding_parts(findings, series, unit)
     return p.section(
         "Diagnosis",
         lead,
         [
-            ("Key figures", [_facts(result), fault_table(result), *_findings(findings, unit)]),
+            (
+                "Key figures",
+                [_facts(result), fault_table(result), *_findings(findings, unit)],
+            ),
             (wrong, [*shares, *_refit(result, unit), *_forward(result, changed)]),
             *first,
         ],
         (("diagnosed", lead), *_told(findings)),
         [
             ("Further findings", others),
-            ("Error step by step", [partial(waterfall_figure, result) if changed else None]),
+            (
+                "Error step by step",
+                [partial(waterfall_figure, result) if changed else None],
+            ),
             ("Error per joint", _errors(result, unit, changed)),
-            (over_holdout(unit), [partial(torque_figure, joints, series, unit, curves)]),
+            (
+                over_holdout(unit),
+                [partial(torque_figure, joints, series, unit, curves)],
+            ),
             ("Not explained", _unexplained(result)),
             ("Notes", [p.notes(said)]),
         ],
@@ -78,7 +102,10 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
 def _told(findings: list[Result]) -> list[tuple[str, str]]:
     """The first findings, a line each, where there is more than the headline."""
     said = [
-        (f"{k}{' (undecided)' * (v.text(f, 'verdict') == 'undecided')}", v.text(f, "sentence"))
+        (
+            f"{k}{' (undecided)' * (v.text(f, 'verdict') == 'undecided')}",
+            v.text(f, "sentence"),
+        )
         for k, f in enumerate(findings[:_FIRST], start=1)
     ]
     return said if len(said) > 1 else []
@@ -88,13 +115,18 @@ def _pairs(result: Result) -> list[Result]:
     found: dict[str, dict[str, object]] = {}
     for model in ("simulation", "extended"):
         for row in v.records(result, model, "joints"):
-            found.setdefault(v.text(row, "name"), {"name": v.text(row, "name")})[model] = row
+            found.setdefault(v.text(row, "name"), {"name": v.text(row, "name")})[
+                model
+            ] = row
     return list(found.values())
 
 
 def _changed(result: Result) -> bool:
     """Whether the extended model predicts otherwise than the given one; not if nothing is named."""
-    errors = [[v.real(r, m, "rms") for m in ("simulation", "extended")] for r in _pairs(result)]
+    errors = [
+        [v.real(r, m, "rms") for m in ("simulation", "extended")]
+        for r in _pairs(result)
+    ]
     return any(after is not None and after != before for before, after in errors)
 
 
@@ -107,17 +139,31 @@ def _unknown(finding: Result) -> bool:
 
 
 def _facts(result: Result) -> p.Facts | None:
-    findings, faults = v.records(result, "findings"), v.records(result, "faults")
+    findings = v.records(result, "findings")
+    faults = v.records(result, "faults")
     verdicts = [v.text(finding, "verdict") for finding in findings]
-    counts = [f"{n} {word}" for word in dict.fromkeys(verdicts) if (n := verdicts.count(word))]
+    counts = [
+        f"{n} {word}" for word in dict.fromkeys(verdicts) if (n := verdicts.count(word))
+    ]
     before, after = (
-        v.median(v.records(result, m, "joints"), "nrmse") for m in ("simulation", "extended")
+        v.median(v.records(result, m, "joints"), "nrmse")
+        for m in ("simulation", "extended")
     )
     after = after if _changed(result) else None
     errors = v.change(before, after, v.percent)
     return p.facts(
-        p.Fact("Hold-out error", errors, "nrmse, median over joints", number=after or before),
-        p.fact("Findings", len(findings), v.whole, ", ".join(counts) or "nothing stands out"),
+        p.Fact(
+            "Hold-out error",
+            errors,
+            "nrmse, median over joints",
+            number=after or before,
+        ),
+        p.fact(
+            "Findings",
+            len(findings),
+            v.whole,
+            ", ".join(counts) or "nothing stands out",
+        ),
         p.fact("Data faults", len(faults), v.whole, "", p.POOR if faults else p.GOOD),
         p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
     )
@@ -126,12 +172,15 @@ def _facts(result: Result) -> p.Facts | None:
 def _findings(findings: list[Result], unit: str) -> p.Blocks:
     """The first page of findings, and those that are behind a fold."""
     found = p.numbered(findings)
-    first, rest = found[:_FIRST], found[_FIRST:]
+    first = found[:_FIRST]
+    rest = found[_FIRST:]
     more = f"{len(rest)} more finding{'s' * (len(rest) > 1)}, of less gain"
     return [_finding_table(first, unit), _finding_table(rest, unit, more)]
 
 
-def _finding_table(findings: list[Result], unit: str, folded: str = "") -> p.Table | None:
+def _finding_table(
+    findings: list[Result], unit: str, folded: str = ""
+) -> p.Table | None:
     rows = [
         {**finding, "explained": None, "after": None}
         if _unknown(finding)
@@ -157,16 +206,22 @@ def _finding_table(findings: list[Result], unit: str, folded: str = "") -> p.Tab
 
 def _verdict(finding: Result) -> p.Cell:
     verdict = v.text(finding, "verdict")
-    return p.Cell(verdict or NONE, {"named": p.GOOD, "undecided": p.FAIR}.get(verdict, p.PLAIN))
+    return p.Cell(
+        verdict or NONE, {"named": p.GOOD, "undecided": p.FAIR}.get(verdict, p.PLAIN)
+    )
 
 
-def _finding_parts(findings: list[Result], series: Series, unit: str) -> tuple[p.Parts, p.Blocks]:
+def _finding_parts(
+    findings: list[Result], series: Series, unit: str
+) -> tuple[p.Parts, p.Blocks]:
     """The leading findings and what is unknown, a part each, and the others behind their titles."""
     parts: p.Parts = []
     others: p.Blocks = []
     for k, finding in enumerate(findings):
         names = v.words(finding, "joints")
-        joints = v.listing(names, "") if len(names) <= _NAMED else f"{len(names)} joints"
+        joints = (
+            v.listing(names, "") if len(names) <= _NAMED else f"{len(names)} joints"
+        )
         title = f"Finding {k + 1}: {_cause(finding)}{' at ' * bool(joints)}{joints}"
         blocks: p.Blocks = [
             p.notes([_sentence(finding, unit)]),
@@ -178,7 +233,8 @@ def _finding_parts(findings: list[Result], series: Series, unit: str) -> tuple[p
         if k < _LEADING or _unknown(finding):
             parts.append((title, blocks))
         else:
-            share, verdict = v.real(finding, "explained"), v.text(finding, "verdict")
+            share = v.real(finding, "explained")
+            verdict = v.text(finding, "verdict")
             aside = [v.percent(share)] * (share is not None) + [verdict] * bool(verdict)
             title += f" ({', '.join(aside)})" if aside else ""
             others.append((title, blocks))
@@ -213,9 +269,12 @@ def _sentence(finding: Result, unit: str) -> str:
         structure = v.text(finding, "structure").removeprefix("structured: ")
         said = "Structure is left over that no candidate explains"
         return told or (f"{said}: it {structure}." if structure else f"{said}.")
-    before, after = (v.real(finding, "holdout", f"rms_{key}") for key in ("before", "after"))
+    before, after = (
+        v.real(finding, "holdout", f"rms_{key}") for key in ("before", "after")
+    )
     unit = v.text(finding, "unit") or unit
-    effect, share = _cause(finding), v.real(finding, "explained")
+    effect = _cause(finding)
+    share = v.real(finding, "explained")
     said = f"{effect[:1].upper()}{effect[1:]} was found."
     if before is not None and after is not None:
         where = "these joints" if len(v.words(finding, "joints")) > 1 else "this joint"
@@ -244,7 +303,11 @@ def _parameters(finding: Result) -> p.Table | None:
             ("name:Parameter", "name"),
             ("number:Given", "given") if given else None,
             *p.estimates("number:Fitted"),
-            ("text:Unit", "unit", lambda u: "" if u in (None, "1") else u.replace("^a", "ᵃ")),
+            (
+                "text:Unit",
+                "unit",
+                lambda u: "" if u in (None, "1") else u.replace("^a", "ᵃ"),
+            ),
         ],
         f"{'Value in the given model, and f' if given else 'F'}itted value with its standard "
         "deviation" + (" (a dash: chosen from a grid, or held)." if fixed else "."),
@@ -256,7 +319,8 @@ def _rivals(finding: Result) -> p.Table | None:
     rows = v.records(finding, "rivals")
     # an experiment's sentence may already hold what separation and repetitions say
     said = all(
-        v.real(r, "separation") is None or "separates by" in v.text(r, "experiment") for r in rows
+        v.real(r, "separation") is None or "separates by" in v.text(r, "experiment")
+        for r in rows
     )
     return p.table(
         rows,
@@ -283,7 +347,9 @@ def _shares(result: Result, left: bool, unit: str) -> p.Table | None:
     def share(group: str, key: str) -> p.Column:
         def cell(row: Result) -> p.Cell:
             x = v.real(row, group, key)
-            return p.Cell(v.percent(x), p.POOR if v.text(row, "telling") == key else p.PLAIN, x)
+            return p.Cell(
+                v.percent(x), p.POOR if v.text(row, "telling") == key else p.PLAIN, x
+            )
 
         return f"number:{key}", cell
 
@@ -364,7 +430,10 @@ def _forward(result: Result, changed: bool) -> p.Blocks:
         [
             ("name:Joint", "name"),
             *((f"number:Position, {m} [m{units}]", milli(m)) for m in models),
-            *((f"number:Velocity, {m} [m{units}/s]", milli("velocity", m)) for m in models),
+            *(
+                (f"number:Velocity, {m} [m{units}/s]", milli("velocity", m))
+                for m in models
+            ),
         ],
         f"Simulated forward under the recorded torque over {count or 0:.0f} windows of "
         f"{v.quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "
@@ -376,10 +445,15 @@ def _forward(result: Result, changed: bool) -> p.Blocks:
 
 
 def _errors(result: Result, unit: str, changed: bool) -> p.Blocks:
-    pairs, what = _pairs(result), "Prediction error per joint on the hold-out"
+    pairs = _pairs(result)
+    what = "Prediction error per joint on the hold-out"
     models = [("Given", "simulation"), ("Extended", "extended")][: 1 + changed]
     cutoff = v.real(result, "cutoff_hz")
-    same = "" if cutoff is None else f", all after the same filter ({v.quantity(cutoff, 'Hz')})"
+    same = (
+        ""
+        if cutoff is None
+        else f", all after the same filter ({v.quantity(cutoff, 'Hz')})"
+    )
     measures = ((f"rms [{unit}]", "rms", v.number), ("nrmse", "nrmse", v.percent))
     table = p.table(
         pairs,
@@ -394,7 +468,10 @@ def _errors(result: Result, unit: str, changed: bool) -> p.Blocks:
         f"The model as given{' and with the findings added' * changed}, on the hold-out{same}; "
         "nrmse is rms over the measured torque's standard deviation.",
     )
-    return [partial(error_bars, pairs, [model for _, model in models], unit, _CURVES, what), table]
+    return [
+        partial(error_bars, pairs, [model for _, model in models], unit, _CURVES, what),
+        table,
+    ]
 
 
 def _unexplained(result: Result) -> p.Blocks:
@@ -409,7 +486,10 @@ def _unexplained(result: Result) -> p.Blocks:
                 ("name:Joint", "joint"),
                 ("number:Share", "share", v.percent),
                 ("text:Against the noise", "against_noise") if sized else None,
-                ("text:Structure", lambda r: v.text(r, "structure").removeprefix("structured: ")),
+                (
+                    "text:Structure",
+                    lambda r: v.text(r, "structure").removeprefix("structured: "),
+                ),
             ],
             "What everything found leaves: share of the measured torque's variance, its size "
             "against the noise while the joint moves, and what it varies with.",

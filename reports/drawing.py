@@ -24,15 +24,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
     from matplotlib.figure import Figure
 
-MEASURED, GIVEN, FITTED = "#4d4d4d", "#d55e00", "#0072b2"
-GREEN, PURPLE, AMBER, SKY, LIGHT = "#009e73", "#b0558f", "#e69f00", "#3a93c9", "#b9bdc2"
+MEASURED = "#4d4d4d"
+GIVEN = "#d55e00"
+FITTED = "#0072b2"
+GREEN = "#009e73"
+PURPLE = "#b0558f"
+AMBER = "#e69f00"
+SKY = "#3a93c9"
+LIGHT = "#b9bdc2"
 BAND = "#c3dcec"
 DASHED = (0, (5, 3))
 
 WIDTH = 3.9  # inch: 281 pt, which a phone shows a little larger than drawn
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.64, 0.12, 0.1, 0.42  # inch
+_LEFT = 0.64
+_RIGHT = 0.12
+_TOP = 0.1
+_BOTTOM = 0.42  # inch
 _BINS = 200
-_TITLE, _COLUMNS, _EVEN = 0.26, 2, 1e-6  # of a sheet: room above a panel [inch], columns
+_TITLE = 0.26
+_COLUMNS = 2
+_EVEN = 1e-6  # of a sheet: room above a panel [inch], columns
 _EDGE = 0.12  # inch: between panels
 _LETTER = 0.065  # inch: width of one in a legend
 _LINE = 46  # letters of an abscissa's name that surely fit below it
@@ -107,7 +118,8 @@ def axes(
     """Axes with one abscissa if shared, heights in these ratios [inch]; ``space`` as share."""
     sheet = _sheet.get()
     if sheet is not None:
-        height, top = height + _TITLE, top + _TITLE
+        height = height + _TITLE
+        top = top + _TITLE
     if sheet is not None and sheet.onto is not None:
         sheet.panels.append(([sheet.onto], height, ""))
         return [sheet.onto]
@@ -145,7 +157,9 @@ def axes(
 
 def ink(colour: str) -> str:
     """A darker shade of a colour, for words: these need more contrast than lines do."""
-    return "#" + "".join(f"{round(0.7 * int(colour[k : k + 2], 16)):02x}" for k in (1, 3, 5))
+    return "#" + "".join(
+        f"{round(0.7 * int(colour[k : k + 2], 16)):02x}" for k in (1, 3, 5)
+    )
 
 
 def equal_axes(ax: Axes, low: Array, high: Array, room: float) -> float:
@@ -197,7 +211,9 @@ def log_y(ax: Axes) -> None:
     ax.set_yscale("log")
     lower, upper = sorted(ax.get_ylim())
     decades = math.log10(upper / lower) if lower > 0 else 1.0
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_locator(
+        LogLocator(subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0))
+    )
     ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter(_log_tick)
 
@@ -276,25 +292,36 @@ class Sheet:
         longest = 0.6 + _LETTER * max((len(key.label) for key in legend), default=0)
         abreast = max(1, int(columns * WIDTH / longest))
         strip = 0.2 * math.ceil(len(legend) / abreast) + 0.1 * bool(legend)
-        total, ends = sum(height for _, height, _ in self.panels), [0.0] * columns
-        places, done = [], 0.0
+        total = sum(height for _, height, _ in self.panels)
+        ends = [0.0] * columns
+        places = []
+        done = 0.0
         for axes, height, title in self.panels:
-            column = min(int(columns * (done + height / 2) / total - _EVEN), columns - 1)
+            column = min(
+                int(columns * (done + height / 2) / total - _EVEN), columns - 1
+            )
             places.append((axes, height, title, column, ends[column]))
-            ends[column], done = ends[column] + height, done + height
-        width, tall = columns * (WIDTH + _EDGE), strip + max(ends)
+            ends[column] = ends[column] + height
+            done = done + height
+        width = columns * (WIDTH + _EDGE)
+        tall = strip + max(ends)
         figure.set_size_inches(width, tall)
         for axes, height, title, column, above in places:
-            x, y = column * WIDTH + (column + 0.5) * _EDGE, tall - strip - above  # of its corner
+            x = column * WIDTH + (column + 0.5) * _EDGE
+            y = tall - strip - above  # of its corner
             for ax in axes:
                 box = ax.get_position()
                 low = (x + box.x0 * WIDTH) / width, (y - (1 - box.y0) * height) / tall
-                ax.set_position((*low, box.width * WIDTH / width, box.height * height / tall))
+                ax.set_position(
+                    (*low, box.width * WIDTH / width, box.height * height / tall)
+                )
             at = (x + 0.1) / width, (y - 0.06) / tall
             figure.text(*at, title, va="top", fontsize=9.5, fontweight="bold")
         if legend:
             handles = list(map(_handle, legend))
-            figure.legend(handles=handles, ncols=abreast, loc="upper left", frameon=False)
+            figure.legend(
+                handles=handles, ncols=abreast, loc="upper left", frameon=False
+            )
         figure.draw_without_rendering()  # which makes ticks in this style
 
 

@@ -38,7 +38,9 @@ _MODELS = {
 }
 
 _STEPS = 12  # of the waterfall that are drawn one by one
-_POINTS, _MEDIANS, _CURVE = 2500, 24, 60  # drawn of a finding: points, medians, along the fit
+_POINTS = 2500  # drawn of a finding: points
+_MEDIANS = 24  # medians
+_CURVE = 60  # along the fit
 _WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is drawn
 
 
@@ -62,7 +64,9 @@ def torque_figure(
     joints: Sequence[str], series: Series, unit: str, curves: Curves
 ) -> Figure | None:
     """Measured torque against the model before and after, the residual below, per joint."""
-    panels = [_torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)]
+    panels = [
+        _torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)
+    ]
 
     def drawn(key: str) -> bool:
         return any(v.curve(series, key, k) is not None for k in range(len(joints)))
@@ -77,10 +81,16 @@ def torque_figure(
     return figure(panels, caption, legend, _timeline(joints, series, unit, curves))
 
 
-def _timeline(joints: Sequence[str], series: Series, unit: str, curves: Curves) -> Timeline | None:
+def _timeline(
+    joints: Sequence[str], series: Series, unit: str, curves: Curves
+) -> Timeline | None:
     """The series that panels of all joints draw; None where one lacks any."""
     t = v.times(series)
-    looks = (("measured", draw.MEASURED), (_GIVEN, draw.GIVEN), (curves.after_label, draw.FITTED))
+    looks = (
+        ("measured", draw.MEASURED),
+        (_GIVEN, draw.GIVEN),
+        (curves.after_label, draw.FITTED),
+    )
     keys = ("measured", curves.before, curves.after, curves.band)
     if t is None:
         return None
@@ -92,13 +102,20 @@ def _timeline(joints: Sequence[str], series: Series, unit: str, curves: Curves) 
         draw.timeline(t)[0],
         tuple(joints[k] for k in some),
         unit,
-        tuple((*look, x[:, some]) for look, x in zip(looks, found, strict=True) if x is not None),
+        tuple(
+            (*look, x[:, some])
+            for look, x in zip(looks, found, strict=True)
+            if x is not None
+        ),
         None if half is None or found[2] is None else half[:, some],
     )
 
 
-def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves) -> Panel | None:
-    t, measured = v.times(series), v.curve(series, "measured", k)
+def _torque_panel(
+    k: int, joint: str, series: Series, unit: str, curves: Curves
+) -> Panel | None:
+    t = v.times(series)
+    measured = v.curve(series, "measured", k)
     if t is None or measured is None or len(measured) != len(t):
         return None
     time, joins = draw.timeline(t)
@@ -106,7 +123,9 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
     draw.draw_curve(torque, time, joins, measured, color=draw.MEASURED, lw=1.3)
     residual.axhline(0, color="#8a8f94", lw=0.7)
     said = []
-    half, after = (v.curve(series, key, k, len(t)) for key in (curves.band, curves.after))
+    half, after = (
+        v.curve(series, key, k, len(t)) for key in (curves.band, curves.after)
+    )
     if half is not None and np.isfinite(half).all() and after is not None:
         draw_band(torque, time, joins, after, half)
         draw_band(residual, time, joins, np.zeros(len(t)), half)
@@ -123,10 +142,14 @@ def _torque_panel(k: int, joint: str, series: Series, unit: str, curves: Curves)
         said.append(f"below it what the {label} leaves")
     draw.label_y(torque, f"torque [{unit}]" if unit != "A" else "current [A]")
     draw.over_time(residual, time, f"residual [{unit}]")
-    return draw.panel(torque, f"{joint}: measured torque over time; {'; '.join(said)}", joint)
+    return draw.panel(
+        torque, f"{joint}: measured torque over time; {'; '.join(said)}", joint
+    )
 
 
-def draw_band(ax: draw.Axes, t: Array, joins: Sequence[int], centre: Array, half: Array) -> None:
+def draw_band(
+    ax: draw.Axes, t: Array, joins: Sequence[int], centre: Array, half: Array
+) -> None:
     """Fill centre ± half, broken where recordings were joined; bins lose no edge."""
     for first, last in zip([0, *joins], [*joins, len(t)], strict=True):
         bins = max(20, round(_BINS * (last - first) / len(t)))
@@ -134,19 +157,27 @@ def draw_band(ax: draw.Axes, t: Array, joins: Sequence[int], centre: Array, half
         low = np.minimum.reduceat((centre - half)[:last], starts)
         high = np.maximum.reduceat((centre + half)[:last], starts)
         x = np.append(t[starts], t[last - 1])
-        low, high = np.append(low, low[-1]), np.append(high, high[-1])
+        low = np.append(low, low[-1])
+        high = np.append(high, high[-1])
         ax.fill_between(x, low, high, color=draw.BAND, lw=0, zorder=0.5)
 
 
 def error_bars(
-    records: Sequence[Result], models: Sequence[str], unit: str, curves: Curves, what: str
+    records: Sequence[Result],
+    models: Sequence[str],
+    unit: str,
+    curves: Curves,
+    what: str,
 ) -> Figure | None:
     """Errors per joint as bars as long as nrmse, or else rms, which stands beside.
 
     Each record holds the errors of one joint by model; ``what`` begins the caption.
     """
     errors = [
-        (v.text(row, "name"), [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models])
+        (
+            v.text(row, "name"),
+            [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models],
+        )
         for row in records
     ]
     count = 1 + any(rms is not None for _, pairs in errors for rms, _ in pairs[1:])
@@ -157,7 +188,9 @@ def error_bars(
     if not known:
         return None
     # one useless model must not make all other bars invisible
-    top = min(max(known), max(1.5, 4 * float(np.median(known)))) if shares else max(known)
+    top = (
+        min(max(known), max(1.5, 4 * float(np.median(known)))) if shares else max(known)
+    )
     rows = []
     for joint, pairs in errors:
         bars = []
@@ -176,7 +209,9 @@ def error_bars(
         for joint, pairs in errors
         for pair, (label, _) in zip(pairs, looks, strict=False)
     ]
-    measure = "as a share of the measured torque's standard deviation" if shares else "as rms"
+    measure = (
+        "as a share of the measured torque's standard deviation" if shares else "as rms"
+    )
     return draw.single(
         ax,
         f"rms per joint: {'; '.join(said)}",
@@ -185,14 +220,24 @@ def error_bars(
     )
 
 
-def _bar_axes(rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: float) -> draw.Axes:
+def _bar_axes(
+    rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: float
+) -> draw.Axes:
     """Horizontal bars below the name of their row, up to ``top``, words behind each."""
-    count, step = max(len(bars) for _, bars in rows), 0.25
+    count = max(len(bars) for _, bars in rows)
+    step = 0.25
     (ax,) = draw.axes((0.24 + 0.13 * count) * len(rows) + 0.52, left=0.14)
     for row, (name, bars) in enumerate(rows):
-        ax.text(0, row - 0.36, v.shorten(name, 40 if count > 1 else 52), va="center", ha="left")
+        ax.text(
+            0,
+            row - 0.36,
+            v.shorten(name, 40 if count > 1 else 52),
+            va="center",
+            ha="left",
+        )
         for i, (pieces, words) in enumerate(bars):
-            y, end = row + 0.045 * (count - 1) + step * (i - (count - 1) / 2), 0.0
+            y = row + 0.045 * (count - 1) + step * (i - (count - 1) / 2)
+            end = 0.0
             for length, colour in pieces:
                 ax.barh(y, length, left=end, height=0.88 * step, color=colour)
                 end += length
@@ -205,14 +250,18 @@ def _bar_axes(rows: Sequence[tuple[str, Sequence[_Bar]]], top: float, room: floa
     return ax
 
 
-def tracking_figure(joints: Sequence[str], result: Result, series: Series) -> Figure | None:
+def tracking_figure(
+    joints: Sequence[str], result: Result, series: Series
+) -> Figure | None:
     """Tracking error of each joint over time by model, before and after the arm changed."""
-    t, units = series.get("tracking_t"), v.records(result, "tracking", "before")
+    t = series.get("tracking_t")
+    units = v.records(result, "tracking", "before")
     if t is None or len(units) != len(joints):
         return None
     panels = []
     for k, joint in enumerate(joints):
-        both, unit = draw.axes(3.0, (1, 1), top=0.28, space=0.32), f"m{v.text(units[k], 'unit')}"
+        both = draw.axes(3.0, (1, 1), top=0.28, space=0.32)
+        unit = f"m{v.text(units[k], 'unit')}"
         said = []
         for ax, (when, title, models) in zip(both, _FOLLOWED, strict=True):
             for model in models:
@@ -227,7 +276,9 @@ def tracking_figure(joints: Sequence[str], result: Result, series: Series) -> Fi
             draw.label_y(ax, f"error [{unit}]")
         draw.over_time(both[-1], t)
         panels.append(
-            draw.panel(both[0], f"{joint}: tracking error over time; {'; '.join(said)}", joint)
+            draw.panel(
+                both[0], f"{joint}: tracking error over time; {'; '.join(said)}", joint
+            )
         )
     caption = (
         "Desired less true position while each model gives the torque, in one and the same loop: "
@@ -250,7 +301,8 @@ def waterfall_figure(result: Result) -> Figure | None:
         steps = [*steps[: _STEPS - 1], merged, steps[-1]]
     if len(steps) < 2:
         return None
-    top, before = max(rms for _, rms in steps) or 1.0, 0.0
+    top = max(rms for _, rms in steps) or 1.0
+    before = 0.0
     rows = []
     for k, (label, rms) in enumerate(steps):
         removed = [(before - rms, draw.LIGHT)] * (before > rms)
@@ -276,10 +328,13 @@ def waterfall_figure(result: Result) -> Figure | None:
     )
 
 
-def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> Figure | None:
+def evidence_figure(
+    index: int, finding: Result, series: Series, unit: str
+) -> Figure | None:
     """Residual before an effect was added, over the quantity that shows it, and the fit."""
     x, residual, fit, rival = (
-        v.curve(series, f"finding{index}_{key}") for key in ("x", "residual", "fit", "rival")
+        v.curve(series, f"finding{index}_{key}")
+        for key in ("x", "residual", "fit", "rival")
     )
     if x is None or residual is None or len(x) != len(residual):
         return None
@@ -287,9 +342,13 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
     if seen.sum() < 2:
         return None
     order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
-    fit, rival = (y if y is not None and len(y) == len(x) else None for y in (fit, rival))
-    x, residual = x[order], residual[order]
-    effect, x_label = v.plain(v.text(finding, "effect")), v.text(finding, "figure", "x_label")
+    fit, rival = (
+        y if y is not None and len(y) == len(x) else None for y in (fit, rival)
+    )
+    x = x[order]
+    residual = residual[order]
+    effect = v.plain(v.text(finding, "effect"))
+    x_label = v.text(finding, "figure", "x_label")
     x_label = x_label or "quantity that shows it"
     joint = v.text(finding, "figure", "joint")
     joint = joint or v.listing(v.words(finding, "joints"), "all joints")
@@ -311,7 +370,9 @@ def evidence_figure(index: int, finding: Result, series: Series, unit: str) -> F
         )
     if rival is not None and rivals:
         _curve(ax, x, rival[order], color=draw.PURPLE, lw=1.5, ls=(0, (3, 2)))
-        legend.append(Key("dash", draw.PURPLE, f"{rivals[0]} instead, fitted to these points"))
+        legend.append(
+            Key("dash", draw.PURPLE, f"{rivals[0]} instead, fitted to these points")
+        )
         caption += (
             f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
         ) * (fit is not None)
@@ -326,24 +387,39 @@ def draw_points(ax: draw.Axes, x: Array, y: Array) -> bool:
     """A cloud of points, thinned, and their medians in bins where there are enough of them."""
     seen = np.isfinite(x) & np.isfinite(y)
     order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
-    x, y = x[order], y[order]
-    step, binned = max(1, len(x) // _POINTS), len(x) >= 4 * _MEDIANS
+    x = x[order]
+    y = y[order]
+    step = max(1, len(x) // _POINTS)
+    binned = len(x) >= 4 * _MEDIANS
     # one small picture: thousands of points would make the page heavy
-    ax.scatter(x[::step], y[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True)
+    ax.scatter(
+        x[::step], y[::step], s=5, c="#9aa0a6", alpha=0.35, lw=0, rasterized=True
+    )
     if binned:
-        look: Any = {"ms": 4, "color": draw.MEASURED, "mec": "white", "mew": 0.7, "zorder": 4}
+        look: Any = {
+            "ms": 4,
+            "color": draw.MEASURED,
+            "mec": "white",
+            "mew": 0.7,
+            "zorder": 4,
+        }
         ax.plot(*_along(x, y, _MEDIANS), "o", **look)
     return binned
 
 
-def _along(x: Array, y: Array, bins: int, fewest: int | None = None) -> tuple[Array, Array]:
+def _along(
+    x: Array, y: Array, bins: int, fewest: int | None = None
+) -> tuple[Array, Array]:
     """Median of y in equal bins of the sorted x, of few points in none; x and y when short."""
     if len(x) <= 2 * bins or x[-1] <= x[0]:
         return x, y
     lower, upper = np.quantile(x, [0.002, 0.998])
     if upper <= lower:
-        lower, upper = x[0], x[-1]
-    edges: npt.NDArray[np.intp] = np.searchsorted(x, np.linspace(lower, upper, bins + 1))
+        lower = x[0]
+        upper = x[-1]
+    edges: npt.NDArray[np.intp] = np.searchsorted(
+        x, np.linspace(lower, upper, bins + 1)
+    )
     least = max(3, len(x) // (40 * bins)) if fewest is None else fewest
     pairs = [
         (np.median(x[first:last]), np.nanmedian(y[first:last]))

@@ -29,7 +29,8 @@ FOREST_KEYS = (
     Key("ring", draw.FITTED, "decided by the prior"),
 )
 _DEVIATIONS = 1.96  # standard deviations that hold 95 %
-_LINE, _LABELS = 0.165, 1.3  # inch: height of a row of the forest, room for its name
+_LINE = 0.165  # inch: height of a row of the forest
+_LABELS = 1.3  # room for its name
 _LONG = 20  # letters of a name there
 
 
@@ -52,7 +53,9 @@ def friction_axes(k: int, result: Result, series: Series) -> draw.Axes | None:
         y = scale * (measured - model) + np.interp(at, speed[seen], torque[seen])
         draw_points(ax, at, y)
     for side in (speed < 0, speed > 0):  # it jumps in between
-        x, y, width = speed[side], torque[side], half[side]
+        x = speed[side]
+        y = torque[side]
+        width = half[side]
         ax.fill_between(x, y - width, y + width, color=draw.BAND, lw=0, zorder=1.5)
         ax.plot(x, y, color=draw.FITTED, lw=1.8, zorder=3)
     ax.margins(0.04)
@@ -83,14 +86,18 @@ def forest_groups(result: Result) -> dict[str, list[Result]]:
         owner, _, symbol = v.text(row, "name").rpartition(".")
         if v.real(row, "value") is not None:
             name = f"{_kind(symbol)} [{v.text(row, 'unit')}]"
-            groups.setdefault(name, []).append({**row, "owner": owner, "symbol": symbol})
+            groups.setdefault(name, []).append(
+                {**row, "owner": owner, "symbol": symbol}
+            )
     return groups
 
 
 def _kind(symbol: str) -> str:
     if symbol in STANDARD:
         return _GROUPS[STANDARD.index(symbol)]
-    kinds = (v.plain(e.name) for e in EFFECTS.values() if symbol in [p.name for p in e.terms])
+    kinds = (
+        v.plain(e.name) for e in EFFECTS.values() if symbol in [p.name for p in e.terms]
+    )
     return next(kinds, symbol)
 
 
@@ -103,10 +110,13 @@ def forest_axes(rows: Sequence[Result]) -> draw.Axes:
     ax.axvline(0, color="#8a8f94", lw=0.7)
     y = np.arange(len(rows))
     value, std, given = (
-        np.array([v.real(row, key) for row in rows], float) for key in ("value", "std", "given")
+        np.array([v.real(row, key) for row in rows], float)
+        for key in ("value", "std", "given")
     )
     half = _DEVIATIONS * np.nan_to_num(std)
-    ax.hlines(y, value - half, value + half, color=draw.FITTED, lw=1.4, capstyle="round")
+    ax.hlines(
+        y, value - half, value + half, color=draw.FITTED, lw=1.4, capstyle="round"
+    )
     ring: Any = {"ms": 6, "mec": draw.GIVEN, "mfc": "none", "mew": 1.1}
     ax.plot(given, y, "o", **ring)
     prior = np.array([v.text(row, "decided_by") == "prior" for row in rows])
@@ -125,7 +135,11 @@ def forest_axes(rows: Sequence[Result]) -> draw.Axes:
 def forest_figure(result: Result) -> Figure | None:
     """Every identified parameter with its interval beside the given value, by kind."""
     panels = [
-        draw.panel(forest_axes(rows), f"{name}: {len(rows)} parameters, given and identified", name)
+        draw.panel(
+            forest_axes(rows),
+            f"{name}: {len(rows)} parameters, given and identified",
+            name,
+        )
         for name, rows in forest_groups(result).items()
     ]
     caption = (

@@ -19,7 +19,8 @@ _TRUTH = {
 def examination_page(result: Result, sections: Mapping[str, p.Section]) -> p.Page:
     """The page of ``go``, or of a demonstration of it, with the sections of its commands."""
     of_demo = v.text(result, "verb") == "demo"
-    robot, seed = v.text(result, "robot"), v.text(result, "seed")
+    robot = v.text(result, "robot")
+    seed = v.text(result, "seed")
     subtitle = "The model as given, identified, and extended by what was found to be wrong with it."
     if of_demo:
         subtitle = (
@@ -28,7 +29,8 @@ def examination_page(result: Result, sections: Mapping[str, p.Section]) -> p.Pag
             "it still gets wrong was diagnosed" + (f" (seed {seed})." if seed else ".")
         )
     title = "Demonstration" if of_demo else "Examination"
-    said, joints = v.words(result, "verdict", "sentences"), _joints(result)
+    said = v.words(result, "verdict", "sentences")
+    joints = _joints(result)
     refused = [v.sentence(each) for each in v.words(result, "verdict", "refused")]
     notes = [v.sentence(each) for each in v.words(result, "notes")]
     blocks = (
@@ -51,7 +53,10 @@ def examination_page(result: Result, sections: Mapping[str, p.Section]) -> p.Pag
 
 def _joints(result: Result) -> p.Table | None:
     """Error of each model and main cause, joint by joint."""
-    extended = {v.text(r, "name"): r for r in v.records(result, "diagnose", "extended", "joints")}
+    extended = {
+        v.text(r, "name"): r
+        for r in v.records(result, "diagnose", "extended", "joints")
+    }
     findings = v.records(result, "diagnose", "findings")
     rows = [
         {
@@ -67,7 +72,15 @@ def _joints(result: Result) -> p.Table | None:
     def error(model: str) -> p.Column:
         def cell(row: Result) -> p.Cell:
             x = v.real(row, model)
-            tone = p.PLAIN if x is None else p.GOOD if x < 0.1 else p.FAIR if x < 0.3 else p.POOR
+            tone = (
+                p.PLAIN
+                if x is None
+                else p.GOOD
+                if x < 0.1
+                else p.FAIR
+                if x < 0.3
+                else p.POOR
+            )
             return p.Cell(v.percent(x), tone, x)
 
         return f"number:{model.capitalize()}", cell
@@ -84,10 +97,18 @@ def _joints(result: Result) -> p.Table | None:
 def _cause_at(joint: str, findings: Sequence[Result]) -> str:
     for finding in findings:
         if joint in v.words(finding, "joints"):
-            kinds = [f for f in v.records(finding, "parts") if joint in v.words(f, "joints")]
-            names = dict.fromkeys(v.plain(v.text(f, "effect")) for f in kinds or [finding])
+            kinds = [
+                f for f in v.records(finding, "parts") if joint in v.words(f, "joints")
+            ]
+            names = dict.fromkeys(
+                v.plain(v.text(f, "effect")) for f in kinds or [finding]
+            )
             undecided = " (undecided)" * (v.text(finding, "verdict") == "undecided")
-            return v.listing([*names][:2]) + (" and more" if len(names) > 2 else "") + undecided
+            return (
+                v.listing([*names][:2])
+                + (" and more" if len(names) > 2 else "")
+                + undecided
+            )
     return NONE
 
 
@@ -95,7 +116,11 @@ def _brief(result: Result, sections: Mapping[str, p.Section]) -> list[tuple[str,
     """Lines of the terminal before the table of the joints."""
     said = v.words(result, "verdict", "sentences")
     lines = [("" if k else "verdict", words) for k, words in enumerate(said)]
-    for verb, label in (("robots", "robot"), ("design", "designed"), ("analyze", "known")):
+    for verb, label in (
+        ("robots", "robot"),
+        ("design", "designed"),
+        ("analyze", "known"),
+    ):
         if verb in sections and (found := sections[verb].brief):
             lines.append((label, found[-1 if verb == "analyze" else 0][1]))
     wrong = [
@@ -124,12 +149,15 @@ def _hidden_line(result: Result, of_demo: bool) -> list[tuple[str, str]]:
     if not of_demo:
         return []
     *_, told = _TRUTH.get(v.text(result, "verdict", "truth"), ("", "", "not judged"))
-    return [("hidden", f"{_hidden(result).value} (seed {v.text(result, 'seed')}): {told}")]
+    return [
+        ("hidden", f"{_hidden(result).value} (seed {v.text(result, 'seed')}): {told}")
+    ]
 
 
 def _truth(result: Result) -> list[p.Fact]:
     """What was hidden, and whether it was found."""
-    label, seen = "Named by the diagnosis", _TRUTH.get(v.text(result, "verdict", "truth"))
+    label = "Named by the diagnosis"
+    seen = _TRUTH.get(v.text(result, "verdict", "truth"))
     named = v.plain(v.text(result, "verdict", "effect"))
     joints = v.words(result, "verdict", "joints")
     named += f" at {v.listing(joints)}" if joints else ""
@@ -140,12 +168,15 @@ def _truth(result: Result) -> list[p.Fact]:
 
 
 def _hidden(result: Result) -> p.Fact:
-    effect, joint = v.plain(v.text(result, "truth", "effect")), v.text(result, "truth", "joint")
-    values, rows = v.at(result, "truth", "parameters"), v.records(result, "identify", "parameters")
+    effect = v.plain(v.text(result, "truth", "effect"))
+    joint = v.text(result, "truth", "joint")
+    values = v.at(result, "truth", "parameters")
+    rows = v.records(result, "identify", "parameters")
     for finding in v.records(result, "diagnose", "findings"):
         rows = [*v.records(finding, "parameters"), *rows]
     units = {
-        v.text(r, "name").rpartition(".")[2]: v.text(r, "unit").removeprefix("1") for r in rows
+        v.text(r, "name").rpartition(".")[2]: v.text(r, "unit").removeprefix("1")
+        for r in rows
     }
     said = [
         f"{name} = {value if isinstance(value, str) else v.quantity(value, units.get(name, ''))}"

@@ -19,7 +19,9 @@ _MONTHS = 12.0
 
 def fleet_section(result: Result, series: Series) -> p.Section:
     """Arms beside their siblings and over time."""
-    sets, odd, drifts = (v.records(result, key) for key in ("data_sets", "deviations", "drifts"))
+    sets, odd, drifts = (
+        v.records(result, key) for key in ("data_sets", "deviations", "drifts")
+    )
     failed = [each for each in sets if v.text(each, "failed")]
     arms = len({v.text(each, "arm") for each in odd})
     changing = len({v.text(each, "arm") for each in drifts})
@@ -60,7 +62,9 @@ def _counted(n: int, one: str, many: str) -> str:
 def _facts(result: Result, odd: int, changing: int, failed: int) -> p.Facts | None:
     tones = [p.POOR if count else p.GOOD for count in (odd, changing, failed)]
     return p.facts(
-        p.fact("Arms", v.at(result, "arms"), v.whole, v.listing(v.words(result, "types"))),
+        p.fact(
+            "Arms", v.at(result, "arms"), v.whole, v.listing(v.words(result, "types"))
+        ),
         p.fact("Differ from their siblings", odd, v.whole, "", tones[0]),
         p.fact("Change with time", changing, v.whole, "", tones[1]),
         p.fact("Data sets without a model", failed, v.whole, "", tones[2]),
@@ -71,9 +75,14 @@ def _differs(row: Result) -> str:
     more = "less" if (v.real(row, "difference") or 0.0) < 0 else "more"
     value, apart, others = (
         " ± ".join(v.value_and_std(*(v.at(row, key) for key in keys)))
-        for keys in (("value", "std"), ("difference", "difference_std"), ("siblings", "spread"))
+        for keys in (
+            ("value", "std"),
+            ("difference", "difference_std"),
+            ("siblings", "spread"),
+        )
     )
-    name, unit = v.text(row, "parameter"), v.text(row, "unit")
+    name = v.text(row, "parameter")
+    unit = v.text(row, "unit")
     return (
         f"{v.text(row, 'arm')}: {name} is {value} {unit}, {apart.lstrip('−-')} {more} than that of "
         f"its {v.whole(v.at(row, 'count'))} siblings ({others})"
@@ -88,10 +97,12 @@ def _monthly(row: Result) -> tuple[float, float]:
 
 def _changes(row: Result) -> str:
     slope, std = _monthly(row)
-    way, size = "falls" if slope < 0 else "rises", " ± ".join(v.value_and_std(abs(slope), std))
+    way = "falls" if slope < 0 else "rises"
+    size = " ± ".join(v.value_and_std(abs(slope), std))
     ends = (v.number(v.at(row, key)) for key in ("before", "after"))
     before, after = (
-        f"{x} on {v.text(row, key)}" for x, key in zip(ends, ("first", "last"), strict=True)
+        f"{x} on {v.text(row, key)}"
+        for x, key in zip(ends, ("first", "last"), strict=True)
     )
     return (
         f"{v.text(row, 'arm')}: {v.text(row, 'parameter')} {way} by {size} {v.text(row, 'unit')} a "
@@ -159,14 +170,16 @@ def _figure(drifts: list[Result], series: Series) -> Figure | None:
 
 
 def _panel(k: int, row: Result, series: Series) -> Panel | None:
-    before, after = v.real(row, "before"), v.real(row, "after")
+    before = v.real(row, "before")
+    after = v.real(row, "after")
     days = v.array(series, f"drift{k}/days", None)
     if days is None or before is None or after is None:
         return None
     x, std = (v.array(series, f"drift{k}/{key}", len(days)) for key in ("value", "std"))
     if x is None or std is None:
         return None
-    arm, name = v.text(row, "arm"), v.text(row, "parameter")
+    arm = v.text(row, "arm")
+    name = v.text(row, "parameter")
     [ax] = draw.axes(1.7)
     ax.errorbar(days, x, std, fmt="o", ms=4, lw=1.0, color=draw.MEASURED)
     ax.plot([np.nanmin(days), np.nanmax(days)], [before, after], color=draw.FITTED)
@@ -174,7 +187,10 @@ def _panel(k: int, row: Result, series: Series) -> Panel | None:
     ax.set_xticks(ticks)
     ax.tick_params(axis="x", labelbottom=False)
     for day, side in zip(ticks, ("left", "center", "right"), strict=True):
-        look: Any = {"xycoords": ax.get_xaxis_transform(), "textcoords": "offset points"}
+        look: Any = {
+            "xycoords": ax.get_xaxis_transform(),
+            "textcoords": "offset points",
+        }
         date = str(np.datetime64(0, "D") + round(day))
         ax.annotate(date, (day, 0), (0, -7), ha=side, va="top", fontsize=8.5, **look)
     draw.label_y(ax, f"value [{v.text(row, 'unit')}]")
@@ -197,7 +213,10 @@ def _sets(sets: list[Result]) -> p.Table | None:
             ("name:Data set", "name"),
             ("name:Arm", "arm"),
             ("name:Date", "date"),
-            ("text:Diagnosis", lambda r: " ".join(v.words(r, "found")) or "nothing stands out"),
+            (
+                "text:Diagnosis",
+                lambda r: " ".join(v.words(r, "found")) or "nothing stands out",
+            ),
         ],
         "What diagnose says of each; its pages are in the folder arms.",
         p.folded("What the diagnosis says of each", len(sets)),

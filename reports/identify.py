@@ -10,8 +10,17 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.error_figures import Curves, error_bars, over_holdout, torque_figure
-from excitant.reports.estimate_figures import forest_figure, forest_groups, friction_figure
+from excitant.reports.error_figures import (
+    Curves,
+    error_bars,
+    over_holdout,
+    torque_figure,
+)
+from excitant.reports.estimate_figures import (
+    forest_figure,
+    forest_groups,
+    friction_figure,
+)
 from excitant.reports.motion_figures import (
     ENOUGH,
     estimates_figure,
@@ -23,7 +32,9 @@ from excitant.reports.residual_figures import agreement_figure, residual_figure
 from excitant.reports.values import Result, Series
 from excitant.robots.parameters import STANDARD
 
-CUTOFF_REMARK = "errors are judged below it; measured and predicted torque are filtered alike"
+CUTOFF_REMARK = (
+    "errors are judged below it; measured and predicted torque are filtered alike"
+)
 _FEW = 3  # links that moved are told on the terminal
 _MESSAGES = 8  # shown without opening a fold
 CURVES = Curves(
@@ -45,14 +56,22 @@ _IN_MUJOCO = Curves(
 
 def identify_section(result: Result, series: Series) -> p.Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
-    joints, unit = v.joint_names(result), v.text(result, "unit") or "N·m"
-    said = [v.sentence(n) for n in v.words(result, "notes") if n and n != v.text(result, "holdout")]
+    joints = v.joint_names(result)
+    unit = v.text(result, "unit") or "N·m"
+    said = [
+        v.sentence(n)
+        for n in v.words(result, "notes")
+        if n and n != v.text(result, "holdout")
+    ]
     refusal = v.sentence(v.text(result, "refusal"))
     return p.section(
         "Identification",
         _lead(result),
         [
-            ("Key figures", [_facts(result), p.notes([refusal] * bool(refusal), p.POOR)]),
+            (
+                "Key figures",
+                [_facts(result), p.notes([refusal] * bool(refusal), p.POOR)],
+            ),
             ("Data faults", [fault_table(result)]),
             ("Payload", _payload(v.at(result, "payload"))),
             ("Link by link against all links at once", _link_by_link(result, unit)),
@@ -65,9 +84,15 @@ def identify_section(result: Result, series: Series) -> p.Section:
             ("Error per joint", _errors(result, unit)),
             (
                 over_holdout(unit),
-                [partial(torque_figure, joints, series, unit, CURVES), _intervals(result, unit)],
+                [
+                    partial(torque_figure, joints, series, unit, CURVES),
+                    _intervals(result, unit),
+                ],
             ),
-            ("Measured against predicted", [partial(agreement_figure, result, series, unit)]),
+            (
+                "Measured against predicted",
+                [partial(agreement_figure, result, series, unit)],
+            ),
             (
                 "Residual by position, velocity, load and frequency",
                 [partial(residual_figure, result, series, unit)],
@@ -91,8 +116,14 @@ def _brief(result: Result, unit: str) -> p.Brief:
         f"hold-out error {v.change(given, found, v.percent)} (nrmse, median over joints), "
         f"{'physically consistent' if consistent else 'not physical'}"
     )
-    moved = [words for row in v.records(result, "links") if (words := v.text(row, "moved"))]
-    few = moved if len(moved) <= _FEW else [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
+    moved = [
+        words for row in v.records(result, "links") if (words := v.text(row, "moved"))
+    ]
+    few = (
+        moved
+        if len(moved) <= _FEW
+        else [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
+    )
     named = [("moved" if k == 0 else "", words) for k, words in enumerate(few)]
     return ("identified", said), ("", v.text(result, "holdout")), *named
 
@@ -115,7 +146,11 @@ def fault_table(result: Result) -> p.Table | None:
 def _remedy(fault: Result) -> str:
     """What was done about a fault, or can be."""
     left = v.text(fault, "repair") and f"--repair {v.text(fault, 'repair')}"
-    return "repaired" if v.at(fault, "repaired") else f"not repaired; {left or 'record again'}"
+    return (
+        "repaired"
+        if v.at(fault, "repaired")
+        else f"not repaired; {left or 'record again'}"
+    )
 
 
 def _held_out(result: Result) -> bool:
@@ -127,11 +162,16 @@ def _lead(result: Result) -> str:
     before, after = (v.median(rows, key, "nrmse") for key in ("baseline", "validate"))
     where = "on the hold-out"
     if after is None:
-        after, where = v.median(rows, "train", "nrmse"), "on the fitted data (nothing was held out)"
+        after = v.median(rows, "train", "nrmse")
+        where = "on the fitted data (nothing was held out)"
     subject = f"The identified model of {v.text(result, 'robot') or 'the arm'}"
     if after is None:
         return f"{subject} is described below."
-    instead = "" if before is None else f" instead of {v.percent(before)} with the model as given"
+    instead = (
+        ""
+        if before is None
+        else f" instead of {v.percent(before)} with the model as given"
+    )
     held = v.sentence(v.text(result, "holdout"))
     return (
         f"{subject} misses {v.percent(after)} of the measured torque {where}{instead} "
@@ -140,18 +180,30 @@ def _lead(result: Result) -> str:
 
 
 def _facts(result: Result) -> p.Facts | None:
-    rows, held = v.records(result, "joints"), _held_out(result)
-    before, after = (v.median(rows, k, "nrmse") for k in ("baseline", ("train", "validate")[held]))
+    rows = v.records(result, "joints")
+    held = _held_out(result)
+    before, after = (
+        v.median(rows, k, "nrmse") for k in ("baseline", ("train", "validate")[held])
+    )
     consistent = v.at(result, "physical", "consistent")
-    physical, tone = {True: ("yes", p.GOOD), False: ("no", p.POOR)}.get(consistent, ("", p.PLAIN))
-    faults = Counter(v.plain(v.text(fault, "fault")) for fault in v.records(result, "faults"))
+    physical, tone = {True: ("yes", p.GOOD), False: ("no", p.POOR)}.get(
+        consistent, ("", p.PLAIN)
+    )
+    faults = Counter(
+        v.plain(v.text(fault, "fault")) for fault in v.records(result, "faults")
+    )
     kinds = v.listing([f"{n} {kind}" for kind, n in faults.items()], "none was found")
     error = "Hold-out error" if held else "Error of the fit"
     remark = "given → identified; nrmse, median over joints"
     found = sum(faults.values()) if "faults" in result else None
     return p.facts(
         p.Fact(error, v.change(before, after, v.percent), remark, number=after),
-        p.Fact("Physically consistent", physical, "positive mass and inertia of every link", tone),
+        p.Fact(
+            "Physically consistent",
+            physical,
+            "positive mass and inertia of every link",
+            tone,
+        ),
         p.fact("Data faults", found, v.whole, kinds, p.POOR if found else p.GOOD),
         p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
     )
@@ -169,11 +221,15 @@ def _how(result: Result) -> p.Facts | None:
 
 
 def _errors(result: Result, unit: str) -> p.Blocks:
-    rows, held = v.records(result, "joints"), _held_out(result)
+    rows = v.records(result, "joints")
+    held = _held_out(result)
     judged, where = ("validate", "hold-out") if held else ("train", "fitted data")
     cutoff = v.real(result, "cutoff_hz")
-    same = "" if cutoff is None else f" after the same filter ({v.quantity(cutoff, 'Hz')})"
-    what, models = f"Prediction error per joint on the {where}", ("baseline", judged)
+    same = (
+        "" if cutoff is None else f" after the same filter ({v.quantity(cutoff, 'Hz')})"
+    )
+    what = f"Prediction error per joint on the {where}"
+    models = ("baseline", judged)
     table = p.table(
         rows,
         [
@@ -193,16 +249,24 @@ def _errors(result: Result, unit: str) -> p.Blocks:
 
 
 def _intervals(result: Result, unit: str) -> p.Table | None:
-    key, by = (
-        "validate.interval95",
-        "parameters and lengths" if "lengths" in result else "parameters",
-    )
+    key = "validate.interval95"
+    by = "parameters and lengths" if "lengths" in result else "parameters"
     return p.table(
-        [r for r in v.records(result, "joints") if v.real(r, *key.split("."), "half_width")],
+        [
+            r
+            for r in v.records(result, "joints")
+            if v.real(r, *key.split("."), "half_width")
+        ],
         [
             ("name:Joint", "name"),
-            (f"number:95\u00a0% interval of a reading, ± [{unit}]", f"{key}.half_width"),
-            (f"number:of which by the {by}, ± [{unit}]", f"{key}.half_width_parameters"),
+            (
+                f"number:95\u00a0% interval of a reading, ± [{unit}]",
+                f"{key}.half_width",
+            ),
+            (
+                f"number:of which by the {by}, ± [{unit}]",
+                f"{key}.half_width_parameters",
+            ),
             ("number:Hold-out inside", f"{key}.coverage", v.percent),
         ],
         f"Interval for a new reading, from the uncertainty of the {by} and coloured noise; "
@@ -221,7 +285,11 @@ def _in_mujoco(result: Result, series: Series, unit: str) -> p.Blocks:
             (f"number:Model as given, rms [{unit}]", "given.rms"),
             (f"number:Identified, rms [{unit}]", "identified.rms"),
             ("number:nrmse", "identified.nrmse", v.percent),
-            ("number:Differs from excitant by", "differs", lambda x: v.percent(round(x, 5))),
+            (
+                "number:Differs from excitant by",
+                "differs",
+                lambda x: v.percent(round(x, 5)),
+            ),
         ],
         f"Prediction error of the MJCF files in MuJoCo {v.text(found, 'version')}; last, how far "
         "MuJoCo is from excitant's own prediction (rms over the measured torque's standard "
@@ -229,12 +297,20 @@ def _in_mujoco(result: Result, series: Series, unit: str) -> p.Blocks:
         "hold is missing.",
     )
     figure = partial(torque_figure, v.joint_names(result), series, unit, _IN_MUJOCO)
-    return [table, figure, p.notes([v.sentence(n) for n in v.words(found, "notes")], p.FAIR)]
+    return [
+        table,
+        figure,
+        p.notes([v.sentence(n) for n in v.words(found, "notes")], p.FAIR),
+    ]
 
 
 def _base_parameters(result: Result) -> p.Blocks:
-    kept, dropped = (len(v.words(result, "essential", key)) for key in ("kept", "dropped"))
-    few, every = (v.real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all"))
+    kept, dropped = (
+        len(v.words(result, "essential", key)) for key in ("kept", "dropped")
+    )
+    few, every = (
+        v.real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all")
+    )
     said = (
         f"{kept} of {kept + dropped} base parameters are essential: with the others at zero, "
         f"least squares misses {v.percent(few)} of the hold-out instead of {v.percent(every)} "
@@ -260,12 +336,19 @@ def _base_parameters(result: Result) -> p.Blocks:
 
 def _parameter_table(result: Result) -> p.Table | None:
     rows = v.records(result, "parameters")
-    counts = Counter(v.plain(v.text(row, "category")) for row in rows if v.text(row, "category"))
-    categories = ", ".join(f"{n} {category}" for category, n in counts.items()) or "values"
+    counts = Counter(
+        v.plain(v.text(row, "category")) for row in rows if v.text(row, "category")
+    )
+    categories = (
+        ", ".join(f"{n} {category}" for category, n in counts.items()) or "values"
+    )
     return p.table(
         rows,
         [
-            ("name:Parameter", lambda r: v.text(r, "name").removeprefix(f"{v.text(r, 'link')}.")),
+            (
+                "name:Parameter",
+                lambda r: v.text(r, "name").removeprefix(f"{v.text(r, 'link')}."),
+            ),
             ("name:Link", "link"),
             *p.estimates(),
             ("number:Relative std", p.relative),
@@ -284,7 +367,9 @@ def _bodies(result: Result) -> p.Table | None:
     """Masses and centres of mass, given and identified."""
 
     def centre(key: str) -> Callable[[Result], str]:
-        return lambda row: v.listing([v.whole(1e3 * x) for x in v.reals(row, "centre", key)])
+        return lambda row: v.listing(
+            [v.whole(1e3 * x) for x in v.reals(row, "centre", key)]
+        )
 
     def moved(row: Result) -> dict[str, float | None]:
         known = (v.real(row, "centre", key) for key in ("shift", "shift_std"))
@@ -295,12 +380,16 @@ def _bodies(result: Result) -> p.Table | None:
         [
             ("name:Link", "link"),
             ("number:Mass [kg]|given", "mass.given"),
-            *p.estimates("number:Mass [kg]|identified", "number:Mass [kg]|± std", "mass"),
+            *p.estimates(
+                "number:Mass [kg]|identified", "number:Mass [kg]|± std", "mass"
+            ),
             ("text:Mass [kg]|by", lambda r: p.decided(v.text(r, "mass", "decided_by"))),
             ("number:Centre of mass [mm]|given", centre("given")),
             ("number:Centre of mass [mm]|identified", centre("value")),
             *p.estimates(
-                "number:Centre of mass [mm]|moved by", "number:Centre of mass [mm]|± std", "moved"
+                "number:Centre of mass [mm]|moved by",
+                "number:Centre of mass [mm]|± std",
+                "moved",
             ),
             (
                 "text:Centre of mass [mm]|by",
@@ -347,10 +436,12 @@ def _physical(result: Result) -> p.Notes | None:
 
 def _link_by_link(result: Result, unit: str) -> p.Blocks:
     found = v.at(result, "link_by_link")
-    stages, rows = v.records(found, "stages"), v.records(found, "comparison", "joints")
+    stages = v.records(found, "stages")
+    rows = v.records(found, "comparison", "joints")
     if not stages:
         return []
-    determined, total = v.real(found, "determined"), v.real(found, "base_parameters")
+    determined = v.real(found, "determined")
+    total = v.real(found, "base_parameters")
     each = " + ".join(str(len(v.records(stage, "determined"))) for stage in stages)
     count = p.Fact(
         "Combinations determined",
@@ -374,7 +465,9 @@ def _link_by_link(result: Result, unit: str) -> p.Blocks:
 
 
 def _stage(stage: Result) -> p.Blocks:
-    joint, used, rows = v.text(stage, "joint"), v.words(stage, "recordings"), v.real(stage, "rows")
+    joint = v.text(stage, "joint")
+    used = v.words(stage, "recordings")
+    rows = v.real(stage, "rows")
     said = f"{joint} does not move."
     if used and rows is not None:
         moves = f"{joint} {v.text(stage, 'mode')}"
@@ -393,7 +486,10 @@ def _stage(stage: Result) -> p.Blocks:
             "What the joint's own torque adds to what the links further out have shown; "
             f"{len(missing) or 'no'} combinations of this link keep the given value.",
         ),
-        p.notes([f"To identify the rest, {each}." for each in v.words(stage, "needed")], p.FAIR),
+        p.notes(
+            [f"To identify the rest, {each}." for each in v.words(stage, "needed")],
+            p.FAIR,
+        ),
     ]
 
 
@@ -402,7 +498,9 @@ def _payload(payload: Result | None) -> p.Blocks:
         return []
     return [
         _payload_facts(payload),
-        p.notes([v.sentence(each) for each in v.words(payload, "shortcomings")], p.FAIR),
+        p.notes(
+            [v.sentence(each) for each in v.words(payload, "shortcomings")], p.FAIR
+        ),
         p.notes([v.sentence(each) for each in v.words(payload, "notes")]),
         partial(payload_figure, payload),
         p.table(
@@ -411,7 +509,11 @@ def _payload(payload: Result | None) -> p.Blocks:
                 ("name:Parameter", "name"),
                 *p.estimates(),
                 ("text:Unit", "unit"),
-                ("text:Decided by", "prior_dominated", lambda x: "expectation" if x else "data"),
+                (
+                    "text:Decided by",
+                    "prior_dominated",
+                    lambda x: "expectation" if x else "data",
+                ),
             ],
             "Standard parameters of the body about the frame of its joint, physically consistent. "
             "The motion does not show those decided by the expectation (a ball at the flange).",
@@ -421,15 +523,21 @@ def _payload(payload: Result | None) -> p.Blocks:
 
 def _payload_facts(payload: Result) -> p.Facts | None:
     """Mass and centre of mass; good where two standard deviations are 2 % and 3 mm at most."""
-    m, s = v.real(payload, "mass", "value"), v.real(payload, "mass", "std")
+    m = v.real(payload, "mass", "value")
+    s = v.real(payload, "mass", "std")
     if m is None:
         return None
     tone = p.PLAIN if s is None else p.GOOD if 2 * s <= 0.02 * abs(m) else p.FAIR
     remark = f"one standard deviation; held by {v.text(payload, 'link')}"
-    found = [p.Fact("Mass", f"{' ± '.join(v.value_and_std(m, s))}\u00a0kg", remark, tone, m)]
-    centre, std = (1e3 * v.reals(payload, "centre_of_mass", key) for key in ("value", "std"))
+    found = [
+        p.Fact("Mass", f"{' ± '.join(v.value_and_std(m, s))}\u00a0kg", remark, tone, m)
+    ]
+    centre, std = (
+        1e3 * v.reals(payload, "centre_of_mass", key) for key in ("value", "std")
+    )
     for axis, c, each in zip("xyz", centre, std, strict=False):
-        label, tone = f"Centre of mass, {axis}", p.GOOD if 2 * each <= 3 else p.FAIR
+        label = f"Centre of mass, {axis}"
+        tone = p.GOOD if 2 * each <= 3 else p.FAIR
         value = f"{' ± '.join(v.value_and_std(c, each))}\u00a0mm"
         found.append(p.Fact(label, value, "in the frame of its joint", tone, c))
     return p.facts(*found)
@@ -457,12 +565,19 @@ def _online_facts(result: Result) -> p.Facts | None:
     t, level = excitation_levels(result)
     judged = np.isfinite(level)
     share = float((level[judged] >= ENOUGH).mean()) if judged.any() else None
-    delay_s, span = v.real(result, "online", "delay_s"), np.ptp(t) if len(t) else None
-    delay, aged = None if delay_s is None else 1e3 * delay_s, "age of the newest instant"
+    delay_s = v.real(result, "online", "delay_s")
+    span = np.ptp(t) if len(t) else None
+    delay = None if delay_s is None else 1e3 * delay_s
+    aged = "age of the newest instant"
     converging = "every joint's torque is known better than one row of data shows it"
     return p.facts(
         p.Fact("Converged", state, converging, p.GOOD if state == "yes" else p.FAIR),
-        p.fact("Exciting enough", share, v.percent, f"of the windows at {judged.sum()} looks"),
+        p.fact(
+            "Exciting enough",
+            share,
+            v.percent,
+            f"of the windows at {judged.sum()} looks",
+        ),
         p.fact("Delay", delay, v.unit_of("ms"), f"{aged} that the estimate is of"),
         p.fact("Duration", span, v.unit_of("s"), f"{len(t)} looks kept"),
     )

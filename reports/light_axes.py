@@ -49,26 +49,36 @@ class _LightAxis(Axis):
         if not self.get_visible():
             return
         below = isinstance(self, XAxis)
-        ax, look, along = self.axes, self.get_tick_params(), 0 if below else 1
+        ax = self.axes
+        look = self.get_tick_params()
+        along = 0 if below else 1
         values = self.get_majorticklocs()
         ends = np.empty((len(values), 2, 2))
-        ends[:, :, along], ends[:, :, 1 - along] = np.reshape(values, (-1, 1)), (0.0, 1.0)
+        ends[:, :, along] = np.reshape(values, (-1, 1))
+        ends[:, :, 1 - along] = (0.0, 1.0)
         transform = ax.get_xaxis_transform() if below else ax.get_yaxis_transform()
         ends = np.reshape(transform.transform(ends.reshape(-1, 2)), ends.shape)
-        low, high = ax.bbox.min[along] - _OUTSIDE, ax.bbox.max[along] + _OUTSIDE
+        low = ax.bbox.min[along] - _OUTSIDE
+        high = ax.bbox.max[along] + _OUTSIDE
         seen = (ends[:, 0, along] >= low) & (ends[:, 0, along] <= high)
         if look["gridOn"] and seen.any():
             _draw_lines(renderer, ends[seen])
         if look.get("labelbottom" if below else "labelleft", True):
-            words = np.array(self.get_major_formatter().format_ticks(list(values)), dtype=object)
+            words = np.array(
+                self.get_major_formatter().format_ticks(list(values)), dtype=object
+            )
             size = look.get("labelsize", mpl.rcParams["xtick.labelsize"])
             self._draw_words(renderer, ends[seen, 0], words[seen], size, below)
         self.label.draw(renderer)
 
-    def _draw_words(self, renderer: Any, at: Array, words: Any, size: float, below: bool) -> None:
+    def _draw_words(
+        self, renderer: Any, at: Array, words: Any, size: float, below: bool
+    ) -> None:
         """Labels at points on the edge of the axes, shape (n, 2), and below them the name."""
         text = Text(color=mpl.rcParams["xtick.color"], fontsize=size)
-        text.set(ha="center" if below else "right", va="top" if below else "center_baseline")
+        text.set(
+            ha="center" if below else "right", va="top" if below else "center_baseline"
+        )
         text.set_figure(self.get_figure(root=True))  # type: ignore[arg-type]
         apart = renderer.points_to_pixels(_PADDING) * np.array([not below, below])
         for point, said in zip(at - apart, words, strict=True):
@@ -76,7 +86,9 @@ class _LightAxis(Axis):
             text.set_text(said)
             text.draw(renderer)
         if below and len(words):
-            beneath = text.get_window_extent(renderer).y0 - renderer.points_to_pixels(self.labelpad)
+            beneath = text.get_window_extent(renderer).y0 - renderer.points_to_pixels(
+                self.labelpad
+            )
             self.label.set_position((self.label.get_position()[0], beneath))
 
 

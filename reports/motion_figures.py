@@ -28,7 +28,9 @@ _BEFORE_AFTER = (
     ("initial", draw.GIVEN, "start of the search"),
     ("final", draw.FITTED, "designed motion"),
 )
-_ROW, _ABOVE, _BELOW = 0.56, 0.22, 0.42  # inch: curve, its heading, the time axis
+_ROW = 0.56  # inch: curve
+_ABOVE = 0.22  # its heading
+_BELOW = 0.42  # the time axis
 _NEAR = 0.15  # share of a limit from which on the limit is drawn in
 ENOUGH = 1.0  # level at which the window knows as much as the prior
 _SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that were estimated
@@ -45,7 +47,9 @@ _SAMPLED = (
 )
 
 
-def envelope_of(result: Result, name: str, joint: int) -> tuple[float, float, float, float] | None:
+def envelope_of(
+    result: Result, name: str, joint: int
+) -> tuple[float, float, float, float] | None:
     """Proven bounds of a joint's quantity: least, greatest, ratio to limit, when."""
     rows = v.at(result, "certified", name)
     row = rows[joint] if isinstance(rows, list) and joint < len(rows) else None
@@ -70,7 +74,9 @@ def share_of_limit(ratio: object) -> str:
     return v.percent(ratio, 4 if near else 3)
 
 
-def motion_figure(joints: Sequence[str], result: Result, series: Series) -> Figure | None:
+def motion_figure(
+    joints: Sequence[str], result: Result, series: Series
+) -> Figure | None:
     """Position, velocity, acceleration, jerk and torque of each joint against their limits."""
     t = v.times(series)
     if t is None:
@@ -79,15 +85,20 @@ def motion_figure(joints: Sequence[str], result: Result, series: Series) -> Figu
         {
             row[0]: values
             for row in _CURVES
-            if (values := v.curve(series, row[1], k)) is not None and len(values) == len(t)
+            if (values := v.curve(series, row[1], k)) is not None
+            and len(values) == len(t)
         }
         for k in range(len(joints))
     ]
     rows = [row for row in _CURVES if any(row[0] in known for known in curves)]
     panels = [
-        _panel(k, joint, rows, curves[k], t, result) for k, joint in enumerate(joints) if curves[k]
+        _panel(k, joint, rows, curves[k], t, result)
+        for k, joint in enumerate(joints)
+        if curves[k]
     ]
-    if not any(_limit_of(result, row[0], k) for row in rows for k in range(len(joints))):
+    if not any(
+        _limit_of(result, row[0], k) for row in rows for k in range(len(joints))
+    ):
         caption = "The motion of every joint; the arm has no limits to compare it with."
         return figure(panels, caption)
     certified = [
@@ -99,7 +110,12 @@ def motion_figure(joints: Sequence[str], result: Result, series: Series) -> Figu
 
 
 def _panel(
-    k: int, joint: str, rows: list[_Curve], curves: dict[str, Array], t: Array, result: Result
+    k: int,
+    joint: str,
+    rows: list[_Curve],
+    curves: dict[str, Array],
+    t: Array,
+    result: Result,
 ) -> Panel:
     time, joins = draw.timeline(t)
     height = len(rows) * (_ROW + _ABOVE) + _BELOW
@@ -109,7 +125,9 @@ def _panel(
     said = []
     for ax, (name, _, colour, units) in zip(stack, rows, strict=True):
         look: Any = {"fontsize": 8.5, "pad": 2.5}
-        ax.set_title(f"{name} [{units[slides]}]", loc="left", color=draw.ink(colour), **look)
+        ax.set_title(
+            f"{name} [{units[slides]}]", loc="left", color=draw.ink(colour), **look
+        )
         if name not in curves:
             ax.set_yticks([])
             continue
@@ -119,7 +137,9 @@ def _panel(
         said.append(f"{name} {remark}")
         draw.few_ticks(ax.yaxis, 3)
     draw.over_time(stack[-1], time)
-    return draw.panel(stack[0], f"{joint} over time: {', '.join(said)}", v.shorten(joint, 60))
+    return draw.panel(
+        stack[0], f"{joint} over time: {', '.join(said)}", v.shorten(joint, 60)
+    )
 
 
 def _against(
@@ -132,19 +152,24 @@ def _against(
     name: str,
     joint: int,
 ) -> str:
-    limits, within = _limit_of(result, name, joint), envelope_of(result, name, joint)
-    lowest, highest = float(np.nanmin(y)), float(np.nanmax(y))
-    ratio, far = None, ""
+    limits = _limit_of(result, name, joint)
+    within = envelope_of(result, name, joint)
+    lowest = float(np.nanmin(y))
+    highest = float(np.nanmax(y))
+    ratio = None
+    far = ""
     if within is not None:
         low, high, ratio, when = within
         ax.axhspan(low, high, color=colour, alpha=0.11, lw=0)
-        lowest, highest = min(lowest, low), max(highest, high)
+        lowest = min(lowest, low)
+        highest = max(highest, high)
         near = int(np.abs(t - when).argmin())
         edge = min((high, low), key=lambda each: abs(y[near] - each))
         ring: Any = {"ms": 5.5, "mfc": "none", "mec": colour, "mew": 1.2}
         ax.plot(time[near] + when - t[near], edge, "o", **ring)
     if limits is not None:
-        centre, half = (limits[0] + limits[1]) / 2, (limits[1] - limits[0]) / 2
+        centre = (limits[0] + limits[1]) / 2
+        half = (limits[1] - limits[0]) / 2
         if ratio is None:
             ratio = float(np.nanmax(np.abs(y - centre))) / half
         if max(abs(lowest - centre), abs(highest - centre)) < _NEAR * half:
@@ -153,7 +178,8 @@ def _against(
         else:
             for limit in limits:
                 ax.axhline(limit, color=draw.MEASURED, lw=1.0, ls=draw.DASHED)
-            lowest, highest = min(lowest, limits[0]), max(highest, limits[1])
+            lowest = min(lowest, limits[0])
+            highest = max(highest, limits[1])
     pad = 0.1 * max(highest - lowest, 1e-9)
     ax.set_ylim(lowest - pad, highest + pad)
     return "no limit" if ratio is None else f"{share_of_limit(ratio)} of limit{far}"
@@ -172,11 +198,16 @@ def spectrum_figure(series: Series) -> Figure | None:
     if not found:
         return None
     (ax,) = draw.axes(2.5)
-    said, legend = [], []
+    said = []
+    legend = []
     for key, sizes, colour, name in found:
         fill, mark = (colour, "dot") if key == "final" else ("none", "ring")
-        ax.plot(1 + np.arange(len(sizes)), sizes, "o", ms=3.6, mec=colour, mfc=fill, mew=0.9)
-        said.append(f"{name}: {len(sizes)} values, ratio {v.number(sizes[0] / sizes[-1])}")
+        ax.plot(
+            1 + np.arange(len(sizes)), sizes, "o", ms=3.6, mec=colour, mfc=fill, mew=0.9
+        )
+        said.append(
+            f"{name}: {len(sizes)} values, ratio {v.number(sizes[0] / sizes[-1])}"
+        )
         legend += [Key(mark, colour, name)] * designed
     draw.log_y(ax)
     ax.set_xlim(left=0)
@@ -204,7 +235,10 @@ def convergence_figure(result: Result) -> Figure | None:
     starts = [(row, h) for row, h in starts if np.isfinite(h).any() and len(h) > 1]
     if not starts:
         return None
-    ends = [v.real(row, "condition_number") or float(h[np.isfinite(h)][-1]) for row, h in starts]
+    ends = [
+        v.real(row, "condition_number") or float(h[np.isfinite(h)][-1])
+        for row, h in starts
+    ]
     best = int(np.argmin(ends))
     (ax,) = draw.axes(2.3)
     for k, (_, history) in sorted(enumerate(starts), key=lambda pair: pair[0] == best):
@@ -228,30 +262,44 @@ def convergence_figure(result: Result) -> Figure | None:
     count = f"{len(starts)} starts; best ends at {v.number(ends[best])}"
     caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
     caption += "value suggest that a much better motion does not exist."
-    if cut := sum(v.text(row, "status") in ("time_limit", "time limit") for row, _ in starts):
+    if cut := sum(
+        v.text(row, "status") in ("time_limit", "time limit") for row, _ in starts
+    ):
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
-    return draw.single(ax, f"condition number over iterations of {count}", caption, legend)
+    return draw.single(
+        ax, f"condition number over iterations of {count}", caption, legend
+    )
 
 
 def excitation_levels(result: Result) -> tuple[Array, Array]:
     """Times and excitation levels of the looks; NaN before a whole window."""
-    t, level = (v.reals(result, "online", "history", key) for key in ("t", "excitation_level"))
+    t, level = (
+        v.reals(result, "online", "history", key) for key in ("t", "excitation_level")
+    )
     known = len(t) == len(level) and bool(np.isfinite(t).all())
     return (t, level) if known else (np.empty(0), np.empty(0))
 
 
 def estimates_figure(result: Result, series: Series) -> Figure | None:
     """Estimate and band over time of the parameters that the data determined most."""
-    t, rows = v.curve(series, "online_t"), v.records(result, "base_parameters")
+    t = v.curve(series, "online_t")
+    rows = v.records(result, "base_parameters")
     if t is None or len(t) < 2:
         return None
-    value, std = (v.array(series, f"online_{key}", len(t), len(rows)) for key in ("value", "std"))
+    value, std = (
+        v.array(series, f"online_{key}", len(t), len(rows)) for key in ("value", "std")
+    )
     if value is None or std is None:
         return None
-    units = {v.text(row, "name"): v.text(row, "unit") for row in v.records(result, "parameters")}
+    units = {
+        v.text(row, "name"): v.text(row, "unit")
+        for row in v.records(result, "parameters")
+    }
     expressions = [v.text(row, "expression") for row in rows]
     words = ((each, re.split(r"[ ·−+()]+", each)) for each in expressions)
-    names = [next((word for word in found if word in units), each) for each, found in words]
+    names = [
+        next((word for word in found if word in units), each) for each, found in words
+    ]
     panels = [
         _estimate_panel(t, value[:, k], std[:, k], names[k], units.get(names[k], ""))
         for k in _chosen(value, std, names)
@@ -272,10 +320,14 @@ def payload_figure(payload: Result | None) -> Figure | None:
     if len(t) < 2 or not len(t) == len(mass) == len(std):
         return None
     panels = [_estimate_panel(t, mass, std, "mass", "kg")]
-    centre, spread = (np.array(v.items(history, key)) for key in ("centre", "centre_std"))
+    centre, spread = (
+        np.array(v.items(history, key)) for key in ("centre", "centre_std")
+    )
     if centre.shape == spread.shape == (len(t), 3):
         panels += [
-            _estimate_panel(t, centre[:, k], spread[:, k], f"centre of mass, {axis}", "m")
+            _estimate_panel(
+                t, centre[:, k], spread[:, k], f"centre of mass, {axis}", "m"
+            )
             for k, axis in enumerate("xyz")
         ]
     caption = "The payload as it was known at each instant; the band holds it 95 times out of 100."
@@ -298,17 +350,29 @@ def _chosen(value: Array, std: Array, names: Sequence[str]) -> list[int]:
 
 def _estimate_panel(t: Array, value: Array, std: Array, name: str, unit: str) -> Panel:
     (ax,) = draw.axes(1.9, left=0.72)
-    low, high = value - _BAND * std, value + _BAND * std
+    low = value - _BAND * std
+    high = value + _BAND * std
     late = slice(len(t) // 2, None)
-    bottom, top = float(low[late].min()), float(high[late].max())
+    bottom = float(low[late].min())
+    top = float(high[late].max())
     room = 0.6 * (top - bottom) or 1.0
-    bottom, top = bottom - room, top + room
-    ax.fill_between(t, np.clip(low, bottom, top), np.clip(high, bottom, top), color=draw.BAND, lw=0)
-    ax.plot(t, np.where((value > bottom) & (value < top), value, np.nan), color=draw.FITTED, lw=1.2)
+    bottom = bottom - room
+    top = top + room
+    ax.fill_between(
+        t, np.clip(low, bottom, top), np.clip(high, bottom, top), color=draw.BAND, lw=0
+    )
+    ax.plot(
+        t,
+        np.where((value > bottom) & (value < top), value, np.nan),
+        color=draw.FITTED,
+        lw=1.2,
+    )
     ax.set_ylim(bottom, top)
     draw.over_time(ax, t, f"[{unit}]" if unit else "[SI]")
     last = " ± ".join(v.value_and_std(value[-1], std[-1]))
-    return draw.panel(ax, f"{name} over time, at the end {last} {unit}", v.shorten(name, 44))
+    return draw.panel(
+        ax, f"{name} over time, at the end {last} {unit}", v.shorten(name, 44)
+    )
 
 
 def excitation_figure(result: Result) -> Figure | None:
@@ -317,7 +381,8 @@ def excitation_figure(result: Result) -> Figure | None:
     seen = np.isfinite(level) & (level > 0)
     if seen.sum() < 2:
         return None
-    t, level = t[seen], level[seen]
+    t = t[seen]
+    level = level[seen]
     spans = _spans(t, level < ENOUGH)
     (ax,) = draw.axes(2.5)
     for first, last in spans:
@@ -350,4 +415,6 @@ def excitation_figure(result: Result) -> Figure | None:
 def _spans(t: Array, bad: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Intervals in which a condition held, from the look that saw it to the next that did not."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
-    return [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in edges.reshape(-1, 2)]
+    return [
+        (float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in edges.reshape(-1, 2)
+    ]

@@ -12,7 +12,10 @@ from excitant.reports import values as v
 from excitant.reports.values import NONE, Result
 from excitant.robots.motion import Array
 
-GOOD, FAIR, POOR, PLAIN = "good", "fair", "poor", ""
+GOOD = "good"
+FAIR = "fair"
+POOR = "poor"
+PLAIN = ""
 _FORMATS = {  # by the end of the name
     "result.json": "every figure of this page, for programs",
     "npz": "the arrays that its figures draw",
@@ -235,7 +238,10 @@ class Page:
     def uses(self) -> list[tuple[str, str]]:
         """The files, and what reads them or what they hold."""
         return [
-            (name, next((use for end, use in _FORMATS.items() if name.endswith(end)), ""))
+            (
+                name,
+                next((use for end, use in _FORMATS.items() if name.endswith(end)), ""),
+            )
             for name in self.files
         ]
 
@@ -243,7 +249,9 @@ class Page:
         """All tables, key figures among them, with the titles of their section and part."""
         for each in self.sections:
             for part in each.parts:
-                yield from ((each.title, part.title, found) for found in _tables(part.blocks))
+                yield from (
+                    (each.title, part.title, found) for found in _tables(part.blocks)
+                )
 
 
 def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
@@ -253,7 +261,9 @@ def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
                 yield from _tables(block.blocks)
             case Facts():
                 known = [fact for fact in block.facts if not fact.timing]
-                rows = tuple((Cell(x.label), Cell(x.value, value=x.number)) for x in known)
+                rows = tuple(
+                    (Cell(x.label), Cell(x.value, value=x.number)) for x in known
+                )
                 yield Table((("Figure", "name"), ("", "number")), rows)
             case Table():
                 yield block
@@ -281,7 +291,9 @@ def table(
     if not rows:
         return None
     kept = [column for column in columns if column is not None]
-    heads = tuple((column[0].partition(":")[2], column[0].partition(":")[0]) for column in kept)
+    heads = tuple(
+        (column[0].partition(":")[2], column[0].partition(":")[0]) for column in kept
+    )
     cells = tuple(tuple(_cell(row, *column) for column in kept) for row in rows)
     return Table(heads, cells, caption, folded, brief)
 
@@ -294,7 +306,9 @@ def _cell(row: Result, head: str, source: Source, write: Write | None = None) ->
     value = v.at(row, *keys)
     if write is None and head.startswith("number:"):
         write = v.number
-    written = write(value) if write else v.listing(v.words(row, *keys), v.text(row, *keys))
+    written = (
+        write(value) if write else v.listing(v.words(row, *keys), v.text(row, *keys))
+    )
     return Cell(written or NONE, PLAIN, v.real(value))
 
 
@@ -362,7 +376,9 @@ def folded(title: str, count: int, most: int = LONG) -> str:
     return title if count > most else ""
 
 
-def fact(label: str, value: object, write: Write, remark: str = "", tone: str = PLAIN) -> Fact:
+def fact(
+    label: str, value: object, write: Write, remark: str = "", tone: str = PLAIN
+) -> Fact:
     """A figure of merit that is a number."""
     known = v.real(value)
     return Fact(label, NONE if known is None else write(known), remark, tone, known)
@@ -370,11 +386,15 @@ def fact(label: str, value: object, write: Write, remark: str = "", tone: str = 
 
 def facts(*found: Fact | None) -> Facts | None:
     """The facts that have a value."""
-    known = tuple(fact for fact in found if fact is not None and fact.value not in (NONE, ""))
+    known = tuple(
+        fact for fact in found if fact is not None and fact.value not in (NONE, "")
+    )
     return Facts(known) if known else None
 
 
-def notes(sentences: Sequence[str], tone: str = PLAIN, *, brief: str | None = None) -> Notes | None:
+def notes(
+    sentences: Sequence[str], tone: str = PLAIN, *, brief: str | None = None
+) -> Notes | None:
     """Sentences, or None without any."""
     return Notes(tuple(sentences), tone, brief) if sentences else None
 
@@ -398,7 +418,9 @@ def section(
     After the parts come those that are behind their titles. All figures are drawn together.
     """
     drawings = [*_drawings(parts), *_drawings(closed or [])]
-    figures = reversed(together(drawings[::-1]))  # the largest are at the end, as a rule
+    figures = reversed(
+        together(drawings[::-1])
+    )  # the largest are at the end, as a rule
     kept = [_part(*part, figures) for part in parts]
     kept += [_part(*part, figures, True) for part in closed or []]
     return Section(title, lead, tuple(part for part in kept if part.blocks), brief)

@@ -50,7 +50,9 @@ _APART = 2.0  # standard deviations of a difference from which on estimates disa
 _STD = "± std"  # in the heading of a column that belongs to the one before
 _PAIRED = 3  # runs up to which differences have columns; of more, result.json has them
 _HEADINGS = {"difference": "{} − A", "ratio": "{} / A", "deviations": "{} − A [std]"}
-_ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")  # what depends on the filter and on the rows
+_ERROR = re.compile(
+    r"\b(rms|nrmse)\b|r²|error"
+)  # what depends on the filter and on the rows
 _REMARKS = {
     "robot": "The runs are of different arms: {}.",
     "cutoff_hz": "Torque was filtered at different cut-offs, {} Hz: errors do not compare.",
@@ -64,7 +66,9 @@ def page_of(result: Result, series: Series) -> Page:
     result = _shown(result)
     verb = v.text(result, "verb")
     if verb not in _VERBS:
-        raise BadInput(f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}")
+        raise BadInput(
+            f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}"
+        )
     with style():
         if verb in _WHOLE:
             page = _examination_page(result, series)
@@ -82,7 +86,9 @@ def _shown(value: Any) -> Any:
         return printable(value.replace("\n", " "))
     if isinstance(value, dict):
         return {_shown(key): _shown(item) for key, item in value.items()}
-    return [_shown(item) for item in value] if isinstance(value, list | tuple) else value
+    return (
+        [_shown(item) for item in value] if isinstance(value, list | tuple) else value
+    )
 
 
 def _title(name: str, result: Result) -> str:
@@ -94,7 +100,11 @@ def _examination_page(result: Result, series: Series) -> Page:
     sections = {}
     for verb, build in _SECTIONS.items():
         if isinstance(found := v.at(result, verb), dict):
-            own = {k.removeprefix(f"{verb}/"): x for k, x in series.items() if f"{verb}/" in k}
+            own = {
+                k.removeprefix(f"{verb}/"): x
+                for k, x in series.items()
+                if f"{verb}/" in k
+            }
             section = build({"robot": v.text(result, "robot"), **found}, own)
             section = links_folded(section, found)
             if verb == "robots":  # the verdict comes first, and what it rests on
@@ -133,7 +143,9 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
                 "compare runs of one command"
             )
     if verb == COMPARE:
-        raise BadInput(f"{first.folder}: a comparison already; name the runs themselves")
+        raise BadInput(
+            f"{first.folder}: a comparison already; name the runs themselves"
+        )
     pages = [page_of(run.result, {}) for run in runs]
     remarks = _remarks(runs)
     judged = not any("error" in remark for remark in remarks)
@@ -141,7 +153,9 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
     return {
         "verb": COMPARE,
         "of": verb,
-        "robot": v.listing(list(dict.fromkeys(v.text(run.result, "robot") for run in runs))),
+        "robot": v.listing(
+            list(dict.fromkeys(v.text(run.result, "robot") for run in runs))
+        ),
         "runs": [
             {
                 "name": run.folder if names.count(name) > 1 else name,
@@ -158,7 +172,13 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
 def _remarks(runs: Sequence[SavedRun]) -> list[str]:
     found = []
     for key, said in _REMARKS.items():
-        for part in ((), ("design",), ("identify",), ("analyze",), ("diagnose",)):  # of a demo
+        for part in (
+            (),
+            ("design",),
+            ("identify",),
+            ("analyze",),
+            ("diagnose",),
+        ):  # of a demo
             values = [v.at(run.result, *part, key) for run in runs]
             written = [v.text(x) if v.real(x) is None else v.number4(x) for x in values]
             if len(set(filter(None, written))) > 1:
@@ -174,9 +194,13 @@ def _remarks(runs: Sequence[SavedRun]) -> list[str]:
 def _same_rows(series: Sequence[Series]) -> bool:
     """Whether all runs were judged on the same instants and readings, as far as is known."""
     for key in ("t", "measured"):
-        first, *others = [np.asarray(each[key]) for each in series if key in each] or [np.empty(0)]
+        first, *others = [np.asarray(each[key]) for each in series if key in each] or [
+            np.empty(0)
+        ]
         for other in others:
-            if other.shape != first.shape or not np.allclose(first, other, 1e-5, 1e-9, True):
+            if other.shape != first.shape or not np.allclose(
+                first, other, 1e-5, 1e-9, True
+            ):
                 return False
     return True
 
@@ -188,7 +212,9 @@ def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
         title, part, of, name, heading = key
         tables = sections.setdefault(title, {})
         cells = [figures.get(key, (Cell(NONE), None)) for figures in walked]
-        written, values = ([getattr(cell, k) for cell, _ in cells] for k in ("text", "value"))
+        written, values = (
+            [getattr(cell, k) for cell, _ in cells] for k in ("text", "value")
+        )
         row: dict[str, Any] = {"name": name, "figure": heading, "written": written}
         if all(value is None for value in values):
             if len(set(written)) == 1:
@@ -196,12 +222,17 @@ def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
         elif judged or not _ERROR.search(f"{name} {heading}".lower()):
             first, *others = [(cell.value, std) for cell, std in cells]
             pairs = [(first[0], value) for value, _ in others]
-            row["difference"] = [None if x is None or y is None else y - x for x, y in pairs]
+            row["difference"] = [
+                None if x is None or y is None else y - x for x, y in pairs
+            ]
             row["ratio"] = [None if not x or y is None else y / x for x, y in pairs]
             row["deviations"] = [deviations(*first, *other) for other in others]
         tables.setdefault((part, of), []).append(row | {"values": values})
     return [
-        {"title": title, "tables": [{"part": p, "of": o, "rows": r} for (p, o), r in found.items()]}
+        {
+            "title": title,
+            "tables": [{"part": p, "of": o, "rows": r} for (p, o), r in found.items()],
+        }
         for title, found in sections.items()
     ]
 
@@ -211,7 +242,11 @@ def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
     figures: dict[tuple[str, ...], tuple[Cell, float | None]] = {}
     for title, part, table in page.tables():
         heads = table.heads
-        names = [k for k, (_, kind) in enumerate(table.columns) if kind in ("name", "expression")]
+        names = [
+            k
+            for k, (_, kind) in enumerate(table.columns)
+            if kind in ("name", "expression")
+        ]
         if not names:
             continue
         for row in table.rows:
@@ -220,7 +255,11 @@ def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
             for k, (head, cell) in enumerate(zip(heads, row, strict=True)):
                 if k in names or _STD in head:
                     continue
-                std = row[k + 1] if k + 1 < len(row) and _STD in heads[k + 1] else Cell(NONE)
+                std = (
+                    row[k + 1]
+                    if k + 1 < len(row) and _STD in heads[k + 1]
+                    else Cell(NONE)
+                )
                 both = f"{cell.text} ± {std.text}" if std.text != NONE else cell.text
                 found = replace(cell, text=both), None if prior else std.value
                 figures.setdefault((title, part, heads[names[0]], name, head), found)
@@ -237,7 +276,8 @@ def deviations(
 
 
 def _comparison_page(result: Result) -> Page:
-    runs, remarks = v.records(result, "runs"), v.words(result, "remarks")
+    runs = v.records(result, "runs")
+    remarks = v.words(result, "remarks")
     letters = list(_LETTERS[: len(runs)])
     legend = [
         f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
@@ -248,8 +288,12 @@ def _comparison_page(result: Result) -> Page:
         parts: dict[str, p.Blocks] = {}
         for found in v.records(each, "tables"):
             parts.setdefault(v.text(found, "part"), []).append(_table(found, letters))
-        order, title, count = list(parts.items()), v.text(each, "title"), _count(each)
-        sections.append(p.section(title, count, order[:1], ((title, count),), order[1:]))
+        order = list(parts.items())
+        title = v.text(each, "title")
+        count = _count(each)
+        sections.append(
+            p.section(title, count, order[:1], ((title, count),), order[1:])
+        )
     blocks = (p.notes(legend), p.notes([v.sentence(r) for r in remarks], p.POOR))
     return Page(
         _title("Comparison of runs", result),
@@ -262,9 +306,16 @@ def _comparison_page(result: Result) -> Page:
 
 
 def _count(each: Result) -> str:
-    rows = [row for part in v.records(each, "tables") for row in v.records(part, "rows")]
+    rows = [
+        row for part in v.records(each, "tables") for row in v.records(part, "rows")
+    ]
     differ = sum(len(set(v.words(row, "written"))) > 1 for row in rows)
-    apart = [x for row in rows for x in v.at(row, "deviations") or () if v.real(x) is not None]
+    apart = [
+        x
+        for row in rows
+        for x in v.at(row, "deviations") or ()
+        if v.real(x) is not None
+    ]
     said = f"{differ} of {len(rows)} figures differ."
     if apart:
         far = sum(x > _APART for x in apart)
@@ -285,8 +336,12 @@ def _table(found: Result, letters: Sequence[str]) -> p.Table | None:
         def cell(row: Result) -> Cell:
             x = value(row, key, k)
             far = key == "deviations" and (x or 0.0) > _APART
-            share = key == "difference" and any(w[-1:] == "%" for w in v.words(row, "written"))
-            return Cell((v.percent if share else v.number)(x), p.POOR if far else p.PLAIN, x)
+            share = key == "difference" and any(
+                w[-1:] == "%" for w in v.words(row, "written")
+            )
+            return Cell(
+                (v.percent if share else v.number)(x), p.POOR if far else p.PLAIN, x
+            )
 
         known = any(value(row, key, k) is not None for row in rows)
         return (f"number:{_HEADINGS[key].format(letter)}", cell) if known else None

@@ -28,19 +28,24 @@ _CAPTION = (
 
 def player(result: Result, series: Series) -> Player | None:
     """The motion to play; None of results that have none."""
-    names, look = v.joint_names(result), v.at(result, "appearance")
-    frames, joints = _frames(series, len(names)), v.records(look, "joints")
+    names = v.joint_names(result)
+    look = v.at(result, "appearance")
+    frames = _frames(series, len(names))
+    joints = v.records(look, "joints")
     if frames is None or len(joints) != len(names):
         return None
     units = ["m" if v.at(row, "slides") is True else "rad" for row in joints]
-    shapes = [{**row, **_mesh(series, k)} for k, row in enumerate(v.records(look, "shapes"))]
+    shapes = [
+        {**row, **_mesh(series, k)} for k, row in enumerate(v.records(look, "shapes"))
+    ]
     colours = {"limit": draw.AMBER, "beyond": draw.GIVEN, "gap": draw.GREEN}
     colours |= {"path": draw.FITTED, "obstacle": draw.PURPLE}
     obstacles = v.records(result, "obstacles")
     legend = [
         Key("box", draw.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
         Key("box", draw.GIVEN, "limit exceeded"),
-        *[Key("line", draw.GREEN, "shortest distance of two bodies")] * ("distance" in frames),
+        *[Key("line", draw.GREEN, "shortest distance of two bodies")]
+        * ("distance" in frames),
         Key("line", draw.FITTED, "path of the tool"),
         *[Key("box", draw.PURPLE, "obstacle, workspace")]
         * any(v.text(each, "name") != "floor" for each in obstacles),
@@ -67,10 +72,12 @@ def player(result: Result, series: Series) -> Player | None:
 
 def moments(result: Result) -> list[Moment]:
     """The instants at which limits are touched, and that of the least distance, in their order."""
-    found, certified = [], v.at(result, "certified")
+    found = []
+    certified = v.at(result, "certified")
     for quantity, rows in certified.items() if isinstance(certified, Mapping) else ():
         for joint, row in zip(v.joint_names(result), rows or (), strict=False):
-            ratio, t = v.real(row, "ratio"), v.real(row, "t")
+            ratio = v.real(row, "ratio")
+            t = v.real(row, "t")
             if ratio is not None and t is not None and ratio >= TOUCHED:
                 words = f"{joint}: {v.percent(ratio, 4)} of its {quantity} limit"
                 found.append(Moment(t, words, p.FAIR if ratio <= FULL else p.POOR))
@@ -90,15 +97,23 @@ def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
     t = v.array(series, "play_t", None)
     n = 0 if t is None else len(t)
     shapes = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
-    found = {name: v.array(series, f"play_{name}", n, *rest) for name, rest in shapes.items()}
-    known = {name: x for name, x in found.items() if x is not None and np.isfinite(x).all()}
+    found = {
+        name: v.array(series, f"play_{name}", n, *rest) for name, rest in shapes.items()
+    }
+    known = {
+        name: x for name, x in found.items() if x is not None and np.isfinite(x).all()
+    }
     if t is None or n < 2 or len(known) < len(shapes):
         return None
     shares = np.round(known["shares"] / _SHARE)
-    shares += (known["shares"] > FULL) & (shares * _SHARE <= 1)  # exceeded by less than a step
+    shares += (known["shares"] > FULL) & (
+        shares * _SHARE <= 1
+    )  # exceeded by less than a step
     kept = {"t": t} | {name: known[name].astype("<f4") for name in ("q", "dq")}
     kept["shares"] = np.minimum(shares, 65535).astype("<u2")
-    pair, distance = (v.array(series, f"play_{name}", n) for name in ("pair", "distance"))
+    pair, distance = (
+        v.array(series, f"play_{name}", n) for name in ("pair", "distance")
+    )
     points = v.array(series, "play_points", n, 2, 3)
     if pair is not None and distance is not None and points is not None:
         kept |= {"pair": pair.astype("<u2"), "distance": distance.astype("<f4")}
@@ -111,7 +126,10 @@ def _mesh(series: Series, k: int) -> dict[str, Any]:
     faces = v.array(series, f"mesh{k}_faces", None, 3)
     if points is None or faces is None:
         return {}
-    return {"points": _packed(points.astype("<f4")), "faces": _packed(faces.astype("<u4"))}
+    return {
+        "points": _packed(points.astype("<f4")),
+        "faces": _packed(faces.astype("<u4")),
+    }
 
 
 def _packed(values: npt.NDArray[Any]) -> dict[str, str]:

@@ -20,7 +20,11 @@ from excitant.reports import page
 from excitant.reports import values as v
 from excitant.reports.drawing import Sheet
 from excitant.reports.error_figures import torque_figure
-from excitant.reports.estimate_figures import forest_figure, forest_groups, friction_figure
+from excitant.reports.estimate_figures import (
+    forest_figure,
+    forest_groups,
+    friction_figure,
+)
 from excitant.reports.identify import CURVES
 from excitant.reports.motion_figures import motion_figure
 from excitant.reports.residual_figures import residual_figure
@@ -39,21 +43,27 @@ __all__ = ["friction", "motion", "parameters", "residuals", "torque"]
 
 Names = str | Sequence[str] | None
 _Drawn = tuple[dict[str, Any], dict[str, Array]]
-_BY_JOINT = ("joints", "revolute", "limit_values", "certified")  # entries with one item per joint
+# entries with one item per joint
+_BY_JOINT = ("joints", "revolute", "limit_values", "certified")
 _SAMPLES = 1000  # of a period
 
 
 def torque(estimate: Estimate, joints: Names = None) -> list[Axes]:
     """Measured and predicted torque over the hold-out, below it the residual: two axes a joint."""
     result, series = _of_joints(estimate, joints)
-    names, unit = v.joint_names(result), v.text(result, "unit")
+    names = v.joint_names(result)
+    unit = v.text(result, "unit")
     return _drawn(lambda: torque_figure(names, series, unit, CURVES))
 
 
-def friction(estimate: Estimate, joints: Names = None, *, ax: Axes | None = None) -> list[Axes]:
+def friction(
+    estimate: Estimate, joints: Names = None, *, ax: Axes | None = None
+) -> list[Axes]:
     """Friction over velocity with its 95 % interval, and the readings of the hold-out."""
     result, series = _of_joints(estimate, joints)
-    return _drawn(lambda: friction_figure(result, series), ax, len(v.joint_names(result)))
+    return _drawn(
+        lambda: friction_figure(result, series), ax, len(v.joint_names(result))
+    )
 
 
 def residuals(estimate: Estimate, joints: Names = None) -> list[Axes]:
@@ -62,22 +72,31 @@ def residuals(estimate: Estimate, joints: Names = None) -> list[Axes]:
     return _drawn(lambda: residual_figure(result, series, v.text(result, "unit")))
 
 
-def parameters(estimate: Estimate, names: Names = None, *, ax: Axes | None = None) -> list[Axes]:
+def parameters(
+    estimate: Estimate, names: Names = None, *, ax: Axes | None = None
+) -> list[Axes]:
     """Identified parameters with their 95 % intervals beside the given ones, by kind.
 
     Names are those of links, joints or parameters, or symbols such as ``m`` and ``Fc``.
     """
-    rows, kept = estimate.result()["parameters"], []
-    ways = [{name, *name.rpartition(".")[::2]} for name in (row["name"] for row in rows)]
+    rows = estimate.result()["parameters"]
+    kept = []
+    ways = [
+        {name, *name.rpartition(".")[::2]} for name in (row["name"] for row in rows)
+    ]
     wanted = {names} if isinstance(names, str) else set(names or ())
     UnknownName.refuse("parameter", sorted(wanted), sorted(set().union(*ways)))
-    kept = [row for row, way in zip(rows, ways, strict=True) if not wanted or way & wanted]
+    kept = [
+        row for row, way in zip(rows, ways, strict=True) if not wanted or way & wanted
+    ]
     result = {"parameters": kept}
     return _drawn(lambda: forest_figure(result), ax, len(forest_groups(result)))
 
 
 def motion(
-    motion: Design | Trajectory | Motion, robot: RobotLike | None = None, joints: Names = None
+    motion: Design | Trajectory | Motion,
+    robot: RobotLike | None = None,
+    joints: Names = None,
 ) -> list[Axes]:
     """Position, velocity and acceleration of each joint, an axes each, against the robot's limits.
 
@@ -107,9 +126,16 @@ def _chosen(result: Result, series: Series, joints: Names) -> _Drawn:
     """Result and series of some joints, in the order in which they are named."""
     result = as_saved(result, {})[0]
     names = v.joint_names(result)
-    wanted = names if joints is None else [joints] if isinstance(joints, str) else list(joints)
+    wanted = (
+        names
+        if joints is None
+        else [joints]
+        if isinstance(joints, str)
+        else list(joints)
+    )
     UnknownName.refuse("joint", wanted, names)
-    rows, nv = [names.index(name) for name in wanted], len(names)
+    rows = [names.index(name) for name in wanted]
+    nv = len(names)
 
     def kept(entry: Any) -> Any:
         if isinstance(entry, dict):
@@ -118,7 +144,9 @@ def _chosen(result: Result, series: Series, joints: Names) -> _Drawn:
         return [entry[row] for row in rows] if per_joint else entry
 
     result |= {key: kept(result[key]) for key in _BY_JOINT if key in result}
-    arrays = {key: x[:, rows] if np.shape(x)[1:] == (nv,) else x for key, x in series.items()}
+    arrays = {
+        key: x[:, rows] if np.shape(x)[1:] == (nv,) else x for key, x in series.items()
+    }
     return result, arrays
 
 

@@ -35,7 +35,8 @@ _FIGURE = 14  # characters of a number in text
 _LABEL = 32
 _UNBROKEN = 24  # letters of a word that is never broken
 _SAMPLES = 250_000  # of all curves of a timeline
-_STEP = 10  # columns of words are a multiple of this wide, so that few changes move them
+# columns of words are a multiple of this wide, so that few changes move them
+_STEP = 10
 _WIDE = 200  # columns where no terminal is
 _STYLES = {"good": "green", "fair": "yellow", "poor": "red"}
 _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
@@ -101,7 +102,9 @@ def _breakable(words: str) -> Markup:
         return word[0].replace("_", "_<wbr>") if len(word[0]) > _UNBROKEN else word[0]
 
     written = re.sub(r"\S+", broken, str(escape(words)))
-    return Markup(re.sub(r"(?<!\S)--[\w-]+", r'<span class="whole">\g<0></span>', written))
+    return Markup(
+        re.sub(r"(?<!\S)--[\w-]+", r'<span class="whole">\g<0></span>', written)
+    )
 
 
 def _packed(timeline: Timeline) -> Markup:
@@ -116,7 +119,11 @@ def _packed(timeline: Timeline) -> Markup:
         "unit": timeline.unit,
         "names": timeline.names,
         "curves": [
-            {"label": label, "colour": colour, "values": [_steps(x) for x in values[rows].T]}
+            {
+                "label": label,
+                "colour": colour,
+                "values": [_steps(x) for x in values[rows].T],
+            }
             for label, colour, values in timeline.curves
         ],
         "half": None if half is None else [_steps(x) for x in half[rows].T],
@@ -129,10 +136,18 @@ def _steps(x: Array) -> dict[str, object]:
     import numpy as np
 
     known = np.isfinite(x)
-    low, high = (float(f(x[known])) for f in (np.min, np.max)) if known.any() else (0.0, 0.0)
+    low, high = (
+        (float(f(x[known])) for f in (np.min, np.max)) if known.any() else (0.0, 0.0)
+    )
     step = (high - low) / 65534 or 1.0
-    k = np.where(known, np.round((np.where(known, x, low) - low) / step) - 32767, -32768)
-    return {"low": low, "step": step, "k": b64encode(k.astype("<i2").tobytes()).decode()}
+    k = np.where(
+        known, np.round((np.where(known, x, low) - low) / step) - 32767, -32768
+    )
+    return {
+        "low": low,
+        "step": step,
+        "k": b64encode(k.astype("<i2").tobytes()).decode(),
+    }
 
 
 def summary(page: Page) -> str:
@@ -151,8 +166,13 @@ def brief(page: Page, *, terminal: bool = False) -> str:
     """Summary of a page in a few lines, of which a terminal shows tables in colour."""
     sections = page.sections if page.table is None else ()
     lines = [line for section in sections for line in _brief(section)]
-    written = [f"{label:<12} {shortened(words)}".rstrip() for label, words in (*lines, *page.brief)]
-    return "\n".join([*written, *([_drawn(page.table, terminal)] if page.table else [])])
+    written = [
+        f"{label:<12} {shortened(words)}".rstrip()
+        for label, words in (*lines, *page.brief)
+    ]
+    return "\n".join(
+        [*written, *([_drawn(page.table, terminal)] if page.table else [])]
+    )
 
 
 def _drawn(table: Table, terminal: bool) -> str:
@@ -179,12 +199,21 @@ def _brief(section: Section) -> Iterator[tuple[str, str]]:
             yield from ((block.brief, sentence) for sentence in block.sentences)
         elif isinstance(block, Table) and block.brief is not None:
             for row in block.rows:
-                label, cells = block.brief, list(zip(block.columns, row, strict=True))
+                label = block.brief
+                cells = list(zip(block.columns, row, strict=True))
                 if not label:
-                    label, cells = row[0].text, cells[1:]
-                known = [(kind, cell.text) for (_, kind), cell in cells if cell.text != NONE]
+                    label = row[0].text
+                    cells = cells[1:]
+                known = [
+                    (kind, cell.text) for (_, kind), cell in cells if cell.text != NONE
+                ]
                 names = ", ".join(words for kind, words in known if kind == "name")
-                yield label, ": ".join([names, *(words for kind, words in known if kind != "name")])
+                yield (
+                    label,
+                    ": ".join(
+                        [names, *(words for kind, words in known if kind != "name")]
+                    ),
+                )
 
 
 def plain(line: str) -> str:
@@ -218,11 +247,16 @@ def _block(block: Block) -> list[str]:
         case Matrix():
             return [
                 f"    {name:<{_LABEL}}   "
-                + ", ".join(f"{c} {k}" for c, k in zip(block.columns, kinds, strict=True) if k)
+                + ", ".join(
+                    f"{c} {k}" for c, k in zip(block.columns, kinds, strict=True) if k
+                )
                 for name, kinds in block.rows
             ]
         case Folded():
-            return [f"  [{block.title}]", *(line for b in block.blocks for line in _block(b))]
+            return [
+                f"  [{block.title}]",
+                *(line for b in block.blocks for line in _block(b)),
+            ]
         case Table():
             rows = [[cell.text for cell in row] for row in block.rows]
             kinds = [kind for _, kind in block.columns]
@@ -239,8 +273,13 @@ def table_lines(
     lines = [indent] * (len(rows) + 1)
     for k, (head, kind) in enumerate(columns[j] for j in order):
         cells = [head, *("-" if row[k] == NONE else row[k] for row in written)]
-        width, side = -(-max(map(len, cells)) // _STEP) * _STEP, "<"
+        width = -(-max(map(len, cells)) // _STEP) * _STEP
+        side = "<"
         if kind == "number":
-            width, side = max(_FIGURE, len(head), *(len(c) for c in cells[1:])), ">"
-        lines = [f"{line}{cell:{side}{width}} " for line, cell in zip(lines, cells, strict=True)]
+            width = max(_FIGURE, len(head), *(len(c) for c in cells[1:]))
+            side = ">"
+        lines = [
+            f"{line}{cell:{side}{width}} "
+            for line, cell in zip(lines, cells, strict=True)
+        ]
     return [line.rstrip() for line in lines]

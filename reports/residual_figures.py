@@ -19,12 +19,18 @@ _POINTS = 1500  # of each cloud
 _SHOWN = 2.0  # times the cut-off: frequencies up to there are drawn
 _WINDOWS = 8  # at least, of which a spectrum is the mean
 _DECADES = 4.0  # below the highest density, what is drawn of a spectrum
-_MODELS = (("given", draw.GIVEN, "model as given"), ("identified", draw.FITTED, "identified model"))
+_MODELS = (
+    ("given", draw.GIVEN, "model as given"),
+    ("identified", draw.FITTED, "identified model"),
+)
 
 
 def agreement_figure(result: Result, series: Series, unit: str) -> Figure | None:
     """Measured torque over what each model predicts, per joint."""
-    panels = [_agreement(k, row, series, unit) for k, row in enumerate(v.records(result, "joints"))]
+    panels = [
+        _agreement(k, row, series, unit)
+        for k, row in enumerate(v.records(result, "joints"))
+    ]
     caption = (
         "Measured over predicted torque while the joint moves on the hold-out: a good model's "
         "points lie on the diagonal; a slope tells of a wrong gain or mass, a step of friction."
@@ -53,7 +59,9 @@ def _agreement(k: int, row: Result, series: Series, unit: str) -> Panel | None:
     share = v.at(row, "validate", "r2")
     told = f", identified r² {v.number4(share)}" if share is not None else ""
     joint = v.text(row, "name")
-    return draw.panel(ax, f"{joint}: measured over predicted torque{told}", f"{joint}{told}")
+    return draw.panel(
+        ax, f"{joint}: measured over predicted torque{told}", f"{joint}{told}"
+    )
 
 
 def residual_figure(result: Result, series: Series, unit: str) -> Figure | None:
@@ -71,13 +79,19 @@ def residual_figure(result: Result, series: Series, unit: str) -> Figure | None:
         Key("dot", draw.LIGHT, "residual"),
         Key("dot", draw.MEASURED, "median in bins"),
         Key("line", draw.MEASURED, "spectrum of the torque"),
-        *(Key("line", colour, f"of the residual, {name}") for _, colour, name in _MODELS),
+        *(
+            Key("line", colour, f"of the residual, {name}")
+            for _, colour, name in _MODELS
+        ),
     ]
     return figure(panels, caption, legend)
 
 
-def _residual(k: int, row: Result, series: Series, unit: str, cutoff: float | None) -> Panel | None:
-    t, keys = v.times(series), ("measured", "given", "identified", "position", "velocity")
+def _residual(
+    k: int, row: Result, series: Series, unit: str, cutoff: float | None
+) -> Panel | None:
+    t = v.times(series)
+    keys = ("measured", "given", "identified", "position", "velocity")
     measured, given, model, q, dq = v.curves(series, k, *keys)
     if t is None or measured is None or model is None or q is None or dq is None:
         return None

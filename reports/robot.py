@@ -15,11 +15,16 @@ _FULL = 0.9  # of its effort limit that gravity takes: hardly any left to move
 
 def robot_section(result: Result, series: Series) -> p.Section:
     """An arm with its picture, tables and warnings."""
-    joints, kind = v.records(result, "joints"), v.text(result, "kind") or "an arm"
-    count, sliding = _count(len(joints), "joint"), sum(not _turns(joint) for joint in joints)
-    mass, total = (v.quantity(v.at(result, key), "kg", 4) for key in ("mass", "total_mass"))
+    joints = v.records(result, "joints")
+    kind = v.text(result, "kind") or "an arm"
+    count = _count(len(joints), "joint")
+    sliding = sum(not _turns(joint) for joint in joints)
+    mass, total = (
+        v.quantity(v.at(result, key), "kg", 4) for key in ("mass", "total_mass")
+    )
     what = f"{count} ({sliding} of them sliding)" if sliding else count
-    found, hints = _said(result, False), _said(result, True)
+    found = _said(result, False)
+    hints = _said(result, True)
     verdict = "Nothing in its description looks wrong."
     if found:
         things = _count(len(found), "thing")
@@ -75,7 +80,12 @@ def _facts(result: Result, found: int, hints: int) -> p.Facts | None:
     return p.facts(
         p.fact("Joints", len(v.records(result, "joints")), v.whole),
         p.fact("Moving mass", v.at(result, "mass"), v.unit_of("kg", 4), mass),
-        p.fact("Base parameters", v.at(result, "base_parameters"), v.whole, "of rigid links"),
+        p.fact(
+            "Base parameters",
+            v.at(result, "base_parameters"),
+            v.whole,
+            "of rigid links",
+        ),
         p.fact("Warnings", found, v.whole, f"and {_count(hints, 'hint')}", tone),
     )
 
@@ -91,7 +101,10 @@ def _joints(joints: list[Result]) -> p.Table | None:
             _limit("Acceleration", "acceleration", "rad/s²", "m/s²"),
             _limit("Effort limit", "torque", "N·m", "N"),
             _limit("Gravity, at most", "gravity_torque", "N·m", "N"),
-            ("number:Of the limit", lambda r: p.Cell(v.percent(_share(r)), _tone(r), _share(r))),
+            (
+                "number:Of the limit",
+                lambda r: p.Cell(v.percent(_share(r)), _tone(r), _share(r)),
+            ),
         ],
         "Joints in order from the base, with the limits that a design holds; – means no limit. "
         "Gravity, at most: the largest torque that holding the arm takes within the ranges.",
@@ -104,7 +117,8 @@ def _turns(joint: Result) -> bool:
 
 def _limit(heading: str, key: str, angular: str, linear: str) -> p.Column:
     def cell(joint: Result) -> p.Cell:
-        value, unit = v.real(joint, key), angular if _turns(joint) else linear
+        value = v.real(joint, key)
+        unit = angular if _turns(joint) else linear
         tone = _tone(joint) if key == "gravity_torque" else p.PLAIN
         return p.Cell(v.quantity(value, unit), tone, value)
 
@@ -112,7 +126,8 @@ def _limit(heading: str, key: str, angular: str, linear: str) -> p.Column:
 
 
 def _share(joint: Result) -> float | None:
-    limit, weight = v.real(joint, "torque"), v.real(joint, "gravity_torque")
+    limit = v.real(joint, "torque")
+    weight = v.real(joint, "gravity_torque")
     return None if not limit or weight is None else weight / limit
 
 
@@ -127,7 +142,9 @@ def _range(joint: Result) -> str:
         return "without end" if _turns(joint) else NONE
     if not _turns(joint):
         return f"{v.number(ends[0])} to {v.quantity(ends[1], 'm')}"
-    low, high = (f"{math.degrees(end):.1f}".removesuffix(".0").replace("-", "−") for end in ends)
+    low, high = (
+        f"{math.degrees(end):.1f}".removesuffix(".0").replace("-", "−") for end in ends
+    )
     return f"{low}° to {high}°"
 
 
@@ -137,7 +154,9 @@ def _links(result: Result) -> p.Table | None:
         return "itself" if with_ == v.text(link, "link") else with_ or "base (fixed)"
 
     def com(link: Result) -> str:
-        return ", ".join(v.number(0.0 if abs(x) < 1e-7 else 1e3 * x) for x in v.reals(link, "com"))
+        return ", ".join(
+            v.number(0.0 if abs(x) < 1e-7 else 1e3 * x) for x in v.reals(link, "com")
+        )
 
     def moments(link: Result) -> str:
         return ", ".join(v.number(x) for x in v.reals(link, "principal_moments"))
@@ -173,7 +192,11 @@ def _effects(result: Result) -> p.Table | None:
 
         return (f"number:{effect[:1].upper()}{effect[1:]} {symbol}", cell)
 
-    kinds = {n.rpartition(".")[2]: v.plain(v.text(r, "effect")) for n, r in values.items() if n}
+    kinds = {
+        n.rpartition(".")[2]: v.plain(v.text(r, "effect"))
+        for n, r in values.items()
+        if n
+    }
     return p.table(
         v.records(result, "joints") if kinds else [],
         [("name:Joint", "name"), *(column(*each) for each in kinds.items())],

@@ -23,9 +23,13 @@ from excitant.reports.page import Page
 from excitant.robots.motion import Array
 from excitant.robots.schema import finite, parsed_json
 
-RESULT, SERIES, SUMMARY, REPORT = "result.json", "series.npz", "summary.txt", "report.html"
+RESULT = "result.json"
+SERIES = "series.npz"
+SUMMARY = "summary.txt"
+REPORT = "report.html"
 
-_LONG = 1000  # values; longer arrays are saved in single precision where that loses nothing
+# values; longer arrays are saved in single precision where that loses nothing
+_LONG = 1000
 _SINGLE = 1e-6  # of an array's range: error allowed to single precision
 _HEIGHT = 640  # pixels of a report's frame in a notebook
 
@@ -45,7 +49,9 @@ def _warm_up() -> None:
 
     with drawing.style():
         drawing.panel(drawing.axes(1.0)[0], "")
-    _written({"verb": "analyze"}, {})  # one figure at most, for which no process is forked
+    _written(
+        {"verb": "analyze"}, {}
+    )  # one figure at most, for which no process is forked
 
 
 def _written(result: Mapping[str, Any], series: Mapping[str, Array]) -> Written:
@@ -83,21 +89,29 @@ def save_run(
     contents = dict(files or {})
     for name in contents:
         _refuse_name(name)
-    encoded, packed = _dump(result), _pack(series)
-    read, arrays = json.loads(encoded), _unpack(packed)
+    encoded = _dump(result)
+    packed = _pack(series)
+    read = json.loads(encoded)
+    arrays = _unpack(packed)
     contents[SERIES] = packed
     old = (_beside(directory, parts, contents) for parts in _parts(read))
     beside = dict.fromkeys([*filter(None, old), *contents, SUMMARY, RESULT])
     write = _ready.pop() if _ready else _written
-    page, contents[SUMMARY], contents[REPORT] = write(read | {"files": list(beside)}, arrays)
+    page, contents[SUMMARY], contents[REPORT] = write(
+        read | {"files": list(beside)}, arrays
+    )
     contents[RESULT] = encoded
     return write_folder(directory, contents, _files_of(directory) - _names(read)), page
 
 
-def _beside(directory: Path, parts: Sequence[str], new: Mapping[str, Any]) -> str | None:
+def _beside(
+    directory: Path, parts: Sequence[str], new: Mapping[str, Any]
+) -> str | None:
     """An artefact's name relative to the directory, from its path; None where it is not there."""
     names = ("/".join(parts[k:]) for k in range(parts[:1] == ("/",), len(parts)))
-    return next((name for name in names if name in new or isfile(directory / name)), None)
+    return next(
+        (name for name in names if name in new or isfile(directory / name)), None
+    )
 
 
 def _files_of(directory: Path) -> set[str]:
@@ -115,7 +129,11 @@ def _names(result: Mapping[str, Any]) -> set[str]:
 
 def _parts(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     files = result.get("files")
-    return [PurePosixPath(str(file)).parts for file in files] if isinstance(files, list) else []
+    return (
+        [PurePosixPath(str(file)).parts for file in files]
+        if isinstance(files, list)
+        else []
+    )
 
 
 def as_saved(
@@ -129,8 +147,11 @@ def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """Result and series of a run directory; BadInput when a file is missing or corrupt."""
     directory = Path(directory)
     if not isdir(directory):
-        raise BadInput(f"{directory}: no such folder; give the folder that a run was written to")
-    result, packed = _result(directory), _content(directory / SERIES)
+        raise BadInput(
+            f"{directory}: no such folder; give the folder that a run was written to"
+        )
+    result = _result(directory)
+    packed = _content(directory / SERIES)
     try:
         series = _unpack(packed)
     except Exception as error:  # damaged archives make their reader raise anything
@@ -144,9 +165,13 @@ def _result(directory: Path) -> dict[str, Any]:
     try:
         result = parsed_json(_content(directory / RESULT), finite)
     except (ValueError, RecursionError) as error:
-        raise BadInput(f"{directory / RESULT}: not JSON ({error}); run the command again") from None
+        raise BadInput(
+            f"{directory / RESULT}: not JSON ({error}); run the command again"
+        ) from None
     if not isinstance(result, dict) or not isinstance(result.get("verb"), str):
-        raise BadInput(f"{directory / RESULT}: not a result of excitant: 'verb' is missing")
+        raise BadInput(
+            f"{directory / RESULT}: not a result of excitant: 'verb' is missing"
+        )
     return result
 
 
@@ -154,7 +179,9 @@ def _content(path: Path) -> bytes:
     try:
         return read_bytes(path)
     except FileNotFoundError:
-        raise BadInput(f"{path}: missing; the run is incomplete, run the command again") from None
+        raise BadInput(
+            f"{path}: missing; the run is incomplete, run the command again"
+        ) from None
     except OSError as error:
         why = f"cannot be read: {error.strerror}"
         raise BadInput(f"{path}: {why}; run the command again") from None
@@ -162,7 +189,9 @@ def _content(path: Path) -> bytes:
 
 def _refuse_name(name: str) -> None:
     path = PurePosixPath(name)
-    inside = name and not path.is_absolute() and ".." not in path.parts and "\\" not in name
+    inside = (
+        name and not path.is_absolute() and ".." not in path.parts and "\\" not in name
+    )
     if not inside or not path.parts:
         raise BadInput(f"artefact '{name}': its name must stay inside the run's folder")
     if str(path) in (RESULT, SERIES, SUMMARY, REPORT):
@@ -170,7 +199,9 @@ def _refuse_name(name: str) -> None:
 
 
 def _dump(result: Mapping[str, Any]) -> bytes:
-    text = json.dumps(_plain(result, "result"), indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(
+        _plain(result, "result"), indent=1, ensure_ascii=False, allow_nan=False
+    )
     return (text + "\n").encode()
 
 
@@ -199,7 +230,9 @@ def _pack(series: Mapping[str, Array]) -> bytes:
     for key, values in series.items():
         array = np.asarray(values)
         if array.dtype.kind not in "biuf":
-            raise BadInput(f"series '{key}': {array.dtype} cannot be saved, only numbers")
+            raise BadInput(
+                f"series '{key}': {array.dtype} cannot be saved, only numbers"
+            )
         arrays[key] = _single(array)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
@@ -265,7 +298,8 @@ def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[P
         BadInput: Anything else, or a folder that cannot be written.
     """
     _require_reportable(noun)
-    result, files = dict(noun.result()), dict[str, str | bytes]()
+    result = dict(noun.result())
+    files = dict[str, str | bytes]()
     if publication := getattr(noun, "publication", None):
         model = publication(force=force)
         files |= model.files
@@ -280,7 +314,9 @@ def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[P
 
 def _require_reportable(noun: object) -> None:
     if not isinstance(noun, Reportable):
-        raise BadInput(f"a {type(noun).__name__} has no report; give what a verb returned")
+        raise BadInput(
+            f"a {type(noun).__name__} has no report; give what a verb returned"
+        )
 
 
 def report(noun: Reportable) -> Report:

@@ -13,7 +13,8 @@ from matplotlib.backends import backend_mixed, backend_svg
 from matplotlib.figure import Figure
 from PIL import Image
 
-_COLOURS, _DPI = 16, 150  # of an image
+_COLOURS = 16
+_DPI = 150  # of an image
 _SVG: Any = backend_svg  # without types, as the next
 _MIXED: Any = backend_mixed
 _CODES = [b"M", b"L", b"Q", b"C", b"z"]
@@ -49,11 +50,16 @@ class _ShortRenderer(_SVG.RendererSVG):  # type: ignore[misc]
             path, transform, window, simplify, sketch, 1, _CODES, False
         )
         written = found.decode("ascii").replace("\n", " ").strip()
-        return written if "C" in written or "Q" in written else written.replace(" L ", " ")
+        return (
+            written if "C" in written or "Q" in written else written.replace(" L ", " ")
+        )
 
-    def draw_image(self, gc: Any, x: float, y: float, im: Any, transform: Any = None) -> None:
+    def draw_image(
+        self, gc: Any, x: float, y: float, im: Any, transform: Any = None
+    ) -> None:
         """A picture of points, which with few colours takes a third of the room."""
-        packed, (height, width) = io.BytesIO(), im.shape[:2]
+        packed = io.BytesIO()
+        (height, width) = im.shape[:2]
         few = Image.fromarray(im[::-1]).quantize(_COLOURS, Image.Quantize.FASTOCTREE)
         few.save(packed, "png")
         scale = 72.0 / self.image_dpi
@@ -79,7 +85,8 @@ def svg(figure: Figure, label: str) -> str:
     """An element to show in a page, which says in words what is drawn."""
     for patch in (figure.patch, *(ax.patch for ax in figure.axes)):
         patch.set_visible(False)
-    buffer, (width, height) = io.StringIO(), figure.get_size_inches()
+    buffer = io.StringIO()
+    (width, height) = figure.get_size_inches()
     figure.dpi = 72
     vector = _ShortRenderer(72 * width, 72 * height, buffer, image_dpi=_DPI)
     renderer = _MIXED.MixedModeRenderer(figure, width, height, _DPI, vector)
@@ -87,9 +94,15 @@ def svg(figure: Figure, label: str) -> str:
     renderer.finalize()
     raw = buffer.getvalue()
     drawing = raw[raw.index("<svg") :]
-    drawing = re.sub(r"-?\d+\.\d{3,}(?=[^<>]*>)", lambda m: f"{float(m[0]):.2f}", drawing)
-    drawing = re.sub(r' transform="rotate\(-0 [^"]*"', "", drawing).replace("xlink:href", "href")
-    mark = hashlib.sha1((label + drawing).encode(), usedforsecurity=False).hexdigest()[:8]
+    drawing = re.sub(
+        r"-?\d+\.\d{3,}(?=[^<>]*>)", lambda m: f"{float(m[0]):.2f}", drawing
+    )
+    drawing = re.sub(r' transform="rotate\(-0 [^"]*"', "", drawing).replace(
+        "xlink:href", "href"
+    )
+    mark = hashlib.sha1((label + drawing).encode(), usedforsecurity=False).hexdigest()[
+        :8
+    ]
     drawing = re.sub(r'(id="|href="#|url\(#)', rf"\1f{mark}", drawing)
     drawing = re.sub(r">\s+<", "><", drawing)
     box = drawing.split('viewBox="', 1)[1].split('"', 1)[0]

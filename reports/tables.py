@@ -15,7 +15,14 @@ if TYPE_CHECKING:
 
 Format = Literal["csv", "latex"]
 FOLDER = "tables"
-_SIGNS = {"±": r"\pm", "→": r"\to", "·": r"\cdot", "×": r"\times", "√": r"\surd", "°": r"^\circ"}
+_SIGNS = {
+    "±": r"\pm",
+    "→": r"\to",
+    "·": r"\cdot",
+    "×": r"\times",
+    "√": r"\surd",
+    "°": r"^\circ",
+}
 _SIGNS |= {
     "≤": r"\leq",
     "≥": r"\geq",
@@ -28,9 +35,13 @@ _SIGNS |= {
     "α": r"\alpha",
 }
 _SIGNS |= {
-    raised: f"^{plain}" for raised, plain in zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻ᵃ", "0123456789-a", strict=True)
+    raised: f"^{plain}"
+    for raised, plain in zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻ᵃ", "0123456789-a", strict=True)
 }
-_TEX = {sign: f"${command}$" for sign, command in _SIGNS.items()} | {"–": "--", "…": r"\ldots{}"}
+_TEX = {sign: f"${command}$" for sign, command in _SIGNS.items()} | {
+    "–": "--",
+    "…": r"\ldots{}",
+}
 _TEX |= {"“": "``", "”": "''", "✓": "yes", "✗": "no"}
 
 
@@ -41,7 +52,9 @@ def table_files(page: Page, form: Format) -> dict[str, str]:
     files: dict[str, str] = {}
     for section, part, table in page.tables():
         name = _name(f"{section} {part}" if several else part)
-        k = sum(bool(re.fullmatch(rf"{FOLDER}/{name}(-\d+)?\.\w+", each)) for each in files)
+        k = sum(
+            bool(re.fullmatch(rf"{FOLDER}/{name}(-\d+)?\.\w+", each)) for each in files
+        )
         files[f"{FOLDER}/{name}{f'-{k + 1}' if k else ''}.{suffix}"] = write(table)
     return files
 
@@ -59,7 +72,9 @@ def latex_table(table: Table) -> str:
     r"""A table as a LaTeX ``tabular``; it needs ``\usepackage{booktabs}``."""
     aligned = "".join("r" if kind == "number" else "l" for _, kind in table.columns)
     written = _frame(table).to_latex(index=False, escape=True, column_format=aligned)
-    written = re.sub(r"(?<=\d)e(-?\d+)", lambda e: rf"$\cdot 10^{{{int(e[1])}}}$", written)
+    written = re.sub(
+        r"(?<=\d)e(-?\d+)", lambda e: rf"$\cdot 10^{{{int(e[1])}}}$", written
+    )
     written = re.sub(r"(?<![\w.{$-])-(?=\d)", "$-$", written)
     return "".join(_TEX.get(letter, letter) for letter in written)
 
@@ -73,11 +88,17 @@ _FORMATS: dict[Format, tuple[Callable[[Table], str], str]] = {
 def _frame(table: Table) -> pd.DataFrame:
     import pandas as pd
 
-    heads, columns = [], []
+    heads = []
+    columns = []
     for k, head in enumerate(map(plain, table.heads)):
-        cells = [plain(row[k].text) if row[k].text != NONE else "" for row in table.rows]
-        if any(cells) and all(re.fullmatch(r"([<>]? ?-?[\d.e-]+ %)?", cell) for cell in cells):
-            head, cells = f"{head} [%]", [cell.removesuffix(" %") for cell in cells]
+        cells = [
+            plain(row[k].text) if row[k].text != NONE else "" for row in table.rows
+        ]
+        if any(cells) and all(
+            re.fullmatch(r"([<>]? ?-?[\d.e-]+ %)?", cell) for cell in cells
+        ):
+            head = f"{head} [%]"
+            cells = [cell.removesuffix(" %") for cell in cells]
         heads.append(head or "Value")
         columns.append(cells)
     frame = pd.DataFrame(dict(enumerate(columns)))

@@ -32,7 +32,11 @@ def at(value: Any, *keys: str) -> Any:
 def items(value: Any, *keys: str) -> list[Any]:
     """The list under nested keys, without its nulls; empty when there is none."""
     found = at(value, *keys)
-    return [item for item in found if item is not None] if isinstance(found, list | tuple) else []
+    return (
+        [item for item in found if item is not None]
+        if isinstance(found, list | tuple)
+        else []
+    )
 
 
 def records(value: Any, *keys: str) -> list[Result]:
@@ -43,7 +47,11 @@ def records(value: Any, *keys: str) -> list[Result]:
 def words(value: Any, *keys: str) -> list[str]:
     """The list under nested keys as texts; one text alone counts as a list of one."""
     found = at(value, *keys)
-    return [found] if isinstance(found, str) else [str(item) for item in items(value, *keys)]
+    return (
+        [found]
+        if isinstance(found, str)
+        else [str(item) for item in items(value, *keys)]
+    )
 
 
 def text(value: Any, *keys: str) -> str:
@@ -65,7 +73,9 @@ def reals(value: Any, *keys: str) -> Array:
     found = at(value, *keys)
     if not isinstance(found, list | tuple):
         return np.empty(0)
-    return np.array([math.nan if (x := real(item)) is None else x for item in found], dtype=float)
+    return np.array(
+        [math.nan if (x := real(item)) is None else x for item in found], dtype=float
+    )
 
 
 def median(rows: Sequence[Result], *keys: str) -> float | None:
@@ -76,7 +86,10 @@ def median(rows: Sequence[Result], *keys: str) -> float | None:
 
 def joint_names(result: Result) -> list[str]:
     """Names of ``joints``, which may be records."""
-    return [text(x, "name") if isinstance(x, Mapping) else str(x) for x in items(result, "joints")]
+    return [
+        text(x, "name") if isinstance(x, Mapping) else str(x)
+        for x in items(result, "joints")
+    ]
 
 
 def array(series: Series, key: str, *shape: int | None) -> Array | None:
@@ -100,7 +113,9 @@ def curve(
     if joint is None:
         return array(series, key, rows)
     table = array(series, key, rows, None)
-    return None if table is None or joint >= table.shape[1] else _finite(table[:, joint])
+    return (
+        None if table is None or joint >= table.shape[1] else _finite(table[:, joint])
+    )
 
 
 def curves(series: Series, joint: int, first: str, *keys: str) -> list[Array | None]:
@@ -152,7 +167,8 @@ def whole(value: object) -> str:
 
 def value_and_std(value: object, std: object) -> tuple[str, str]:
     """A value to the decimals of its standard deviation, which has two significant digits."""
-    x, s = real(value), real(std)
+    x = real(value)
+    s = real(std)
     if x is None or s is None or s <= 0:
         return number(x, 4), number(s, 2)
     decimals = 1 - math.floor(math.log10(s))

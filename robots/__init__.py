@@ -5,7 +5,11 @@ from excitant.robots.dh import DHChain, robot_from_dh
 from excitant.robots.limits import Limits, load_limits
 from excitant.robots.loading import RobotLike, as_robot, builtin_robots, load_robot
 from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import regressor, regressor_derivatives, rigid_body_torque
+from excitant.robots.regressor import (
+    regressor,
+    regressor_derivatives,
+    rigid_body_torque,
+)
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 

@@ -56,7 +56,9 @@ class Angles:
 
     def urdf(self, text: str) -> str:
         """A URDF whose ``rpy`` are exact; what they are not is left as it is."""
-        return _RPY.sub(lambda found: f"{found[1]}{self._words(found[2])}{found[1]}", text)
+        return _RPY.sub(
+            lambda found: f"{found[1]}{self._words(found[2])}{found[1]}", text
+        )
 
     def _words(self, text: str) -> str:
         words = text.split()
@@ -75,13 +77,17 @@ class Angles:
         if not 0 < np.abs(wxyz).max() < _TURNS:
             return wxyz
         words = [repr(float(value)) for value in wxyz]
-        unit, length = min(map(_unit, words)), float(np.linalg.norm(wxyz))
+        unit = min(map(_unit, words))
+        length = float(np.linalg.norm(wxyz))
         given = np.asarray(wxyz, float) / length
         R = pin.Quaternion(*given).matrix()
-        turn, angle = pin.log3(R), _angle(R)
+        turn = pin.log3(R)
+        angle = _angle(R)
         for exact in (_turns(R, axes) for axes in permutations(range(3))):
             off = _angle(R.T @ exact)
-            if 0 < off <= min(4 * unit, _FURTHEST) and not np.allclose(exact, np.eye(3)):
+            if 0 < off <= min(4 * unit, _FURTHEST) and not np.allclose(
+                exact, np.eye(3)
+            ):
                 break
         else:  # perhaps the digits are those of an angle that was rounded before
             words = [f"{angle:.{digits}f}" for digits in (2, 3, 4)]
@@ -89,7 +95,8 @@ class Angles:
             meant = next((a for a in map(Angles().meant, near) if a is not None), None)
             if meant is None:
                 return wxyz
-            exact, off = pin.exp3(turn * meant / angle), abs(meant - angle)
+            exact = pin.exp3(turn * meant / angle)
+            off = abs(meant - angle)
         if off > _UNSEEN:
             words = [f"{value:g}" for value in wxyz]
             self.changed[f"({', '.join(words)})"] = float(np.degrees(_angle(exact)))

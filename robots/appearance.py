@@ -62,11 +62,15 @@ class Appearance:
 
         A joint that turns is a bar along its axis, one that slides a block on a rail.
         """
-        robot, radius = self.robot, _ROD * self._extent
-        model, tool = robot.model, robot.model.frames[robot.tip]
+        robot = self.robot
+        radius = _ROD * self._extent
+        model = robot.model
+        tool = robot.model.frames[robot.tip]
         places = list(model.jointPlacements)
         if joint and robot.revolute[joint - 1]:
-            yield _Piece(joint, self._along(joint), coal.Cylinder(1.6 * radius, 5 * radius))
+            yield _Piece(
+                joint, self._along(joint), coal.Cylinder(1.6 * radius, 5 * radius)
+            )
         elif joint:
             yield _Piece(joint, self._along(joint), coal.Box(*np.full(3, 3.2 * radius)))
             low, high = robot.limits.position[joint - 1]
@@ -78,7 +82,9 @@ class Appearance:
         ends += [tool.placement] * (tool.parentJoint == joint)
         for end in (np.array(place.translation) for place in ends):
             if (length := float(np.linalg.norm(end))) > radius:
-                yield _Piece(joint, pin.SE3(_turned(end), end / 2), coal.Cylinder(radius, length))
+                yield _Piece(
+                    joint, pin.SE3(_turned(end), end / 2), coal.Cylinder(radius, length)
+                )
 
     def _along(self, joint: int, shift: float = 0.0) -> pin.SE3:
         """A frame whose z is the joint's axis, shifted along it, in the frame of the joint."""
@@ -106,12 +112,19 @@ class Appearance:
         """What is not drawn by collision shapes, and which meshes are missing; a sentence each."""
         said = []
         for kind, how in _INSTEAD.items():
-            links = [self._link(j) for j in sorted({piece.joint for piece in self._shown[kind]})]
+            links = [
+                self._link(j)
+                for j in sorted({piece.joint for piece in self._shown[kind]})
+            ]
             more = f" and {len(links) - _LISTED} more" if len(links) > _LISTED else ""
             said += [f"{how}: {', '.join(links[:_LISTED])}{more}"] * bool(links)
         kinds = ("collision", "visual") if said else ("collision",)
         lost = {kind: missing_meshes(self.robot, kind) for kind in kinds}
-        said += [f"{count} {kind} meshes were not found" for kind, count in lost.items() if count]
+        said += [
+            f"{count} {kind} meshes were not found"
+            for kind, count in lost.items()
+            if count
+        ]
         return said
 
     def _link(self, joint: int) -> str:
@@ -130,9 +143,15 @@ class Appearance:
             of each its ``joint``, ``place``, ``kind`` and ``size`` [m]; ``notes``. A place is
             x, y, z [m] and the quaternion x, y, z, w.
         """
-        robot, frame = self.robot, self.robot.model.frames[self.robot.tip]
+        robot = self.robot
+        frame = self.robot.model.frames[self.robot.tip]
         joints = [
-            {"parent": int(parent), "place": _place(place), "axis": axis, "slides": not turns}
+            {
+                "parent": int(parent),
+                "place": _place(place),
+                "axis": axis,
+                "slides": not turns,
+            }
             for parent, place, axis, turns in zip(
                 list(robot.model.parents)[1:],
                 list(robot.model.jointPlacements)[1:],
@@ -142,7 +161,11 @@ class Appearance:
             )
         ]
         shapes = [
-            {"joint": piece.joint, "place": _place(piece.place), **_measures(piece.shape)}
+            {
+                "joint": piece.joint,
+                "place": _place(piece.place),
+                **_measures(piece.shape),
+            }
             for piece in self._pieces
         ]
         tool = {"joint": int(frame.parentJoint), "place": _place(frame.placement)}
@@ -153,13 +176,17 @@ class Appearance:
         found = {}
         for k, piece in enumerate(self._pieces):
             if _measures(piece.shape)["kind"] == "mesh":
-                found[f"mesh{k}_points"], found[f"mesh{k}_faces"] = _triangles(piece.shape)
+                found[f"mesh{k}_points"], found[f"mesh{k}_faces"] = _triangles(
+                    piece.shape
+                )
         return found
 
 
 def _turned(axis: Array) -> Array:
     """A rotation that turns z into a direction, shape (3, 3)."""
-    return np.asarray(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix())
+    return np.asarray(
+        pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
+    )
 
 
 def _place(place: pin.SE3) -> list[float]:
@@ -175,7 +202,10 @@ def _measures(shape: Any) -> dict[str, Any]:
             return {"kind": "sphere", "size": [float(shape.radius)]}
         case coal.Cylinder() | coal.Capsule():
             kind = type(shape).__name__.lower()
-            return {"kind": kind, "size": [float(shape.radius), 2 * float(shape.halfLength)]}
+            return {
+                "kind": kind,
+                "size": [float(shape.radius), 2 * float(shape.halfLength)],
+            }
     return {"kind": "mesh", "size": []}
 
 
@@ -187,4 +217,6 @@ def _triangles(shape: Any) -> tuple[Array, Array]:
     else:
         faces = [shape.polygons(k) for k in range(shape.num_polygons)]
         points = shape.points()
-    return np.array(points, float), np.array([[face[k] for k in range(3)] for face in faces], float)
+    return np.array(points, float), np.array(
+        [[face[k] for k in range(3)] for face in faces], float
+    )

@@ -42,7 +42,9 @@ class BaseEstimate:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([*_HEAD, *self.names])
-        for name, value, row in zip(self.names, self.value, self.covariance, strict=True):
+        for name, value, row in zip(
+            self.names, self.value, self.covariance, strict=True
+        ):
             writer.writerow([name, *(repr(float(x)) for x in (value, *row))])
         return text.getvalue()
 
@@ -69,8 +71,11 @@ def read_base_estimate(path: Path) -> BaseEstimate:
             why = f"line {line} does not hold {1 + len(names)} numbers"
             raise BadRobot(path, f"{why}; {_AGAIN}") from None
         if row[0] != name:
-            raise BadRobot(path, f"line {line} is of '{row[0]}', not of '{name}'; {_AGAIN}")
-    value, covariance = numbers[:, 0], numbers[:, 1:]
+            raise BadRobot(
+                path, f"line {line} is of '{row[0]}', not of '{name}'; {_AGAIN}"
+            )
+    value = numbers[:, 0]
+    covariance = numbers[:, 1:]
     if not np.isfinite(value).all() or not is_covariance(covariance):
         why = "its values are not finite, or its covariance not symmetric and positive definite"
         raise BadRobot(path, f"{why}; {_AGAIN}")
@@ -83,4 +88,6 @@ def is_covariance(matrix: Array) -> bool:
     if not np.isfinite(matrix).all() or not (variance > 0).all():
         return False
     unit = matrix / np.sqrt(np.outer(variance, variance))
-    return bool(np.abs(unit - unit.T).max() <= _ROUNDING and np.linalg.eigvalsh(unit)[0] > 0)
+    return bool(
+        np.abs(unit - unit.T).max() <= _ROUNDING and np.linalg.eigvalsh(unit)[0] > 0
+    )

@@ -24,11 +24,14 @@ from excitant.robots.parameters import moved_parameters
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, observation_columns
 
-TOLERANCE = 1e-6  # of the longest column: arms show parts of 0.1, angles in seven digits 1e-7
+# of the longest column: arms show parts of 0.1, angles in seven digits 1e-7
+TOLERANCE = 1e-6
 _ABSENT = 1e-8  # of the longest column: a column of zeros
 _STATES = 600
 _PRESENT = 1e-10  # of a column's largest entry: the torque contains it
-_SLOWEST = -3.0  # decades below the limit, so that friction at low speed shows its shape
+_SLOWEST = (
+    -3.0
+)  # decades below the limit, so that friction at low speed shows its shape
 _DIGITS = 12  # of a coefficient that random states leave certain
 _DENOMINATOR = 12  # largest of a fraction in an expression
 
@@ -39,7 +42,10 @@ LENGTH_POWERS = read_only([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 def arm_length(robot: Robot) -> float:
     """Length of an arm, from its first joint to its last along the links; 1 m when zero [m]."""
-    steps = [np.linalg.norm(place.translation) for place in list(robot.model.jointPlacements)[2:]]
+    steps = [
+        np.linalg.norm(place.translation)
+        for place in list(robot.model.jointPlacements)[2:]
+    ]
     return float(sum(steps)) or 1.0
 
 
@@ -84,7 +90,8 @@ def expression(row: Array, names: Sequence[str], leading: int) -> str:
     """A linear combination, coefficients of shape (p,), as text that begins with one of them."""
     text = ""
     for k in (leading, *(k for k in np.flatnonzero(row).tolist() if k != leading)):
-        minus, factor = row[k] < 0, coefficient_text(abs(float(row[k])))
+        minus = row[k] < 0
+        factor = coefficient_text(abs(float(row[k])))
         text += (" − " if minus else " + ") if text else ("−" if minus else "")
         text += ("" if factor == "1" else f"{factor}·") + names[k]
     return text
@@ -130,22 +137,29 @@ def base_parameters(
     return regroup(observe(robot, effects, structural_motion(robot, rng)))
 
 
-def structural_motion(robot: Robot, rng: np.random.Generator, states: int = _STATES) -> Motion:
+def structural_motion(
+    robot: Robot, rng: np.random.Generator, states: int = _STATES
+) -> Motion:
     """Random states that show all that a motion can: half over full turns, half within limits.
 
     The first half has velocities and accelerations of √(g/L) and g/L for an arm of length L.
     Those within the limits come at all speeds, down to a thousandth of the limit.
     """
-    half, length = states // 2, arm_length(robot)
+    half = states // 2
+    length = arm_length(robot)
     gravity = float(np.linalg.norm(robot.gravity)) or length
     rate = np.sqrt(gravity / length)
-    free = rng.uniform(-1.0, 1.0, (3, half, robot.nv)) * np.where(robot.revolute, 1.0, length)
+    free = rng.uniform(-1.0, 1.0, (3, half, robot.nv)) * np.where(
+        robot.revolute, 1.0, length
+    )
     free *= np.array([1.0, rate, rate**2])[:, None, None]
     free[0] *= np.where(robot.revolute, np.pi, 1.0)
     bound = np.array(robot.random_motion(rng, states - half))
     slow = rng.uniform(_SLOWEST, 0, states - half) * (np.arange(states - half) % 2)
     bound[1] *= 10.0 ** slow[:, None]
-    return Motion(np.arange(states, dtype=float), *np.concatenate([free, bound], axis=1))
+    return Motion(
+        np.arange(states, dtype=float), *np.concatenate([free, bound], axis=1)
+    )
 
 
 def observe(
@@ -160,7 +174,8 @@ def observe(
     ``rows`` says which joints' torques are known, shape (nv,); all when None. Parameters are about
     the joint frames, or about frames of the links, poses in these, shape (nv, 4, 4).
     """
-    length, p = arm_length(robot), 10 * robot.nv
+    length = arm_length(robot)
+    p = 10 * robot.nv
     W = observation_columns(robot, effects, motion)
     for link, T in enumerate(() if frames is None else frames):
         own = W[:, :, 10 * link : 10 * link + 10]
@@ -190,12 +205,15 @@ def regroup(observation: Observation, tolerance: float = TOLERANCE) -> BaseParam
     ``tolerance`` is the length of the part outside the columns before it from which on a column
     counts as independent, and the size from which on a coefficient counts; in its units.
     """
-    R, units = observation.R, observation.units
+    R = observation.R
+    units = observation.units
     found, parts = independent_columns(R, tolerance)
     columns = list(found)
     dependence = np.linalg.lstsq(R[:, columns], R, rcond=None)[0]
     dependence[np.abs(dependence) < tolerance] = 0.0
-    B = _rounded(dependence * np.where(np.isfinite(units), units, 0.0) / units[columns, None])
+    B = _rounded(
+        dependence * np.where(np.isfinite(units), units, 0.0) / units[columns, None]
+    )
     B[:, columns] = np.eye(len(columns))
     rejected = np.delete(parts, columns)
     return BaseParameters(
@@ -213,7 +231,8 @@ def independent_columns(R: Array, tolerance: float) -> tuple[tuple[int, ...], Ar
     The longest column has length one; from a length of ``tolerance`` on one is independent.
     """
     columns: list[int] = []
-    parts, Q = np.zeros(R.shape[1]), np.zeros((R.shape[0], 0))
+    parts = np.zeros(R.shape[1])
+    Q = np.zeros((R.shape[0], 0))
     for k in range(R.shape[1]):
         rest = R[:, k]
         for _ in range(2):

@@ -21,9 +21,13 @@ class RobotSpec:
 
     path: str | Path  # built-in name, URDF, xacro, MJCF or robot.yaml
     joints: tuple[str, ...] | None = None  # to keep; all others are held
-    base: str | None = None  # link that the chain starts from; the root of the tree when None
-    tip: str | None = None  # link that the chain ends at; links beyond it are carried along
-    lock: Mapping[str, float] = field(default_factory=dict)  # joints held, and where [rad or m]
+    # link that the chain starts from; the root of the tree when None
+    base: str | None = None
+    # link that the chain ends at; links beyond it are carried along
+    tip: str | None = None
+    lock: Mapping[str, float] = field(
+        default_factory=dict
+    )  # joints held, and where [rad or m]
     xacro_args: Mapping[str, str] = field(default_factory=dict)
     packages: tuple[str | Path, ...] = ()  # folders of packages, in which files may lie
     trust_xacro: bool = False  # run expressions of a xacro file as Python
@@ -87,7 +91,8 @@ class Tree:
             return [
                 joint
                 for joint in self.joints.values()
-                if base is None or base in {x.parent for x in self.ancestors(joint.child)}
+                if base is None
+                or base in {x.parent for x in self.ancestors(joint.child)}
             ]
         upward = self.ancestors(tip)
         names = [tip, *(joint.parent for joint in upward)]
@@ -104,18 +109,26 @@ def tree(root: ET.Element, source: str) -> Tree:
     """The tree of a URDF whose joints all name a known parent and child."""
     joints = {}
     for element in root.findall("joint"):
-        name, mimic = str(element.get("name")), element.find("mimic")
-        parent, child = (str(next(element.iter(tag)).get("link")) for tag in ("parent", "child"))
+        name = str(element.get("name"))
+        mimic = element.find("mimic")
+        parent, child = (
+            str(next(element.iter(tag)).get("link")) for tag in ("parent", "child")
+        )
         follows = None
         if mimic is not None:
             try:
-                numbers = float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
+                numbers = (
+                    float(mimic.get("multiplier", "1")),
+                    float(mimic.get("offset", "0")),
+                )
             except ValueError:
                 why = f"joint '{name}': its mimic numbers are no numbers"
                 raise BadRobot(source, why) from None
             follows = (str(mimic.get("joint")), *numbers)
         joints[name] = TreeJoint(name, str(element.get("type")), parent, child, follows)
-    return Tree(source, joints, tuple(str(link.get("name")) for link in root.findall("link")))
+    return Tree(
+        source, joints, tuple(str(link.get("name")) for link in root.findall("link"))
+    )
 
 
 def held_joints(
@@ -135,14 +148,18 @@ def held_joints(
     _refuse_dependent(robot, kept, spec, loops)
     moving = {joint.name for joint in kept}
     held = {
-        joint.name: None if joint.kind in _SEVERAL else _position(robot, joint, spec.lock)
+        joint.name: None
+        if joint.kind in _SEVERAL
+        else _position(robot, joint, spec.lock)
         for joint in movable
         if joint.name not in moving
     }
     return held, tuple(_notes(robot, spec, moving, held))
 
 
-def _kept(robot: Tree, spec: RobotSpec, movable: Sequence[TreeJoint]) -> list[TreeJoint]:
+def _kept(
+    robot: Tree, spec: RobotSpec, movable: Sequence[TreeJoint]
+) -> list[TreeJoint]:
     if spec.joints is not None:
         if spec.tip is not None or spec.base is not None:
             raise BadInput(
@@ -156,12 +173,17 @@ def _kept(robot: Tree, spec: RobotSpec, movable: Sequence[TreeJoint]) -> list[Tr
     kept = [joint for joint in path if joint in movable and joint.name not in spec.lock]
     if not kept and spec.is_part:
         where = f"from {spec.base or 'the root'} to {spec.tip or 'the ends'}"
-        raise BadRobot(robot.source, f"no joint moves {where}; name links further apart")
+        raise BadRobot(
+            robot.source, f"no joint moves {where}; name links further apart"
+        )
     return kept
 
 
 def _refuse_dependent(
-    robot: Tree, kept: Sequence[TreeJoint], spec: RobotSpec, loops: Sequence[tuple[str, str]]
+    robot: Tree,
+    kept: Sequence[TreeJoint],
+    spec: RobotSpec,
+    loops: Sequence[tuple[str, str]],
 ) -> None:
     """Refuse joints of several degrees of freedom, and those that cannot move on their own."""
     for joint in kept:
@@ -195,12 +217,16 @@ def _refuse_dependent(
 
 def _position(robot: Tree, joint: TreeJoint, lock: Mapping[str, float]) -> float:
     """Position at which a joint is held: as given, as of the joint it follows, or zero."""
-    factor, offset, seen = 1.0, 0.0, {joint.name}
+    factor = 1.0
+    offset = 0.0
+    seen = {joint.name}
     while joint.name not in lock and joint.mimic is not None:
         master, multiplier, shift = joint.mimic
         factor, offset = factor * multiplier, offset + factor * shift
         if master in seen:
-            raise BadRobot(robot.source, f"joint '{master}' mimics itself; remove one <mimic>")
+            raise BadRobot(
+                robot.source, f"joint '{master}' mimics itself; remove one <mimic>"
+            )
         seen.add(master)
         if master not in robot.joints:
             return offset

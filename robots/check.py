@@ -38,9 +38,11 @@ _TOO_WIDE = 1.0  # radius of gyration over the link's size; a half is possible
 _TOO_NARROW = 0.02
 _EXTENT = 0.02  # m: joints closer together say nothing about a link's size
 _LIGHT = 0.1  # kg/m of link
-_ELONGATED = (4.0, 3.0)  # ratio of the two largest second moments: of the solids, of the inertia
+# ratio of the two largest second moments: of the solids, of the inertia
+_ELONGATED = (4.0, 3.0)
 _ACROSS = 50.0  # degrees between both long axes
-_EXCESS, _CLOSER = 0.75, 0.4  # a tensor about the joint: how far off, how much nearer without it
+_EXCESS = 0.75  # a tensor about the joint: how far off
+_CLOSER = 0.4  # how much nearer without it
 _LEVER = 0.05  # of the arm: centres of mass nearer to the joint make no difference worth a word
 _SLIGHT = 0.01  # of a joint's torque: what changes less matters to none
 _ROUNDING = 1e-3  # relative violation that digits left out explain
@@ -84,14 +86,19 @@ class ModelCheck:
     def gravity_peaks(self) -> Array:
         """Largest gravity torque of each joint within the ranges, by search, (nv,) [N·m or N]."""
         robot = self.robot
-        model, data = robot.model, robot.model.createData()
+        model = robot.model
+        data = robot.model.createData()
 
         def weight(q: Array) -> Array:
-            return np.abs([pin.computeGeneralizedGravity(model, data, pose) for pose in q])
+            return np.abs(
+                [pin.computeGeneralizedGravity(model, data, pose) for pose in q]
+            )
 
         poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
-        tau, (low, high) = weight(poses), np.clip(robot.limits.position, -np.pi, np.pi).T
-        best, peak = poses[tau.argmax(axis=0)], tau.max(axis=0)
+        tau = weight(poses)
+        (low, high) = np.clip(robot.limits.position, -np.pi, np.pi).T
+        best = poses[tau.argmax(axis=0)]
+        peak = tau.max(axis=0)
         for j in np.flatnonzero(peak > _LEVEL):
             for k in [*range(robot.nv)] * _ROUNDS:
                 q = np.tile(best[j], (_STEPS, 1))
@@ -109,7 +116,9 @@ class ModelCheck:
     @property
     def total_mass(self) -> float:
         """The same with the base as far as the description states it [kg]."""
-        return self.moving_mass + sum(body.mass for body in self.bodies if not body.carrier)
+        return self.moving_mass + sum(
+            body.mass for body in self.bodies if not body.carrier
+        )
 
     @cached_property
     def warnings(self) -> tuple[ModelWarning, ...]:
@@ -117,7 +126,8 @@ class ModelCheck:
 
         A warning names what is almost surely wrong or missing; a hint what may well be right.
         """
-        robot, root = self.robot, ET.fromstring(self.robot.description)
+        robot = self.robot
+        root = ET.fromstring(self.robot.description)
         found = [
             *_inertias(robot, self.bodies),
             *_axes(robot, root),
@@ -129,7 +139,9 @@ class ModelCheck:
         return tuple(sorted(found, key=lambda warning: warning.hint))
 
     def _weight(self) -> Warnings:
-        moving, total, stated = self.moving_mass, self.total_mass, self.mass
+        moving = self.moving_mass
+        total = self.total_mass
+        stated = self.mass
         if stated is None or abs(total - stated) <= _MASS * stated:
             return
         rest = stated - total
@@ -146,7 +158,8 @@ class ModelCheck:
 
     def result(self) -> dict[str, Any]:
         """Joints, links, limits, effects and warnings, for ``result.json``."""
-        robot, limits = self.robot, self.robot.limits
+        robot = self.robot
+        limits = self.robot.limits
         joints = [
             {
                 "name": joint,
@@ -162,10 +175,17 @@ class ModelCheck:
             for j, joint in enumerate(robot.joints)
         ]
         values = [
-            {"effect": effect.name, "name": parameter.name, "value": value, "unit": parameter.unit}
+            {
+                "effect": effect.name,
+                "name": parameter.name,
+                "value": value,
+                "unit": parameter.unit,
+            }
             for effect in robot.effects
             if effect.values is not None
-            for parameter, value in zip(effect.parameters(robot), effect.values, strict=True)
+            for parameter, value in zip(
+                effect.parameters(robot), effect.values, strict=True
+            )
         ]
         return {
             "verb": "robots",
@@ -182,7 +202,9 @@ class ModelCheck:
             "joints": joints,
             "links": [_link(body) for body in self.bodies],
             "locked": dict(robot.locked),
-            "parameters": dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True)),
+            "parameters": dict(
+                zip(robot.parameter_names, robot.phi.tolist(), strict=True)
+            ),
             "notes": list(robot.notes),
         }
 
@@ -217,7 +239,8 @@ def _link(body: Body) -> dict[str, Any]:
 def _axes(robot: Robot, root: ET.Element) -> Warnings:
     """Axes that are no unit vectors."""
     for joint in root.findall("joint"):
-        axis, name = joint.find("axis"), str(joint.get("name"))
+        axis = joint.find("axis")
+        name = str(joint.get("name"))
         text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
         length = float(np.linalg.norm([float(x) for x in text.split()]))
         if name in robot.joints and abs(length - 1) > _UNIT:
@@ -231,7 +254,9 @@ def _limits(robot: Robot, root: ET.Element) -> Warnings:
         ("velocity", robot.limits.velocity, "rad/s or m/s"),
         ("effort", robot.limits.torque, "N·m or N"),
     ):
-        absent = [j for j, x in zip(robot.joints, values, strict=True) if not np.isfinite(x)]
+        absent = [
+            j for j, x in zip(robot.joints, values, strict=True) if not np.isfinite(x)
+        ]
         if absent:
             yield ModelWarning(
                 f"no_{name}_limit",
@@ -241,9 +266,14 @@ def _limits(robot: Robot, root: ET.Element) -> Warnings:
             )
     stated = {str(joint.get("name")): joint for joint in root.findall("joint")}
     for joint, (low, high) in zip(robot.joints, robot.limits.position, strict=True):
-        kind, limit = (stated[joint].get("type"), stated[joint].find("limit"))
+        kind = stated[joint].get("type")
+        limit = stated[joint].find("limit")
         if not np.isfinite([low, high]).all() and kind != "continuous":
-            given = "none" if limit is None else f"{limit.get('lower')} to {limit.get('upper')}"
+            given = (
+                "none"
+                if limit is None
+                else f"{limit.get('lower')} to {limit.get('upper')}"
+            )
             yield ModelWarning(
                 "position_limits",
                 (joint,),
@@ -280,15 +310,27 @@ def _inertias(robot: Robot, stated: Sequence[Body]) -> Warnings:
             sentence = "has no mass, and nothing fixed to it has; add its <inertial>"
             yield ModelWarning("no_inertia", (link,), sentence)
     # a marker or a point mass fixed to a moving link needs no tensor of its own
-    points = [b for b in moving if not b.inertia.any() and (b.link != b.carrier or b.mass == 0)]
+    points = [
+        b
+        for b in moving
+        if not b.inertia.any() and (b.link != b.carrier or b.mass == 0)
+    ]
     moving = [body for body in moving if body.given and body not in points]
-    alike = list(_placeholders(robot, [body for body in moving if body.link == body.carrier]))
+    alike = list(
+        _placeholders(robot, [body for body in moving if body.link == body.carrier])
+    )
     yield from alike
     named = {link for warning in alike for link in warning.where}
     for body in moving:
-        found = ((k, text) for k, check in _LINK_CHECKS.items() for text in check(robot, body))
+        found = (
+            (k, text)
+            for k, check in _LINK_CHECKS.items()
+            for text in check(robot, body)
+        )
         if body.link not in named and (first := next(found, None)):
-            yield ModelWarning(first[0], (body.link,), first[1], hint=_UNSEEN in first[1])
+            yield ModelWarning(
+                first[0], (body.link,), first[1], hint=_UNSEEN in first[1]
+            )
 
 
 def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
@@ -307,12 +349,16 @@ def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
         if _in_a_row(robot, links) > 2:
             sentence = f"have one and the same inertia ({value}), perhaps a placeholder; {advice}"
         elif ball and _power_of_ten(body.mass) and _power_of_ten(float(moments[-1])):
-            sentence = f"{value} alike about all axes looks like a placeholder; {advice}"
+            sentence = (
+                f"{value} alike about all axes looks like a placeholder; {advice}"
+            )
         if sentence:
             yield ModelWarning("placeholder_inertia", links, sentence)
     arm = float(robot.phi[::10].sum())
     masses = {body.link: robot.phi[10 * robot.links.index(body.link)] for body in own}
-    light = {link: mass for link, mass in masses.items() if 0 < mass < PLACEHOLDER * arm}
+    light = {
+        link: mass for link, mass in masses.items() if 0 < mass < PLACEHOLDER * arm
+    }
     if light:
         yield ModelWarning(
             "placeholder_inertia",
@@ -333,10 +379,14 @@ def _power_of_ten(value: float) -> bool:
 
 
 def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
-    for found in violations([body.mass, 0, 0, 0, *elements(body.inertia)], (body.link,)):
+    for found in violations(
+        [body.mass, 0, 0, 0, *elements(body.inertia)], (body.link,)
+    ):
         advice = "check its numbers and their order (ixx ixy ixz iyy iyz izz)"
         if body.mass > 0:
-            shifted = np.linalg.eigvalsh(body.second_moment + np.outer(body.com, body.com))
+            shifted = np.linalg.eigvalsh(
+                body.second_moment + np.outer(body.com, body.com)
+            )
             spread = np.linalg.eigvalsh(body.second_moment)
             if shifted[0] > 0 and np.linalg.norm(body.com) > _EXTENT:
                 advice = (
@@ -350,12 +400,16 @@ def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
 
 def _centre_outside(robot: Robot, body: Body) -> Iterator[str]:
     gap = float(np.linalg.norm(body.com - np.clip(body.com, *body.box)))
-    size, arm = body.size, _arm_size(robot)
+    size = body.size
+    arm = _arm_size(robot)
     if size > _EXTENT:
-        least = _OUTSIDE[bool(body.shapes)] * size + _EXTENT + (not body.shapes) * 0.1 * arm
+        least = (
+            _OUTSIDE[bool(body.shapes)] * size + _EXTENT + (not body.shapes) * 0.1 * arm
+        )
         where = f"{_length(gap)} outside the link, which measures {_length(size)}"
     else:
-        least, where = 0.75 * arm, f"{_length(gap)} from its joint, in an arm of {_length(arm)}"
+        least = 0.75 * arm
+        where = f"{_length(gap)} from its joint, in an arm of {_length(arm)}"
     if gap > least:
         c = " ".join(f"{x:.4g}" for x in body.com)
         advice = "check signs, units (m, not mm) and the frame"
@@ -367,7 +421,11 @@ def _length(metres: float) -> str:
 
 
 def _arm_size(robot: Robot) -> float:
-    return float(sum(np.linalg.norm(p.translation) for p in list(robot.model.jointPlacements)[1:]))
+    return float(
+        sum(
+            np.linalg.norm(p.translation) for p in list(robot.model.jointPlacements)[1:]
+        )
+    )
 
 
 def _light(robot: Robot, body: Body) -> Iterator[str]:
@@ -406,12 +464,17 @@ def _about_joint(robot: Robot, body: Body) -> Iterator[str]:
 def _size(robot: Robot, body: Body) -> Iterator[str]:
     """A radius of gyration that is too large or too small for the link."""
     values, vectors = np.linalg.eigh(body.second_moment)
-    radius, size = float(np.sqrt(values[-1])), body.size
+    radius = float(np.sqrt(values[-1]))
+    size = body.size
     if not body.shapes:
         size = max(size, 0.25 * _arm_size(robot))
     too_small = radius < _TOO_NARROW * size and body.shapes
     if size >= _EXTENT and (too_small or radius > _TOO_WIDE * size):
-        excess = (values[-1] - size**2 / 16) * body.mass * np.outer(vectors[:, -1], vectors[:, -1])
+        excess = (
+            (values[-1] - size**2 / 16)
+            * body.mass
+            * np.outer(vectors[:, -1], vectors[:, -1])
+        )
         unit = "check its unit (kg·m², not g·mm² or kg·mm²)"
         yield (
             f"its inertia is {'too small' if too_small else 'too large'} for {body.mass:.3g} kg: "
@@ -429,7 +492,9 @@ def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
     phi[10 * k + 4 : 10 * k + 10] -= elements(np.trace(moment) * np.eye(3) - moment)
     motion = Motion(np.arange(5.0), *robot.random_motion(np.random.default_rng(0), 5))
     before = rigid_body_torque(robot, motion)
-    change = np.abs(rigid_body_torque(robot.with_parameters(phi), motion) - before).max(axis=0)
+    change = np.abs(rigid_body_torque(robot.with_parameters(phi), motion) - before).max(
+        axis=0
+    )
     return bool((change <= _SLIGHT * np.abs(before).max(axis=0)).all())
 
 
@@ -438,8 +503,11 @@ def _across(robot: Robot, body: Body) -> Iterator[str]:
     solids = body.solid_second_moment
     if solids is None:
         return
-    (own, axis), (other, inertia) = (np.linalg.eigh(S) for S in (solids, body.second_moment))
-    axis, inertia = axis[:, -1], inertia[:, -1]
+    (own, axis), (other, inertia) = (
+        np.linalg.eigh(S) for S in (solids, body.second_moment)
+    )
+    axis = axis[:, -1]
+    inertia = inertia[:, -1]
     long = own[-1] > _ELONGATED[0] * own[-2] and other[-1] > _ELONGATED[1] * other[-2]
     angle = float(np.degrees(np.arccos(min(1.0, abs(float(axis @ inertia))))))
     if long and angle >= _ACROSS:

@@ -116,14 +116,22 @@ class DHChain:
         q = np.asarray(q, float)
         about_z, about_x = np.zeros((2, *q.shape, 4, 4))
         for T, angle, (j, k), axis, shift in (
-            (about_z, self.theta + q * self.revolute, (0, 1), 2, self.d + q * ~self.revolute),
+            (
+                about_z,
+                self.theta + q * self.revolute,
+                (0, 1),
+                2,
+                self.d + q * ~self.revolute,
+            ),
             (about_x, self.alpha, (1, 2), 0, self.a),
         ):
             T[..., j, j] = T[..., k, k] = np.cos(angle)
             T[..., k, j], T[..., j, k] = np.sin(angle), -np.sin(angle)
             T[..., axis, axis] = T[..., 3, 3] = 1.0
             T[..., axis, 3] = shift
-        pose: Array = about_z @ about_x if self.convention == "standard" else about_x @ about_z
+        pose: Array = (
+            about_z @ about_x if self.convention == "standard" else about_x @ about_z
+        )
         return pose
 
 
@@ -150,19 +158,30 @@ def distal_frames(robot: Robot) -> Array:
     Raises:
         BadInput: An arm that branches.
     """
-    model, nv = robot.model, robot.nv
+    model = robot.model
+    nv = robot.nv
     if list(model.parents)[1:] != list(range(nv)):
-        raise BadInput(f"{robot.name} branches: Denavit-Hartenberg frames are those of one chain")
+        raise BadInput(
+            f"{robot.name} branches: Denavit-Hartenberg frames are those of one chain"
+        )
     motions = [np.reshape(joint.createData().S, 6) for joint in list(model.joints)[1:]]
-    own = [s[3:] if turns else s[:3] for s, turns in zip(motions, robot.revolute, strict=True)]
+    own = [
+        s[3:] if turns else s[:3]
+        for s, turns in zip(motions, robot.revolute, strict=True)
+    ]
     places = [*list(model.jointPlacements)[2:], list(model.frames)[robot.tip].placement]
     frames = np.tile(np.eye(4), (nv, 1, 1))
-    for T, place, here, beyond in zip(frames, places, own, [*own[1:], np.eye(3)[2]], strict=True):
-        z, point = place.rotation @ beyond, place.translation
-        across, x = np.cross(here, z), place.rotation[:, int(np.argmin(np.abs(beyond)))]
+    for T, place, here, beyond in zip(
+        frames, places, own, [*own[1:], np.eye(3)[2]], strict=True
+    ):
+        z = place.rotation @ beyond
+        point = place.translation
+        across = np.cross(here, z)
+        x = place.rotation[:, int(np.argmin(np.abs(beyond)))]
         if np.linalg.norm(across) > _PARALLEL:
             steps = np.linalg.solve(np.column_stack([here, -z, across]), point)
-            point, normal = point + steps[1] * z, across
+            point = point + steps[1] * z
+            normal = across
         else:
             normal = point - here * (here @ point)
         if np.linalg.norm(normal) > _PARALLEL:
@@ -183,24 +202,31 @@ def robot_from_dh(chain: DHChain, limits: Limits | None = None) -> Robot:
     Raises:
         BadRobot: A link without mass, or names that occur twice.
     """
-    robot = robot_from_urdf(urdf_of_chain(chain, chain.name), chain.name, gravity=chain.gravity)
+    robot = robot_from_urdf(
+        urdf_of_chain(chain, chain.name), chain.name, gravity=chain.gravity
+    )
     return robot if limits is None else limits_in_urdf(robot.with_limits(limits))
 
 
 def urdf_of_chain(chain: DHChain, source: str) -> str:
     """URDF of a chain without limits: links in their joint frames, shapes, tool."""
     root = ET.Element("robot", name=chain.name)
-    steps, inner = chain.poses(np.zeros((1, chain.nv)))[0], joint_frames(chain)
+    steps = chain.poses(np.zeros((1, chain.nv)))[0]
+    inner = joint_frames(chain)
     bodies = moved_parameters(chain.phi.reshape(-1, 10), inner)
     base, tool, flange = (_unused(name, chain) for name in ("base", "tool", "flange"))
     links = [ET.SubElement(root, "link", name=base)]
     place = chain.base
     for i, (joint, link) in enumerate(zip(chain.joints, chain.links, strict=True)):
         if bodies[i, 0] == 0:
-            raise BadRobot(source, f"link '{link}' has no mass; give one, even if only assumed")
+            raise BadRobot(
+                source, f"link '{link}' has no mass; give one, even if only assumed"
+            )
         kind = "continuous" if chain.revolute[i] else "prismatic"
         start = place if chain.convention == "standard" else place @ steps[i]
-        element = joint_element(root, joint, kind, links[-1].attrib["name"], link, start)
+        element = joint_element(
+            root, joint, kind, links[-1].attrib["name"], link, start
+        )
         ET.SubElement(element, "axis", xyz="0 0 1")
         ET.SubElement(element, "limit", velocity="0", effort="0")
         links.append(ET.SubElement(root, "link", name=link))
@@ -208,7 +234,9 @@ def urdf_of_chain(chain: DHChain, source: str) -> str:
         place = inner[i]
     joint_element(root, flange, "fixed", chain.links[-1], tool, place @ chain.tool)
     ET.SubElement(root, "link", name=tool)
-    for element, frame, shapes in zip(links, [np.eye(4), *inner], chain.shapes, strict=False):
+    for element, frame, shapes in zip(
+        links, [np.eye(4), *inner], chain.shapes, strict=False
+    ):
         element.extend(_collision(shape, pin.SE3(frame)) for shape in shapes)
     return urdf_text(root)
 
@@ -222,9 +250,13 @@ def _unused(name: str, chain: DHChain) -> str:
 def _collision(shape: CylinderRecord, frame: pin.SE3) -> ET.Element:
     """A cylinder along z turned onto the line between both ends, or a sphere."""
     start, end = (frame.act(np.array(x)) for x in (shape.start, shape.end))
-    length, centre, radius = float(np.linalg.norm(end - start)), (start + end) / 2, shape.radius
+    length = float(np.linalg.norm(end - start))
+    centre = (start + end) / 2
+    radius = shape.radius
     if length == 0:
-        return collision(pin.SE3(np.eye(3), centre), "sphere", radius=repr(float(radius)))
+        return collision(
+            pin.SE3(np.eye(3), centre), "sphere", radius=repr(float(radius))
+        )
     z = (end - start) / length
     y = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     y = y / np.linalg.norm(y)
@@ -257,14 +289,18 @@ def chain_from_record(record: RobotRecord, source: str, angles: Angles) -> DHCha
     return DHChain(
         name=str(record.name or Path(source).stem),
         convention=record.convention,
-        joints=tuple(str(row.joint or f"joint{i}") for i, row in enumerate(rows, start=1)),
+        joints=tuple(
+            str(row.joint or f"joint{i}") for i, row in enumerate(rows, start=1)
+        ),
         links=links,
         revolute=np.array([row.type == "revolute" for row in rows]),
         a=np.array([row.a for row in rows]),
         d=np.array([row.d for row in rows]),
         alpha=radians(row.alpha for row in rows),
         theta=radians(row.theta for row in rows),
-        phi=np.concatenate([_phi(row, n, source) for row, n in zip(rows, links, strict=True)]),
+        phi=np.concatenate(
+            [_phi(row, n, source) for row, n in zip(rows, links, strict=True)]
+        ),
         gravity=np.array(record.gravity or GRAVITY),
         base=_place(base.position, radians(base.rpy)),
         tool=_place(tool.position, radians(tool.rpy)),
@@ -276,7 +312,9 @@ def _phi(row: DHRecord, link: str, source: str) -> Array:
     """Standard parameters about the link frame, shape (10,)."""
     for one, other in (("com", "mc"), ("I", "Ic")):
         if getattr(row, one) is not None and getattr(row, other) is not None:
-            raise BadRobot(source, f"{link}: both '{one}' and '{other}' are given; keep one")
+            raise BadRobot(
+                source, f"{link}: both '{one}' and '{other}' are given; keep one"
+            )
     tensor = row.I or row.Ic
     if tensor is None:
         raise BadRobot(
@@ -284,7 +322,11 @@ def _phi(row: DHRecord, link: str, source: str) -> Array:
             f"{link}: give the inertia as 'I: {{xx: .., yy: .., zz: .., xy: ..}}' about the link "
             "frame, or as 'Ic' about the centre of mass",
         )
-    mc = np.array(row.mc or (0.0, 0.0, 0.0)) if row.com is None else row.m * np.array(row.com)
+    mc = (
+        np.array(row.mc or (0.0, 0.0, 0.0))
+        if row.com is None
+        else row.m * np.array(row.com)
+    )
     about = np.array([tensor.xx, tensor.xy, tensor.yy, tensor.xz, tensor.yz, tensor.zz])
     if row.I is None:
         about = about + elements(steiner(row.m, mc / row.m))

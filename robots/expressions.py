@@ -38,8 +38,11 @@ class Space(dict[str, Any]):
 class Function:
     """A function that expressions may call; its values are data."""
 
-    def __init__(self, call: Callable[..., Any], kind: type | tuple[type, ...] = ()) -> None:
-        self.call, self.kind = call, kind
+    def __init__(
+        self, call: Callable[..., Any], kind: type | tuple[type, ...] = ()
+    ) -> None:
+        self.call = call
+        self.kind = kind
 
     def __call__(self, *values: Any, **named: Any) -> Any:
         """The value of a call, bounded; iterators become lists."""
@@ -81,7 +84,9 @@ def bounded(value: Any) -> Any:
         try:
             extent(value, LARGEST)
         except ValueError:
-            raise Refused(f"leads to more than {LARGEST} values or characters") from None
+            raise Refused(
+                f"leads to more than {LARGEST} values or characters"
+            ) from None
     return value
 
 
@@ -153,7 +158,8 @@ class _Evaluation:
         return self.made(operation(self.data(node.left), self.data(node.right)))
 
     def _BoolOp(self, node: ast.BoolOp) -> Any:
-        stops, value = isinstance(node.op, ast.Or), None
+        stops = isinstance(node.op, ast.Or)
+        value = None
         for each in node.values:
             value = self.value(each)
             if bool(value) == stops:
@@ -187,7 +193,9 @@ class _Evaluation:
 
     def _Attribute(self, node: ast.Attribute) -> Any:
         held = self.value(node.value)
-        spaces = isinstance(held, Space) or hasattr(type(held), "__getattr__")  # xacro's, of YAML
+        spaces = isinstance(held, Space) or hasattr(
+            type(held), "__getattr__"
+        )  # xacro's, of YAML
         if not spaces or not isinstance(held, dict):
             raise Refused(f"uses {ast.unparse(node)}")
         try:
@@ -215,7 +223,9 @@ class _Evaluation:
         if isinstance(node, ast.Attribute):
             held = self.value(node.value)
             kinds = [] if isinstance(held, Space) else _METHODS.items()
-            for method in (known.get(node.attr) for kind, known in kinds if isinstance(held, kind)):
+            for method in (
+                known.get(node.attr) for kind, known in kinds if isinstance(held, kind)
+            ):
                 if method is not None:
                     return Function(partial(method, held))
             if not isinstance(held, dict):
@@ -333,7 +343,9 @@ _METHODS: dict[type, dict[str, Callable[..., Any]]] = {
     list: {"index": list.index, "count": list.count},
     tuple: {"index": tuple.index, "count": tuple.count},
     dict: {
-        "get": lambda held, key, *other: held[key] if key in held else (*other, None)[0],
+        "get": lambda held, key, *other: (
+            held[key] if key in held else (*other, None)[0]
+        ),
         "keys": lambda held: list(dict.keys(held)),
         "values": lambda held: [held[key] for key in dict.keys(held)],
         "items": lambda held: [(key, held[key]) for key in dict.keys(held)],
@@ -359,7 +371,8 @@ def _round(value: Any, digits: int | None = None) -> Any:
 
 
 def _map(call: Any, *values: Iterable[Any]) -> list[Any]:
-    found, total = [], 0
+    found = []
+    total = 0
     for each in zip(*values, strict=False):
         found.append(call(*each))
         total += extent(found[-1], LARGEST)
@@ -397,12 +410,26 @@ PYTHON: dict[str, Any] = {
     "zip": Function(_zip),
     "reversed": Function(lambda values: list(values)[::-1]),
     "frozenset": Function(set),
-    **{kind.__name__: Function(kind, kind) for kind in (list, dict, str, int, bool, set, tuple)},
+    **{
+        kind.__name__: Function(kind, kind)
+        for kind in (list, dict, str, int, bool, set, tuple)
+    },
     "float": Function(float, float),
     "complex": Function(complex, complex),
     **{
         name: Function(getattr(builtins, name))
-        for name in ("len", "min", "max", "abs", "all", "any", "divmod", "ord", "repr", "sorted")
+        for name in (
+            "len",
+            "min",
+            "max",
+            "abs",
+            "all",
+            "any",
+            "divmod",
+            "ord",
+            "repr",
+            "sorted",
+        )
     },
 }
 """Functions of Python without effects, whose values are bounded."""

@@ -39,9 +39,13 @@ def read_description(path: str | Path) -> str:
 def parse_xml(text: str, source: str | Path, form: str = "URDF") -> ET.Element:
     """Root of an XML text, which is neither deep, nor huge, nor built of entities."""
     if re.search(r"<!ENTITY", text):
-        raise BadRobot(source, "its XML declares entities; write out what they stand for")
+        raise BadRobot(
+            source, "its XML declares entities; write out what they stand for"
+        )
     parser: Any = ET.XMLPullParser(("start", "end"))
-    root, depth, count = ET.Element(""), 0, 0
+    root = ET.Element("")
+    depth = 0
+    count = 0
     try:
         for at in range(0, len(text) + 1, _PIECE):
             parser.feed(text[at : at + _PIECE])
@@ -52,8 +56,14 @@ def parse_xml(text: str, source: str | Path, form: str = "URDF") -> ET.Element:
                 depth += 1 if event == "start" else -1
                 count += event == "start"
                 if depth > _DEEPEST or count > _MOST:
-                    what = f"{_DEEPEST} elements deep" if depth > _DEEPEST else f"{_MOST} elements"
-                    raise BadRobot(source, f"its XML is more than {what}; no arm needs that")
+                    what = (
+                        f"{_DEEPEST} elements deep"
+                        if depth > _DEEPEST
+                        else f"{_MOST} elements"
+                    )
+                    raise BadRobot(
+                        source, f"its XML is more than {what}; no arm needs that"
+                    )
     except ET.ParseError as error:
         raise BadRobot(source, f"not XML ({error}); give a {form} file") from None
     return root
@@ -65,7 +75,10 @@ def real_path(path: str | Path) -> Path:
 
 
 def within(
-    path: str | Path, named_by: str | Path, packages: Iterable[str | Path] = (), allow: str = ALLOW
+    path: str | Path,
+    named_by: str | Path,
+    packages: Iterable[str | Path] = (),
+    allow: str = ALLOW,
 ) -> Path:
     """Real path of a file that another one names.
 
@@ -75,8 +88,11 @@ def within(
     Raises:
         BadRobot: It lies elsewhere.
     """
-    real, folder = real_path(path), real_path(named_by).parent
-    around = next((f for f in (folder, *folder.parents) if isfile(f / "package.xml")), folder)
+    real = real_path(path)
+    folder = real_path(named_by).parent
+    around = next(
+        (f for f in (folder, *folder.parents) if isfile(f / "package.xml")), folder
+    )
     if not any(map(real.is_relative_to, (folder, around, *map(real_path, packages)))):
         raise BadRobot(
             named_by,
@@ -117,7 +133,9 @@ def is_exposed(folder: Path) -> bool:
 def _package_name(folder: Path) -> str:
     """Name that a folder's package.xml gives it, if any."""
     try:
-        name = parse_xml(read_text(folder / "package.xml", LARGEST), folder).findtext("name")
+        name = parse_xml(read_text(folder / "package.xml", LARGEST), folder).findtext(
+            "name"
+        )
     except (OSError, UnicodeDecodeError, BadRobot):
         name = None
     return (name or "").strip()
@@ -129,7 +147,8 @@ def extent(content: object, most: float = math.inf) -> int:
     Raises:
         ValueError: More than ``most``, as in lists that hold themselves.
     """
-    total, rest = 0, [content]
+    total = 0
+    rest = [content]
     while rest:
         value = rest.pop()
         total += 1 + (len(value) if isinstance(value, str) else 0)

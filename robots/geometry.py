@@ -39,7 +39,8 @@ CLEARANCE = 0.01  # m: required unless said otherwise
 _POSES = 200  # random ones, for pairs whose distance depends on the drawing
 _MOVING = 1e-3  # m: distances that change less do not change
 _AROUND = 0.1  # of the size of a link's shapes: cables and covers
-_TOOL, _FLOOR = "tool point", "floor"
+_TOOL = "tool point"
+_FLOOR = "floor"
 _UPRIGHT = 0.99  # cosine between the base's axis and up, at least, of an arm on a floor
 _STANDS = 0.25  # of all poses: above the plane that an arm stands on
 _BASE = 0.05  # m: shapes of a base that end so near its frame stand on it
@@ -71,7 +72,9 @@ class Body:
     com: Array  # centre of mass, shape (3,) [m]
     inertia: Array  # tensor about the centre of mass as given, shape (3, 3) [kg·m²]
     points: Array  # its origin and the origins of the joints on it, shape (k, 3) [m]
-    shapes: tuple[Shape, ...]  # of the collision elements if they have solids; no meshes
+    shapes: tuple[
+        Shape, ...
+    ]  # of the collision elements if they have solids; no meshes
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -97,7 +100,9 @@ class Body:
             return None
         volumes = [shape.volume for shape in self.shapes]
         centres = np.array([(shape.start + shape.end) / 2 for shape in self.shapes])
-        spread = np.average([shape.spread for shape in self.shapes], axis=0, weights=volumes)
+        spread = np.average(
+            [shape.spread for shape in self.shapes], axis=0, weights=volumes
+        )
         return np.asarray(spread + np.cov(centres.T, aweights=volumes, ddof=0))
 
 
@@ -116,7 +121,9 @@ def bodies(robot: Robot) -> tuple[Body, ...]:
         carrier = named.carrier(name, robot.links)
         if carrier or name in under:
             points = np.array(origins.get(name, [np.zeros(3)]))
-            kinds = (map(_shape, link.findall(kind)) for kind in ("collision", "visual"))
+            kinds = (
+                map(_shape, link.findall(kind)) for kind in ("collision", "visual")
+            )
             solids = (tuple(filter(None, shapes)) for shapes in kinds)
             shapes = next(filter(None, solids), ())
             found.append(Body(name, carrier, *_inertia(link), points, shapes))
@@ -129,9 +136,13 @@ def _inertia(link: ET.Element) -> tuple[bool, float, Array, Array]:
     inertial = link.find("inertial")
     if inertial is None:
         return False, 0.0, np.zeros(3), np.zeros((3, 3))
-    place, mass = _origin(inertial), float(_attribute(inertial, "mass", "value", "0"))
+    place = _origin(inertial)
+    mass = float(_attribute(inertial, "mass", "value", "0"))
     tensor = [
-        [float(_attribute(inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0")) for b in "xyz"]
+        [
+            float(_attribute(inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0"))
+            for b in "xyz"
+        ]
         for a in "xyz"
     ]
     return True, mass, place.translation, place.rotation @ tensor @ place.rotation.T
@@ -144,7 +155,9 @@ def _attribute(element: ET.Element, child: str, key: str, default: str) -> str:
 
 def _origin(element: ET.Element) -> pin.SE3:
     """Placement that an element's ``<origin xyz rpy>`` states; none is the identity."""
-    xyz, rpy = (_floats(_attribute(element, "origin", key, "0 0 0")) for key in ("xyz", "rpy"))
+    xyz, rpy = (
+        _floats(_attribute(element, "origin", key, "0 0 0")) for key in ("xyz", "rpy")
+    )
     return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
 
 
@@ -157,7 +170,8 @@ def _shape(element: ET.Element) -> Shape | None:
     solid = element.find("geometry/*")
     if solid is None:
         return None
-    r, length = float(solid.get("radius", "0")), float(solid.get("length", "0"))
+    r = float(solid.get("radius", "0"))
+    length = float(solid.get("length", "0"))
     box = _floats(solid.get("size", "0 0 0")) / 2
     variance = np.array([r * r / 4, r * r / 4, length**2 / 12])
     bar = np.array([r, r, length / 2]), np.pi * r * r * length, variance, length, r
@@ -167,11 +181,14 @@ def _shape(element: ET.Element) -> Shape | None:
         "capsule": (bar[0] + [0, 0, r], *bar[1:]),
         "box": (box, 8 * box.prod(), box**2 / 3, 2 * box[2], float(box[:2].mean())),
     }
-    half, volume, variance, axis, radius = known.get(solid.tag, (box, 0.0, box, 0.0, 0.0))
+    half, volume, variance, axis, radius = known.get(
+        solid.tag, (box, 0.0, box, 0.0, 0.0)
+    )
     if volume <= 0:
         return None
     place = _origin(element)
-    R, c = place.rotation, place.translation
+    R = place.rotation
+    c = place.translation
     corners = c + (np.array(list(product((-1, 1), repeat=3))) * half) @ R.T
     tip = R[:, 2] * axis / 2
     return Shape(c - tip, c + tip, radius, corners, float(volume), (R * variance) @ R.T)
@@ -194,7 +211,9 @@ def bent_pose(robot: Robot) -> Array:
 
 def _clarity(points: Array) -> float:
     """Least distance of joints that are not neighbours, relative to the arm, less what is low."""
-    gaps = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(len(points), 2)]
+    gaps = np.linalg.norm(points[:, None] - points[None], axis=2)[
+        np.triu_indices(len(points), 2)
+    ]
     size = max(float(gaps.max(initial=0.0)), 1e-9)
     meant = gaps[gaps > 1e-3 * size]  # joints that meet in a point do so in every pose
     below = float(min(points[:, 2].min(), 0.0))
@@ -202,7 +221,8 @@ def _clarity(points: Array) -> float:
 
 
 def _points(robot: Robot, q: Array) -> Array:
-    model, data = robot.model, robot.model.createData()
+    model = robot.model
+    data = robot.model.createData()
     pin.framesForwardKinematics(model, data, q)
     places = [pin.SE3.Identity(), *list(data.oMi)[1:], data.oMf[robot.tip]]
     return np.array([place.translation for place in places])
@@ -216,7 +236,8 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
         the joints, shape (nv, 3); ``solids``, number of the joint that carries each (0 for the
         base), both ends of its axis and its radius, shape (k, 8) [m].
     """
-    model, data = robot.model, robot.model.createData()
+    model = robot.model
+    data = robot.model.createData()
     axes = robot.axes(q, data)
     pin.updateFramePlacements(model, data)
     solids = []
@@ -224,7 +245,9 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
         frame = data.oMf[model.getFrameId(body.link, pin.FrameType.BODY)]
         joint = robot.links.index(body.carrier) + 1 if body.carrier else 0
         for shape in body.shapes:
-            solids.append([joint, *frame.act(shape.start), *frame.act(shape.end), shape.radius])
+            solids.append(
+                [joint, *frame.act(shape.start), *frame.act(shape.end), shape.radius]
+            )
     return {
         "pose": np.asarray(q, float),
         "points": _points(robot, q),
@@ -243,10 +266,15 @@ class Obstacle:
 
     def bodies(self) -> list[tuple[str, Any, Any]]:
         """Name, shape and placement for Pinocchio; of a workspace, all that is outside it."""
-        v, here = self.values, pin.SE3.Identity()
+        v = self.values
+        here = pin.SE3.Identity()
         if self.shape == "workspace":
             return [
-                (f"{self.name} {'xyz'[k]} {end}", coal.Halfspace(n, float(n @ limit)), here)
+                (
+                    f"{self.name} {'xyz'[k]} {end}",
+                    coal.Halfspace(n, float(n @ limit)),
+                    here,
+                )
                 for k, axis in enumerate(np.eye(3))
                 for end, n, limit in (("low", axis, v.low), ("high", -axis, v.high))
             ]
@@ -255,13 +283,23 @@ class Obstacle:
             plane = coal.Halfspace(np.array(v.normal) / length, v.offset / length)
             return [(self.name, plane, here)]
         if self.shape == "sphere":
-            return [(self.name, coal.Sphere(v.radius), pin.SE3(np.eye(3), np.array(v.position)))]
+            return [
+                (
+                    self.name,
+                    coal.Sphere(v.radius),
+                    pin.SE3(np.eye(3), np.array(v.position)),
+                )
+            ]
         place = pin.SE3(pin.rpy.rpyToMatrix(*v.rpy), np.array(v.position))
         return [(self.name, coal.Box(*v.size), place)]
 
     def plain(self) -> dict[str, Any]:
         """Name, shape and values for JSON, with the keys of an obstacle file."""
-        return {"name": self.name, "shape": self.shape, **msgspec.to_builtins(self.values)}
+        return {
+            "name": self.name,
+            "shape": self.shape,
+            **msgspec.to_builtins(self.values),
+        }
 
 
 def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
@@ -278,7 +316,9 @@ def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
     found = []
     for k, record in enumerate(records, start=1):
         shape = next(s for s in OBSTACLE_SHAPES if getattr(record, s) is not None)
-        found.append(Obstacle(record.name or f"{shape} {k}", shape, getattr(record, shape)))
+        found.append(
+            Obstacle(record.name or f"{shape} {k}", shape, getattr(record, shape))
+        )
     return tuple(found)
 
 
@@ -311,17 +351,22 @@ class Scene:
             Its index (n,), the signed distance (n,) [m], and the nearest points of its bodies in
             the base frame, shape (n, 2, 3) [m].
         """
-        pairs, distance, points = [], [], []
+        pairs = []
+        distance = []
+        points = []
         for results in self._results(q):
             counts = self.scale * [result.min_distance for result in results]
             pairs.append(pair := int(counts.argmin()))
             distance.append(results[pair].min_distance)
-            points.append([results[pair].getNearestPoint1(), results[pair].getNearestPoint2()])
+            points.append(
+                [results[pair].getNearestPoint1(), results[pair].getNearestPoint2()]
+            )
         return np.array(pairs), np.array(distance), np.array(points)
 
     def _results(self, q: Array) -> Iterator[Any]:
         """What Pinocchio finds of all pairs at every pose."""
-        model, data = self.robot.model, self.robot.model.createData()
+        model = self.robot.model
+        data = self.robot.model.createData()
         work = self.geometry.createData()
         for pose in q:
             pin.computeDistances(model, data, self.geometry, work, pose)
@@ -329,15 +374,21 @@ class Scene:
 
     def gradient(self, q: Array, pair: int) -> tuple[float, Array]:
         """Distance of one pair at one pose, and its derivative by q, shape (nv,) [m/rad]."""
-        model, data = self.robot.model, self.robot.model.createData()
+        model = self.robot.model
+        data = self.robot.model.createData()
         work = self.geometry.createData()
         pin.computeJointJacobians(model, data, q)
         pin.updateGeometryPlacements(model, data, self.geometry, work)
         result = pin.computeDistance(self.geometry, work, pair)
         points = result.getNearestPoint1(), result.getNearestPoint2()
         ends = self.geometry.collisionPairs[pair]
-        bodies = [self.geometry.geometryObjects[i].parentJoint for i in (ends.first, ends.second)]
-        first, second = (_velocity(model, data, j, p) for j, p in zip(bodies, points, strict=True))
+        bodies = [
+            self.geometry.geometryObjects[i].parentJoint
+            for i in (ends.first, ends.second)
+        ]
+        first, second = (
+            _velocity(model, data, j, p) for j, p in zip(bodies, points, strict=True)
+        )
         normal = np.array(result.normal)  # from the first body to the second
         scale = float(self.scale[pair])
         return scale * float(result.min_distance), scale * (normal @ (second - first))
@@ -359,7 +410,9 @@ def _velocity(model: Any, data: Any, joint: int, point: Array) -> Array:
     """Velocity of a point of a joint's body by joint velocity, shape (3, nv)."""
     if joint == 0:
         return np.zeros((3, model.nv))
-    J = np.reshape(pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED), (6, -1))
+    J = np.reshape(
+        pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED), (6, -1)
+    )
     lever = np.asarray(point) - data.oMi[joint].translation
     moved: Array = J[:3] - pin.skew(lever) @ J[3:]
     return moved
@@ -367,18 +420,26 @@ def _velocity(model: Any, data: Any, joint: int, point: Array) -> Array:
 
 def _reaches(scene: Scene) -> Array:
     """Largest distance of each body's points from each supporting joint, else NaN, (bodies, nv)."""
-    model, objects = scene.robot.model, scene.geometry.geometryObjects
+    model = scene.robot.model
+    objects = scene.geometry.geometryObjects
     reach = np.full((len(objects), scene.robot.nv), np.nan)
-    slide = np.where(scene.robot.revolute, 0.0, np.abs(scene.robot.limits.position).max(axis=1))
+    slide = np.where(
+        scene.robot.revolute, 0.0, np.abs(scene.robot.limits.position).max(axis=1)
+    )
     for i, body in enumerate(objects):
         if body.parentJoint == 0:
             continue
         body.geometry.computeLocalAABB()
         length = float(np.linalg.norm(body.placement.translation))
-        length += float(np.linalg.norm(body.geometry.aabb_center)) + body.geometry.aabb_radius
+        length += (
+            float(np.linalg.norm(body.geometry.aabb_center)) + body.geometry.aabb_radius
+        )
         for j in reversed(list(model.supports[body.parentJoint])[1:]):
             reach[i, j - 1] = length
-            length += float(np.linalg.norm(model.jointPlacements[j].translation)) + slide[j - 1]
+            length += (
+                float(np.linalg.norm(model.jointPlacements[j].translation))
+                + slide[j - 1]
+            )
     return reach
 
 
@@ -397,7 +458,9 @@ def scene(
         clearance: Distance that will be required [m].
     """
     geometry = _solids(robot).copy()
-    boxed = {name for o in obstacles if o.shape == "workspace" for name, _, _ in o.bodies()}
+    boxed = {
+        name for o in obstacles if o.shape == "workspace" for name, _, _ in o.bodies()
+    }
     if not len(geometry.geometryObjects) and not boxed:
         return None
     fixed = set()
@@ -406,11 +469,14 @@ def scene(
         fixed.add(name)
     if boxed:
         tool = robot.model.frames[robot.tip]
-        at, point = (tool.parentJoint, robot.tip, tool.placement), coal.Sphere(_POINT)
+        at = (tool.parentJoint, robot.tip, tool.placement)
+        point = coal.Sphere(_POINT)
         geometry.addGeometryObject(pin.GeometryObject(_TOOL, *at, point))
     pairs = _pairs(robot, geometry, boxed)
     everything = _paired(robot, geometry, pairs, obstacles, np.ones(len(pairs)))
-    distance = everything.distances(robot.random_motion(np.random.default_rng(0), _POSES)[0])
+    distance = everything.distances(
+        robot.random_motion(np.random.default_rng(0), _POSES)[0]
+    )
     largest = distance.max(axis=0)
     beside = np.array([bool(fixed & {*pair}) for pair in everything.pairs], bool)
     apart = (largest > _MOVING) & (np.ptp(distance, axis=0) > _MOVING)
@@ -418,7 +484,9 @@ def scene(
     scale = np.maximum(1.0, 2 * clearance / np.maximum(largest, _MOVING))
     scale = np.where(beside, 1.0, scale)[kept]
     return (
-        _paired(robot, geometry, [pairs[k] for k in kept], obstacles, scale) if len(kept) else None
+        _paired(robot, geometry, [pairs[k] for k in kept], obstacles, scale)
+        if len(kept)
+        else None
     )
 
 
@@ -428,7 +496,8 @@ def _solids(robot: Robot, kind: str = "collision") -> Any:
     root = ET.fromstring(robot.description)
     _find_meshes(root, robot, kind)
     model, reference, locked = full_model(root, robot)
-    text, wanted = ET.tostring(root, encoding="unicode"), getattr(pin.GeometryType, kind.upper())
+    text = ET.tostring(root, encoding="unicode")
+    wanted = getattr(pin.GeometryType, kind.upper())
     with quietly(robot.source):
         geometry = pin.buildGeomFromUrdfString(model, text, wanted)
     _make_convex(geometry)
@@ -468,7 +537,9 @@ def _corners(body: Any) -> Array:
     """Corners of the box around a solid, in the frame of its joint, shape (8, 3) [m]."""
     box = body.geometry
     box.computeLocalAABB()
-    corners = np.array(list(product(*zip(box.aabb_local.min_, box.aabb_local.max_, strict=True))))
+    corners = np.array(
+        list(product(*zip(box.aabb_local.min_, box.aabb_local.max_, strict=True)))
+    )
     return np.asarray(corners @ body.placement.rotation.T + body.placement.translation)
 
 
@@ -493,10 +564,15 @@ def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
         solid.add(body.parentJoint)
     regions = {}
     for joint, link in enumerate(robot.links, start=1):
-        low, high = np.min(points[joint], axis=0), np.max(points[joint], axis=0)
+        low = np.min(points[joint], axis=0)
+        high = np.max(points[joint], axis=0)
         last = joint == robot.nv
         shape = joint in solid and not last
-        margin = _AROUND * float(np.linalg.norm(high - low)) if shape else longest / (2 - last)
+        margin = (
+            _AROUND * float(np.linalg.norm(high - low))
+            if shape
+            else longest / (2 - last)
+        )
         if margin > 0:
             regions[link] = low - margin, high + margin
     return regions
@@ -521,21 +597,30 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
     Shapes of neighbouring links, which touch by design, are never checked against each other.
     """
     root = ET.fromstring(robot.description)
-    stated, (missing, outside) = len(root.findall("link/collision")), _find_meshes(root, robot)
-    solid, drawn = _carriers(root, robot, "collision"), _carriers(root, robot, "visual")
+    stated = len(root.findall("link/collision"))
+    (missing, outside) = _find_meshes(root, robot)
+    solid = _carriers(root, robot, "collision")
+    drawn = _carriers(root, robot, "visual")
     shapeless = [link or "base" for link in ("", *robot.links) if link in drawn - solid]
     left = []
     if missing or not solid - {""} or scene is None:
         why = f", {missing} of {stated} collision meshes not found" if missing else ""
         if outside:
             why += f" ({outside} outside the description's folder: --package FOLDER allows them)"
-        lack = "" if solid - {""} else f", no {'moving ' * bool(stated)}link has a collision shape"
+        lack = (
+            ""
+            if solid - {""}
+            else f", no {'moving ' * bool(stated)}link has a collision shape"
+        )
         left.append(f"self-collision{why or lack}")
     elif shapeless:
-        more = f" and {len(shapeless) - _LISTED} more" if len(shapeless) > _LISTED else ""
+        more = (
+            f" and {len(shapeless) - _LISTED} more" if len(shapeless) > _LISTED else ""
+        )
         left.append(f"{', '.join(shapeless[:_LISTED])}{more}, without collision shapes")
     if scene is not None and (scene.scale > 1).any():
-        most, count = int(np.argmax(scene.scale)), int((scene.scale > 1).sum()) - 1
+        most = int(np.argmax(scene.scale))
+        count = int((scene.scale > 1).sum()) - 1
         more = f", and {count} more pair{'s' * (count > 1)} alike" if count else ""
         left.append(
             f"full clearance between {' and '.join(scene.pairs[most])}, never far apart (half of "
@@ -548,7 +633,8 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
 
 def _carriers(root: ET.Element, robot: Robot, kind: str) -> set[str]:
     """Moving links that carry a collision or visual element; empty for what stands still."""
-    links, named = root.findall(f"link[{kind}]"), tree(root, robot.source)
+    links = root.findall(f"link[{kind}]")
+    named = tree(root, robot.source)
     return {named.carrier(str(link.get("name")), robot.links) for link in links}
 
 
@@ -572,7 +658,9 @@ def _pairs(robot: Robot, geometry: Any, boxed: set[str]) -> list[tuple[int, int]
     """Bodies on joints that are not neighbours; the tool point with its workspace alone."""
     joints = [body.parentJoint for body in geometry.geometryObjects]
     parents = list(robot.model.parents)
-    alone = [body.name in boxed or body.name == _TOOL for body in geometry.geometryObjects]
+    alone = [
+        body.name in boxed or body.name == _TOOL for body in geometry.geometryObjects
+    ]
     return [
         (i, k)
         for i in range(len(joints))
@@ -597,7 +685,9 @@ def _make_convex(geometry: Any) -> None:
         body.geometry = mesh.convex
 
 
-def _find_meshes(root: ET.Element, robot: Robot, kind: str = "collision") -> tuple[int, int]:
+def _find_meshes(
+    root: ET.Element, robot: Robot, kind: str = "collision"
+) -> tuple[int, int]:
     """Name mesh files by their full paths; remove shapes whose mesh is not there.
 
     Returns:
@@ -612,7 +702,8 @@ def _find_meshes(root: ET.Element, robot: Robot, kind: str = "collision") -> tup
             try:
                 path = _mesh_file(str(mesh.get("filename")), robot)
             except BadRobot:
-                path, outside = None, outside + 1
+                path = None
+                outside = outside + 1
             if path is not None:
                 mesh.set("filename", str(path))
             else:
@@ -633,7 +724,9 @@ def _mesh_file(name: str, robot: Robot) -> Path | None:
     package, _, inside = name.removeprefix("package://").partition("/")
     inside = os.path.normpath(inside)
     roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
-    split = ((os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots)
+    split = (
+        (os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots
+    )
     shared = [Path(path) / inner for paths, inner in split for path in paths if path]
     installed = [each / package for each in shared]
     installed += [each for each in shared if each.name == package]

@@ -54,14 +54,20 @@ class Limits:
 
     def of(self, joints: list[int]) -> Limits:
         """Limits of some of the joints, by index."""
-        rows: dict[str, Any] = {name: getattr(self, name)[joints] for name in LIMIT_NAMES}
+        rows: dict[str, Any] = {
+            name: getattr(self, name)[joints] for name in LIMIT_NAMES
+        }
         return replace(self, **rows)
 
     def used(self, share: float) -> Limits:
         """Limits of which velocity, acceleration, torque and jerk are a share of these (of 1)."""
         if not 0 < share <= 1:
-            raise BadInput(f"use of {share:g}: give the share of the limits, above 0 and up to 1")
-        return replace(self, **{name: share * getattr(self, name) for name in LIMIT_NAMES[1:]})
+            raise BadInput(
+                f"use of {share:g}: give the share of the limits, above 0 and up to 1"
+            )
+        return replace(
+            self, **{name: share * getattr(self, name) for name in LIMIT_NAMES[1:]}
+        )
 
 
 def load_limits(path: str | Path, robot: Robot) -> Limits:
@@ -81,10 +87,14 @@ def load_limits(path: str | Path, robot: Robot) -> Limits:
 def limits_from(content: Mapping[str, Any], robot: Robot, path: str | Path) -> Limits:
     """Limits from the content of a file; see `load_limits`."""
     if (by_joint := _joint_limits(content)) is not None:
-        record = convert(_by_quantity(by_joint, robot, path), LimitsRecord, path, ".joint_limits")
+        record = convert(
+            _by_quantity(by_joint, robot, path), LimitsRecord, path, ".joint_limits"
+        )
         return merge_limits(robot, record, str(path))
     nested = "limits" in content
-    record = convert(content.get("limits", content), LimitsRecord, path, ".limits" * nested)
+    record = convert(
+        content.get("limits", content), LimitsRecord, path, ".limits" * nested
+    )
     return merge_limits(robot, record, str(path))
 
 
@@ -92,21 +102,33 @@ def _joint_limits(content: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """The entry ``joint_limits`` of MoveIt or ros2_control, under ``ros__parameters`` or not."""
     if isinstance(found := content.get("joint_limits"), dict):
         return found
-    inner = (_joint_limits(value) for value in content.values() if isinstance(value, dict))
+    inner = (
+        _joint_limits(value) for value in content.values() if isinstance(value, dict)
+    )
     return next((value for value in inner if value is not None), None)
 
 
-def _by_quantity(by_joint: Mapping[str, Any], robot: Robot, path: str | Path) -> dict[str, Any]:
+def _by_quantity(
+    by_joint: Mapping[str, Any], robot: Robot, path: str | Path
+) -> dict[str, Any]:
     """Limits that are in force (``has_velocity_limits: true``), of the joints that the arm has."""
-    rows = {j: row for j, row in by_joint.items() if j in robot.joints and isinstance(row, dict)}
+    rows = {
+        j: row
+        for j, row in by_joint.items()
+        if j in robot.joints and isinstance(row, dict)
+    }
     if not rows:
-        raise BadInput(f"{path}: {UnknownName('joint', next(iter(by_joint), ''), robot.joints)}")
+        raise BadInput(
+            f"{path}: {UnknownName('joint', next(iter(by_joint), ''), robot.joints)}"
+        )
     found: dict[str, Any] = {}
     for name, word in zip(LIMIT_NAMES, _ROS, strict=True):
         known = {j: row for j, row in rows.items() if row.get(f"has_{word}_limits")}
         found[name] = {j: row.get(f"max_{word}") for j, row in known.items()}
         if name == "position":
-            found[name] = {j: [row.get("min_position"), found[name][j]] for j, row in known.items()}
+            found[name] = {
+                j: [row.get("min_position"), found[name][j]] for j, row in known.items()
+            }
     return found
 
 
@@ -151,7 +173,8 @@ def require_limits(robot: Robot) -> str | None:
         BadInput: Limits of speed are missing, or of both acceleration and torque; says which file
             to write.
     """
-    limits, joints = robot.limits, np.array(robot.joints)
+    limits = robot.limits
+    joints = np.array(robot.joints)
     free = np.isinf(limits.acceleration)
     unbounded = free & np.isinf(limits.torque)
     missing = {

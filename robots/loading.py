@@ -95,12 +95,17 @@ def load_robot(
         packages=(*spec.packages, *packages),
         trust_xacro=spec.trust_xacro or trust_xacro,
     )
-    name, path = str(spec), Path(spec)
+    name = str(spec)
+    path = Path(spec)
     if name in builtin_robots():
         whole = _builtin(name)
         return _narrowed(whole, spec) if spec.is_part or spec.lock else whole
     if exists(path):
-        return _from_yaml(path, spec) if path.suffix in (".yaml", ".yml") else _from_model(spec)
+        return (
+            _from_yaml(path, spec)
+            if path.suffix in (".yaml", ".yml")
+            else _from_model(spec)
+        )
     if path.suffix or "/" in name:
         why = "no such file; give a URDF, xacro, MJCF, a robot.yaml or a built-in name"
         raise BadRobot(path, why)
@@ -109,7 +114,8 @@ def load_robot(
 
 def _builtin(name: str) -> Robot:
     folder = resources.files("excitant.robots.library")
-    model, record = folder / f"{name}.urdf", builtin_record(name)
+    model = folder / f"{name}.urdf"
+    record = builtin_record(name)
     if not model.is_file():
         return _from_dh(record, RobotSpec(name))
     text = model.read_text(encoding="utf-8")
@@ -155,7 +161,8 @@ def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
 
 def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
     """The part of the model that a robot.yaml selects, with its additions."""
-    base, tip = record.base, record.tip
+    base = record.base
+    tip = record.tip
     if isinstance(base, PlaceRecord):  # of a chain in Denavit-Hartenberg form
         base = tip = None
     arguments = {
@@ -165,7 +172,9 @@ def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
     folders = [path.parent / folder for folder in record.packages or ()]
     for folder in folders:
         if is_exposed(real_path(folder)):
-            raise BadRobot(path, f"packages: {folder} is too wide; name the package, or --package")
+            raise BadRobot(
+                path, f"packages: {folder} is too wide; name the package, or --package"
+            )
     return RobotSpec(
         path,
         None if record.joints is None else tuple(map(str, record.joints)),
@@ -202,7 +211,9 @@ def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
     return robot_of(_described(Path(spec), spec), spec, gravity)
 
 
-def robot_of(found: Description, spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
+def robot_of(
+    found: Description, spec: RobotSpec, gravity: npt.ArrayLike | None = None
+) -> Robot:
     """Robot of a description that was read, wherever it was, with the effects that it states."""
     robot = robot_from_urdf(
         found.urdf,
@@ -218,10 +229,14 @@ def _described(path: Path, spec: RobotSpec) -> Description:
     """The description in a file, whatever it is written in."""
     text = read_description(path)
     if is_xacro(text):
-        urdf, notes = urdf_from_xacro(path, spec.xacro_args, spec.packages, trust=spec.trust_xacro)
+        urdf, notes = urdf_from_xacro(
+            path, spec.xacro_args, spec.packages, trust=spec.trust_xacro
+        )
         return Description(urdf, notes=notes)
     if spec.xacro_args:
-        raise BadRobot(path, "not a xacro file, so it takes no xacro arguments; leave them out")
+        raise BadRobot(
+            path, "not a xacro file, so it takes no xacro arguments; leave them out"
+        )
     if "<mujoco" in text:
         return description_from_mjcf(path, spec.packages)
     return Description(text)
@@ -245,7 +260,9 @@ def _effects(robot: Robot, found: Description) -> Iterator[Effect]:
         yield RotorInertia(tuple(armature), tuple(armature.values()))
     springs = {j: found.springs[j] for j in robot.joints if j in found.springs}
     if springs:
-        values_of = [(stiffness, -stiffness * rest) for stiffness, rest in springs.values()]
+        values_of = [
+            (stiffness, -stiffness * rest) for stiffness, rest in springs.values()
+        ]
         yield Spring(tuple(springs)).with_values(np.array(values_of))
 
 
@@ -256,7 +273,9 @@ def _narrowed(whole: Robot, spec: RobotSpec) -> Robot:
             raise UnknownName("joint", joint, whole.joints)
     lock = {**dict(whole.locked), **spec.lock}
     part = replace(spec, path=whole.source, lock=lock, packages=whole.packages)
-    held = robot_from_urdf(whole.description, part, name=whole.name, gravity=whole.gravity)
+    held = robot_from_urdf(
+        whole.description, part, name=whole.name, gravity=whole.gravity
+    )
     return _kept(whole, replace(held, notes=(*whole.notes, *held.notes)))
 
 
@@ -269,4 +288,6 @@ def _kept(whole: Robot, held: Robot) -> Robot:
         joints = tuple(effect.joints[k] for k in kept)
         effects.append(replace(effect, joints=joints).with_values(values[kept]))
     limits = whole.limits.of([whole.joint_index(joint) for joint in held.joints])
-    return replace(held.with_limits(limits).with_effects(effects), length_std=whole.length_std)
+    return replace(
+        held.with_limits(limits).with_effects(effects), length_std=whole.length_std
+    )

@@ -21,7 +21,13 @@ import pinocchio as pin
 
 from excitant.exceptions import BadRobot
 from excitant.robots.angles import Angles
-from excitant.robots.files import LARGEST, parse_xml, read_description, real_path, within
+from excitant.robots.files import (
+    LARGEST,
+    parse_xml,
+    read_description,
+    real_path,
+    within,
+)
 from excitant.robots.motion import Array
 from excitant.robots.urdf import GRAVITY
 from excitant.robots.urdf_writer import (
@@ -39,14 +45,24 @@ class Description:
 
     urdf: str
     gravity: tuple[float, float, float] = GRAVITY  # in the root's frame [m/s²]
-    armature: Mapping[str, float] = field(default_factory=dict)  # by joint [kg·m² or kg]
-    springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # stiffness, rest
-    lock: Mapping[str, float] = field(default_factory=dict)  # joints held, and where [rad or m]
-    loops: tuple[tuple[str, str], ...] = ()  # pairs of links that a constraint ties together
+    armature: Mapping[str, float] = field(
+        default_factory=dict
+    )  # by joint [kg·m² or kg]
+    springs: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict
+    )  # stiffness, rest
+    lock: Mapping[str, float] = field(
+        default_factory=dict
+    )  # joints held, and where [rad or m]
+    loops: tuple[
+        tuple[str, str], ...
+    ] = ()  # pairs of links that a constraint ties together
     notes: tuple[str, ...] = ()  # what was left out
 
 
-def description_from_mjcf(path: str | Path, packages: Iterable[str | Path] = ()) -> Description:
+def description_from_mjcf(
+    path: str | Path, packages: Iterable[str | Path] = ()
+) -> Description:
     """Description of the robot in an MJCF file; `BadRobot` where MuJoCo is missing or refuses.
 
     Files that it names must lie below its folder or one of the packages.
@@ -55,22 +71,30 @@ def description_from_mjcf(path: str | Path, packages: Iterable[str | Path] = ())
         import mujoco
     except ImportError:
         raise BadRobot(
-            path, "MJCF files are read by MuJoCo; install it (pip install 'excitant[mjcf]')"
+            path,
+            "MJCF files are read by MuJoCo; install it (pip install 'excitant[mjcf]')",
         ) from None
     _check_files(Path(path), tuple(packages))
-    angles, warned = Angles(), mujoco.get_mju_user_warning()
+    angles = Angles()
+    warned = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)  # else it writes a log where it stands
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if not len(spec.worldbody.bodies):
-            raise BadRobot(path, "its <worldbody> holds no bodies; give an MJCF of an arm")
+            raise BadRobot(
+                path, "its <worldbody> holds no bodies; give an MJCF of an arm"
+            )
         _leave_out_drawing(spec, path)
         _take_exact_angles(spec, angles, mujoco.mjtOrientation)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of attributes that MuJoCo will drop
+            warnings.simplefilter(
+                "ignore", UserWarning
+            )  # of attributes that MuJoCo will drop
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
-        why = " ".join(str(error).replace("XML Error:", "").replace("Error:", "").split())
+        why = " ".join(
+            str(error).replace("XML Error:", "").replace("Error:", "").split()
+        )
         raise BadRobot(path, f"MuJoCo cannot read it: {why}") from None
     finally:
         mujoco.set_mju_user_warning(warned)
@@ -97,19 +121,29 @@ _SIZES = {"count": 10_000, "nrow": 2_000, "ncol": 2_000}  # products of these at
 def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
     """Look at an MJCF before MuJoCo does: which files it names, and how much it builds."""
     main = real_path(path).parent
-    parts, seen, named, size = [path], {real_path(path)}, list[tuple[Path, str]](), 0
+    parts = [path]
+    seen = {real_path(path)}
+    named = list[tuple[Path, str]]()
+    size = 0
     folders = {""}
     for part in parts:  # which grows
         text = read_description(part)
         size += len(text)
         if len(parts) > _FILES or size > LARGEST:
-            raise BadRobot(path, f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB")
-        root, here = parse_xml(text, part, "MJCF"), real_path(part).parent
+            raise BadRobot(
+                path, f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB"
+            )
+        root = parse_xml(text, part, "MJCF")
+        here = real_path(part).parent
         _check_sizes(root, part)
         for element in root.iter():
             keys = ("meshdir", "texturedir", "assetdir")
-            folders |= {element.get(key, "") for key in keys if element.tag == "compiler"}
-            files = [name for key, name in element.attrib.items() if key.startswith("file")]
+            folders |= {
+                element.get(key, "") for key in keys if element.tag == "compiler"
+            }
+            files = [
+                name for key, name in element.attrib.items() if key.startswith("file")
+            ]
             if element.tag not in ("include", "model", "attach"):
                 named += [(here, name) for name in files]
                 continue
@@ -133,7 +167,9 @@ def _check_sizes(root: ET.Element, path: Path) -> None:
         numbers = {key: _product(element.get(key, "")) for key in _SIZES}
         large = [key for key, most in _SIZES.items() if numbers[key] > most]
         if element.tag == "size":
-            large += [key for key, text in element.attrib.items() if _product(text) > 1e6]
+            large += [
+                key for key, text in element.attrib.items() if _product(text) > 1e6
+            ]
         copies *= numbers["count"] if element.tag == "replicate" else 1.0
         if large or copies > _COPIES:
             key = (*large, "count")[0]
@@ -175,7 +211,9 @@ def _check_numbers(model: Any, path: str | Path) -> None:
         values = np.asarray(getattr(model, name), float)
         if values.size and not np.abs(values).max() < 1e9:
             what = name.partition("_")[2].replace("_", " ")
-            raise BadRobot(path, f"a number is not finite or beyond any arm's size ({what})")
+            raise BadRobot(
+                path, f"a number is not finite or beyond any arm's size ({what})"
+            )
     if not np.abs(model.opt.gravity).max() < 1e9:
         raise BadRobot(path, "gravity is not finite or beyond reason; give it in m/s²")
 
@@ -225,7 +263,8 @@ def _leave_out_drawing(spec: Any, path: str | Path) -> None:
             body = geom.parent
             if not body.explicitinertial or spec.compiler.inertiafromgeom == 1:
                 raise BadRobot(
-                    path, f"body '{body.name}' has its mass from {file}, which is missing"
+                    path,
+                    f"body '{body.name}' has its mass from {file}, which is missing",
                 )
             spec.delete(geom)
         spec.delete(mesh)
@@ -269,7 +308,9 @@ class _Writer:
         frames: dict[int, pin.SE3] = {}  # of each body in its link
         for b, name in enumerate(self.bodies):
             if model.body_gravcomp[b]:
-                self.notes.append(f"body {name}: gravcomp is left out, as a controller's doing")
+                self.notes.append(
+                    f"body {name}: gravcomp is left out, as a controller's doing"
+                )
             frames[b] = self._joints(b, frames) if b else pin.SE3.Identity()
             link = ET.SubElement(self.robot, "link", name=name)
             if b and model.body_mass[b] > 0:
@@ -278,18 +319,25 @@ class _Writer:
                 tensor = R @ np.diag(model.body_inertia[b]) @ R.T
                 body = pin.Inertia(float(model.body_mass[b]), place.translation, tensor)
                 link.append(inertial_element(frames[b].act(body).toDynamicParameters()))
-            for g in range(model.body_geomadr[b], model.body_geomadr[b] + model.body_geomnum[b]):
+            for g in range(
+                model.body_geomadr[b], model.body_geomadr[b] + model.body_geomnum[b]
+            ):
                 if model.geom_contype[g] or model.geom_conaffinity[g]:
                     link.extend(self._collisions(g, frames[b]))
 
     def _joints(self, b: int, frames: Mapping[int, pin.SE3]) -> pin.SE3:
         """Write the joints of a body; the body's frame in the last link they carry."""
-        model, name, parent = self.model, self.bodies[b], int(self.model.body_parentid[b])
+        model = self.model
+        name = self.bodies[b]
+        parent = int(self.model.body_parentid[b])
         place = frames[parent] * _pose(model.body_pos[b], model.body_quat[b])
-        first, count = int(model.body_jntadr[b]), int(model.body_jntnum[b])
+        first = int(model.body_jntadr[b])
+        count = int(model.body_jntnum[b])
         above = self.bodies[parent]
         if not count:
-            joint_element(self.robot, f"{name}_weld", "fixed", above, name, place.homogeneous)
+            joint_element(
+                self.robot, f"{name}_weld", "fixed", above, name, place.homogeneous
+            )
             return pin.SE3.Identity()
         for j in range(first, first + count):
             last = j == first + count - 1
@@ -302,11 +350,15 @@ class _Writer:
 
     def _joint(self, j: int, place: pin.SE3, above: str, child: str) -> pin.SE3:
         """Write a joint that sits on a body's frame; the body's frame in what it carries."""
-        model, kind, kinds = self.model, int(self.model.jnt_type[j]), self.mujoco.mjtJoint
-        at, axis = pin.SE3(np.eye(3), model.jnt_pos[j].copy()), model.jnt_axis[j]
+        model = self.model
+        kind = int(self.model.jnt_type[j])
+        kinds = self.mujoco.mjtJoint
+        at = pin.SE3(np.eye(3), model.jnt_pos[j].copy())
+        axis = model.jnt_axis[j]
         back = -float(model.qpos0[model.jnt_qposadr[j]]) * axis
         if kind == int(kinds.mjJNT_SLIDE):
-            word, turned = "prismatic", pin.SE3(np.eye(3), back)
+            word = "prismatic"
+            turned = pin.SE3(np.eye(3), back)
         elif kind == int(kinds.mjJNT_HINGE):
             word = "revolute" if model.jnt_limited[j] else "continuous"
             turned = pin.SE3(pin.exp3(back), np.zeros(3))
@@ -322,8 +374,10 @@ class _Writer:
 
     def _facts(self, element: ET.Element, j: int) -> None:
         """Limits, friction, rotor inertia and spring of a joint."""
-        model, name = self.model, self.joints[j]
-        dof, at = int(model.jnt_dofadr[j]), int(model.jnt_qposadr[j])
+        model = self.model
+        name = self.joints[j]
+        dof = int(model.jnt_dofadr[j])
+        at = int(model.jnt_qposadr[j])
         effort, armature, damping = self._actuation(j)
         limit = {"effort": repr(effort), "velocity": "0"}
         if model.jnt_limited[j]:
@@ -333,34 +387,52 @@ class _Writer:
         damping += float(model.dof_damping[dof])
         friction = float(model.dof_frictionloss[dof])
         if damping or friction:
-            ET.SubElement(element, "dynamics", damping=repr(damping), friction=repr(friction))
+            ET.SubElement(
+                element, "dynamics", damping=repr(damping), friction=repr(friction)
+            )
         if armature := armature + float(model.dof_armature[dof]):
             self.armature[name] = armature
         if stiffness := float(model.jnt_stiffness[j]):
             self.springs[name] = (stiffness, float(model.qpos_spring[at]))
         if np.any(model.jnt_stiffnesspoly[j]) or np.any(model.dof_dampingpoly[dof]):
-            self.notes.append(f"joint {name}: higher powers of stiffness and damping are left out")
+            self.notes.append(
+                f"joint {name}: higher powers of stiffness and damping are left out"
+            )
         if name in self.followers:
             master, offset, slope = self.followers[name]
-            numbers = {"joint": master, "multiplier": repr(slope), "offset": repr(offset)}
+            numbers = {
+                "joint": master,
+                "multiplier": repr(slope),
+                "offset": repr(offset),
+            }
             ET.SubElement(element, "mimic", numbers)
 
     def _actuation(self, j: int) -> tuple[float, float, float]:
         """Torque limit for both directions (0 for none), rotor inertia and damping of drives."""
-        model, mj = self.model, self.mujoco
-        total, armature, damping = np.zeros(2), 0.0, 0.0
+        model = self.model
+        mj = self.mujoco
+        total = np.zeros(2)
+        armature = 0.0
+        damping = 0.0
         direct = [int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT)]
-        here = (model.actuator_trnid[:, 0] == j) & np.isin(model.actuator_trntype, direct)
+        here = (model.actuator_trnid[:, 0] == j) & np.isin(
+            model.actuator_trntype, direct
+        )
         for a in np.flatnonzero(here):
-            gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
+            gear = float(model.actuator_gear[a, 0])
+            gain = float(model.actuator_gainprm[a, 0])
             force = _range(model.actuator_forcerange[a], model.actuator_forcelimited[a])
             plain = model.actuator_gaintype[a] == int(mj.mjtGain.mjGAIN_FIXED)
             plain &= model.actuator_biastype[a] == int(mj.mjtBias.mjBIAS_NONE)
             if plain and gain:
-                control = _range(model.actuator_ctrlrange[a], model.actuator_ctrllimited[a])
+                control = _range(
+                    model.actuator_ctrlrange[a], model.actuator_ctrllimited[a]
+                )
                 reach = np.sort(gain * control)
                 force = np.array([max(force[0], reach[0]), min(force[1], reach[1])])
-            total = total + (np.sort(gear * force) if gear and (gain or not plain) else 0.0)
+            total = total + (
+                np.sort(gear * force) if gear and (gain or not plain) else 0.0
+            )
             armature += gear**2 * float(model.actuator_armature[a])
             damping += gear**2 * float(model.actuator_damping[a])
         low, high = total if here.any() else (-np.inf, np.inf)
@@ -377,21 +449,29 @@ class _Writer:
         """Joint each follows, offset and multiplier; MuJoCo measures from reference positions."""
         model = self.model
         for e in self._equalities("JOINT"):
-            j, master = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+            j = int(model.eq_obj1id[e])
+            master = int(model.eq_obj2id[e])
             if master < 0:
                 continue
-            rest, other = (float(model.qpos0[model.jnt_qposadr[i]]) for i in (j, master))
+            rest, other = (
+                float(model.qpos0[model.jnt_qposadr[i]]) for i in (j, master)
+            )
             offset, slope, *curve = model.eq_data[e, :5].tolist()
             if any(curve):
                 self.notes.append(
                     f"joint {self.joints[j]} follows {self.joints[master]} on a curve, taken as a "
                     "line"
                 )
-            yield self.joints[j], (self.joints[master], rest + offset - slope * other, slope)
+            yield (
+                self.joints[j],
+                (self.joints[master], rest + offset - slope * other, slope),
+            )
 
     def constraints(self) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
         """Joints that are held and where, and pairs of links that are tied together."""
-        model, held, ties = self.model, {}, []
+        model = self.model
+        held = {}
+        ties = []
         for e in self._equalities("JOINT"):
             j = int(model.eq_obj1id[e])
             if model.eq_obj2id[e] < 0:
@@ -404,7 +484,9 @@ class _Writer:
             ties.append((self.bodies[ends[0]], self.bodies[ends[1]]))
         others = len(list(self._equalities("TENDON", "FLEX")))
         if others:
-            self.notes.append(f"{others} equalities of tendons or flexible bodies are left out")
+            self.notes.append(
+                f"{others} equalities of tendons or flexible bodies are left out"
+            )
         return held, tuple(ties)
 
     def _collisions(self, g: int, frame: pin.SE3) -> Iterator[ET.Element]:
@@ -415,19 +497,30 @@ class _Writer:
         """
         model = self.model
         place = frame * _pose(model.geom_pos[g], model.geom_quat[g])
-        kind = self.mujoco.mjtGeom(model.geom_type[g]).name.removeprefix("mjGEOM_").lower()
+        kind = (
+            self.mujoco.mjtGeom(model.geom_type[g]).name.removeprefix("mjGEOM_").lower()
+        )
         x, y, z = model.geom_size[g].tolist()
         if kind == "mesh":
             m = int(model.geom_dataid[g])
             mesh = self.spec.mesh(model.mesh(m).name)
-            scale, turn = np.array(mesh.scale), _pose(mesh.refpos, mesh.refquat)
-            if not mesh.file or (np.ptp(scale) and not np.allclose(turn.rotation, np.eye(3))):
+            scale = np.array(mesh.scale)
+            turn = _pose(mesh.refpos, mesh.refquat)
+            if not mesh.file or (
+                np.ptp(scale) and not np.allclose(turn.rotation, np.eye(3))
+            ):
                 return
             back = turn.rotation.T
             moved = pin.SE3(back, -scale * (back @ turn.translation))
-            place = place * _pose(model.mesh_pos[m], model.mesh_quat[m]).inverse() * moved
-            file = _mesh_path(self.spec, mesh, Path(self.spec.modelfiledir) / "model.xml")
-            yield collision(place, "mesh", filename=str(file), scale=numbers_text(scale))
+            place = (
+                place * _pose(model.mesh_pos[m], model.mesh_quat[m]).inverse() * moved
+            )
+            file = _mesh_path(
+                self.spec, mesh, Path(self.spec.modelfiledir) / "model.xml"
+            )
+            yield collision(
+                place, "mesh", filename=str(file), scale=numbers_text(scale)
+            )
         elif kind == "sphere":
             yield collision(place, "sphere", radius=repr(x))
         elif kind in ("box", "ellipsoid"):
@@ -440,4 +533,8 @@ class _Writer:
 
 
 def _range(limits: Array, limited: bool) -> Array:
-    return np.array(limits) if limited and limits[0] < limits[1] else np.array([-np.inf, np.inf])
+    return (
+        np.array(limits)
+        if limited and limits[0] < limits[1]
+        else np.array([-np.inf, np.inf])
+    )

@@ -14,7 +14,11 @@ def read_only(values: npt.ArrayLike) -> Array:
     """Float array that refuses writing: a copy, or (a part of) what has been made one already."""
     if isinstance(values, np.ndarray) and values.dtype == np.float64:
         owner = values if values.base is None else values.base
-        if isinstance(owner, np.ndarray) and owner.flags.owndata and not owner.flags.writeable:
+        if (
+            isinstance(owner, np.ndarray)
+            and owner.flags.owndata
+            and not owner.flags.writeable
+        ):
             return values
     array = np.array(values, dtype=float)
     array.setflags(write=False)
@@ -53,7 +57,9 @@ class Motion:
 
     def __post_init__(self) -> None:
         freeze(self, "t", "q", "dq", "ddq")
-        if not (self.q.shape == self.dq.shape == self.ddq.shape == (len(self.t), self.nv)):
+        if not (
+            self.q.shape == self.dq.shape == self.ddq.shape == (len(self.t), self.nv)
+        ):
             raise ValueError(
                 f"shapes differ: t {self.t.shape}, q {self.q.shape}, "
                 f"dq {self.dq.shape}, ddq {self.ddq.shape}"
@@ -71,6 +77,8 @@ class Motion:
         span = float(np.ptp(self.t)) if len(self) else 0.0
         return f"Motion of {self.nv} joints: {len(self)} instants over {span:.4g} s"
 
-    def __getitem__(self, rows: slice | npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Motion:
+    def __getitem__(
+        self, rows: slice | npt.NDArray[np.intp] | npt.NDArray[np.bool_]
+    ) -> Motion:
         """The motion at some of its instants."""
         return Motion(self.t[rows], self.q[rows], self.dq[rows], self.ddq[rows])

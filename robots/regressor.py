@@ -23,7 +23,10 @@ from excitant.robots.robot import Robot
 
 _ANGLES = 0.4 * np.pi * np.arange(1, 5)
 _CIRCLE = [(x, 0.5 * (-1) ** k / np.sin(x / 2)) for k, x in enumerate(_ANGLES)]
-_LINE = [(1.0, 0.5), (-1.0, -0.5)]  # steps of a derivative by position, and their weights
+_LINE = [
+    (1.0, 0.5),
+    (-1.0, -0.5),
+]  # steps of a derivative by position, and their weights
 
 _ROUNDING = 1e-12  # of the largest torque of a motion, up to which there is none
 _KEPT = 8  # motions at a time: the segments of one diagnosis, fitted and held out
@@ -39,7 +42,8 @@ def regressor(robot: Robot, motion: Motion) -> Array:
 
 
 def _evaluate(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
-    model, data = robot.model, robot.model.createData()
+    model = robot.model
+    data = robot.model.createData()
     Y = np.empty((len(q), robot.nv, 10 * robot.nv))
     compute = pin.computeJointTorqueRegressor
     for k in range(len(q)):
@@ -62,13 +66,19 @@ class RegressorDerivatives:
 
 def regressor_derivatives(robot: Robot, motion: Motion) -> RegressorDerivatives:
     """Exact derivatives of the regressor at every instant of a motion."""
-    q, dq, ddq = motion.q, motion.dq, motion.ddq
+    q = motion.q
+    dq = motion.dq
+    ddq = motion.ddq
     Y = _evaluate(robot, q, dq, ddq)
     shape = (robot.nv, *Y.shape)
-    by_q, by_dq, by_ddq = np.zeros(shape), np.empty(shape), np.empty(shape)
+    by_q = np.zeros(shape)
+    by_dq = np.empty(shape)
+    by_ddq = np.empty(shape)
     for j, unit in enumerate(np.eye(robot.nv)):
         by_ddq[j] = _evaluate(robot, q, dq, ddq + unit) - Y
-        by_dq[j] = (_evaluate(robot, q, dq + unit, ddq) - _evaluate(robot, q, dq - unit, ddq)) / 2
+        by_dq[j] = (
+            _evaluate(robot, q, dq + unit, ddq) - _evaluate(robot, q, dq - unit, ddq)
+        ) / 2
         for step, weight in _CIRCLE if robot.revolute[j] else _LINE:
             by_q[j] += weight * _evaluate(robot, q + step * unit, dq, ddq)
     return RegressorDerivatives(Y, by_q, by_dq, by_ddq)
@@ -78,7 +88,9 @@ def rigid_body_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of the rigid bodies alone by recursive Newton-Euler, shape (n, nv) [N·m]."""
     moved = (np.asarray(x, float).T for x in (motion.q, motion.dq, motion.ddq))
     tau = pin.rneaInParallel(1, pin.ModelPool(robot.model, 1), *moved)
-    return np.reshape(tau.T, motion.q.shape)  # of one joint it comes without its dimension
+    return np.reshape(
+        tau.T, motion.q.shape
+    )  # of one joint it comes without its dimension
 
 
 @lru_cache(maxsize=_KEPT)
@@ -110,8 +122,11 @@ def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Arra
 
     Row i, column j: torque of joint i by motion of joint j (Carpentier and Mansard 2018).
     """
-    model, data = robot.model, robot.model.createData()
-    held = np.empty((3, robot.nv, len(motion), robot.nv))  # what one joint does lies together
+    model = robot.model
+    data = robot.model.createData()
+    held = np.empty(
+        (3, robot.nv, len(motion), robot.nv)
+    )  # what one joint does lies together
     parts = held.transpose(0, 2, 3, 1)
     for k in range(len(motion)):
         parts[:, k] = pin.computeRNEADerivatives(
@@ -133,7 +148,8 @@ def torque_along(robot: Robot, motion: Motion, joint: int, shift: Array) -> Arra
     Returns:
         Shape (n, nv) [N·m per unit].
     """
-    changed, rate = np.zeros(motion.q.shape), shift
+    changed = np.zeros(motion.q.shape)
+    rate = shift
     for order, by in enumerate(torque_derivatives(robot, motion)):
         if order:
             rate = np.gradient(rate, motion.t) if len(rate) > 1 else np.zeros_like(rate)

@@ -55,16 +55,26 @@ class Robot(Shown):
     source: str = ""
     tool: str = ""
     notes: tuple[str, ...] = ()
-    zeros: tuple[tuple[str, float], ...] = ()  # angles added to the readings of joints [rad]
-    packages: tuple[str, ...] = ()  # folders, beside its own, in which its meshes may lie
+    zeros: tuple[
+        tuple[str, float], ...
+    ] = ()  # angles added to the readings of joints [rad]
+    packages: tuple[
+        str, ...
+    ] = ()  # folders, beside its own, in which its meshes may lie
     described: bool = True  # whether the description states its inertias and friction
-    length_std: float = 0.0  # of each coordinate of each joint's place in its parent link [m]
-    estimate: BaseEstimate | None = None  # of its base parameters, where it was identified
+    # of each coordinate of each joint's place in its parent link [m]
+    length_std: float = 0.0
+    # of its base parameters, where it was identified
+    estimate: BaseEstimate | None = None
 
     @cached_property
     def urdf(self) -> str:
         """URDF text of the arm as it is now: inertias, dry and viscous friction, held joints."""
-        return self.description if self.described and not self.locked else current_urdf(self)
+        return (
+            self.description
+            if self.described and not self.locked
+            else current_urdf(self)
+        )
 
     @property
     def nv(self) -> int:
@@ -85,7 +95,9 @@ class Robot(Shown):
     def phi(self) -> Array:
         """Standard parameters of all links, shape (10 nv,)."""
         inertias = list(self.model.inertias)[1:]
-        return read_only(np.concatenate([body.toDynamicParameters() for body in inertias]))
+        return read_only(
+            np.concatenate([body.toDynamicParameters() for body in inertias])
+        )
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -98,7 +110,9 @@ class Robot(Shown):
         frames = list(enumerate(list(self.model.frames)))
         bodies = [(k, frame) for k, frame in frames if frame.type == pin.FrameType.BODY]
         named = [k for k, frame in bodies if frame.name == self.tool]
-        return named[0] if named else max(k for k, f in bodies if f.parentJoint == self.nv)
+        return (
+            named[0] if named else max(k for k, f in bodies if f.parentJoint == self.nv)
+        )
 
     def axes(self, q: Array, data: Any = None) -> Array:
         """Directions of the joints in the base frame in a pose, shape (nv, 3)."""
@@ -122,7 +136,9 @@ class Robot(Shown):
     def with_parameters(self, phi: npt.ArrayLike) -> Robot:
         """The same arm with other standard parameters, shape (10 nv,)."""
         model = self.model.copy()
-        for j, values in enumerate(np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1):
+        for j, values in enumerate(
+            np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1
+        ):
             model.inertias[j] = inertia(values)
         return replace(self, model=model, described=False, estimate=None)
 
@@ -134,13 +150,16 @@ class Robot(Shown):
 
     def with_zero(self, joint: str, angle: float) -> Robot:
         """The same arm where a turning joint's true angle is the reading plus an angle [rad]."""
-        model, j = self.model.copy(), self.joint_index(joint) + 1
+        model = self.model.copy()
+        j = self.joint_index(joint) + 1
         turn = model.joints[j].createData()
         model.joints[j].calc(turn, np.full(model.nq, angle))
         model.jointPlacements[j] = model.jointPlacements[j] * turn.M
         zeros = dict(self.zeros)
         zeros[joint] = zeros.get(joint, 0.0) + angle
-        changed = replace(self, model=model, zeros=tuple(zeros.items()), described=False)
+        changed = replace(
+            self, model=model, zeros=tuple(zeros.items()), described=False
+        )
         return replace(changed, estimate=None)
 
     def with_effects(self, effects: Iterable[Effect]) -> Robot:
@@ -155,14 +174,18 @@ class Robot(Shown):
         """The robot with a share of its limits on velocity, acceleration, jerk and torque."""
         return self.with_limits(self.limits.used(share))
 
-    def random_motion(self, rng: np.random.Generator, n: int) -> tuple[Array, Array, Array]:
+    def random_motion(
+        self, rng: np.random.Generator, n: int
+    ) -> tuple[Array, Array, Array]:
         """Random positions, velocities and accelerations inside the limits, each (n, nv).
 
         Unlimited quantities are drawn within one turn, 3 rad/s and 10 rad/s².
         """
         low, high = np.clip(self.limits.position, -2 * np.pi, 2 * np.pi).T
         speed = np.where(self.limits.velocity < 1e3, self.limits.velocity, 3.0)
-        acceleration = np.where(self.limits.acceleration < 1e4, self.limits.acceleration, 10.0)
+        acceleration = np.where(
+            self.limits.acceleration < 1e4, self.limits.acceleration, 10.0
+        )
         shape = (n, self.nv)
         return (
             rng.uniform(low, high, shape),
@@ -173,7 +196,10 @@ class Robot(Shown):
     def to_frame(self) -> pd.DataFrame:
         """Standard parameters of the links, a row each."""
         values = zip(self.links, self.phi.reshape(-1, 10).tolist(), strict=True)
-        rows = [{"link": link} | dict(zip(STANDARD, own, strict=True)) for link, own in values]
+        rows = [
+            {"link": link} | dict(zip(STANDARD, own, strict=True))
+            for link, own in values
+        ]
         return data_frame(rows, "link")
 
     def _lines(self) -> list[str]:
@@ -192,6 +218,9 @@ class Robot(Shown):
         limits = self.limits
         columns = (*limits.position.T, limits.velocity, limits.torque, self.phi[::10])
         values = np.column_stack(columns).tolist()
-        rows = [(*names, *row) for *names, row in zip(self.joints, self.links, values, strict=True)]
+        rows = [
+            (*names, *row)
+            for *names, row in zip(self.joints, self.links, values, strict=True)
+        ]
         heads = ("joint", "link", "from", "to", "speed", "torque", "mass [kg]")
         return heads, rows

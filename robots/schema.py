@@ -34,7 +34,9 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class LimitsRecord(Record, frozen=True):
     """Limits: one value for all joints, one for each, or values by the joints' names."""
 
-    position: list[float | tuple[float, float]] | dict[str, tuple[float, float]] | None = None
+    position: (
+        list[float | tuple[float, float]] | dict[str, tuple[float, float]] | None
+    ) = None
     velocity: float | list[float] | dict[str, float] | None = None
     acceleration: float | list[float] | dict[str, float] | None = None
     torque: float | list[float] | dict[str, float] | None = None
@@ -192,7 +194,9 @@ def read_yaml(path: str | Path, kind: type[T], holds: str) -> T:
         text = read_text(path)
         content = parsed_json(text) if language == "JSON" else parsed_yaml(text)
     except FileNotFoundError:
-        raise BadInput(f"{path}: no such file; give a {language} file of {holds}") from None
+        raise BadInput(
+            f"{path}: no such file; give a {language} file of {holds}"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", "not UTF-8")
         why = f"cannot be read ({reason}); give a {language} file of {holds}"
@@ -210,7 +214,9 @@ def parsed_json(text: str | bytes, number: Callable[[str], float] = float) -> An
     def whole(text: str) -> float:
         return int(text) if len(text) <= _DIGITS else number(text)
 
-    content = json.loads(text, parse_constant=number, parse_float=number, parse_int=whole)
+    content = json.loads(
+        text, parse_constant=number, parse_float=number, parse_int=whole
+    )
     _refuse_depth(content)
     return content
 
@@ -232,13 +238,22 @@ def finite(text: str) -> float:
 
 def _refuse_depth(content: object) -> None:
     """Refuse, as ValueError, nesting too deep; a part that is used again counts once."""
-    level, seen = [content], set[int]()
+    level = [content]
+    seen = set[int]()
     for _ in range(_DEEPEST):
-        parts = [part for part in level if isinstance(part, dict | list) and id(part) not in seen]
+        parts = [
+            part
+            for part in level
+            if isinstance(part, dict | list) and id(part) not in seen
+        ]
         if not parts:
             return
         seen |= set(map(id, parts))
-        level = [x for part in parts for x in (part.values() if isinstance(part, dict) else part)]
+        level = [
+            x
+            for part in parts
+            for x in (part.values() if isinstance(part, dict) else part)
+        ]
     raise ValueError(f"nested more than {_DEEPEST} deep")
 
 
@@ -268,7 +283,9 @@ def convert(content: object, kind: type[T], source: str | Path, where: str = "")
         why = re.sub(r"number [<>]= -?1000000000.0", "finite number up to 1e9", why)
         why = why.replace("> 0.0", "above 0")
         why = why[0].lower() + why[1:]
-        raise BadInput(": ".join(x for x in (str(source), place.strip("."), why) if x)) from None
+        raise BadInput(
+            ": ".join(x for x in (str(source), place.strip("."), why) if x)
+        ) from None
 
 
 _WORDS = {
@@ -283,7 +300,9 @@ _WORDS = {
 
 
 def _in_words(types: str) -> str:
-    names = dict.fromkeys(_WORDS.get(name, name) for name in types.split(" | ") if name != "null")
+    names = dict.fromkeys(
+        _WORDS.get(name, name) for name in types.split(" | ") if name != "null"
+    )
     return " or ".join(names) or _WORDS["null"]
 
 
@@ -291,7 +310,9 @@ def _known(place: str) -> tuple[str, ...]:
     """Names that an entry may have, of the records that have a field of the place's name."""
     owner = re.sub(r"\[.*?\]", "", place).rpartition(".")[2]
     kinds = (_RECORDS[owner],) if owner in _RECORDS else tuple(Record.__subclasses__())
-    return tuple(dict.fromkeys(name for kind in kinds for name in kind.__struct_encode_fields__))
+    return tuple(
+        dict.fromkeys(name for kind in kinds for name in kind.__struct_encode_fields__)
+    )
 
 
 _RECORDS: dict[str, type[Record]] = {

@@ -11,7 +11,8 @@ from excitant.names import printable
 if TYPE_CHECKING:
     import pandas as pd
 
-_LINES, _LETTERS = 3, 130
+_LINES = 3
+_LETTERS = 130
 
 Table = tuple[Sequence[str], Iterable[Sequence[object]]]
 """Headings of columns, and the rows."""
@@ -28,7 +29,9 @@ class Shown:
 
     def __repr__(self) -> str:
         lines = (printable(" ".join(line.split())) for line in self._lines() if line)
-        return "\n  ".join(cut(line) for line, _ in zip(lines, range(_LINES), strict=False))
+        return "\n  ".join(
+            cut(line) for line, _ in zip(lines, range(_LINES), strict=False)
+        )
 
     def _repr_html_(self) -> str:
         return html_table(self._lines()[0], *self._table())
@@ -44,11 +47,14 @@ def share(value: float) -> str:
     return f"{100 * value:.3g} %"
 
 
-def html_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def html_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]
+) -> str:
     """A table under a title, texts escaped, numbers with four digits, None as a dash."""
     heads = "".join(f"<th>{escape(column)}</th>" for column in columns)
     lines = "".join(
-        f"<tr>{''.join(f'<td>{escape(_written(cell))}</td>' for cell in row)}</tr>" for row in rows
+        f"<tr>{''.join(f'<td>{escape(_written(cell))}</td>' for cell in row)}</tr>"
+        for row in rows
     )
     return (
         f"<table><caption>{escape(title)}</caption>"

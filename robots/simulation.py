@@ -30,13 +30,17 @@ from excitant.robots.torque import torque
 
 REST = 1e-3  # rad/s or m/s: v₀
 STEP = 1e-3  # s: a twenty-fifth of the time constant of the default controller
-LOOP_HZ = 4.0  # Hz: holds a model on a recorded motion, slower than the arm's own controller
+# Hz: holds a model on a recorded motion, slower than the arm's own controller
+LOOP_HZ = 4.0
 _PLAIN = ("rotor", "viscous", "coulomb", "offset")  # one number per joint
 _PROBES = 6  # states at which an effect is asked how it depends on acceleration and on the past
 _SAME = 1e-9  # of the largest torque: rounding
-_NEAR, _FINER = 4.0, 8  # steps from where a joint turns back, and how much finer they are there
+_NEAR = 4.0  # steps from where a joint turns back
+_FINER = 8  # and how much finer they are there
 _LONGER = 2.0  # times as many steps in all, at most
-_GAMMA = 1 + np.sqrt(0.5)  # of the two that make ROS2 L-stable, the one that does not overshoot
+_GAMMA = 1 + np.sqrt(
+    0.5
+)  # of the two that make ROS2 L-stable, the one that does not overshoot
 _ASTRAY = 2 * np.pi  # rad or m beyond the range of the commanded motion: diverged
 _LOOK = 16  # steps between two looks at that
 
@@ -47,7 +51,8 @@ class Diverged(ExcitantError):
     """A simulated robot that left its commanded motion for good: its joint, and when [s]."""
 
     def __init__(self, robot: str, joint: str, t: float) -> None:
-        self.joint, self.t = joint, t
+        self.joint = joint
+        self.t = t
         super().__init__(
             f"simulation of {robot}: joint {joint} diverges at t = {t:.4g} s; its parameters may "
             "leave it without inertia or with driving friction, or the controller is too weak or "
@@ -88,7 +93,9 @@ class StateTorque:
         speed = np.maximum(np.abs(dq), REST)
         slope: Array = self.viscous + self.coulomb / speed
         if self.others:
-            slope += (self._rest(t, q, speed, ddq) - self._rest(t, q, -speed, ddq)) / (2 * speed)
+            slope += (self._rest(t, q, speed, ddq) - self._rest(t, q, -speed, ddq)) / (
+                2 * speed
+            )
         return np.maximum(slope, 0.0)
 
     def _rest(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
@@ -97,11 +104,14 @@ class StateTorque:
             tau += effect(t, q, dq, ddq)
         return tau
 
-    def _smoothed(self, t: float, q: Array, dq: Array, ddq: Array, sign: Array) -> Array:
+    def _smoothed(
+        self, t: float, q: Array, dq: Array, ddq: Array, sign: Array
+    ) -> Array:
         slow = np.abs(dq) < REST
         if not slow.any():
             return self._rest(t, q, dq, ddq)
-        ahead, back = np.where(slow, REST, dq), np.where(slow, -REST, dq)
+        ahead = np.where(slow, REST, dq)
+        back = np.where(slow, -REST, dq)
         share = np.where(slow, (1 + sign) / 2, 1.0)
         tau: Array = share * self._rest(t, q, ahead, ddq)
         return tau + (1 - share) * self._rest(t, q, back, ddq)
@@ -118,12 +128,15 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
         BadInput: An effect without values, or one that depends on the past but has no stepper.
     """
     plain = {kind: np.zeros(robot.nv) for kind in _PLAIN}
-    carrying, inertia = robot, np.zeros((robot.nv, robot.nv))
+    carrying = robot
+    inertia = np.zeros((robot.nv, robot.nv))
     others: list[Torque] = []
     steppers: list[Stepper] = []
     for effect in robot.effects:
         if effect.values is None:
-            raise BadInput(f"{robot.name}: effect {effect.name} has no values; give them")
+            raise BadInput(
+                f"{robot.name}: effect {effect.name} has no values; give them"
+            )
         carrying, before = effect.applied(carrying), carrying
         if effect.acts_on_torque or carrying is not before:
             continue
@@ -144,10 +157,12 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
 
 def _by_law(robot: Robot, effect: Effect) -> Torque | None:
     """Torque of an effect that has a law: its joints at once, as if instants of one joint."""
-    law, at = effect.law, np.array(effect.rows(robot), np.intp)
+    law = effect.law
+    at = np.array(effect.rows(robot), np.intp)
     if law is None:
         return None
-    values, still = np.reshape(effect.values or (), (len(at), -1)).T, np.zeros(len(at))
+    values = np.reshape(effect.values or (), (len(at), -1)).T
+    still = np.zeros(len(at))
 
     def torque(t: float, q: Array, dq: Array, ddq: Array) -> Array:
         tau = np.zeros_like(q)
@@ -172,26 +187,36 @@ def _at_an_instant(robot: Robot, effect: Effect, inertia: Array) -> Torque:
 
 def _inertia(robot: Robot, effect: Effect) -> Array:
     """Torque per acceleration where that is constant, else zeros, shape (nv, nv)."""
-    rng, unit, natural = np.random.default_rng(0), np.eye(robot.nv), np.arange(_PROBES)
+    rng = np.random.default_rng(0)
+    unit = np.eye(robot.nv)
+    natural = np.arange(_PROBES)
     q, dq, _ = robot.random_motion(rng, _PROBES)
 
     def asked(ddq: Array, order: npt.NDArray[np.intp] = natural) -> Array:
         """Torque in the probed states, whose times are in some order."""
         motion = Motion(
-            0.01 * np.asarray(order, float), q[order], dq[order], np.tile(ddq, (_PROBES, 1))
+            0.01 * np.asarray(order, float),
+            q[order],
+            dq[order],
+            np.tile(ddq, (_PROBES, 1)),
         )
         return effect.torque(robot, motion)
 
-    base, order = asked(0 * unit[0]), rng.permutation(_PROBES)
+    base = asked(0 * unit[0])
+    order = rng.permutation(_PROBES)
     largest = float(np.abs(base).max())
     if np.abs(asked(0 * unit[0], order) - base[order]).max() > _SAME * largest:
         raise BadInput(
             f"{robot.name}: effect {effect.name} depends on the past, which a simulation from "
             "state to state does not know; simulate without it"
         )
-    once, back = (np.array([asked(size * e) - base for e in unit]) for size in (1.0, -2.0))
+    once, back = (
+        np.array([asked(size * e) - base for e in unit]) for size in (1.0, -2.0)
+    )
     rounding = _SAME * (largest + float(max(np.abs(once).max(), np.abs(back).max())))
-    constant = max(np.abs(once - once[:, :1]).max(), np.abs(back + 2 * once).max()) <= rounding
+    constant = (
+        max(np.abs(once - once[:, :1]).max(), np.abs(back + 2 * once).max()) <= rounding
+    )
     return np.asarray(once[:, 0].T if constant else np.zeros_like(unit), float)
 
 
@@ -200,7 +225,8 @@ class Controller:
     """Feed-forward of a model, and a position loop in terms of its inertia."""
 
     omega: Array | float = 40.0  # ω, one for all joints or shape (nv,) [rad/s]
-    believed: Robot | None = None  # gives τ_ff and B; the simulated one itself when None
+    # gives τ_ff and B; the simulated one itself when None
+    believed: Robot | None = None
     floor: Array | float = 0.0  # smallest diagonal of B, 0 or shape (nv,) [kg·m²]
 
     def gains(self, robot: Robot, q: Array) -> tuple[Array, Array]:
@@ -261,18 +287,24 @@ def simulate(
     counts = _steps(command, step)
     inner = _between(command, counts)
     if applied is not None:
-        columns = [np.interp(inner.t, command.t, column) for column in np.asarray(applied).T]
+        columns = [
+            np.interp(inner.t, command.t, column) for column in np.asarray(applied).T
+        ]
         forward = np.column_stack(columns)
     elif controller is None:
         forward = np.zeros_like(inner.q)
     else:
         forward = torque(controller.believed or robot, inner)
     gains = None if controller is None else controller.gains(robot, inner.q)
-    with np.errstate(over="ignore", invalid="ignore"):  # a diverging simulation is refused
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # a diverging simulation is refused
         q, dq, tau = _integrated(robot, inner, forward, gains)
     ddq = np.gradient(dq, inner.t, axis=0)
     keep = np.concatenate([[0], np.cumsum(counts)])
-    return Simulation(command, Motion(command.t, q[keep], dq[keep], ddq[keep]), tau[keep])
+    return Simulation(
+        command, Motion(command.t, q[keep], dq[keep], ddq[keep]), tau[keep]
+    )
 
 
 def forward_error(
@@ -334,7 +366,9 @@ def _between(motion: Motion, counts: npt.NDArray[np.intp]) -> Motion:
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     share = (np.arange(len(at)) - first[at]) / counts[at]
     t = np.append(motion.t[at] + share * np.diff(motion.t)[at], motion.t[-1])
-    path = BPoly.from_derivatives(motion.t, np.stack([motion.q, motion.dq, motion.ddq], axis=1))
+    path = BPoly.from_derivatives(
+        motion.t, np.stack([motion.q, motion.dq, motion.ddq], axis=1)
+    )
     return Motion(t, *(path(t, nu=order) for order in range(3)))
 
 
@@ -343,21 +377,31 @@ def _integrated(
 ) -> tuple[Array, Array, Array]:
     """Positions, velocities and torque at every instant, each of shape (n, nv)."""
     model, rotors, effects = forward_model(robot)
-    data, n, nv = model.createData(), len(command), robot.nv
+    data = model.createData()
+    n = len(command)
+    nv = robot.nv
     K, C = (np.zeros((1, nv, nv)),) * 2 if gains is None else gains
     stay = 0 if gains is None else 1
-    t, target, speed = command.t.tolist(), command.q, command.dq
+    t = command.t.tolist()
+    target = command.q
+    speed = command.dq
     allowed = np.inf if gains is None else _ASTRAY + np.ptp(target, axis=0)
     kept_q, kept_v, tau = (np.empty((n, nv)) for _ in range(3))
-    q, v, a = target[0].copy(), speed[0].copy(), np.zeros(nv)
+    q = target[0].copy()
+    v = speed[0].copy()
+    a = np.zeros(nv)
     for stepper in effects.steppers:
         stepper.advance(q)
-    crba, bias = pin.crba, pin.nonLinearEffects
+    crba = pin.crba
+    bias = pin.nonLinearEffects
     diagonal = np.arange(nv) * (nv + 1)
     for k in range(n):
-        Kk, Ck = K[k * stay], C[k * stay]
+        Kk = K[k * stay]
+        Ck = C[k * stay]
         u = forward[k] + Kk @ (target[k] - q) + Ck @ (speed[k] - v)
-        kept_q[k], kept_v[k], tau[k] = q, v, u
+        kept_q[k] = q
+        kept_v[k] = v
+        tau[k] = u
         if k % _LOOK == 0 or k == n - 1:
             _look(robot, t[k], target[k] - q, v, allowed)
         if k == n - 1:
@@ -371,8 +415,10 @@ def _integrated(
         F = u - bias(model, data, q, v) - effects(t[k], q, v, a)
         a1 = dgesv(M + damping, F + ahead - gh * (Kk @ v))[2]
         v1 = v + gh * a1
-        end, fast = q + h * v1, v + h * a1
-        Kn, Cn = K[(k + 1) * stay], C[(k + 1) * stay]
+        end = q + h * v1
+        fast = v + h * a1
+        Kn = K[(k + 1) * stay]
+        Cn = C[(k + 1) * stay]
         u = forward[k + 1] + Kn @ (target[k + 1] - end) + Cn @ (speed[k + 1] - fast)
         M = crba(model, data, end) + rotors
         F = u - bias(model, data, end, fast) - effects(t[k + 1], end, fast, a)
@@ -386,8 +432,12 @@ def _integrated(
     return kept_q, kept_v, tau
 
 
-def _look(robot: Robot, t: float, error: Array, v: Array, allowed: Array | float) -> None:
+def _look(
+    robot: Robot, t: float, error: Array, v: Array, allowed: Array | float
+) -> None:
     wrong = ~(np.abs(error) <= allowed) | ~np.isfinite(v)
     if wrong.any():
         size = np.where(np.isfinite(error), np.abs(error), np.inf)
-        raise Diverged(robot.name, robot.joints[int(np.argmax(np.where(wrong, size, -1)))], t)
+        raise Diverged(
+            robot.name, robot.joints[int(np.argmax(np.where(wrong, size, -1)))], t
+        )

@@ -21,9 +21,14 @@ def torque(robot: Robot, motion: Motion) -> Array:
     return tau
 
 
-def observation_columns(robot: Robot, effects: Sequence[Effect], motion: Motion) -> Array:
+def observation_columns(
+    robot: Robot, effects: Sequence[Effect], motion: Motion
+) -> Array:
     """Columns of the standard parameters followed by those of effects, shape (n, nv, p)."""
-    parts = [regressor(robot, motion), *(effect.columns(robot, motion) for effect in effects)]
+    parts = [
+        regressor(robot, motion),
+        *(effect.columns(robot, motion) for effect in effects),
+    ]
     return np.concatenate(parts, axis=2)
 
 
@@ -39,7 +44,8 @@ def largest_torque(robot: Robot, motion: Motion) -> Array:
     With each link's parameters free within ± p, the limits' ``mass_uncertainty``, Σᵢ p |τᵢ| is
     added to the magnitude, τᵢ the torque of link i.
     """
-    tau, p = torque(robot, motion), robot.limits.mass_uncertainty
+    tau = torque(robot, motion)
+    p = robot.limits.mass_uncertainty
     if p == 0:
         return tau
     margin = p * np.abs(link_torques(robot, motion)).sum(axis=2)

@@ -50,7 +50,8 @@ def robot_from_urdf(
         UnknownName: A joint or link that the URDF does not have.
     """
     spec = source if isinstance(source, RobotSpec) else RobotSpec(source)
-    source, angles = str(spec), Angles()
+    source = str(spec)
+    angles = Angles()
     text = angles.urdf(text)
     root = parse_xml(text, source)
     _check(root, source)
@@ -65,7 +66,9 @@ def robot_from_urdf(
         try:
             model = pin.buildReducedModel(model, *_lock(model, held))
         except ValueError as error:
-            raise BadRobot(source, f"Pinocchio cannot hold joints of it: {error}") from None
+            raise BadRobot(
+                source, f"Pinocchio cannot hold joints of it: {error}"
+            ) from None
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
     model.gravity.linear = weight
@@ -96,7 +99,9 @@ def full_model(root: ET.Element, robot: Robot) -> tuple[pin.Model, Array, list[i
     return model, reference, joints
 
 
-def _lock(model: pin.Model, held: Mapping[str, float | None]) -> tuple[list[int], Array]:
+def _lock(
+    model: pin.Model, held: Mapping[str, float | None]
+) -> tuple[list[int], Array]:
     """Indices of held joints, and a configuration that has them in place."""
     reference: Array = pin.neutral(model)
     for name, value in held.items():
@@ -109,18 +114,25 @@ def _lock(model: pin.Model, held: Mapping[str, float | None]) -> tuple[list[int]
 def _check(root: ET.Element, source: str) -> None:
     """Refuse what Pinocchio would accept in silence or crash on."""
     if root.tag != "robot":
-        raise BadRobot(source, f"not a URDF: the root element is <{root.tag}>, not <robot>")
+        raise BadRobot(
+            source, f"not a URDF: the root element is <{root.tag}>, not <robot>"
+        )
     links, joints = (
-        [str(element.get("name")) for element in root.findall(tag)] for tag in ("link", "joint")
+        [str(element.get("name")) for element in root.findall(tag)]
+        for tag in ("link", "joint")
     )
     if not links:
         raise BadRobot(source, "it has no <link>; give the URDF of an arm")
     for kind, names in (("link", links), ("joint", joints)):
         if len(names) > _MOST:
-            raise BadRobot(source, f"it has {len(names)} {kind}s; an arm has {_MOST} at most")
+            raise BadRobot(
+                source, f"it has {len(names)} {kind}s; an arm has {_MOST} at most"
+            )
         double = [name for name, count in Counter(names).items() if count > 1]
         if double:
-            raise BadRobot(source, f"{kind} '{min(double)}' is defined twice; rename one")
+            raise BadRobot(
+                source, f"{kind} '{min(double)}' is defined twice; rename one"
+            )
     carried: dict[str, str] = {}
     for joint, name in zip(root.findall("joint"), joints, strict=True):
         for end in ENDS:
@@ -140,9 +152,12 @@ def _check(root: ET.Element, source: str) -> None:
             for key in _NUMBERS.get(element.tag, ()):
                 if (text := element.get(key)) is None:
                     continue
-                count, words = 3 if key in _VECTORS else 1, text.split()
+                count = 3 if key in _VECTORS else 1
+                words = text.split()
                 if len(words) != count:
-                    what = f'{key}="{text}" holds {len(words)} numbers instead of {count}'
+                    what = (
+                        f'{key}="{text}" holds {len(words)} numbers instead of {count}'
+                    )
                     raise BadRobot(source, f"{owner.tag} '{owner.get('name')}': {what}")
                 for word in words:
                     number(word, key, owner, source)
@@ -159,7 +174,12 @@ _NUMBERS = {
     "limit": LIMIT_KEYS,
     "dynamics": ("damping", "friction"),
     "mimic": ("multiplier", "offset"),
-    "safety_controller": ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
+    "safety_controller": (
+        "soft_lower_limit",
+        "soft_upper_limit",
+        "k_position",
+        "k_velocity",
+    ),
     "calibration": ("reference_position", "rising", "falling"),
     "sphere": ("radius",),
     "cylinder": ("radius", "length"),
@@ -179,7 +199,9 @@ def number(text: str, key: str, owner: ET.Element, source: str) -> float:
     if abs(value) > _LARGEST and key not in LIMIT_KEYS:
         why = "beyond any arm's size"
     if why:
-        raise BadRobot(source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is {why}")
+        raise BadRobot(
+            source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is {why}"
+        )
     return value
 
 
@@ -227,9 +249,16 @@ def quietly(source: str) -> Iterator[None]:
             yield
         except Exception as error:
             sink.seek(0)
-            lines = (*sink.read().decode(errors="replace").splitlines(), *str(error).splitlines())
-            told = [line.partition("message:")[2] for line in lines if "message:" in line]
-            first = next((s for line in (*told, *lines) if (s := line.strip())), repr(error))
+            lines = (
+                *sink.read().decode(errors="replace").splitlines(),
+                *str(error).splitlines(),
+            )
+            told = [
+                line.partition("message:")[2] for line in lines if "message:" in line
+            ]
+            first = next(
+                (s for line in (*told, *lines) if (s := line.strip())), repr(error)
+            )
             raise BadRobot(source, f"Pinocchio cannot read it: {first}") from None
         finally:
             for stream, before in zip((1, 2), saved, strict=True):
@@ -240,7 +269,9 @@ def quietly(source: str) -> Iterator[None]:
 def _limits(model: pin.Model) -> Limits:
     """Limits of the URDF; zero speed or effort means that none was given."""
     position = np.column_stack([model.lowerPositionLimit, model.upperPositionLimit])
-    position = np.where(np.abs(position) >= UNLIMITED, np.copysign(np.inf, position), position)
+    position = np.where(
+        np.abs(position) >= UNLIMITED, np.copysign(np.inf, position), position
+    )
     unset = position[:, 0] >= position[:, 1]
     position[unset] = (-np.inf, np.inf)
     velocity, effort = (

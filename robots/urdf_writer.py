@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 UNLIMITED = 1e9
-ENDS, RENAMED = ("parent", "child"), " (link)"
-LIMIT_KEYS = ("lower", "upper", "effort", "velocity")  # large numbers that mean no limit
+ENDS = ("parent", "child")
+RENAMED = " (link)"
+# large numbers that mean no limit
+LIMIT_KEYS = ("lower", "upper", "effort", "velocity")
 
 
 def current_urdf(robot: Robot) -> str:
@@ -29,7 +31,8 @@ def current_urdf(robot: Robot) -> str:
     locked joint, lose their own ``<inertial>`` so that nothing counts twice. Viscous and Coulomb
     friction are ``<dynamics damping friction>``; negative ones, which URDF does not know, are 0.
     """
-    root, held = ET.fromstring(robot.description), {name for name, _ in robot.locked}
+    root = ET.fromstring(robot.description)
+    held = {name for name, _ in robot.locked}
     friction = {kind: np.zeros(robot.nv) for kind in ("viscous", "coulomb")}
     carrying = robot
     for effect in (effect for effect in robot.effects if effect.values is not None):
@@ -38,8 +41,15 @@ def current_urdf(robot: Robot) -> str:
         elif effect.joint_property in friction:
             friction[effect.joint_property][effect.rows(robot)] += effect.values or ()
     values = dict(zip(robot.links, carrying.phi.reshape(-1, 10), strict=True))
-    dry = dict(zip(robot.joints, np.maximum(list(friction.values()), 0.0).T.tolist(), strict=True))
-    named, zeros = tree(root, robot.source), dict(robot.zeros)
+    dry = dict(
+        zip(
+            robot.joints,
+            np.maximum(list(friction.values()), 0.0).T.tolist(),
+            strict=True,
+        )
+    )
+    named = tree(root, robot.source)
+    zeros = dict(robot.zeros)
     for link in root.findall("link"):
         name = str(link.get("name"))
         if not named.carrier(name, robot.links):
@@ -51,7 +61,9 @@ def current_urdf(robot: Robot) -> str:
     for joint in root.findall("joint"):
         if (own := dry.get(str(joint.get("name")))) is not None:
             dynamics = joint.find("dynamics")
-            dynamics = ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
+            dynamics = (
+                ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
+            )
             dynamics.attrib |= {"damping": repr(own[0]), "friction": repr(own[1])}
             if turned := zeros.get(str(joint.get("name"))):
                 _turn(joint, turned)
@@ -68,7 +80,9 @@ def _fix(joint: ET.Element, model: pin.Model) -> None:
     for element in [element for element in joint if element.tag not in ENDS]:
         joint.remove(element)
     links = {element.tag: str(element.get("link")) for element in joint}
-    names = [links[end] + RENAMED * (not model.existBodyName(links[end])) for end in ENDS]
+    names = [
+        links[end] + RENAMED * (not model.existBodyName(links[end])) for end in ENDS
+    ]
     frames = (model.getFrameId(name, pin.FrameType.BODY) for name in names)
     parent, child = (model.frames[frame].placement for frame in frames)
     T = parent.actInv(child)
@@ -78,13 +92,16 @@ def _fix(joint: ET.Element, model: pin.Model) -> None:
 
 def _turn(joint: ET.Element, angle: float) -> None:
     """Turn a joint's zero position about its axis [rad]."""
-    found, axis = joint.find("origin"), joint.find("axis")
+    found = joint.find("origin")
+    axis = joint.find("axis")
     origin = ET.SubElement(joint, "origin") if found is None else found
     rpy, place = (
         np.array([float(x) for x in str(origin.get(key, "0 0 0")).split()])
         for key in ("rpy", "xyz")
     )
-    along = np.array([float(x) for x in str("1 0 0" if axis is None else axis.get("xyz")).split()])
+    along = np.array(
+        [float(x) for x in str("1 0 0" if axis is None else axis.get("xyz")).split()]
+    )
     about = pin.AngleAxis(angle, along / np.linalg.norm(along)).toRotationMatrix()
     origin.attrib |= origin_element(pin.rpy.rpyToMatrix(rpy) @ about, place).attrib
 
@@ -97,7 +114,8 @@ def urdf_text(root: ET.Element) -> str:
 
 def limits_in_urdf(robot: Robot) -> Robot:
     """The robot with a URDF text that states the limits of the joints it keeps."""
-    root, limits = ET.fromstring(robot.description), robot.limits
+    root = ET.fromstring(robot.description)
+    limits = robot.limits
     stated = {str(joint.get("name")): joint for joint in root.findall("joint")}
     for j, joint in enumerate(stated[name] for name in robot.joints):
         values = (*limits.position[j], limits.torque[j], limits.velocity[j])
@@ -109,7 +127,10 @@ def limits_in_urdf(robot: Robot) -> Robot:
                 del numbers["lower"], numbers["upper"]
         for limit in joint.findall("limit"):
             joint.remove(limit)
-        words = {k: repr(float(np.clip(x, -UNLIMITED, UNLIMITED))) for k, x in numbers.items()}
+        words = {
+            k: repr(float(np.clip(x, -UNLIMITED, UNLIMITED)))
+            for k, x in numbers.items()
+        }
         ET.SubElement(joint, "limit", words)
     return replace(robot, description=urdf_text(root))
 
@@ -153,5 +174,7 @@ def inertial_element(phi: Array) -> ET.Element:
     ET.SubElement(element, "origin", xyz=numbers_text(lever), rpy="0 0 0")
     ET.SubElement(element, "mass", value=repr(float(mass)))
     tensor = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
-    ET.SubElement(element, "inertia", {key: repr(float(x)) for key, x in tensor.items()})
+    ET.SubElement(
+        element, "inertia", {key: repr(float(x)) for key, x in tensor.items()}
+    )
     return element

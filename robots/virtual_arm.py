@@ -21,7 +21,13 @@ from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, elements, inertia, steiner
-from excitant.robots.plant.arm import Believed, Progress, ReadingNoise, Trajectory, simulate
+from excitant.robots.plant.arm import (
+    Believed,
+    Progress,
+    ReadingNoise,
+    Trajectory,
+    simulate,
+)
 from excitant.robots.plant.physics import Drives, Truth
 from excitant.robots.plant.planting import HiddenEffect, plant
 from excitant.robots.plant.sensors import Encoder, Recorder, Run, Sensors, recorded
@@ -62,9 +68,13 @@ class VirtualArm:
         progress: Progress | None = None,
     ) -> Run:
         """True run of a trajectory; see `record`."""
-        nominal, truth = nominal_truth(self.nominal), self.truth.drawn(rng, duration)
-        believed, rate = Believed(nominal.model, nominal.drives), self.sensors.rate_hz
-        return simulate(self.nominal, believed, truth, trajectory, duration, rate, progress)
+        nominal = nominal_truth(self.nominal)
+        truth = self.truth.drawn(rng, duration)
+        believed = Believed(nominal.model, nominal.drives)
+        rate = self.sensors.rate_hz
+        return simulate(
+            self.nominal, believed, truth, trajectory, duration, rate, progress
+        )
 
     def follow(
         self,
@@ -89,8 +99,11 @@ class VirtualArm:
         Raises:
             BadInput: The trajectory starts in motion or cannot be followed.
         """
-        nominal, truth = nominal_truth(self.nominal), self.truth.drawn(rng, duration)
-        sensors, gain, offset = self.sensors, truth.recorder.gain, truth.drives.offset
+        nominal = nominal_truth(self.nominal)
+        truth = self.truth.drawn(rng, duration)
+        sensors = self.sensors
+        gain = truth.recorder.gain
+        offset = truth.drives.offset
 
         def given(t: Array) -> Array:
             return np.asarray(np.linalg.solve(gain, (torque(t) - offset).T).T, float)
@@ -119,7 +132,9 @@ class VirtualArm:
 
     def recorded(self, run: Run, rng: np.random.Generator) -> pd.DataFrame:
         """The table that its sensors give of a run."""
-        return recorded(run, self.sensors, self.truth.recorder, self.truth.drives.offset, rng)
+        return recorded(
+            run, self.sensors, self.truth.recorder, self.truth.drives.offset, rng
+        )
 
 
 def virtual_arm(
@@ -147,7 +162,8 @@ def virtual_arm(
     if hidden is None:
         hidden = (draw_hidden_effect(robot, rng),)
     truth = nominal_truth(robot)
-    model, drives = truth.model.copy(), truth.drives
+    model = truth.model.copy()
+    drives = truth.drives
     for j in range(1, robot.nv + 1):
         model.inertias[j] = _perturbed(model.inertias[j], rng, tolerance)
     spread = _FRICTION_TOLERANCE if tolerance > 0 else 0.0
@@ -161,17 +177,23 @@ def virtual_arm(
     truth = plant(bare, robot.joints, hidden)
     for link, body in zip(robot.links, list(truth.model.inertias)[1:], strict=True):
         if body.mass < 0:
-            raise BadInput(f"virtual arm: hidden effects leave {link} with {body.mass:.3g} kg")
-    return VirtualArm(robot, truth, bare, tuple(hidden), sensors or industrial_sensors(robot))
+            raise BadInput(
+                f"virtual arm: hidden effects leave {link} with {body.mass:.3g} kg"
+            )
+    return VirtualArm(
+        robot, truth, bare, tuple(hidden), sensors or industrial_sensors(robot)
+    )
 
 
 def _perturbed(body: Any, rng: np.random.Generator, tolerance: float) -> Any:
     """A nearby body: mass and central inertia scaled, centre of mass moved."""
-    factors, shift = rng.uniform(-tolerance, tolerance, 2), rng.uniform(-1, 1, 3)
+    factors = rng.uniform(-tolerance, tolerance, 2)
+    shift = rng.uniform(-1, 1, 3)
     if body.mass <= 0:
         return body
     gyration = np.sqrt(max(np.trace(body.inertia), 0.0) / (2 * body.mass))
-    mass, c = body.mass * (1 + factors[0]), np.array(body.lever)
+    mass = body.mass * (1 + factors[0])
+    c = np.array(body.lever)
     c += tolerance * gyration * shift / max(1.0, np.linalg.norm(shift))
     tensor = body.inertia * (1 + factors[1]) + steiner(mass, c)
     return inertia(np.array([mass, *(mass * c), *elements(tensor)]))
@@ -187,7 +209,8 @@ def nominal_truth(robot: Robot) -> Truth:
     known = [hidden for effect in robot.effects for hidden in _described(robot, effect)]
     zeros = np.zeros(robot.nv)
     still = Drives(zeros, zeros, zeros, np.full(robot.nv, 0.1), zeros, zeros)
-    n, ones = robot.nv, np.ones(robot.nv)
+    n = robot.nv
+    ones = np.ones(robot.nv)
     honest = Encoder(ones, zeros), Recorder(np.eye(n), zeros)
     rigid = Truth(robot.model.copy(), still, np.zeros((n, n)), *honest, robot.tip)
     return plant(rigid, robot.joints, known)
@@ -207,8 +230,10 @@ def ideal_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
 
 def typical_torque(robot: Robot) -> Array:
     """Root mean square torque at moderate speeds, shape (nv,) [N·m]."""
-    truth, (q, dq, ddq) = nominal_truth(robot), typical_motion(robot)
-    data, states = truth.model.createData(), zip(q, dq, ddq, strict=True)
+    truth = nominal_truth(robot)
+    (q, dq, ddq) = typical_motion(robot)
+    data = truth.model.createData()
+    states = zip(q, dq, ddq, strict=True)
     tau = truth.drives.friction(dq) + [pin.rnea(truth.model, data, *x) for x in states]
     return read_only(np.sqrt(np.mean(tau**2, axis=0)))
 
@@ -225,7 +250,8 @@ Numbers = Mapping[str, float]
 def _ripple(x: Numbers) -> dict[str, float]:
     """A cos(n q) + B sin(n q) as one sine; the order is in the coefficients' names."""
     cosine, sine = (value for name, value in x.items() if name.startswith("ripple"))
-    amplitude, phase = math.hypot(cosine, sine), math.atan2(cosine, sine)
+    amplitude = math.hypot(cosine, sine)
+    phase = math.atan2(cosine, sine)
     return {"amplitude": amplitude, "order": x["order"], "phase": phase}
 
 
@@ -238,13 +264,28 @@ def _spring(x: Numbers) -> dict[str, float]:
 
 
 _ALIKE = (  # whose parameters have the same names and meaning in the plant
-    *("viscous_friction", "coulomb_friction", "stribeck_friction", "asymmetric_friction"),
+    *(
+        "viscous_friction",
+        "coulomb_friction",
+        "stribeck_friction",
+        "asymmetric_friction",
+    ),
     *("nonlinear_viscous_friction", "load_dependent_friction", "presliding_hysteresis"),
-    *("rotor_inertia", "torque_offset", "friction_coupling", "inertia_coupling", "time_delay"),
+    *(
+        "rotor_inertia",
+        "torque_offset",
+        "friction_coupling",
+        "inertia_coupling",
+        "time_delay",
+    ),
 )
 _TRANSLATION: dict[str, Callable[[Numbers], Numbers]] = {
     **dict.fromkeys(_ALIKE, lambda x: x),
-    "thermal_friction_drift": lambda x: {"Fv": x["Fv_cold"], "Fc": x["Fc_cold"], "time": x["time"]},
+    "thermal_friction_drift": lambda x: {
+        "Fv": x["Fv_cold"],
+        "Fc": x["Fc_cold"],
+        "time": x["time"],
+    },
     "torque_ripple": _ripple,
     "spring": _spring,
     "torque_gain": lambda x: {"gain": 1 + x["gain"]},
@@ -283,9 +324,16 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     less if it would load a joint with more than its typical torque; one that no joint feels, as on
     the axis of an arm's only joint, is drawn again.
     """
-    kinds = ["viscous_friction", "coulomb_friction", "stribeck_friction", "torque_offset"]
+    kinds = [
+        "viscous_friction",
+        "coulomb_friction",
+        "stribeck_friction",
+        "torque_offset",
+    ]
     separable = separable_rotors(robot)
-    kind = str(rng.choice([*kinds, "payload", *(["rotor_inertia"] if separable else [])]))
+    kind = str(
+        rng.choice([*kinds, "payload", *(["rotor_inertia"] if separable else [])])
+    )
     if kind == "payload":
         payload = draw_payload(robot, rng)
         load = _load(robot, np.array([value for _, value in payload.parameters]))
@@ -300,18 +348,27 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     sizes = {
         "viscous_friction": {"Fv": torque / dq},
         "coulomb_friction": {"Fc": torque},
-        "stribeck_friction": {"Fs": 2 * torque, "velocity": rng.uniform(0.03, 0.08) * fast},
+        "stribeck_friction": {
+            "Fs": 2 * torque,
+            "velocity": rng.uniform(0.03, 0.08) * fast,
+        },
         "torque_offset": {"offset": torque * rng.choice([-1.0, 1.0])},
         "rotor_inertia": {"Ia": torque / ddq},
     }[kind]
-    return HiddenEffect(kind, joint, tuple((name, float(v)) for name, v in sizes.items()))
+    return HiddenEffect(
+        kind, joint, tuple((name, float(v)) for name, v in sizes.items())
+    )
 
 
 def draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     """A box at the frame farthest out on the last link."""
     model = robot.model
-    reach = sum(float(np.linalg.norm(p.translation)) for p in list(model.jointPlacements)[1:])
-    fixed = [f.placement.translation for f in list(model.frames) if f.parentJoint == robot.nv]
+    reach = sum(
+        float(np.linalg.norm(p.translation)) for p in list(model.jointPlacements)[1:]
+    )
+    fixed = [
+        f.placement.translation for f in list(model.frames) if f.parentJoint == robot.nv
+    ]
     centre = np.array(model.inertias[robot.nv].lever)
     flange = max([centre, *fixed], key=lambda x: float(np.linalg.norm(x - centre)))
     reach = max(reach + float(np.linalg.norm(flange)), 0.1)
@@ -320,7 +377,9 @@ def draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     mass = min(rng.uniform(0.07, 0.16) * moving, 0.3 * strongest / (9.81 * reach))
     direction = rng.standard_normal(3)
     direction *= np.sign(direction @ (flange - centre)) or 1.0
-    lever = flange + reach * rng.uniform(0.02, 0.06) * direction / np.linalg.norm(direction)
+    lever = flange + reach * rng.uniform(0.02, 0.06) * direction / np.linalg.norm(
+        direction
+    )
     box = pin.Inertia.FromBox(mass, *(reach * rng.uniform(0.03, 0.1, 3)))
     phi = pin.Inertia(mass, lever, box.inertia).toDynamicParameters()
     phi *= _bearable(robot, phi)
@@ -333,7 +392,8 @@ def _load(robot: Robot, payload: Array) -> Array:
     loaded = robot.model.copy()
     phi = loaded.inertias[robot.nv].toDynamicParameters() + payload
     loaded.inertias[robot.nv] = pin.Inertia.FromDynamicParameters(phi)
-    one, other = robot.model.createData(), loaded.createData()
+    one = robot.model.createData()
+    other = loaded.createData()
     added = [
         pin.rnea(loaded, other, *x) - pin.rnea(robot.model, one, *x)
         for x in zip(*typical_motion(robot), strict=True)
@@ -350,9 +410,12 @@ def _bearable(robot: Robot, payload: Array) -> float:
 
 def separable_rotors(robot: Robot) -> list[str]:
     """Joints whose rotor inertia makes a torque that no link inertia can make."""
-    data, (q, dq, ddq) = robot.model.createData(), typical_motion(robot)
+    data = robot.model.createData()
+    (q, dq, ddq) = typical_motion(robot)
     states = zip(q, dq, ddq, strict=True)
-    Y = np.array([pin.computeJointTorqueRegressor(robot.model, data, *x) for x in states])
+    Y = np.array(
+        [pin.computeJointTorqueRegressor(robot.model, data, *x) for x in states]
+    )
     basis = np.linalg.svd(Y.reshape(-1, 10 * robot.nv), full_matrices=False)
     span = basis.U[:, basis.S / basis.S[0] > 1e-10]
     columns = np.einsum("ij,kj->kij", np.eye(robot.nv), ddq).reshape(-1, robot.nv)

@@ -22,7 +22,15 @@ from typing import Any
 
 from excitant.exceptions import BadRobot, ExcitantError, UnknownName
 from excitant.files import read_text
-from excitant.robots.expressions import LARGEST, MATH, PYTHON, Function, Refused, Space, evaluate
+from excitant.robots.expressions import (
+    LARGEST,
+    MATH,
+    PYTHON,
+    Function,
+    Refused,
+    Space,
+    evaluate,
+)
 from excitant.robots.files import (
     package_folders,
     parse_xml,
@@ -61,7 +69,8 @@ def urdf_from_xacro(
     """
     import xacro
 
-    path, given = Path(path), _Arguments(arguments)
+    path = Path(path)
+    given = _Arguments(arguments)
     reading = _Reading(path, packages)
     try:
         with (
@@ -69,7 +78,8 @@ def urdf_from_xacro(
             contextlib.redirect_stderr(io.StringIO()) as said,
         ):
             document = xacro.process_file(str(path), mappings=given)
-            built, text = document.getElementsByTagName("link"), str(document.toxml())
+            built = document.getElementsByTagName("link")
+            text = str(document.toxml())
     except Exception as error:  # an expression of the file may raise any
         inner: BaseException | None = error
         while inner is not None and not isinstance(inner, ExcitantError):
@@ -79,7 +89,9 @@ def urdf_from_xacro(
         raise BadRobot(path, _reason(error, said.getvalue())) from None
     for name in arguments:
         if name not in given.declared:
-            raise BadRobot(path, str(UnknownName("xacro argument", name, sorted(given.declared))))
+            raise BadRobot(
+                path, str(UnknownName("xacro argument", name, sorted(given.declared)))
+            )
     if not built:
         why = "if it only defines macros, give the file that calls them"
         raise BadRobot(path, f"this xacro file builds no links; {why}")
@@ -110,7 +122,9 @@ def _reason(error: Exception, said: str) -> str:
         return "its macros or expressions lie too deep within one another, perhaps in a loop"
     if "Undefined substitution argument" in why or "undefined arg" in why.lower():
         return f"xacro: {why}; give it with --xacro-arg NAME:=VALUE (xacro_args in a robot.yaml)"
-    last = [line for line in said.splitlines() if line.strip() and "in file" not in line]
+    last = [
+        line for line in said.splitlines() if line.strip() and "in file" not in line
+    ]
     where = f" ({last[-1].strip()})" if last and last[-1].strip() not in why else ""
     return _short(f"xacro cannot read it: {why}{where}", 400)
 
@@ -143,7 +157,11 @@ class _Reading:
         self.notes: list[str] = []
         self.work, self.start = 0, time.thread_time()
         self.names = {**MATH, **PYTHON, **self._own()}
-        self.names |= {"math": Space(MATH), "python": Space(PYTHON), "xacro": Space(self._own())}
+        self.names |= {
+            "math": Space(MATH),
+            "python": Space(PYTHON),
+            "xacro": Space(self._own()),
+        }
 
     def trusted(self) -> Replacements:
         """Only packages are sought without a ROS installation."""
@@ -195,7 +213,9 @@ class _Reading:
         def counted(given: Any, *others: Any) -> Any:
             size = len(given) if isinstance(given, str) else _ELEMENT
             if size > LARGEST:
-                raise BadRobot(self.path, f"a text in it has more than {LARGEST} characters")
+                raise BadRobot(
+                    self.path, f"a text in it has more than {LARGEST} characters"
+                )
             self.spend(1 + size)
             found = function(given, *others)
             self.spend(len(found) if isinstance(found, str) else 0)
@@ -218,9 +238,13 @@ class _Reading:
     def environment(self, name: str, default: str | None = None) -> str:
         """An environment variable: there is none, whatever is set."""
         if default is None:
-            raise BadRobot(self.path, f"$(env {name}) asks for the environment; {_TRUST}")
+            raise BadRobot(
+                self.path, f"$(env {name}) asks for the environment; {_TRUST}"
+            )
         if name in os.environ:
-            self.notes.append(f"$(optenv {name}) is taken as not set; --trust-xacro reads it")
+            self.notes.append(
+                f"$(optenv {name}) is taken as not set; --trust-xacro reads it"
+            )
         return default
 
     def expression(self, expression: str, names: Mapping[str, Any]) -> Any:
@@ -242,15 +266,22 @@ class _Reading:
         from xacro import substitution_args
 
         given = context.setdefault("arg", {})
-        arguments = {name: substitution_args.convert_value(x, "auto") for name, x in given.items()}
+        arguments = {
+            name: substitution_args.convert_value(x, "auto")
+            for name, x in given.items()
+        }
         own = {
             "true": True,
             "false": False,
             "arg": Function(lambda name: arguments[name]),
-            "dirname": Function(lambda: substitution_args._eval_dirname(context["filename"])),
+            "dirname": Function(
+                lambda: substitution_args._eval_dirname(context["filename"])
+            ),
             "find": Function(self.find),
             "env": Function(self.environment),
-            "optenv": Function(lambda name, default="": self.environment(name, default)),
+            "optenv": Function(
+                lambda name, default="": self.environment(name, default)
+            ),
         }
         return str(self.expression(expression, MATH | PYTHON | arguments | own))
 
@@ -267,13 +298,17 @@ class _Reading:
         del inp  # xacro has none when it reads a file
         files = self.xacro.filestack
         if len(files) > _NESTED:
-            why = f"files include one another more than {_NESTED} deep, perhaps in a loop"
+            why = (
+                f"files include one another more than {_NESTED} deep, perhaps in a loop"
+            )
             raise BadRobot(self.path, why)
         try:
             text = read_text(filename)
         except OSError as error:
             files.pop()
-            raise self.xacro.XacroException(f"{error.strerror}: {filename}", exc=error) from None
+            raise self.xacro.XacroException(
+                f"{error.strerror}: {filename}", exc=error
+            ) from None
         except UnicodeDecodeError:
             text = read_description(filename)
         self.spend(len(text))
@@ -307,7 +342,9 @@ class _Reading:
             "load_yaml": Function(self.yaml),
             "abs_filename": Function(self.xacro.abs_filename_spec),
             "dotify": Function(self.xacro.YamlDictWrapper),
-            "arg": Function(lambda name: self.xacro.substitution_args_context["arg"][name]),
+            "arg": Function(
+                lambda name: self.xacro.substitution_args_context["arg"][name]
+            ),
             "tokenize": Function(_tokenize),
             "fatal": Function(_fatal),
             **dict.fromkeys(("message", "warning", "error", "print_location"), silent),

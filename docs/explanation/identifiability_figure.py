@@ -37,14 +37,31 @@ def draw_arm(axes: plt.Axes, phi: Array) -> None:
     a, b = POSE[0], POSE.sum()
     elbow = 0.5 * np.array([np.cos(a), np.sin(a)])
     tip = elbow + 0.4 * np.array([np.cos(b), np.sin(b)])
-    axes.plot(*np.array([[0, 0], elbow, tip]).T, "-o", color="0.6", lw=2, ms=5, mfc="w", zorder=1)
-    for start, angle, link, colour in ((0, a, phi[:10], LINKS[0]), (elbow, b, phi[10:], LINKS[1])):
+    axes.plot(
+        *np.array([[0, 0], elbow, tip]).T,
+        "-o",
+        color="0.6",
+        lw=2,
+        ms=5,
+        mfc="w",
+        zorder=1,
+    )
+    for start, angle, link, colour in (
+        (0, a, phi[:10], LINKS[0]),
+        (elbow, b, phi[10:], LINKS[1]),
+    ):
         centre = start + link[1] / link[0] * np.array([np.cos(angle), np.sin(angle)])
         axes.scatter(*centre, s=110 * link[0], color=colour, alpha=0.55, zorder=2)
         axes.annotate(
-            f"{link[0]:.1f} kg", centre, (10, -16), textcoords="offset points", fontsize=9
+            f"{link[0]:.1f} kg",
+            centre,
+            (10, -16),
+            textcoords="offset points",
+            fontsize=9,
         )
-    axes.set(aspect="equal", xlim=(-0.08, 0.72), ylim=(-0.12, 0.72), xticks=[], yticks=[])
+    axes.set(
+        aspect="equal", xlim=(-0.08, 0.72), ylim=(-0.12, 0.72), xticks=[], yticks=[]
+    )
     axes.spines[:].set_visible(False)
 
 

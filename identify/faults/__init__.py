@@ -34,16 +34,31 @@ from excitant.identify.faults.fault import (
 )
 from excitant.identify.faults.modelled import not_measured, poor_excitation
 from excitant.identify.faults.physics import smooth, torque_fit, velocity_faults
-from excitant.identify.faults.set_up import odds_against, physics_faults, support, swapped
+from excitant.identify.faults.set_up import (
+    odds_against,
+    physics_faults,
+    support,
+    swapped,
+)
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
 from excitant.identify.recording import Recording, checked, raw_recording
 from excitant.robots.robot import Robot
 
-__all__ = ["FAULTS", "Checked", "Fault", "Log", "find_copies", "find_faults", "read_checked"]
+__all__ = [
+    "FAULTS",
+    "Checked",
+    "Fault",
+    "Log",
+    "find_copies",
+    "find_faults",
+    "read_checked",
+]
 __all__ += ["faults_of", "repair"]
 
 _SHORTEST = 50  # samples: fewer prove nothing
-_known = WeakKeyDictionary[Recording, tuple[Robot, tuple[Fault, ...]]]()  # what was told
+_known = WeakKeyDictionary[
+    Recording, tuple[Robot, tuple[Fault, ...]]
+]()  # what was told
 
 
 def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -86,9 +101,12 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
 
 
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
-    data, found = smooth(log), list[Fault]()
+    data = smooth(log)
+    found = list[Fault]()
     if data is not None:
-        dead = [f for f in channels if (f.fault, f.evidence.get("channel")) == NO_TORQUE]
+        dead = [
+            f for f in channels if (f.fault, f.evidence.get("channel")) == NO_TORQUE
+        ]
         case = torque_fit(robot, log, data, {fault.joints[0] for fault in dead})
         found = [] if case is None else physics_faults(case)
         if found:
@@ -105,7 +123,9 @@ def warn_of_faults(robot: Robot, recordings: Sequence[Recording]) -> None:
         if recording not in _known:
             for fault in faults_of(robot, recording):
                 remedy = f"; repair {fault.repair}" if fault.repair else ""
-                warnings.warn(f"{recording.name}: {fault.detail}{remedy}", FaultWarning, 3)
+                warnings.warn(
+                    f"{recording.name}: {fault.detail}{remedy}", FaultWarning, 3
+                )
 
 
 def faults_of(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -135,24 +155,29 @@ def find_swapped(
     robot: Robot, recordings: Sequence[Recording]
 ) -> tuple[list[Recording], dict[str, Fault]]:
     """Recordings with torques that were exchanged among them put back, and such faults by name."""
-    better, found = [*recordings], dict[str, Fault]()
+    better = [*recordings]
+    found = dict[str, Fault]()
     for pair in swapped(robot, recordings):
         for one, other in (pair, pair[::-1]):
-            mine, its = recordings[one], recordings[other]
+            mine = recordings[one]
+            its = recordings[other]
             better[one] = replace(mine, tau=its.tau)
             detail = (
                 f"the torque of {mine.name} is that of the motion of {its.name}, and the reverse: "
                 f"so exchanged, it is that of bodies near the given ones"
             )
             done = f"takes the torque of {its.name}"
-            evidence, remedies = {"torque_of": its.name}, (Remedy("exchange", "tau"),)
+            evidence = {"torque_of": its.name}
+            remedies = (Remedy("exchange", "tau"),)
             known = "swapped_recordings", robot.joints, detail, evidence, done, remedies
             found[mine.name] = Fault(*known)
     return better, found
 
 
 def supported(
-    robot: Robot, recordings: Mapping[str, Recording], faults: Mapping[str, Sequence[Fault]]
+    robot: Robot,
+    recordings: Mapping[str, Recording],
+    faults: Mapping[str, Sequence[Fault]],
 ) -> dict[str, tuple[Fault, ...]]:
     """Faults by recording, without mountings and zero positions that all together do not support.
 
@@ -164,7 +189,9 @@ def supported(
         shown = [fault for fault in mine if fault.fault in SET_UP]
         if shown and len(recordings) > 1:
             gains = (
-                support(robot, each, shown, [f for f in faults[other] if not f.of_the_arm])
+                support(
+                    robot, each, shown, [f for f in faults[other] if not f.of_the_arm]
+                )
                 for other, each in recordings.items()
             )
             if sum(gains) <= odds_against(robot):
@@ -232,17 +259,22 @@ def read_checked(
     copies = find_copies({raw.name: raw for raw in raws})
     put_back, swaps = find_swapped(robot, raws)
     found = {raw.name: raw for raw in put_back}
-    own = supported(robot, found, {name: faults_of(robot, raw) for name, raw in found.items()})
+    own = supported(
+        robot, found, {name: faults_of(robot, raw) for name, raw in found.items()}
+    )
     faults = {
         name: (*(of[name] for of in (copies, swaps) if name in of), *mine)
         for name, mine in own.items()
     }
-    notes, recordings = list[str](), [] if repaired else raws
+    notes = list[str]()
+    recordings = [] if repaired else raws
     for name, raw in found.items() if repaired else ():
         for fault in faults[name]:
             if "unclear" in fault.evidence:
                 row = int(fault.evidence["rows"][0])
-                raise BadRecording(raw.file, fault.detail, row=row, column=raw.columns[0])
+                raise BadRecording(
+                    raw.file, fault.detail, row=row, column=raw.columns[0]
+                )
         better, done = repair(raw, faults[name])
         notes += [f"{name}: {sentence}" for sentence in done]
         recordings.append(checked(better))

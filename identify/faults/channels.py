@@ -30,7 +30,8 @@ _BLOCKS = 100  # of a channel, whose means white noise keeps small
 _STRETCH_S = 0.1  # s: shorter repetitions are samples that were held
 _TRAVELLED = 20.0  # resolutions that a joint must move during a dead stretch
 _SAME = 0.01  # share of pairs that far apart that may be equal by chance
-_LEVELS, _SIGMAS = 4, 3.0  # width of the band below the extreme value
+_LEVELS = 4
+_SIGMAS = 3.0  # width of the band below the extreme value
 _AT_LEAST = 5  # samples at the extreme value
 _FRESH = 0.2  # of the typical change: smaller counts as "hardly changed"
 _HELD = 25  # samples
@@ -41,7 +42,9 @@ _AROUND = 101  # samples that say what is usual around one
 _WINDOW = 11  # samples of the running median
 _JOLT = 5  # samples to either side that a jolt may disturb
 _GAP = 1.75  # steps: the interpolation does not reach across
-_SINGLE = float(np.finfo(np.float32).eps)  # of a value: rounding of a log in single precision
+_SINGLE = float(
+    np.finfo(np.float32).eps
+)  # of a value: rounding of a log in single precision
 _MANY = 0.5  # of all channels: the row is at fault, not a channel
 
 
@@ -51,7 +54,9 @@ def dead_channels(log: Log) -> Iterator[Fault]:
         found = (test(log, name, x[:, j], j) for test in (_constant, _white, _stretch))
         for detail, evidence in filter(None, found):
             sentence = f"{name} of {log.joints[j]} {detail}"
-            yield Fault("dead_channel", (log.joints[j],), sentence, {"channel": name} | evidence)
+            yield Fault(
+                "dead_channel", (log.joints[j],), sentence, {"channel": name} | evidence
+            )
             break
 
 
@@ -64,7 +69,9 @@ def _constant(log: Log, name: str, x: Array, j: int) -> _Found:
     moves = log.moving[:, j].any()
     if np.ptp(x) > 0 or (name == "dq" and not moves):
         return None
-    against = f", while q of the joint moves over {np.ptp(log.q[:, j]):.4g}" if moves else ""
+    against = (
+        f", while q of the joint moves over {np.ptp(log.q[:, j]):.4g}" if moves else ""
+    )
     if name == "q":
         speed = np.zeros(1) if log.dq is None else log.dq[:, j]
         if np.ptp(speed) == 0 or np.abs(speed).mean() < 5 * noise(speed):
@@ -101,7 +108,8 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> _Found:
     seconds = float(np.ptp(log.t[rows]))
     if seconds < _STRETCH_S:
         return None
-    way, clear = float(np.ptp(log.q[rows, j])), float(_TRAVELLED * log.grain[j])
+    way = float(np.ptp(log.q[rows, j]))
+    clear = float(_TRAVELLED * log.grain[j])
     if name == "q":
         if log.dq is None:
             return None
@@ -111,7 +119,8 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> _Found:
     apart[max(0, start - length) : start + length + 1] = False
     if way < clear or apart.mean() > _SAME or x[start] in (x.max(), x.min()):
         return None
-    value, t = float(x[start]), float(log.t[start])
+    value = float(x[start])
+    t = float(log.t[start])
     detail = (
         f"stays at {value:.6g} for {seconds:.3g} s from t = {t:.4g} s while the "
         f"joint moves; else it keeps no value for that long"
@@ -127,12 +136,16 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     """
     moved = np.asarray(log.moving.any(axis=1), bool)
     for j, sign in product(range(log.nv), (1.0, -1.0)):
-        x, limit = sign * log.tau[:, j], float(robot.limits.torque[j])
-        top, step = float(x.max()), float(log.quanta["tau"][j])
-        span, scatter = float(np.ptp(x)), noise(x)
+        x = sign * log.tau[:, j]
+        limit = float(robot.limits.torque[j])
+        top = float(x.max())
+        step = float(log.quanta["tau"][j])
+        span = float(np.ptp(x))
+        scatter = noise(x)
         band = max(_LEVELS * step, _SIGMAS * scatter, 1e-6 * span)
         at = moved & (x > top - min(step / 2, 1e-9 * span))
-        near, many = int((moved & ~at & (x > top - band)).sum()), int(at.sum()) >= _AT_LEAST
+        near = int((moved & ~at & (x > top - band)).sum())
+        many = int(at.sum()) >= _AT_LEAST
         evidence = {"value": sign * top, "near": near}
         if (
             many
@@ -147,8 +160,12 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
             long = run_lengths(at)[1].max(initial=0) >= _AT_LEAST
             if not (known and long and top <= limit + 6 * scatter):
                 continue
-            where, more, evidence = "within its noise of the limit", "", {"value": sign * limit}
-        joint, count, longest = log.joints[j], int(at.sum()), int(run_lengths(at)[1].max())
+            where = "within its noise of the limit"
+            more = ""
+            evidence = {"value": sign * limit}
+        joint = log.joints[j]
+        count = int(at.sum())
+        longest = int(run_lengths(at)[1].max())
         detail = (
             f"tau of {joint} is {where} {evidence['value']:.6g} {log.unit} in {count} of "
             f"{len(log)} rows, up to {longest} in a row{more}"
@@ -161,9 +178,14 @@ def held_channels(log: Log) -> Iterator[Fault]:
     """Channels refreshed more seldom than logged: no change is more frequent than a small one."""
     for name, x in log.channels():
         columns = zip(x.T, log.moving.T, log.quanta[name], strict=True)
-        held = {j: share for j, each in enumerate(columns) if (share := _held_share(*each)) > 0}
+        held = {
+            j: share
+            for j, each in enumerate(columns)
+            if (share := _held_share(*each)) > 0
+        }
         if held:
-            worst, joints = max(held, key=lambda j: held[j]), log.names(held)
+            worst = max(held, key=lambda j: held[j])
+            joints = log.names(held)
             detail = (
                 f"{name} of {', '.join(joints)} is held: {100 * held[worst]:.1f} % of its samples "
                 f"at {log.joints[worst]} repeat the one before exactly while the joint moves, "
@@ -221,18 +243,27 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
 
 def _wrap(x: Array, position: bool) -> float | None:
     """Range of the counter that a channel wraps at; None when it does not."""
-    change, span = np.abs(np.diff(x)), float(np.ptp(x))
+    change = np.abs(np.diff(x))
+    span = float(np.ptp(x))
     jumps = change > 0.5 * span
-    if span == 0 or jumps.sum() < 2 or jumps.mean() > 0.2 or (not position and x.min() < 0):
+    if (
+        span == 0
+        or jumps.sum() < 2
+        or jumps.mean() > 0.2
+        or (not position and x.min() < 0)
+    ):
         return None
     middle = (x - x.min()) / span
     if np.mean((middle > 0.35) & (middle < 0.65)) > 0.01:
         return None
-    size, typical = float(np.median(change[jumps])), float(np.quantile(change[~jumps], 0.9))
+    size = float(np.median(change[jumps]))
+    typical = float(np.quantile(change[~jumps], 0.9))
     step = quantum(x)
     known = [2 * np.pi, 360.0]
     if not position:
-        known = [65536.0 * 10.0**k for k in range(-6, 1)] + [step * c for c in _COUNTERS]
+        known = [65536.0 * 10.0**k for k in range(-6, 1)] + [
+            step * c for c in _COUNTERS
+        ]
     near = [k for k in known if abs(k - size) <= 3 * typical + 2 * step]
     if not near:
         return None
@@ -256,7 +287,8 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
     hidden = list(hidden_gaps(log))
     yield from hidden
     far = _outlying(log, hidden[0].evidence["rows"] if hidden else None)
-    count, total = sum(mask.sum(axis=1) for mask in far.values()), log.nv * len(far)
+    count = sum(mask.sum(axis=1) for mask in far.values())
+    total = log.nv * len(far)
     whole = np.flatnonzero(count > _MANY * total)
     if len(whole):
         what = "are far from their neighbours in most columns, as rows with shifted columns are"
@@ -266,9 +298,11 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
         far[name][whole] = False
         median = _running_median(x, _WINDOW)
         for j in np.flatnonzero(far[name].any(axis=0)):
-            rows, joint = np.flatnonzero(far[name][:, j]), log.joints[j]
+            rows = np.flatnonzero(far[name][:, j])
+            joint = log.joints[j]
             k = int(rows[np.argmax(np.abs(x - median)[rows, j])])
-            value, around = float(x[k, j]), float(median[k, j])
+            value = float(x[k, j])
+            around = float(median[k, j])
             evidence = {"channel": name, "rows": rows, "count": len(rows)}
             detail = (
                 f"{name} of {joint} is far from its neighbours in {len(rows)} of {len(log)} rows; "
@@ -296,18 +330,24 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
             values[around] = 0.0
     alarm = ALARM / (log.nv * len(r))
     far = {
-        name: _far(x, r[name], log.quanta[name], alarm, name != "tau") for name, x in log.channels()
+        name: _far(x, r[name], log.quanta[name], alarm, name != "tau")
+        for name, x in log.channels()
     }
-    far["q"] &= _impossible(log, r["q"]) & log.moving.any(axis=0)  # a held joint's grain is none
+    far["q"] &= _impossible(log, r["q"]) & log.moving.any(
+        axis=0
+    )  # a held joint's grain is none
     for name, x in log.channels()[1:]:
         apart = np.abs(x - _running_median(x, _WINDOW)) > 0.5 * np.abs(r[name])
         reach = _WINDOW // 2
-        apart[:reach], apart[len(x) - reach :] = False, False  # unknown at the ends
+        apart[:reach] = False
+        apart[len(x) - reach :] = False  # unknown at the ends
         far[name] &= apart
     if log.dq is not None:
         way = np.zeros_like(log.dq)
         way[1:-1] = (log.q[2:] - log.q[:-2]) / (log.t[2:] - log.t[:-2])[:, None]
-        contradicted = np.abs(log.dq - way) > 0.5 * np.abs(r["dq"]) + 3 * log.grain / log.step
+        contradicted = (
+            np.abs(log.dq - way) > 0.5 * np.abs(r["dq"]) + 3 * log.grain / log.step
+        )
         real = far["dq"] & ~contradicted
         shared = (_near(far["dq"]).sum(axis=1) > 1) & ~_near(far["q"]).any(axis=1)
         jolts = _near((real.any(axis=1) | shared)[:, None], _JOLT)
@@ -323,7 +363,9 @@ def _near(mask: Mask, reach: int = 1) -> Mask:
 
 def _running_median(x: Array, window: int) -> Array:
     size = min(window, len(x))
-    columns = [scipy.ndimage.median_filter(column, size, mode="nearest") for column in x.T]
+    columns = [
+        scipy.ndimage.median_filter(column, size, mode="nearest") for column in x.T
+    ]
     return np.column_stack(columns)
 
 
@@ -333,14 +375,19 @@ def _far(x: Array, r: Array, step: Array, alarm: float, alike: bool) -> Mask:
     Of sensors that are alike, that of a joint at rest, which may show no noise at all, is not taken
     for finer than the finest of the others.
     """
-    span, size = np.ptp(x, axis=0), np.abs(r)
-    usual = np.maximum(_running_median(size, _AROUND), 0.2 * np.quantile(size, 0.75, axis=0))
+    span = np.ptp(x, axis=0)
+    size = np.abs(r)
+    usual = np.maximum(
+        _running_median(size, _AROUND), 0.2 * np.quantile(size, 0.75, axis=0)
+    )
     z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
     bound = [tail_bound(column[column > 0], alarm) for column in z.T]
     floor = np.maximum(step, _SINGLE * np.abs(x).max(axis=0))
     if alike:
         seen = np.quantile(size, 0.75, axis=0)
-        floor = np.maximum(floor, seen[seen > 0].min(initial=np.inf) if seen.any() else 0.0)
+        floor = np.maximum(
+            floor, seen[seen > 0].min(initial=np.inf) if seen.any() else 0.0
+        )
     return np.asarray((z > bound) & (size > 3 * floor), bool)
 
 
@@ -349,10 +396,14 @@ def _impossible(log: Log, r: Array) -> Mask:
     change = np.abs(np.diff(log.q, axis=0, prepend=log.q[:1]))
     jump = change > 3 * np.quantile(change, 0.99, axis=0)
     jump[:-1] |= jump[1:]
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(r, ((2, 2), (0, 0))), 5, axis=0)
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(r, ((2, 2), (0, 0))), 5, axis=0
+    )
     size = np.linalg.norm(windows, axis=-1) * np.linalg.norm(_PATTERN)
     alike = np.abs(windows @ _PATTERN) / np.maximum(size, 1e-300)
-    return np.asarray((np.abs(r) > 0.5 * np.abs(log.travel)) & ((alike > _LIKE) | jump), bool)
+    return np.asarray(
+        (np.abs(r) > 0.5 * np.abs(log.travel)) & ((alike > _LIKE) | jump), bool
+    )
 
 
 def _distance(t: Array, x: Array) -> Array:

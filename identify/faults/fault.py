@@ -18,7 +18,13 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
 FAULTS = (
-    *("dead_channel", "wrong_sign", "wrong_unit", "wrong_sample_rate", "duplicate_samples"),
+    *(
+        "dead_channel",
+        "wrong_sign",
+        "wrong_unit",
+        "wrong_sample_rate",
+        "duplicate_samples",
+    ),
     *(
         "wrong_order",
         "wrong_mounting",
@@ -38,7 +44,13 @@ SET_UP = ("wrong_mounting", "wrong_zero")
 OF_THE_ARM = ("wrong_sign", "wrong_order", *SET_UP)
 """Faults of the arm or its logger, which all recordings share."""
 PROVEN = (
-    *("wrong_sign", "wrong_unit", "wrong_sample_rate", "wrong_order", "swapped_recordings"),
+    *(
+        "wrong_sign",
+        "wrong_unit",
+        "wrong_sample_rate",
+        "wrong_order",
+        "swapped_recordings",
+    ),
     *SET_UP,
 )
 """Faults after which every figure is wrong, so that nothing is published from such data."""
@@ -62,7 +74,9 @@ class Log(Recording):
     @classmethod
     def of(cls, robot: Robot, recording: Recording) -> Log:
         """A recording as logged, of the arm's joints."""
-        known = {name: getattr(recording, name) for name in ("t", "q", "tau", "dq", "unit")}
+        known = {
+            name: getattr(recording, name) for name in ("t", "q", "tau", "dq", "unit")
+        }
         return cls(recording.name, recording.file, **known, joints=robot.joints)
 
     def names(self, joints: Any) -> tuple[str, ...]:
@@ -94,8 +108,11 @@ class Log(Recording):
     def travel(self) -> Array:
         """Change of position per sample around each one, (n, nv)."""
         rows = np.arange(len(self))
-        low, high = np.maximum(rows - _SPAN, 0), np.minimum(rows + _SPAN, len(self) - 1)
-        return np.asarray((self.q[high] - self.q[low]) / np.maximum(high - low, 1)[:, None])
+        low = np.maximum(rows - _SPAN, 0)
+        high = np.minimum(rows + _SPAN, len(self) - 1)
+        return np.asarray(
+            (self.q[high] - self.q[low]) / np.maximum(high - low, 1)[:, None]
+        )
 
     @cached_property
     def moving(self) -> Mask:
@@ -156,7 +173,11 @@ class Fault:
 
 
 def dropped(
-    joints: tuple[str, ...], rows: Rows, detail: str, fault: str = "corrupt_rows", **evidence: Any
+    joints: tuple[str, ...],
+    rows: Rows,
+    detail: str,
+    fault: str = "corrupt_rows",
+    **evidence: Any,
 ) -> Fault:
     """A fault of rows that a repair leaves out."""
     known = {"rows": rows, "count": len(rows), **evidence}
@@ -180,7 +201,9 @@ def repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, tuple[str, ...]]
     """
     better, rows = after_repair(recording, faults)
     if len(rows) < 2:
-        raise BadInput(f"repair leaves {len(rows)} of {len(recording)} rows; record again")
+        raise BadInput(
+            f"repair leaves {len(rows)} of {len(recording)} rows; record again"
+        )
     return better, tuple(
         f"{fault.fault} ({', '.join(fault.joints)}): repaired, which {fault.repair}"
         for fault in faults
@@ -194,7 +217,9 @@ def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
     Rows of remedies count rows of this recording: sorted first, and left out last.
     """
     remedies = [r for fault in faults for r in fault.remedies]
-    t, kept, order = np.array(recording.t), np.ones(len(recording), bool), np.arange(len(recording))
+    t = np.array(recording.t)
+    kept = np.ones(len(recording), bool)
+    order = np.arange(len(recording))
     for remedy in remedies:
         if remedy.action == "shift":
             t[int(remedy.rows[0]) :] += remedy.factor
@@ -202,7 +227,9 @@ def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
             kept[remedy.rows] = False
     if any(remedy.action == "sort" for remedy in remedies):
         order = np.argsort(t, kind="stable")
-    kept, place, ordered = kept[order], np.argsort(order), recording.take(order)
+    kept = kept[order]
+    place = np.argsort(order)
+    ordered = recording.take(order)
     values: dict[str, Any] = {name: np.array(x) for name, x in ordered.channels()}
     values["t"] = t[order]
     for action in ("order", "unwrap", "interpolate", "scale"):
@@ -261,5 +288,6 @@ def normal_bound(tests: int) -> float:
 def run_lengths(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Starts and lengths of the runs of True in a boolean array."""
     edges = np.diff(np.concatenate([[0], same.astype(np.int8), [0]]))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    starts = np.flatnonzero(edges == 1)
+    ends = np.flatnonzero(edges == -1)
     return starts, ends - starts

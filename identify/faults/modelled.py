@@ -27,7 +27,8 @@ _ORDERS = (4, 6, 8)
 _IDEAL = 0.01  # of the torque's spread: no drive is known better
 _HALF = 0.5  # of the joints: one that bears mainly weight proves nothing
 _EXPLAINED = 0.5  # of a variance: most of it
-_GAP, _REACH = 1.5, 6  # median steps; rows that two gradients and four differences reach
+_GAP = 1.5  # median steps
+_REACH = 6  # rows that two gradients and four differences reach
 _BETTER = 0.75  # of the error that the model leaves, summed over joints relative to their torque
 _WORSE = 1.5  # times a joint's own error, at most
 _TELLS = 0.1  # of the prior's information: less makes nothing more certain by even 5 %
@@ -39,10 +40,13 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
     own = {j: _own_noise(log.tau[:, j]) for j in case.joints}
     missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     ideal = [
-        j for j in case.joints if own[j] < _SMOOTH * np.ptp(log.tau[:, j]) and missed[j] < _IDEAL
+        j
+        for j in case.joints
+        if own[j] < _SMOOTH * np.ptp(log.tau[:, j]) and missed[j] < _IDEAL
     ]
     if len(ideal) > _HALF * len(case.joints):
-        worst, names = max(ideal, key=lambda j: missed[j]), log.names(ideal)
+        worst = max(ideal, key=lambda j: missed[j])
+        names = log.names(ideal)
         noise = [own[j] for j in ideal]
         detail = (
             f"tau of {', '.join(names)} is the output of a model, not a measurement: rigid bodies "
@@ -50,10 +54,13 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
             f"of its spread ({log.joints[worst]}), and its own noise is at most {max(noise):.1g} "
             f"{log.unit}"
         )
-        yield Fault("not_measured", names, detail, {"missed": missed[ideal], "noise": noise})
+        yield Fault(
+            "not_measured", names, detail, {"missed": missed[ideal], "noise": noise}
+        )
     copied = _derived(log, case.joints)
     if len(copied) > _HALF * len(case.joints):
-        worst, names = max(copied, key=lambda j: copied[j]), log.names(copied)
+        worst = max(copied, key=lambda j: copied[j])
+        names = log.names(copied)
         detail = (
             f"tau of {', '.join(names)} is computed from the logged motion, not measured: up "
             f"to {100 * copied[worst]:.1f} % of the variance of its noise ({log.joints[worst]}) is "
@@ -65,7 +72,9 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
 def _own_noise(x: Array) -> float:
     """White noise of a channel: what differences of rising order do not make smaller."""
     differences = [
-        np.median(np.abs(np.diff(x, k))) / 0.6745 / np.sqrt(scipy.special.comb(2 * k, k))
+        np.median(np.abs(np.diff(x, k)))
+        / 0.6745
+        / np.sqrt(scipy.special.comb(2 * k, k))
         for k in _ORDERS
     ]
     return max(0.0, float(min(differences)) - quantum(x) / float(np.sqrt(12)))
@@ -102,13 +111,22 @@ def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
     """
     if (case.robot.phi[::10] <= 0).any():
         return  # links without mass say nothing
-    joints, size = case.joints, case.tau.var(axis=0)[case.joints]
+    joints = case.joints
+    size = case.tau.var(axis=0)[case.joints]
     readings = (case.robot.phi, in_joint_frames(case.robot))
     as_read, moved = (_left(case, phi) for phi in readings)
-    before, after = (np.sqrt(left / np.maximum(size, 1e-300)) for left in (as_read, moved))
+    before, after = (
+        np.sqrt(left / np.maximum(size, 1e-300)) for left in (as_read, moved)
+    )
     gain = float((case.rows[joints] * np.log(as_read / moved)).sum())
-    clear = gain > scipy.special.chdtri(1, ALARM) and after.sum() < _BETTER * before.sum()
-    if not clear or (after > _WORSE * before).any() or np.median(after**2) > 1 - _EXPLAINED:
+    clear = (
+        gain > scipy.special.chdtri(1, ALARM) and after.sum() < _BETTER * before.sum()
+    )
+    if (
+        not clear
+        or (after > _WORSE * before).any()
+        or np.median(after**2) > 1 - _EXPLAINED
+    ):
         return
     best = int(np.argmin(after / before))
     detail = (
@@ -128,12 +146,15 @@ def in_joint_frames(robot: Robot) -> Array:
     places = [model.jointPlacements[j + 1] for j in range(1, robot.nv)]
     bodies = map(pin.Inertia.FromDynamicParameters, robot.phi.reshape(robot.nv, 10))
     pairs = zip([*places, model.frames[robot.tip].placement], bodies, strict=True)
-    return np.concatenate([place.act(body).toDynamicParameters() for place, body in pairs])
+    return np.concatenate(
+        [place.act(body).toDynamicParameters() for place, body in pairs]
+    )
 
 
 def _left(case: TorqueFit, phi: Array) -> Array:
     """Mean square of what a model and each joint's own effects leave, of the joints that count."""
-    torque, left = (case.G + case.D) @ phi, []
+    torque = (case.G + case.D) @ phi
+    left = []
     for j in case.joints:
         columns = np.column_stack([torque[:, j], case.F[:, j]])
         error = scaled_least_squares(columns, case.tau[:, j])[2]
@@ -160,12 +181,18 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
         return
     lacking = tuple(j for j in log.joints if j in window.joints)
     resting = log.names(np.flatnonzero(still))
-    names, visible = lacking or resting or log.joints, len(window.levels)
+    names = lacking or resting or log.joints
+    visible = len(window.levels)
     weakest = ", ".join(window.weak[0].parameters) if window.weak else "all"
     detail = (
         f"{missing} of {visible} directions of the parameters that such an arm can show "
         f"in this time get less than {_TELLS:g} of the information that the given model already "
         f"has, the weakest {window.level:.2g} ({weakest}); move {', '.join(names)}"
     )
-    evidence = {"missing": missing, "visible": visible, "level": window.level, "still": resting}
+    evidence = {
+        "missing": missing,
+        "visible": visible,
+        "level": window.level,
+        "still": resting,
+    }
     yield Fault("poor_excitation", names, detail, evidence)

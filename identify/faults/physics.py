@@ -32,11 +32,13 @@ from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
-_WINDOW_S, _WINDOW_ROWS = 0.2, 8
+_WINDOW_S = 0.2
+_WINDOW_ROWS = 8
 _ENOUGH = 8  # windows in which the joint moves
 _CLEAR = 20.0  # resolutions: what counts as moving
 _FOLLOWS = 0.9  # correlation from which on one channel is the other's integral
-_MARGIN = 0.05  # a scale that is off by less changes inertial torque by less than a tenth
+# a scale that is off by less changes inertial torque by less than a tenth
+_MARGIN = 0.05
 _UNIT_NEAR = 0.03  # of a named factor
 _FALLS = 0.1  # of what one rate leaves, two leave at most
 _UNITS = {
@@ -59,8 +61,10 @@ _BROAD = np.geomspace(1e-3, 1e3, 25)  # time factors tried first
 _NEAR = 0.05  # of a clear factor
 _BY_CHANCE = 0.05  # probability of what most joints show by chance
 _EXPLAINED = 0.5  # of the torque's variance: the model is worth listening to
-_SIGNAL = 3.0  # a part of the torque that is to have a sign exceeds the error by so much
-_OFF, _SURE = 0.3, 2.0  # of given bodies; standard deviations
+# a part of the torque that is to have a sign exceeds the error by so much
+_SIGNAL = 3.0
+_OFF = 0.3  # of given bodies
+_SURE = 2.0  # standard deviations
 _FAR = 10.0  # times its limit: no drive does that, whatever its limit is to mean
 _TORQUE_UNITS = {100.0: "N·cm", 1000.0: "N·mm", 1e6: "µN·m"}
 _WITHIN = 3.0  # times the limit, after a repair
@@ -70,7 +74,8 @@ FITS = 0.25  # squares per independent row: less needs no other order
 MODEL_ERROR = 0.05  # of a torque
 _NO_TORQUE = 1e-12  # N·m: bodies that need no more need none
 _BEYOND = 1.2 * 2 * np.pi  # rad: more than joints turn to one side
-_REACHES, _IMPOSSIBLE = 1.1, 3.0  # of the position limits: what a joint reaches, what it never does
+_REACHES = 1.1  # of the position limits: what a joint reaches
+_IMPOSSIBLE = 3.0  # what it never does
 
 
 def velocity_faults(log: Log) -> list[Fault]:
@@ -79,12 +84,15 @@ def velocity_faults(log: Log) -> list[Fault]:
     bound = normal_bound(log.nv)
     wrong = [j for j in follows if abs(b[j] - 1) > max(_MARGIN, bound * error[j])]
     # the factor that all moving joints share, when more than one moves
-    common = float(np.median(b[follows])) if len(follows) > 1 and wrong == follows else None
+    common = (
+        float(np.median(b[follows])) if len(follows) > 1 and wrong == follows else None
+    )
     if common is not None and (np.abs(b[follows] / common - 1) >= _MARGIN).any():
         common = None
     if len(log) > 3 and (np.diff(log.t) == 1.0).all():
         detail = (
-            f"every time step is exactly 1, so t counts samples ({log.t[0]:g} to {log.t[-1]:g})"
+            "every time step is exactly 1, so t counts samples "
+            f"({log.t[0]:g} to {log.t[-1]:g})"
         )
         if common is None or common <= 0:
             return [Fault("wrong_sample_rate", log.joints, detail, {"step": 1.0})]
@@ -134,15 +142,18 @@ def _rate_change(log: Log) -> Fault | None:
     """A rate that changes once, all joints alike, while the stamps run on as before."""
     w, x, y = _windows(log, np.asarray(log.dq))
     unit = np.maximum(np.abs(x).max(axis=0), 1e-12)
-    x, y = x / unit, y / unit
+    x = x / unit
+    y = y / unit
     xx, xy, yy = ((a * b).sum(axis=1).cumsum() for a, b in ((x, x), (x, y), (y, y)))
     k = np.arange(_ENOUGH, len(x) - _ENOUGH)
     if not len(k) or (xx[k] <= 0).any() or (xx[-1] - xx[k] <= 0).any():
         return None
-    first, second = xy[k] / xx[k], (xy[-1] - xy[k]) / (xx[-1] - xx[k])
+    first = xy[k] / xx[k]
+    second = (xy[-1] - xy[k]) / (xx[-1] - xx[k])
     left = yy[-1] - first * xy[k] - second * (xy[-1] - xy[k])
     best = int(np.argmin(left))
-    before, after = float(first[best]), float(second[best])
+    before = float(first[best])
+    after = float(second[best])
     clear = left[best] <= _FALLS * (yy[-1] - xy[-1] ** 2 / xx[-1])
     if not clear or not any(abs(after / before / r - 1) < _MARGIN for r in _RATES):
         return None
@@ -157,25 +168,37 @@ def _rate_change(log: Log) -> Fault | None:
 
 
 def _named(slope: float) -> float | None:
-    return next((factor for factor in _UNITS if abs(abs(slope) / factor - 1) < _UNIT_NEAR), None)
+    return next(
+        (factor for factor in _UNITS if abs(abs(slope) / factor - 1) < _UNIT_NEAR), None
+    )
 
 
 def _slower(log: Log, factor: float, detail: str, /, **evidence: object) -> Fault:
     """The fault of a clock that runs so many times too slow."""
-    done, remedy = f"divides the time by {factor:.5g}", Remedy("scale", "t", factor=1 / factor)
+    done = f"divides the time by {factor:.5g}"
+    remedy = Remedy("scale", "t", factor=1 / factor)
     known = {"factor": factor, **evidence}
     return Fault("wrong_sample_rate", log.joints, detail, known, done, (remedy,))
 
 
 def _of_joint(log: Log, j: int, b: float, error: float) -> Fault:
-    joint, unit, sign = log.joints[j], _named(b), float(np.sign(b))
-    fault, flipped = "wrong_unit", ", and its sign is flipped" if b < 0 else ""
-    channel, what = _UNITS[unit] if unit else ("dq", ": no unit that is known, a scale is wrong")
-    factor, repair = unit or abs(b), f"divides dq of {joint} by {sign * (unit or abs(b)):.6g}"
+    joint = log.joints[j]
+    unit = _named(b)
+    sign = float(np.sign(b))
+    fault = "wrong_unit"
+    flipped = ", and its sign is flipped" if b < 0 else ""
+    channel, what = (
+        _UNITS[unit] if unit else ("dq", ": no unit that is known, a scale is wrong")
+    )
+    factor = unit or abs(b)
+    repair = f"divides dq of {joint} by {sign * (unit or abs(b)):.6g}"
     remedy = Remedy("scale", channel, (j,), factor=sign / factor)
     if abs(b + 1) <= _MARGIN:
-        fault, what, flipped = "wrong_sign", ": dq has the opposite sign of q", ""
-        repair, remedy = f"negates dq of {joint}", replace(remedy, factor=-1.0)
+        fault = "wrong_sign"
+        what = ": dq has the opposite sign of q"
+        flipped = ""
+        repair = f"negates dq of {joint}"
+        remedy = replace(remedy, factor=-1.0)
     elif channel == "q":
         repair = f"multiplies q of {joint} by {factor:.6g}"
         remedy = replace(remedy, factor=sign * factor)
@@ -199,15 +222,19 @@ def smooth(log: Log) -> Smooth | None:
     if not 99 <= log.duration / log.step <= 4 * len(log) or np.ptp(log.q) == 0:
         return None
     grid = np.arange(log.t[0], log.t[-1] + 1e-9 * log.step, log.step)
-    rate, span = 1 / log.step, np.std(log.q, axis=0)
-    frequency, moved = 0.0, span > 50 * log.grain
+    rate = 1 / log.step
+    span = np.std(log.q, axis=0)
+    frequency = 0.0
+    moved = span > 50 * log.grain
     if moved.any():
         speed = np.sqrt((log.travel[:, moved] ** 2).mean(axis=0)) / log.step
         frequency = float((speed / span[moved]).max() / (2 * np.pi))
     least = 2 * _BAND / (grid[-1] - grid[0])
     cutoff = min(max(_BAND * frequency, least), _NYQUIST * rate)
     q, tau = (
-        low_pass(np.column_stack([np.interp(grid, log.t, c) for c in x.T]), cutoff, rate)
+        low_pass(
+            np.column_stack([np.interp(grid, log.t, c) for c in x.T]), cutoff, rate
+        )
         for x in (log.q, log.tau)
     )
     spline = scipy.interpolate.make_interp_spline(grid, q, k=5)
@@ -228,35 +255,52 @@ class TorqueFit:
     """
 
     def __init__(
-        self, robot: Robot, log: Log, data: Smooth, joints: list[int], factor: Array | float = 1.0
+        self,
+        robot: Robot,
+        log: Log,
+        data: Smooth,
+        joints: list[int],
+        factor: Array | float = 1.0,
     ) -> None:
-        q, dq, ddq = (x * factor for x in (data.motion.q, data.motion.dq, data.motion.ddq))
+        q, dq, ddq = (
+            x * factor for x in (data.motion.q, data.motion.dq, data.motion.ddq)
+        )
         still = np.zeros_like(q)
         G = regressor(robot, Motion(data.motion.t, q, still, still))
         D = regressor(robot, Motion(data.motion.t, q, dq, ddq)) - G
         dry = data.dry * np.sign(factor)
         F = np.stack([dq, dry, ddq, np.ones_like(q)], axis=2)
-        self.robot, self.log, self.data, self.joints = robot, log, data, joints
+        self.robot = robot
+        self.log = log
+        self.data = data
+        self.joints = joints
         self.G, self.D, self.F, self.tau = map(self.filtered, (G, D, F, data.tau))
         self.loose: Array = np.zeros(robot.nv)
         if log.unit != "N·m":
             per, self.loose = self._readings_per_torque()
-            self.G, self.D = per[:, None] * self.G, per[:, None] * self.D
+            self.G = per[:, None] * self.G
+            self.D = per[:, None] * self.D
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         self.freedom = p = 14 * robot.nv
         self._A = tuple(np.zeros((len(joints), p, p)) for _ in range(3))
         self._b = tuple(np.zeros((len(joints), p)) for _ in range(2))
         for k, j in enumerate(joints):
             links, effects = self._own(j)
-            own, m = np.append(links, effects), len(links) + 4
-            X = np.column_stack([self.G[:, j, links], self.F[:, j], self.D[:, j, links]])
-            C, c = X.T @ X, X.T @ self.tau[:, j]
+            own = np.append(links, effects)
+            m = len(links) + 4
+            X = np.column_stack(
+                [self.G[:, j, links], self.F[:, j], self.D[:, j, links]]
+            )
+            C = X.T @ X
+            c = X.T @ self.tau[:, j]
             self._A[0][k][np.ix_(own, own)] = C[:m, :m]
             self._A[1][k][np.ix_(own, links)] = C[:m, m:]
             self._A[1][k] += self._A[1][k].T
             self._A[2][k][np.ix_(links, links)] = C[m:, m:]
-            self._b[0][k, own], self._b[1][k, links] = c[:m], c[m:]
-        A, b = np.sum(self._A, axis=0), np.sum(self._b, axis=0)
+            self._b[0][k, own] = c[:m]
+            self._b[1][k, links] = c[m:]
+        A = np.sum(self._A, axis=0)
+        b = np.sum(self._b, axis=0)
         self.sigma = np.sqrt(self._left(A, b, np.array(list(map(_solve, A, b)))))
 
     def _own(self, j: int) -> tuple[Index, Index]:
@@ -266,19 +310,25 @@ class TorqueFit:
 
     def filtered(self, values: Array) -> Array:
         """Values at the instants of the motion, (n, ...), filtered once more; its ends left out."""
-        rate, cutoff = self.data.rate, self.data.cutoff
-        edge, low = round(rate / cutoff), min(cutoff / 2, 0.45 * rate)
+        rate = self.data.rate
+        cutoff = self.data.cutoff
+        edge = round(rate / cutoff)
+        low = min(cutoff / 2, 0.45 * rate)
         return low_pass(values, low, rate, slice(edge, len(values) - edge))
 
     def _left(self, A: Array, b: Array, x: Array) -> Array:
         """Mean square that parameters leave of each of the joints' torque."""
-        size, x = self.size[self.joints], np.broadcast_to(x, b.shape)
-        left = size - ((2 * b - np.einsum("jkl,jl->jk", A, x)) * x).sum(axis=1) / len(self.tau)
+        size = self.size[self.joints]
+        x = np.broadcast_to(x, b.shape)
+        left = size - ((2 * b - np.einsum("jkl,jl->jk", A, x)) * x).sum(axis=1) / len(
+            self.tau
+        )
         return np.asarray(np.maximum(left, 1e-10 * size))
 
     def fit(self, s: float = 1.0, sign: Array | None = None) -> tuple[Array, Array]:
         """Parameters and mean square left of each torque; what motion adds is multiplied by s."""
-        A, b = self._A[0] + s * self._A[1] + s**2 * self._A[2], self._b[0] + s * self._b[1]
+        A = self._A[0] + s * self._A[1] + s**2 * self._A[2]
+        b = self._b[0] + s * self._b[1]
         b = b if sign is None else sign[self.joints, None] * b
         x = _solve(np.tensordot(self.sigma**-2, A, 1), self.sigma**-2 @ b)
         power = self.size.copy()
@@ -293,7 +343,8 @@ class TorqueFit:
     @cached_property
     def rows(self) -> Array:
         """Independent rows of each joint's error, shape (nv,)."""
-        rows, x = np.ones(self.robot.nv), self.fit()[0]
+        rows = np.ones(self.robot.nv)
+        x = self.fit()[0]
         for j in self.joints:
             links, effects = self._own(j)
             columns = self.G[:, j, links] + self.D[:, j, links]
@@ -303,9 +354,15 @@ class TorqueFit:
 
     def _readings_per_torque(self) -> tuple[Array, Array]:
         """Current that a joint of the given bodies needs per torque, its relative std, (nv,)."""
-        robot, columns = self.robot, self.G + self.D
-        found, loose = np.ones(robot.nv), np.zeros(robot.nv)
-        near = spread(robot) if (robot.phi[::10] > 0).all() else np.zeros((len(robot.phi), 1))
+        robot = self.robot
+        columns = self.G + self.D
+        found = np.ones(robot.nv)
+        loose = np.zeros(robot.nv)
+        near = (
+            spread(robot)
+            if (robot.phi[::10] > 0).all()
+            else np.zeros((len(robot.phi), 1))
+        )
         for j in self.joints:
             Y, read = without_effects(self.F[:, j], columns[:, j], self.tau[:, j])
             model = Y @ robot.phi
@@ -324,8 +381,11 @@ class TorqueFit:
 
     def better(self, power: Array, tests: int, freedom: int | None = None) -> bool:
         """Whether another of some readings, with ``freedom`` more parameters, is beyond chance."""
-        ratio, rows = (power / self.power)[self.joints], self.rows[self.joints]
-        worse = (rows * np.log(ratio)).max() > scipy.special.chdtri(1, ALARM / len(rows))
+        ratio = (power / self.power)[self.joints]
+        rows = self.rows[self.joints]
+        worse = (rows * np.log(ratio)).max() > scipy.special.chdtri(
+            1, ALARM / len(rows)
+        )
         bound = float(scipy.special.chdtri(freedom or self.freedom, ALARM / tests))
         return self.gain(power) > bound and bool(ratio.min() < HALVED and not worse)
 
@@ -337,25 +397,40 @@ class TorqueFit:
         of drives are off by what is not known of them, and each joint's own effects free, but that
         friction brakes.
         """
-        weight = (rows / len(self.tau) / (noise + MODEL_ERROR**2 * self.size))[self.joints]
-        A, b, y = np.sum(self._A, axis=0), np.sum(self._b, axis=0), self.size * len(self.tau)
-        bodies, links = self.robot.phi, len(self.robot.phi)
+        weight = (rows / len(self.tau) / (noise + MODEL_ERROR**2 * self.size))[
+            self.joints
+        ]
+        A = np.sum(self._A, axis=0)
+        b = np.sum(self._b, axis=0)
+        y = self.size * len(self.tau)
+        bodies = self.robot.phi
+        links = len(self.robot.phi)
         # a gain that is off by N(0, loose²) is projected out of each joint's columns
-        v, t, loose = A[:, :, :links] @ bodies, b[:, :links] @ bodies, self.loose[self.joints]
+        v = A[:, :, :links] @ bodies
+        t = b[:, :links] @ bodies
+        loose = self.loose[self.joints]
         told = weight * (v[:, :links] @ bodies) * loose**2
         share = (weight * loose**2 / (1 + told))[:, None]
         A = A - share[:, :, None] * v[:, :, None] * v[:, None, :]
-        b, y = b - share * t[:, None] * v, y[self.joints] - share[:, 0] * t**2
-        G, h = np.tensordot(weight, A, 1), weight @ b
+        b = b - share * t[:, None] * v
+        y = y[self.joints] - share[:, 0] * t**2
+        G = np.tensordot(weight, A, 1)
+        h = weight @ b
         whole = h
         h = h - G[:, :links] @ bodies
         effects = np.eye(len(h) - links)
-        own = _solve(G[links:, links:], np.column_stack([effects, G[links:, :links], h[links:]]))
-        alone, per_body, own = own[:, : len(effects)], own[:, len(effects) : -1], own[:, -1]
+        own = _solve(
+            G[links:, links:], np.column_stack([effects, G[links:, :links], h[links:]])
+        )
+        alone = own[:, : len(effects)]
+        per_body = own[:, len(effects) : -1]
+        own = own[:, -1]
         H = S.T @ (G[:links, :links] - G[:links, links:] @ per_body) @ S + np.eye(links)
         z = np.linalg.solve(H, S.T @ (h[:links] - G[:links, links:] @ own))
         x = np.concatenate([bodies + S @ z, own - per_body @ (S @ z)])
-        left = max(float(weight @ y - (2 * whole - G @ x) @ x), 1e-10 * float(weight @ y))
+        left = max(
+            float(weight @ y - (2 * whole - G @ x) @ x), 1e-10 * float(weight @ y)
+        )
         unsure = alone + (M := per_body @ S) @ np.linalg.solve(H, M.T)
         squares = left + float(z @ z) + self._driving(x[links:], unsure)
         occam = float(np.linalg.slogdet(H)[1] + np.log1p(told).sum())
@@ -365,7 +440,8 @@ class TorqueFit:
         """Squared standard errors by which joints' own effects have friction that drives them."""
         total = 0.0
         for j in self.joints:
-            dq, at = self.F[:, j, 0], slice(4 * j, 4 * j + 2)
+            dq = self.F[:, j, 0]
+            at = slice(4 * j, 4 * j + 2)
             power = dq @ self.F[:, j, :2]
             variance = float(power @ covariance[at, at] @ power)
             total += min(float(power @ own[at]), 0.0) ** 2 / max(variance, 1e-300)
@@ -382,9 +458,15 @@ class TorqueFit:
         )
 
 
-def torque_fit(robot: Robot, log: Log, data: Smooth, dead: set[str]) -> TorqueFit | None:
+def torque_fit(
+    robot: Robot, log: Log, data: Smooth, dead: set[str]
+) -> TorqueFit | None:
     """The fit of a log's torque; None when no joint's torque can be used."""
-    alive = [j for j in range(robot.nv) if log.joints[j] not in dead and np.ptp(data.tau[:, j]) > 0]
+    alive = [
+        j
+        for j in range(robot.nv)
+        if log.joints[j] not in dead and np.ptp(data.tau[:, j]) > 0
+    ]
     case = TorqueFit(robot, log, data, alive) if alive else None
     return case if case and len(case.tau) >= 60 else None
 
@@ -394,7 +476,8 @@ def unlike(robot: Robot, data: Smooth) -> Array:
 
     The bodies' torque counts up to a factor of each joint.
     """
-    model, motion = rigid_body_torque(robot, data.motion), data.motion
+    model = rigid_body_torque(robot, data.motion)
+    motion = data.motion
     F = np.stack([motion.dq, data.dry, motion.ddq, np.ones_like(motion.q)], axis=2)
     shares = []
     for j in range(robot.nv):
@@ -402,7 +485,9 @@ def unlike(robot: Robot, data: Smooth) -> Array:
         factor = max(float(wanted @ read), 0.0) / max(float(wanted @ wanted), 1e-300)
         shares.append(float(((read - factor * wanted) ** 2).sum()))
     whole = (data.tau**2).sum(axis=0)
-    return np.asarray(np.maximum(shares / np.maximum(whole, 1e-300), MODEL_ERROR**2), float)
+    return np.asarray(
+        np.maximum(shares / np.maximum(whole, 1e-300), MODEL_ERROR**2), float
+    )
 
 
 def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -415,7 +500,9 @@ def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
 
 def fits(case: TorqueFit, S: Array) -> bool:
     """Whether bodies near the given ones explain the torque so well that nothing is off."""
-    return case.surprise(0 * case.power, case.rows, S)[0] < _CLEARLY * float(case.rows.sum())
+    return case.surprise(0 * case.power, case.rows, S)[0] < _CLEARLY * float(
+        case.rows.sum()
+    )
 
 
 def _solve(A: Array, b: Array) -> Array:
@@ -429,7 +516,8 @@ def _solve(A: Array, b: Array) -> Array:
 
 def degrees(case: TorqueFit) -> Iterator[Fault]:
     """Positions in degrees, of all joints or of those beyond a turn."""
-    log, largest = case.log, np.abs(case.log.q).max(axis=0)
+    log = case.log
+    largest = np.abs(case.log.q).max(axis=0)
     turning = np.asarray(case.robot.revolute)
     beyond = turning & (largest > _BEYOND)
     if not beyond.any():
@@ -451,42 +539,54 @@ def degrees(case: TorqueFit) -> Iterator[Fault]:
         f"degrees {case.compared(power)}"
     )
     done = "multiplies q and dq, which agrees with it, by π/180"
-    remedies = [Remedy("scale", name, tuple(joints), factor=np.pi / 180) for name in ("q", "dq")]
+    remedies = [
+        Remedy("scale", name, tuple(joints), factor=np.pi / 180) for name in ("q", "dq")
+    ]
     evidence = {"channel": "q", "gain": gain, "largest": largest}
-    yield Fault("wrong_unit", log.names(joints), detail, evidence, done, tuple(remedies))
+    yield Fault(
+        "wrong_unit", log.names(joints), detail, evidence, done, tuple(remedies)
+    )
 
 
 def torque_unit(case: TorqueFit) -> Iterator[Fault]:
     """Torques far beyond what the drives can do, or where no limit is known, beyond the model's."""
-    log, joints = case.log, case.joints
+    log = case.log
+    joints = case.joints
     if log.unit != "N·m":
         return
-    limit, peak = case.robot.limits.torque[joints], np.abs(log.tau[:, joints]).max(axis=0)
+    limit = case.robot.limits.torque[joints]
+    peak = np.abs(log.tau[:, joints]).max(axis=0)
     known = np.isfinite(limit)
     if known.any():
-        sizes, what = (peak / limit)[known], "the torque limit"
+        sizes = (peak / limit)[known]
+        what = "the torque limit"
         far = np.median(sizes) > _FAR
     else:
-        model, doubt = (case.G + case.D) @ case.robot.phi, _doubt(case)
+        model = (case.G + case.D) @ case.robot.phi
+        doubt = _doubt(case)
         signs = [(_signs(case, model[:, j], j), doubt[j]) for j in joints]
         clear = [s[0] for s, u in signs if s[1] > 0 and s[3] > _EXPLAINED and u < _OFF]
-        sizes, what = np.array(clear), "the torque of the given model"
+        sizes = np.array(clear)
+        what = "the torque of the given model"
         far = len(sizes) > 0 and np.median(sizes) > _FAR**1.5
     if not far:
         return
     typical = float(np.median(sizes))
-    factor = next((f for f in _TORQUE_UNITS if typical / f < _WITHIN), max(_TORQUE_UNITS))
-    detail = (
-        f"tau is {typical:.3g} times {what} (median over joints), as in {_TORQUE_UNITS[factor]}"
+    factor = next(
+        (f for f in _TORQUE_UNITS if typical / f < _WITHIN), max(_TORQUE_UNITS)
     )
+    unit = _TORQUE_UNITS[factor]
+    detail = f"tau is {typical:.3g} times {what} (median over joints), as in {unit}"
     remedy = Remedy("scale", "tau", tuple(range(log.nv)), factor=1 / factor)
-    done, evidence = f"divides tau by {factor:g}", {"channel": "tau", "factor": typical}
+    done = f"divides tau by {factor:g}"
+    evidence = {"channel": "tau", "factor": typical}
     yield Fault("wrong_unit", log.joints, detail, evidence, done, (remedy,))
 
 
 def order(case: TorqueFit) -> Iterator[Fault]:
     """Columns of joints in another order: two exchanged, all shifted, reversed or by name."""
-    log, n = case.log, case.robot.nv
+    log = case.log
+    n = case.robot.nv
     if not len(case.joints) == n > 1 or (case.robot.phi[::10] <= 0).any():
         return
     same = list(range(n))
@@ -497,14 +597,18 @@ def order(case: TorqueFit) -> Iterator[Fault]:
             swap = same.copy()
             swap[i], swap[k] = k, i
             orders.add(tuple(swap))
-    known, data = spread(case.robot), case.data
+    known = spread(case.robot)
+    data = case.data
     if fits(case, known):
         return
-    tried, found = list[tuple[float, list[int], tuple[str, ...], Smooth]](), []
+    tried = list[tuple[float, list[int], tuple[str, ...], Smooth]]()
+    found = []
     for order in sorted(orders - {tuple(same)}):
         at = list(order)
         columns = (getattr(data.motion, name)[:, at] for name in ("q", "dq", "ddq"))
-        moved = data._replace(motion=Motion(data.motion.t, *columns), dry=data.dry[:, at])
+        moved = data._replace(
+            motion=Motion(data.motion.t, *columns), dry=data.dry[:, at]
+        )
         every: tuple[str, ...] = ("q", "dq", "tau")
         for channels, whole in ((every, moved), (every[2:], data)):
             other = whole._replace(tau=data.tau[:, at])
@@ -512,16 +616,27 @@ def order(case: TorqueFit) -> Iterator[Fault]:
             tried.append((left, at, channels, other))
     for _, at, channels, other in sorted(tried, key=lambda each: each[0])[:_FEW]:
         fit = TorqueFit(case.robot, log, other, case.joints)
-        noise = np.minimum(case.power[at], fit.power)  # joint j is the one recorded as at[j]
-        left, back = fit.surprise(noise, case.rows[at], known)[0], np.argsort(at)
-        found.append((case.surprise(noise[back], case.rows, known)[0], left, at, channels))
-    as_it_stands, left, at, channels = max(found, key=lambda each: each[0] / max(each[1], 1e-9))
+        noise = np.minimum(
+            case.power[at], fit.power
+        )  # joint j is the one recorded as at[j]
+        left = fit.surprise(noise, case.rows[at], known)[0]
+        back = np.argsort(at)
+        found.append(
+            (case.surprise(noise[back], case.rows, known)[0], left, at, channels)
+        )
+    as_it_stands, left, at, channels = max(
+        found, key=lambda each: each[0] / max(each[1], 1e-9)
+    )
     bound = float(scipy.special.chdtri(n, ALARM / len(tried)))
-    dispersion = max(1.0, left / float(case.rows.sum()))  # errors of the model count as noise
+    dispersion = max(
+        1.0, left / float(case.rows.sum())
+    )  # errors of the model count as noise
     if as_it_stands - left < bound * dispersion or left > HALVED * as_it_stands:
         return
     wrong = [j for j in same if at[j] != j]
-    words = ", ".join(f"{log.joints[j]} is recorded as {log.joints[at[j]]}" for j in wrong)
+    words = ", ".join(
+        f"{log.joints[j]} is recorded as {log.joints[at[j]]}" for j in wrong
+    )
     what = "columns" if len(channels) > 1 else "torque columns"
     detail = (
         f"{what} are in another order: {words}; so read, the torque is that of bodies near the "
@@ -530,7 +645,11 @@ def order(case: TorqueFit) -> Iterator[Fault]:
     )
     remedies = tuple(Remedy("order", channel, tuple(at)) for channel in channels)
     done = f"puts the {what} of {len(wrong)} joints in the order of the robot"
-    evidence = {"order": log.names(at), "channels": channels, "gain": as_it_stands - left}
+    evidence = {
+        "order": log.names(at),
+        "channels": channels,
+        "gain": as_it_stands - left,
+    }
     yield Fault("wrong_order", log.names(wrong), detail, evidence, done, remedies)
 
 
@@ -552,7 +671,9 @@ def position_signs(case: TorqueFit) -> Iterator[Fault]:
                     f"{case.compared(power)}",
                     {"channel": what, "gain": case.gain(power)},
                     f"negates {what} (and dq) of {joint}",
-                    tuple(Remedy("scale", name, (j,), factor=-1.0) for name in channels),
+                    tuple(
+                        Remedy("scale", name, (j,), factor=-1.0) for name in channels
+                    ),
                 )
 
 
@@ -577,23 +698,29 @@ def rate(case: TorqueFit) -> Iterator[Fault]:
         method="bounded",
         options={"xatol": 1e-3, "maxiter": 25},
     ).x
-    c, log = float(np.exp(peak)), case.log
+    c = float(np.exp(peak))
+    log = case.log
     power = case.fit(s=c**2)[1]
     near = [r for r in _RATES if abs(c / r - 1) < _NEAR]
-    freedom = 1 if near else None  # an odd factor may stand for anything the model lacks
+    freedom = (
+        1 if near else None
+    )  # an odd factor may stand for anything the model lacks
     if abs(c - 1) < 2 * _NEAR or not case.better(power, len(_BROAD), freedom):
         return
     each = (case.rows * np.log(case.power / power))[case.joints]
     if np.median(each) < scipy.special.chdtri(1, _BY_CHANCE):
         return  # a clock is wrong for all joints
-    low, high = bound(-1), bound(1)
+    low = bound(-1)
+    high = bound(1)
     factor = near[0] if near else c
     detail = (
         f"the time runs {c:.3g} times too {'slow' if c > 1 else 'fast'} for the torque "
         f"(95 % between {low:.3g} and {high:.3g}): so corrected, {case.compared(power)}; the "
         f"median step is {log.step:.4g} s, {log.step / factor:.4g} s would fit"
     )
-    yield _slower(log, factor, detail, factor=c, interval=(low, high), gain=case.gain(power))
+    yield _slower(
+        log, factor, detail, factor=c, interval=(low, high), gain=case.gain(power)
+    )
 
 
 def torque_signs(case: TorqueFit) -> Iterator[Fault]:
@@ -602,7 +729,8 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
     τ_j = g τ_model + F_v q̇ + F_c sign q̇ + I_a q̈ + offset; neither may object to the other. A gain
     says nothing where the given bodies, if they were off by 30 %, might have reversed it.
     """
-    model, doubt = (case.G + case.D) @ case.robot.phi, _doubt(case)
+    model = (case.G + case.D) @ case.robot.phi
+    doubt = _doubt(case)
     bound = normal_bound(2 * len(case.joints))
     for j in case.joints:
         g, gain, friction, explained = _signs(case, model[:, j], j)
@@ -610,17 +738,27 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
         votes = [z for z in (gain, friction) if abs(z) > bound]
         if explained < _EXPLAINED or not votes or max(votes) > 0:
             continue
-        joint, why = case.log.joints[j], []
+        joint = case.log.joints[j]
+        why = []
         if gain < -bound:
-            why.append(f"it is {gain:.1f} standard errors opposite to the given model's torque")
+            why.append(
+                f"it is {gain:.1f} standard errors opposite to the given model's torque"
+            )
         if friction < -bound:
-            why.append(f"its friction would drive the joint by {-friction:.1f} standard errors")
+            why.append(
+                f"its friction would drive the joint by {-friction:.1f} standard errors"
+            )
         yield Fault(
             "wrong_sign",
             (joint,),
             f"tau of {joint} has the wrong sign: {' and '.join(why)} "
             f"({100 * explained:.0f} % of its variance explained)",
-            {"channel": "tau", "gain": gain, "friction": friction, "explained": explained},
+            {
+                "channel": "tau",
+                "gain": gain,
+                "friction": friction,
+                "explained": explained,
+            },
             f"negates tau of {joint}",
             (Remedy("scale", "tau", (j,), factor=-1.0),),
         )
@@ -629,12 +767,16 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
 @lru_cache(maxsize=8)
 def spread(robot: Robot) -> Array:
     """Root of the covariance of bodies near the given ones, to 30 %, (10 nv, 10 nv)."""
-    return read_only(link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, _OFF))
+    return read_only(
+        link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, _OFF)
+    )
 
 
 def _doubt(case: TorqueFit) -> Array:
     """Standard deviation of each joint's gain on the model if its bodies are off by 30 %, (nv,)."""
-    robot, columns, doubt = case.robot, case.G + case.D, np.zeros(case.robot.nv)
+    robot = case.robot
+    columns = case.G + case.D
+    doubt = np.zeros(case.robot.nv)
     if (robot.phi[::10] > 0).all():
         near = spread(robot)
         for j in case.joints:
@@ -652,11 +794,15 @@ def _signs(case: TorqueFit, model: Array, j: int) -> tuple[float, float, float, 
     independent = max(len(y) / autocorrelation_time(error), 8.0)
     C = np.linalg.pinv(W.T @ W / len(y), rcond=1e-10) * left**2 / independent
     size = np.sqrt((columns[:, 1:3] ** 2).mean(axis=0))
-    power = np.array([(dq * dq).mean(), np.abs(dq * dry).mean()]) / np.where(size > 0, size, 1.0)
+    power = np.array([(dq * dq).mean(), np.abs(dq * dry).mean()]) / np.where(
+        size > 0, size, 1.0
+    )
     z = []
     for part, weight in ((slice(0, 1), np.ones(1)), (slice(1, 3), power)):
         clear = (W[:, part] @ x[part]).std() > _SIGNAL * left
         variance = float(weight @ C[part, part] @ weight)
-        z.append(float(weight @ x[part] / np.sqrt(max(variance, 1e-300))) if clear else 0.0)
+        z.append(
+            float(weight @ x[part] / np.sqrt(max(variance, 1e-300))) if clear else 0.0
+        )
     gain = float(x[0]) / max(float(np.sqrt((model**2).mean())), 1e-300)
     return gain, z[0], z[1], 1 - float(error.var() / max(y.var(), 1e-300))

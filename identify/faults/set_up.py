@@ -19,7 +19,14 @@ import numpy as np
 import scipy
 
 from excitant.identify.drive_gains import without_effects
-from excitant.identify.faults.fault import ALARM, NO_TORQUE, Fault, Log, Remedy, after_repair
+from excitant.identify.faults.fault import (
+    ALARM,
+    NO_TORQUE,
+    Fault,
+    Log,
+    Remedy,
+    after_repair,
+)
 from excitant.identify.faults.modelled import in_joint_frames, wrong_frame
 from excitant.identify.faults.physics import (
     FITS,
@@ -46,19 +53,26 @@ from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
 _ROUNDING = 1e-12  # of squares that a prior of a body's own hardly bounds
-_OTHER, _TOOL = 1 / 0.3, 10.0  # times the tolerance: of a body that is another, of one with a tool
+_OTHER = 1 / 0.3  # times the tolerance: of a body that is another
+_TOOL = 10.0  # of one with a tool
 _ROWS = 600  # of a search, at most
-_ANGLES = 0.4 * np.pi * np.arange(5)  # that determine a trigonometric polynomial of degree 2
+_ANGLES = (
+    0.4 * np.pi * np.arange(5)
+)  # that determine a trigonometric polynomial of degree 2
 _DIRECTIONS = 200  # of gravity tried
 _STARTS = 3  # the best of them, refined
-_FLAT, _SLOPE = 0.01, 1e-6  # slope at which it ends, step by which it is found
+_FLAT = 0.01  # slope at which it ends
+_SLOPE = 1e-6  # step by which it is found
 _POLISHED = 3  # times, with the noise that the set-up found leaves
 _LEAST_NOISE = 0.01  # of the torque, then
-_TRIED, _RARE = 12, 0.02  # set-ups of each joint; probability that an arm has another
+_TRIED = 12  # set-ups of each joint
+_RARE = 0.02  # probability that an arm has another
 _ALIKE = 2.0  # twice the log of the ratio of evidence: set-ups that look the same
 _STEP = np.pi / 18  # between zero positions tried
 _TIE = 1e-9  # of it: rounding
-_RIGHT = np.pi / 2  # zero positions are off by multiples of it, unless another angle is better
+_RIGHT = (
+    np.pi / 2
+)  # zero positions are off by multiples of it, unless another angle is better
 
 Test = Callable[[TorqueFit], Iterable[Fault]]
 Search = Callable[[], list[list[Fault]]]
@@ -98,7 +112,10 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
     """Faults of the set-up: that which explains most first, the others with it amended."""
     found: list[Fault] = []
     for _ in range(case.robot.nv):
-        tests: list[Search] = [partial(_one, order, case), partial(_one, torque_signs, case)]
+        tests: list[Search] = [
+            partial(_one, order, case),
+            partial(_one, torque_signs, case),
+        ]
         tests.append(partial(_each, rate, case))
         *others, orders, signs, rates = together([*_searches(case), *tests])
         proposed = [_amended(case, faults) for faults in (*orders, *signs)]
@@ -112,7 +129,9 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
         if not (able := [*judged, *(each for each in searched if each[0] > 0)]):
             break
         fit_well = [each for gain, each in (*judged, *searched) if np.isfinite(gain)]
-        alike = sorted(_likeliest(case, fit_well or [each for _, each in able]), key=_rank)
+        alike = sorted(
+            _likeliest(case, fit_well or [each for _, each in able]), key=_rank
+        )
         best = alike[0]
         found += _beside(best.faults, alike[1:])
         case = _fit(case, best)
@@ -137,7 +156,8 @@ def _set_up(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
 def _likeliest(case: TorqueFit, among: Sequence[_SetUp]) -> list[_SetUp]:
     """The set-ups that have most evidence by one measure of noise, the least that any leaves."""
     fits = [_fit(case, each) for each in among]
-    noise, S = np.min([fit.power for fit in fits], axis=0), _spread(case.robot, case.robot.nv - 1)
+    noise = np.min([fit.power for fit in fits], axis=0)
+    S = _spread(case.robot, case.robot.nv - 1)
     surprise = [
         fit.surprise(noise, case.rows[each.order], S)[1]
         for fit, each in zip(fits, among, strict=True)
@@ -148,22 +168,31 @@ def _likeliest(case: TorqueFit, among: Sequence[_SetUp]) -> list[_SetUp]:
 
 def _rank(set_up: _SetUp) -> tuple[int, int]:
     """Which of set-ups that look the same is told: one fault, order, signs, mounting, angles."""
-    first, turn = set_up.faults[0], set_up.faults[-1].evidence.get("offset", 0.0) / _RIGHT
+    first = set_up.faults[0]
+    turn = set_up.faults[-1].evidence.get("offset", 0.0) / _RIGHT
     place = {"wrong_order": 0, "wrong_sign": 1, "wrong_mounting": 2}.get(first.fault, 3)
     return len(set_up.faults), place + (abs(turn - round(turn)) > _TIE)
 
 
 def _beside(faults: Sequence[Fault], others: Sequence[_SetUp]) -> list[Fault]:
     """Faults of a set-up, the last of which tells what would look the same."""
-    known = [[(f.fault, f.joints) for f in each] for each in (faults, *(o.faults for o in others))]
+    known = [
+        [(f.fault, f.joints) for f in each]
+        for each in (faults, *(o.faults for o in others))
+    ]
     new = [k for k, each in enumerate(known) if each not in known[:k]][1:]
     if not new:
         return [*faults]
-    words = " or if ".join(" and ".join(f.detail for f in others[k - 1].faults) for k in new)
+    words = " or if ".join(
+        " and ".join(f.detail for f in others[k - 1].faults) for k in new
+    )
     alike = [each for k in new for each in known[k]]
     last = faults[-1]
     told = f"{last.detail}; the torque would be the same if {words}"
-    return [*faults[:-1], replace(last, detail=told, evidence={**last.evidence, "alike": alike})]
+    return [
+        *faults[:-1],
+        replace(last, detail=told, evidence={**last.evidence, "alike": alike}),
+    ]
 
 
 def _fit(case: TorqueFit, set_up: _SetUp) -> TorqueFit:
@@ -186,13 +215,19 @@ def _evidence(case: TorqueFit, other: _SetUp) -> float:
     As it stands any one of the links may be another body: that needs no other set-up. Errors of
     the model count as noise; the other set-up leaves half as much, or hardly more than these.
     """
-    robot, last = case.robot, case.robot.nv - 1
+    robot = case.robot
+    last = case.robot.nv - 1
     if (robot.phi[::10] <= 0).any():
         return 0.0
-    fit, back, rows = _fit(case, other), np.argsort(other.order), float(case.rows.sum())
+    fit = _fit(case, other)
+    back = np.argsort(other.order)
+    rows = float(case.rows.sum())
     noise = np.minimum(case.power[other.order], fit.power)
     left, after = fit.surprise(noise, case.rows[other.order], _spread(robot, last))
-    tried = (case.surprise(noise[back], case.rows, _spread(robot, k)) for k in range(last + 1))
+    tried = (
+        case.surprise(noise[back], case.rows, _spread(robot, k))
+        for k in range(last + 1)
+    )
     squares, before = map(min, zip(*tried, strict=True))
     if left > max(HALVED * squares, FITS * rows):
         return -np.inf
@@ -208,7 +243,8 @@ def _spread(robot: Robot, other: int) -> Array:
 
 def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
     """The set-up in which the remedies of faults are applied."""
-    motion, at = case.data.motion, list(range(case.robot.nv))
+    motion = case.data.motion
+    at = list(range(case.robot.nv))
     known = {"dry": case.data.dry, "tau": case.data.tau}
     known |= {name: getattr(motion, name) for name in ("q", "dq", "ddq")}
     channels = {name: np.array(values) for name, values in known.items()}
@@ -216,15 +252,21 @@ def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
         if remedy.channel == "t":
             channels["dq"] /= remedy.factor
             channels["ddq"] /= remedy.factor**2
-        for name in {"q": ("q", "dq", "ddq", "dry"), "tau": ("tau",)}.get(remedy.channel, ()):
-            values, joints = channels[name], list(remedy.joints)
+        for name in {"q": ("q", "dq", "ddq", "dry"), "tau": ("tau",)}.get(
+            remedy.channel, ()
+        ):
+            values = channels[name]
+            joints = list(remedy.joints)
             if remedy.action == "order":
                 values[:] = values[:, joints]
             else:
-                values[:, joints] *= np.sign(remedy.factor) if name == "dry" else remedy.factor
+                values[:, joints] *= (
+                    np.sign(remedy.factor) if name == "dry" else remedy.factor
+                )
         if remedy.action == "order" and remedy.channel == "tau":
             at = list(remedy.joints)
-    signs, tau = channels.pop("dry"), channels.pop("tau")
+    signs = channels.pop("dry")
+    tau = channels.pop("tau")
     data = case.data._replace(motion=Motion(motion.t, **channels), dry=signs, tau=tau)
     return _SetUp(faults, case.robot, data, at)
 
@@ -245,11 +287,15 @@ class _Mixtures:
     The last of the p columns of a part is the torque of the given bodies.
     """
 
-    grams: Array  # of two parts, p columns each, of each joint, shape (m, m, joints, p, p)
+    grams: (
+        Array  # of two parts, p columns each, of each joint, shape (m, m, joints, p, p)
+    )
     moments: Array  # of a part and the torque, shape (m, joints, p)
     squares: Array  # of the torque, shape (joints,)
     weights: Array  # of the squares of each joint, shape (joints,)
-    loose: Array  # relative uncertainty of the drive gains, 0 for torques, shape (joints,)
+    loose: (
+        Array  # relative uncertainty of the drive gains, 0 for torques, shape (joints,)
+    )
 
     @cached_property
     def _whole(self) -> tuple[Array, Array]:
@@ -261,18 +307,22 @@ class _Mixtures:
         """The squares (...) for weights (..., m) of the parts, the torque of one joint flipped."""
         grams, moments = self._whole
         pairs = weights[..., :, None] * weights[..., None, :]
-        h, y = np.tensordot(weights, moments, (-1, 1)), self.weights * self.squares
+        h = np.tensordot(weights, moments, (-1, 1))
+        y = self.weights * self.squares
         if flipped is not None:
             h[..., flipped, :] *= -1
         if self.loose.any():
             G = self.weights[:, None, None] * np.tensordot(pairs, self.grams, 2)
             own = np.maximum(G[..., -1, -1], 1e-300)
             scale = np.maximum(h[..., -1], 0.0) / own
-            G, h = scale[..., None, None] ** 2 * G, scale[..., None] * h
+            G = scale[..., None, None] ** 2 * G
+            h = scale[..., None] * h
             share = (1 / (scale**2 * own + 1 / self.loose**2))[..., None]
-            v, t = G[..., -1], h[..., -1:]
+            v = G[..., -1]
+            t = h[..., -1:]
             G = G - share[..., None] * v[..., :, None] * v[..., None, :]
-            h, y = h - share * t * v, y - (share * t**2)[..., 0]
+            h = h - share * t * v
+            y = y - (share * t**2)[..., 0]
             A = G.sum(axis=-3)
         else:
             A = np.tensordot(pairs, grams, 2)
@@ -287,21 +337,30 @@ class _Mixtures:
 
 def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
     """Of columns of the links in some set-ups, filtered as the torque is, (N, nv, 10 nv) each."""
-    n, m, S = len(case.tau), len(parts), _spread(case.robot, case.robot.nv - 1)
+    n = len(case.tau)
+    m = len(parts)
+    S = _spread(case.robot, case.robot.nv - 1)
     own = np.column_stack([S, case.robot.phi])
     rows = slice(None, None, -(-n // _ROWS))
-    joints, p = len(case.joints), own.shape[1]
-    grams, moments, squares = np.zeros((m, m, joints, p, p)), np.zeros((m, joints, p)), []
+    joints = len(case.joints)
+    p = own.shape[1]
+    grams = np.zeros((m, m, joints, p, p))
+    moments = np.zeros((m, joints, p))
+    squares = []
     for k, j in enumerate(case.joints):
         later = slice(10 * j, None)  # no joint's torque depends on the links before it
-        X = np.concatenate([part[rows, j, later] @ own[later, later] for part in parts], axis=1)
+        X = np.concatenate(
+            [part[rows, j, later] @ own[later, later] for part in parts], axis=1
+        )
         X, y = without_effects(case.F[rows, j], X, case.tau[rows, j])
         gram = (X.T @ X).reshape(m, len(X.T) // m, m, -1) / len(y)
         grams[:, :, k, later, later] = gram.swapaxes(1, 2)
         moments[:, k, later] = (X.T @ y).reshape(m, -1) / len(y)
         squares.append(float(y @ y) / len(y))
     weights = (case.rows / (MODEL_ERROR**2 * case.size))[case.joints]
-    return _Mixtures(grams, moments, np.array(squares), weights, case.loose[case.joints])
+    return _Mixtures(
+        grams, moments, np.array(squares), weights, case.loose[case.joints]
+    )
 
 
 def _sharper(case: TorqueFit, at: _Mixtures, found: _SetUp) -> _Mixtures:
@@ -313,7 +372,8 @@ def _sharper(case: TorqueFit, at: _Mixtures, found: _SetUp) -> _Mixtures:
 
 def _mounting(case: TorqueFit) -> list[list[Fault]]:
     """The arm under the direction of gravity that suits its torque best."""
-    robot, motion = case.robot, case.data.motion
+    robot = case.robot
+    motion = case.data.motion
     size = float(np.linalg.norm(robot.gravity))
     if size == 0:
         return []
@@ -335,16 +395,24 @@ def _mounting(case: TorqueFit) -> list[list[Fault]]:
             squares = at.left(with_motion(unit(x + _SLOPE * np.eye(4, 3, -1))))
             return float(squares[0]), (squares[1:] - squares[0]) / _SLOPE
 
-        ends = [scipy.optimize.minimize(left, start, jac=True, tol=_FLAT) for start in starts]
+        ends = [
+            scipy.optimize.minimize(left, start, jac=True, tol=_FLAT)
+            for start in starts
+        ]
         return unit(min(ends, key=lambda end: end.fun).x)
 
     k = np.arange(_DIRECTIONS) + 0.5  # a Fibonacci lattice on the sphere
-    z, turn = 1 - 2 * k / _DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
+    z = 1 - 2 * k / _DIRECTIONS
+    turn = np.pi * (1 + np.sqrt(5)) * k
     r = np.sqrt(1 - z**2)
     tried = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
     tried = np.vstack([robot.gravity / size, tried])
-    tenths = np.array_split(with_motion(unit(tried)), 10)  # all at once need too much memory
-    best = np.argsort(np.concatenate([mixtures.left(some) for some in tenths]), kind="stable")
+    tenths = np.array_split(
+        with_motion(unit(tried)), 10
+    )  # all at once need too much memory
+    best = np.argsort(
+        np.concatenate([mixtures.left(some) for some in tenths]), kind="stable"
+    )
     gravity = best_of([*tried[best[:_STARTS]]], mixtures)
     for _ in range(_POLISHED):
         turned = _SetUp([], robot.with_gravity(gravity), case.data, range(robot.nv))
@@ -364,13 +432,16 @@ def _zeros(case: TorqueFit, j: int) -> list[list[Fault]]:
 
     The simplest, and that which measures torque as it is recorded; none where that is as it stands.
     """
-    motion, unit = case.data.motion, np.eye(case.robot.nv)[j]
+    motion = case.data.motion
+    unit = np.eye(case.robot.nv)[j]
     found = list[tuple[float, bool, float, float]]()
     for sign in (1.0, -1.0):
         way = 1 + (sign - 1) * unit
         q, dq, ddq = (x * way for x in (motion.q, motion.dq, motion.ddq))
         moved = [Motion(motion.t, q + angle * unit, dq, ddq) for angle in _ANGLES]
-        mixtures = _mixtures(case, [case.filtered(regressor(case.robot, m)) for m in moved])
+        mixtures = _mixtures(
+            case, [case.filtered(regressor(case.robot, m)) for m in moved]
+        )
         for flipped in (None, case.joints.index(j)):
             known = mixtures, flipped
             tried = np.arange(-np.pi, np.pi, _STEP)
@@ -384,7 +455,9 @@ def _zeros(case: TorqueFit, j: int) -> list[list[Fault]]:
     found.sort(key=lambda each: (each[2] < 0) + each[1])
     ways = [found, [each for each in found if not each[1]]]
     simplest = dict.fromkeys(_simplest(case, way) for way in ways)
-    return [_zero_faults(case, j, *each) for each in simplest if each != (False, 1.0, 0.0)]
+    return [
+        _zero_faults(case, j, *each) for each in simplest if each != (False, 1.0, 0.0)
+    ]
 
 
 def _left_at(angle: Any, mixtures: _Mixtures, flipped: int | None) -> Any:
@@ -401,21 +474,30 @@ def _simplest(
     Other angles come before other signs, and a multiple of 90° before any other angle.
     """
     least = min(squares for squares, *_ in found)
-    chance = float(scipy.special.chdtri(1, ALARM)) * max(1.0, least / float(case.rows.sum()))
+    chance = float(scipy.special.chdtri(1, ALARM)) * max(
+        1.0, least / float(case.rows.sum())
+    )
     return next(each[1:] for each in found if each[0] < least + chance)
 
 
-def _zero_faults(case: TorqueFit, j: int, flipped: bool, sign: float, angle: float) -> list[Fault]:
-    joint, faults = case.log.joints[j], list[Fault]()
+def _zero_faults(
+    case: TorqueFit, j: int, flipped: bool, sign: float, angle: float
+) -> list[Fault]:
+    joint = case.log.joints[j]
+    faults = list[Fault]()
     if channels := ("q", "dq") * (sign < 0) + ("tau",) * flipped:
         what = " and ".join(name for name in channels if name != "dq")
         detail = f"{what} of {joint} count the other way than the robot's"
         done = f"negates {what}{' (and dq)' * (sign < 0)} of {joint}"
         remedies = tuple(Remedy("scale", name, (j,), factor=-1.0) for name in channels)
-        faults.append(Fault("wrong_sign", (joint,), detail, {"channel": what}, done, remedies))
+        faults.append(
+            Fault("wrong_sign", (joint,), detail, {"channel": what}, done, remedies)
+        )
     if angle:
         off = f"{'+' if angle > 0 else '−'} {abs(np.degrees(angle)):.3g}°"
-        detail = f"the zero position of {joint} is off: its true angle is the reading {off}"
+        detail = (
+            f"the zero position of {joint} is off: its true angle is the reading {off}"
+        )
         faults.append(Fault("wrong_zero", (joint,), detail, {"offset": angle}))
     return faults
 
@@ -438,8 +520,12 @@ def support(
     It is −∞ where the set-up does not fit, 0 where the torque tells nothing.
     """
     log, _ = after_repair(Log.of(robot, recording), others)
-    dead = {f.joints[0] for f in others if (f.fault, f.evidence.get("channel")) == NO_TORQUE}
-    if (data := smooth(log)) is None or (case := torque_fit(robot, log, data, dead)) is None:
+    dead = {
+        f.joints[0] for f in others if (f.fault, f.evidence.get("channel")) == NO_TORQUE
+    }
+    if (data := smooth(log)) is None or (
+        case := torque_fit(robot, log, data, dead)
+    ) is None:
         return 0.0
     return _evidence(case, _set_up(case, faults))
 
@@ -451,7 +537,8 @@ def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, in
     """
     if not _known(robot):
         return []
-    logs, found = [Log.of(robot, recording) for recording in recordings], list[tuple[int, int]]()
+    logs = [Log.of(robot, recording) for recording in recordings]
+    found = list[tuple[int, int]]()
     pairs = [
         (i, k)
         for i, k in itertools.combinations(range(len(logs)), 2)
@@ -464,7 +551,11 @@ def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, in
             continue
         gain = 0.0
         for i, k in (pair, pair[::-1]):
-            gain += _with_torque_of(robot, logs[i], data[i], logs[k]) if gain > -np.inf else 0.0
+            gain += (
+                _with_torque_of(robot, logs[i], data[i], logs[k])
+                if gain > -np.inf
+                else 0.0
+            )
         if gain > odds:
             found.append(pair)
     return found
@@ -478,4 +569,8 @@ def _with_torque_of(robot: Robot, log: Log, data: Smooth | None, other: Log) -> 
     if next(left) - next(left) > np.log(HALVED):
         return -np.inf
     case = torque_fit(robot, log, data, set())
-    return -np.inf if case is None else _evidence(case, _SetUp([], robot, moved, range(robot.nv)))
+    return (
+        -np.inf
+        if case is None
+        else _evidence(case, _SetUp([], robot, moved, range(robot.nv)))
+    )

@@ -50,7 +50,8 @@ def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
 
     None for those where no repair brings the rows into the order of time.
     """
-    order, found = _order_of(log), []
+    order = _order_of(log)
+    found = []
     timed = np.flatnonzero(np.isfinite(log.t))
     if len(rows := np.flatnonzero(~np.isfinite(log.t))):
         detail = f"{len(rows)} of {len(log)} time stamps are no numbers, first in row {rows[0]}"
@@ -80,13 +81,20 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
         f"longest, {steps[k] * log.step:.4g} s after t = {log.t[k]:.4g} s, is {steps[k]:.3g} times "
         f"the median step of {log.step:.4g} s"
     )
-    evidence = {"gaps": len(at), "missing": missing, "rows": at, "longest": float(steps[k])}
+    evidence = {
+        "gaps": len(at),
+        "missing": missing,
+        "rows": at,
+        "longest": float(steps[k]),
+    }
     yield Fault("dropped_samples", log.joints, detail, evidence)
 
 
 def repeated_rows(log: Log) -> Iterator[Fault]:
     """Rows that repeat all values of the row before, with a stamp of their own, in motion."""
-    same = np.all([(np.diff(x, axis=0) == 0).all(axis=1) for _, x in log.channels()], axis=0)
+    same = np.all(
+        [(np.diff(x, axis=0) == 0).all(axis=1) for _, x in log.channels()], axis=0
+    )
     moved = np.asarray(log.moving.any(axis=1), bool)
     rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
     if len(rows) < 3:
@@ -109,24 +117,34 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
         return
     speed = np.empty_like(rate)  # median of the four samples on either side
     for j, padded in enumerate(np.pad(rate, ((4, 4), (0, 0)), "edge").T):
-        around = np.delete(np.lib.stride_tricks.sliding_window_view(padded, 9), 4, axis=1)
+        around = np.delete(
+            np.lib.stride_tricks.sliding_window_view(padded, 9), 4, axis=1
+        )
         speed[:, j] = np.sort(around, axis=1)[:, 3:5].mean(axis=1)
-    scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(axis=0)
+    scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(
+        axis=0
+    )
     scale = np.maximum(scale, 2 * log.quanta["q"] / log.step / np.sqrt(12))
     used = scale > 0
-    s, e = speed[:, used] / scale[used], (rate - speed)[:, used] / scale[used]
+    s = speed[:, used] / scale[used]
+    e = (rate - speed)[:, used] / scale[used]
     power = (s**2).sum(axis=1)
     m = (s * e).sum(axis=1) / np.maximum(power, 1e-300)
     z = np.abs(m) * np.sqrt(power)
-    shared = 1 - ((e - m[:, None] * s) ** 2).sum(axis=1) / np.maximum((e**2).sum(axis=1), 1e-300)
+    shared = 1 - ((e - m[:, None] * s) ** 2).sum(axis=1) / np.maximum(
+        (e**2).sum(axis=1), 1e-300
+    )
     whole = (np.round(m) >= 1) & (np.abs(m - np.round(m)) < _WHOLE)
     alone = np.abs(m) > 2 * np.maximum(np.abs(np.roll(m, 1)), np.abs(np.roll(m, -1)))
     several = ((np.abs(s) > 3).sum(axis=1) >= 2) if log.nv > 1 else np.zeros(n, bool)
-    rows = np.flatnonzero((z > tail_bound(z)) & whole & alone & several & (shared > 0.95))
+    rows = np.flatnonzero(
+        (z > tail_bound(z)) & whole & alone & several & (shared > 0.95)
+    )
     rows = rows[(rows > 5) & (rows < n - 6)]
     if not len(rows):
         return
-    missing, k = int(np.round(m[rows]).sum()), rows[0]
+    missing = int(np.round(m[rows]).sum())
+    k = rows[0]
     detail = (
         f"all joints jump together in {len(rows)} places by whole numbers of samples, about "
         f"{missing} rows are missing though the stamps run on; first after t = {log.t[k]:.4g} s, "
@@ -137,7 +155,8 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
 
 
 class _Order(NamedTuple):
-    again: Rows = _NONE  # repeat an earlier one, not the row before, with its stamp and values
+    # repeat an earlier one, not the row before, with its stamp and values
+    again: Rows = _NONE
     late: Rows = _NONE  # belong between earlier ones, where sorting puts them
     lost: Rows = _NONE  # their stamps fit nowhere
     starts: Rows = _NONE  # the clock starts anew
@@ -176,7 +195,10 @@ def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
     order = np.argsort(t, kind="stable")
     unfit = np.zeros(len(t), bool)
     unfit[order] = _unfit(t[order], log.q[rows[order]], order, moved[order], step)
-    if unfit.sum() > max(_WRONG * len(t), 1) or run_lengths(unfit)[1].max(initial=0) > _SHORT:
+    if (
+        unfit.sum() > max(_WRONG * len(t), 1)
+        or run_lengths(unfit)[1].max(initial=0) > _SHORT
+    ):
         return None
     return rows[moved & ~unfit], rows[unfit]
 
@@ -188,17 +210,24 @@ def _smoothed(t: Array) -> Array:
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
     """Of rows sorted by time, the moved ones that do not belong where sorting puts them."""
     one, two = (np.median(np.abs(q[k:] - q[:-k]), axis=0) for k in (1, 2))
-    steps, change = np.diff(t), np.abs(np.diff(q, axis=0))
+    steps = np.diff(t)
+    change = np.abs(np.diff(q, axis=0))
     gap = steps > longest_step(step)
     usual = np.quantile(change[~gap] if (~gap).any() else change, 0.99, axis=0)
-    smooth = (change <= _JUMP * usual * np.maximum(steps / step, 1.0)[:, None]).all(axis=1)
+    smooth = (change <= _JUMP * usual * np.maximum(steps / step, 1.0)[:, None]).all(
+        axis=1
+    )
     joined = (np.diff(order) == 1) | gap | smooth
     unfit = moved & bool((one > _ROUGH * two).any())
     for a, count in zip(*run_lengths(moved), strict=True):
         b = a + count
         inside = a > 0 and b < len(t)
         room = not inside or t[b] - t[a - 1] >= _ROOM * step * (count + 1)
-        near = count > _SHORT or (a > 0 and not gap[a - 1]) or (b < len(t) and not gap[b - 1])
+        near = (
+            count > _SHORT
+            or (a > 0 and not gap[a - 1])
+            or (b < len(t) and not gap[b - 1])
+        )
         unfit[a:b] |= not (room and near and joined[max(a - 1, 0) : b].all())
     unfit[1:] |= (steps == 0) & moved[1:]
     unfit[:-1] |= (steps == 0) & ~moved[1:]
@@ -219,19 +248,30 @@ def _cut(log: Log, rows: Rows, again: Rows, step: float) -> _Order:
     often = f"it does so {len(starts)} times, mostly within {MINIMUM_DURATION:g} s"
     if len(starts) * _OFTEN >= len(rows):
         return _Order(again, unclear=often)
-    late, lost, shifts, end, brief = [], [], [0.0], -np.inf, 0
+    late = []
+    lost = []
+    shifts = [0.0]
+    end = -np.inf
+    brief = 0
     for own in np.split(rows, np.searchsorted(rows, starts)):
         settled = _settled(log, own, step)
         if settled is None:
-            return _Order(again, unclear=f"from row {own[0]} on its rows fit nowhere else")
+            return _Order(
+                again, unclear=f"from row {own[0]} on its rows fit nowhere else"
+            )
         late.append(settled[0])
         lost.append(settled[1])
         stamps = np.sort(t[np.setdiff1d(own, settled[1])])
         rate = float(np.median(np.diff(stamps))) if len(stamps) > _SHORT else step
         if abs(rate / step - 1) > _RATE:
-            return _Order(again, unclear=f"from row {own[0]} on it takes other steps, {rate:.4g} s")
+            return _Order(
+                again,
+                unclear=f"from row {own[0]} on it takes other steps, {rate:.4g} s",
+            )
         brief += len(own) if stamps[-1] - stamps[0] < MINIMUM_DURATION else 0
-        shifts.append(max(shifts[-1], end + _PAUSE * longest_step(step) - float(stamps[0])))
+        shifts.append(
+            max(shifts[-1], end + _PAUSE * longest_step(step) - float(stamps[0]))
+        )
         end = float(stamps[-1]) + shifts[-1]
     if brief > _BRIEF * len(rows):
         return _Order(again, unclear=often)
@@ -242,12 +282,16 @@ def _cut(log: Log, rows: Rows, again: Rows, step: float) -> _Order:
 def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     """Rows with the stamp of an earlier row: the one before, or any that has all its values."""
     still = np.flatnonzero(np.diff(log.t[timed]) == 0)
-    before, beside = timed[still], timed[still + 1]
+    before = timed[still]
+    beside = timed[still + 1]
     rows = np.union1d(beside, again)
     if not len(rows):
         return
-    same = np.all([(x[beside] == x[before]).all(axis=1) for _, x in log.channels()], axis=0).sum()
-    n, found = len(log), len(rows) - len(again)
+    same = np.all(
+        [(x[beside] == x[before]).all(axis=1) for _, x in log.channels()], axis=0
+    ).sum()
+    n = len(log)
+    found = len(rows) - len(again)
     parts = []
     if found:
         said = f"{found} of {n} rows ({100 * found / n:.2f} %) repeat the time of the row before"
@@ -255,8 +299,12 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     if len(again):
         parts.append(f"{len(again)} of {n} rows repeat time and values of earlier ones")
     detail = f"{'; '.join(parts)}; {log.first(rows)}"
-    fault = dropped(log.joints, rows, detail, "duplicate_samples", identical=int(same) + len(again))
-    yield replace(fault, repair=f"keeps the first of each and leaves {len(rows)} rows out")
+    fault = dropped(
+        log.joints, rows, detail, "duplicate_samples", identical=int(same) + len(again)
+    )
+    yield replace(
+        fault, repair=f"keeps the first of each and leaves {len(rows)} rows out"
+    )
 
 
 def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
@@ -266,7 +314,11 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
         return
 
     def fault(
-        rows: Rows, detail: str, done: str | None = None, *remedies: Remedy, **evidence: Any
+        rows: Rows,
+        detail: str,
+        done: str | None = None,
+        *remedies: Remedy,
+        **evidence: Any,
     ) -> Fault:
         evidence = {"rows": rows, "count": len(rows), "channel": "t", **evidence}
         return Fault("corrupt_rows", log.joints, detail, evidence, done, remedies)
@@ -274,7 +326,8 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
     def fall(row: int) -> str:
         return f"first from {log.t[timed[timed < row][-1]]:.6g} to {log.t[row]:.6g} s"
 
-    first, n = int(rows[0]), len(log)
+    first = int(rows[0])
+    n = len(log)
     if order.unclear:
         detail = (
             f"time goes back in {len(rows)} of {n} rows, {fall(first)} in row {first}; "
@@ -303,7 +356,8 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
         if len(some)
     ]
     if steps:
-        moved, (said, actions) = np.union1d(order.late, order.lost), zip(*steps, strict=True)
+        moved = np.union1d(order.late, order.lost)
+        (said, actions) = zip(*steps, strict=True)
         where = f"{fall(first)} in row {first}"
         detail = f"time goes back: {len(moved)} of {n} rows are out of order, {where}"
         yield fault(moved, detail, " and ".join(said), *actions, late=len(order.late))
@@ -312,5 +366,9 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
 def _listed(rows: Rows) -> str:
     runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     shown = [str(r[0]) if len(r) == 1 else f"{r[0]} to {r[-1]}" for r in runs[:_LISTED]]
-    more = f" and {len(rows) - sum(map(len, runs[:_LISTED]))} more" if len(runs) > _LISTED else ""
+    more = (
+        f" and {len(rows) - sum(map(len, runs[:_LISTED]))} more"
+        if len(runs) > _LISTED
+        else ""
+    )
     return f"row{'s' if len(rows) > 1 else ''} {', '.join(shown)}{more}"

@@ -20,7 +20,8 @@ from excitant.robots.schema import parsed_yaml
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 _ROS1 = b"#ROSBAG V2.0"
-_STATE, _TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+_STATE = "sensor_msgs/msg/JointState"
+_TEXT = "std_msgs/msg/String"
 _USUAL = "/joint_states"
 _AT_ONCE = 20_000  # messages turned into a table at a time
 _FEW = 100  # messages that show which joints a bag has states of
@@ -36,7 +37,9 @@ class Described:
     """What a bag says of the arm whose states it holds."""
 
     urdf: str
-    limits: Mapping[str, Mapping[str, Any]]  # by joint, as in a joint_limits.yaml of MoveIt
+    limits: Mapping[
+        str, Mapping[str, Any]
+    ]  # by joint, as in a joint_limits.yaml of MoveIt
     joints: tuple[str, ...]  # of which it holds states
 
 
@@ -48,7 +51,8 @@ def described(path: Path) -> Described | None:
     Raises:
         BadRecording: Not readable.
     """
-    told, joints = dict[str, str](), dict[str, None]()
+    told = dict[str, str]()
+    joints = dict[str, None]()
     with _opened(path) as reader:
         states = [c for c in reader.connections if c.msgtype == _STATE]
         for _, state in islice(_messages(reader, states), _FEW):
@@ -63,7 +67,10 @@ def described(path: Path) -> Described | None:
 def _messages(reader: Any, wanted: Sequence[Any]) -> Iterator[tuple[str, Any]]:
     """Last words of topics, and messages on them."""
     for connection, _, data in reader.messages(wanted) if wanted else ():
-        yield connection.topic.rpartition("/")[2], reader.deserialize(data, connection.msgtype)
+        yield (
+            connection.topic.rpartition("/")[2],
+            reader.deserialize(data, connection.msgtype),
+        )
 
 
 def bag_table(path: Path, topic: str | None = None) -> Table:
@@ -76,10 +83,14 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
     Raises:
         BadRecording: Not readable, no joint states, or several topics with them.
     """
-    if path.suffix == ".bag" and isfile(path):  # whose reader searches all of any other file
+    if path.suffix == ".bag" and isfile(
+        path
+    ):  # whose reader searches all of any other file
         with path.open("rb") as stream:
             if stream.read(len(_ROS1)) != _ROS1:
-                raise BadRecording(path, "cannot be read (it is no bag of ROS 1); record it again")
+                raise BadRecording(
+                    path, "cannot be read (it is no bag of ROS 1); record it again"
+                )
     import pandas as pd
 
     with _opened(path) as reader:
@@ -87,10 +98,16 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
         cells = _cells_of_messages(reader, topic, path)
         blocks = iter(lambda: list(islice(cells, _AT_ONCE)), [])
         parts = [pd.DataFrame(block) for block in blocks]
-    log = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["", "stamp_ns"])
+    log = (
+        pd.concat(parts, ignore_index=True)
+        if parts
+        else pd.DataFrame(columns=["", "stamp_ns"])
+    )
     joints = dict.fromkeys(name.rpartition(".")[0] for name in log.columns[2:])
     if not joints:
-        raise BadRecording(path, f"no message on {topic} names a joint; record {_USUAL}")
+        raise BadRecording(
+            path, f"no message on {topic} names a joint; record {_USUAL}"
+        )
     if not log["stamp_ns"].any():
         notes += ("time: headers hold none, so it is that of recording",)
         log["stamp_ns"] = log[""]
@@ -98,7 +115,11 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         for part in table.frames(rows, columns):
-            told = [~np.isnan(as_numbers(x)) for name, x in part.items() if name != "stamp_ns"]
+            told = [
+                ~np.isnan(as_numbers(x))
+                for name, x in part.items()
+                if name != "stamp_ns"
+            ]
             kept = np.any(told, axis=0)
             yield {name: x[kept] for name, x in part.items()}
 
@@ -111,7 +132,9 @@ def _opened(path: Path) -> Iterator[Any]:
     from rosbags.typesys import Stores, get_typestore
 
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with AnyReader(
+            [path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
+        ) as reader:
             yield reader
     except (BadRecording, GeneratorExit):
         raise
@@ -128,7 +151,10 @@ def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str,
     if wanted is not None:
         why = f"has no joint states on {wanted}; topics with them: {some or 'none'}"
     elif not topics:
-        kinds = ", ".join(sorted({str(c.msgtype) for c in reader.connections})[:8]) or "nothing"
+        kinds = (
+            ", ".join(sorted({str(c.msgtype) for c in reader.connections})[:8])
+            or "nothing"
+        )
         why = f"holds no {_STATE}, only {kinds}; record {_USUAL}"
     elif len(measured) == 1 or _USUAL in measured:
         chosen = measured[0] if len(measured) == 1 else _USUAL
@@ -144,14 +170,19 @@ def _cells_of_messages(reader: Any, topic: str, path: Path) -> Iterator[dict[str
     wanted = [c for c in reader.connections if c.topic == topic and c.msgtype == _STATE]
     for row, (connection, logged, data) in enumerate(reader.messages(wanted)):
         message = reader.deserialize(data, connection.msgtype)
-        joints, stamp = message.name, message.header.stamp
+        joints = message.name
+        stamp = message.header.stamp
         if len(set(joints)) < len(joints):
-            raise BadRecording(path, "names a joint twice; repair the recorder", row=row)
+            raise BadRecording(
+                path, "names a joint twice; repair the recorder", row=row
+            )
         cells = {"": logged, "stamp_ns": int(stamp.sec * 1_000_000_000 + stamp.nanosec)}
         for what in ("position", "velocity", "effort"):
             numbers = getattr(message, what)
             if len(numbers) not in (0, len(joints)):
                 why = f"{len(numbers)} values of {what} for {len(joints)} joints"
                 raise BadRecording(path, why, row=row)
-            cells |= {f"{j}.{what}": value for j, value in zip(joints, numbers, strict=False)}
+            cells |= {
+                f"{j}.{what}": value for j, value in zip(joints, numbers, strict=False)
+            }
         yield cells

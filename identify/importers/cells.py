@@ -41,7 +41,11 @@ def cells(series: pd.Series) -> Cells:
     if isinstance(series.dtype, np.dtype):
         return series.to_numpy()
     whole = np.dtype(f"{kind}8")
-    return series.to_numpy(float, na_value=np.nan) if series.hasnans else series.to_numpy(whole)
+    return (
+        series.to_numpy(float, na_value=np.nan)
+        if series.hasnans
+        else series.to_numpy(whole)
+    )
 
 
 def as_numbers(values: Cells) -> Array:
@@ -54,7 +58,9 @@ def as_numbers(values: Cells) -> Array:
 
     if not isinstance(values.dtype, pd.StringDtype):
         real = (str, Real, Decimal)
-        plain = [isinstance(v, real) and not isinstance(v, bool | np.bool_) for v in values]
+        plain = [
+            isinstance(v, real) and not isinstance(v, bool | np.bool_) for v in values
+        ]
         values = values.astype(object).where(np.array(plain, bool), None)
     numbers = pd.to_numeric(values, errors="coerce")
     return np.asarray(numbers.to_numpy(float, na_value=np.nan))
@@ -76,8 +82,10 @@ def stamps_unit(values: Cells) -> tuple[str | None, str]:
     if not len(numbers):
         return (ISO, "dates") if _dates(values).notna().any() else (None, "")
     with np.errstate(over="ignore"):
-        steps, (low, high) = np.diff(numbers), _SECONDS_SINCE_1970
-    middle, forward = float(np.median(numbers)), steps[(steps > 0) & (steps != 1)]
+        steps = np.diff(numbers)
+        (low, high) = _SECONDS_SINCE_1970
+    middle = float(np.median(numbers))
+    forward = steps[(steps > 0) & (steps != 1)]
     step = float(np.median(forward)) if 2 * len(forward) > len(steps) else 0.0
     short = {unit: s for unit, s in _SCALES.items() if step * s < _FAR_APART}
     since = [unit for unit, s in short.items() if low <= middle * s <= high]
@@ -94,16 +102,23 @@ def in_seconds(values: Cells, unit: Unit | None) -> tuple[Array, Array]:
 
     ``unit`` is `ISO` for dates, or seconds per logged unit; cells that are no time become NaN.
     """
-    dated, lasting = unit == ISO or _is_date(values), values.dtype.kind == "m"
+    dated = unit == ISO or _is_date(values)
+    lasting = values.dtype.kind == "m"
     if dated or lasting:
         import pandas as pd
 
         times = _dates(values) if dated else pd.Series(values)
         kind: Any = "datetime64[{}, UTC]" if dated else "timedelta64[{}]"
         try:
-            stamps, per_second = times.astype(kind.format("ns")), 1_000_000_000
-        except (pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta, OverflowError):
-            stamps, per_second = times.astype(kind.format("us")), 1_000_000
+            stamps = times.astype(kind.format("ns"))
+            per_second = 1_000_000_000
+        except (
+            pd.errors.OutOfBoundsDatetime,
+            pd.errors.OutOfBoundsTimedelta,
+            OverflowError,
+        ):
+            stamps = times.astype(kind.format("us"))
+            per_second = 1_000_000
         ticks: Any = stamps.astype("int64").to_numpy()
         bad = times.isna().to_numpy()
     else:
@@ -111,7 +126,9 @@ def in_seconds(values: Cells, unit: Unit | None) -> tuple[Array, Array]:
         if values.dtype.kind not in "iu" or scale not in (1e-3, 1e-6, 1e-9):
             with np.errstate(over="ignore", invalid="ignore"):
                 return as_numbers(values) * scale, np.zeros(len(values))
-        ticks, per_second, bad = values, round(1 / scale), np.zeros(len(values), bool)
+        ticks = values
+        per_second = round(1 / scale)
+        bad = np.zeros(len(values), bool)
     seconds = np.where(bad, np.nan, ticks // per_second)
     return seconds, (ticks % per_second).astype(float) / per_second
 
@@ -132,7 +149,11 @@ def _dates(values: Cells) -> pd.Series:
     text = pd.Series(values).astype(str).str.replace(",", ".", regex=False)
     found = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
     for order in _ORDERS if found.isna().all() else ():
-        if (dated := pd.to_datetime(text, format=order, errors="coerce", utc=True)).notna().all():
+        if (
+            (dated := pd.to_datetime(text, format=order, errors="coerce", utc=True))
+            .notna()
+            .all()
+        ):
             return dated
     if found.isna().all():
         return pd.to_timedelta(text, errors="coerce") + pd.Timestamp(0, tz="UTC")

@@ -27,14 +27,22 @@ from excitant.identify.importers.names import (
 from excitant.identify.importers.tables import Table
 from excitant.robots.robot import Robot
 
-_SAID = {"t": "time", "q": "positions", "dq": "speeds", "tau": "torques", "i": "currents"}
+_SAID = {
+    "t": "time",
+    "q": "positions",
+    "dq": "speeds",
+    "tau": "torques",
+    "i": "currents",
+}
 _NUMBERED = tuple(
     form.replace("0", first)
     for first in "01"
     for form in ("{}[{{0}}]", "{}_{{0}}", "{}.{{0}}", "{}{{0}}")
 )
 _NAMED = tuple(
-    form.replace(".", sign) for sign in "._/ " for form in ("{{joint}}.{}", "{}.{{joint}}")
+    form.replace(".", sign)
+    for sign in "._/ "
+    for form in ("{{joint}}.{}", "{}.{{joint}}")
 )
 _FEW = 4  # columns that are named
 _MOTORS = {"motor", "motors", "rotor", "rotors"}  # which turn otherwise than joints
@@ -78,11 +86,15 @@ def with_names_of(table: Table, joints: Sequence[str]) -> Table:
     names = set(table.labels.values())
     if not joints or set(joints) <= names or len(joints) == 1 < len(names):
         return table
-    ways = dict[str, dict[str, str]]()  # by prefix: the robot's names by those of the log
+    ways = dict[
+        str, dict[str, str]
+    ]()  # by prefix: the robot's names by those of the log
     for name in names:
         longer, shorter = sorted((name, joints[0]), key=len)[::-1]
         prefix = longer.removesuffix(shorter)
-        logged = {prefix + j if longer == name else j.removeprefix(prefix): j for j in joints}
+        logged = {
+            prefix + j if longer == name else j.removeprefix(prefix): j for j in joints
+        }
         whole = len(logged) == len(joints) and set(logged) <= names
         if prefix != longer and not prefix[-1:].isalnum() and whole:
             ways[prefix] = logged
@@ -90,7 +102,9 @@ def with_names_of(table: Table, joints: Sequence[str]) -> Table:
         return table
     ((prefix, own),) = ways.items()
     parts = ("position", "velocity", "effort")
-    back = {f"{new}.{part}": f"{old}.{part}" for old, new in own.items() for part in parts}
+    back = {
+        f"{new}.{part}": f"{old}.{part}" for old, new in own.items() for part in parts
+    }
     renamed = {old: new for new, old in back.items()}
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
@@ -98,7 +112,9 @@ def with_names_of(table: Table, joints: Sequence[str]) -> Table:
         for frame in table.frames(rows, asked):
             yield {renamed.get(name, name): cells for name, cells in frame.items()}
 
-    note = f"joints: the prefix '{prefix}' is taken off the names, as in {next(iter(own))}"
+    note = (
+        f"joints: the prefix '{prefix}' is taken off the names, as in {next(iter(own))}"
+    )
     return replace(
         table,
         names=tuple(renamed.get(name, name) for name in table.names),
@@ -122,17 +138,23 @@ def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
     dq = search.channel("dq", optional=True)
     if q is None:
         raise search.missing("q")
-    unit, gains = "A" if role == "i" else "N·m", mapping.drive
+    unit = "A" if role == "i" else "N·m"
+    gains = mapping.drive
     if role == "i" and gains is not None:
         search.expect_all("drive has {} gains", gains)
-        factors = tuple(one * gain for one, gain in zip(tau.factors, gains, strict=True))
-        unit, tau = "N·m", Channel(tau.columns, factors, f"{tau.shown or 'i'}, × drive gain = N·m")
+        factors = tuple(
+            one * gain for one, gain in zip(tau.factors, gains, strict=True)
+        )
+        unit = "N·m"
+        tau = Channel(tau.columns, factors, f"{tau.shown or 'i'}, × drive gain = N·m")
     shown = [s for s in (t_shown, q.shown, dq.shown if dq else "", tau.shown) if s]
     notes = [f"columns: {'; '.join(shown)}"] if shown else []
     read = Columns(t, search.t_unit, q, dq, tau, unit, (*notes, *search.notes))
     for column in read.names:
         if table.names.count(column) > 1:
-            raise BadRecording(table.file, "is there twice; rename or remove one", column=column)
+            raise BadRecording(
+                table.file, "is there twice; rename or remove one", column=column
+            )
         if read.names.count(column) > 1:
             why = "is taken for two things; say which in a file for --map"
             raise BadRecording(table.file, why, column=column)
@@ -143,9 +165,15 @@ class _Group:
     """Columns of one quantity whose names differ by the joint only, under its number or name."""
 
     def __init__(
-        self, search: _Search, role: str, found: Sequence[tuple[_Key, Meaning]], *words: str
+        self,
+        search: _Search,
+        role: str,
+        found: Sequence[tuple[_Key, Meaning]],
+        *words: str,
     ) -> None:
-        self.role, self.count, self.words = role, search.count, words
+        self.role = role
+        self.count = search.count
+        self.words = words
         self.members: dict[_Key, Meaning] = {}
         self.twice = ""  # a column of a joint that has another one
         for joint, m in found:
@@ -161,7 +189,9 @@ class _Group:
         elif self.count == 1 and None in self.members:
             self.keys = [None]
         # numbered columns of more joints are another arm's
-        held = set(self.keys) <= set(self.members) and (named or len(self.members) == self.count)
+        held = set(self.keys) <= set(self.members) and (
+            named or len(self.members) == self.count
+        )
         self.full = held and not self.twice
 
     @property
@@ -172,7 +202,8 @@ class _Group:
     def check(self, file: str, prefix: str | None = None) -> None:
         """Refuse another number of joints, holes and surplus."""
         numbers = sorted(k for k in self.members if isinstance(k, int))
-        count, expected = len(numbers), self.count
+        count = len(numbers)
+        expected = self.count
         absent = [key for key in self.keys if key not in self.members]
         column: str | None = None
         if self.twice:
@@ -199,7 +230,8 @@ class _Group:
                 column = f"{absent[0]}".join(like.column.rsplit(str(like.joint), 1))
         elif count > expected:
             why = (
-                f"belongs to no joint: the robot has {expected}; remove it or give the right robot"
+                f"belongs to no joint: the robot has {expected}; remove it or give the "
+                "right robot"
             )
             column = self.members[numbers[-1]].column
         else:
@@ -209,11 +241,14 @@ class _Group:
 
 class _Search:
     def __init__(self, table: Table, robot: Robot | int, mapping: ColumnMap) -> None:
-        self.table, self.mapping = table, mapping
+        self.table = table
+        self.mapping = mapping
         arm = None if isinstance(robot, int) else robot
         self.count = robot if isinstance(robot, int) else robot.nv
         self.joints: tuple[str, ...] = arm.joints if arm else ()
-        self.revolute = [bool(turns) for turns in arm.revolute] if arm else [None] * self.count
+        self.revolute = (
+            [bool(turns) for turns in arm.revolute] if arm else [None] * self.count
+        )
         self.said = self.joints or tuple(str(k + 1) for k in range(self.count))
         labels = table.labels
         surplus = sorted(set(labels.values()) - set(self.joints)) if arm else []
@@ -239,7 +274,9 @@ class _Search:
         self.arms = self._arms()
         self.times, unit = _times([m for m in used if m.role == "t"])
         said = mapping.units.get("t")
-        self.t_unit: Unit | None = unit if said is None or isinstance(said, tuple) else said
+        self.t_unit: Unit | None = (
+            unit if said is None or isinstance(said, tuple) else said
+        )
 
     def _arms(self) -> set[tuple[str, ...]]:
         """Words beside quantity and joint: none, or else those that positions and torques share.
@@ -257,7 +294,9 @@ class _Search:
         if not self.table.joined or not joint:
             return meaning(column, self.joints)
         order = {label: k for k, label in self.table.labels.items()}
-        return Meaning(column, meaning(quantity).role, joint if self.joints else order[joint])
+        return Meaning(
+            column, meaning(quantity).role, joint if self.joints else order[joint]
+        )
 
     def time(self) -> tuple[tuple[str, ...], str]:
         """The columns of time, and how they were understood."""
@@ -287,7 +326,8 @@ class _Search:
             group = self._chosen(role, optional)
             if group is None:
                 return None
-            columns, exact = group.columns, group.exact
+            columns = group.columns
+            exact = group.exact
             hints = tuple(group.members[key].unit for key in group.keys)
         factors = self._factors(role, hints)
         units = self.mapping.units.get(role, hints[0])
@@ -299,7 +339,9 @@ class _Search:
             # by number: a wrong order is seen here
             pairs = zip(columns, self.joints, strict=True)
             told = ", ".join(f"{column} → {joint}" for column, joint in pairs)
-        return Channel(columns, factors, f"{role} = {told}{_in_unit(units, columns[0])}")
+        return Channel(
+            columns, factors, f"{role} = {told}{_in_unit(units, columns[0])}"
+        )
 
     def torque(self) -> tuple[str, Channel]:
         """Torques, or currents where there are none or the user says so."""
@@ -309,13 +351,22 @@ class _Search:
             why = "both 'tau' and 'i' are given; keep the measured one"
             raise BadInput(f"{self.mapping.source}: {why}")
         if not said and prefix is not None:
-            role, form = "i" if prefix == "i" else "tau", rf"{re.escape(prefix)}([1-9]\d*)"
-            found = ((name, re.fullmatch(form, name, re.ASCII)) for name in self.table.names)
-            members = [(int(m[1]), Meaning(name, role, int(m[1]))) for name, m in found if m]
+            role = "i" if prefix == "i" else "tau"
+            form = rf"{re.escape(prefix)}([1-9]\d*)"
+            found = (
+                (name, re.fullmatch(form, name, re.ASCII)) for name in self.table.names
+            )
+            members = [
+                (int(m[1]), Meaning(name, role, int(m[1]))) for name, m in found if m
+            ]
             group = _Group(self, role, members)
             group.check(self.table.file, prefix)
-            return role, Channel(group.columns, self._factors(role, (None,) * self.count))
-        exact = [r for r in ("tau", "i") if any(g.exact for g in self.groups.get(r, ()))]
+            return role, Channel(
+                group.columns, self._factors(role, (None,) * self.count)
+            )
+        exact = [
+            r for r in ("tau", "i") if any(g.exact for g in self.groups.get(r, ()))
+        ]
         for role in said or exact or ("tau", "i"):
             if (channel := self.channel(role)) is not None:
                 return role, channel
@@ -325,12 +376,16 @@ class _Search:
         """Refuse a map that says something of another number of joints than the robot has."""
         if len(values) != self.count:
             said = what.format(len(values))
-            raise BadInput(f"{self.mapping.source}: {said}, the robot has {self.count} joints")
+            raise BadInput(
+                f"{self.mapping.source}: {said}, the robot has {self.count} joints"
+            )
 
     def _chosen(self, role: str, optional: bool) -> _Group | None:
         """The columns that hold a quantity by their name alone, those named exactly first."""
         found = self.groups.get(role, [])
-        groups = [g for g in found if g.exact] or [g for g in found if g.words in self.arms]
+        groups = [g for g in found if g.exact] or [
+            g for g in found if g.words in self.arms
+        ]
         full = [group for group in groups if group.full]
         if len(full) == 1:
             return full[0]
@@ -343,13 +398,16 @@ class _Search:
         return group
 
     def _given(self, role: str, given: str | tuple[str, ...]) -> tuple[str, ...]:
-        names, one = self.table.names, self.count == 1
+        names = self.table.names
+        one = self.count == 1
         columns = (given,) if isinstance(given, str) else given
         if isinstance(given, str) and "{" in given:
             columns = self._expanded(given)
         elif isinstance(given, str) and not (given in names and one):
             named = _NAMED if self.joints else ()
-            forms = [self._expanded(form.format(given)) for form in (*named, *_NUMBERED)]
+            forms = [
+                self._expanded(form.format(given)) for form in (*named, *_NUMBERED)
+            ]
             there = [form for form in forms if set(form) <= set(names)]
             columns = there[0] if there else columns if one else forms[-1]
         self.expect_all(f"'{role}' names {{}} columns", columns)
@@ -359,7 +417,9 @@ class _Search:
     def _expanded(self, pattern: str) -> tuple[str, ...]:
         """A pattern for every joint: ``{0}`` counts from 0, ``{1}`` from 1, ``{joint}`` names."""
         return tuple(
-            pattern.replace("{0}", str(k)).replace("{1}", str(k + 1)).replace("{joint}", label)
+            pattern.replace("{0}", str(k))
+            .replace("{1}", str(k + 1))
+            .replace("{joint}", label)
             for k, label in enumerate(self.said)
         )
 
@@ -378,13 +438,17 @@ class _Search:
         for joint in signs:
             if joint not in self.said:
                 known = ", ".join(self.said)
-                raise BadInput(f"{source}: sign of unknown joint '{joint}'; known: {known}")
+                raise BadInput(
+                    f"{source}: sign of unknown joint '{joint}'; known: {known}"
+                )
         factors = []
         for unit, label, turns in zip(units, self.said, self.revolute, strict=True):
             size = factor(role, unit, turns) if isinstance(unit, str) else unit or 1.0
             if size is None:
                 kind = "turns" if turns else "slides"
-                raise BadInput(f"{source}: joint {label} {kind}: its {role} is not in {unit}")
+                raise BadInput(
+                    f"{source}: joint {label} {kind}: its {role} is not in {unit}"
+                )
             factors.append(size * signs.get(label, 1.0))
         return tuple(factors)
 
@@ -392,33 +456,50 @@ class _Search:
         """Columns for people: one pattern for joints' names, first and last of a rising number."""
         pattern = self._pattern(columns)
         if pattern is None or "{joint}" in pattern:
-            return ", ".join(columns) if pattern is None else pattern.replace("{joint}", "<joint>")
+            return (
+                ", ".join(columns)
+                if pattern is None
+                else pattern.replace("{joint}", "<joint>")
+            )
         return f"{columns[0]} .. {columns[-1]}"
 
     def _pattern(self, columns: Sequence[str]) -> str | None:
         """Columns that differ by joint with ``{joint}``, ``{0}`` or ``{1}`` where they do."""
         before, found, after = columns[0].partition(self.said[0])
-        if found and list(columns) == [f"{before}{name}{after}" for name in self.joints]:
+        if found and list(columns) == [
+            f"{before}{name}{after}" for name in self.joints
+        ]:
             return f"{before}{{joint}}{after}"
         for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
-            head, tail = columns[0][: match.start()], columns[0][match.end() :]
+            head = columns[0][: match.start()]
+            tail = columns[0][match.end() :]
             for first in (0, 1):
-                if list(columns) == [f"{head}{k + first}{tail}" for k in range(len(columns))]:
+                if list(columns) == [
+                    f"{head}{k + first}{tail}" for k in range(len(columns))
+                ]:
                     return f"{head}{{{first}}}{tail}"
         return None
 
     def _some(self) -> str:
         """The first columns, of those whose names say nothing if there are any."""
-        groups = [group for groups in self.groups.values() for group in groups if group.full]
+        groups = [
+            group for groups in self.groups.values() for group in groups if group.full
+        ]
         known = {m.column for group in groups for m in group.members.values()}
         known |= {column for columns in self.times for column in columns}
-        names = [name for name in self.table.names if name not in known] or self.table.names
+        names = [
+            name for name in self.table.names if name not in known
+        ] or self.table.names
         return ", ".join(names[:_FEW]) + (", ..." if len(names) > _FEW else "")
 
     def _suggestion(self) -> str:
         """A ready column map on one line, as far as names say; ``?`` where they say nothing."""
-        n, width = self.count, len(self.table.names)
-        if all(map(str.isdecimal, self.table.names)) and width in (1 + 2 * n, 1 + 3 * n):
+        n = self.count
+        width = len(self.table.names)
+        if all(map(str.isdecimal, self.table.names)) and width in (
+            1 + 2 * n,
+            1 + 3 * n,
+        ):
             order = ("q", "dq", "tau") if width > 1 + 2 * n else ("q", "tau")
             first = {role: 1 + k * n for k, role in enumerate(order)}
             spans = [f"{role}: {[*range(k, k + n)]}" for role, k in first.items()]
@@ -431,7 +512,11 @@ class _Search:
             columns = full[0].columns if full else ("?",)
             content[role] = self._pattern(columns) or (list(columns) if full else "?")
         text: str = yaml.safe_dump(
-            content, default_flow_style=True, sort_keys=False, width=1 << 20, allow_unicode=True
+            content,
+            default_flow_style=True,
+            sort_keys=False,
+            width=1 << 20,
+            allow_unicode=True,
         )
         return f"say which in a file for --map, such as {text.strip()}"
 
@@ -453,7 +538,9 @@ class _Search:
         return BadRecording(self.table.file, why, column=column)
 
 
-def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], str | None]:
+def _times(
+    meanings: Sequence[Meaning],
+) -> tuple[tuple[tuple[str, ...], ...], str | None]:
     """Candidates for time (a column, or seconds and nanoseconds), and the unit of the only one."""
     if any(m.column == "t" for m in meanings):
         return (("t",),), None
@@ -462,7 +549,11 @@ def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], st
     for better in (lambda m: m.term != "duration", lambda m: "header" in m.column):
         plain = [m for m in plain if better(m)] or plain
     seconds, nanoseconds = (
-        [m for m in alone if len(m.words) == 1 and PARTS_OF_TIME.get(m.words[0]) == unit]
+        [
+            m
+            for m in alone
+            if len(m.words) == 1 and PARTS_OF_TIME.get(m.words[0]) == unit
+        ]
         for unit in ("s", "ns")
     )
     if len(seconds) == len(nanoseconds) == 1:
@@ -474,6 +565,8 @@ def _times(meanings: Sequence[Meaning]) -> tuple[tuple[tuple[str, ...], ...], st
 
 
 def _in_unit(units: Unit | tuple[Unit | None, ...] | None, column: str) -> str:
-    if units is None or (isinstance(units, str) and column.endswith((f"[{units}]", f"({units})"))):
+    if units is None or (
+        isinstance(units, str) and column.endswith((f"[{units}]", f"({units})"))
+    ):
         return ""
     return f" [{', '.join(map(str, units)) if isinstance(units, tuple) else units}]"

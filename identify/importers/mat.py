@@ -12,7 +12,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-_BYTES = {"double": 8, "single": 4} | {f"{u}int{8 * k}": k for u in ("", "u") for k in (1, 2, 4, 8)}
+_BYTES = {"double": 8, "single": 4} | {
+    f"{u}int{8 * k}": k for u in ("", "u") for k in (1, 2, 4, 8)
+}
 _CLAIMS = "claims "  # bytes, in the words of a refusal
 
 

@@ -22,8 +22,21 @@ Unit = str | float
 _TURN = 2 * math.pi
 _TURNING: Mapping[str, Mapping[str, float]] = {
     "q": {"rad": 1.0, "mrad": 1e-3, "deg": _TURN / 360, "rev": _TURN},
-    "dq": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _TURN / 360, "rpm": _TURN / 60, "rev/s": _TURN},
-    "tau": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3, "Ncm": 1e-2, "kgfm": 9.80665, "kgfcm": 0.0980665},
+    "dq": {
+        "rad/s": 1.0,
+        "mrad/s": 1e-3,
+        "deg/s": _TURN / 360,
+        "rpm": _TURN / 60,
+        "rev/s": _TURN,
+    },
+    "tau": {
+        "Nm": 1.0,
+        "mNm": 1e-3,
+        "kNm": 1e3,
+        "Ncm": 1e-2,
+        "kgfm": 9.80665,
+        "kgfcm": 0.0980665,
+    },
 }
 _SLIDING: Mapping[str, Mapping[str, float]] = {
     "q": {"m": 1.0, "mm": 1e-3, "cm": 1e-2},
@@ -120,7 +133,8 @@ class Meaning:
 
     column: str
     role: str | None = None  # t, q, dq, ddq, tau or i
-    joint: str | int | None = None  # its name where the column holds it, else its number
+    # its name where the column holds it, else its number
+    joint: str | int | None = None
     term: str = ""  # the word that names the quantity
     words: tuple[str, ...] = ()  # what else may change its meaning
     unit: str | None = None
@@ -145,10 +159,16 @@ def meaning(column: str, joints: Sequence[str] = ()) -> Meaning:
     own = {"motor"} if role == "i" else set[str]()  # which has every current
     others = tuple(w for w in rest if w not in _NEUTRAL | _MEASURED | _COMMANDED | own)
     if unit is not None and role is not None and unit not in units_of(role):
-        current = role == "tau" and unit in units_of("i")  # a torque in ampere is a current
+        current = role == "tau" and unit in units_of(
+            "i"
+        )  # a torque in ampere is a current
         role, others = ("i", others) if current else (role, (*others, unit))
-    measured, commanded = (not known.isdisjoint(rest) for known in (_MEASURED, _COMMANDED))
-    return Meaning(column, role, joint, term, others, unit, present or measured, commanded)
+    measured, commanded = (
+        not known.isdisjoint(rest) for known in (_MEASURED, _COMMANDED)
+    )
+    return Meaning(
+        column, role, joint, term, others, unit, present or measured, commanded
+    )
 
 
 def _words(column: str) -> tuple[list[str], str | None]:
@@ -164,7 +184,11 @@ def _words(column: str) -> tuple[list[str], str | None]:
     words: list[str] = []
     chunks = [chunk for chunk in re.split(r"[\W_]+(?<!°)", plain) if chunk]
     for chunk in chunks:
-        found = spelled(chunk) if len(chunk) > 1 or (chunk == "A" and len(chunks) > 1) else None
+        found = (
+            spelled(chunk)
+            if len(chunk) > 1 or (chunk == "A" and len(chunks) > 1)
+            else None
+        )
         if unit in ("rad", "deg", "rev", "m", "mm") and "s" in (chunk, found):
             unit = f"{unit}/s"
         elif found is not None and chunk.lower() not in PARTS_OF_TIME:
@@ -181,7 +205,9 @@ def _words(column: str) -> tuple[list[str], str | None]:
     return words, unit
 
 
-def _named_joint(words: list[str], joints: Sequence[str]) -> tuple[str | None, list[str]]:
+def _named_joint(
+    words: list[str], joints: Sequence[str]
+) -> tuple[str | None, list[str]]:
     """The joint whose name stands in a column's, longest first, and the other words."""
     forms = [(joint, _words(joint)[0]) for joint in joints]
     short = [(joint, [w for w in form if w not in _NEUTRAL]) for joint, form in forms]
@@ -202,10 +228,18 @@ def _role(words: list[str]) -> tuple[str | None, list[str], bool]:
     """The quantity, the other words, and whether "current" meant "present"."""
     roles = [(k, _ROLES[word]) for k, word in enumerate(words) if word in _ROLES]
     if not roles:
-        return "t" if any(word in PARTS_OF_TIME for word in words) else None, words, False
+        return (
+            "t" if any(word in PARTS_OF_TIME for word in words) else None,
+            words,
+            False,
+        )
     current = len(roles) == 2 and roles[0][1] == "i" and words[roles[0][0]] == "current"
     k, role = roles[-1] if current else roles[0]
-    rest = [word for j, word in enumerate(words) if j != k and not (current and word == "current")]
+    rest = [
+        word
+        for j, word in enumerate(words)
+        if j != k and not (current and word == "current")
+    ]
     if role == "t":
         rest = [word for word in rest if _ROLES.get(word) != "t"]
     dots = sum({"dot": 1, "ddot": 2}.get(word, 0) for word in rest)
@@ -226,7 +260,9 @@ def _record(name: str, kinds: Mapping[str, Any]) -> Any:
     return msgspec.defstruct(name, fields, frozen=True, forbid_unknown_fields=True)
 
 
-_UnitsRecord = _record("Units", {**dict.fromkeys(_ASKED, _UnitsGiven), "t": str | Finite | None})
+_UnitsRecord = _record(
+    "Units", {**dict.fromkeys(_ASKED, _UnitsGiven), "t": str | Finite | None}
+)
 _DriveRecord = _record("Drive", {"gain_Nm_per_A": _Constants, "gear_ratio": _Constants})
 _ColumnsRecord = _record(
     "Columns",
@@ -287,7 +323,10 @@ def column_map(content: object, source: str) -> ColumnMap:
             listed = isinstance(names, list)
             columns[role] = tuple(map(str, names)) if listed else str(names)
         if (unit := getattr(units, role)) is not None:
-            some = [_unit(role, u, source) for u in (unit if isinstance(unit, list) else [unit])]
+            some = [
+                _unit(role, u, source)
+                for u in (unit if isinstance(unit, list) else [unit])
+            ]
             given[role] = tuple(some) if isinstance(unit, list) else some[0]
     return ColumnMap(
         columns=columns,
@@ -313,7 +352,9 @@ def drive_of(content: object, source: str) -> tuple[float, ...] | None:
     gains = np.atleast_1d(np.array(record.gain_Nm_per_A, float))
     ratios = np.atleast_1d(np.array(record.gear_ratio or np.ones(len(gains)), float))
     if len(ratios) != len(gains):
-        raise BadInput(f"{source}: drive: {len(gains)} gains and {len(ratios)} gear ratios")
+        raise BadInput(
+            f"{source}: drive: {len(gains)} gains and {len(ratios)} gear ratios"
+        )
     if not (gains * ratios).all():
         raise BadInput(f"{source}: drive: no gain and no gear ratio may be 0")
     return tuple((gains * ratios).tolist())
@@ -324,7 +365,9 @@ def _unit(role: str, value: str | float, source: str) -> Unit:
     if unit and (isinstance(unit, float) or unit in units_of(role)):
         return unit
     known = ", ".join(units_of(role))
-    raise BadInput(f"{source}: {role} has no unit '{value}'; known: {known}, or a number")
+    raise BadInput(
+        f"{source}: {role} has no unit '{value}'; known: {known}, or a number"
+    )
 
 
 def _signs(content: Mapping[Any, Any], source: str) -> dict[str, dict[str, float]]:
@@ -334,7 +377,9 @@ def _signs(content: Mapping[Any, Any], source: str) -> dict[str, dict[str, float
         roles = [str(name)] if isinstance(value, dict) else list(found)
         for joint, sign in some.items():
             if sign not in (1, -1) or roles[0] not in found:
-                raise BadInput(f"{source}: sign of '{joint}' must be 1 or -1, for q, dq or tau")
+                raise BadInput(
+                    f"{source}: sign of '{joint}' must be 1 or -1, for q, dq or tau"
+                )
             for role in roles:
                 found[role][str(joint)] = sign
     return found

@@ -33,7 +33,9 @@ def opened(path: Path) -> BinaryIO:
 
 Frames = Callable[[int | None, Sequence[str] | None], Iterator[Frame]]
 
-_BUFFER = 1 << 18  # bytes of a Parquet column at a time: row groups may be larger than memory
+_BUFFER = (
+    1 << 18
+)  # bytes of a Parquet column at a time: row groups may be larger than memory
 _PIECE = 1 << 20  # bytes unpacked at a time
 _COMPRESSED = 15  # type of an element of a MAT file
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -52,21 +54,30 @@ class Table:
     file: str
     names: tuple[str, ...]  # of columns, in order; a name may be there twice
     frames: Frames
-    labels: Mapping[int, str] = field(default_factory=dict)  # joints' names by number, if any
+    labels: Mapping[int, str] = field(
+        default_factory=dict
+    )  # joints' names by number, if any
     notes: tuple[str, ...] = ()
-    joined: bool = False  # columns are joint.quantity; messages without any asked for are left out
+    # columns are joint.quantity; messages without any asked for are left out
+    joined: bool = False
 
 
 def unreadable(path: str | Path, error: BaseException) -> BadRecording:
     """The refusal of a file that its reader cannot read."""
     lines = str(error).strip().splitlines()
-    return BadRecording(path, f"cannot be read ({lines[0] if lines else type(error).__name__})")
+    return BadRecording(
+        path, f"cannot be read ({lines[0] if lines else type(error).__name__})"
+    )
 
 
-def table_of_frame(frame: pd.DataFrame, file: str, notes: tuple[str, ...] = ()) -> Table:
+def table_of_frame(
+    frame: pd.DataFrame, file: str, notes: tuple[str, ...] = ()
+) -> Table:
     """A table in memory."""
     names = tuple(str(name) for name in frame.columns)
-    return _table(names, [cells(frame.iloc[:, k]) for k in range(len(names))], file, notes)
+    return _table(
+        names, [cells(frame.iloc[:, k]) for k in range(len(names))], file, notes
+    )
 
 
 def _table(
@@ -93,10 +104,15 @@ def parquet_table(path: Path) -> Table:
     import pyarrow.parquet as pq
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
-        wanted = None if columns is None else [name for name in names if name in columns]
+        wanted = (
+            None if columns is None else [name for name in names if name in columns]
+        )
         try:
             with pq.ParquetFile(
-                path, pre_buffer=False, buffer_size=_BUFFER, page_checksum_verification=True
+                path,
+                pre_buffer=False,
+                buffer_size=_BUFFER,
+                page_checksum_verification=True,
             ) as file:
                 if rows is None:
                     kept = len(names) if wanted is None else len(wanted)
@@ -115,16 +131,25 @@ def parquet_table(path: Path) -> Table:
         plain = pa.types.is_integer(values.type) or pa.types.is_floating(values.type)
         if values.null_count or not plain:
             return cells(values.to_pandas())
-        whole = values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
+        whole = (
+            values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
+        )
         return np.from_dlpack(whole)  # to_numpy would import pandas
 
     schema = pq.read_schema(path)
     names = tuple(schema.names)
     if any(map(pa.types.is_list, schema.types)):
         groups = pq.read_metadata(path)
-        refuse_size(sum(groups.row_group(k).total_byte_size for k in range(groups.num_row_groups)))
+        refuse_size(
+            sum(
+                groups.row_group(k).total_byte_size
+                for k in range(groups.num_row_groups)
+            )
+        )
         whole = pq.read_table(path).to_pandas()
-        return _table_of_arrays({name: _stacked(whole[name].tolist()) for name in whole}, path)
+        return _table_of_arrays(
+            {name: _stacked(whole[name].tolist()) for name in whole}, path
+        )
     return Table(str(path), names, frames)
 
 
@@ -145,14 +170,22 @@ def json_table(path: Path) -> Table:
     records = [dict(_fields(record)) for record in content]
     for row, record in enumerate(records):
         if lacking := [name for name in records[0] if name not in record]:
-            raise BadRecording(path, "is missing; write it, or null", row=row, column=lacking[0])
-    return _table_of_arrays({n: _stacked([r[n] for r in records]) for n in records[0]}, path)
+            raise BadRecording(
+                path, "is missing; write it, or null", row=row, column=lacking[0]
+            )
+    return _table_of_arrays(
+        {n: _stacked([r[n] for r in records]) for n in records[0]}, path
+    )
 
 
 def _fields(record: Any, before: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in record.items():
         inner = isinstance(value, Mapping)
-        yield from _fields(value, f"{before}{name}.") if inner else [(f"{before}{name}", value)]
+        yield from (
+            _fields(value, f"{before}{name}.")
+            if inner
+            else [(f"{before}{name}", value)]
+        )
 
 
 def _stacked(rows: Sequence[Any]) -> Any:
@@ -180,17 +213,24 @@ def _mat_bytes(path: Path) -> int:
     """Bytes of a MAT file once its compressed variables are unpacked, counted up to `MOST`."""
     with path.open("rb") as stream:
         head = stream.read(128)
-        if len(head) < 128 or head[126:128] not in (b"IM", b"MI"):  # version 4 compresses nothing
+        if len(head) < 128 or head[126:128] not in (
+            b"IM",
+            b"MI",
+        ):  # version 4 compresses nothing
             return path.stat().st_size
-        tag, size = struct.Struct("<II" if head[126:128] == b"IM" else ">II"), 0
+        tag = struct.Struct("<II" if head[126:128] == b"IM" else ">II")
+        size = 0
         while len(start := stream.read(tag.size)) == tag.size and size <= MOST:
             kind, length = tag.unpack(start)
             if kind != _COMPRESSED:
                 size += length
                 stream.seek(length, 1)
                 continue
-            unpacker, left = zlib.decompressobj(), length
-            while left > 0 and size <= MOST and (packed := stream.read(min(left, _PIECE))):
+            unpacker = zlib.decompressobj()
+            left = length
+            while (
+                left > 0 and size <= MOST and (packed := stream.read(min(left, _PIECE)))
+            ):
                 left -= len(packed)
                 while packed and size <= MOST:
                     size += len(unpacker.decompress(packed, _PIECE))
@@ -203,7 +243,11 @@ def _flattened(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     for name, value in content.items():
         if isinstance(value, Mapping):
             arrays |= _flattened(value, f"{before}{name}.")
-        elif isinstance(value, list | np.ndarray) and len(value) and isinstance(value[0], Mapping):
+        elif (
+            isinstance(value, list | np.ndarray)
+            and len(value)
+            and isinstance(value[0], Mapping)
+        ):
             for k, part in enumerate(value, start=1):
                 arrays |= _flattened(part, f"{before}{name}({k}).")
         elif not name.startswith("__"):
@@ -225,25 +269,40 @@ def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
             raise BadRecording(path, why, column=name)
     if not numbers:
         raise BadRecording(path, "holds no array of numbers; give t, q and tau")
-    times = [a for name, a in numbers.items() if meaning(name).role == "t" and 1 in a.shape]
+    times = [
+        a for name, a in numbers.items() if meaning(name).role == "t" and 1 in a.shape
+    ]
     lengths = Counter(max(array.shape) for array in numbers.values())
     n = times[0].size if len(times) == 1 else lengths.most_common(1)[0][0]
     columns: dict[str, Any] = {}
     others = []
     for name, array in numbers.items():
         if array.shape == (n, n) and n > 1:
-            raise BadRecording(path, f"is {n} × {n}: rows or columns could be samples", column=name)
+            raise BadRecording(
+                path, f"is {n} × {n}: rows or columns could be samples", column=name
+            )
         if n not in array.shape:
-            found, shape = meaning(name), " × ".join(map(str, array.shape))
-            if found.role in ("q", "tau", "i") and not found.words and not found.commanded:
-                why = f"is {shape}, but there are {n} samples; save arrays of one length"
+            found = meaning(name)
+            shape = " × ".join(map(str, array.shape))
+            if (
+                found.role in ("q", "tau", "i")
+                and not found.words
+                and not found.commanded
+            ):
+                why = (
+                    f"is {shape}, but there are {n} samples; save arrays of one length"
+                )
                 raise BadRecording(path, why, column=name)
             others.append(name)
             continue
         rows = array if n == array.shape[0] else array.T
         width = rows.shape[1]
-        columns |= {f"{name}[{k}]" if width > 1 else name: rows[:, k] for k in range(width)}
-    notes = (f"arrays of other lengths left out: {', '.join(others)}",) if others else ()
+        columns |= {
+            f"{name}[{k}]" if width > 1 else name: rows[:, k] for k in range(width)
+        }
+    notes = (
+        (f"arrays of other lengths left out: {', '.join(others)}",) if others else ()
+    )
     table = _table((*columns,), [*columns.values()], str(path), notes)
     return replace(table, labels=_labels(arrays))
 

@@ -26,7 +26,9 @@ _COMMENTS = ("#", "%", "//")
 _SEPARATORS = ("\t", ";", "|", ",", " ")
 _LONGEST = 1 << 20  # characters of a line
 _HEAD = 1 << 18  # bytes that show how the file is written
-_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE)
+_POINT = re.compile(
+    r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE
+)
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
 _CLOCK = re.compile(r"\d:\d\d")  # in cells that hold a time of day
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
@@ -55,9 +57,15 @@ def text_table(path: Path) -> Table:
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         import pandas as pd  # here only: it takes long to import
 
-        kept = [k for k, name in enumerate(dialect.names) if columns is None or name in columns]
+        kept = [
+            k
+            for k, name in enumerate(dialect.names)
+            if columns is None or name in columns
+        ]
         with io.TextIOWrapper(opened(path), dialect.encoding, "replace") as stream:
-            lines: Any = _Lines(stream, dialect, str(path), MOST if rows is None else math.inf)
+            lines: Any = _Lines(
+                stream, dialect, str(path), MOST if rows is None else math.inf
+            )
             try:
                 if rows is None:
                     refuse_size(path.stat().st_size)
@@ -83,7 +91,9 @@ def text_table(path: Path) -> Table:
             except (ValueError, OSError, OverflowError) as error:
                 raise lines.refusal or unreadable(path, error) from None
 
-    return Table(str(path), dialect.names, frames, dialect.labels, (_CUT,) if dialect.cut else ())
+    return Table(
+        str(path), dialect.names, frames, dialect.labels, (_CUT,) if dialect.cut else ()
+    )
 
 
 def _write_points(frame: pd.DataFrame) -> None:
@@ -105,10 +115,15 @@ class _Lines:
     ``refusal`` says what was wrong, as parsers hide errors of what they read from.
     """
 
-    def __init__(self, stream: TextIO, dialect: _Dialect, file: str, most: float) -> None:
+    def __init__(
+        self, stream: TextIO, dialect: _Dialect, file: str, most: float
+    ) -> None:
         self.refusal: BadRecording | None = None
         self._left = most  # characters to be read at once
-        self._stream, self._dialect, self._file, self._row = stream, dialect, file, 0
+        self._stream = stream
+        self._dialect = dialect
+        self._file = file
+        self._row = 0
         for _ in range(dialect.skipped):
             stream.readline()
 
@@ -120,7 +135,9 @@ class _Lines:
             if self._left < 0:
                 refuse_size(MOST + 1)
             if len(text) >= _LONGEST and "\n" not in text[-_LONGEST:]:
-                why = f"a line holds more than {_LONGEST} characters; cut the file there"
+                why = (
+                    f"a line holds more than {_LONGEST} characters; cut the file there"
+                )
                 self.refusal = BadRecording(self._file, why)
                 raise ValueError(why)
             if kept := [line for line in io.StringIO(text) if self._is_row(line)]:
@@ -131,7 +148,8 @@ class _Lines:
         return iter(self.read, "")
 
     def _is_row(self, line: str) -> bool:
-        separator, expected = self._dialect.separator, len(self._dialect.names)
+        separator = self._dialect.separator
+        expected = len(self._dialect.names)
         cut = self._dialect.cut and not line.endswith("\n")
         if line.isspace() or line.startswith(_COMMENTS) or cut:
             return False
@@ -165,7 +183,9 @@ def _dialect_of(path: Path) -> _Dialect:
             why = "cannot be read (no line of names followed by numbers); give a table with named"
             raise BadRecording(path, f"{why} columns")
         return _Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
-    some = [line for line in lines[first : first + 200] if not line.startswith(_COMMENTS)]
+    some = [
+        line for line in lines[first : first + 200] if not line.startswith(_COMMENTS)
+    ]
     rows = [_cells(line, separator) for line in some]
     cells = [cell for cells in rows for cell in cells]
     commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
@@ -176,20 +196,27 @@ def _dialect_of(path: Path) -> _Dialect:
         names.append("")
     labels = {}
     for k, name in enumerate(names):
-        match, texts = _NAME_OF_JOINT.fullmatch(name), {row[k] for row in rows if len(row) > k}
+        match = _NAME_OF_JOINT.fullmatch(name)
+        texts = {row[k] for row in rows if len(row) > k}
         if match and len(texts) == 1 and not _is_number(label := texts.pop()):
             labels[int(match[1])] = label
-    decimal, quoted = "," if commas > points else ".", '"' in some[0]
-    return _Dialect(encoding, separator, decimal, tuple(names), first, quoted, cut, labels)
+    decimal = "," if commas > points else "."
+    quoted = '"' in some[0]
+    return _Dialect(
+        encoding, separator, decimal, tuple(names), first, quoted, cut, labels
+    )
 
 
 def _head(path: Path) -> tuple[str, str, bool]:
     """Encoding, whole lines of text at the start, and whether the file ends within a line."""
     with opened(path) as stream:
         head = stream.read(_HEAD)
-        end, whole = head[-1:], len(head) < _HEAD
+        end = head[-1:]
+        whole = len(head) < _HEAD
         if not whole:
-            if path.suffix.lower() != ".gz":  # the end of which is behind all that is packed
+            if (
+                path.suffix.lower() != ".gz"
+            ):  # the end of which is behind all that is packed
                 stream.seek(-1, 2)
                 end = stream.read(1)
             head = head[: head.rfind(b"\n") + 1] or head
@@ -210,7 +237,11 @@ def _cells(line: str, separator: str) -> list[str]:
     if separator == " ":
         return line.split()
     try:
-        cells = next(csv.reader([line.rstrip("\r\n")], delimiter=separator, skipinitialspace=True))
+        cells = next(
+            csv.reader(
+                [line.rstrip("\r\n")], delimiter=separator, skipinitialspace=True
+            )
+        )
     except (csv.Error, StopIteration):
         return [line]
     return [cell.strip() for cell in cells]
@@ -240,7 +271,11 @@ def _echoed(cells: Sequence[str]) -> list[str]:
     named = [*range(3, 3 + n)]
     if n < 1 or rest or texts not in (named, [2, *named]) or not cells[1].isdecimal():
         return []
-    parts = [f"{what}_{k}" for what in ("name", "position", "velocity", "effort") for k in range(n)]
+    parts = [
+        f"{what}_{k}"
+        for what in ("name", "position", "velocity", "effort")
+        for k in range(n)
+    ]
     return ["stamp.sec", "stamp.nanosec", "frame_id", *parts]
 
 
@@ -251,7 +286,10 @@ def _header(above: Sequence[str], separator: str) -> list[str]:
         units = [cell for cell in cells if cell not in ("", "-")]
         named = _cells(upper, separator)
         if units and all(map(spelled, units)) and len(named) == len(cells):
-            return [f"{n} [{u}]" if spelled(u) else n for n, u in zip(named, cells, strict=True)]
+            return [
+                f"{n} [{u}]" if spelled(u) else n
+                for n, u in zip(named, cells, strict=True)
+            ]
     for line in reversed(above):
         plain = line.lstrip("".join(_COMMENTS))
         if plain.strip() and len(names := _cells(plain, separator)) > 1:

@@ -4,11 +4,19 @@
 from excitant.robots.effects.friction import AsymmetricFriction as AsymmetricFriction
 from excitant.robots.effects.friction import CoulombFriction as CoulombFriction
 from excitant.robots.effects.friction import FrictionCoupling as FrictionCoupling
-from excitant.robots.effects.friction import LoadDependentFriction as LoadDependentFriction
-from excitant.robots.effects.friction import NonlinearViscousFriction as NonlinearViscousFriction
-from excitant.robots.effects.friction import PreslidingHysteresis as PreslidingHysteresis
+from excitant.robots.effects.friction import (
+    LoadDependentFriction as LoadDependentFriction,
+)
+from excitant.robots.effects.friction import (
+    NonlinearViscousFriction as NonlinearViscousFriction,
+)
+from excitant.robots.effects.friction import (
+    PreslidingHysteresis as PreslidingHysteresis,
+)
 from excitant.robots.effects.friction import StribeckFriction as StribeckFriction
-from excitant.robots.effects.friction import ThermalFrictionDrift as ThermalFrictionDrift
+from excitant.robots.effects.friction import (
+    ThermalFrictionDrift as ThermalFrictionDrift,
+)
 from excitant.robots.effects.friction import ViscousFriction as ViscousFriction
 
 # isort: split
@@ -48,4 +56,6 @@ from excitant.robots.effects.base import proposals as proposals
 from excitant.robots.effects.base import registered as registered
 from excitant.robots.effects.base import standard_effects as standard_effects
 from excitant.robots.effects.serialisation import effect_entries as effect_entries
-from excitant.robots.effects.serialisation import effects_from_entries as effects_from_entries
+from excitant.robots.effects.serialisation import (
+    effects_from_entries as effects_from_entries,
+)

@@ -28,10 +28,12 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 _LARGEST = 2.0  # of the typical size of a coefficient that has one
-SIGN_DEVIATIONS = 2.0  # standard deviations by which a value may lie beyond what physics allows
+# standard deviations by which a value may lie beyond what physics allows
+SIGN_DEVIATIONS = 2.0
 _NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
 _TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # a shape that was found, where it may be another
-_DEVIATIONS = 4.0  # standard deviations of the noise of positions that hide where one turns back
+# standard deviations of the noise of positions that hide where one turns back
+_DEVIATIONS = 4.0
 _STILL = 1e-3  # rad/s: slower joints rest
 
 Role = Literal["torque", "link", "body"]
@@ -47,7 +49,12 @@ def plain(name: object) -> str:
 
 def _unit(unit: str, slides: bool) -> str:
     """The unit of a joint's coefficient, where this is that of a turning one's."""
-    for turning, sliding in (("(N·m)", "N"), ("N·m", "N"), ("kg·m²", "kg"), ("rad", "m")):
+    for turning, sliding in (
+        ("(N·m)", "N"),
+        ("N·m", "N"),
+        ("kg·m²", "kg"),
+        ("rad", "m"),
+    ):
         unit = unit.replace(turning, sliding) if slides else unit
     return unit
 
@@ -59,7 +66,8 @@ class Parameter:
     name: str  # its symbol; after that of the joint, pair or link it belongs to, its full name
     unit: str  # where torque is in N·m
     lower: float = -np.inf  # smallest value that physics allows
-    typical: float | None = None  # size where it matters; None where that depends on the arm
+    # size where it matters; None where that depends on the arm
+    typical: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +78,15 @@ class JointFacts:
     reach: float = np.inf  # range of positions [rad or m]
     start: float = 0.0  # first instant [s]
     duration: float = np.inf  # of all recordings, from first to last instant [s]
-    blur: float = 0.0  # how far it moves about a reversal while samples and filter see none
-    q: Array = field(default_factory=lambda: np.zeros(0))  # at the rows of `unexplained`, (n,)
+    # how far it moves about a reversal while samples and filter see none
+    blur: float = 0.0
+    q: Array = field(
+        default_factory=lambda: np.zeros(0)
+    )  # at the rows of `unexplained`, (n,)
     dq: Array = field(default_factory=lambda: np.zeros(0))  # there, (n,)
-    unexplained: Array = field(default_factory=lambda: np.zeros(0))  # torque left, (n,) [N·m]
+    unexplained: Array = field(
+        default_factory=lambda: np.zeros(0)
+    )  # torque left, (n,) [N·m]
     cutoff_hz: float = np.inf  # of the filter that this torque has passed [Hz]
 
     @property
@@ -95,15 +108,20 @@ def joint_facts(
     """
 
     def joined(parts: Sequence[Motion]) -> tuple[Array, Array]:
-        return np.concatenate([m.q for m in parts]), np.concatenate([m.dq for m in parts])
+        return np.concatenate([m.q for m in parts]), np.concatenate(
+            [m.dq for m in parts]
+        )
 
     q, dq = joined(motions)
-    speed, reach = np.abs(dq).max(axis=0).tolist(), np.ptp(q, axis=0).tolist()
+    speed = np.abs(dq).max(axis=0).tolist()
+    reach = np.ptp(q, axis=0).tolist()
     start = min(float(m.t[0]) for m in motions)
     duration = max(float(m.t[-1]) for m in motions) - start
-    unseen, passed = max(float(m.t[1] - m.t[0]) for m in motions), 0.0
+    unseen = max(float(m.t[1] - m.t[0]) for m in motions)
+    passed = 0.0
     if cutoff_hz < np.inf:  # positions pass twice the cut-off
-        unseen, passed = unseen + 1 / (2 * np.pi * 2 * cutoff_hz), 2 * cutoff_hz
+        unseen = unseen + 1 / (2 * np.pi * 2 * cutoff_hz)
+        passed = 2 * cutoff_hz
     pull = np.sqrt(np.mean(np.concatenate([m.ddq for m in motions]) ** 2, axis=0))
     blur = (pull * unseen**2 / 2 + _DEVIATIONS * np.sqrt(noise * passed)).tolist()
     facts = [
@@ -114,7 +132,13 @@ def joint_facts(
         return tuple(facts)
     q, dq = joined([motion[part] for motion, part in zip(motions, rows, strict=True)])
     return tuple(
-        replace(seen, q=q[:, j], dq=dq[:, j], unexplained=unexplained[:, j], cutoff_hz=cutoff_hz)
+        replace(
+            seen,
+            q=q[:, j],
+            dq=dq[:, j],
+            unexplained=unexplained[:, j],
+            cutoff_hz=cutoff_hz,
+        )
         for j, seen in enumerate(facts)
     )
 
@@ -126,7 +150,8 @@ class Shape:
     name: str
     unit: str
     positive: bool = True  # whether it must be; then a fit may refine it
-    trial: bool = False  # the coefficient that columns, not linear in it, are computed for
+    # the coefficient that columns, not linear in it, are computed for
+    trial: bool = False
     grid: Callable[[JointFacts], Iterable[float]] | None = None  # values to consider
     # largest that counts, beyond it the effect is another; without it, the grid has what may be
     most: Callable[[JointFacts], float] | None = None
@@ -151,24 +176,37 @@ class Effect(ABC):
     """
 
     name: ClassVar[str]
-    family: ClassVar[str] = ""  # friction, body, static, transmission, geometry or reading
+    # friction, body, static, transmission, geometry or reading
+    family: ClassVar[str] = ""
     arity: ClassVar[int] = 0  # how many joints it acts on; 0: as many as it is given
     jointwise: ClassVar[bool] = False  # each joint has coefficients that act on it only
-    terms: ClassVar[tuple[Parameter, ...]] = ()  # its coefficients, once or on each joint
-    role: ClassVar[Role] = "torque"  # "link": changes of a link's own; "body": of a further one
+    terms: ClassVar[
+        tuple[Parameter, ...]
+    ] = ()  # its coefficients, once or on each joint
+    # "link": changes of a link's own; "body": of a further one
+    role: ClassVar[Role] = "torque"
     shapes: ClassVar[tuple[Shape, ...]] = ()
-    depends_on_model: ClassVar[bool] = True  # columns depend on inertias or other effects
-    acts_on_torque: ClassVar[bool] = False  # columns are those of a sensor of all other torque
-    of_given_torque: ClassVar[bool] = False  # that of the given model; else it imitates findings
+    # columns depend on inertias or other effects
+    depends_on_model: ClassVar[bool] = True
+    # columns are those of a sensor of all other torque
+    acts_on_torque: ClassVar[bool] = False
+    # that of the given model; else it imitates findings
+    of_given_torque: ClassVar[bool] = False
     smooth: ClassVar[bool] = False  # as the motion is: its torque never jumps
-    of_state_alone: ClassVar[bool] = True  # a simulation knows it; others follow a known motion
+    # a simulation knows it; others follow a known motion
+    of_state_alone: ClassVar[bool] = True
     standard: ClassVar[bool] = False  # `identify` estimates it by default
     usual: ClassVar[bool] = False  # most joints have it
-    further: ClassVar[bool] = True  # a model may get it; not what bodies and gravity hold
+    # a model may get it; not what bodies and gravity hold
+    further: ClassVar[bool] = True
     needs_motion: ClassVar[bool] = False  # joints that rest do not show it
-    contains: ClassVar[tuple[str, ...]] = ()  # what it is when some coefficients are zero
+    contains: ClassVar[
+        tuple[str, ...]
+    ] = ()  # what it is when some coefficients are zero
     imitates: ClassVar[tuple[str, ...]] = ()  # what of that it can be at work for
-    told: ClassVar[tuple[tuple[str, str], ...]] = ()  # experiment, rivals it is separated from
+    told: ClassVar[
+        tuple[tuple[str, str], ...]
+    ] = ()  # experiment, rivals it is separated from
     abscissa: ClassVar[str] = "own torque"  # what the error without it is drawn over
     joint_property: ClassVar[str] = ""  # what joints in files of a model have for it
     formats: ClassVar[tuple[str, ...]] = ()  # of the files that have it
@@ -181,9 +219,13 @@ class Effect(ABC):
         count = len(self.joints)
         if self.arity and count != self.arity:
             wanted = "one joint" if self.arity == 1 else f"{self.arity} joints"
-            raise BadInput(f"effect {self.name} acts on {wanted}, not on {count}; name it or them")
+            raise BadInput(
+                f"effect {self.name} acts on {wanted}, not on {count}; name it or them"
+            )
         if len(set(self.joints)) < count:
-            raise BadInput(f"effect {self.name} names a joint twice: {', '.join(self.joints)}")
+            raise BadInput(
+                f"effect {self.name} names a joint twice: {', '.join(self.joints)}"
+            )
         for shape in self.shapes:
             if shape.positive and not getattr(self, shape.name) > 0:
                 raise BadInput(f"effect {self.name}: {shape.name} must be positive")
@@ -203,7 +245,11 @@ class Effect(ABC):
         """Its coefficients, in the order of the columns."""
         slides = np.array(robot.joints)[~robot.revolute] if self.jointwise else ()
         return tuple(
-            replace(term, name=f"{owner}.{term.name}", unit=_unit(term.unit, owner in slides))
+            replace(
+                term,
+                name=f"{owner}.{term.name}",
+                unit=_unit(term.unit, owner in slides),
+            )
             for owner in self.owners(robot)
             for term in self.own_terms
         )
@@ -282,7 +328,9 @@ class Effect(ABC):
         return [usual]
 
     @classmethod
-    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+    def proposed(
+        cls, robot: Robot, facts: Sequence[JointFacts]
+    ) -> list[tuple[Self, int]]:
         """All of it to consider on an arm, with the number of shapes each is the best of."""
         return [
             (effect, 1)
@@ -295,12 +343,16 @@ class Effect(ABC):
         """The effect in shapes at thirds of the way to the nearest of some beside its own."""
         near: list[Self] = []
         for name in (shape.name for shape in self.shapes):
-            own, others = getattr(self, name), {getattr(e, name) for e in beside}
-            lower, upper = [v for v in others if v < own], [v for v in others if v > own]
+            own = getattr(self, name)
+            others = {getattr(e, name) for e in beside}
+            lower = [v for v in others if v < own]
+            upper = [v for v in others if v > own]
             for end in (max(lower, default=own), min(upper, default=own)):
                 if end != own:
                     steps = np.geomspace if end * own > 0 else np.linspace
-                    near += [self.reshaped(name, float(v)) for v in steps(own, end, 4)[1:3]]
+                    near += [
+                        self.reshaped(name, float(v)) for v in steps(own, end, 4)[1:3]
+                    ]
         return near
 
     def alternatives(self, facts: JointFacts) -> list[Self]:
@@ -310,7 +362,9 @@ class Effect(ABC):
             value = getattr(own, shape.name)
             if shape.most is not None:
                 most = max(abs(value), shape.most(facts))
-                values = [times * value for times in _TIMES if abs(times * value) <= most]
+                values = [
+                    times * value for times in _TIMES if abs(times * value) <= most
+                ]
             else:
                 grid = () if shape.grid is None else shape.grid(facts)
                 values = [value, *(v for v in grid if v != value)]
@@ -325,20 +379,28 @@ class Effect(ABC):
     @property
     def tuned(self) -> Shape | None:
         """The shape parameter that a fit may refine, if any."""
-        return next((shape for shape in self.shapes if shape.positive and not shape.trial), None)
+        return next(
+            (shape for shape in self.shapes if shape.positive and not shape.trial), None
+        )
 
     def credible(self, robot: Robot, values: Array) -> bool:
         """Whether coefficients are of a size at which they mean what the effect says."""
         for shape in self.shapes:
-            if shape.trial and not _NEAR[0] < values[0] / getattr(self, shape.name) < _NEAR[1]:
+            if (
+                shape.trial
+                and not _NEAR[0] < values[0] / getattr(self, shape.name) < _NEAR[1]
+            ):
                 return False
         typical = [p.typical for p in self.parameters(robot)]
-        most = np.array([np.inf if size is None else _LARGEST * size for size in typical])
+        most = np.array(
+            [np.inf if size is None else _LARGEST * size for size in typical]
+        )
         return bool((np.abs(values) < most).all())
 
     def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
         """Whether values (k,), added to those that the robot has, are such as physics allows."""
-        known, parameters = effect_values(robot), self.parameters(robot)
+        known = effect_values(robot)
+        parameters = self.parameters(robot)
         lower = np.array([p.lower - known.get(p.name, 0.0) for p in parameters])
         return within(values, lower, std) and self.credible(robot, values)
 
@@ -355,9 +417,12 @@ class Effect(ABC):
         where = "all joints" if len(self.joints) > 3 else ", ".join(self.joints)
         return f"{plain(self.name)} at {where}"
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
         """Statement of a diagnosis on the effect at joints, its own first, beside given values."""
-        name, value = plain(self.name), self._known()[0]
+        name = plain(self.name)
+        value = self._known()[0]
         if len(joints) > 1:
             return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
         unit = self.parameters(robot)[0].unit
@@ -372,7 +437,12 @@ class Effect(ABC):
         if cls.name == rival.name:
             return SAME
         pairs = ((cls.told, rival.name), (rival.told, cls.name))
-        known = (action for told, name in pairs for action, all_ in told if name in all_.split())
+        known = (
+            action
+            for told, name in pairs
+            for action, all_ in told
+            if name in all_.split()
+        )
         return next(known, BETWEEN.get(frozenset((cls.family, rival.family)), GENERAL))
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
@@ -393,13 +463,18 @@ class JointwiseEffect(Effect):
     def columns(self, robot: Robot, motion: Motion) -> Array:
         count = len(self.own_terms) * len(self.joints)
         columns = np.zeros((len(motion), robot.nv, count))
-        per_joint = [(j, values) for j in self.rows(robot) for values in self.at(robot, motion, j)]
+        per_joint = [
+            (j, values)
+            for j in self.rows(robot)
+            for values in self.at(robot, motion, j)
+        ]
         for column, (j, values) in enumerate(per_joint):
             columns[:, j, column] = values
         return columns
 
     def torque(self, robot: Robot, motion: Motion) -> Array:
-        tau, values = np.zeros((len(motion), robot.nv)), iter(self._known())
+        tau = np.zeros((len(motion), robot.nv))
+        values = iter(self._known())
         for j in self.rows(robot):
             for column in self.at(robot, motion, j):
                 tau[:, j] += next(values) * column
@@ -438,7 +513,9 @@ class PairEffect(Effect):
     depends_on_model: ClassVar[bool] = False
 
     @classmethod
-    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+    def proposed(
+        cls, robot: Robot, facts: Sequence[JointFacts]
+    ) -> list[tuple[Self, int]]:
         return [(cls(pair), 1) for pair in pairwise(robot.joints)]
 
 
@@ -460,16 +537,21 @@ def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
 
 
 def proposals(
-    robot: Robot, facts: Sequence[JointFacts], believed: Iterable[tuple[Effect, int]] = ()
+    robot: Robot,
+    facts: Sequence[JointFacts],
+    believed: Iterable[tuple[Effect, int]] = (),
 ) -> list[tuple[Effect, int]]:
     """All effects to consider on an arm, each with the number of shapes it is the best of.
 
     Effects believed so far, with that number, are considered again, and shapes close to theirs.
     """
     found = [pair for kind in EFFECTS.values() for pair in kind.proposed(robot, facts)]
-    known, again = {effect: effect for effect, _ in found}, dict[Effect, int]()
+    known = {effect: effect for effect, _ in found}
+    again = dict[Effect, int]()
     for effect, trials in believed:
-        beside = [e for e in known if e.name == effect.name and e.joints == effect.joints]
+        beside = [
+            e for e in known if e.name == effect.name and e.joints == effect.joints
+        ]
         seen = facts[robot.joint_index(effect.joints[0])]
         again |= dict.fromkeys((effect, *effect.refined(beside, seen)), trials)
     return found + [pair for pair in again.items() if pair[0] not in known]
@@ -477,13 +559,19 @@ def proposals(
 
 def merged(effects: Iterable[Effect]) -> list[Effect]:
     """Effects of one kind and shape as one on several joints, where joints have their own."""
-    kinds, others = dict[Effect, list[str]](), list[Effect]()
+    kinds = dict[Effect, list[str]]()
+    others = list[Effect]()
     for effect in effects:
         if effect.jointwise:
-            kinds.setdefault(replace(effect, joints=(), values=None), []).extend(effect.joints)
+            kinds.setdefault(replace(effect, joints=(), values=None), []).extend(
+                effect.joints
+            )
         else:
             others.append(effect)
-    return [*(replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()), *others]
+    return [
+        *(replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()),
+        *others,
+    ]
 
 
 def effect_values(robot: Robot) -> dict[str, float]:

@@ -85,7 +85,10 @@ class RotorInertia(StandardEffect):
     told = (
         (by.FOLDED, "inertial_parameters"),
         (f"find the resonance by a chirp; {by.LOCKED}", "joint_elasticity"),
-        ("hold the joint at several angles: a spring pulls at rest, inertia does not", "spring"),
+        (
+            "hold the joint at several angles: a spring pulls at rest, inertia does not",
+            "spring",
+        ),
         (by.HOLD_OTHER, "inertia_coupling"),
         (f"{by.LEVER}; {by.DATA_SHEET}", "torque_gain"),
         (by.UNLOADED, "payload"),
@@ -122,7 +125,9 @@ class _ReadingEffect(Effect):
     of_state_alone = False
 
     @classmethod
-    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+    def proposed(
+        cls, robot: Robot, facts: Sequence[JointFacts]
+    ) -> list[tuple[Self, int]]:
         """Of each joint, then of all."""
         of_all = cls.candidates(robot.joints[0], facts[0])
         everywhere = [(replace(effect, joints=robot.joints), 1) for effect in of_all]
@@ -148,11 +153,14 @@ class TorqueGain(_ReadingEffect):
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        columns, rows = np.zeros((len(motion), robot.nv, 1)), self.rows(robot)
+        columns = np.zeros((len(motion), robot.nv, 1))
+        rows = self.rows(robot)
         columns[:, rows, 0] = carried_torque(robot, motion)[:, rows]
         return columns
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
         if len(joints) > 1:
             return super().sentence(robot, joints, given)
         return f"{joints[0]}: torque reads {100 * self._known()[0]:+.1f} % against the model's"
@@ -180,20 +188,32 @@ class TorqueRipple(JointEffect):
         """The orders that lower the joint's error most, far enough apart to differ."""
         if not len(orders := _orders(facts)):
             return []
-        q, step = facts.q, _step(facts)
-        local, _ = np.linalg.qr(np.column_stack([np.ones_like(q), q, np.cos(q), np.sin(q)]))
+        q = facts.q
+        step = _step(facts)
+        local, _ = np.linalg.qr(
+            np.column_stack([np.ones_like(q), q, np.cos(q), np.sin(q)])
+        )
         gains = _gains(orders, q, facts.unexplained, local)
         found: list[float] = []
         for order in orders[np.argsort(-gains)].tolist():
-            if len(found) < _ORDERS and all(abs(order - known) > 3 * step for known in found):
+            if len(found) < _ORDERS and all(
+                abs(order - known) > 3 * step for known in found
+            ):
                 found.append(order)
         return [cls((joint,), order=order) for order in found]
 
     @classmethod
-    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+    def proposed(
+        cls, robot: Robot, facts: Sequence[JointFacts]
+    ) -> list[tuple[Self, int]]:
         """Each the best of all orders that its joint was looked at for."""
-        looked = dict(zip(robot.joints, (len(_orders(seen)) for seen in facts), strict=True))
-        return [(effect, looked[effect.joints[0]]) for effect, _ in super().proposed(robot, facts)]
+        looked = dict(
+            zip(robot.joints, (len(_orders(seen)) for seen in facts), strict=True)
+        )
+        return [
+            (effect, looked[effect.joints[0]])
+            for effect, _ in super().proposed(robot, facts)
+        ]
 
     def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
         """Orders at thirds of the way to the next ones that would be looked at, and at ninths."""
@@ -206,7 +226,9 @@ class TorqueRipple(JointEffect):
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
         """Amplitudes, named after the order."""
-        return tuple(Parameter(f"{term.name}{self.order:.4g}", term.unit) for term in self.terms)
+        return tuple(
+            Parameter(f"{term.name}{self.order:.4g}", term.unit) for term in self.terms
+        )
 
     @property
     def is_position_curve(self) -> bool:
@@ -235,7 +257,9 @@ def _orders(facts: JointFacts) -> Array:
         return np.zeros(0)
     step = _step(facts)
     first = 1.0 + step
-    last = 2 * np.pi * facts.cutoff_hz / max(float(np.median(np.abs(facts.dq))), _SLOWEST)
+    last = (
+        2 * np.pi * facts.cutoff_hz / max(float(np.median(np.abs(facts.dq))), _SLOWEST)
+    )
     count = min(_MOST_ORDERS, max(0, int((last - first) / step) + 1))
     return np.asarray(first + step * np.arange(count), float)
 
@@ -246,17 +270,25 @@ def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
     Beside orthonormal columns, (n, k), that are free; none where these leave nothing of the two.
     """
     columns = np.column_stack([beside, e - beside @ (beside.T @ e)])
-    waves, n, m = np.exp(1j * np.outer(q, (orders - orders[0])[:_TOGETHER])), len(q), len(orders)
-    squares, along = np.empty(m, complex), np.empty((columns.shape[1], m), complex)
+    waves = np.exp(1j * np.outer(q, (orders - orders[0])[:_TOGETHER]))
+    n = len(q)
+    m = len(orders)
+    squares = np.empty(m, complex)
+    along = np.empty((columns.shape[1], m), complex)
     for k in range(0, m, _TOGETHER):
         part = slice(k, k + _TOGETHER)
-        z = np.exp(1j * orders[k] * q)[:, None] * waves[:, : len(orders[part])]  # e^{i N q}
+        z = (
+            np.exp(1j * orders[k] * q)[:, None] * waves[:, : len(orders[part])]
+        )  # e^{i N q}
         along[:, part] = (columns.T @ z.view(float)).view(complex)
         squares[part] = np.einsum("no,no->o", z, z)
-    known, own = along[:-1], along[-1]
+    known = along[:-1]
+    own = along[-1]
     # with what is left of them, c and s: Σ c² + s², Σ (c + i s)², and four times their determinant
-    power, square = n - (np.abs(known) ** 2).sum(axis=0), squares - (known**2).sum(axis=0)
-    determinant, least = power**2 - np.abs(square) ** 2, 4 * _RIDGE * n**2
+    power = n - (np.abs(known) ** 2).sum(axis=0)
+    square = squares - (known**2).sum(axis=0)
+    determinant = power**2 - np.abs(square) ** 2
+    least = 4 * _RIDGE * n**2
     fall = 2 * (power * np.abs(own) ** 2 - (square.conj() * own**2).real)
     gains = np.where(determinant > least, fall / np.maximum(determinant, least), 0.0)
     return np.asarray(gains, float)
@@ -320,7 +352,9 @@ class JointElasticity(_Lag):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
-        return torque_along(robot, motion, j, -rigid_torque(robot, motion)[:, j])[:, :, None]
+        return torque_along(robot, motion, j, -rigid_torque(robot, motion)[:, j])[
+            :, :, None
+        ]
 
 
 @registered
@@ -334,7 +368,13 @@ class Backlash(_Lag):
     name = "backlash"
     terms = (Parameter("gap", "rad", 0.0),)
     shapes = (
-        Shape("trial", "rad", trial=True, grid=lambda facts: _GAPS, most=lambda facts: _GAPS[-1]),
+        Shape(
+            "trial",
+            "rad",
+            trial=True,
+            grid=lambda facts: _GAPS,
+            most=lambda facts: _GAPS[-1],
+        ),
     )
     told = ((by.SPEEDS, "time_delay"),)
 
@@ -356,12 +396,18 @@ def play(t: Array, acceleration: Array, gap: float) -> Array:
 
     ``acceleration`` is what the motor would have to give the link to take it along.
     """
-    half, n = gap / 2, len(t)
-    lags, pulls = np.empty(n), (np.flatnonzero(acceleration < 0), np.flatnonzero(acceleration > 0))
-    steps, gives = np.diff(t, prepend=t[0]).tolist(), acceleration.tolist()
-    lag, k = half * float(np.sign(acceleration[0]) or 1.0), 0
+    half = gap / 2
+    n = len(t)
+    lags = np.empty(n)
+    pulls = (np.flatnonzero(acceleration < 0), np.flatnonzero(acceleration > 0))
+    steps = np.diff(t, prepend=t[0]).tolist()
+    gives = acceleration.tolist()
+    lag = half * float(np.sign(acceleration[0]) or 1.0)
+    k = 0
     while k < n:
-        leaves = pulls[lag < 0]  # instants that pull the link away from this end of the gap
+        leaves = pulls[
+            lag < 0
+        ]  # instants that pull the link away from this end of the gap
         at = int(np.searchsorted(leaves, max(k, 1)))
         free = int(leaves[at]) if at < len(leaves) else n
         lags[k:free], k, speed = lag, free, 0.0
@@ -410,12 +456,15 @@ class TimeDelay(_ReadingEffect):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """(τ(t − d₀) − τ(t)) / d₀ at these joints."""
-        tau, t = carried_torque(robot, motion), motion.t
+        tau = carried_torque(robot, motion)
+        t = motion.t
         columns = np.zeros((len(motion), robot.nv, 1))
         for j in self.rows(robot):
             late = np.interp(t - self.trial, t, tau[:, j])
             columns[:, j, 0] = (late - tau[:, j]) / self.trial
         return columns
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
         return f"The torque lags the motion by {1e3 * self._known()[0]:.1f} ms"

@@ -8,23 +8,35 @@ UNPOWERED = "read the torque with the motor unpowered, at rest and turned by han
 LOADS = "repeat the motion with a known payload"
 WARM = "repeat the first motion after half an hour of warming up"
 TURNED = "repeat the motion with the first joint turned by half a turn (q1 + π)"
-REVERSALS = "reverse the joint within tiny amplitudes, under gravity's load and without it"
+REVERSALS = (
+    "reverse the joint within tiny amplitudes, under gravity's load and without it"
+)
 LOCKED = "lock the output and load it statically in both directions while reading the encoder"
 DATA_SHEET = "take rotor inertia and gear ratio from the data sheet"
 CURRENT = "log the motor's true current, and drive the joint back unpowered"
 SPEEDS = "repeat the same path at a third of the speed"
-HOLD_OTHER = "move one of the two joints while the other is held, then the other way round"
+HOLD_OTHER = (
+    "move one of the two joints while the other is held, then the other way round"
+)
 UNLOADED = "repeat the motion with and without the load and subtract"
 KINEMATICS = "measure poses of the tip (kinematic calibration) before fitting torque"
 LEVEL = "put a spirit level on the base"
-ZERO = "move the joint to its mechanical zero mark and compare with the encoder's reading"
+ZERO = (
+    "move the joint to its mechanical zero mark and compare with the encoder's reading"
+)
 STATIC = "hold the joint at several angles, each approached from both sides"
 SECOND = "repeat the motion at another frequency"
-ORDERS = "turn the joint slowly at two constant speeds and at two loads and track the orders"
+ORDERS = (
+    "turn the joint slowly at two constant speeds and at two loads and track the orders"
+)
 CLOCK = "record a sharp torque step with one clock for torque and encoder"
 LEVER = "hang a known mass at a known lever on the joint"
-SAME = "hold one of the joints in question and move the others, then the other way round"
-GENERAL = "repeat with a motion that moves this joint faster, slower and in other postures"
+SAME = (
+    "hold one of the joints in question and move the others, then the other way round"
+)
+GENERAL = (
+    "repeat with a motion that moves this joint faster, slower and in other postures"
+)
 BACKWARDS = "repeat the motion backwards in time: friction turns its sign"
 POSTURE = "repeat the motion in another posture"
 STRETCHED = "turn the first joint slowly with the arm stretched"

@@ -26,7 +26,8 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import rigid_torque
 from excitant.robots.robot import Robot
 
-_SLOW = 0.4  # of a joint's highest speed: a Stribeck velocity beyond it is Coulomb friction
+# of a joint's highest speed: a Stribeck velocity beyond it is Coulomb friction
+_SLOW = 0.4
 _SHORT = 0.1  # of a joint's range: friction that builds up over more is a spring
 _PART = 0.25  # of dry friction that builds up, at least
 _REACH = 8.0  # break-away distances from a reversal that show hysteresis
@@ -116,13 +117,16 @@ class AsymmetricFriction(_Friction, JointEffect):
         return self.terms[: 2 + 2 * self.viscous]
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        ahead, back = np.maximum(dq, 0.0), np.minimum(dq, 0.0)
+        ahead = np.maximum(dq, 0.0)
+        back = np.minimum(dq, 0.0)
         return (np.sign(ahead), np.sign(back), ahead, back)[: 2 + 2 * self.viscous]
 
     def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
         """Whether friction, with what is given, brakes in both directions."""
         known = effect_values(robot)
-        given = [known.get(f"{self.joints[0]}.{symbol}", 0.0) for symbol in ("Fc", "Fv")]
+        given = [
+            known.get(f"{self.joints[0]}.{symbol}", 0.0) for symbol in ("Fc", "Fv")
+        ]
         return within(values + np.repeat(given, 2)[: len(values)], 0.0, std)
 
 
@@ -161,7 +165,9 @@ class NonlinearViscousFriction(_Friction, JointEffect):
     name = "nonlinear_viscous_friction"
     contains = ("viscous_friction",)  # exponent one
     terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
-    shapes = (Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),)
+    shapes = (
+        Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),
+    )
 
     exponent: float = 2.0  # a, not one
 
@@ -225,7 +231,9 @@ class PreslidingHysteresis(_Friction, JointwiseEffect):
     def stepper(self, robot: Robot) -> Bristles:
         force = np.zeros(robot.nv)
         force[self.rows(robot)] = self._known()
-        return Bristles(self.distance, force, np.zeros(robot.nv), np.full(robot.nv, np.nan))
+        return Bristles(
+            self.distance, force, np.zeros(robot.nv), np.full(robot.nv, np.nan)
+        )
 
     def drawn(self, label: str, x: Array) -> tuple[str, Array]:
         """Near reversals only, where any of it is."""
@@ -262,9 +270,11 @@ def bristles(q: Array, distance: float) -> Array:
     In each run of one direction z decays towards it: only runs are gone through one by one.
     """
     steps = np.diff(q)
-    moves, way = np.flatnonzero(steps), np.append(0.0, np.cumsum(np.abs(steps))) / distance
+    moves = np.flatnonzero(steps)
+    way = np.append(0.0, np.cumsum(np.abs(steps))) / distance
     first = moves[np.flatnonzero(np.diff(np.sign(steps[moves]), prepend=0.0))]
-    signs, starts = np.append(0.0, np.sign(steps[first])), np.append(0.0, way[first])
+    signs = np.append(0.0, np.sign(steps[first]))
+    starts = np.append(0.0, way[first])
     kept = np.exp(-np.diff(starts)).tolist()
     states = [0.0]  # at the start of each run, the first of which is before any motion
     for sign, keeps in zip(signs[:-1].tolist(), kept, strict=True):
@@ -291,17 +301,24 @@ class FrictionCoupling(_Friction, PairEffect):
     ratio: float = 1.0  # ρ
 
     @classmethod
-    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+    def proposed(
+        cls, robot: Robot, facts: Sequence[JointFacts]
+    ) -> list[tuple[Self, int]]:
         """Shafts that turn with the sum or the difference of a joint and the next."""
         usual = super().proposed(robot, facts)
-        return [(e.reshaped("ratio", ratio), 1) for e, _ in usual for ratio in (1.0, -1.0)]
+        return [
+            (e.reshaped("ratio", ratio), 1) for e, _ in usual for ratio in (1.0, -1.0)
+        ]
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         i, k = self.rows(robot)
         speed = motion.dq[:, i] + self.ratio * motion.dq[:, k]
         columns = np.zeros((len(motion), robot.nv, 2))
         for row, lever in ((i, 1.0), (k, self.ratio)):
-            columns[:, row, 0], columns[:, row, 1] = lever * speed, lever * np.sign(speed)
+            columns[:, row, 0], columns[:, row, 1] = (
+                lever * speed,
+                lever * np.sign(speed),
+            )
         return columns
 
 

@@ -22,7 +22,12 @@ from excitant.robots.effects.base import (
 )
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import STANDARD, UNITS
-from excitant.robots.regressor import gravity_torque, regressor, rigid_body_torque, torque_along
+from excitant.robots.regressor import (
+    gravity_torque,
+    regressor,
+    rigid_body_torque,
+    torque_along,
+)
 from excitant.robots.robot import Robot
 
 _TURNED = 0.05  # of 9.81 m/s², by which a turned gravity may differ in size
@@ -48,7 +53,10 @@ class EncoderOffset(_GeometryEffect):
     name = "encoder_offset"
     terms = (Parameter("offset_angle", "rad", typical=0.3),)
     told = (
-        (f"{by.ZERO}; the last joint's offset is a turned last link", "inertial_parameters"),
+        (
+            f"{by.ZERO}; the last joint's offset is a turned last link",
+            "inertial_parameters",
+        ),
         (f"{by.ZERO}; or {by.UNLOADED}", "payload"),
         (
             f"{by.TURNED}: tilt's phase follows q1, an encoder's offset does not",
@@ -82,29 +90,39 @@ class KinematicError(_GeometryEffect):
     name = "kinematic_error"
     terms = tuple(Parameter(f"d{axis}", "m", typical=0.1) for axis in "xyz")
     told = (
-        (f"{by.KINEMATICS}; or repeat the motion in another pose region", "inertial_parameters"),
+        (
+            f"{by.KINEMATICS}; or repeat the motion in another pose region",
+            "inertial_parameters",
+        ),
         (by.UNLOADED, "payload"),
         (f"{by.LEVEL}; {by.KINEMATICS}", "gravity_direction"),
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """Central differences by the translation; the first joint feels the same everywhere."""
-        j, parts = self.rows(robot)[0], []
+        j = self.rows(robot)[0]
+        parts = []
         if robot.model.parents[j + 1] == 0:
             return np.zeros((*motion.q.shape, 3))
         for step in _METRE * np.eye(3):
-            ahead, behind = (rigid_body_torque(_moved(robot, j, s * step), motion) for s in (1, -1))
+            ahead, behind = (
+                rigid_body_torque(_moved(robot, j, s * step), motion) for s in (1, -1)
+            )
             parts.append((ahead - behind) / (2 * _METRE))
         return np.stack(parts, axis=2)
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
         far = 1e3 * float(np.linalg.norm(self._known()))
         return f"The axis of {joints[0]} seems {far:.0f} mm off where the model has it"
 
 
 def _moved(robot: Robot, j: int, step: Array) -> Robot:
     model = robot.model.copy()
-    model.jointPlacements[j + 1].translation = model.jointPlacements[j + 1].translation + step
+    model.jointPlacements[j + 1].translation = (
+        model.jointPlacements[j + 1].translation + step
+    )
     return replace(robot, model=model)
 
 
@@ -123,14 +141,18 @@ class GravityDirection(Effect):
     )
 
     @classmethod
-    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+    def proposed(
+        cls, robot: Robot, facts: Sequence[JointFacts]
+    ) -> list[tuple[Self, int]]:
         return [(cls(robot.joints), 1)]
 
     def owners(self, robot: Robot) -> tuple[str, ...]:
         return ("gravity",)
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        return np.stack([gravity_torque(robot, motion, unit) for unit in np.eye(3)], axis=2)
+        return np.stack(
+            [gravity_torque(robot, motion, unit) for unit in np.eye(3)], axis=2
+        )
 
     def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
         """Whether the changed vector is still as long as gravity."""
@@ -142,7 +164,9 @@ class GravityDirection(Effect):
     def applied(self, robot: Robot) -> Robot:
         return robot.with_gravity(robot.gravity + self._known())
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
         true = ", ".join(f"{x:.2f}" for x in robot.gravity + self._known())
         return f"Gravity points along ({true}) m/s² in the base frame"
 
@@ -179,7 +203,9 @@ class Payload(AddedInertia):
     told = ((by.UNLOADED, "inertial_parameters"),)
 
     @classmethod
-    def proposed(cls, robot: Robot, facts: Sequence[JointFacts]) -> list[tuple[Self, int]]:
+    def proposed(
+        cls, robot: Robot, facts: Sequence[JointFacts]
+    ) -> list[tuple[Self, int]]:
         return [(cls(robot.joints[-1:]), 1)]
 
     def is_common(self, robot: Robot) -> bool:
@@ -193,7 +219,9 @@ class Payload(AddedInertia):
     def noun(self, robot: Robot) -> str:
         return "a payload"
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
         return f"A payload of {self._known()[0]:.2f} kg on the last link is missing from the model"
 
 
@@ -208,8 +236,11 @@ class InertialParameters(AddedInertia):
     def noun(self, robot: Robot) -> str:
         return f"wrong inertial parameters of {robot.links[self.rows(robot)[0]]}"
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        j, mass = self.rows(robot)[0], self._known()[0]
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
+        j = self.rows(robot)[0]
+        mass = self._known()[0]
         if j == robot.nv - 1 and mass < 0:
             return (
                 f"{robot.links[j]} is lighter than the model says ({mass:+.2f} kg), as if a tool "
@@ -228,13 +259,18 @@ class GivenInertias(InertialParameters):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         Y = regressor(robot, motion)
-        return np.concatenate([Y[:, :, 10 * j : 10 * j + 10] for j in self.rows(robot)], axis=2)
+        return np.concatenate(
+            [Y[:, :, 10 * j : 10 * j + 10] for j in self.rows(robot)], axis=2
+        )
 
     def noun(self, robot: Robot) -> str:
         return f"inertias of {', '.join(self.owners(robot))} other than given"
 
-    def sentence(self, robot: Robot, joints: Sequence[str], given: Sequence[float]) -> str:
-        masses, added = robot.phi[::10][self.rows(robot)], self._known()[::10]
+    def sentence(
+        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+    ) -> str:
+        masses = robot.phi[::10][self.rows(robot)]
+        added = self._known()[::10]
         said = ", ".join(
             f"{link} {mass:.3g} → {mass + more:.3g} kg"
             for link, mass, more in zip(self.owners(robot), masses, added, strict=True)

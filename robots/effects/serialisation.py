@@ -44,7 +44,9 @@ def _effect(entry: dict[str, Any], robot: Robot, source: str) -> Effect:
     defaults = {field.name: field.default for field in fields(EFFECTS[name])}
     joints = entry.pop("joints", robot.joints)
     if not isinstance(joints, list | tuple):
-        raise BadInput(f"{source}: effect {name} needs 'joints: [names]', not '{joints}'")
+        raise BadInput(
+            f"{source}: effect {name} needs 'joints: [names]', not '{joints}'"
+        )
     joints = tuple(str(joint) for joint in joints)
     try:
         UnknownName.refuse("joint", joints, robot.joints)

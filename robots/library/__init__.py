@@ -35,11 +35,15 @@ class ArmEntry:
 
 def arm_entry(name: str) -> ArmEntry:
     """Description of a built-in arm."""
-    record, robot = builtin_record(name), load_robot(name)
-    about, file = record.about, resources.files("excitant.robots.library") / f"{name}.urdf"
+    record = builtin_record(name)
+    robot = load_robot(name)
+    about = record.about
+    file = resources.files("excitant.robots.library") / f"{name}.urdf"
     assert about is not None
     text = file.read_text("utf-8") if file.is_file() else ""
-    heading = text.partition("<!--")[2].partition("-->")[0]  # what the URDF says of itself
+    heading = text.partition("<!--")[2].partition("-->")[
+        0
+    ]  # what the URDF says of itself
     return ArmEntry(
         name=name,
         kind=about.kind,
@@ -61,12 +65,23 @@ def catalogue() -> tuple[ArmEntry, ...]:
 def catalogue_rows() -> list[tuple[str, ...]]:
     """The arms as a table of texts, its heading first."""
     rows: list[tuple[str, ...]] = [
-        ("name", "joints", "kind", "payload [kg]", "mass [kg]", "moving [kg]", "inertias from")
+        (
+            "name",
+            "joints",
+            "kind",
+            "payload [kg]",
+            "mass [kg]",
+            "moving [kg]",
+            "inertias from",
+        )
     ]
     for arm in catalogue():
-        joints = f"{arm.joints}" + (f" ({arm.prismatic} sliding)" if arm.prismatic else "")
+        joints = f"{arm.joints}" + (
+            f" ({arm.prismatic} sliding)" if arm.prismatic else ""
+        )
         numbers = [
-            "–" if x is None else f"{x:.4g}" for x in (arm.payload, arm.weight, arm.moving_mass)
+            "–" if x is None else f"{x:.4g}"
+            for x in (arm.payload, arm.weight, arm.moving_mass)
         ]
         rows.append((arm.name, joints, arm.kind, *numbers, arm.source))
     return rows

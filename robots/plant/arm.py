@@ -56,13 +56,18 @@ class Controller:
 
     def __call__(self, k: int, q: Array, dq: Array) -> Array:
         """Torque at instant k in a state, shape (nv,)."""
-        held: Array = np.minimum(np.maximum(self.wanted(k, q, dq), -self.limit), self.limit)
+        held: Array = np.minimum(
+            np.maximum(self.wanted(k, q, dq), -self.limit), self.limit
+        )
         return held
 
     def wanted(self, k: int, q: Array, dq: Array) -> Array:
         """Torque at instant k in a state before saturation, shape (nv,)."""
-        position, velocity = self.position[k] - q, self.velocity[k] - dq
-        correction: Array = self.gain[k] @ (BANDWIDTH**2 * position + 2 * BANDWIDTH * velocity)
+        position = self.position[k] - q
+        velocity = self.velocity[k] - dq
+        correction: Array = self.gain[k] @ (
+            BANDWIDTH**2 * position + 2 * BANDWIDTH * velocity
+        )
         total: Array = self.feedforward[k] + correction
         return total
 
@@ -84,14 +89,18 @@ class Believed:
 class ReadingNoise:
     """Noise of what the controller reads, white from step to step."""
 
-    position: float  # width of an even distribution, that of the encoder's step [rad or m]
+    position: (
+        float  # width of an even distribution, that of the encoder's step [rad or m]
+    )
     velocity: float  # standard deviation [rad/s or m/s]
     rng: np.random.Generator
 
     def of(self, values: Array, width: float, std: float) -> Array:
         """Values with noise, of any shape."""
         even = width * self.rng.uniform(-0.5, 0.5, values.shape)
-        return np.asarray(values + even + std * self.rng.standard_normal(values.shape), float)
+        return np.asarray(
+            values + even + std * self.rng.standard_normal(values.shape), float
+        )
 
 
 def tracking_controller(
@@ -106,8 +115,11 @@ def tracking_controller(
     A joint that moves little inertia still gets the stiffness to bear 5 % of its torque limit
     at 0.01 rad. The controller will be asked at instants t, shape (n,) [s].
     """
-    q, dq, ddq = (np.ascontiguousarray(trajectory(t, order), dtype=float) for order in range(3))
-    model, limit = believed.model, robot.limits.torque
+    q, dq, ddq = (
+        np.ascontiguousarray(trajectory(t, order), dtype=float) for order in range(3)
+    )
+    model = believed.model
+    limit = robot.limits.torque
     data = model.createData()
     gain = np.empty((len(t), robot.nv, robot.nv))
     for k in range(len(t)):
@@ -119,7 +131,8 @@ def tracking_controller(
     else:
         feedforward = believed.torque(t)
     if noise is not None:  # it acts through what is desired less what is read
-        q, dq = noise.of(q, noise.position, 0.0), noise.of(dq, 0.0, noise.velocity)
+        q = noise.of(q, noise.position, 0.0)
+        dq = noise.of(dq, 0.0, noise.velocity)
     floor = np.where(np.isfinite(limit), 0.05 * limit / 0.01, 0.0) / BANDWIDTH**2
     diagonal = np.einsum("kjj->kj", gain)
     np.maximum(diagonal, floor, out=diagonal)
@@ -152,7 +165,9 @@ def simulate(
         BadInput: The trajectory starts in motion, or the arm could not follow it at all.
         BadRobot: A joint moves nothing that has mass.
     """
-    start, speed = (np.array(trajectory(np.zeros(1), order)[0], float) for order in (0, 1))
+    start, speed = (
+        np.array(trajectory(np.zeros(1), order)[0], float) for order in (0, 1)
+    )
     if np.abs(speed).max() > _STILL:
         j = int(np.argmax(np.abs(speed)))
         raise BadInput(
@@ -165,7 +180,8 @@ def simulate(
         raise BadInput(f"virtual arm: {duration:g} s is shorter than one sample")
     h = 1 / (rate_hz * substeps)
     every = 1 if truth.recorder.delay.any() else substeps
-    arm, kept = Arm(truth, h), []
+    arm = Arm(truth, h)
+    kept = []
     x = arm.at_rest(start)
     _require_mass(robot, arm.inertia(x))
     state = (x, np.zeros(len(x)), np.zeros(len(x)))
@@ -185,7 +201,9 @@ def simulate(
         if progress is not None:
             progress((first + count) / steps)
     kept.append(arm.seen(state, control, 2 * count))
-    channels = (np.array(values).reshape(-1, robot.nv) for values in zip(*kept, strict=True))
+    channels = (
+        np.array(values).reshape(-1, robot.nv) for values in zip(*kept, strict=True)
+    )
     return Run(np.arange(len(kept)) / rate_hz * every / substeps, *channels)
 
 
@@ -194,7 +212,8 @@ def _require_mass(robot: Robot, M: Array) -> None:
     if values[0] <= 1e-12 * values[-1]:
         joint = robot.joints[int(np.argmax(np.abs(vectors[: robot.nv, 0])))]
         raise BadRobot(
-            robot.source, f"joint {joint} moves nothing that has inertia; give its link a mass"
+            robot.source,
+            f"joint {joint} moves nothing that has inertia; give its link a mass",
         )
 
 
@@ -203,16 +222,26 @@ class Arm:
 
     def __init__(self, truth: Truth, h: float) -> None:
         n = truth.nv
-        self.truth, self.drives, self.h, self.n = truth, truth.drives, h, n
+        self.truth = truth
+        self.drives = truth.drives
+        self.h = h
+        self.n = n
         self.size = n + len(truth.gears)
         self.motor = np.arange(n)
-        rotors, armature = np.zeros(self.size), np.array(truth.drives.rotor)
+        rotors = np.zeros(self.size)
+        armature = np.array(truth.drives.rotor)
         for i, gear in enumerate(truth.gears, start=n):
             self.motor[gear.joint] = i
             rotors[i] = truth.drives.rotor[gear.joint] + gear.inertia
             armature[gear.joint] = 0.0
-        self.driven = self.motor if truth.gears else slice(n)  # as an index: slices are faster
-        self.grid = np.ix_(self.motor, self.motor) if truth.gears else (self.driven, self.driven)
+        self.driven = (
+            self.motor if truth.gears else slice(n)
+        )  # as an index: slices are faster
+        self.grid = (
+            np.ix_(self.motor, self.motor)
+            if truth.gears
+            else (self.driven, self.driven)
+        )
         self.model = truth.model.copy()
         self.model.armature = self.armature = armature
         self.data = self.model.createData()
@@ -222,7 +251,9 @@ class Arm:
         for row, shaft in zip(shafts, truth.shafts, strict=True):
             row[self.motor[list(shaft.joints)]] = 1.0, shaft.ratio
         self.G = np.vstack([np.eye(self.size), shafts])
-        self.drag = shafts.T @ (np.array([s.viscous for s in truth.shafts])[:, None] * shafts)
+        self.drag = shafts.T @ (
+            np.array([s.viscous for s in truth.shafts])[:, None] * shafts
+        )
         self.constant = self.rotors + h / 2 * self.drag
         self.constant[self.motor, self.motor] += h / 2 * truth.drives.viscous
         self.shaft_friction = h * np.array([shaft.coulomb for shaft in truth.shafts])
@@ -241,7 +272,9 @@ class Arm:
         for _ in range(20 if self.truth.gears else 0):
             g = pin.computeGeneralizedGravity(self.model, self.data, q)
             for gear in self.truth.gears:
-                q[gear.joint] = motor[gear.joint] - gear.deflection(float(g[gear.joint]))
+                q[gear.joint] = motor[gear.joint] - gear.deflection(
+                    float(g[gear.joint])
+                )
         return np.concatenate([q, [motor[gear.joint] for gear in self.truth.gears]])
 
     def read(self, x: Array, v: Array) -> tuple[Array, Array]:
@@ -260,7 +293,8 @@ class Arm:
     ) -> tuple[Array, Array, Array]:
         """Position, velocity and mean acceleration one step later."""
         h = self.h
-        middle, speed = x + (h / 2) * v, v + (h / 2) * a
+        middle = x + (h / 2) * v
+        speed = v + (h / 2) * a
         wanted = control.wanted(k, *self.read(middle, v))
         K, passive, load = self._resistance(middle, speed, v, a, t)
         reaction: Array = (BANDWIDTH + h / 4 * BANDWIDTH**2) * control.gain[k]
@@ -269,7 +303,8 @@ class Arm:
 
         def solved() -> Array:
             """Velocity change under motor torques that react to it."""
-            mass, impulse = K.copy(), -passive
+            mass = K.copy()
+            impulse = -passive
             mass[self.grid] += h * reaction
             impulse[self.driven] += wanted
             return velocity_change(mass, h * impulse, v, *bounds, self.G)
@@ -290,10 +325,13 @@ class Arm:
         self, x: Array, speed: Array, v: Array, a: Array, t: float
     ) -> tuple[Array, Array, Array]:
         """Mass matrix with damping, torque to overcome, and torque that the gears transmit."""
-        n, h, truth = self.n, self.h, self.truth
+        n = self.n
+        h = self.h
+        truth = self.truth
         b = pin.nonLinearEffects(self.model, self.data, x[:n], speed[:n])
         M = pin.crba(self.model, self.data, x[:n])
-        K, passive = self.constant.copy(), np.zeros(self.size)
+        K = self.constant.copy()
+        passive = np.zeros(self.size)
         K[:n, :n] += M
         passive[:n] = b
         passive[self.driven] += self.drives.viscous * v[self.driven]
@@ -306,7 +344,9 @@ class Arm:
             load += outer[:n]
         for m, gear in enumerate(truth.gears, start=n):
             j = gear.joint
-            torque, stiffness, damping = gear.torque(float(x[m] - x[j]), float(v[m] - v[j]))
+            torque, stiffness, damping = gear.torque(
+                float(x[m] - x[j]), float(v[m] - v[j])
+            )
             implicit = h * (h / 4 * stiffness + damping / 2)
             passive[m] += torque
             passive[j] -= torque
@@ -322,15 +362,19 @@ class Arm:
 
     def _outside(self, x: Array, v: Array, t: float) -> Array:
         """Torque that loads and walls take."""
-        truth, torque = self.truth, np.zeros(self.size)
+        truth = self.truth
+        torque = np.zeros(self.size)
         for load in truth.loads:
             i = self.motor[load.joint] if load.on_motor else load.joint
             torque[i] += load.torque(float(x[i]), t)
         if truth.walls:
-            frame, world = truth.tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            frame = truth.tip
+            world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             pin.computeJointJacobians(self.model, self.data, x[: self.n])
             pin.updateFramePlacement(self.model, self.data, frame)
-            J = np.reshape(pin.getFrameJacobian(self.model, self.data, frame, world), (6, -1))[:3]
+            J = np.reshape(
+                pin.getFrameJacobian(self.model, self.data, frame, world), (6, -1)
+            )[:3]
             place = np.array(self.data.oMf[frame].translation)
             force = sum(wall.force(place, J @ v[: self.n]) for wall in truth.walls)
             torque[: self.n] -= J.T @ force
@@ -343,13 +387,17 @@ class Arm:
         backward = forward.copy()
         for law in self.truth.dry:
             m = self.motor[law.joint]
-            v, torque = abs(float(speed[m])), float(load[law.joint])
+            v = abs(float(speed[m]))
+            torque = float(load[law.joint])
             forward[m] += self.h * law.level(v, t, torque)
             backward[m] += self.h * law.level(-v, t, torque)
         if self.truth.dry:
-            forward, backward = np.maximum(forward, 0.0), np.maximum(backward, 0.0)
+            forward = np.maximum(forward, 0.0)
+            backward = np.maximum(backward, 0.0)
         if self.truth.shafts:
-            forward, backward = (np.append(x, self.shaft_friction) for x in (forward, backward))
+            forward, backward = (
+                np.append(x, self.shaft_friction) for x in (forward, backward)
+            )
         return forward, backward
 
 
@@ -361,7 +409,9 @@ def velocity_change(
     w = G @ v if shafts else v
     sign = np.sign(w)
     dry = sign * np.where(w < 0, backward, forward)
-    _, _, delta, _ = dgesv(K, impulse - (dry @ G if shafts else dry))  # without NumPy's overhead
+    _, _, delta, _ = dgesv(
+        K, impulse - (dry @ G if shafts else dry)
+    )  # without NumPy's overhead
     stops = (w + (G @ delta if shafts else delta)) * sign <= 0
     if np.count_nonzero(stops):
         return stick_or_slip(K, impulse, v, forward, backward, G)
@@ -385,7 +435,8 @@ def stick_or_slip(
         G: Velocity of each contact, of the N coordinates first, per v, shape (c, N).
     """
     A: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
-    w, GA = G @ v, G @ A
+    w = G @ v
+    GA = G @ A
     S = GA @ G.T
     slip = np.sign(w)
     dry = np.maximum(forward, backward) > 0
@@ -397,7 +448,9 @@ def stick_or_slip(
         friction[stuck] = 0.0
         if stuck.any():
             free = GA @ (impulse - friction @ G)
-            among = S[np.ix_(stuck, stuck)]  # redundant with shafts: the smallest impulses then
+            among = S[
+                np.ix_(stuck, stuck)
+            ]  # redundant with shafts: the smallest impulses then
             solve = np.linalg.solve if len(w) == len(v) else _smallest
             friction[stuck] = solve(among, (free + w)[stuck])
         delta: Array = A @ (impulse - friction @ G)
@@ -407,7 +460,9 @@ def stick_or_slip(
 
     for _ in range(4 * len(w)):
         friction, delta = balanced()
-        excess = np.where(stuck, np.maximum(friction - forward, -backward - friction), -np.inf)
+        excess = np.where(
+            stuck, np.maximum(friction - forward, -backward - friction), -np.inf
+        )
         worst = int(np.argmax(excess))
         if excess[worst] > 1e-12 * (1.0 + max(forward[worst], backward[worst])):
             stuck[worst], slip[worst] = False, np.sign(friction[worst])
@@ -418,9 +473,13 @@ def stick_or_slip(
         stuck |= reversed_
     # the sets alternate: those of the same friction as a bounded least-squares problem
     C = np.linalg.cholesky((A + A.T) / 2)
-    momentum, room = C.T @ (impulse + K @ v), 1e-15 + 1e-12 * (forward + backward)
-    side = lsq_linear(C.T @ G.T, momentum, (-backward - room, forward + room), "bvls").active_mask
-    stuck, slip = (side == 0) & dry, side
+    momentum = C.T @ (impulse + K @ v)
+    room = 1e-15 + 1e-12 * (forward + backward)
+    side = lsq_linear(
+        C.T @ G.T, momentum, (-backward - room, forward + room), "bvls"
+    ).active_mask
+    stuck = (side == 0) & dry
+    slip = side
     return balanced()[1]
 
 

@@ -36,7 +36,9 @@ class Drives:
 
     def level(self, dq: Array) -> Array:
         """Torque that a joint at this velocity must overcome beside the viscous one [N·m]."""
-        return self.coulomb + self.stribeck * np.exp(-((dq / self.stribeck_velocity) ** 2))
+        return self.coulomb + self.stribeck * np.exp(
+            -((dq / self.stribeck_velocity) ** 2)
+        )
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,8 @@ class JointTorque:
 
     joint: int
     torque: Callable[[float, float], float]
-    on_motor: bool = False  # whether position and torque are the motor's, not the link's
+    # whether position and torque are the motor's, not the link's
+    on_motor: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,9 @@ class Telegraph:
         changes = np.cumsum(pauses)
         return JointTorque(
             self.joint,
-            lambda q, t: self.amplitude * (-1.0) ** int(np.searchsorted(changes, t, "right")),
+            lambda q, t: (
+                self.amplitude * (-1.0) ** int(np.searchsorted(changes, t, "right"))
+            ),
         )
 
 

@@ -36,8 +36,12 @@ class HiddenEffect:
     """Something the true arm has and the nominal one has not."""
 
     effect: str  # its name
-    joint: str  # it acts on, or whose link holds it; empty for an effect of the whole arm
-    parameters: tuple[tuple[str, float], ...]  # as `parameters_of` names them, in SI units
+    joint: (
+        str  # it acts on, or whose link holds it; empty for an effect of the whole arm
+    )
+    parameters: tuple[
+        tuple[str, float], ...
+    ]  # as `parameters_of` names them, in SI units
     joints: tuple[str, ...] = ()  # all that it acts on, where there are several
     structure: str = ""  # which one, of an ``unknown`` effect
 
@@ -71,7 +75,9 @@ def parameters_of(kind: str) -> dict[str, float | None]:
     }
 
 
-def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]) -> Truth:
+def plant(
+    truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]
+) -> Truth:
     """A truth with further effects, its joints named; the one given is left alone.
 
     Raises:
@@ -79,7 +85,8 @@ def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]
         BadInput: Parameters that the effect does not have, or lacks.
     """
     for effect in effects:
-        kind, given = effect.kind, dict(effect.parameters)
+        kind = effect.kind
+        given = dict(effect.parameters)
         UnknownName.refuse("effect of a virtual arm", [kind], KINDS)
         UnknownName.refuse("joint", effect.acts_on, joints)
         if kind in _PAIRS and len(effect.acts_on) != 2:
@@ -87,10 +94,14 @@ def plant(truth: Truth, joints: tuple[str, ...], effects: Iterable[HiddenEffect]
         usual = parameters_of(kind)
         UnknownName.refuse(f"parameter of {kind}", given, usual)
         numbers = {**usual, **given}
-        missing = [name for name, x in numbers.items() if x is None or not np.isfinite(x)]
+        missing = [
+            name for name, x in numbers.items() if x is None or not np.isfinite(x)
+        ]
         if missing:
             raise BadInput(f"virtual arm: {kind} lacks {', '.join(missing)}")
-        index = [joints.index(joint) for joint in effect.acts_on] or list(range(len(joints)))
+        index = [joints.index(joint) for joint in effect.acts_on] or list(
+            range(len(joints))
+        )
         if kind in NUMBERS:
             truth = _changed(truth, kind, index, given)
         elif kind in LAWS:
@@ -123,12 +134,16 @@ NUMBERS: dict[str, dict[str, tuple[str, str, Callable[[Array, float], Array]]]] 
 """Parameters of effects that change numbers of drives and sensors: which, and how."""
 
 
-def _changed(truth: Truth, kind: str, joints: list[int], given: dict[str, float]) -> Truth:
+def _changed(
+    truth: Truth, kind: str, joints: list[int], given: dict[str, float]
+) -> Truth:
     for name, value in given.items():
         part, field, change = NUMBERS[kind][name]
         numbers = np.array(getattr(getattr(truth, part), field))
         numbers[joints] = change(numbers[joints], value)
-        changed: dict[str, Any] = {part: replace(getattr(truth, part), **{field: numbers})}
+        changed: dict[str, Any] = {
+            part: replace(getattr(truth, part), **{field: numbers})
+        }
         truth = replace(truth, **changed)
     model = truth.model.copy()
     model.armature = np.array(truth.drives.rotor)
@@ -163,21 +178,31 @@ def _load_dependent(joint: int, *, Fl: float) -> DryFriction:
     return DryFriction(joint, lambda speed, t, load: Fl * abs(load))
 
 
-def _warming(joint: int, *, Fv: float = 0.0, Fc: float = 0.0, time: float) -> DryFriction:
+def _warming(
+    joint: int, *, Fv: float = 0.0, Fc: float = 0.0, time: float
+) -> DryFriction:
     """(F_c + F_v |q̇|) e^(−t/T): what cold grease adds until it is warm."""
-    return DryFriction(joint, lambda speed, t, load: (Fc + Fv * abs(speed)) * math.exp(-t / time))
+    return DryFriction(
+        joint, lambda speed, t, load: (Fc + Fv * abs(speed)) * math.exp(-t / time)
+    )
 
 
-def _ripple(joint: int, *, amplitude: float, order: float, phase: float = 0.0) -> JointTorque:
+def _ripple(
+    joint: int, *, amplitude: float, order: float, phase: float = 0.0
+) -> JointTorque:
     """Cogging: A sin(n q + p), n periods per revolution of the joint."""
-    return JointTorque(joint, lambda q, t: amplitude * math.sin(order * q + phase), on_motor=True)
+    return JointTorque(
+        joint, lambda q, t: amplitude * math.sin(order * q + phase), on_motor=True
+    )
 
 
 def _spring(
     joint: int, *, stiffness: float = 0.0, moment: float = 0.0, rest: float = 0.0
 ) -> JointTorque:
     """A coil between two links, k (q − q_0), and a balancer on a crank, m sin(q − q_0)."""
-    return JointTorque(joint, lambda q, t: stiffness * (q - rest) + moment * math.sin(q - rest))
+    return JointTorque(
+        joint, lambda q, t: stiffness * (q - rest) + moment * math.sin(q - rest)
+    )
 
 
 def _telegraph(joint: int, *, amplitude: float, rate: float) -> Telegraph:
@@ -197,13 +222,18 @@ LAWS: dict[str, tuple[str, Callable[..., object]]] = {
 
 
 def _added_inertia(truth: Truth, joints: list[int], **phi: float) -> Truth:
-    model, added = truth.model.copy(), np.array([phi[name] for name in STANDARD])
+    model = truth.model.copy()
+    added = np.array([phi[name] for name in STANDARD])
     for j in joints:
-        model.inertias[j + 1] = inertia(model.inertias[j + 1].toDynamicParameters() + added)
+        model.inertias[j + 1] = inertia(
+            model.inertias[j + 1].toDynamicParameters() + added
+        )
     return replace(truth, model=model)
 
 
-def _tilted(truth: Truth, joints: list[int], *, roll: float = 0.0, pitch: float = 0.0) -> Truth:
+def _tilted(
+    truth: Truth, joints: list[int], *, roll: float = 0.0, pitch: float = 0.0
+) -> Truth:
     """The base turned about its x axis and then about the fixed y axis."""
     model = truth.model.copy()
     base = pin.rpy.rpyToMatrix(roll, pitch, 0.0)
@@ -212,7 +242,12 @@ def _tilted(truth: Truth, joints: list[int], *, roll: float = 0.0, pitch: float 
 
 
 def _misplaced(
-    truth: Truth, joints: list[int], *, dx: float = 0.0, dy: float = 0.0, dz: float = 0.0
+    truth: Truth,
+    joints: list[int],
+    *,
+    dx: float = 0.0,
+    dy: float = 0.0,
+    dz: float = 0.0,
 ) -> Truth:
     """The joint's frame moved in its parent's."""
     model = truth.model.copy()
@@ -223,7 +258,9 @@ def _misplaced(
     return replace(truth, model=model)
 
 
-def _presliding(truth: Truth, joints: list[int], *, Fh: float, distance: float) -> Truth:
+def _presliding(
+    truth: Truth, joints: list[int], *, Fh: float, distance: float
+) -> Truth:
     """Hysteresis that takes F_h from the joint's Coulomb friction as far as that goes."""
     coulomb = np.array(truth.drives.coulomb)
     coulomb[joints] = np.maximum(coulomb[joints] - Fh, 0.0)
@@ -232,7 +269,12 @@ def _presliding(truth: Truth, joints: list[int], *, Fh: float, distance: float) 
 
 
 def _shaft(
-    truth: Truth, joints: list[int], *, Fv: float = 0.0, Fc: float = 0.0, ratio: float = 1.0
+    truth: Truth,
+    joints: list[int],
+    *,
+    Fv: float = 0.0,
+    Fc: float = 0.0,
+    ratio: float = 1.0,
 ) -> Truth:
     return _with(truth, "shafts", CoupledShaft((joints[0], joints[1]), ratio, Fv, Fc))
 
@@ -262,10 +304,16 @@ def _gear(
     """An elastic gear; ``motor`` is inertia of the motor beside the rotor inertia."""
     for j in joints:
         if truth.drives.rotor[j] + motor <= 0:
-            raise BadInput("virtual arm: an elastic joint needs inertia of its motor; give motor")
+            raise BadInput(
+                "virtual arm: an elastic joint needs inertia of its motor; give motor"
+            )
         if any(gear.joint == j for gear in truth.gears):
-            raise BadInput("virtual arm: two elastic gears on one joint; give one, with its gap")
-    return _with(truth, "gears", *(Gear(j, stiffness, damping, gap, motor) for j in joints))
+            raise BadInput(
+                "virtual arm: two elastic gears on one joint; give one, with its gap"
+            )
+    return _with(
+        truth, "gears", *(Gear(j, stiffness, damping, gap, motor) for j in joints)
+    )
 
 
 def _wall(
@@ -281,7 +329,9 @@ def _wall(
 ) -> Truth:
     normal = np.array([nx, ny, nz])
     return _with(
-        truth, "walls", Wall(normal / np.linalg.norm(normal), distance, stiffness, damping)
+        truth,
+        "walls",
+        Wall(normal / np.linalg.norm(normal), distance, stiffness, damping),
     )
 
 

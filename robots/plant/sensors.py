@@ -66,7 +66,11 @@ class Run:
 
 
 def recorded(
-    run: Run, sensors: Sensors, recorder: Recorder, offset: Array, rng: np.random.Generator
+    run: Run,
+    sensors: Sensors,
+    recorder: Recorder,
+    offset: Array,
+    rng: np.random.Generator,
 ) -> pd.DataFrame:
     """The table that the sensors give of a run at the sampling rate or a multiple of it.
 
@@ -77,14 +81,21 @@ def recorded(
         for channel in (tau,) if delay > 0 else (q, dq) if delay < 0 else ():
             channel[:, j] = np.interp(run.t - abs(delay), run.t, channel[:, j])
     every = max(round(1 / (sensors.rate_hz * float(run.t[1] - run.t[0]))), 1)
-    q, dq, tau = q[::every], dq[::every], tau[::every]
+    q = q[::every]
+    dq = dq[::every]
+    tau = tau[::every]
     if not np.array_equal(recorder.gain, np.eye(q.shape[1])):
         tau = tau @ recorder.gain.T
     tau = tau + offset + sensors.torque_noise * rng.standard_normal(q.shape)
     dq = dq + sensors.velocity_noise * rng.standard_normal(q.shape)
-    q, tau = quantised(q, sensors.position_resolution), quantised(tau, sensors.torque_resolution)
+    q = quantised(q, sensors.position_resolution)
+    tau = quantised(tau, sensors.torque_resolution)
     channels = {"q": q, "dq": dq, "tau": tau}
-    columns = {f"{c}{j + 1}": x for c, values in channels.items() for j, x in enumerate(values.T)}
+    columns = {
+        f"{c}{j + 1}": x
+        for c, values in channels.items()
+        for j, x in enumerate(values.T)
+    }
     return pd.DataFrame({"t": np.arange(len(q)) / sensors.rate_hz, **columns})
 
 

@@ -1,4 +1,11 @@
-from .analysis import Diagnosis, Examination, Identifiability, analyze, diagnose, examine
+from .analysis import (
+    Diagnosis,
+    Examination,
+    Identifiability,
+    analyze,
+    diagnose,
+    examine,
+)
 from .analysis.rehearsal import rehearse
 from .design import (
     Design,

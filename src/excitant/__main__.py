@@ -10,7 +10,8 @@ import sys
 from contextlib import suppress
 
 _AGAIN = 0.1  # s after an interrupt that was lost
-_GARBAGE = 1_000_000  # objects between collections: a command makes many that stay, few cycles
+# objects between collections: a command makes many that stay, few cycles
+_GARBAGE = 1_000_000
 
 
 def run() -> None:

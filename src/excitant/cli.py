@@ -22,8 +22,24 @@ from excitant.progress import progress_bar
 
 _EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
 _EVERYDAY = {
-    *("--output", "--json", "--map", "--validate", "--repair", "--effects", "--joints", "--tip"),
-    *("--trajectory", "--recording", "--no-experiments", "--duration", "--harmonics", "--limits"),
+    *(
+        "--output",
+        "--json",
+        "--map",
+        "--validate",
+        "--repair",
+        "--effects",
+        "--joints",
+        "--tip",
+    ),
+    *(
+        "--trajectory",
+        "--recording",
+        "--no-experiments",
+        "--duration",
+        "--harmonics",
+        "--limits",
+    ),
     *("--time-limit", "--speed", "--seed", "--hidden", "--robot", "--mass", "--jobs"),
 }  # options that help shows first
 _SOLVERS = ("pin", "clarabel", "numpy", "scipy")
@@ -50,7 +66,9 @@ class _Grouped(DefaultFormatter):
             daily = [entry for entry in panel.entries if _EVERYDAY & {*entry.names}]
             rare = [entry for entry in panel.entries if entry not in daily]
             titled = (("Options", daily), ("Rare options", rare))
-            parts = [panel.copy(title=title, entries=some) for title, some in titled if some]
+            parts = [
+                panel.copy(title=title, entries=some) for title, some in titled if some
+            ]
         for part in parts:
             super().__call__(console, options, part)
 
@@ -61,7 +79,9 @@ app = App(
     "be known, and name what the model still gets wrong.",
     help_epilogue="--debug after any command shows the traceback of an error.",
     help_format="plaintext",
-    help_formatter=_Grouped(panel_spec=PanelSpec(border_style="none"), table_spec=TableSpec()),
+    help_formatter=_Grouped(
+        panel_spec=PanelSpec(border_style="none"), table_spec=TableSpec()
+    ),
     version=_version,
     default_parameter=Parameter(negative=(), show_default=_default),
     result_action="return_value",
@@ -87,7 +107,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CycloptsError as error:
         verb = next((f" {word}" for word in words[:1] if word in app), "")
         print(
-            f"excitant{verb}: {one_line(str(error))}\nusage: excitant{verb} --help", file=sys.stderr
+            f"excitant{verb}: {one_line(str(error))}\nusage: excitant{verb} --help",
+            file=sys.stderr,
         )
         raise SystemExit(2) from None
     if not words:
@@ -177,10 +198,16 @@ def robots(
     if robot is None:
         for option, value in (("-o", run.output), ("--mass", mass)):
             if value is not None:
-                raise BadInput(f"{option} is about one arm; name it, e.g. excitant robots ur10")
+                raise BadInput(
+                    f"{option} is about one arm; name it, e.g. excitant robots ur10"
+                )
         if run.json:
-            more = ({"joints": arm.joints, "mass": arm.moving_mass} for arm in catalogue())
-            arms = [asdict(arm) | own for arm, own in zip(catalogue(), more, strict=True)]
+            more = (
+                {"joints": arm.joints, "mass": arm.moving_mass} for arm in catalogue()
+            )
+            arms = [
+                asdict(arm) | own for arm, own in zip(catalogue(), more, strict=True)
+            ]
             print_json({"verb": "robots", "robots": arms})
             return
         heads, *rows = catalogue_rows()
@@ -188,7 +215,9 @@ def robots(
         print("\n".join(table_lines(list(zip(heads, kinds, strict=True)), rows)))
         return
     if mass is not None and not mass > 0:
-        raise BadInput(f"--mass {mass:g} must be positive: what the whole arm weighs, in kg")
+        raise BadInput(
+            f"--mass {mass:g} must be positive: what the whole arm weighs, in kg"
+        )
     check = ModelCheck(part.robot(robot), mass)
     result = check.result()
     if robot in builtin_robots():
@@ -202,7 +231,9 @@ def robots(
         print(summary(page_of(result, {})), end="")
 
 
-def report(*folders: str, tables: Literal["csv", "latex"] | None = None, run: Run = Run()) -> None:
+def report(
+    *folders: str, tables: Literal["csv", "latex"] | None = None, run: Run = Run()
+) -> None:
     """Render the report of a run again, or compare runs.
 
     Args:
@@ -210,7 +241,14 @@ def report(*folders: str, tables: Literal["csv", "latex"] | None = None, run: Ru
             differs.
         tables: Write each table of the page as a file, too, into the folder tables beside it.
     """
-    from excitant.reports import SavedRun, compare, load_run, page_of, save_run, table_files
+    from excitant.reports import (
+        SavedRun,
+        compare,
+        load_run,
+        page_of,
+        save_run,
+        table_files,
+    )
 
     def written(result: dict[str, Any]) -> dict[str, str]:
         return {} if tables is None else table_files(page_of(result, {}), tables)
@@ -222,7 +260,9 @@ def report(*folders: str, tables: Literal["csv", "latex"] | None = None, run: Ru
         run.finish(result, {}, written(result))
         return
     if run.output is not None:
-        raise BadInput("-o is where runs are compared; name a second run, or leave -o out")
+        raise BadInput(
+            "-o is where runs are compared; name a second run, or leave -o out"
+        )
     result, series = load_run(folders[0])
     files = written(result)
     if files:
@@ -238,7 +278,9 @@ def report(*folders: str, tables: Literal["csv", "latex"] | None = None, run: Ru
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
     """A script that completes commands at the TAB key."""
     script = app.generate_completion(prog_name="excitant", shell=shell)
-    print(script.replace("\ncomplete -F", "\ncomplete -o default -F"))  # bash: names of files, too
+    print(
+        script.replace("\ncomplete -F", "\ncomplete -o default -F")
+    )  # bash: names of files, too
 
 
 _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
@@ -310,6 +352,8 @@ _LONG |= {motions.rehearse, fleets.fleet}
 """Commands with time for another process to get ready for their page."""
 
 for _order, (_verb, _examples) in enumerate(_VERBS.items()):
-    _verb.__doc__ = re.sub(r"\n {8}", " ", inspect.getdoc(_verb) or "")  # help breaks lines itself
+    _verb.__doc__ = re.sub(
+        r"\n {8}", " ", inspect.getdoc(_verb) or ""
+    )  # help breaks lines itself
     _lines = "\n".join(f"  excitant {line}" for line in _examples)
     app.command(_verb, sort_key=_order, help_epilogue=f"examples:\n{_lines}")

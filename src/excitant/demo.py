@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.examination import examine
-from excitant.design import design_trajectory, random_trajectory, trajectory_csv, trajectory_json
+from excitant.design import (
+    design_trajectory,
+    random_trajectory,
+    trajectory_csv,
+    trajectory_json,
+)
 from excitant.identify import recording_from_table
 from excitant.motions import table_bytes
 from excitant.progress import Advance
@@ -40,7 +45,9 @@ def run_demo(
     )  # fmt: skip
     advance(0.55, "running it on the virtual arm")
     excitation = arm.record(found.trajectory, _PERIODS * _DURATION, rng)
-    holdout = arm.record(random_trajectory(robot, rng, _DURATION, _HARMONICS), _DURATION, rng)
+    holdout = arm.record(
+        random_trajectory(robot, rng, _DURATION, _HARMONICS), _DURATION, rng
+    )
     recording, held = (
         recording_from_table(table, robot.nv, file=f"{name}.parquet", name=name)
         for table, name in ((excitation, "excitation"), (holdout, "holdout"))
@@ -55,7 +62,9 @@ def run_demo(
     result["design"] = found.result()
     truth = truth_of(hidden, result["diagnose"]["findings"])
     result["verdict"] |= {"truth": truth, "correct": truth == "named"}
-    series = examined.series() | {f"design/{key}": a for key, a in found.series().items()}
+    series = examined.series() | {
+        f"design/{key}": a for key, a in found.series().items()
+    }
     files: dict[str, str | bytes] = {
         "trajectory.csv": trajectory_csv(found.trajectory),
         "trajectory.json": trajectory_json(found.trajectory, robot),
@@ -70,9 +79,13 @@ def truth_of(hidden: HiddenEffect, findings: Sequence[Mapping[str, Any]]) -> str
     """Whether what is hidden was ``named``, is among what is ``undecided``, or was ``missed``."""
 
     def is_it(entry: Mapping[str, Any]) -> bool:
-        return bool(entry["effect"] == hidden.effect and hidden.joint in entry["joints"])
+        return bool(
+            entry["effect"] == hidden.effect and hidden.joint in entry["joints"]
+        )
 
-    entries = [part for finding in findings for part in (finding, *finding.get("parts", ()))]
+    entries = [
+        part for finding in findings for part in (finding, *finding.get("parts", ()))
+    ]
     if any(is_it(entry) and entry["verdict"] == "named" for entry in entries):
         return "named"
     rivals = [rival for entry in entries for rival in entry["rivals"]]

@@ -28,7 +28,9 @@ class UnknownName(ExcitantError):
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         self.name, self.known = name, tuple(known)
         near = difflib.get_close_matches(name.lower(), self.known, n=1, cutoff=0.4)
-        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(self.known)}"
+        hint = (
+            f"did you mean '{near[0]}'?" if near else f"known: {', '.join(self.known)}"
+        )
         super().__init__(f"unknown {kind} '{name}': {hint}")
 
     @classmethod
@@ -44,7 +46,8 @@ class BadRobot(ExcitantError):
     """A robot description, a file or a name, that cannot be used: what is wrong, what to do."""
 
     def __init__(self, source: str | Path, why: str) -> None:
-        self.source, self.why = str(source), why
+        self.source = str(source)
+        self.why = why
         super().__init__(f"robot {source}: {why}")
 
 
@@ -52,9 +55,17 @@ class BadRecording(ExcitantError):
     """A recording that cannot be used; rows count from 0 after the header."""
 
     def __init__(
-        self, file: str | Path, why: str, *, row: int | None = None, column: str | None = None
+        self,
+        file: str | Path,
+        why: str,
+        *,
+        row: int | None = None,
+        column: str | None = None,
     ) -> None:
-        self.file, self.why, self.row, self.column = str(file), why, row, column
+        self.file = str(file)
+        self.why = why
+        self.row = row
+        self.column = column
         where = [f"column '{column}'"] if column is not None else []
         where += [f"row {row}"] if row is not None else []
         super().__init__(f"recording {file}{''.join(', ' + w for w in where)}: {why}")
@@ -71,8 +82,13 @@ class BadInput(ExcitantError):
 class OutsideLimits(ExcitantError):
     """A motion beyond a limit: a joint's position, velocity, torque or the like, in SI units."""
 
-    def __init__(self, joint: str, quantity: str, value: float, limit: float, time: float) -> None:
-        self.joint, self.quantity, self.value, self.limit = joint, quantity, value, limit
+    def __init__(
+        self, joint: str, quantity: str, value: float, limit: float, time: float
+    ) -> None:
+        self.joint = joint
+        self.quantity = quantity
+        self.value = value
+        self.limit = limit
         self.time = time
         super().__init__(
             f"{quantity} of {joint} comes to {value:.6g} at {time:.4g} s, beyond its limit of "
@@ -84,7 +100,8 @@ class Infeasible(ExcitantError):
     """A problem without a solution, or one whose solver did not find it, with the reason."""
 
     def __init__(self, problem: str, status: str) -> None:
-        self.problem, self.status = problem, status
+        self.problem = problem
+        self.status = status
         super().__init__(f"{problem}: {status}")
 
 

@@ -22,7 +22,8 @@ from excitant.exceptions import BadInput
 LARGEST = 256 << 20
 """Bytes of a file that is read at once: descriptions, trajectories, results."""
 
-_HERE, _SWAP = -100, 2  # AT_FDCWD, RENAME_EXCHANGE of Linux
+_HERE = -100  # AT_FDCWD
+_SWAP = 2  # RENAME_EXCHANGE of Linux
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -72,7 +73,9 @@ def require_replaceable(folder: str | Path) -> None:
     elif not os.access(parent, os.W_OK | os.X_OK):
         why = f"nothing can be written in {parent}"
     if why:
-        raise BadInput(f"{folder}: {why}; choose another folder, such as {Path(folder) / 'run'}")
+        raise BadInput(
+            f"{folder}: {why}; choose another folder, such as {Path(folder) / 'run'}"
+        )
 
 
 def write_file(path: str | Path, content: str | bytes) -> None:
@@ -88,7 +91,9 @@ def write_file(path: str | Path, content: str | bytes) -> None:
 
 
 def write_folder(
-    folder: str | Path, contents: Mapping[str, str | bytes], without: Collection[str] = ()
+    folder: str | Path,
+    contents: Mapping[str, str | bytes],
+    without: Collection[str] = (),
 ) -> list[Path]:
     """Write a folder, or replace it in one step; at every instant the old or the new one is whole.
 
@@ -156,10 +161,16 @@ def _put_aside(target: Path) -> Iterator[Path]:
                 raise
             why = error.strerror or str(error)
             full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-            what = error.filename if full and prefix not in str(error.filename) else None
-            advice = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+            what = (
+                error.filename if full and prefix not in str(error.filename) else None
+            )
+            advice = (
+                "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+            )
             advice = f"{advice} or choose another folder".removeprefix(" or ")
-            raise BadInput(f"{what or target}: cannot be written: {why}; {advice}") from error
+            raise BadInput(
+                f"{what or target}: cannot be written: {why}; {advice}"
+            ) from error
 
 
 @contextmanager
@@ -183,7 +194,9 @@ def _uninterrupted(done: str) -> Iterator[None]:
         yield
         return
     heard: list[int] = []
-    before = {each: signal.signal(each, lambda one, _: heard.append(one)) for each in _SIGNALS}
+    before = {
+        each: signal.signal(each, lambda one, _: heard.append(one)) for each in _SIGNALS
+    }
     try:
         yield
     finally:

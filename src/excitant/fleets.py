@@ -22,7 +22,8 @@ from excitant.progress import Advance, progress_bar
 if TYPE_CHECKING:
     from excitant.analysis.fleet import Examined, Value
 
-_ARMS, _STAMP = "arms", "input.json"
+_ARMS = "arms"
+_STAMP = "input.json"
 _VERBS: tuple[tuple[str, ...], ...] = (("identify",), ("diagnose", "--no-experiments"))
 _DIED = (
     "the process that examined it was ended twice, as by a system that runs out of memory; "
@@ -84,7 +85,11 @@ def _found(folders: Sequence[str], root: Path) -> list[tuple[str, str]]:
             yield folder
             return
         for each in sorted(folder.iterdir()):
-            if each.is_dir() and not each.is_symlink() and not each.name.startswith("."):
+            if (
+                each.is_dir()
+                and not each.is_symlink()
+                and not each.name.startswith(".")
+            ):
                 yield from below(each)
 
     found: dict[str, str] = {}
@@ -98,7 +103,11 @@ def _found(folders: Sequence[str], root: Path) -> list[tuple[str, str]]:
                 "dataset.json and recordings"
             )
         for path in inside:
-            name = given.resolve().name if path == given else path.relative_to(given).as_posix()
+            name = (
+                given.resolve().name
+                if path == given
+                else path.relative_to(given).as_posix()
+            )
             if name in found:
                 name = f"{given.resolve().name}/{name}"
             if name in found:
@@ -116,7 +125,9 @@ def _safe(name: str) -> str:
     return "/".join(parts) if all(parts) else f"{in_folder(name)}-{told}"
 
 
-def _examine_all(sets: Sequence[_DataSet], jobs: int, client: Any, advance: Advance) -> None:
+def _examine_all(
+    sets: Sequence[_DataSet], jobs: int, client: Any, advance: Advance
+) -> None:
     """Examine data sets side by side; one that ends its process twice is left to itself."""
     left = dict.fromkeys(each.name for each in sets)
     try:
@@ -134,7 +145,9 @@ def _examine_all(sets: Sequence[_DataSet], jobs: int, client: Any, advance: Adva
                 return
     except KeyboardInterrupt:
         kept = f"{len(sets) - len(left)} of {len(sets)} data sets are done and kept"
-        raise KeyboardInterrupt(f"{kept}; the same command goes on from there") from None
+        raise KeyboardInterrupt(
+            f"{kept}; the same command goes on from there"
+        ) from None
 
 
 def _examine(name: str, folder: str, out: str) -> str:
@@ -177,7 +190,9 @@ def _stamp(folder: str) -> str:
 
 
 def _note(out: str, stamp: str, failed: str) -> None:
-    write_file(Path(out) / _STAMP, json.dumps({"input": stamp, "failed": failed}) + "\n")
+    write_file(
+        Path(out) / _STAMP, json.dumps({"input": stamp, "failed": failed}) + "\n"
+    )
 
 
 def _noted(out: str) -> dict[str, str]:
@@ -195,7 +210,9 @@ def _examined(data_set: _DataSet) -> Examined:
     from excitant.reports import load_run
 
     name, folder, out = data_set
-    arm, day, failed = name, None, _noted(out).get("failed", "")
+    arm = name
+    day = None
+    failed = _noted(out).get("failed", "")
     try:
         arm, day = origin(Path(folder), name)
         if failed:
@@ -204,7 +221,9 @@ def _examined(data_set: _DataSet) -> Examined:
     except ExcitantError as error:
         return Examined(name, arm, day, failed=failed or str(error))
     if not model["published"]:
-        return Examined(name, arm, day, model["robot"], failed=one_line(model["refusal"]))
+        return Examined(
+            name, arm, day, model["robot"], failed=one_line(model["refusal"])
+        )
     said = [f["sentence"] for f in diagnosis["findings"][:_SHOWN]]
     said += [f"fault: {fault['detail']}" for fault in diagnosis["faults"]]
     return Examined(name, arm, day, model["robot"], "", _values(model), tuple(said))
@@ -216,7 +235,9 @@ def _values(model: Mapping[str, Any]) -> dict[str, Value]:
     units = {p["name"]: p["unit"] for p in model["parameters"]}
     found = {}
     for row in model["base_parameters"]:
-        name = sys.intern(row["expression"])  # held once, however many data sets have it
+        name = sys.intern(
+            row["expression"]
+        )  # held once, however many data sets have it
         unit = sys.intern(units.get(_leading(name), ""))
         found[name] = Value(row["value"], row["std"], unit)
     return found

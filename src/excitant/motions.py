@@ -77,7 +77,10 @@ class Search:
 
     def options(self) -> dict[str, Any]:
         """Arguments of the functions that design."""
-        given = {key: None if value == "search" else value for key, value in vars(self).items()}
+        given = {
+            key: None if value == "search" else value
+            for key, value in vars(self).items()
+        }
         given["top_hz"] = given.pop("max_frequency")
         return given
 
@@ -129,31 +132,49 @@ def design(
         raise BadInput(f"--rate {rate:g} Hz: give a control rate from 1 to 10000 Hz")
     if repeat < 1:
         raise BadInput(f"--repeat {repeat}: give how often the motion runs, at least 1")
-    names, still = formats or [], np.zeros((2, arm.nv))
-    designs.write_formats({"": Motion(np.arange(2.0), *3 * [still])}, arm, names)  # may refuse
+    names = formats or []
+    still = np.zeros((2, arm.nv))
+    designs.write_formats(
+        {"": Motion(np.arange(2.0), *3 * [still])}, arm, names
+    )  # may refuse
     programs = [name for name in names if name in PROGRAMS]
     if programs and speed is None:
         speed = FIRST_SPEED
     if speed is not None and not 0 < speed <= 1:
-        raise BadInput(f"--speed {speed:g}: give the share of the speed, above 0 and up to 1")
+        raise BadInput(
+            f"--speed {speed:g}: give the share of the speed, above 0 and up to 1"
+        )
     if bound and search.criterion != "condition":
         raise BadInput(
             f"--bound is one of the condition number, not of criterion {search.criterion}; "
             "leave one out"
         )
     if bound and (noise or after):
-        raise BadInput("--bound holds for one motion with equal noise; leave --noise and --after")
+        raise BadInput(
+            "--bound holds for one motion with equal noise; leave --noise and --after"
+        )
     if start is not None and len(start) != arm.nv:
-        raise BadInput(f"--from has {len(start)} numbers, {arm.name} has {arm.nv} joints")
-    alone: dict[str, object] = {"bound": bound, "noise": noise, "after": after, "from": start}
+        raise BadInput(
+            f"--from has {len(start)} numbers, {arm.name} has {arm.nv} joints"
+        )
+    alone: dict[str, object] = {
+        "bound": bound,
+        "noise": noise,
+        "after": after,
+        "from": start,
+    }
     alone |= {"formats": formats, "speed": speed}
     for option in (name for name, value in alone.items() if value and link_by_link):
-        raise BadInput(f"--link-by-link designs each link by its own row; leave --{option} out")
+        raise BadInput(
+            f"--link-by-link designs each link by its own row; leave --{option} out"
+        )
     scene, least = surroundings.scene(arm)
     asked = search.options() | {"scene": scene, "clearance": least}
     if link_by_link:
         with progress_bar("design") as advance:
-            asked["progress"] = lambda done, link, best: advance(done, f"{link}, best κ {best:.4g}")
+            asked["progress"] = lambda done, link, best: advance(
+                done, f"{link}, best κ {best:.4g}"
+            )
             links = designs.design_link_by_link(arm, **asked)
         result = links.result() | {"repeat": repeat}
         run.finish(result, links.series(), links.files(rate, repeat))
@@ -163,7 +184,11 @@ def design(
 
         def tell(done: int, total: int | None, condition: float, ratio: float) -> None:
             spent = time.monotonic() - began
-            share = done / total if total else min(spent / (search.time_limit or spent), 1.0)
+            share = (
+                done / total
+                if total
+                else min(spent / (search.time_limit or spent), 1.0)
+            )
             words = f"{done} starts, best κ {condition:.4g}, worst limit {100 * ratio:.1f} %"
             advance(share, words)
 
@@ -172,35 +197,49 @@ def design(
         )
     trajectory = found.trajectory
     files: dict[str, str | bytes] = {**found.files(rate, repeat)}
-    way = {"trajectory": trajectory.motion(rate, repeat)}  # in the order in which it runs
-    result, missing = found.result() | {"repeat": repeat}, False
+    way = {
+        "trajectory": trajectory.motion(rate, repeat)
+    }  # in the order in which it runs
+    result = found.result() | {"repeat": repeat}
+    missing = False
     if bound and not found.interrupted:
         result["condition_number"]["lower_bound"], note = _bound(found, search.seed)
         result["notes"].append(note)
     if start is not None:
-        there, here = trajectory(0.0)[0], np.array(start)
+        there = trajectory(0.0)[0]
+        here = np.array(start)
         near: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
         held = arm.using(search.use)
         try:
             first, last = (
                 designs.approach(held, *ends, name=name, **near)
-                for name, ends in (("approach", (here, there)), ("return", (there, here)))
+                for name, ends in (
+                    ("approach", (here, there)),
+                    ("return", (there, here)),
+                )
             )
             way = {"approach": first, **way, "return": last}
-            files |= {f"{k}.csv": designs.motion_csv(way[k]) for k in ("approach", "return")}
+            files |= {
+                f"{k}.csv": designs.motion_csv(way[k]) for k in ("approach", "return")
+            }
         except Infeasible as error:  # the design stands without them
             result["notes"].append(str(error))
             missing = True
     if speed is not None:
         slow = trajectory.slowed(speed)
         used = designs.check(arm, slow).worst
-        result["first_run"] = {"speed": speed, "duration": slow.duration, "limit": used.ratio}
+        result["first_run"] = {
+            "speed": speed,
+            "duration": slow.duration,
+            "limit": used.ratio,
+        }
         said = (
             f"the same path in {slow.duration:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
             f"limit ({used.quantity} of {used.joint})"
         )
         if used.ratio > 1:  # what holds the arm is not less at a lower speed
-            missing, names = True, [name for name in names if name not in programs]
+            missing = True
+            names = [name for name in names if name not in programs]
             left = f" nor are programs ({', '.join(programs)})" if programs else ""
             said += f", so it is not written{left}"
         else:
@@ -232,7 +271,9 @@ def _bound(found: Design, seed: int) -> tuple[float, str]:
         bound = lower_bound(
             found.robot.using(found.use),
             period=found.trajectory.period,
-            harmonics=None if found.trajectory.series.name == "spline" else found.harmonics,
+            harmonics=None
+            if found.trajectory.series.name == "spline"
+            else found.harmonics,
             columns=found.information.columns,
             seed=seed,
             time_limit=_BOUND_TIME,
@@ -241,7 +282,8 @@ def _bound(found: Design, seed: int) -> tuple[float, str]:
                 min(spent / _BOUND_TIME, 1.0), f"κ ≥ {value:.4g}"
             ),
         )
-    ratio, mixed = found.condition_final / bound.value, bound.without_repair
+    ratio = found.condition_final / bound.value
+    mixed = bound.without_repair
     return bound.value, (
         f"within ×{ratio:.2g} of the best possible (no bound that looks at single states is above "
         f"{mixed:.3g}, which a mixture of them reaches): {bound.assumptions}"
@@ -321,7 +363,11 @@ def show(
     motion, path = path_of(load_trajectory(trajectory, arm))
     around = surroundings.around(arm)
     found = TrajectoryCheck(arm, motion, path, *surroundings.seen(arm, around))
-    result = found.result() | {"verb": "show", "trajectory": trajectory, "files": [str(target)]}
+    result = found.result() | {
+        "verb": "show",
+        "trajectory": trajectory,
+        "files": [str(target)],
+    }
     result["obstacles"] = [obstacle.plain() for obstacle in around]
     plain, series = as_saved(result, found.series())
     page = page_of(plain, series)
@@ -357,11 +403,13 @@ def simulate(
     from excitant.design import load_trajectory
     from excitant.robots.virtual_arm import virtual_arm
 
-    arm, target = part.robot(robot), Path(output)
+    arm = part.robot(robot)
+    target = Path(output)
     if target.suffix not in (".csv", ".parquet"):
         raise BadInput(f"{target}: name a .csv or .parquet file")
     motion, path = path_of(load_trajectory(trajectory, arm))
-    duration, rng = float(motion.t[-1]), np.random.default_rng(seed)
+    duration = float(motion.t[-1])
+    rng = np.random.default_rng(seed)
     tolerance = 0.03 if hidden else 0.0
     virtual = virtual_arm(arm, rng, hidden=None if hidden else (), tolerance=tolerance)
     with progress_bar("simulate") as advance:
@@ -370,7 +418,9 @@ def simulate(
     if json:
         result = {"verb": "simulate", "robot": arm.name, "samples": len(table)}
         hides = [effect.entry() for effect in virtual.hidden]
-        print_json(result | {"duration": duration, "hidden": hides, "files": [str(target)]})
+        print_json(
+            result | {"duration": duration, "hidden": hides, "files": [str(target)]}
+        )
     else:
         print(f"{printable(str(target))}  {len(table)} samples over {duration:g} s")
 
@@ -401,17 +451,25 @@ def rehearse(
     with progress_bar("rehearse") as advance:
         rng = np.random.default_rng(seed)
         found = rehearse_motion(arm, path, float(motion.t[-1]), rng, advance)
-    run.finish(found.result() | {"trajectory": trajectory, "seed": seed}, found.series())
+    run.finish(
+        found.result() | {"trajectory": trajectory, "seed": seed}, found.series()
+    )
     return 0 if found.passed else 1
 
 
 def table_bytes(table: DataFrame, suffix: str) -> bytes:
     """A table as the content of a ``.csv`` or ``.parquet`` file."""
     csv = suffix == ".csv"
-    return table.to_csv(index=False).encode() if csv else bytes(table.to_parquet(index=False))
+    return (
+        table.to_csv(index=False).encode()
+        if csv
+        else bytes(table.to_parquet(index=False))
+    )
 
 
-def path_of(trajectory: Trajectory | Motion) -> tuple[Motion, Trajectory | HermiteTrajectory]:
+def path_of(
+    trajectory: Trajectory | Motion,
+) -> tuple[Motion, Trajectory | HermiteTrajectory]:
     """Samples of a trajectory, at 100 Hz where it has none of its own, and what it is between."""
     from excitant.design import HermiteTrajectory
     from excitant.robots import Motion

@@ -54,7 +54,10 @@ def _comma(convert: Any) -> Parameter:
 _ROBOT = "Built-in name, URDF, xacro, MJCF or robot.yaml"
 RobotName = Annotated[str, Parameter(completer=_arms, help=f"{_ROBOT}.")]
 RobotOrFolder = Annotated[
-    str, Parameter(completer=_arms, help=f"{_ROBOT}, a folder of a robot and recordings, or a bag.")
+    str,
+    Parameter(
+        completer=_arms, help=f"{_ROBOT}, a folder of a robot and recordings, or a bag."
+    ),
 ]
 TrajectoryFile = Annotated[str, Parameter(help="CSV or JSON.")]
 Effects = Annotated[list[str] | None, _comma(_words), Parameter(completer=_effects)]
@@ -65,7 +68,9 @@ Seed = Annotated[int, Parameter(validator=Number(gte=0))]
 Columns = Literal["friction", "inertial"]
 Window = Annotated[
     float | None,
-    Parameter(help="Judge excitation in windows of this length [s]; default: the whole motion."),
+    Parameter(
+        help="Judge excitation in windows of this length [s]; default: the whole motion."
+    ),
 ]
 
 
@@ -93,7 +98,10 @@ class Part:
         """The robot to load, with the part of it that is meant."""
         from excitant.robots.chains import RobotSpec
 
-        given = next((name for name, value in vars(self).items() if value not in (None, False)), "")
+        given = next(
+            (name for name, value in vars(self).items() if value not in (None, False)),
+            "",
+        )
         if given and isdir(path) and not isfile(Path(path) / "metadata.yaml"):
             raise BadInput(
                 f"{path}: a folder says itself which joints its robot has; leave "
@@ -166,7 +174,9 @@ class Surroundings:
         """The robot, whose torque limits are to hold as far as its masses are uncertain."""
         robot = part.robot(path, self.limits)
         if not 0 <= self.mass_uncertainty < 100:
-            raise BadInput(f"--mass-uncertainty {self.mass_uncertainty:g}: give 0 to 100 [%]")
+            raise BadInput(
+                f"--mass-uncertainty {self.mass_uncertainty:g}: give 0 to 100 [%]"
+            )
         share = self.mass_uncertainty / 100
         return robot.with_limits(replace(robot.limits, mass_uncertainty=share))
 
@@ -177,10 +187,16 @@ class Surroundings:
         if self.no_floor and self.floor is not None:
             raise BadInput("--floor and --no-floor exclude each other; leave one out")
         obstacles = load_obstacles(self.obstacles) if self.obstacles else ()
-        height = base_plane(robot) if self.floor is None and not self.no_floor else self.floor
+        height = (
+            base_plane(robot)
+            if self.floor is None and not self.no_floor
+            else self.floor
+        )
         return obstacles if height is None else (*obstacles, floor(height))
 
-    def seen(self, robot: Robot, around: Sequence[Obstacle]) -> tuple[Scene | None, float]:
+    def seen(
+        self, robot: Robot, around: Sequence[Obstacle]
+    ) -> tuple[Scene | None, float]:
         """Scene as far as the arm has shapes, and the least distance [m]."""
         from excitant.design import CLEARANCE
         from excitant.robots.geometry import scene
@@ -192,7 +208,9 @@ class Surroundings:
         """Scene to keep clear of, if any, and the least distance [m]."""
         from excitant.robots.geometry import unchecked
 
-        found, least = self.seen(robot, () if self.ignore_collisions else self.around(robot))
+        found, least = self.seen(
+            robot, () if self.ignore_collisions else self.around(robot)
+        )
         asked = (self.obstacles, self.floor, self.clearance)
         left = found is None and not self.ignore_collisions
         if left and any(option is not None for option in asked):
@@ -225,9 +243,14 @@ class Data:
         from excitant.identify.faults import read_checked
 
         held = self.validate or []
-        checked = read_checked(dataset, names, without=[*held, *others], repaired=self.repair)
-        fit, unseen = checked.recordings, dataset.recordings(held) if held else []
-        understood = _say({each.name: each.notes for each in (*fit, *unseen) if each.notes})
+        checked = read_checked(
+            dataset, names, without=[*held, *others], repaired=self.repair
+        )
+        fit = checked.recordings
+        unseen = dataset.recordings(held) if held else []
+        understood = _say(
+            {each.name: each.notes for each in (*fit, *unseen) if each.notes}
+        )
         said = {"faults": checked.entries(), "import": understood}
         return list(fit), list(unseen), said, list(checked.notes)
 
@@ -276,7 +299,9 @@ class Run:
             else:
                 told = brief(page, terminal=bool(sys.stdout and sys.stdout.isatty()))
                 print(*([one_line(first)] if first else []), told, sep="\n", end="\n\n")
-                print_paths([path for path in paths if shown is None or path.name in shown])
+                print_paths(
+                    [path for path in paths if shown is None or path.name in shown]
+                )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{folder} was written") from None
 

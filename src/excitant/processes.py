@@ -37,16 +37,22 @@ def connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError:
-        raise BadInput("--cluster needs Dask: pip install 'excitant[cluster]'") from None
+        raise BadInput(
+            "--cluster needs Dask: pip install 'excitant[cluster]'"
+        ) from None
     try:
         client: Any = Client(  # type: ignore[no-untyped-call]
             address, timeout=_PATIENCE, set_as_default=False
         )
     except (OSError, ValueError, TimeoutError) as error:
-        raise BadInput(f"cluster {address}: no Dask scheduler answers there ({error})") from None
+        raise BadInput(
+            f"cluster {address}: no Dask scheduler answers there ({error})"
+        ) from None
     if not client.scheduler_info()["workers"]:
         client.close()
-        raise BadInput(f"cluster {address}: the scheduler has no workers; start 'dask worker'")
+        raise BadInput(
+            f"cluster {address}: the scheduler has no workers; start 'dask worker'"
+        )
     return client
 
 
@@ -72,9 +78,12 @@ def unordered(
     if not tasks:
         return
     options: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1}
-    jobs, perform = max(min(jobs, len(tasks)), 1 + apart), owned(function)
+    jobs = max(min(jobs, len(tasks)), 1 + apart)
+    perform = owned(function)
     if client is not None:
-        options, jobs, perform = {"backend": "dask", "client": client}, -1, function
+        options = {"backend": "dask", "client": client}
+        jobs = -1
+        perform = function
     elif jobs == 1:
         options = {"backend": "sequential"}
     try:
@@ -143,7 +152,8 @@ def together(tasks: Sequence[Callable[[], T]]) -> list[T]:
 
     def share() -> dict[int, T]:
         global _forks
-        _forks, found = False, {}
+        _forks = False
+        found = {}
         while number := os.read(left, _NUMBER):
             k = int.from_bytes(number)
             found[k] = tasks[k]()
@@ -151,7 +161,8 @@ def together(tasks: Sequence[Callable[[], T]]) -> list[T]:
 
     os.write(numbers, b"".join(k.to_bytes(_NUMBER) for k in range(len(tasks))))
     os.close(numbers)
-    before, other = _forks, _forked(share) if len(tasks) > 1 else None
+    before = _forks
+    other = _forked(share) if len(tasks) > 1 else None
     try:
         done = share()
         if other is not None and (found := other.result()):

@@ -60,9 +60,13 @@ class Load:
             return None
         from excitant.identify import KnownPayload, identify_drive_gains
 
-        payload = KnownPayload(self.payload_mass, self.payload_mass_std, self.payload_com)
+        payload = KnownPayload(
+            self.payload_mass, self.payload_mass_std, self.payload_com
+        )
         loaded = dataset.recordings(self.payload_recording)
-        return identify_drive_gains(dataset.robot, recordings, loaded, payload, **options)
+        return identify_drive_gains(
+            dataset.robot, recordings, loaded, payload, **options
+        )
 
 
 def go(
@@ -89,7 +93,12 @@ def go(
     options: dict[str, Any] = {"validate": held, "cutoff_hz": data.cutoff}
     with progress_bar("go") as advance:
         found = examine(
-            dataset.robot, fit, faults=said["faults"], notes=notes, progress=advance, **options
+            dataset.robot,
+            fit,
+            faults=said["faults"],
+            notes=notes,
+            progress=advance,
+            **options,
         )
     result = found.result() | {"import": said["import"]}
     refusal = "" if found.use else f"use no model of these recordings: {found.refusal}"
@@ -165,7 +174,8 @@ def identify(
     fit, held, said, notes = data.read(dataset, recordings, others)
     drive = load.drive(dataset, fit, options | {"validate": held})
     if drive is not None:
-        fit, held = drive.torque(fit), drive.torque(held)
+        fit = drive.torque(fit)
+        held = drive.torque(held)
     if chosen:
         from excitant.analysis.selection import choose_effects, described
 
@@ -177,15 +187,28 @@ def identify(
     options["validate"] = held
     with progress_bar("identify") as advance:
         if online:
-            options |= {"forgetting": forgetting, "progress": lambda share: advance(share, "")}
+            options |= {
+                "forgetting": forgetting,
+                "progress": lambda share: advance(share, ""),
+            }
             found: Any = identification.identify_online(arm, fit, **options)
         elif link_by_link:
             found = identification.identify_link_by_link(arm, fit, **options)
         else:
-            known = identification.load_knowledge(knowledge, arm.links) if knowledge else None
+            known = (
+                identification.load_knowledge(knowledge, arm.links)
+                if knowledge
+                else None
+            )
             highest = _highest_harmonic(trajectory, arm) if trajectory else None
-            options |= {"knowledge": known, "harmonics_hz": highest, "length_std": length_std}
-            found = identification.identify_robot(arm, fit, **options, estimator=estimator or "wls")
+            options |= {
+                "knowledge": known,
+                "harmonics_hz": highest,
+                "length_std": length_std,
+            }
+            found = identification.identify_robot(
+                arm, fit, **options, estimator=estimator or "wls"
+            )
     estimate: Estimate = getattr(found, "estimate", found)
     result = found.result()
     if load.payload:
@@ -223,7 +246,8 @@ def _refuse_contradictions(
     load: Load, chosen: bool, online: bool, by_link: bool, forgetting: float | None,
     whole: dict[str, Any],
 ) -> None:  # fmt: skip
-    com, another = load.payload_com, online or by_link
+    com = load.payload_com
+    another = online or by_link
     alone = load.unloaded and not load.payload
     apart = bool(load.payload_recording) != (load.payload_mass is not None)
     refused: list[tuple[object, str]] = [
@@ -235,8 +259,14 @@ def _refuse_contradictions(
         (alone, "--unloaded names what --payload is compared with; give --payload too"),
         (apart, "--payload-recording and --payload-mass belong together; give both"),
         (com and len(com) != 3, "--payload-com needs three numbers, X,Y,Z in metres"),
-        (forgetting is not None and not online, "--forgetting is for --online; give --online too"),
-        (by_link and online, "--link-by-link needs whole recordings; leave --online out"),
+        (
+            forgetting is not None and not online,
+            "--forgetting is for --online; give --online too",
+        ),
+        (
+            by_link and online,
+            "--link-by-link needs whole recordings; leave --online out",
+        ),
     ]
     why = "is for all rows at once; leave the other way out"
     refused += [(value and another, f"--{name} {why}") for name, value in whole.items()]
@@ -309,7 +339,8 @@ def analyze(
         "measured": measured,
         "frames": frames,
     }
-    notes, said = list[str](), dict[str, Any]()
+    notes = list[str]()
+    said = dict[str, Any]()
     if dataset is not None and recording:
         import numpy as np
 
@@ -329,7 +360,10 @@ def analyze(
 
 
 def _as_far_as_shown(
-    robot: Robot, recordings: Sequence[Recording], options: dict[str, Any], notes: list[str]
+    robot: Robot,
+    recordings: Sequence[Recording],
+    options: dict[str, Any],
+    notes: list[str],
 ) -> Estimate:
     """An estimate even where the recorded motion leaves parameters open, or is brief."""
     from excitant.analysis import identify_shown
@@ -381,7 +415,9 @@ def diagnose(
     dataset = part.dataset(robot, data.map)
     fit, held, said, notes = data.read(dataset, recordings)
     with progress_bar("diagnose"):
-        found = diagnosis.diagnose(dataset.robot, fit, validate=held, cutoff_hz=data.cutoff)
+        found = diagnosis.diagnose(
+            dataset.robot, fit, validate=held, cutoff_hz=data.cutoff
+        )
     plan = Plan()
     if experiments:
         from excitant.analysis.discrimination_plan import plan as planned
