@@ -61,12 +61,20 @@ def run(*words: str | Path, cwd: Path) -> str:
 
 
 def build(what: str, source: Path, target: Path) -> Path:
-    """Build a wheel or an sdist from a copy without environment, caches and build products."""
+    """Build a wheel or an sdist from a copy without environment, caches and build products.
+
+    The links in src/excitant are text files there, as in a zip of the repository.
+    """
     leave = shutil.ignore_patterns(
         ".*", "build", "dist", "runs", "*.egg-info", "__pycache__", "*.pyc"
     )
     with tempfile.TemporaryDirectory() as folder:
         copy = shutil.copytree(source, Path(folder) / "copy", symlinks=True, ignore=leave)
+        for link in (copy / "src/excitant").iterdir():
+            if link.is_symlink():
+                text = os.readlink(link)
+                link.unlink()
+                link.write_text(text)
         code = "import sys; from setuptools import build_meta as b; print(b.build_{}(sys.argv[1]))"
         printed = run(sys.executable, "-c", code.format(what), target, cwd=copy)
     return target / printed.splitlines()[-1]
