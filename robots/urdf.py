@@ -22,7 +22,7 @@ from excitant.robots.files import parse_xml, real_path
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.urdf_writer import ENDS, LIMIT_KEYS, RENAMED, UNLIMITED
+from excitant.robots.urdf_writer import ENDS, LIMIT_KEYS, UNLIMITED
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -71,6 +71,7 @@ def robot_from_urdf(
             ) from None
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
+    _restore_link_names(model)
     model.gravity.linear = weight
     moving = [named.joints[str(joint)] for joint in list(model.names)[1:]]
     return Robot(
@@ -165,6 +166,7 @@ def _check(root: ET.Element, source: str) -> None:
 
 _LARGEST = 1e9  # kg, m, rad, kg·m² of anything that is part of an arm
 _MOST = 1000  # links or joints
+_RENAMED = " (link)"  # after the name of a link that is also that of a joint
 _VECTORS = ("xyz", "rpy", "size", "scale")
 _NUMBERS = {
     "mass": ("value",),
@@ -223,7 +225,14 @@ def _rename_links_called_as_joints(root: ET.Element) -> None:
     named += [(end, "link") for tag in ENDS for end in root.findall(f"joint/{tag}")]
     for element, key in named:
         if element.get(key) in joints:
-            element.set(key, f"{element.get(key)}{RENAMED}")
+            element.set(key, f"{element.get(key)}{_RENAMED}")
+
+
+def _restore_link_names(model: pin.Model) -> None:
+    """Give the links their names in the description again, once no joint is to be held."""
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            frame.name = frame.name.removesuffix(_RENAMED)
 
 
 def _build(root: ET.Element, source: str) -> pin.Model:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 UNLIMITED = 1e9
 ENDS = ("parent", "child")
-RENAMED = " (link)"
 # large numbers that mean no limit
 LIMIT_KEYS = ("lower", "upper", "effort", "velocity")
 
@@ -80,10 +79,7 @@ def _fix(joint: ET.Element, model: pin.Model) -> None:
     for element in [element for element in joint if element.tag not in ENDS]:
         joint.remove(element)
     links = {element.tag: str(element.get("link")) for element in joint}
-    names = [
-        links[end] + RENAMED * (not model.existBodyName(links[end])) for end in ENDS
-    ]
-    frames = (model.getFrameId(name, pin.FrameType.BODY) for name in names)
+    frames = (model.getFrameId(links[end], pin.FrameType.BODY) for end in ENDS)
     parent, child = (model.frames[frame].placement for frame in frames)
     T = parent.actInv(child)
     joint.append(origin_element(T.rotation, T.translation))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from khosla import close
 from excitant.exceptions import BadRobot, ExcitantError
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots.chains import RobotSpec
-from excitant.robots.geometry import scene
+from excitant.robots.geometry import bent_pose, scene, sketch
 from excitant.robots.urdf import robot_from_urdf
 
 Refused = Callable[..., str]
@@ -128,6 +129,13 @@ def test_links_may_be_called_as_joints(gantry_urdf: str, random_states: States) 
     motion = random_states(part, 0, 8)
     assert same(robot, part, motion, 1e-12)
     assert same(robot_from_urdf(robot.urdf, "gantry.urdf"), part, motion, 1e-9)
+    pose = bent_pose(part)
+    for key, drawn in sketch(part, pose).items():
+        assert np.array_equal(drawn, sketch(robot, pose)[key])
+    tip = RobotSpec("gantry.urdf", tip="twist")
+    assert (
+        robot_from_urdf(text, tip).tip == robot_from_urdf(gantry_urdf, replace(tip, tip="hand")).tip
+    )
 
 
 def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path, gantry_urdf: str) -> None:
