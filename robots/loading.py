@@ -24,6 +24,7 @@ from excitant.robots.effects import (
     Spring,
     ViscousFriction,
     effects_from_entries,
+    plain,
 )
 from excitant.robots.files import is_exposed, read_description, real_path, within
 from excitant.robots.limits import merge_limits
@@ -202,8 +203,36 @@ def _supplemented(robot: Robot, record: RobotRecord, source: str) -> Robot:
     if record.limits is not None:
         robot = robot.with_limits(merge_limits(robot, record.limits, source))
     if record.effects is not None:
-        robot = robot.with_effects(effects_from_entries(record.effects, robot, source))
+        stated = effects_from_entries(record.effects, robot, source)
+        robot = _with_stated_effects(robot, stated, source)
     return replace(robot, length_std=record.length_std) if record.length_std else robot
+
+
+def _with_stated_effects(robot: Robot, stated: Sequence[Effect], source: str) -> Robot:
+    """The robot with more effects; one that its model has too replaces that of the model."""
+    names = {effect.name for effect in stated}
+    others = [effect for effect in robot.effects if effect.name not in names]
+    replaced = [
+        plain(effect.name)
+        for effect in robot.effects
+        if effect.name in names and not any(_states(entry, effect) for entry in stated)
+    ]
+    note = f"{', '.join(replaced)}: as in {Path(source).name}, not as in its model"
+    changed = robot.with_effects([*others, *stated])
+    return replace(changed, notes=(*robot.notes, *[note] * bool(replaced)))
+
+
+def _states(entry: Effect, effect: Effect) -> bool:
+    """Whether an entry has the same values at all joints of an effect of the model."""
+    if entry.name != effect.name:
+        return False
+    stated = _values_by_joint(entry)
+    return all(stated.get(j) == row for j, row in _values_by_joint(effect).items())
+
+
+def _values_by_joint(effect: Effect) -> dict[str, list[float]]:
+    values = np.reshape(effect.values or (), (max(len(effect.joints), 1), -1)).tolist()
+    return dict(zip(effect.joints, values, strict=False))
 
 
 def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:

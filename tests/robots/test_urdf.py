@@ -117,6 +117,27 @@ def test_robot_yaml_says_what_the_urdf_cannot(gantry_urdf: str, tmp_path: Path) 
     assert same(robot, expected, motion, 1e-12)
 
 
+def test_effects_of_robot_yaml_join_those_of_its_model(gantry_urdf: str, tmp_path: Path) -> None:
+    axis = '<axis xyz="0 0 -1"/>'
+    text = gantry_urdf.replace(axis, f'{axis}<dynamics damping="0.7" friction="0.2"/>')
+    (tmp_path / "arm.urdf").write_text(text)
+    path = tmp_path / "robot.yaml"
+
+    def effects(*entries: str) -> tuple[dict[str, object], tuple[str, ...]]:
+        path.write_text(f"model: arm.urdf\neffects: [{', '.join(entries)}]\n")
+        robot = load_robot(path)
+        return {effect.name: effect.values for effect in robot.effects}, robot.notes
+
+    friction = {"viscous_friction": (0.7,), "coulomb_friction": (0.2,)}
+    rotor = "{effect: rotor_inertia, joints: [twist], values: [0.1]}"
+    assert effects(rotor) == (friction | {"rotor_inertia": (0.1,)}, ())
+    same = "{effect: viscous_friction, joints: [slide, twist], values: [3, 0.7]}"
+    assert effects(same) == ({"coulomb_friction": (0.2,), "viscous_friction": (3, 0.7)}, ())
+    found, (note,) = effects("{effect: coulomb_friction, joints: [twist], values: [0.4]}")
+    assert found == friction | {"coulomb_friction": (0.4,)}
+    assert note == "Coulomb friction: as in robot.yaml, not as in its model"
+
+
 def test_links_may_be_called_as_joints(gantry_urdf: str, random_states: States) -> None:
     """Names of links change nothing, even where Pinocchio cannot hold two of one name."""
     text = gantry_urdf
