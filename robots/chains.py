@@ -160,6 +160,7 @@ def held_joints(
 def _kept(
     robot: Tree, spec: RobotSpec, movable: Sequence[TreeJoint]
 ) -> list[TreeJoint]:
+    """Joints that move: those that are named, or those of the chain that do not mimic."""
     if spec.joints is not None:
         if spec.tip is not None or spec.base is not None:
             raise BadInput(
@@ -169,8 +170,8 @@ def _kept(
         if both:
             raise BadInput(f"joint '{both[0]}' is both kept and locked; do one of them")
         return [joint for joint in movable if joint.name in spec.joints]
-    path = robot.chain(spec.base, spec.tip)
-    kept = [joint for joint in path if joint in movable and joint.name not in spec.lock]
+    free = [j for j in movable if j.mimic is None and j.name not in spec.lock]
+    kept = [joint for joint in robot.chain(spec.base, spec.tip) if joint in free]
     if not kept and spec.is_part:
         where = f"from {spec.base or 'the root'} to {spec.tip or 'the ends'}"
         raise BadRobot(
@@ -195,14 +196,12 @@ def _refuse_dependent(
                 f"only revolute, continuous and prismatic joints are supported; choose a chain "
                 f"without it ({way}), or hold it (--lock {joint.name})",
             )
-    pairs = [(joint.name, joint.mimic[0]) for joint in kept if joint.mimic is not None]
-    if pairs:
-        every = ",".join(dict.fromkeys(name for pair in pairs for name in pair))
-        raise BadRobot(
-            robot.source,
-            f"joint '{pairs[0][0]}' mimics '{pairs[0][1]}', and coupled joints cannot be kept; "
-            f"hold them (--lock {every}), or choose a chain without them (--tip LINK)",
-        )
+        if joint.mimic is not None:
+            raise BadRobot(
+                robot.source,
+                f"joint '{joint.name}' mimics '{joint.mimic[0]}', and a mimic joint can only be "
+                "held; leave it out of the joints to keep",
+            )
     for ends in loops:
         one, other = ({joint.name for joint in robot.ancestors(end)} for end in ends)
         inside = sorted((one ^ other) & {joint.name for joint in kept})
@@ -237,19 +236,32 @@ def _position(robot: Tree, joint: TreeJoint, lock: Mapping[str, float]) -> float
 def _notes(
     robot: Tree, spec: RobotSpec, moving: set[str], held: Mapping[str, float | None]
 ) -> Iterator[str]:
-    at_zero = []
+    """Sentences on joints that are held by default: why, and where."""
+    at_zero: list[str] = []
+    with_master: list[str] = []
+    uncoupled: list[str] = []
     for name, value in held.items():
         joint = robot.joints[name]
         if name in spec.lock:
             continue
         if value is None:
             yield f"{joint.kind} joint {name} is held where the file puts it"
-        elif joint.mimic is not None:
-            moves = ", though that one moves" if joint.mimic[0] in moving else ""
-            yield f"joint {name} follows {joint.mimic[0]} and is held at {value:g}{moves}"
-        else:
+        elif joint.mimic is None:
             at_zero.append(name)
+        else:
+            group = uncoupled if joint.mimic[0] in moving else with_master
+            group.append(f"{name} at {value:g}")
+    if with_master:
+        yield f"mimic joints held as the joints they mimic: {_listed(with_master)}"
+    if uncoupled:
+        yield (
+            "mimic joints held, whose motion with the joints they mimic is not modelled: "
+            f"{_listed(uncoupled)}"
+        )
     if at_zero:
-        more = len(at_zero) - _SHOWN
-        shown = ", ".join(at_zero[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
-        yield f"held at 0, as they are not chosen: {shown}"
+        yield f"held at 0, as they are not chosen: {_listed(at_zero)}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + f" and {more} more" * (more > 0)

@@ -69,13 +69,29 @@ def test_a_follower_off_the_chain_is_held_where_it_belongs() -> None:
     held = dict(robot.locked)
     assert held["left_finger"] == pytest.approx(0.1)
     assert held["right_finger"] == pytest.approx(0.1 - 2 * 0.02)
-    assert any("left_finger follows left_thumb" in note for note in robot.notes)
+    assert (
+        "mimic joints held as the joints they mimic: left_finger at 0.1, right_finger at 0.06"
+    ) in robot.notes
     assert any("right_1" in note for note in robot.notes)
     assert load_robot(TWINS, lock=dict.fromkeys(GRIPPERS, 0.0)).notes == ()  # as was asked for
 
 
+def test_a_follower_of_a_joint_that_moves_is_held_and_that_is_said(random_states: States) -> None:
+    robot = load_robot(TWINS)
+    assert robot.joints == ("lift", *LEFT, "left_thumb", *RIGHT, "right_thumb")
+    assert dict(robot.locked) == pytest.approx({"left_finger": 0.1, "right_finger": 0.1})
+    (note,) = robot.notes
+    assert note.endswith("not modelled: left_finger at 0.1, right_finger at 0.1")
+    motion = random_states(robot, 0, 8)
+    assert close(rigid_body_torque(robot, motion), torque_of_whole(robot, motion))
+
+
 REFUSED: dict[str, tuple[dict[str, object], type[Exception], str]] = {
-    "a follower among the kept": ({}, BadRobot, "'left_finger' mimics 'left_thumb'"),
+    "a follower among the kept": (
+        {"joints": ["left_thumb", "left_finger"]},
+        BadRobot,
+        "'left_finger' mimics 'left_thumb'",
+    ),
     "unknown tip": ({"tip": "left_hnd"}, UnknownName, "did you mean 'left_hand'"),
     "unknown base": ({"base": "tors", "tip": "left_hand"}, UnknownName, "did you mean 'torso'"),
     "unknown joint": ({"joints": ["lft"]}, UnknownName, "did you mean 'lift'"),

@@ -179,10 +179,14 @@ def test_gripper_and_loose_things_are_held_off_the_chain(refused: Refused) -> No
     robot = load_robot(GRIPPER, tip="arm", lock={"one": 0.03})
     assert robot.joints == ("turn",)
     assert dict(robot.locked)["two"] == pytest.approx(0.01 - 0.03)
-    assert any("two follows one" in note for note in robot.notes)
+    assert any("as the joints they mimic: two at -0.02" in note for note in robot.notes)
     assert any("cube_free" in note for note in robot.notes)
     refused("cube_free", load_robot, GRIPPER, error=BadRobot)
-    refused("'two' mimics 'one'", load_robot, GRIPPER, base="arm", error=BadRobot)
+    opening = load_robot(GRIPPER, base="arm")
+    assert opening.joints == ("one",)
+    assert any("is not modelled: two at" in note for note in opening.notes)
+    named = {"joints": ["one", "two"], "error": BadRobot}
+    refused("'two' mimics 'one'", load_robot, GRIPPER, **named)
 
 
 def test_a_loop_is_refused_where_it_moves(tmp_path: Path, refused: Refused) -> None:
