@@ -49,12 +49,12 @@ from excitant.analysis.selection import frictionless, idle, rivals, select
 from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
+from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.export import Publication, model_files, published
 from excitant.identify.faults import proven, warn_of_faults
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
-from excitant.identify.recording import Recordings, as_recordings
 from excitant.identify.rows import (
     Accuracy,
     Data,

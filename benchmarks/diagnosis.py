@@ -21,7 +21,7 @@ from worlds import apart, campaign
 from excitant.analysis.diagnosis import diagnose
 from excitant.design import random_trajectory
 from excitant.exceptions import ExcitantError
-from excitant.identify.recording import Recording, recording_from_table
+from excitant.identify import Recording, recording_from_table
 from excitant.processes import owned
 from excitant.robots import Robot, load_robot
 from excitant.robots.plant.arm import Trajectory

@@ -4,7 +4,6 @@ from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
 from .export import Publication, model_files, publication, published
-from .importers.names import ColumnMap, load_column_map
 from .knowledge import Knowledge, load_knowledge
 from .online import (
     Monitor,
@@ -20,13 +19,14 @@ from .payload import (
     identify_drive_gains,
     identify_payload,
 )
-from .recording import (
-    Recording,
+from .reading.logs import (
     load_recording,
     raw_recording,
     read_chunks,
     recording_from_table,
 )
+from .reading.names import ColumnMap, load_column_map
+from .recording import Recording
 from .regression import Regression
 from .rows import Data, split
 from .sequential import LinkByLink, identify_link_by_link

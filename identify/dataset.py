@@ -13,28 +13,31 @@ from dataclasses import dataclass, field, replace
 from datetime import date
 from os.path import exists, isdir, isfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import msgspec
 import numpy as np
 
-from excitant.exceptions import BadInput, UnknownName
+from excitant.exceptions import BadInput, BadRecording, UnknownName
 from excitant.files import size_of
-from excitant.identify.importers.bags import described, is_bag
-from excitant.identify.importers.names import (
+from excitant.identify.faults import Checked, check
+from excitant.identify.reading.bags import described, is_bag
+from excitant.identify.reading.logs import (
+    SUFFIXES,
+    TEXTS,
+    load_recording,
+    raw_recording,
+    read_chunks,
+    recording_from_table,
+    suffix_of,
+)
+from excitant.identify.reading.names import (
     ColumnMap,
     column_map,
     drive_of,
     load_column_map,
 )
-from excitant.identify.recording import (
-    SUFFIXES,
-    TEXTS,
-    Recording,
-    load_recording,
-    read_chunks,
-    suffix_of,
-)
+from excitant.identify.recording import Recording
 from excitant.robots.chains import RobotSpec
 from excitant.robots.files import parse_xml, within
 from excitant.robots.limits import limits_from
@@ -42,6 +45,13 @@ from excitant.robots.loading import load_robot, robot_of
 from excitant.robots.mjcf import Description
 from excitant.robots.robot import Robot
 from excitant.robots.schema import RobotRecord, read_yaml
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+RecordingLike: TypeAlias = "Recording | pd.DataFrame | str | Path"
+"""A recording, a table in memory, or a file."""
+Recordings: TypeAlias = "RecordingLike | Sequence[RecordingLike]"
 
 LONG = 300_000
 """Samples of recordings together, of which no more are kept: more rows than a fit uses."""
@@ -285,6 +295,56 @@ def read_recordings(
             excerpt(read_chunks(path, robot, mapping=mapping), share) for path in paths
         ]
     return [load_recording(path, robot, mapping=mapping) for path in paths]
+
+
+def as_recordings(recordings: Recordings, robot: Robot) -> list[Recording]:
+    """Recordings as they are, and those of tables and files; see `load_recording`.
+
+    Raises:
+        BadRecording: One that cannot be used, or of another number of joints than the robot's.
+    """
+    # recordings and data frames have columns, which tells them without importing pandas
+    single = isinstance(recordings, str | Path) or hasattr(recordings, "columns")
+    several: Any = [recordings] if single else recordings
+    sources = list[Any](several)
+    paths = [source for source in sources if isinstance(source, str | Path)]
+    read = iter(read_recordings(paths, robot))
+    nouns = list[Recording]()
+    for k, source in enumerate(sources, start=1):
+        if isinstance(source, Recording):
+            recording = source
+        elif isinstance(source, str | Path):
+            recording = next(read)
+        else:
+            label = f"table {k}"
+            recording = recording_from_table(source, robot, file=label, name=label)
+        if recording.nv != robot.nv:
+            why = f"has {recording.nv} joints, but {robot.name} has {robot.nv}"
+            raise BadRecording(recording.file, f"{why}; load it for this robot")
+        nouns.append(recording)
+    return nouns
+
+
+def read_checked(
+    dataset: Dataset,
+    names: Sequence[str],
+    *,
+    without: Sequence[str] = (),
+    repaired: bool = False,
+) -> Checked:
+    """Recordings of a dataset as `Dataset.recordings`, with their faults; see `check`.
+
+    Raises:
+        BadInput: Nothing to read.
+        BadRecording: A recording that cannot be used, also not after the repair.
+    """
+    robot = dataset.robot
+    if repaired:
+        paths = dataset.paths(names, without=without)
+        recordings = [raw_recording(path, robot, dataset.mapping) for path in paths]
+    else:
+        recordings = dataset.recordings(names, without=without)
+    return check(robot, recordings, repaired=repaired)
 
 
 def _samples(path: Path) -> int:

@@ -13,6 +13,7 @@ import scipy
 
 from excitant.exceptions import BadInput, BadRecording, UnknownName
 from excitant.files import write_file
+from excitant.identify.dataset import RecordingLike, Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.faults import warn_of_faults
@@ -33,7 +34,6 @@ from excitant.identify.lengths import LengthErrors, length_deviations, length_er
 from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
 from excitant.identify.preprocessing import Mask, prepare
 from excitant.identify.prior import decided_by, prior_parameters
-from excitant.identify.recording import RecordingLike, Recordings, as_recordings
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
     Accuracy,

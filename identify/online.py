@@ -21,6 +21,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.differentiators import (
     LocalPolynomial,
     causal_polynomial,
@@ -48,7 +49,7 @@ from excitant.identify.prior import (
     prior_parameters,
     reference_motion,
 )
-from excitant.identify.recording import Recording, Recordings, as_recordings
+from excitant.identify.recording import Recording
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects

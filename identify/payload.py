@@ -19,6 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
+from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
 from excitant.identify.information import Information, gaussian, information_of
 from excitant.identify.online import PERIOD, OnlineEstimator, replayable
@@ -29,7 +30,7 @@ from excitant.identify.prior import (
     base_prior,
     prior_parameters,
 )
-from excitant.identify.recording import Recording, Recordings, as_recordings
+from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters

@@ -34,6 +34,7 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import RankDeficient
+from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
 from excitant.identify.information import Information, gaussian, square_root
 from excitant.identify.knowledge import Knowledge
@@ -46,7 +47,6 @@ from excitant.identify.least_squares import (
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, moving, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
-from excitant.identify.recording import Recordings, as_recordings
 from excitant.identify.rows import Data, FitRows, fit_rows, split
 from excitant.robots.base_parameters import base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects

@@ -17,7 +17,7 @@ import numpy as np
 
 from excitant.exceptions import BadInput
 from excitant.files import read_bytes, write_file, write_folder
-from excitant.identify.importers.arrays import read_arrays
+from excitant.identify.reading.arrays import read_arrays
 from excitant.processes import ahead
 from excitant.reports.page import Page
 from excitant.robots.motion import Array

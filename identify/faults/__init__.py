@@ -12,7 +12,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from excitant.exceptions import BadRecording, FaultWarning
-from excitant.identify.dataset import Dataset
 from excitant.identify.faults.channels import (
     dead_channels,
     held_channels,
@@ -41,7 +40,7 @@ from excitant.identify.faults.set_up import (
     swapped,
 )
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
-from excitant.identify.recording import Recording, checked, raw_recording
+from excitant.identify.recording import Recording, checked
 from excitant.robots.robot import Robot
 
 __all__ = [
@@ -49,9 +48,9 @@ __all__ = [
     "Checked",
     "Fault",
     "Log",
+    "check",
     "find_copies",
     "find_faults",
-    "read_checked",
 ]
 __all__ += ["faults_of", "repair"]
 
@@ -237,47 +236,40 @@ def _channel(fault: Mapping[str, Any]) -> object:
     return fault["evidence"].get("channel")
 
 
-def read_checked(
-    dataset: Dataset,
-    names: Sequence[str],
-    *,
-    without: Sequence[str] = (),
-    repaired: bool = False,
+def check(
+    robot: Robot, recordings: Sequence[Recording], *, repaired: bool = False
 ) -> Checked:
-    """Recordings of a dataset as `Dataset.recordings`, and their faults, repaired where asked for.
+    """Recordings with their faults, repaired where that is asked for.
+
+    Args:
+        robot: The arm as given.
+        recordings: Recordings as logged, or checked ones.
+        repaired: Whether to repair what has a remedy.
 
     Raises:
-        BadInput: Nothing to read.
         BadRecording: A recording that cannot be used, also not after the repair.
     """
-    robot = dataset.robot
-    if repaired:
-        paths = dataset.paths(names, without=without)
-        raws = [raw_recording(path, robot, dataset.mapping) for path in paths]
-    else:
-        raws = dataset.recordings(names, without=without)
-    copies = find_copies({raw.name: raw for raw in raws})
-    put_back, swaps = find_swapped(robot, raws)
-    found = {raw.name: raw for raw in put_back}
-    own = supported(
-        robot, found, {name: faults_of(robot, raw) for name, raw in found.items()}
-    )
-    faults = {
-        name: (*(of[name] for of in (copies, swaps) if name in of), *mine)
-        for name, mine in own.items()
-    }
+    copies = find_copies({recording.name: recording for recording in recordings})
+    exchanged, swaps = find_swapped(robot, recordings)
+    by_name = {recording.name: recording for recording in exchanged}
+    alone = {name: faults_of(robot, recording) for name, recording in by_name.items()}
+    faults = dict[str, tuple[Fault, ...]]()
+    for name, mine in supported(robot, by_name, alone).items():
+        among = [found[name] for found in (copies, swaps) if name in found]
+        faults[name] = (*among, *mine)
+    if not repaired:
+        return Checked(list(recordings), faults)
     notes = list[str]()
-    recordings = [] if repaired else raws
-    for name, raw in found.items() if repaired else ():
+    usable = list[Recording]()
+    for name, recording in by_name.items():
         for fault in faults[name]:
             if "unclear" in fault.evidence:
                 row = int(fault.evidence["rows"][0])
-                raise BadRecording(
-                    raw.file, fault.detail, row=row, column=raw.columns[0]
-                )
-        better, done = repair(raw, faults[name])
+                column = recording.columns[0]
+                raise BadRecording(recording.file, fault.detail, row=row, column=column)
+        better, done = repair(recording, faults[name])
         notes += [f"{name}: {sentence}" for sentence in done]
-        recordings.append(checked(better))
-        left = tuple(fault for fault in faults[name] if not fault.remedies)
-        _known[recordings[-1]] = robot, left
-    return Checked(recordings, faults, tuple(notes), repaired)
+        usable.append(checked(better))
+        open_faults = tuple(fault for fault in faults[name] if not fault.remedies)
+        _known[usable[-1]] = robot, open_faults
+    return Checked(usable, faults, tuple(notes), repaired)

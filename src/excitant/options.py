@@ -240,7 +240,7 @@ class Data:
         self, dataset: Dataset, names: Sequence[str], others: Sequence[str] = ()
     ) -> tuple[list[Recording], list[Recording], dict[str, Any], list[str]]:
         """Recordings to fit (all but others where none is named), hold-out, entries, notes."""
-        from excitant.identify.faults import read_checked
+        from excitant.identify.dataset import read_checked
 
         held = self.validate or []
         checked = read_checked(

@@ -18,13 +18,13 @@ from planted_faults import PLANTS, Plant, edited, recorded, scaled, with_rows
 from excitant.analysis import diagnose
 from excitant.exceptions import BadRecording, FaultWarning
 from excitant.identify import ColumnMap, Recording, identify_robot, load_dataset, raw_recording
+from excitant.identify.dataset import read_checked
 from excitant.identify.faults import (
     FAULTS,
     Log,
     find_copies,
     find_faults,
     proven,
-    read_checked,
     repair,
 )
 from excitant.identify.faults.modelled import in_joint_frames

@@ -324,7 +324,7 @@ def test_huge_files_and_what_is_none_are_refused_at_once(
     name, write = HUGE[kind]
     write(tmp_path / name)
     for module in ("arrays", "tables"):
-        monkeypatch.setattr(f"excitant.identify.importers.{module}.MOST", 1 << 24)
+        monkeypatch.setattr(f"excitant.identify.reading.{module}.MOST", 1 << 24)
     tracemalloc.start()
     try:
         assert attempt(tmp_path / name) is None

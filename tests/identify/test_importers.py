@@ -23,7 +23,7 @@ from excitant.identify import (
     raw_recording,
     recording_from_table,
 )
-from excitant.identify.importers import mat
+from excitant.identify.reading import mat
 from excitant.robots import load_robot
 
 T = np.arange(300) / 100

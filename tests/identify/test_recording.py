@@ -37,9 +37,8 @@ from excitant.identify import (
     recording_from_table,
     split,
 )
-from excitant.identify.dataset import excerpt
+from excitant.identify.dataset import as_recordings, excerpt
 from excitant.identify.faults import find_faults
-from excitant.identify.recording import as_recordings
 from excitant.robots import load_robot
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]

@@ -24,7 +24,7 @@ def loaded(path: Path, size: int) -> dict[str, Any]:
     Raises:
         ValueError: A damaged file, or one whose variables would not fit into memory.
     """
-    from excitant.identify.importers.arrays import MOST, refuse_size
+    from excitant.identify.reading.arrays import MOST, refuse_size
 
     words = [sys.executable, __file__, str(path), str(size), str(MOST)]
     done = subprocess.run(words, capture_output=True, check=False)

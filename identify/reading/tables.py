@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.importers import mat
-from excitant.identify.importers.arrays import MOST, read_arrays, refuse_size
-from excitant.identify.importers.cells import Cells, Frame, cells, framed
-from excitant.identify.importers.names import meaning
+from excitant.identify.reading import mat
+from excitant.identify.reading.arrays import MOST, read_arrays, refuse_size
+from excitant.identify.reading.cells import Cells, Frame, cells, framed
+from excitant.identify.reading.names import meaning
 from excitant.robots.schema import parsed_json
 
 if TYPE_CHECKING:

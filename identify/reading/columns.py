@@ -15,8 +15,8 @@ from typing import Any
 import yaml
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.importers.cells import Frame
-from excitant.identify.importers.names import (
+from excitant.identify.reading.cells import Frame
+from excitant.identify.reading.names import (
     PARTS_OF_TIME,
     ColumnMap,
     Meaning,
@@ -24,7 +24,7 @@ from excitant.identify.importers.names import (
     factor,
     meaning,
 )
-from excitant.identify.importers.tables import Table
+from excitant.identify.reading.tables import Table
 from excitant.robots.robot import Robot
 
 _SAID = {

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from excitant.exceptions import BadRecording
-from excitant.identify.importers.arrays import MOST, refuse_size
-from excitant.identify.importers.cells import Frame, cells, framed
-from excitant.identify.importers.names import spelled
-from excitant.identify.importers.tables import Table, opened, unreadable
+from excitant.identify.reading.arrays import MOST, refuse_size
+from excitant.identify.reading.cells import Frame, cells, framed
+from excitant.identify.reading.names import spelled
+from excitant.identify.reading.tables import Table, opened, unreadable
 
 if TYPE_CHECKING:
     import pandas as pd

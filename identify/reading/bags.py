@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.importers.cells import Frame, as_numbers
-from excitant.identify.importers.names import meaning
-from excitant.identify.importers.tables import Table, table_of_frame, unreadable
+from excitant.identify.reading.cells import Frame, as_numbers
+from excitant.identify.reading.names import meaning
+from excitant.identify.reading.tables import Table, table_of_frame, unreadable
 from excitant.robots.schema import parsed_yaml
 
 SUFFIXES = (".bag", ".mcap", ".db3")

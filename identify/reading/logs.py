@@ -1,0 +1,246 @@
+"""Logs as recordings: the one entry to the readers of files and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from os.path import isdir
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from excitant.exceptions import BadInput, BadRecording
+from excitant.files import size_of
+from excitant.identify.reading import bags, cells, tables
+from excitant.identify.reading.arrays import refuse_size
+from excitant.identify.reading.columns import Channel, Columns, resolve, with_names_of
+from excitant.identify.reading.names import ColumnMap
+from excitant.identify.reading.text import text_table
+from excitant.identify.recording import (
+    MINIMUM_DURATION,
+    Recording,
+    checked,
+    refuse_bad_rows,
+    refuse_constant_torque,
+    with_finite_speeds,
+)
+from excitant.robots.loading import RobotLike, as_robot
+from excitant.robots.motion import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LINES: dict[str, Callable[[Path], tables.Table]] = {
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log", ".asc"), text_table),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), tables.json_table),
+}
+_READERS: dict[str, Callable[[Path], tables.Table]] = {
+    **dict.fromkeys((".parquet", ".pq"), tables.parquet_table),
+    **_LINES,
+    **{f"{suffix}.gz": reader for suffix, reader in _LINES.items()},
+    ".npz": tables.npz_table,
+    ".mat": tables.mat_table,
+}
+SUFFIXES = (
+    *(s for s in _READERS if s.removesuffix(".gz") not in (".json", ".log")),
+    *bags.SUFFIXES,
+)
+"""Ends of the names of recordings; what else is read may be something else in a folder."""
+TEXTS = tuple(s for s in _READERS if s.removesuffix(".gz") in _LINES)
+"""Ends of the names of recordings whose lines, where there are many, are samples."""
+_REMEMBERED = 100  # unreadable cells whose text is kept
+
+
+def load_recording(
+    path: str | Path, robot: RobotLike | int, *, mapping: ColumnMap | None = None
+) -> Recording:
+    """Recording from a log: Parquet, CSV, JSON, NPZ, MAT (up to version 7.2), ROS bag, MCAP.
+
+    Args:
+        path: File, or folder of a ROS 2 bag, with columns ``t, q1.., tau1..`` (or ``i1..``), or
+            with names that say the same.
+        robot: The arm (or its name or file), whose joints are matched by name, or their number.
+        mapping: What the user says about the columns.
+
+    Raises:
+        BadRecording: Names the file, the row (from 0, after the header) and the column.
+        BadInput: A map of columns that does not fit the robot.
+    """
+    return checked(raw_recording(path, robot, mapping))
+
+
+def raw_recording(
+    path: str | Path, robot: RobotLike | int, mapping: ColumnMap | None = None
+) -> Recording:
+    """A log as it is: columns understood, units converted, no row refused; see `load_recording`."""
+    return next(_pieces(_open_log(path, mapping), robot, mapping))
+
+
+def recording_from_table(
+    table: pd.DataFrame,
+    robot: RobotLike | int,
+    *,
+    file: str,
+    name: str,
+    mapping: ColumnMap | None = None,
+) -> Recording:
+    """Recording from a table in memory; see `load_recording`."""
+    raw = next(_pieces(tables.table_of_frame(table, file), robot, mapping))
+    return checked(replace(raw, name=name))
+
+
+def read_chunks(
+    paths: str | Path | Sequence[str | Path],
+    robot: RobotLike | int,
+    rows: int = 100_000,
+    *,
+    mapping: ColumnMap | None = None,
+) -> Iterator[Recording]:
+    """A log larger than memory as recordings of some rows each, checked as `load_recording` does.
+
+    What only the whole can show, a channel without signal or a log that is too short, is refused
+    after the last piece.
+
+    Args:
+        paths: A log, or the files it was split into, in order; ``t`` counts from its first sample.
+        robot: The arm, or its number of joints.
+        rows: Most rows of a piece.
+        mapping: What the user says about the columns.
+    """
+    if rows < 1:
+        raise BadInput(f"rows is {rows}; a piece must hold at least one row")
+    files = [paths] if isinstance(paths, str | Path) else list(paths)
+    origin = None
+    end = -np.inf
+    extremes = np.zeros((0, 0))
+    for file in files:
+        first_row = 0
+        for raw in _pieces(_open_log(file, mapping), robot, mapping, rows, origin):
+            refuse_bad_rows(raw, first_row, end)
+            seen = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
+            extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
+            origin = raw.start
+            end = float(raw.t[-1])
+            first_row = first_row + len(raw)
+            yield with_finite_speeds(raw)
+    if end < MINIMUM_DURATION:
+        why = f"too short: {max(end, 0.0):.3g} s, at least {MINIMUM_DURATION:g} s are needed"
+        raise BadRecording(files[0] if files else "", why, column="t")
+    refuse_constant_torque(extremes, raw)
+
+
+def suffix_of(path: Path) -> str:
+    """What the name of a file says of its format: its end, with that of what is packed in it."""
+    ends = path.suffixes[-2:] if path.suffix.lower() == ".gz" else path.suffixes[-1:]
+    return "".join(ends).lower()
+
+
+def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
+    path = Path(path)
+    is_bag = bags.is_bag(path)
+    suffix = suffix_of(path)
+    why = f"unknown format '{suffix}'; give .parquet or .csv, .json, .npz, .mat, .bag or .mcap"
+    try:
+        size = 0 if isdir(path) else size_of(path)
+    except FileNotFoundError:
+        raise BadRecording(path, "no such file") from None
+    except OSError as error:
+        why = f"cannot be read ({error.strerror}); give a file"
+        raise BadRecording(path, why) from None
+    if isdir(path) and not is_bag:
+        why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
+    elif is_bag or suffix in _READERS:
+        try:
+            if suffix in (".npz", ".mat"):  # which are read whole
+                refuse_size(size)
+            if is_bag:
+                return bags.bag_table(path, mapping.topic if mapping else None)
+            return _READERS[suffix](path)
+        except (BadRecording, ModuleNotFoundError):
+            raise
+        except Exception as error:  # readers of others raise anything on a damaged file
+            raise tables.unreadable(path, error) from None
+    raise BadRecording(path, why)
+
+
+def _pieces(
+    table: tables.Table,
+    robot: RobotLike | int,
+    mapping: ColumnMap | None,
+    rows: int | None = None,
+    origin: tuple[float, float] | None = None,
+) -> Iterator[Recording]:
+    """A log in pieces of at most so many rows, or whole with its other columns; nothing refused.
+
+    ``origin`` is the time that becomes 0, that of the first row when None.
+    """
+    if not isinstance(robot, int):
+        robot = as_robot(robot)
+        table = with_names_of(table, robot.joints)
+    columns = resolve(table, robot, mapping or ColumnMap())
+    narrow = columns.names if rows is not None or table.joined else None
+    timed = columns.t_unit is not None or len(columns.t) > 1
+    for frame in table.frames(rows, narrow):
+        if rows is not None and not len(frame[columns.t[0]]):
+            continue
+        if not timed:
+            unit, what = cells.stamps_unit(frame[columns.t[0]])
+            notes = (f"time: {columns.t[0]} holds {what}",) if unit else ()
+            columns = replace(columns, t_unit=unit, notes=(*columns.notes, *notes))
+        timed = True
+        raw = _in_si_units(table, frame, columns, origin)
+        origin = raw.start
+        yield raw
+
+
+def _in_si_units(
+    table: tables.Table,
+    frame: cells.Frame,
+    columns: Columns,
+    origin: tuple[float, float] | None,
+) -> Recording:
+    texts: dict[tuple[int, str], str] = {}
+
+    def remembered(column: str, values: Array) -> Array:
+        for row in np.flatnonzero(~np.isfinite(values))[:_REMEMBERED]:
+            texts[int(row), column] = str(np.asarray(frame[column])[row])
+        return values
+
+    def channel(found: Channel) -> Array:
+        values = [
+            remembered(name, cells.as_numbers(frame[name])) for name in found.columns
+        ]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(np.column_stack(values) * found.factors)
+
+    whole, rest = cells.in_seconds(frame[columns.t[0]], columns.t_unit)
+    if len(columns.t) == 2:
+        rest = rest + 1e-9 * cells.as_numbers(frame[columns.t[1]])
+    usable = np.flatnonzero(np.isfinite(remembered(columns.t[0], whole + rest)))
+    if origin is None:
+        origin = (
+            (float(whole[usable[0]]), float(rest[usable[0]]))
+            if len(usable)
+            else (0.0, 0.0)
+        )
+    with np.errstate(invalid="ignore", over="ignore"):
+        t = (whole - origin[0]) + (rest - origin[1])
+    return Recording(
+        name=Path(table.file).stem,
+        file=table.file,
+        t=t,
+        q=channel(columns.q),
+        tau=channel(columns.tau),
+        unit=columns.unit,
+        dq=None if columns.dq is None else channel(columns.dq),
+        notes=(*table.notes, *columns.notes),
+        extras={
+            name: cells.as_numbers(values)
+            for name, values in frame.items()
+            if name not in columns.names and values.dtype.kind in "iuf"
+        },
+        columns=(columns.t[0], *columns.q.columns, *columns.tau.columns),
+        start=origin,
+        unreadable=texts,
+    )
