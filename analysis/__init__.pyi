@@ -1,8 +1,9 @@
 from .confirmation import Finding
 from .diagnosis import Diagnosis, diagnose
+from .effect_choice import choose_effects
 from .examination import Examination, examine
-from .experiment import identify_shown
 from .identifiability import Identifiability, analyze
+from .shown import identify_shown
 
 __all__ = [
     "Diagnosis",
@@ -10,6 +11,7 @@ __all__ = [
     "Finding",
     "Identifiability",
     "analyze",
+    "choose_effects",
     "diagnose",
     "examine",
     "identify_shown",

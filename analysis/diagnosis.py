@@ -51,8 +51,7 @@ from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains, current_gains
-from excitant.identify.export import Publication, model_files, published
-from excitant.identify.faults import proven, warn_of_faults
+from excitant.identify.faults import warn_of_faults
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
 from excitant.identify.rows import (
@@ -258,16 +257,6 @@ class Diagnosis(Shown):
             {**f, "repaired": f["repaired"] or (mine is not None and mine.amends(f))}
             for f in faults
         ]
-
-    def publication(
-        self, faults: Sequence[Mapping[str, Any]] = (), *, force: bool = False
-    ) -> Publication:
-        """Files of the extended model, unless `amended` faults or the hold-out speak against it."""
-        return published(
-            model_files(self.extension.model, "extended", "extended.yaml"), self.robot.joints,
-            self.held.series, self.extension.predicted, self.held.simulated,
-            force=force, faults=proven(faults), kind="extended",
-        )  # fmt: skip
 
     def unit(self, joint: int | None = None) -> str:
         """Unit of the torque of a joint, or of all."""

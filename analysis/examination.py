@@ -12,6 +12,7 @@ import numpy as np
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.explanation import main_cause, percent
 from excitant.analysis.identifiability import Identifiability, analyze
+from excitant.analysis.publication import extended_publication
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.export import Publication, publication
 from excitant.identify.faults import proven
@@ -261,7 +262,7 @@ def examine(
     turned = found.set_up is not None and found.set_up.robot is not robot
     data = [fault for fault in faults if fault["fault"] not in SET_UP]
     publications = {
-        "extended": found.publication(data),
+        "extended": extended_publication(found, data),
         "identified": publication(estimate, faults=proven(faults if turned else data)),
     }
     progress(0.8, "analysing")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -20,16 +21,11 @@ from excitant.analysis.uncertainty import (
     known_values,
     motion_information,
     scale_deviation,
-    shown_base,
     torque_noise,
     without_rounding,
 )
 from excitant.exceptions import BadRobot
-from excitant.identify.estimate import Estimate, judged
-from excitant.identify.knowledge import Knowledge
-from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical
-from excitant.identify.preprocessing import certain_rows
 from excitant.identify.prior import (
     KINDS,
     PRIOR_SIGMA,
@@ -43,15 +39,17 @@ from excitant.identify.prior import (
     reached,
     silent_columns,
 )
-from excitant.identify.recording import Recording
-from excitant.identify.regression import dense, regression_of
-from excitant.identify.rows import FitRows, fit_rows, implausible_size, split
+from excitant.identify.regression import dense
+from excitant.identify.rows import FitRows, fit_rows, implausible_size
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.torque import column_names, observation_columns, torque
+from excitant.robots.torque import observation_columns, torque
+
+if TYPE_CHECKING:
+    from excitant.identify.estimate import Estimate
 
 STEP = 0.2  # perturbation of the prior, relative to a link's inertia in any direction
 _NOTHING = 0.01  # of a parameter's uncertainty: a kind that reaches less is ignored
@@ -324,7 +322,7 @@ def recorded_experiment(
     """Experiment of an estimate; with a generator, the prior's influence is from refits."""
     fit = estimate.least_squares
     effects = estimate.model.effects
-    rows = _clean(fit_rows(robot, effects, estimate.base, estimate.data))
+    rows = cleaned(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)
     complete = estimate.base.columns == base.columns
     seen = motion_information(base, rows.W, sigma, fit.covariance if complete else None)
@@ -365,43 +363,13 @@ def recorded_experiment(
     )
 
 
-def identify_shown(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    effects: Sequence[Effect] | None = None,
-    *,
-    validate: Sequence[Recording] = (),
-    cutoff_hz: float | None = None,
-) -> Estimate:
-    """Identify the base parameters that a recording's own motion excites, however few.
-
-    Base parameters follow from the recorded rows in place of random states, so that a joint at
-    rest is no error; what the motion does not determine stays at the prior.
-
-    Arguments are those of `identify_robot`.
-
-    Raises:
-        BadRecording: Recordings that cannot be used.
-        BadRobot: A link of negative mass.
-    """
-    prior = prior_parameters(robot)
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
-    data = split(recordings, validate, cutoff_hz)
-    used = certain_rows(effects, robot.joints, data.train)
-    W = without_rounding(regression_of(robot, effects, data.train).counting(used).W)
-    rows = _clean(
-        fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data)
-    )
-    fit = weighted_least_squares(rows.reduced)
-    R, z = rows.regression.factor(fit.weight)
-    known = Knowledge().of(robot)
-    physical = fit_physical(R, z, prior, rows.open_prior, known, robot.links)
-    found = judged(robot, rows, fit, physical, (data.holdout,))
-    return replace(found, knowledge=known)
-
-
-def _clean(rows: FitRows) -> FitRows:
+def cleaned(rows: FitRows) -> FitRows:
     """The rows with columns that are rounding alone set to zero."""
-    known = rows.regression
-    clean = dense(without_rounding(known.W), known.tau, known.names, known.used)
+    regression = rows.regression
+    clean = dense(
+        without_rounding(regression.W),
+        regression.tau,
+        regression.names,
+        regression.used,
+    )
     return replace(rows, regression=clean)

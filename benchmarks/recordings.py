@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from excitant.analysis.selection import choose_effects, described
+from excitant.analysis.effect_choice import choose_effects, described
 from excitant.exceptions import ExcitantError
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset
 from excitant.identify.regression import regression_of

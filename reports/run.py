@@ -300,8 +300,9 @@ def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[P
     _require_reportable(noun)
     result = dict(noun.result())
     files = dict[str, str | bytes]()
-    if publication := getattr(noun, "publication", None):
-        model = publication(force=force)
+    from excitant.analysis.publication import publication_of
+
+    if model := publication_of(noun, force=force):
         files |= model.files
         model.note_in(result)
         if model.note:

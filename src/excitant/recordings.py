@@ -177,7 +177,7 @@ def identify(
         fit = drive.torque(fit)
         held = drive.torque(held)
     if chosen:
-        from excitant.analysis.selection import choose_effects, described
+        from excitant.analysis.effect_choice import choose_effects, described
 
         with progress_bar("effects") as advance:
             options["effects"] = choose_effects(
@@ -410,6 +410,7 @@ def diagnose(
 
     from excitant.analysis import diagnosis
     from excitant.analysis.discrimination import Plan
+    from excitant.analysis.publication import extended_publication
     from excitant.design import trajectory_csv, trajectory_json
 
     dataset = part.dataset(robot, data.map)
@@ -425,7 +426,7 @@ def diagnose(
         limit = np.inf if experiment_time is None else experiment_time
         plan = planned(found, np.random.default_rng(0), time_limit=limit)
     said["faults"] = found.amended(said["faults"])
-    model = found.publication(said["faults"], force=force)
+    model = extended_publication(found, said["faults"], force=force)
     files = dict(model.files)
     result = found.result(plan) | said
     result["notes"] += notes

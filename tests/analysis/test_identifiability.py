@@ -14,8 +14,8 @@ from estimators import TrueArm
 from known_arms import NONE
 from planted import Runs, motion_of, stacked
 
-from excitant.analysis import uncertainty
-from excitant.analysis.experiment import identify_shown, prior_influence, prior_of, refits
+from excitant.analysis import identify_shown, uncertainty
+from excitant.analysis.experiment import prior_influence, prior_of, refits
 from excitant.analysis.identifiability import Identifiability, ParameterIdentifiability, analyze
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot

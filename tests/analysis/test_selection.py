@@ -12,10 +12,10 @@ import pytest
 from known_arms import write_csv
 from planted import Runs, hidden
 
-from excitant.analysis import selection
+from excitant.analysis import effect_choice
 from excitant.analysis.candidates import Observed, observed
+from excitant.analysis.effect_choice import choose_effects, described
 from excitant.analysis.evidence import Candidate
-from excitant.analysis.selection import choose_effects, described
 from excitant.exceptions import RankDeficient
 from excitant.identify import Recording, identify_robot, load_dataset
 from excitant.identify.estimate import Estimate
@@ -83,8 +83,8 @@ def test_what_the_motion_leaves_undetermined_is_not_chosen(
     """Whether the refusal names the effect itself, or only what it leaves undetermined."""
     first, second = (kinds.Spring((joint,)) for joint in JOINTS)
     causes = [Candidate(effect, slice(0), np.zeros((0, 0))) for effect in (first, second)]
-    monkeypatch.setattr(selection, "select", lambda evidence, robot: (evidence, causes))
-    monkeypatch.setattr(selection, "_predictive", lambda evidence, chosen: list(chosen))
+    monkeypatch.setattr(effect_choice, "select", lambda evidence, robot: (evidence, causes))
+    monkeypatch.setattr(effect_choice, "_predictive", lambda evidence, chosen: list(chosen))
     for names in ([p.name for p in second.parameters(planar)], ["link2.m"]):
 
         def refusing(*given: Any, effects: Any, names: list[str] = names, **options: Any) -> Any:
@@ -92,7 +92,7 @@ def test_what_the_motion_leaves_undetermined_is_not_chosen(
                 raise RankDeficient(names, "undetermined")
             return identify_robot(*given, effects=effects, **options)
 
-        monkeypatch.setattr(selection, "identify_robot", refusing)
+        monkeypatch.setattr(effect_choice, "identify_robot", refusing)
         assert choose_effects(planar, two[:1]) == (*STANDARD, first)
 
 

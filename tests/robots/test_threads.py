@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from excitant.analysis import identifiability
 from excitant.analysis.diagnosis import diagnose
 from excitant.analysis.discrimination_plan import plan
+from excitant.analysis.effect_choice import choose_effects
 from excitant.analysis.rehearsal import rehearse
-from excitant.analysis.selection import choose_effects
 from excitant.design import design_link_by_link, design_trajectory, lower_bound
 from excitant.identify import (
     identify_link_by_link,

@@ -1,0 +1,48 @@
+"""Files of the models that an identification and a diagnosis end in, or why there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from excitant.analysis.diagnosis import Diagnosis
+from excitant.identify.estimate import Estimate
+from excitant.identify.export import (
+    Publication,
+    model_files,
+    publication,
+    published,
+)
+from excitant.identify.faults import proven
+
+
+def publication_of(noun: object, *, force: bool = False) -> Publication | None:
+    """Publication of the model of an estimate or a diagnosis; None for any other noun."""
+    if isinstance(noun, Estimate):
+        return publication(noun, force=force)
+    if isinstance(noun, Diagnosis):
+        return extended_publication(noun, force=force)
+    return None
+
+
+def extended_publication(
+    diagnosis: Diagnosis,
+    faults: Sequence[Mapping[str, Any]] = (),
+    *,
+    force: bool = False,
+) -> Publication:
+    """Publication of the extended model.
+
+    Faults, as `Diagnosis.amended` tells them, or a larger error on the hold-out than that of the
+    given model forbid it unless by ``force``.
+    """
+    return published(
+        model_files(diagnosis.extension.model, "extended", "extended.yaml"),
+        diagnosis.robot.joints,
+        diagnosis.held.series,
+        diagnosis.extension.predicted,
+        diagnosis.held.simulated,
+        force=force,
+        faults=proven(faults),
+        kind="extended",
+    )
