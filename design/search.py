@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from excitant import interrupts
 from excitant.design.constraints import within_limits
 from excitant.design.criterion import condition_number, objective
 from excitant.design.peaks import worst_use
@@ -385,6 +386,7 @@ class _MultiStart:
         try:
             yield
         except KeyboardInterrupt:
+            interrupts.heard()
             self.interrupt()
 
     def interrupt(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 from excitant.reports import page as p
 from excitant.reports import values as v
@@ -220,7 +219,7 @@ def _motion(result: Result, series: Series) -> p.Blocks:
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above.",
         p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
-    figure = partial(spectrum_figure, series)
+    figure = spectrum_figure(series)
     return [p.notes(excitation_sentence(result)), missing, figure, practical]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 
 import numpy as np
 
@@ -62,7 +61,7 @@ def design_section(result: Result, series: Series) -> p.Section:
         [
             *_motion(result, series),
             ("Least excited parameters", [_weakest(result)]),
-            ("The search", [partial(convergence_figure, result)]),
+            ("The search", [convergence_figure(result)]),
         ],
     )
 
@@ -207,7 +206,7 @@ def rehearse_section(result: Result, series: Series) -> p.Section:
         ],
         "Every value planted in the arm and what was recovered of it.",
     )
-    motion = partial(motion_figure, v.joint_names(result), result, series)
+    motion = motion_figure(v.joint_names(result), result, series)
     return p.section(
         "Rehearsal",
         v.sentence(headline),
@@ -288,7 +287,7 @@ def _tracking(result: Result, series: Series) -> p.Blocks:
         f"after its change. The position loop is the same for all: {v.quantity(loop, 'Hz')}, "
         "critically damped, with noisy readings.",
     )
-    return [partial(tracking_figure, v.joint_names(result), result, series), table]
+    return [tracking_figure(v.joint_names(result), result, series), table]
 
 
 def _met(row: Result) -> bool:
@@ -307,11 +306,11 @@ def _error(row: Result) -> p.Cell:
 
 
 def _motion(result: Result, series: Series) -> p.Parts:
-    motion = partial(motion_figure, v.joint_names(result), result, series)
+    motion = motion_figure(v.joint_names(result), result, series)
     return [
         ("Motion against limits", [*_limits(result), motion]),
-        ("Path of the tool", [partial(space_figure, result, series)]),
-        ("Excitation of the parameters", [partial(spectrum_figure, series)]),
+        ("Path of the tool", [space_figure(result, series)]),
+        ("Excitation of the parameters", [spectrum_figure(series)]),
     ]
 
 

@@ -86,12 +86,12 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
             ("Further findings", others),
             (
                 "Error step by step",
-                [partial(waterfall_figure, result) if changed else None],
+                [waterfall_figure(result) if changed else None],
             ),
             ("Error per joint", _errors(result, unit, changed)),
             (
                 over_holdout(unit),
-                [partial(torque_figure, joints, series, unit, curves)],
+                [torque_figure(joints, series, unit, curves)],
             ),
             ("Not explained", _unexplained(result)),
             ("Notes", [p.notes(said)]),
@@ -225,7 +225,7 @@ def _finding_parts(
         title = f"Finding {k + 1}: {_cause(finding)}{' at ' * bool(joints)}{joints}"
         blocks: p.Blocks = [
             p.notes([_sentence(finding, unit)]),
-            partial(evidence_figure, k, finding, series, unit),
+            evidence_figure(k, finding, series, unit),
             _kinds(finding, unit),
             _parameters(finding),
             _rivals(finding),
@@ -469,7 +469,7 @@ def _errors(result: Result, unit: str, changed: bool) -> p.Blocks:
         "nrmse is rms over the measured torque's standard deviation.",
     )
     return [
-        partial(error_bars, pairs, [model for _, model in models], unit, _CURVES, what),
+        error_bars(pairs, [model for _, model in models], unit, _CURVES, what),
         table,
     ]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -43,7 +42,7 @@ def fleet_section(result: Result, series: Series) -> p.Section:
                 "What changes with time",
                 [
                     p.notes([_changes(row) for row in drifts], brief="changes"),
-                    partial(_figure, drifts, series),
+                    _figure(drifts, series),
                     _drifts(drifts),
                 ],
             ),

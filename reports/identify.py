@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -80,26 +79,26 @@ def identify_section(result: Result, series: Series) -> p.Section:
         ],
         _brief(result, unit),
         [
-            ("Friction curves", [partial(friction_figure, result, series)]),
+            ("Friction curves", [friction_figure(result, series)]),
             ("Error per joint", _errors(result, unit)),
             (
                 over_holdout(unit),
                 [
-                    partial(torque_figure, joints, series, unit, CURVES),
+                    torque_figure(joints, series, unit, CURVES),
                     _intervals(result, unit),
                 ],
             ),
             (
                 "Measured against predicted",
-                [partial(agreement_figure, result, series, unit)],
+                [agreement_figure(result, series, unit)],
             ),
             (
                 "Residual by position, velocity, load and frequency",
-                [partial(residual_figure, result, series, unit)],
+                [residual_figure(result, series, unit)],
             ),
             ("In MuJoCo", _in_mujoco(result, series, unit)),
             *_online(result, series),
-            ("Parameters, given and identified", [partial(forest_figure, result)]),
+            ("Parameters, given and identified", [forest_figure(result)]),
             ("Base parameters", _base_parameters(result)),
             ("Standard parameters", [_parameter_table(result)]),
             ("How it was fitted", [_how(result), _physical(result), p.notes(said)]),
@@ -245,7 +244,7 @@ def _errors(result: Result, unit: str) -> p.Blocks:
         + ("; last, the error on the data it was fitted to" if held else "")
         + ". nrmse is rms over the measured torque's standard deviation.",
     )
-    return [partial(error_bars, rows, models, unit, CURVES, what), table]
+    return [error_bars(rows, models, unit, CURVES, what), table]
 
 
 def _intervals(result: Result, unit: str) -> p.Table | None:
@@ -296,7 +295,7 @@ def _in_mujoco(result: Result, series: Series, unit: str) -> p.Blocks:
         "deviation): where a joint turns back, dry friction takes 2 ms there, and what MJCF cannot "
         "hold is missing.",
     )
-    figure = partial(torque_figure, v.joint_names(result), series, unit, _IN_MUJOCO)
+    figure = torque_figure(v.joint_names(result), series, unit, _IN_MUJOCO)
     return [
         table,
         figure,
@@ -502,7 +501,7 @@ def _payload(payload: Result | None) -> p.Blocks:
             [v.sentence(each) for each in v.words(payload, "shortcomings")], p.FAIR
         ),
         p.notes([v.sentence(each) for each in v.words(payload, "notes")]),
-        partial(payload_figure, payload),
+        payload_figure(payload),
         p.table(
             v.records(payload, "parameters"),
             [
@@ -555,8 +554,8 @@ def _online(result: Result, series: Series) -> p.Parts:
     )
     return [
         ("On-line estimation", [_online_facts(result), messages]),
-        ("Estimates over time", [partial(estimates_figure, result, series)]),
-        ("Excitation over time", [partial(excitation_figure, result)]),
+        ("Estimates over time", [estimates_figure(result, series)]),
+        ("Excitation over time", [excitation_figure(result)]),
     ]
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
-from excitant.processes import together
 from excitant.reports import values as v
 from excitant.reports.values import NONE, Result
 from excitant.robots.motion import Array
@@ -200,9 +199,7 @@ class Folded:
 
 
 Block = Table | Figure | Matrix | Player | Facts | Notes | Folded
-Drawing = Callable[[], Figure | None]
-"""A figure still to draw."""
-Blocks = list["Block | Drawing | tuple[str, Blocks] | None"]
+Blocks = list["Block | tuple[str, Blocks] | None"]
 """What stands in a part; a title with blocks is a part within it."""
 Parts = list[tuple[str, Blocks]]
 Brief = tuple[tuple[str, str], ...]
@@ -415,34 +412,15 @@ def section(
 ) -> Section:
     """A section without the blocks that are None and the parts that are left empty.
 
-    After the parts come those that are behind their titles. All figures are drawn together.
+    After the parts come those that are behind their titles.
     """
-    drawings = [*_drawings(parts), *_drawings(closed or [])]
-    figures = reversed(
-        together(drawings[::-1])
-    )  # the largest are at the end, as a rule
-    kept = [_part(*part, figures) for part in parts]
-    kept += [_part(*part, figures, True) for part in closed or []]
+    kept = [_part(*part) for part in parts]
+    kept += [_part(*part, closed=True) for part in closed or []]
     return Section(title, lead, tuple(part for part in kept if part.blocks), brief)
 
 
-def _drawings(parts: Parts) -> Iterator[Drawing]:
-    for _, blocks in parts:
-        for block in blocks:
-            if isinstance(block, tuple):
-                yield from _drawings([block])
-            elif callable(block):
-                yield block
-
-
-def _part(
-    title: str, blocks: Blocks, figures: Iterator[Figure | None], closed: bool = False
-) -> Folded:
-    """A part with the next of the figures that were drawn for it."""
+def _part(title: str, blocks: Blocks, closed: bool = False) -> Folded:
     built: list[Block | None] = []
     for block in blocks:
-        if isinstance(block, tuple):
-            built.append(_part(*block, figures))
-        else:
-            built.append(next(figures) if callable(block) else block)
+        built.append(_part(*block) if isinstance(block, tuple) else block)
     return Folded(title, tuple(block for block in built if block is not None), closed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
 from excitant.reports import page as p
 from excitant.reports import values as v
@@ -50,7 +49,7 @@ def robot_section(result: Result, series: Series) -> p.Section:
                     p.notes(v.words(result, "notes")),
                 ],
             ),
-            ("The arm", [partial(arm_figure, series)]),
+            ("The arm", [arm_figure(series)]),
             ("Joints", [_joints(joints)]),
             ("Links", [_links(result)]),
             ("Friction and drives", [_effects(result)]),

@@ -6,7 +6,7 @@ import io
 import json
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from os.path import isdir, isfile
@@ -18,8 +18,9 @@ import numpy as np
 from excitant.exceptions import BadInput
 from excitant.files import read_bytes, write_file, write_folder
 from excitant.identify.reading.arrays import read_arrays
-from excitant.processes import ahead
 from excitant.reports.page import Page
+from excitant.reports.pages import page_of
+from excitant.reports.render import html, summary
 from excitant.robots.motion import Array
 from excitant.robots.schema import finite, parsed_json
 
@@ -32,35 +33,6 @@ REPORT = "report.html"
 _LONG = 1000
 _SINGLE = 1e-6  # of an array's range: error allowed to single precision
 _HEIGHT = 640  # pixels of a report's frame in a notebook
-
-
-Written = tuple[Page, str, str]
-_ready: list[Callable[[Mapping[str, Any], Mapping[str, Array]], Written]] = []
-
-
-def get_ready() -> None:
-    """Let another process prepare, while a command works, to write the page of its run."""
-    _ready[:] = [ahead(_warm_up, _written)]
-
-
-def _warm_up() -> None:
-    """Draw and write once, so that what it takes is imported, and fonts and template are read."""
-    from excitant.reports import drawing
-
-    with drawing.style():
-        drawing.panel(drawing.axes(1.0)[0], "")
-    _written(
-        {"verb": "analyze"}, {}
-    )  # one figure at most, for which no process is forked
-
-
-def _written(result: Mapping[str, Any], series: Mapping[str, Array]) -> Written:
-    """The page of a result and its series, as text, and as HTML."""
-    from excitant.reports.pages import page_of
-    from excitant.reports.render import html, summary
-
-    page = page_of(result, series)
-    return page, summary(page), html(page)
 
 
 def save_run(
@@ -96,10 +68,9 @@ def save_run(
     contents[SERIES] = packed
     old = (_beside(directory, parts, contents) for parts in _parts(read))
     beside = dict.fromkeys([*filter(None, old), *contents, SUMMARY, RESULT])
-    write = _ready.pop() if _ready else _written
-    page, contents[SUMMARY], contents[REPORT] = write(
-        read | {"files": list(beside)}, arrays
-    )
+    page = page_of(read | {"files": list(beside)}, arrays)
+    contents[SUMMARY] = summary(page)
+    contents[REPORT] = html(page)
     contents[RESULT] = encoded
     return write_folder(directory, contents, _files_of(directory) - _names(read)), page
 
@@ -323,7 +294,4 @@ def _require_reportable(noun: object) -> None:
 def report(noun: Reportable) -> Report:
     """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
     _require_reportable(noun)
-    from excitant.reports.pages import page_of
-    from excitant.reports.render import html
-
     return Report(html(page_of(*as_saved(noun.result(), noun.series())), saved=False))

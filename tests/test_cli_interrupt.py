@@ -77,7 +77,8 @@ def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[i
 )
 def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
     words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"
-    assert interrupted(words, tmp_path, 3, group) == (130, "")
+    line = "excitant: interrupted; the best motion so far was written\n"
+    assert interrupted(words, tmp_path, 3, group) == (130, line)
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written >= {"result.json", "report.html", "trajectory.csv", "trajectory.json"}
     result = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
@@ -136,24 +137,42 @@ def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> N
     assert done.returncode == 130
 
 
-def test_ctrl_c_amid_a_destructor_is_not_lost(tmp_path: Path) -> None:
+def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
     """Python drops what a destructor raises, also the interrupt that came while it ran."""
     code = (
-        "import os, signal, time, excitant.cli, excitant.__main__\n"
+        "import os, signal, excitant.__main__, excitant.demo\n"
         "class Dying:\n"
         "    def __del__(self): os.kill(os.getpid(), signal.SIGINT)\n"
-        "def main():\n"
+        "def run_demo(arm, seed, advance):\n"
         "    Dying()\n"
-        "    time.sleep(20)\n"
-        "    return 0\n"
-        "excitant.cli.main = main\n"
+        "    advance(0.5, 'the next step')\n"
+        "    os.abort()\n"
+        "excitant.demo.run_demo = run_demo\n"
         "excitant.__main__.run()\n"
     )
     (tmp_path / "amid.py").write_text(code)
-    words, begun = [sys.executable, "-m", "amid"], time.monotonic()
+    words = [sys.executable, "-m", "amid", "demo", "--robot", "planar_2r"]
     done = subprocess.run(words, cwd=tmp_path, check=False, capture_output=True, text=True)
-    said = "excitant: interrupted; nothing was written\n"
-    assert (done.returncode, done.stderr, time.monotonic() - begun < 15) == (130, said, True)
+    assert done.returncode == 130
+    assert done.stderr.endswith("excitant: interrupted; nothing was written\n")
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
+    """Its design does not go on with the best motion so far."""
+    code = (
+        "import os, signal, excitant.__main__, excitant.design.search\n"
+        "def unordered(*_):\n"
+        f"    yield os.kill(os.getpid(), signal.{name})\n"
+        "excitant.design.search.unordered = unordered\n"
+        "excitant.__main__.run()\n"
+    )
+    (tmp_path / "amid.py").write_text(code)
+    words = [sys.executable, "-m", "amid", "demo", "--robot", "planar_2r", "-o", "out"]
+    done = subprocess.run(words, cwd=tmp_path, check=False, capture_output=True, text=True)
+    line = "excitant: interrupted; nothing was written\n"
+    assert (done.returncode, done.stderr) == (130, line)
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
 
 
 @pytest.mark.slow

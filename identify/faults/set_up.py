@@ -10,9 +10,9 @@ directions of gravity and all angles of a joint: the search is global.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,6 @@ from excitant.identify.faults.physics import (
     unlike,
 )
 from excitant.identify.recording import Recording
-from excitant.processes import together
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -73,10 +72,6 @@ _TIE = 1e-9  # of it: rounding
 _RIGHT = (
     np.pi / 2
 )  # zero positions are off by multiples of it, unless another angle is better
-
-Test = Callable[[TorqueFit], Iterable[Fault]]
-Search = Callable[[], list[list[Fault]]]
-"""What finds set-ups, each by its faults."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,19 +107,16 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
     """Faults of the set-up: that which explains most first, the others with it amended."""
     found: list[Fault] = []
     for _ in range(case.robot.nv):
-        tests: list[Search] = [
-            partial(_one, order, case),
-            partial(_one, torque_signs, case),
-        ]
-        tests.append(partial(_each, rate, case))
-        *others, orders, signs, rates = together([*_searches(case), *tests])
-        proposed = [_amended(case, faults) for faults in (*orders, *signs)]
+        swaps = [*order(case)]
+        signs = [*torque_signs(case)]
+        rates = [*rate(case)]
+        proposed = [_amended(case, faults) for faults in (swaps, signs) if faults]
         if _known(case.robot) and (frames := [*wrong_frame(case)]):
             moved = case.robot.with_parameters(in_joint_frames(case.robot))
             proposed.append(replace(_amended(case, frames), robot=moved))
-        proposed += [_amended(case, faults) for faults in rates]
+        proposed += [_amended(case, [fault]) for fault in rates]
         judged = [(_gain(case, each), each) for each in proposed]
-        amends = (_set_up(case, faults) for each in others for faults in each)
+        amends = (_set_up(case, faults) for faults in _searched(case))
         searched = [(_gain(case, each), each) for each in amends]
         if not (able := [*judged, *(each for each in searched if each[0] > 0)]):
             break
@@ -136,16 +128,6 @@ def set_up_faults(case: TorqueFit) -> list[Fault]:
         found += _beside(best.faults, alike[1:])
         case = _fit(case, best)
     return found
-
-
-def _one(test: Test, case: TorqueFit) -> list[list[Fault]]:
-    """What a test finds, as faults of one set-up."""
-    return [faults] if (faults := [*test(case)]) else []
-
-
-def _each(test: Test, case: TorqueFit) -> list[list[Fault]]:
-    """What a test finds, each fault a set-up of its own."""
-    return [[fault] for fault in test(case)]
 
 
 def _set_up(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
@@ -271,13 +253,15 @@ def _amended(case: TorqueFit, faults: Sequence[Fault]) -> _SetUp:
     return _SetUp(faults, case.robot, data, at)
 
 
-def _searches(case: TorqueFit) -> list[Search]:
-    """Searches for the best mounting, and zero position and signs of each joint that turns."""
+def _searched(case: TorqueFit) -> Iterator[list[Fault]]:
+    """The best mountings, and zero positions and signs of each joint that turns."""
     robot = case.robot
     if not _known(robot) or fits(case, _spread(robot, robot.nv - 1)):
-        return []
-    turning = [j for j in case.joints if robot.revolute[j]]
-    return [partial(_mounting, case), *(partial(_zeros, case, j) for j in turning)]
+        return
+    yield from _mounting(case)
+    for j in case.joints:
+        if robot.revolute[j]:
+            yield from _zeros(case, j)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from cyclopts.help import DefaultFormatter, HelpPanel, PanelSpec, TableSpec
 
 from excitant import fleets, motions, recordings
 from excitant.exceptions import BadInput, ExcitantError, FaultWarning
+from excitant.interrupts import check
 from excitant.names import one_line
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 from excitant.progress import progress_bar
@@ -101,6 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # many small matrices: threads cost more than they bring, and change the last digits
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     warnings.simplefilter("ignore", FaultWarning)  # commands list faults themselves
+    # what joblib says of an interrupt, which gets a line of its own
+    warnings.filterwarnings("ignore", ".* tasks which .* cancelled")
     try:
         rest = [word for word in words if word != "--debug"]
         command, bound, _ = app.parse_args(rest, print_error=False, exit_on_error=False)
@@ -115,12 +118,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         app.help_print()
         return 2
     try:
+        check()
         if isinstance(run := bound.arguments.get("run"), Run):
             run.require()
-        if command in _LONG:
-            from excitant.reports.run import get_ready
-
-            get_ready()
         status = command(*bound.args, **bound.kwargs) or 0
         print(end="", flush=True)  # here, where a full disk is told
         return status
@@ -346,10 +346,6 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
     ),
 }
 """The commands in the order of the work, each with examples."""
-
-_LONG = {recordings.go, demo, motions.design, recordings.identify, recordings.diagnose}
-_LONG |= {motions.rehearse, fleets.fleet}
-"""Commands with time for another process to get ready for their page."""
 
 for _order, (_verb, _examples) in enumerate(_VERBS.items()):
     _verb.__doc__ = re.sub(

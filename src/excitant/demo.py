@@ -43,6 +43,8 @@ def run_demo(
             0.02 + 0.5 * done / (total or 1), f"designing the excitation, κ {kappa:.4g}"
         ),
     )  # fmt: skip
+    if found.interrupted:
+        raise KeyboardInterrupt
     advance(0.55, "running it on the virtual arm")
     excitation = arm.record(found.trajectory, _PERIODS * _DURATION, rng)
     holdout = arm.record(

@@ -9,22 +9,20 @@ import hashlib
 import os
 import secrets
 import shutil
-import signal
 import stat
-import threading
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from os.path import exists, isdir
 from pathlib import Path
 
 from excitant.exceptions import BadInput
+from excitant.interrupts import deferred
 
 LARGEST = 256 << 20
 """Bytes of a file that is read at once: descriptions, trajectories, results."""
 
 _HERE = -100  # AT_FDCWD
 _SWAP = 2  # RENAME_EXCHANGE of Linux
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def size_of(path: str | Path) -> int:
@@ -140,7 +138,7 @@ def _put_aside(target: Path) -> Iterator[Path]:
     """
     missing = [folder for folder in target.parents if not exists(folder)]
     prefix = f".excitant-{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
-    with _uninterrupted(f"{target} was written"):
+    with deferred(f"{target} was written"):
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             for left in target.parent.glob(f"{prefix}*"):
@@ -182,31 +180,6 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
-
-
-@contextmanager
-def _uninterrupted(done: str) -> Iterator[None]:
-    """Signals that would end this process wait for the end of the block, and then say what it did.
-
-    KeyboardInterrupt without words means that nothing was done.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    heard: list[int] = []
-    before = {
-        each: signal.signal(each, lambda one, _: heard.append(one)) for each in _SIGNALS
-    }
-    try:
-        yield
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, signal.SIG_DFL if handler is None else handler)
-    try:
-        for number in heard:
-            signal.raise_signal(number)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(done) from None
 
 
 def _write(path: Path, content: str | bytes, said: Path) -> None:

@@ -178,7 +178,9 @@ def design(
             links = designs.design_link_by_link(arm, **asked)
         result = links.result() | {"repeat": repeat}
         run.finish(result, links.series(), links.files(rate, repeat))
-        return 130 if any(each.interrupted for each in links.motions.values()) else 0
+        if any(motion.interrupted for motion in links.motions.values()):
+            raise KeyboardInterrupt("the best motions so far were written")
+        return 0
     began = time.monotonic()
     with progress_bar("design") as advance:
 
@@ -250,7 +252,9 @@ def design(
         result["notes"].append(f"first_run.csv: {said}")
     files |= designs.write_formats(way, arm, names)
     run.finish(result, found.series(), files)
-    return 130 if found.interrupted else int(missing)
+    if found.interrupted:
+        raise KeyboardInterrupt("the best motion so far was written")
+    return int(missing)
 
 
 def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:

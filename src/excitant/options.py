@@ -16,6 +16,7 @@ from cyclopts.validators import Number
 
 from excitant.exceptions import BadInput
 from excitant.files import require_replaceable
+from excitant.interrupts import check
 from excitant.names import in_folder, one_line, printable
 
 if TYPE_CHECKING:
@@ -290,6 +291,7 @@ class Run:
         """
         from excitant.reports import brief, load_run, save_run
 
+        check()
         folder = folder or self.folder(result)
         result["files"] = [str(folder / file) for file in files or ()]
         paths, page = save_run(folder, result, series, files or {})

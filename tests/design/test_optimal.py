@@ -220,7 +220,7 @@ def test_a_cluster_finds_what_processes_find(planar: Robot) -> None:
 
 
 def test_no_cluster_is_one_line(planar: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("excitant.processes._PATIENCE", "1s")
+    monkeypatch.setattr("excitant.processes.CLUSTER_TIMEOUT", "1s")
     with pytest.raises(BadInput, match=r"cluster tcp://127\.0\.0\.1:9: no Dask scheduler"):
         design_trajectory(planar, cluster="tcp://127.0.0.1:9", starts=1)
 
