@@ -75,7 +75,8 @@ class Finding:
     Attributes:
         effect: The cause, on one joint, with the value that the extended model has.
         given: The value that the given model has for each coefficient.
-        std: Standard deviation of each coefficient.
+        covariance: Of its k coefficients by the fit, shape (k, k).
+        by_gains: Their errors by one standard deviation of the drive gains, shape (k,).
         explained: Share of the given model's squared error on the hold-out that it removes.
         joint: Index of the joint where it is largest relative to what remains.
         rms_before: Error on the hold-out without it, all others kept, of its joints that turn or
@@ -91,7 +92,8 @@ class Finding:
 
     effect: Effect
     given: tuple[float, ...]
-    std: tuple[float, ...]
+    covariance: Array
+    by_gains: Array
     explained: float
     joint: int
     rms_before: float
@@ -104,6 +106,12 @@ class Finding:
     downgrade: str = ""
 
     @property
+    def std(self) -> Array:
+        """Standard deviation of each coefficient, shape (k,)."""
+        std: Array = np.hypot(np.sqrt(np.diag(self.covariance)), self.by_gains)
+        return std
+
+    @property
     def pays(self) -> bool:
         """Whether its gain and its size exceed chance and noise; if not, others need it."""
         return self.margin >= 0
@@ -112,7 +120,7 @@ class Finding:
     def near_given(self) -> bool:
         """Whether all its values are the given ones to two standard deviations."""
         off = np.abs(np.array(self.effect.values or ()) - self.given)
-        return len(off) > 0 and bool((off < DEVIATIONS * np.array(self.std)).all())
+        return len(off) > 0 and bool((off < DEVIATIONS * self.std).all())
 
     @property
     def as_given(self) -> bool:
@@ -183,7 +191,8 @@ class Extension:
     evidence: Evidence  # by which the causes were chosen
     chosen: tuple[Candidate, ...]
     model: Robot  # the given robot with re-identified inertias and effects, those found included
-    std: dict[str, float]  # standard deviation of each parameter, by name
+    names: tuple[str, ...]  # of its parameters
+    covariance: Array  # of them
     held: Observed  # columns of that model at the rows of the hold-out
     predicted: Array  # its torque at them, shape (n, nv) [torque unit]
     findings: tuple[Finding, ...] = ()  # each cause with its gain on the hold-out
@@ -191,10 +200,24 @@ class Extension:
         frozenset()
     )  # selected causes with which the hold-out is worse
 
+    def covariance_of(self, names: Sequence[str]) -> Array:
+        """Covariance of some of the parameters, shape (k, k)."""
+        at = [self.names.index(name) for name in names]
+        block: Array = self.covariance[np.ix_(at, at)]
+        return block
+
 
 def unextended(evidence: Evidence, held: HeldOut) -> Extension:
     """The given model as it is set up."""
-    return Extension(evidence, (), held.observed.robot, {}, held.observed, held.mounted)
+    return Extension(
+        evidence,
+        (),
+        held.observed.robot,
+        (),
+        np.zeros((0, 0)),
+        held.observed,
+        held.mounted,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,12 +243,12 @@ class Extender:
         bodies, sigma = self._bodies(chosen)
         open_ = self._effect_prior(effects, chosen, W[:, :, 10 * len(bodies) :])
         fit = fit_physical(R, z, BodyPrior(bodies, sigma), open_)
-        std = np.sqrt(np.diag(fit.covariance)).tolist()
         model = identified_robot(robot, effects, fit.x)
         found = self.held.observed.by(model)
-        known = dict(zip(names, std, strict=True))
         predicted = found.torque() / self.held.gains
-        extension = Extension(evidence, tuple(chosen), model, known, found, predicted)
+        extension = Extension(
+            evidence, tuple(chosen), model, names, fit.covariance, found, predicted
+        )
         return replace(extension, findings=_findings(robot, extension, self.held))
 
     def _bodies(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
@@ -305,16 +328,11 @@ def _weakest(robot: Robot, fit: Extension, kept: set[Candidate]) -> Candidate | 
 def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...]:
     findings = []
     for candidate in fit.chosen:
-        values, given, std = _coefficients(robot, fit, candidate.effect)
+        values, given, covariance = _coefficients(robot, fit, candidate.effect)
         torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
         effect = candidate.effect.with_values(values.tolist())
-        found = finding_of(
-            robot, fit, held, effect, torque, given.tolist(), std.tolist()
-        )
-        if (
-            effect.role == "torque"
-            and (np.abs(values - given) < DEVIATIONS * std).all()
-        ):
+        found = finding_of(robot, fit, held, effect, torque, given.tolist(), covariance)
+        if effect.role == "torque" and found.near_given:
             found = replace(found, margin=min(found.margin, -FLOOR))
         findings.append(found)
     return tuple(findings)
@@ -325,14 +343,14 @@ def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding
     least = _noticed(fit.evidence.tolerance[1])
     taken = {candidate.key for candidate in fit.chosen}
     for effect in (
-        single for each in robot.effects for single in each.singles() if fit.std
+        single for each in robot.effects for single in each.singles() if fit.names
     ):
         if effect.role != "torque" or (effect.name, effect.joints) in taken:
             continue
-        values, given, std = _coefficients(robot, fit, effect)
+        values, given, covariance = _coefficients(robot, fit, effect)
         torque = fit.held.columns(effect) @ (values - given) / held.gains
         off = effect.with_values(values.tolist())
-        found = finding_of(robot, fit, held, off, torque, given.tolist(), std.tolist())
+        found = finding_of(robot, fit, held, off, torque, given.tolist(), covariance)
         if found.pays and found.share > least:
             yield found
 
@@ -353,10 +371,9 @@ def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
         if c.effect.role != "torque"
         for row in c.effect.rows(robot)
     }
-    if are_placeholders(robot) or not fit.std:
+    if are_placeholders(robot) or not fit.names:
         return None
     change = fit.model.phi - robot.phi
-    std = [fit.std[name] for name in robot.parameter_names]
 
     def of(rows: Sequence[int]) -> Finding:
         at = np.concatenate([np.arange(10 * k, 10 * k + 10) for k in rows])
@@ -365,8 +382,8 @@ def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
         )
         torque = fit.held.links[:, :, at] @ change[at] / held.gains
         given = (0.0,) * len(at)
-        spread = [std[k] for k in at]
-        return finding_of(robot, fit, held, effect, torque, given, spread)
+        covariance = fit.covariance_of([robot.parameter_names[k] for k in at])
+        return finding_of(robot, fit, held, effect, torque, given, covariance)
 
     rows = [k for k in range(robot.nv) if k not in apart and of([k]).pays]
     found = of(rows) if rows else None
@@ -381,7 +398,7 @@ def finding_of(
     effect: Effect,
     torque: Array,
     given: Sequence[float],
-    std: Sequence[float],
+    covariance: Array,
 ) -> Finding:
     """A cause with its gain on the hold-out, where it makes a torque (n, nv) [torque unit]."""
     rows = held.series
@@ -411,7 +428,8 @@ def finding_of(
     return Finding(
         effect,
         tuple(given),
-        tuple(std),
+        covariance,
+        np.zeros(len(given)),
         explained=float(fall.sum()) / power,
         joint=most,
         rms_before=float(before),
@@ -459,11 +477,11 @@ def _coefficients(
     if effect.role == "link":
         j = robot.joint_index(effect.joints[0])
         part = slice(10 * j, 10 * j + 10)
-        std = np.array([fit.std[name] for name in robot.parameter_names[part]])
-        return fit.model.phi[part] - robot.phi[part], np.zeros(10), std
+        change = fit.model.phi[part] - robot.phi[part]
+        return change, np.zeros(10), fit.covariance_of(robot.parameter_names[part])
     fitted = effect_values(fit.model)
     known = effect_values(robot)
     names = [p.name for p in effect.parameters(robot)]
-    columns = [(fitted[name], known.get(name, 0.0), fit.std[name]) for name in names]
-    value, given, std = np.array(columns).T
-    return value, given, std
+    value = np.array([fitted[name] for name in names])
+    given = np.array([known.get(name, 0.0) for name in names])
+    return value, given, fit.covariance_of(names)

@@ -42,6 +42,7 @@ from excitant.analysis.explanation import (
     reason_to_downgrade,
     sentence,
     shared_friction,
+    sizes,
     unexplained,
 )
 from excitant.analysis.residuals import Residual, residuals
@@ -448,6 +449,11 @@ def _cause(
         "parameters": [
             entry for f in group for entry in _parameters(f, robot, diagnosis.drive)
         ],
+        "sizes": [
+            {"name": s.name, "value": s.value, "std": s.std, "unit": s.unit}
+            for f in group
+            for s in sizes(f, diagnosis)
+        ],
         "explained": whole,
         "holdout": {"rms_before": before, "rms_after": after},
         "unit": diagnosis.unit(group[0].joint),
@@ -477,17 +483,18 @@ def _cause(
 def _parameters(
     found: Finding, robot: Robot, drive: DriveGains | None
 ) -> Iterator[dict[str, Any]]:
+    by_fit = np.sqrt(np.diag(found.covariance)).tolist()
     rows = zip(
         found.effect.parameters(robot),
         found.effect.values or (),
         found.given,
-        found.std,
-        _by_gains(found, robot, drive),
+        found.std.tolist(),
+        by_fit,
         strict=True,
     )
-    for p, value, given, std, gains in rows:
+    for p, value, given, std, std_in_units in rows:
         factor, unit = told(p, robot, drive)
-        spread = float(np.sqrt(std**2 - (factor != 1) * gains**2)) * factor
+        spread = std if factor == 1 else factor * std_in_units
         yield {
             "name": p.name,
             "value": factor * value,
@@ -681,8 +688,8 @@ def _of_set_up(
         fit.predicted - predicted_torque(model, held.observed.segments) / held.gains
     )
     given = (0.0,) * len(effect.values or ())
-    std = mounted.std_of(effect)
-    return finding_of(mounted.robot, fit, held, effect, torque, given, std)
+    covariance = np.diag(np.square(mounted.std_of(effect)))
+    return finding_of(mounted.robot, fit, held, effect, torque, given, covariance)
 
 
 def _of_faults(
@@ -693,7 +700,9 @@ def _of_faults(
     left = held.series.measured - fit.predicted
     torque = error - left if error.shape == left.shape else np.zeros_like(left)
     for fault in mounted.faults:
-        found = finding_of(mounted.robot, fit, held, fault, torque, (), ())
+        found = finding_of(
+            mounted.robot, fit, held, fault, torque, (), np.zeros((0, 0))
+        )
         # the given model's own error is that on the repaired data
         share = 1 - (found.rms_after / max(found.rms_before, 1e-300)) ** 2
         yield replace(found, explained=float(share))
@@ -701,16 +710,16 @@ def _of_faults(
 
 def _with_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Finding:
     """A finding whose uncertainty counts that of the drive gains that its size rests on."""
-    std = np.hypot(finding.std, _by_gains(finding, robot, drive))
-    return replace(finding, std=tuple(std.tolist()))
+    return replace(finding, by_gains=_by_gains(finding, robot, drive))
 
 
 def _by_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Array:
-    """Standard deviations of a finding's coefficients by that of the drive gains.
+    """Errors of a finding's coefficients by one standard deviation of the drive gains.
 
     It is of their logarithms: a value far below the given one is as unsure as that.
     """
-    size: Array = np.abs([finding.effect.values or (), finding.given]).max(axis=0)
+    values = np.array(finding.effect.values or ())
+    size: Array = np.copysign(np.maximum(np.abs(values), np.abs(finding.given)), values)
     if drive is None:
         return 0 * size
     effect = finding.effect

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.residuals import Residual, explanatory
 from excitant.analysis.selection import is_plain_friction
 from excitant.identify.rows import told
-from excitant.robots.effects import plain, standard_effects
+from excitant.robots.effects import Size, plain, standard_effects
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
@@ -262,7 +261,6 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     """A cause in words, with its size: ± one standard deviation, or its range over joints."""
     robot = diagnosis.robot
     effect = group[0].effect
-    given = np.array(group[0].given)
     kinds: dict[str, list[Finding]] = {}
     for f in group:
         kinds.setdefault(f.effect.name, []).append(f)
@@ -271,49 +269,49 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
         return f"Friction of {len(joints)} joints is not in the model: " + ", ".join(
             _ranges(part, diagnosis) for part in kinds.values()
         )
-    parameters = effect.parameters(robot)
-    if not parameters:  # a fault of the data
-        return effect.sentence(robot, joints, ())
-    factors, units = zip(
-        *(told(p, robot, diagnosis.drive) for p in parameters), strict=True
+    alike = group if len(joints) == 1 else group[:1]
+    said = effect.sentence(
+        robot, joints, [s for f in alike for s in sizes(f, diagnosis)]
     )
-    effect = effect.with_values((np.array(effect.values) * factors).tolist())
-    said = effect.sentence(robot, joints, (given * factors).tolist())
-    for p, unit in zip(parameters, units, strict=True):
-        said = said.replace(p.unit, unit) if p.unit != unit else said
-    if len(group) > 1:
+    if len(joints) > 1 and len(group) > 1:
         return f"{said}: {_ranges(group, diagnosis).removeprefix(plain(effect.name)).lstrip()}"
-    if effect.name == "gravity_direction":
-        spread = ", ".join(f"{std:.2g}" for std in group[0].std)
-        return said.replace(") m/s²", f") ± ({spread}) m/s²")
-    for value, std, factor in zip(
-        effect.values or (), group[0].std, factors, strict=True
-    ):
-        number = re.escape(f"{value:.3g}")
-        said = re.sub(
-            rf"(?<![\w.±-]){number}(?![\w.])",
-            f"{value:.3g} ± {std * factor:.2g}",
-            said,
-            count=1,
-        )
     return said
 
 
+def sizes(found: Finding, diagnosis: Diagnosis) -> tuple[Size, ...]:
+    """How large a cause is, in amperes where nothing fixes the gains of the drives."""
+    robot = diagnosis.robot
+    parameters = found.effect.parameters(robot)
+    if not parameters:  # a fault of the data
+        return ()
+    both = [told(p, robot, diagnosis.drive) for p in parameters]
+    factors = np.array([factor for factor, _ in both])
+    by_gains = np.where(factors == 1, found.by_gains, 0.0)
+    covariance = found.covariance + np.outer(by_gains, by_gains)
+    return found.effect.sizes(
+        factors * np.array(found.effect.values),
+        factors * np.array(found.given),
+        np.outer(factors, factors) * covariance,
+        [unit for _, unit in both],
+    )
+
+
 def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
-    """One effect of several joints: the range of its first coefficient, and at which."""
+    """One effect of several joints: the range of each of its sizes, and at which joints."""
     robot = diagnosis.robot
     lead = group[0].effect
-    factors = [
-        told(f.effect.parameters(robot)[0], robot, diagnosis.drive) for f in group
-    ]
-    sizes = [
-        abs((f.effect.values or (0.0,))[0] * factor)
-        for f, (factor, _) in zip(group, factors, strict=True)
-    ]
-    low = f"{min(sizes):.2g}"
-    high = f"{max(sizes):.2g}"
-    unit = factors[0][1].removeprefix("1")
-    size = " ".join(filter(None, [low if low == high else f"{low} to {high}", unit]))
+    values = dict[tuple[str, str], list[float]]()
+    for f in group:
+        for s in sizes(f, diagnosis):
+            values.setdefault((s.name, s.unit), []).append(abs(s.value))
+    ranges = []
+    for (name, unit), own in values.items():
+        low = f"{min(own):.2g}"
+        high = f"{max(own):.2g}"
+        size = low if low == high else f"{low} to {high}"
+        words = (name * (len(values) > 1), size, unit.removeprefix("1"))
+        ranges.append(" ".join(filter(None, words)))
+    size = ", ".join(ranges)
     joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
     few = f" at {', '.join(joints)}" if 2 * len(joints) <= robot.nv else ""
     return f"{plain(lead.name)} {size}{few}"

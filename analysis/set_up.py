@@ -27,7 +27,7 @@ from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import link_coordinates, link_weights
 from excitant.identify.recording import Recording
 from excitant.identify.rows import implausible_size
-from excitant.robots.effects import EFFECTS, Effect, standard_effects
+from excitant.robots.effects import EFFECTS, Effect, Size, standard_effects
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -52,7 +52,7 @@ class DataFault(Effect):
         return np.zeros((len(motion), robot.nv, 0))
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
         """The fault's own detail."""
         return f"{self.detail[:1].upper()}{self.detail[1:]} (repaired)"

@@ -203,10 +203,8 @@ class Robot(Shown):
         return data_frame(rows, "link")
 
     def _lines(self) -> list[str]:
-        from excitant.robots.effects import plain
-
         held = [f"{joint} at {q:.4g}" for joint, q in self.locked]
-        effects = dict.fromkeys(plain(effect.name) for effect in self.effects)
+        effects = dict.fromkeys(effect.label for effect in self.effects)
         return [
             f"Robot {self.name}: {self.nv} joints, SI units",
             f"joints: {', '.join(self.joints)}",

@@ -48,6 +48,7 @@ from excitant.robots.effects.base import JointwiseEffect as JointwiseEffect
 from excitant.robots.effects.base import PairEffect as PairEffect
 from excitant.robots.effects.base import Parameter as Parameter
 from excitant.robots.effects.base import Shape as Shape
+from excitant.robots.effects.base import Size as Size
 from excitant.robots.effects.base import effect_values as effect_values
 from excitant.robots.effects.base import joint_facts as joint_facts
 from excitant.robots.effects.base import merged as merged

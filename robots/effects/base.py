@@ -68,6 +68,37 @@ class Parameter:
     lower: float = -np.inf  # smallest value that physics allows
     # size where it matters; None where that depends on the arm
     typical: float | None = None
+    vector: str = ""  # quantity whose component it is, told by its length
+
+
+@dataclass(frozen=True)
+class Size:
+    """A quantity that tells how large an effect is, and its value in the given model."""
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    given: float = 0.0
+
+    def __str__(self) -> str:
+        text = f"{self.value:.3g} ± {self.std:.2g}"
+        return text if self.unit == "1" else f"{text} {self.unit}"
+
+
+def length(x: Array, covariance: Array) -> tuple[float, float]:
+    """Length of a vector (k,) with covariance (k, k), and its standard deviation.
+
+    The standard deviation is √(uᵀ C u) with u = x / ‖x‖ to first order. Within two of them of
+    zero the direction is not determined, and that of the least certain direction is returned.
+    """
+    size = float(np.linalg.norm(x))
+    worst = float(np.linalg.norm(covariance, 2)) ** 0.5
+    if size == 0:
+        return size, worst
+    direction = x / size
+    std = float(np.sqrt(np.abs(direction @ covariance @ direction)))
+    return size, std if size > 2 * std else worst
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +260,11 @@ class Effect(ABC):
         for shape in self.shapes:
             if shape.positive and not getattr(self, shape.name) > 0:
                 raise BadInput(f"effect {self.name}: {shape.name} must be positive")
+
+    @property
+    def label(self) -> str:
+        """Its name as it stands in a sentence."""
+        return plain(self.name)
 
     def owners(self, robot: Robot) -> tuple[str, ...]:
         """Joints, pair or link that its terms belong to, as the names of its coefficients say."""
@@ -415,20 +451,51 @@ class Effect(ABC):
     def noun(self, robot: Robot) -> str:
         """The cause with its place."""
         where = "all joints" if len(self.joints) > 3 else ", ".join(self.joints)
-        return f"{plain(self.name)} at {where}"
+        return f"{self.label} at {where}"
+
+    def sizes(
+        self, value: Array, given: Array, covariance: Array, units: Sequence[str]
+    ) -> tuple[Size, ...]:
+        """How large it is: each coefficient, or the length of the vector of several.
+
+        Args:
+            value: Coefficients, shape (k,).
+            given: Those of the given model, shape (k,).
+            covariance: Of the coefficients, shape (k, k).
+            units: Of the coefficients.
+        """
+        terms = self.own_terms * (len(value) // len(self.own_terms))
+        vectors = dict[tuple[str, int], list[int]]()
+        for k, term in enumerate(terms):
+            apart = k // len(self.own_terms) if term.vector else k
+            vectors.setdefault((term.vector, apart), []).append(k)
+        sizes = []
+        for (vector, _), at in vectors.items():
+            if vector:
+                size, std = length(value[at], covariance[np.ix_(at, at)])
+                nominal = float(np.linalg.norm(given[at]))
+                sizes.append(Size(vector, units[at[0]], size, std, nominal))
+            else:
+                k = at[0]
+                std = float(np.sqrt(covariance[k, k]))
+                size = float(value[k])
+                nominal = float(given[k])
+                sizes.append(Size(terms[k].name, units[k], size, std, nominal))
+        return tuple(sizes)
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
-        """Statement of a diagnosis on the effect at joints, its own first, beside given values."""
-        name = plain(self.name)
-        value = self._known()[0]
+        """Statement of a diagnosis on the effect at joints, its own first."""
+        name = self.label
         if len(joints) > 1:
             return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
-        unit = self.parameters(robot)[0].unit
-        size = f"{value:.3g}" if unit == "1" else f"{value:.3g} {unit}"
-        if given[0]:
-            return f"{joints[0]}: {name} is {size}, the model says {given[0]:.3g}"
+        several = len(sizes) > 1
+        words = (f"{s.name} " * several + str(s) for s in sizes)
+        size = ", ".join(words).replace("_", " ")
+        if any(s.given for s in sizes):
+            nominal = ", ".join(f"{s.given:.3g}" for s in sizes)
+            return f"{joints[0]}: {name} is {size}, the model says {nominal}"
         return f"{joints[0]}: {name} of {size} is not in the model"
 
     @classmethod

@@ -17,6 +17,7 @@ from excitant.robots.effects.base import (
     PairEffect,
     Parameter,
     Shape,
+    Size,
     StandardEffect,
     registered,
 )
@@ -159,11 +160,15 @@ class TorqueGain(_ReadingEffect):
         return columns
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
         if len(joints) > 1:
-            return super().sentence(robot, joints, given)
-        return f"{joints[0]}: torque reads {100 * self._known()[0]:+.1f} % against the model's"
+            return super().sentence(robot, joints, sizes)
+        gain = 100 * sizes[0].value
+        std = 100 * sizes[0].std
+        return (
+            f"{joints[0]}: torque reads {gain:+.1f} ± {std:.2g} % against the model's"
+        )
 
 
 @registered
@@ -225,9 +230,12 @@ class TorqueRipple(JointEffect):
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
-        """Amplitudes, named after the order."""
+        """Coefficients of the cosine and the sine, named after the order."""
+        order = f"{self.order:.4g}"
+        amplitude = f"amplitude of order {order}"
         return tuple(
-            Parameter(f"{term.name}{self.order:.4g}", term.unit) for term in self.terms
+            replace(term, name=f"{term.name}{order}", vector=amplitude)
+            for term in self.terms
         )
 
     @property
@@ -318,7 +326,9 @@ class Spring(JointEffect):
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
-        lever = tuple(Parameter(f"spring_{s}", "N·m") for s in ("cos", "sin"))
+        lever = tuple(
+            Parameter(f"spring_{s}", "N·m", vector="amplitude") for s in ("cos", "sin")
+        )
         return lever if self.lever else self.terms
 
     @property
@@ -465,6 +475,8 @@ class TimeDelay(_ReadingEffect):
         return columns
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
-        return f"The torque lags the motion by {1e3 * self._known()[0]:.1f} ms"
+        delay = 1e3 * sizes[0].value
+        std = 1e3 * sizes[0].std
+        return f"The torque lags the motion by {delay:.1f} ± {std:.2g} ms"

@@ -17,6 +17,7 @@ from excitant.robots.effects.base import (
     Effect,
     JointFacts,
     Parameter,
+    Size,
     registered,
     within,
 )
@@ -88,7 +89,9 @@ class KinematicError(_GeometryEffect):
     """The joint sits elsewhere in its parent link than the model says."""
 
     name = "kinematic_error"
-    terms = tuple(Parameter(f"d{axis}", "m", typical=0.1) for axis in "xyz")
+    terms = tuple(
+        Parameter(f"d{axis}", "m", typical=0.1, vector="distance") for axis in "xyz"
+    )
     told = (
         (
             f"{by.KINEMATICS}; or repeat the motion in another pose region",
@@ -112,10 +115,10 @@ class KinematicError(_GeometryEffect):
         return np.stack(parts, axis=2)
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
-        far = 1e3 * float(np.linalg.norm(self._known()))
-        return f"The axis of {joints[0]} seems {far:.0f} mm off where the model has it"
+        distance = f"{1e3 * sizes[0].value:.0f} ± {1e3 * sizes[0].std:.2g} mm"
+        return f"The axis of {joints[0]} seems {distance} off where the model has it"
 
 
 def _moved(robot: Robot, j: int, step: Array) -> Robot:
@@ -165,10 +168,11 @@ class GravityDirection(Effect):
         return robot.with_gravity(robot.gravity + self._known())
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
         true = ", ".join(f"{x:.2f}" for x in robot.gravity + self._known())
-        return f"Gravity points along ({true}) m/s² in the base frame"
+        spread = ", ".join(f"{size.std:.2g}" for size in sizes)
+        return f"Gravity points along ({true}) ± ({spread}) m/s² in the base frame"
 
 
 @dataclass(frozen=True)
@@ -220,9 +224,9 @@ class Payload(AddedInertia):
         return "a payload"
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
-        return f"A payload of {self._known()[0]:.2f} kg on the last link is missing from the model"
+        return f"A payload of {sizes[0]} on the last link is missing from the model"
 
 
 @registered
@@ -237,16 +241,16 @@ class InertialParameters(AddedInertia):
         return f"wrong inertial parameters of {robot.links[self.rows(robot)[0]]}"
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
         j = self.rows(robot)[0]
-        mass = self._known()[0]
-        if j == robot.nv - 1 and mass < 0:
+        mass = f"{sizes[0].value:+.2f} ± {sizes[0].std:.2g} kg"
+        if j == robot.nv - 1 and sizes[0].value < 0:
             return (
-                f"{robot.links[j]} is lighter than the model says ({mass:+.2f} kg), as if a tool "
+                f"{robot.links[j]} is lighter than the model says ({mass}), as if a tool "
                 "in the model were not mounted"
             )
-        return f"The inertial parameters of {robot.links[j]} are wrong (mass {mass:+.2f} kg)"
+        return f"The inertial parameters of {robot.links[j]} are wrong (mass {mass})"
 
 
 class GivenInertias(InertialParameters):
@@ -267,7 +271,7 @@ class GivenInertias(InertialParameters):
         return f"inertias of {', '.join(self.owners(robot))} other than given"
 
     def sentence(
-        self, robot: Robot, joints: Sequence[str], given: Sequence[float]
+        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
     ) -> str:
         masses = robot.phi[::10][self.rows(robot)]
         added = self._known()[::10]

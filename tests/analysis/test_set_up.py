@@ -123,7 +123,7 @@ def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(
     first = diagnose(bare(ur10), [fitted], validate=[held]).findings[0]
     assert (first.effect.name, first.verdict) == ("encoder_offset", "undecided")
     assert "half of its size" in first.downgrade
-    assert not replace(first, std=(0.7,)).near_given
+    assert not replace(first, covariance=np.array([[0.49]])).near_given
 
 
 @pytest.mark.parametrize(

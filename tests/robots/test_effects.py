@@ -15,6 +15,7 @@ from excitant.identify.export import comment, folded
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots import effects as fx
 from excitant.robots.effects import EFFECTS, Effect
+from excitant.robots.effects.base import length
 from excitant.robots.effects.experiments import BETWEEN
 from excitant.robots.parameters import STANDARD
 from excitant.robots.simulation import REST, forward_model
@@ -54,6 +55,46 @@ def valued(robot: Robot, kind: type[Effect], seed: int) -> Effect:
     return effect.with_values(rng.uniform(0.1, 2, len(effect.parameters(robot))))
 
 
+def sizes_of(robot: Robot, effect: Effect) -> tuple[fx.Size, ...]:
+    """Sizes of an effect that the given model lacks, all coefficients known to 0.1."""
+    units = [p.unit for p in effect.parameters(robot)]
+    k = len(units)
+    return effect.sizes(np.array(effect.values), np.zeros(k), 0.01 * np.eye(k), units)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.7, np.pi / 2, 2.0, np.pi])
+def test_ripple_and_lever_are_told_by_their_amplitude_whatever_the_phase(
+    planar: Robot, phase: float
+) -> None:
+    joint = planar.joints[:1]
+    values = (2.5 * np.cos(phase), 2.5 * np.sin(phase))
+    ripple = fx.TorqueRipple(joint, values, order=12.0)
+    for effect in (ripple, fx.Spring(joint, values, lever=True)):
+        [size] = sizes_of(planar, effect)
+        assert size.value == pytest.approx(2.5)
+        assert size.std == pytest.approx(0.1)
+        assert size.unit == "N·m"
+        assert f"{effect.label} of 2.5 ± 0.1 N·m" in effect.sentence(planar, joint, [size])
+    [moved] = sizes_of(planar, fx.KinematicError(joint, (0.3, 0.0, -0.4)))
+    assert moved.value == pytest.approx(0.5)
+    both = sizes_of(planar, fx.FrictionCoupling(planar.joints, (0.0, 3.0)))
+    assert [(size.name, size.value) for size in both] == [("Fv", 0.0), ("Fc", 3.0)]
+
+
+def test_amplitude_has_the_spread_of_its_samples() -> None:
+    """√(uᵀ C u) far from zero; near zero no less than what amplitudes of noise are."""
+    rng = np.random.default_rng(0)
+    covariance = np.array([[0.04, 0.03], [0.03, 0.09]])
+    for x in (np.array([3.0, -2.0]), np.array([0.1, 0.05])):
+        size, std = length(x, covariance)
+        samples = np.linalg.norm(rng.multivariate_normal(x, covariance, 20_000), axis=1)
+        assert size == pytest.approx(np.linalg.norm(x))
+        expected = np.sqrt(np.mean((samples - size) ** 2))
+        assert std == pytest.approx(expected, rel=0.02) or 0 < size < 2 * std
+        assert std >= 0.9 * samples.std()
+    assert length(np.zeros(2), covariance)[1] == pytest.approx(np.sqrt(0.1040512), rel=1e-3)
+
+
 def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
     assert EFFECTS[kind.name] is kind
     assert len(EFFECTS) == 24
@@ -63,8 +104,8 @@ def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
     assert frozenset((kind.family,)) in BETWEEN
     assert kind.standard <= kind.usual <= kind.jointwise
     effect = valued(planar, kind, 0)
-    given = [0.0] * len(effect.parameters(planar))
-    for said in (effect.noun(planar), effect.sentence(planar, effect.joints[:1], given)):
+    sizes = sizes_of(planar, effect)
+    for said in (effect.noun(planar), effect.sentence(planar, effect.joints[:1], sizes)):
         assert said == said.strip()
         assert "_" not in said.replace(kind.name, "")
 
