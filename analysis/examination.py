@@ -122,7 +122,11 @@ class Examination:
                 if poor
                 else ""
             )
-            advice += f"; {self.use}.urdf lacks {', '.join(few)}" if few else ""
+            urdf = f"{self.use}.urdf"
+            unwritten = (
+                "" if urdf in self.recommended else ", so much that it is not written"
+            )
+            advice += f"; {urdf} lacks {', '.join(few)}{unwritten}" if few else ""
         return [
             f"Of the torque, the given model misses {given}, the identified one {identified}, the "
             f"extended one {extended}.",
@@ -144,8 +148,9 @@ class Examination:
         """Files of the model to use, the one that holds all of it first; none for the given one."""
         if self.use not in _COMPLETE:
             return ()
-        both = (_COMPLETE[self.use], f"{self.use}.urdf")
-        return both if self._lacking else both[::-1]
+        both = [_COMPLETE[self.use], f"{self.use}.urdf"]
+        written = [name for name in both if name in self.files]
+        return tuple(written if self._lacking else written[::-1])
 
     @property
     def refusal(self) -> str:
@@ -192,6 +197,9 @@ class Examination:
         """Results of the commands, by name."""
         found = {verb: noun.result() for verb, noun in self._nouns.items()}
         found["diagnose"]["faults"] = [dict(fault) for fault in self.faults]
+        for model, verb in (("identified", "identify"), ("extended", "diagnose")):
+            exported = self.publications[model].exported
+            found[verb]["exported"] = [file.entry() for file in exported]
         return found
 
     @property

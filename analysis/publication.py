@@ -8,8 +8,8 @@ from typing import Any
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.identify.estimate import Estimate
 from excitant.identify.export import (
+    HoldOut,
     Publication,
-    model_files,
     publication,
     published,
 )
@@ -36,13 +36,19 @@ def extended_publication(
     Faults, as `Diagnosis.amended` tells them, or a larger error on the hold-out than that of the
     given model forbid it unless by ``force``.
     """
-    return published(
-        model_files(diagnosis.extension.model, "extended", "extended.yaml"),
-        diagnosis.robot.joints,
-        diagnosis.held.series,
+    held = diagnosis.held
+    judged = HoldOut(
+        diagnosis.data.validate,
+        held.series,
+        held.gains,
         diagnosis.extension.predicted,
-        diagnosis.held.simulated,
+        held.simulated,
+    )
+    return published(
+        diagnosis.extension.model,
+        "extended",
+        "extended.yaml",
+        judged,
         force=force,
         faults=proven(faults),
-        kind="extended",
     )

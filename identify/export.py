@@ -12,7 +12,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,8 +21,14 @@ import pinocchio as pin
 import yaml
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify.rows import Series, chance_of_loss
-from excitant.robots.effects import effect_entries, plain
+from excitant.identify.preprocessing import Segment
+from excitant.identify.rows import (
+    Accuracy,
+    Series,
+    chance_of_loss,
+    predicted_torque,
+)
+from excitant.robots.effects import Effect, effect_entries, plain
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
 from excitant.robots.robot import Robot
@@ -33,6 +39,7 @@ if TYPE_CHECKING:
 
 USUAL = ("urdf", "mjcf", "sdf")
 FORMATS = (*USUAL, "ros2_control")
+_SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "sdf": ".sdf"}
 _COMMON_GRAVITY = (0.0, 0.0, -9.81)
 _THIN = 1e-3  # m: shorter distances between joints are not drawn
 _ROS2_REMARKS = (
@@ -40,6 +47,7 @@ _ROS2_REMARKS = (
     "friction [N·m·s/rad, N·m, N·m, kg·m²], links [kg, m in the frame of the joint], gravity:",
     "names of excitant's own, for controllers that declare them",
 )
+_NAMED = 3  # effects that are listed in a sentence
 _CHANCE = 0.01  # that a model as good as the given one is taken for a worse one
 
 
@@ -49,13 +57,16 @@ def model_files(
     yaml_name: str,
     formats: Sequence[str] = USUAL,
     gains: Array | None = None,
+    *,
+    urdf: bool = True,
 ) -> dict[str, str]:
     """A robot as files; URDF and YAML always, and its base parameters with covariance where known.
 
     The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
     same torque and the same estimate. The others are ``.xml`` (MJCF), ``.sdf``, and
     ``_ros2_control.yaml`` with parameters of controllers. Gains, shape (nv,) [N·m/A], are given
-    where torque was measured as current.
+    where torque was measured as current. Without ``urdf``, the description that the YAML refers to
+    is named ``.links``, and says that it is no model by itself.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -63,11 +74,12 @@ def model_files(
     """
     UnknownName.refuse("format", formats, FORMATS)
     arm, drives = folded(model)
+    description = f"{stem}.urdf" if urdf else f"{stem}.links"
     table = f"{yaml_name.removesuffix('.yaml')}-estimate.csv"
     beside = {} if model.estimate is None else {"estimate": table}
     files = {
-        f"{stem}.urdf": _urdf(arm, yaml_name),
-        yaml_name: _yaml(arm, {"model": f"{stem}.urdf"} | beside, gains),
+        description: _urdf(arm, yaml_name, alone=urdf),
+        yaml_name: _yaml(arm, {"model": description} | beside, gains),
     }
     if model.estimate is not None:  # the same with or without bodies folded into links
         files[table] = model.estimate.csv()
@@ -97,39 +109,72 @@ def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
     return (robot if robot is given else robot.with_effects(kept)), drives
 
 
-def comment(robot: Robot, file_format: str, complete: str) -> str:
-    """Deviations of a file from the model, and the file that is complete."""
-    left_out = []
-    own = []
-    for effect in robot.effects:
+def lacking(arm: Robot, file_format: str) -> list[str]:
+    """What a file cannot hold of an arm whose bodies are `folded`, in words with the joints."""
+    missing = []
+    for effect in arm.effects:
         values = effect.values or ()
         joints = list(effect.joints)
         below = list[str]()
         if effect.joint_property:
-            lowest = [p.lower for p in effect.parameters(robot)]
+            lowest = [p.lower for p in effect.parameters(arm)]
             rows = list(zip(joints, values, lowest, strict=True))
             joints = [joint for joint, value, _ in rows if value]
             below = [joint for joint, value, low in rows if value < low]
         if joints and file_format not in effect.formats:
-            listed = "all joints" if len(joints) == robot.nv else ", ".join(joints)
-            left_out.append(f"{plain(effect.name)} of {listed}")
+            listed = "all joints" if len(joints) == arm.nv else ", ".join(joints)
+            missing.append(f"{plain(effect.name)} of {listed}")
         elif joints and below:
-            left_out.append(f"negative {plain(effect.name)} of {', '.join(below)}")
-        elif joints and file_format in effect.format_notes:
-            own.append(effect.format_notes[file_format])
+            missing.append(f"negative {plain(effect.name)} of {', '.join(below)}")
+    return missing
+
+
+def held_by(model: Robot, file_format: str) -> Robot:
+    """The model that a program reads from a file, of which gravity is that of the arm.
+
+    Effects of one joint property add up there, and are written down to their lowest value.
+    """
+    arm, drives = folded(model)
+    effects: dict[str, Effect] = {}
+    for effect in arm.effects:
+        if file_format in effect.formats:
+            whole = replace(effect, joints=arm.joints, values=None)
+            lowest = [p.lower for p in whole.parameters(arm)]
+            values = np.maximum(drives[effect.joint_property], lowest)
+            effects[effect.joint_property] = whole.with_values(values)
+    return arm.with_effects(list(effects.values()))
+
+
+def comment(robot: Robot, file_format: str, complete: str) -> str:
+    """Deviations of a file from the model, and the file that is complete."""
+    left_out = lacking(robot, file_format)
+    own = [
+        effect.format_notes[file_format]
+        for effect in robot.effects
+        if file_format in effect.format_notes and any(effect.values or ())
+    ]
     if file_format == "sdf" and not np.allclose(robot.gravity, _COMMON_GRAVITY):
         own.append("gravity is that of the world, which Drake wants to be told in code")
     missing = [f"not in this file: {name}" for name in left_out]
     last = [f"{complete} holds everything"] if left_out else []
-    text = "\n    ".join(("", "identified by excitant", *missing, *own, *last))
+    return _commented(["identified by excitant", *missing, *own, *last])
+
+
+def _commented(lines: Sequence[str]) -> str:
+    text = "\n    ".join(("", *lines))
     while "--" in text:  # which ends no comment
         text = text.replace("--", "- -")
     return f"{text}\n  "
 
 
-def _urdf(arm: Robot, complete: str) -> str:
+def _urdf(arm: Robot, complete: str, *, alone: bool) -> str:
     root = ET.fromstring(current_urdf(arm))
-    root.insert(0, ET.Comment(comment(arm, "urdf", complete)))
+    remark = comment(arm, "urdf", complete)
+    if not alone:
+        remark = _commented(
+            [f"links and joints of {complete}", "no model without the effects there"]
+        )
+    root.insert(0, ET.Comment(remark))
     return _text_of(root, declared=True)
 
 
@@ -364,6 +409,52 @@ def _text_of(root: ET.Element, declared: bool = False) -> str:
     return ET.tostring(root, encoding="unicode", xml_declaration=declared) + "\n"
 
 
+@dataclass(frozen=True, eq=False)
+class HoldOut:
+    """Torque of a model and of the nominal one on the hold-out, by which files are judged.
+
+    Attributes:
+        segments: The hold-out.
+        rows: Its rows, with the measured torque.
+        gains: Torque per reading, shape (nv,) [N·m per reading].
+        predicted: Torque of the model at its rows, shape (n, nv) [torque unit].
+        nominal: Torque of the model as given, shape (n, nv) [torque unit].
+    """
+
+    segments: Sequence[Segment]
+    rows: Series
+    gains: Array
+    predicted: Array
+    nominal: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedFile:
+    """How well a program that reads one file of a model predicts the hold-out.
+
+    Attributes:
+        file: Its name.
+        accuracy: Errors of what the file holds, joint by joint.
+        lacks: What its format cannot hold, in words.
+        refused: What predicts the hold-out better, so that it is not written; empty where it is.
+    """
+
+    file: str
+    accuracy: Accuracy
+    lacks: tuple[str, ...]
+    refused: str = ""
+
+    def entry(self) -> dict[str, Any]:
+        """Its entry in ``result.json``."""
+        return {
+            "file": self.file,
+            "written": not self.refused,
+            "nrmse": self.accuracy.nrmse.tolist(),
+            "rms": self.accuracy.rms.tolist(),
+            "lacks": list(self.lacks),
+        }
+
+
 @dataclass(frozen=True)
 class Publication:
     """Publication of an identified model: files, or the reason for none."""
@@ -371,6 +462,7 @@ class Publication:
     files: Mapping[str, str]  # by name; none when it is not published
     published: bool
     note: str  # why not, or why it is nevertheless; empty when nothing is to say
+    exported: tuple[ExportedFile, ...] = ()  # of a published model, by format
 
     @property
     def refusal(self) -> str:
@@ -380,6 +472,7 @@ class Publication:
     def note_in(self, result: dict[str, Any]) -> None:
         """Say in the contents of a result.json whether the model is published, and why not."""
         result |= {"published": self.published, "refusal": self.refusal}
+        result["exported"] = [file.entry() for file in self.exported]
         result["notes"] = [*result["notes"], *[self.note] * bool(self.note)]
 
 
@@ -396,33 +489,52 @@ def publication(
     where no model, the mean torque of a joint, predicts it better (r² < 0), and where the model as
     given predicts all joints together better than chance allows (`chance_of_loss`). With ``force``
     the model is published all the same. Joints that the model as given predicts better, though not
-    all together, are named.
+    all together, are named. So are files whose format lacks so much of the model that they
+    predict the hold-out worse than the model as given: they are not written.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
     """
-    gains = estimate.gains if estimate.data.unit == "A" else None
-    files = model_files(estimate.model, "identified", "model.yaml", formats, gains)
-    torques = estimate.holdout, estimate.predicted, estimate.predicted_given
-    return published(files, estimate.given.joints, *torques, force=force, faults=faults)
+    return published(
+        estimate.model,
+        "identified",
+        "model.yaml",
+        hold_out(estimate),
+        formats=formats,
+        gains=estimate.gains if estimate.data.unit == "A" else None,
+        force=force,
+        faults=faults,
+    )
+
+
+def hold_out(estimate: Estimate) -> HoldOut:
+    """The hold-out of an identification."""
+    return HoldOut(
+        estimate.data.validate,
+        estimate.holdout,
+        estimate.gains,
+        estimate.predicted,
+        estimate.predicted_given,
+    )
 
 
 def published(
-    files: Mapping[str, str],
-    joints: Sequence[str],
-    rows: Series,
-    predicted: Array,
-    given: Array,
+    model: Robot,
+    kind: str,
+    yaml_name: str,
+    judged: HoldOut,
     *,
+    formats: Sequence[str] = USUAL,
+    gains: Array | None = None,
     force: bool = False,
     faults: Sequence[str] = (),
-    kind: str = "identified",
 ) -> Publication:
-    """The same of any model's files, by its torque and the given model's at the rows of a hold-out.
+    """The same of any model, whose files are named by its kind, ``identified`` or ``extended``.
 
-    Torques have shape (n, nv).
+    Gains are written, shape (nv,) [N·m/A], where torque was measured as current.
     """
-    useless, worse, whole = _against(joints, rows, predicted, given)
+    UnknownName.refuse("format", formats, FORMATS)
+    useless, worse, whole = _against(model.joints, judged)
     why = [*faults]
     advice = list[str]()
     if faults:
@@ -450,19 +562,83 @@ def published(
             f"the {kind} model is not published: {said}; {advice[0]}, or give --force"
         )
         return Publication({}, False, note)
-    note = f"published because it was forced: {said}" if why else ""
+    exported = exported_files(model, kind, yaml_name, judged, formats)
+    if force:
+        exported = tuple(replace(file, refused="") for file in exported)
+    refused = {file.file for file in exported if file.refused}
+    files = model_files(
+        model, kind, yaml_name, formats, gains, urdf=f"{kind}.urdf" not in refused
+    )
+    notes = [f"published because it was forced: {said}"] if why else []
     if worse and not why:
-        note = f"the model as given predicts the hold-out better at {'; '.join(worse)}"
-    return Publication(files, True, note)
+        notes.append(
+            f"the model as given predicts the hold-out better at {'; '.join(worse)}"
+        )
+    if refused:
+        notes.append(_unwritten([file for file in exported if file.refused], yaml_name))
+    written = {name: text for name, text in files.items() if name not in refused}
+    return Publication(written, True, "; ".join(notes), exported)
+
+
+def exported_files(
+    model: Robot, stem: str, yaml_name: str, judged: HoldOut, formats: Sequence[str]
+) -> tuple[ExportedFile, ...]:
+    """Files of a model that a program can read as one, with their errors on the hold-out.
+
+    One that lacks something is refused where it predicts the hold-out worse than no model at a
+    joint, as a model is, or worse than the nominal one by the nrmse summed over the joints.
+    """
+    arm, _ = folded(model)
+    complete = judged.rows.accuracy(judged.predicted)
+    nominal = float(np.nansum(judged.rows.accuracy(judged.nominal).nrmse))
+    exported = [ExportedFile(yaml_name, complete, ())]
+    predictions: dict[tuple[Effect, ...], Array] = {}
+    for file_format, suffix in _SUFFIXES.items():
+        if file_format not in ("urdf", *formats):
+            continue
+        lacks = tuple(lacking(arm, file_format))
+        file = ExportedFile(f"{stem}{suffix}", complete, lacks)
+        if lacks:
+            held = held_by(model, file_format)
+            if held.effects not in predictions:
+                tau = predicted_torque(held, judged.segments) / judged.gains
+                predictions[held.effects] = tau
+            reduced = replace(judged, predicted=predictions[held.effects])
+            accuracy = judged.rows.accuracy(reduced.predicted)
+            useless, _, _ = _against(model.joints, reduced)
+            error = float(np.nansum(accuracy.nrmse))
+            why = f"no model at {'; '.join(useless)}" if useless else ""
+            if error > nominal and not useless:
+                why = (
+                    "the model as given, nrmse summed over the joints "
+                    f"{nominal:.4g} → {error:.4g}"
+                )
+            file = replace(file, accuracy=accuracy, refused=why)
+        exported.append(file)
+    return tuple(exported)
+
+
+def _unwritten(files: Sequence[ExportedFile], complete: str) -> str:
+    """A line on the files that are not written, at least one of them."""
+    names = ", ".join(file.file for file in files)
+    verb = "is" if len(files) == 1 else "are"
+    common = [x for x in files[0].lacks if all(x in file.lacks for file in files)]
+    few = [*common[:_NAMED], *["and more"] * (len(common) > _NAMED)]
+    without = f"without {', '.join(few)}" if few else "without what its format lacks"
+    return (
+        f"{names} {verb} not written: {without}, the hold-out is predicted worse than by "
+        f"{files[0].refused}; {complete} holds everything"
+    )
 
 
 def _against(
-    joints: Sequence[str], rows: Series, predicted: Array, given: Array
+    joints: Sequence[str], judged: HoldOut
 ) -> tuple[list[str], list[str], str]:
     """Joints of no use and joints that got worse, with figures; all joints if these got worse."""
-    found = rows.accuracy(predicted)
-    before = rows.accuracy(given)
-    losses = rows.losses(predicted, given)
+    rows = judged.rows
+    found = rows.accuracy(judged.predicted)
+    before = rows.accuracy(judged.nominal)
+    losses = rows.losses(judged.predicted, judged.nominal)
     useless = [
         f"{joint} (r² = {r2:.3g})"
         for joint, r2, judged in zip(joints, found.r2, rows.judged, strict=True)

@@ -17,7 +17,7 @@ from excitant.reports.error_figures import (
     torque_figure,
     waterfall_figure,
 )
-from excitant.reports.identify import CUTOFF_REMARK, fault_table
+from excitant.reports.identify import CUTOFF_REMARK, exported_table, fault_table
 from excitant.reports.values import NONE, Result, Series
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
@@ -79,6 +79,7 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
                 [_facts(result), fault_table(result), *_findings(findings, unit)],
             ),
             (wrong, [*shares, *_refit(result, unit), *_forward(result, changed)]),
+            ("Files of the extended model", [exported_table(result)]),
             *first,
         ],
         (("diagnosed", lead), *_told(findings)),

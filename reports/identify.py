@@ -71,6 +71,7 @@ def identify_section(result: Result, series: Series) -> p.Section:
                 "Key figures",
                 [_facts(result), p.notes([refusal] * bool(refusal), p.POOR)],
             ),
+            ("Files of the model", [exported_table(result)]),
             ("Data faults", [fault_table(result)]),
             ("Payload", _payload(v.at(result, "payload"))),
             ("Link by link against all links at once", _link_by_link(result, unit)),
@@ -125,6 +126,36 @@ def _brief(result: Result, unit: str) -> p.Brief:
     )
     named = [("moved" if k == 0 else "", words) for k, words in enumerate(few)]
     return ("identified", said), ("", v.text(result, "holdout")), *named
+
+
+def exported_table(result: Result) -> p.Table | None:
+    """How well what each file of the model holds predicts the hold-out; None without any."""
+    rows = v.records(result, "exported")
+
+    def error(pick: Callable[..., float]) -> Callable[[Result], p.Cell]:
+        def cell(row: Result) -> p.Cell:
+            nrmse = [x for x in v.reals(row, "nrmse") if np.isfinite(x)]
+            return p.Cell(v.percent(pick(nrmse)) if nrmse else v.NONE)
+
+        return cell
+
+    def missing(row: Result) -> p.Cell:
+        lacks = v.listing(v.words(row, "lacks"), "nothing")
+        if v.at(row, "written") is False:
+            return p.Cell(f"not written, for it lacks {lacks}", p.POOR)
+        return p.Cell(lacks)
+
+    return p.table(
+        rows,
+        [
+            ("name:File", "file"),
+            ("number:Error, median joint", error(np.median)),
+            ("number:worst joint", error(max)),
+            ("text:Lacks", missing),
+        ],
+        "Error on the hold-out (nrmse) of what a program reads from each file: what its format "
+        "cannot hold is left out. A file that is worse than the given model is not written.",
+    )
 
 
 def fault_table(result: Result) -> p.Table | None:

@@ -24,6 +24,7 @@ _FORMATS = {  # by the end of the name
     "ros2_client.py": "program for ROS 2, which runs the motions at a fifth of the speed",
     "script": "URScript, at a fifth of the speed",
     "urdf": "URDF",
+    "links": "links and joints, which the YAML refers to",
     "xml": "MuJoCo (MJCF)",
     "sdf": "SDFormat, for Gazebo",
     "yaml": "all effects, which excitant reads as a robot",

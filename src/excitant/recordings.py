@@ -441,4 +441,4 @@ def diagnose(
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = trajectory_csv(motion)
         files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
-    run.finish(result, found.series(), files, folder, first=model.refusal)
+    run.finish(result, found.series(), files, folder, first=model.note)

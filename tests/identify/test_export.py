@@ -25,7 +25,7 @@ from known_arms import write_csv
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset
 from excitant.identify.drive_gains import DriveGains
-from excitant.identify.export import model_files, publication
+from excitant.identify.export import HoldOut, model_files, publication, published
 from excitant.identify.mujoco import mujoco_torque, side_by_side
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import predicted_torque
@@ -41,6 +41,7 @@ from excitant.robots import (
 from excitant.robots.effects import (
     EFFECTS,
     AddedInertia,
+    AsymmetricFriction,
     CoulombFriction,
     Effect,
     JointEffect,
@@ -498,6 +499,71 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
     carrying = model.with_effects([Payload(model.joints[-1:]).with_values(BODY)])
     again = robot_from_urdf(carrying.urdf, "carrying")
     check(rigid_body_torque(again, motion), torque(carrying, motion))
+
+
+@pytest.fixture(scope="module")
+def beyond_formats(planar: Robot, exact: Callable[..., Recording]) -> Estimate:
+    """An arm whose friction is of a kind that no format holds, as ``--effects auto`` may find."""
+    friction = AsymmetricFriction(planar.joints)
+    count = len(friction.parameters(planar))
+    true = planar.with_effects([friction.with_values(np.linspace(4.0, 9.0, count))])
+    given = planar.with_effects(
+        [CoulombFriction(planar.joints, (6.0, 6.0)), ViscousFriction(planar.joints, (6.0, 6.0))]
+    )
+    recording = exact(true, np.arange(0, 12, 1 / 100))
+    return identify_robot(given, [recording], effects=[friction, RotorInertia(planar.joints)])
+
+
+def test_a_file_that_lacks_too_much_is_not_written(
+    beyond_formats: Estimate, tmp_path: Path
+) -> None:
+    """Nothing else is silent either: each file's own error stands beside it."""
+    model = publication(beyond_formats)
+    unwritten = {f"identified.{suffix}" for suffix in SUFFIXES}
+    assert set(model.files) == {"model.yaml", "identified.links", "model-estimate.csv"}
+    assert model.published
+    names = ", ".join(f"identified.{suffix}" for suffix in SUFFIXES)
+    assert f"{names} are not written: without asymmetric friction of all joints" in model.note
+    assert "\n" not in model.note
+    result = beyond_formats.result()
+    model.note_in(result)
+    exported = {entry["file"]: entry for entry in result["exported"]}
+    assert set(exported) == {"model.yaml", *unwritten}
+    np.testing.assert_allclose(exported["model.yaml"]["rms"], beyond_formats.validate.rms)
+    assert exported["model.yaml"]["lacks"] == []
+    given = beyond_formats.baseline.nrmse.sum()
+    for name in unwritten:
+        assert not exported[name]["written"]
+        assert sum(exported[name]["nrmse"]) > given > sum(exported["model.yaml"]["nrmse"])
+    again = load_robot(write(tmp_path, dict(model.files)) / "model.yaml")
+    motion = states(again, 20)
+    check(torque(again, motion), torque(beyond_formats.model, motion), PRECISION["yaml"])
+    forced = publication(beyond_formats, force=True)
+    assert unwritten < set(forced.files)
+    assert "not written" not in forced.note
+
+
+def test_the_error_of_a_file_is_that_of_the_file_read_again(
+    beyond_formats: Estimate, tmp_path: Path
+) -> None:
+    """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms."""
+    rows, segments = beyond_formats.holdout, beyond_formats.data.validate
+    dry, damped = (
+        kind(beyond_formats.given.joints, (2.0, 3.0)) for kind in (CoulombFriction, ViscousFriction)
+    )
+    model = beyond_formats.model.with_effects([*beyond_formats.model.effects, dry, damped])
+    complete = predicted_torque(model, segments)
+    judged = HoldOut(segments, rows, np.ones(model.nv), complete, complete)
+    published_files = published(model, "identified", "model.yaml", judged, force=True)
+    write(tmp_path, dict(published_files.files))
+    stated = {file.file: file.accuracy.rms for file in published_files.exported}
+    read = predicted_torque(load_robot(tmp_path / "identified.urdf"), segments)
+    np.testing.assert_allclose(stated["identified.urdf"], rows.accuracy(read).rms, rtol=1e-9)
+    in_mjcf = mujoco_torque(model, segments)
+    spread = rows.measured.std(axis=0)
+    difference = np.abs(stated["identified.xml"] - rows.accuracy(in_mjcf).rms)
+    assert (difference < AGREE * spread).all()
+    assert (np.abs(stated["identified.urdf"] - stated["identified.xml"]) > 0).any()
 
 
 def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
