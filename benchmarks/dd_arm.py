@@ -1,4 +1,4 @@
-"""Khosla's Tables 2 to 4 as a recovery experiment on the CMU DD Arm II; see docs/evidence/dd-arm.md.
+"""Khosla's Tables 2-4 as a recovery experiment on the CMU DD Arm II, see docs/evidence/dd-arm.md.
 
 Torque is that of `estimators.TrueArm`: Pinocchio's recursive Newton-Euler algorithm, and friction.
 Who decided is not told from a close result, but by moving the prior where the data are silent:

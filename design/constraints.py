@@ -12,9 +12,10 @@ from scipy.interpolate import CubicHermiteSpline
 
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import BadInput, OutsideLimits
-from excitant.robots import Array, Limits, Motion, Robot
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import freeze
+from excitant.robots.limits import Limits
+from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque
 
 KINEMATIC = ("position", "velocity", "acceleration", "jerk")  # by derivative order

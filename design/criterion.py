@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Array, BaseParameters, Motion, Robot, base_parameters
+from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.motion import freeze
+from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.regressor import RegressorDerivatives, regressor_derivatives
+from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
 COLUMNS = ("friction", "inertial")

@@ -18,7 +18,9 @@ import yaml
 from excitant.design.trajectory import FourierTrajectory, SplineSeries, Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import read_text
-from excitant.robots import Motion, Robot, RobotLike, as_robot
+from excitant.robots.loading import RobotLike, as_robot
+from excitant.robots.motion import Motion
+from excitant.robots.robot import Robot
 from excitant.robots.schema import Finite, Positive, convert, read_yaml
 
 TOPIC = "/joint_trajectory_controller/joint_trajectory"

@@ -13,8 +13,10 @@ from excitant.design.trajectory import (
     from_coefficients,
 )
 from excitant.exceptions import Infeasible
-from excitant.robots import Array, Motion, Robot, RobotLike, as_robot
 from excitant.robots.geometry import Scene
+from excitant.robots.loading import RobotLike, as_robot
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque
 
 _POSES = 2000

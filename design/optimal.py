@@ -19,8 +19,10 @@ from excitant.design.search import Effort, SearchState, best_solutions, search
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.processes import connect
-from excitant.robots import Motion, Robot, RobotLike, as_robot
 from excitant.robots.geometry import CLEARANCE, Scene
+from excitant.robots.loading import RobotLike, as_robot
+from excitant.robots.motion import Motion
+from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
 Progress = Callable[[int, int | None, float, float], None]

@@ -17,10 +17,11 @@ import numpy.typing as npt
 from excitant.design.constraints import SCALE, pose_use
 from excitant.design.criterion import speed_scale
 from excitant.design.problem import DesignProblem
-from excitant.robots import Array, Motion, Robot, torque
 from excitant.robots.effects import Effect
+from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import torque_derivatives as rigid_derivatives
-from excitant.robots.torque import largest_torque, link_torques
+from excitant.robots.robot import Robot
+from excitant.robots.torque import largest_torque, link_torques, torque
 
 _CREEP = 1e-5  # speed that stands for a one-sided limit [rad/s or m/s]
 # of central differences of effects; below `_CREEP`, so that no sign changes

@@ -10,10 +10,11 @@ import numpy as np
 
 from excitant.design.constraints import Clearance, LimitReport, shares_of_limits
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
-from excitant.robots import Array, Motion, Robot
 from excitant.robots.appearance import Appearance
 from excitant.robots.geometry import Scene
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
 
 _FRAMES_HZ = 50.0  # rate
 _FRAMES = 5000  # and no more frames than that

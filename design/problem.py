@@ -13,8 +13,9 @@ from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information
 from excitant.design.feasible import random_start
 from excitant.design.trajectory import Series, Trajectory
-from excitant.robots import Array, Motion, Robot
 from excitant.robots.geometry import Scene
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
 
 # share of every limit kept free, above what the exchange leaves violated
 _MARGIN = 1e-4

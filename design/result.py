@@ -19,11 +19,13 @@ from excitant.design.playback import Playback
 from excitant.design.search import SearchState
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import OutsideLimits
-from excitant.robots import Array, BaseParameters, Motion, Robot, torque
+from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.geometry import Scene, unchecked
+from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import UNITS
+from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, share
-from excitant.robots.torque import effect_values
+from excitant.robots.torque import effect_values, torque
 
 _DENSE_HZ = 100.0  # samples of the figures reported: rate
 _DENSE = 1000  # and at least so many

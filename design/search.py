@@ -21,7 +21,7 @@ from excitant.design.step import PENALTY, local_model, solve_step
 from excitant.design.trajectory import Series
 from excitant.exceptions import Infeasible
 from excitant.processes import unordered
-from excitant.robots import Array
+from excitant.robots.motion import Array
 from excitant.robots.threads import on_one_thread
 
 _FEASIBLE = 5e-5  # torque excess that the margin kept in the bounds covers

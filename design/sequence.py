@@ -31,12 +31,12 @@ from excitant.design.result import Design, dense_motion
 from excitant.design.search import Report, SearchState, best_solutions, search
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import Infeasible
-from excitant.robots import Array, Robot
 from excitant.robots.base_parameters import last_rows
 from excitant.robots.effects import Effect
 from excitant.robots.geometry import CLEARANCE, Scene
 from excitant.robots.geometry import scene as scene_of
-from excitant.robots.motion import read_only
+from excitant.robots.motion import Array, read_only
+from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
 _STARTS = 6  # per motion

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from excitant.design.criterion import information_derivative, smooth_model
 from excitant.design.peaks import clearance_rows, torque_rows
 from excitant.design.problem import DesignProblem
-from excitant.robots import Array
+from excitant.robots.motion import Array
 
 # of a torque violation (as share of the limit) against the log criterion
 PENALTY = 50.0

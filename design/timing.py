@@ -12,10 +12,10 @@ from scipy.interpolate import BSpline
 
 from excitant.design.constraints import check
 from excitant.exceptions import BadInput, Infeasible
-from excitant.robots import Array, Motion, Robot, torque
 from excitant.robots.geometry import Scene
-from excitant.robots.motion import read_only
-from excitant.robots.torque import largest_torque
+from excitant.robots.motion import Array, Motion, read_only
+from excitant.robots.robot import Robot
+from excitant.robots.torque import largest_torque, torque
 
 # rad/s² or m/s², of a joint with neither acceleration nor torque limit
 DEFAULT_ACCELERATION = 10.0
