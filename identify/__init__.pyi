@@ -25,7 +25,7 @@ from .reading.logs import (
     read_chunks,
     recording_from_table,
 )
-from .reading.names import ColumnMap, load_column_map
+from .reading.mapping import ColumnMap, load_column_map
 from .recording import Recording
 from .regression import Regression
 from .rows import Data, split

@@ -31,7 +31,7 @@ from excitant.identify.reading.logs import (
     recording_from_table,
     suffix_of,
 )
-from excitant.identify.reading.names import (
+from excitant.identify.reading.mapping import (
     ColumnMap,
     column_map,
     drive_of,

@@ -31,7 +31,7 @@ from run_notebooks import NOTEBOOKS, outputs_of
 
 from excitant.analysis import diagnose
 from excitant.cli import app, main
-from excitant.identify.reading.names import ColumnMap, column_map
+from excitant.identify.reading.mapping import ColumnMap, column_map
 from excitant.robots.effects import EFFECTS
 from excitant.robots.schema import parsed_yaml
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from excitant.identify.reading.names import Unit, factor
+from excitant.identify.reading.units import Unit, factor
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:

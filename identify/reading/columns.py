@@ -1,51 +1,44 @@
 """Columns: which columns of a log hold time, positions, speeds and torques, in which units.
 
-What the user's map says holds. Else a quantity is in the columns whose names say that it was
-measured, and nothing that could change its meaning, where one complete set of them is there. Else
-the log is refused with the map to write.
+The user's map has the last word. Without one, a quantity is in the columns whose names say that it
+was measured, and nothing that could change its meaning, where one complete set of them is there.
+Otherwise the log is refused with the map to write.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import yaml
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.reading.cells import Frame
-from excitant.identify.reading.names import (
-    PARTS_OF_TIME,
-    ColumnMap,
-    Meaning,
-    Unit,
-    factor,
-    meaning,
-)
+from excitant.identify.reading.mapping import ColumnMap
+from excitant.identify.reading.names import PARTS_OF_TIME, Meaning, meaning
 from excitant.identify.reading.tables import Table
+from excitant.identify.reading.units import Unit, factor
 from excitant.robots.robot import Robot
 
-_SAID = {
+_PLURALS = {
     "t": "time",
     "q": "positions",
     "dq": "speeds",
     "tau": "torques",
     "i": "currents",
 }
-_NUMBERED = tuple(
-    form.replace("0", first)
-    for first in "01"
-    for form in ("{}[{{0}}]", "{}_{{0}}", "{}.{{0}}", "{}{{0}}")
+_FORMS: tuple[str, ...] = (
+    *("{joint}.{}", "{}.{joint}", "{joint}_{}", "{}_{joint}"),
+    *("{joint}/{}", "{}/{joint}", "{joint} {}", "{} {joint}"),
+    *("{}[{0}]", "{}_{0}", "{}.{0}", "{}{0}"),
+    *("{}[{1}]", "{}_{1}", "{}.{1}", "{}{1}"),
 )
-_NAMED = tuple(
-    form.replace(".", sign)
-    for sign in "._/ "
-    for form in ("{{joint}}.{}", "{}.{{joint}}")
-)
-_FEW = 4  # columns that are named
-_MOTORS = {"motor", "motors", "rotor", "rotors"}  # which turn otherwise than joints
+"""Patterns of columns whose names have a text ``{}`` in common, as `ColumnMap.columns` has them."""
+_NAMED_AT_MOST = 4  # columns that a refusal names
+_MOTORS = {"motor", "motors", "rotor", "rotors"}  # turn otherwise than joints
+_ADVICE = "say which in a file for --map, such as"
 _Key = str | int | None
 
 
@@ -55,7 +48,7 @@ class Channel:
 
     columns: tuple[str, ...]
     factors: tuple[float, ...]  # SI units, with sign and drive gain, per logged unit
-    shown: str = ""  # how the columns were understood; empty where there was no choice
+    note: str = ""  # how the columns were understood; empty where there was no choice
 
 
 @dataclass(frozen=True)
@@ -77,51 +70,30 @@ class Columns:
         return (*self.t, *self.q.columns, *speeds, *self.tau.columns)
 
 
-def with_names_of(table: Table, joints: Sequence[str]) -> Table:
-    """A table with the robot's names of joints, where the log's differ by one prefix throughout.
+def _aliases(
+    logged: Iterable[str], joints: Sequence[str]
+) -> tuple[str, dict[str, str]]:
+    """A prefix by which a log's names of joints differ, and the robot's name by the log's.
 
-    Either may have it, up to a sign as in ``left/`` or ``ur10_``; nothing changes where several
-    prefixes fit, or none.
+    Either may have it, up to a sign as in ``left/`` or ``ur10_``. Nothing where names agree, where
+    several prefixes fit, or none.
     """
-    names = set(table.labels.values())
+    names = set(logged)
     if not joints or set(joints) <= names or len(joints) == 1 < len(names):
-        return table
-    ways = dict[
-        str, dict[str, str]
-    ]()  # by prefix: the robot's names by those of the log
+        return "", {}
+    fitting = dict[str, dict[str, str]]()
     for name in names:
-        longer, shorter = sorted((name, joints[0]), key=len)[::-1]
+        shorter, longer = sorted((name, joints[0]), key=len)
         prefix = longer.removesuffix(shorter)
-        logged = {
-            prefix + j if longer == name else j.removeprefix(prefix): j for j in joints
-        }
-        whole = len(logged) == len(joints) and set(logged) <= names
-        if prefix != longer and not prefix[-1:].isalnum() and whole:
-            ways[prefix] = logged
-    if len(ways) != 1:
-        return table
-    ((prefix, own),) = ways.items()
-    parts = ("position", "velocity", "effort")
-    back = {
-        f"{new}.{part}": f"{old}.{part}" for old, new in own.items() for part in parts
-    }
-    renamed = {old: new for new, old in back.items()}
-
-    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
-        asked = None if columns is None else [back.get(name, name) for name in columns]
-        for frame in table.frames(rows, asked):
-            yield {renamed.get(name, name): cells for name, cells in frame.items()}
-
-    note = (
-        f"joints: the prefix '{prefix}' is taken off the names, as in {next(iter(own))}"
-    )
-    return replace(
-        table,
-        names=tuple(renamed.get(name, name) for name in table.names),
-        frames=frames,
-        labels={k: own.get(name, name) for k, name in table.labels.items()},
-        notes=(*table.notes, note),
-    )
+        if prefix == longer or prefix[-1:].isalnum():
+            continue
+        with_prefix = longer == name
+        logged_as = [
+            prefix + j if with_prefix else j.removeprefix(prefix) for j in joints
+        ]
+        if len({*logged_as}) == len(joints) and {*logged_as} <= names:
+            fitting[prefix] = dict(zip(logged_as, joints, strict=True))
+    return next(iter(fitting.items())) if len(fitting) == 1 else ("", {})
 
 
 def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
@@ -132,7 +104,7 @@ def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
         BadInput: The map does not fit the robot.
     """
     search = _Search(table, robot, mapping)
-    t, t_shown = search.time()
+    t, t_note = search.time()
     q = search.channel("q")
     role, tau = search.torque()
     dq = search.channel("dq", optional=True)
@@ -142,174 +114,211 @@ def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
     gains = mapping.drive
     if role == "i" and gains is not None:
         search.expect_all("drive has {} gains", gains)
-        factors = tuple(
-            one * gain for one, gain in zip(tau.factors, gains, strict=True)
-        )
+        pairs = zip(tau.factors, gains, strict=True)
+        factors = tuple(amperes * gain for amperes, gain in pairs)
         unit = "N·m"
-        tau = Channel(tau.columns, factors, f"{tau.shown or 'i'}, × drive gain = N·m")
-    shown = [s for s in (t_shown, q.shown, dq.shown if dq else "", tau.shown) if s]
-    notes = [f"columns: {'; '.join(shown)}"] if shown else []
-    read = Columns(t, search.t_unit, q, dq, tau, unit, (*notes, *search.notes))
-    for column in read.names:
-        if table.names.count(column) > 1:
-            raise BadRecording(
-                table.file, "is there twice; rename or remove one", column=column
-            )
-        if read.names.count(column) > 1:
+        tau = Channel(tau.columns, factors, f"{tau.note or 'i'}, × drive gain = N·m")
+    notes = [note for note in (t_note, q.note, dq.note if dq else "", tau.note) if note]
+    understood = [f"columns: {'; '.join(notes)}"] if notes else []
+    columns = Columns(t, search.t_unit, q, dq, tau, unit, (*understood, *search.notes))
+    for name in columns.names:
+        if table.names.count(name) > 1:
+            why = "is there twice; rename or remove one"
+            raise BadRecording(table.file, why, column=name)
+        if columns.names.count(name) > 1:
             why = "is taken for two things; say which in a file for --map"
-            raise BadRecording(table.file, why, column=column)
-    return read
+            raise BadRecording(table.file, why, column=name)
+    return columns
 
 
 class _Group:
-    """Columns of one quantity whose names differ by the joint only, under its number or name."""
+    """Columns of one quantity whose names differ by the joint only, under its number or name.
+
+    Attributes:
+        columns: Columns in the robot's order; None where not each joint has one.
+    """
 
     def __init__(
         self,
-        search: _Search,
         role: str,
-        found: Sequence[tuple[_Key, Meaning]],
-        *words: str,
+        members: Sequence[tuple[_Key, Meaning]],
+        joints: Sequence[str],
+        count: int,
+        prefix: str,
     ) -> None:
         self.role = role
-        self.count = search.count
-        self.words = words
+        self.words = members[0][1].words
         self.members: dict[_Key, Meaning] = {}
-        self.twice = ""  # a column of a joint that has another one
-        for joint, m in found:
-            self.twice = m.column if joint in self.members else self.twice
-            self.members.setdefault(joint, m)
-        named = any(isinstance(joint, str) for joint in self.members)
-        plain = re.compile(rf"{role}[1-9]\d*", re.ASCII)
-        self.exact = not named and all(plain.fullmatch(m.column) for _, m in found)
+        for key, m in members:
+            self.members.setdefault(key, m)
+        self.doubles = [m for key, m in members if self.members[key] is not m]
+        plain = re.compile(rf"{re.escape(prefix)}[1-9]\d*", re.ASCII)
+        named = any(isinstance(key, str) for key in self.members)
+        self.exact = not named and all(plain.fullmatch(m.column) for _, m in members)
         first = 0 if 0 in self.members else 1
-        self.keys: list[_Key] = [first + k for k in range(self.count)]
+        self.keys: list[_Key] = [*range(first, first + count)]
         if named:
-            self.keys = list(search.joints)
-        elif self.count == 1 and None in self.members:
+            self.keys = [*joints]
+        elif count == 1 and None in self.members:
             self.keys = [None]
         # numbered columns of more joints are another arm's
-        held = set(self.keys) <= set(self.members) and (
-            named or len(self.members) == self.count
-        )
-        self.full = held and not self.twice
+        another = not named and len(self.members) != count
+        complete = set(self.keys) <= set(self.members)
+        self.full = complete and not another and not self.doubles
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns in the robot's order."""
         return tuple(self.members[key].column for key in self.keys)
 
-    def check(self, file: str, prefix: str | None = None) -> None:
-        """Refuse another number of joints, holes and surplus."""
-        numbers = sorted(k for k in self.members if isinstance(k, int))
-        count = len(numbers)
-        expected = self.count
+    def refusal(self, file: str) -> BadRecording | None:
+        """What a group lacks, or has too much, to hold one column of each joint."""
+        numbers = sorted(key for key in self.members if isinstance(key, int))
         absent = [key for key in self.keys if key not in self.members]
-        column: str | None = None
-        if self.twice:
+        from_zero = numbers == [*range(len(numbers))]
+        gapless = from_zero or numbers == [*range(1, len(numbers) + 1)]
+        expected = len(self.keys)
+        if self.doubles:
             why = "names a joint that another column names too; rename or remove one"
-            column = self.twice
-        elif (
-            self.role == "q"
-            and numbers in (list(range(count)), list(range(1, count + 1)))
-            and (0 < count != expected)
-        ):
+            return BadRecording(file, why, column=self.doubles[-1].column)
+        if self.role == "q" and gapless and 0 < len(numbers) != expected:
             first, last = (self.members[k].column for k in (numbers[0], numbers[-1]))
-            span = f"s ({first}..{last})" if count > 1 else f" ({first})"
+            span = f"s ({first}..{last})" if len(numbers) > 1 else f" ({first})"
             why = (
-                f"has {count} joint{span}, the robot has {expected}; "
+                f"has {len(numbers)} joint{span}, the robot has {expected}; "
                 f"give the recording of this robot, or lock the joints that it leaves out"
             )
-        elif absent:
-            why = "is missing; rename or add it"
-            like = next(iter(self.members.values()), Meaning(""))
-            column = f"{_SAID[self.role]} of {absent[0]}"
-            if prefix is not None:
-                column = f"{prefix}{absent[0]}"
-            elif not isinstance(absent[0], str) and like.joint is not None:
+            return BadRecording(file, why)
+        if absent:
+            like = next(iter(self.members.values()))
+            column = f"{_PLURALS[self.role]} of {absent[0]}"
+            if not isinstance(absent[0], str) and like.joint is not None:
                 column = f"{absent[0]}".join(like.column.rsplit(str(like.joint), 1))
-        elif count > expected:
-            why = (
-                f"belongs to no joint: the robot has {expected}; remove it or give the "
-                "right robot"
-            )
-            column = self.members[numbers[-1]].column
-        else:
-            return
-        raise BadRecording(file, why, column=column)
+            return BadRecording(file, "is missing; rename or add it", column=column)
+        if len(numbers) <= expected:
+            return None
+        why = f"belongs to no joint: the robot has {expected}; remove it or give the right robot"
+        return BadRecording(file, why, column=self.members[numbers[-1]].column)
 
 
 class _Search:
+    """What the names of a table, the joints of a robot and a map say of the columns."""
+
     def __init__(self, table: Table, robot: Robot | int, mapping: ColumnMap) -> None:
         self.table = table
         self.mapping = mapping
-        arm = None if isinstance(robot, int) else robot
-        self.count = robot if isinstance(robot, int) else robot.nv
-        self.joints: tuple[str, ...] = arm.joints if arm else ()
-        self.revolute = (
-            [bool(turns) for turns in arm.revolute] if arm else [None] * self.count
-        )
-        self.said = self.joints or tuple(str(k + 1) for k in range(self.count))
-        labels = table.labels
-        surplus = sorted(set(labels.values()) - set(self.joints)) if arm else []
-        self.notes = (f"joints left out: {', '.join(surplus)}",) if surplus else ()
-        absent = [name for name in self.joints if name not in labels.values()]
-        if labels and absent and not mapping.columns:
-            why = f"holds the joints {', '.join(labels.values())}; joint '{absent[0]}' of the robot"
-            advice = "is not among them; give the right robot, or lock this joint"
-            raise BadRecording(table.file, f"{why} {advice}")
-        meanings = [self._meaning(column) for column in table.names]
-        used = [m for m in meanings if m.role is not None and not m.commanded]
-        alike: dict[tuple[Any, ...], list[tuple[_Key, Meaning]]] = {}
-        for m in used:
-            named = isinstance(m.joint, int) and bool(arm)
-            joint = labels.get(m.joint, m.joint) if named else m.joint  # type: ignore[arg-type]
-            sort = (m.role, m.words, isinstance(joint, str), m.measured, m.term)
-            alike.setdefault(sort, []).append((joint, m))
-        self.groups: dict[str, list[_Group]] = {}  # the most plausible first
-        for (role, words, *_), found in alike.items():
-            self.groups.setdefault(role, []).append(_Group(self, role, found, *words))
-        for groups in self.groups.values():
-            groups.sort(key=lambda group: (not group.exact, len(group.words)))
-        self.arms = self._arms()
-        self.times, unit = _times([m for m in used if m.role == "t"])
-        said = mapping.units.get("t")
-        self.t_unit: Unit | None = (
-            unit if said is None or isinstance(said, tuple) else said
-        )
+        if isinstance(robot, int):
+            self.joints: tuple[str, ...] = ()
+            self.labels = tuple(str(k + 1) for k in range(robot))
+            self.revolute: list[bool | None] = [None] * robot
+        else:
+            self.joints = self.labels = robot.joints
+            self.revolute = [bool(turns) for turns in robot.revolute]
+        self.count = len(self.labels)
+        prefix, self.aliases = _aliases(table.labels.values(), self.joints)
+        self.notes = list[str]()
+        if self.aliases:
+            example = next(iter(self.aliases))
+            note = (
+                f"joints: the prefix '{prefix}' is taken off the names, as in {example}"
+            )
+            self.notes.append(note)
+        logged_as = {joint: name for name, joint in self.aliases.items()}
+        self.logged_as = [logged_as.get(label, label) for label in self.labels]
+        self.numbered = {k: self._joint(name) for k, name in table.labels.items()}
+        logged = [*self.numbered.values()]
+        if self.joints and (surplus := sorted({*logged} - {*self.joints})):
+            self.notes.append(f"joints left out: {', '.join(surplus)}")
+        absent = [name for name in self.joints if name not in logged]
+        if logged and absent and not mapping.columns:
+            why = (
+                f"holds the joints {', '.join(logged)}; joint '{absent[0]}' of the robot is not "
+                "among them; give the right robot, or lock this joint"
+            )
+            raise BadRecording(table.file, why)
+        mapped = [role for role in ("tau", "i") if role in mapping.columns]
+        if len(mapped) == 2:
+            why = "both 'tau' and 'i' are given; keep the measured one"
+            raise BadInput(f"{mapping.source}: {why}")
+        self.prefix = None if mapped else mapping.torque
+        self.mapped_torque = mapped
+        self.meanings = [
+            m for m in map(self._meaning, table.names) if m.role and not m.commanded
+        ]
 
-    def _arms(self) -> set[tuple[str, ...]]:
+    @property
+    def t_unit(self) -> Unit | None:
+        """Unit of time by the map or the only column's name."""
+        unit = self.mapping.units.get("t")
+        return self.times[1] if unit is None or isinstance(unit, tuple) else unit
+
+    @cached_property
+    def times(self) -> tuple[tuple[tuple[str, ...], ...], str | None]:
+        """Candidates for time, and the unit of the only one; see `_times`."""
+        return _times([m for m in self.meanings if m.role == "t"])
+
+    @cached_property
+    def groups(self) -> dict[str, list[_Group]]:
+        """Groups of columns by quantity, the most plausible first."""
+        alike: dict[tuple[Any, ...], list[tuple[_Key, Meaning]]] = {}
+        for m in self.meanings:
+            key = m.joint
+            if isinstance(key, int) and self.joints:
+                key = self.numbered.get(key, key)
+            kind = (m.role, m.words, isinstance(key, str), m.measured, m.term)
+            alike.setdefault(kind, []).append((key, m))
+        groups: dict[str, list[_Group]] = {}
+        for (role, *_), members in alike.items():
+            prefix = self.prefix if self.prefix and role in ("tau", "i") else role
+            group = _Group(role, members, self.joints, self.count, prefix)
+            groups.setdefault(role, []).append(group)
+        for several in groups.values():
+            several.sort(key=lambda group: (not group.exact, len(group.words)))
+        return groups
+
+    @cached_property
+    def arms(self) -> set[tuple[str, ...]]:
         """Words beside quantity and joint: none, or else those that positions and torques share.
 
         They name the arm then, as in ``left_q1`` and ``left_tau1``, unless they name its motors.
         """
-        roles = [self.groups.get(role, []) for role in ("q", "tau", "i")]
-        q, tau, i = ({g.words for g in groups if g.full} for groups in roles)
-        own = {words for words in q & (tau | i) if _MOTORS.isdisjoint(words)}
-        plain = any(not g.words for groups in roles for g in groups)
-        return {()} if plain or not own else own
+        several = [self.groups.get(role, []) for role in ("q", "tau", "i")]
+        q, tau, i = ({g.words for g in groups if g.full} for groups in several)
+        shared = {words for words in q & (tau | i) if _MOTORS.isdisjoint(words)}
+        plain = any(not g.words for groups in several for g in groups)
+        return {()} if plain or not shared else shared
+
+    def _joint(self, name: str) -> str:
+        """The robot's name of a joint of the log."""
+        return self.aliases.get(name, name)
 
     def _meaning(self, column: str) -> Meaning:
         joint, _, quantity = column.rpartition(".")
-        if not self.table.joined or not joint:
-            return meaning(column, self.joints)
-        order = {label: k for k, label in self.table.labels.items()}
-        return Meaning(
-            column, meaning(quantity).role, joint if self.joints else order[joint]
-        )
+        if self.table.joined and joint:
+            order = [*self.table.labels.values()]
+            key = self._joint(joint) if self.joints else order.index(joint)
+            return Meaning(column, meaning(quantity).role, key)
+        if self.prefix is not None:
+            form = rf"{re.escape(self.prefix)}([1-9]\d*)"
+            if torque := re.fullmatch(form, column, re.ASCII):
+                role = "i" if self.prefix == "i" else "tau"
+                return Meaning(column, role, int(torque[1]))
+        name = f"{self.aliases[joint]}.{quantity}" if joint in self.aliases else column
+        return replace(meaning(name, self.joints), column=column)
 
     def time(self) -> tuple[tuple[str, ...], str]:
         """The columns of time, and how they were understood."""
-        if (given := self.mapping.columns.get("t")) is not None:
-            columns = (given,) if isinstance(given, str) else given
-            self._there(columns)
+        candidates = self.times[0]
+        if (mapped := self.mapping.columns.get("t")) is not None:
+            columns = (mapped,) if isinstance(mapped, str) else mapped
+            self._expect_there(columns)
             if len(columns) > 2:
                 why = "'t' is one column, or seconds and nanoseconds"
                 raise BadInput(f"{self.mapping.source}: {why}")
-        elif len(self.times) > 1:
-            raise self._ambiguous("t", [", ".join(times) for times in self.times])
-        elif self.times:
-            columns = self.times[0]
+        elif len(candidates) > 1:
+            raise self._ambiguous("t", [", ".join(names) for names in candidates])
+        elif candidates:
+            columns = candidates[0]
         else:
             raise self.missing("t")
         if columns == ("t",) and self.t_unit is None:
@@ -320,8 +329,9 @@ class _Search:
         """Columns of a quantity; None when there are none, or not of all joints if optional."""
         hints: tuple[str | None, ...] = (None,) * self.count
         exact = False
-        if (given := self.mapping.columns.get(role)) is not None:
-            columns = self._given(role, given)
+        mapped = self.mapping.columns.get(role)
+        if mapped is not None:
+            columns = self._mapped(role, mapped)
         else:
             group = self._chosen(role, optional)
             if group is None:
@@ -333,41 +343,21 @@ class _Search:
         units = self.mapping.units.get(role, hints[0])
         if exact and units is None:
             return Channel(columns, factors)
-        told = self._shortened(columns)
-        named = all(j in c for j, c in zip(self.joints, columns, strict=False))
-        if role == "q" and not exact and not named:
+        words = self._shortened(columns)
+        named = all(map(str.__contains__, columns, self.logged_as))
+        if role == "q" and self.joints and not exact and not named:
             # by number: a wrong order is seen here
             pairs = zip(columns, self.joints, strict=True)
-            told = ", ".join(f"{column} → {joint}" for column, joint in pairs)
-        return Channel(
-            columns, factors, f"{role} = {told}{_in_unit(units, columns[0])}"
-        )
+            words = ", ".join(f"{column} → {joint}" for column, joint in pairs)
+        note = f"{role} = {words}{_in_unit(units, columns[0])}"
+        return Channel(columns, factors, note)
 
     def torque(self) -> tuple[str, Channel]:
         """Torques, or currents where there are none or the user says so."""
-        prefix = self.mapping.torque
-        said = [role for role in ("tau", "i") if role in self.mapping.columns]
-        if len(said) == 2:
-            why = "both 'tau' and 'i' are given; keep the measured one"
-            raise BadInput(f"{self.mapping.source}: {why}")
-        if not said and prefix is not None:
-            role = "i" if prefix == "i" else "tau"
-            form = rf"{re.escape(prefix)}([1-9]\d*)"
-            found = (
-                (name, re.fullmatch(form, name, re.ASCII)) for name in self.table.names
-            )
-            members = [
-                (int(m[1]), Meaning(name, role, int(m[1]))) for name, m in found if m
-            ]
-            group = _Group(self, role, members)
-            group.check(self.table.file, prefix)
-            return role, Channel(
-                group.columns, self._factors(role, (None,) * self.count)
-            )
-        exact = [
-            r for r in ("tau", "i") if any(g.exact for g in self.groups.get(r, ()))
-        ]
-        for role in said or exact or ("tau", "i"):
+        both = ("tau", "i")
+        exact = [r for r in both if any(g.exact for g in self.groups.get(r, ()))]
+        absent = self.prefix is not None and not exact
+        for role in self.mapped_torque or exact or both * (not absent):
             if (channel := self.channel(role)) is not None:
                 return role, channel
         raise self.missing("tau")
@@ -375,17 +365,14 @@ class _Search:
     def expect_all(self, what: str, values: Sequence[object]) -> None:
         """Refuse a map that says something of another number of joints than the robot has."""
         if len(values) != self.count:
-            said = what.format(len(values))
-            raise BadInput(
-                f"{self.mapping.source}: {said}, the robot has {self.count} joints"
-            )
+            why = f"{what.format(len(values))}, the robot has {self.count} joints"
+            raise BadInput(f"{self.mapping.source}: {why}")
 
     def _chosen(self, role: str, optional: bool) -> _Group | None:
         """The columns that hold a quantity by their name alone, those named exactly first."""
-        found = self.groups.get(role, [])
-        groups = [g for g in found if g.exact] or [
-            g for g in found if g.words in self.arms
-        ]
+        groups = self.groups.get(role, [])
+        exact = [g for g in groups if g.exact]
+        groups = exact or [g for g in groups if g.words in self.arms]
         full = [group for group in groups if group.full]
         if len(full) == 1:
             return full[0]
@@ -393,25 +380,28 @@ class _Search:
             return None
         if full:
             raise self._ambiguous(role, [self._shortened(g.columns) for g in full])
-        group = max(groups, key=lambda g: len(g.members))
-        group.check(self.table.file)
-        return group
+        largest = max(groups, key=lambda g: len(g.members))
+        if (refusal := largest.refusal(self.table.file)) is not None:
+            raise refusal
+        return largest
 
-    def _given(self, role: str, given: str | tuple[str, ...]) -> tuple[str, ...]:
-        names = self.table.names
-        one = self.count == 1
-        columns = (given,) if isinstance(given, str) else given
-        if isinstance(given, str) and "{" in given:
-            columns = self._expanded(given)
-        elif isinstance(given, str) and not (given in names and one):
-            named = _NAMED if self.joints else ()
-            forms = [
-                self._expanded(form.format(given)) for form in (*named, *_NUMBERED)
-            ]
-            there = [form for form in forms if set(form) <= set(names)]
-            columns = there[0] if there else columns if one else forms[-1]
+    def _mapped(self, role: str, mapped: str | tuple[str, ...]) -> tuple[str, ...]:
+        """The columns that a map names for a quantity."""
+        if not isinstance(mapped, str):
+            columns = mapped
+        elif "{" in mapped:
+            columns = self._expanded(mapped)
+        elif self.count == 1 and mapped in self.table.names:
+            columns = (mapped,)
+        else:
+            forms = [form.replace("{}", mapped) for form in _FORMS]
+            usable = [f for f in forms if self.joints or "{joint}" not in f]
+            sets = [self._expanded(form) for form in usable]
+            there = [names for names in sets if {*names} <= {*self.table.names}]
+            absent = (mapped,) if self.count == 1 else sets[-1]
+            columns = there[0] if there else absent
         self.expect_all(f"'{role}' names {{}} columns", columns)
-        self._there(columns)
+        self._expect_there(columns)
         return columns
 
     def _expanded(self, pattern: str) -> tuple[str, ...]:
@@ -420,97 +410,92 @@ class _Search:
             pattern.replace("{0}", str(k))
             .replace("{1}", str(k + 1))
             .replace("{joint}", label)
-            for k, label in enumerate(self.said)
+            for k, label in enumerate(self.logged_as)
         )
 
-    def _there(self, columns: Sequence[str]) -> None:
+    def _expect_there(self, columns: Iterable[str]) -> None:
         for column in columns:
             if column not in self.table.names:
                 why = f"is not there, correct {self.mapping.source}; columns are {self._some()}"
                 raise BadRecording(self.table.file, why, column=column)
 
     def _factors(self, role: str, hints: Sequence[str | None]) -> tuple[float, ...]:
+        """SI units per logged unit of each joint, with the sign that the map gives it."""
         source = self.mapping.source
-        given = self.mapping.units.get(role, tuple(hints))
-        units = given if isinstance(given, tuple) else (given,) * self.count
+        mapped = self.mapping.units.get(role, tuple(hints))
+        units = mapped if isinstance(mapped, tuple) else (mapped,) * self.count
         self.expect_all(f"units of {role}: {{}} given", units)
         signs = self.mapping.sign.get("tau" if role == "i" else role, {})
         for joint in signs:
-            if joint not in self.said:
-                known = ", ".join(self.said)
-                raise BadInput(
-                    f"{source}: sign of unknown joint '{joint}'; known: {known}"
+            if joint not in self.labels:
+                why = (
+                    f"sign of unknown joint '{joint}'; known: {', '.join(self.labels)}"
                 )
+                raise BadInput(f"{source}: {why}")
         factors = []
-        for unit, label, turns in zip(units, self.said, self.revolute, strict=True):
+        for unit, joint, turns in zip(units, self.labels, self.revolute, strict=True):
             size = factor(role, unit, turns) if isinstance(unit, str) else unit or 1.0
             if size is None:
                 kind = "turns" if turns else "slides"
-                raise BadInput(
-                    f"{source}: joint {label} {kind}: its {role} is not in {unit}"
-                )
-            factors.append(size * signs.get(label, 1.0))
+                why = f"joint {joint} {kind}: its {role} is not in {unit}"
+                raise BadInput(f"{source}: {why}")
+            factors.append(size * signs.get(joint, 1.0))
         return tuple(factors)
 
     def _shortened(self, columns: Sequence[str]) -> str:
         """Columns for people: one pattern for joints' names, first and last of a rising number."""
         pattern = self._pattern(columns)
-        if pattern is None or "{joint}" in pattern:
-            return (
-                ", ".join(columns)
-                if pattern is None
-                else pattern.replace("{joint}", "<joint>")
-            )
+        if pattern is None:
+            return ", ".join(columns)
+        if "{joint}" in pattern:
+            return pattern.replace("{joint}", "<joint>")
         return f"{columns[0]} .. {columns[-1]}"
 
     def _pattern(self, columns: Sequence[str]) -> str | None:
         """Columns that differ by joint with ``{joint}``, ``{0}`` or ``{1}`` where they do."""
-        before, found, after = columns[0].partition(self.said[0])
-        if found and list(columns) == [
-            f"{before}{name}{after}" for name in self.joints
-        ]:
-            return f"{before}{{joint}}{after}"
-        for match in re.finditer(r"\d+", columns[0]) if len(columns) > 2 else ():
-            head = columns[0][: match.start()]
-            tail = columns[0][match.end() :]
-            for first in (0, 1):
-                if list(columns) == [
-                    f"{head}{k + first}{tail}" for k in range(len(columns))
-                ]:
-                    return f"{head}{{{first}}}{tail}"
-        return None
+        first = columns[0]
+        label = self.logged_as[0]
+        named = self.joints and label in first
+        patterns = [first.replace(label, "{joint}", 1)] if named else []
+        for match in re.finditer(r"\d+", first) if len(columns) > 2 else ():
+            head = first[: match.start()]
+            tail = first[match.end() :]
+            patterns += [f"{head}{{0}}{tail}", f"{head}{{1}}{tail}"]
+        expanded = (p for p in patterns if self._expanded(p) == tuple(columns))
+        return next(expanded, None)
 
     def _some(self) -> str:
         """The first columns, of those whose names say nothing if there are any."""
-        groups = [
-            group for groups in self.groups.values() for group in groups if group.full
-        ]
-        known = {m.column for group in groups for m in group.members.values()}
-        known |= {column for columns in self.times for column in columns}
-        names = [
-            name for name in self.table.names if name not in known
-        ] or self.table.names
-        return ", ".join(names[:_FEW]) + (", ..." if len(names) > _FEW else "")
+        groups = [group for groups in self.groups.values() for group in groups]
+        telling = {column for names in self.times[0] for column in names}
+        for group in groups:
+            if group.full:
+                telling |= {m.column for m in group.members.values()}
+        odd = [name for name in self.table.names if name not in telling]
+        names = odd or self.table.names
+        more = ", ..." if len(names) > _NAMED_AT_MOST else ""
+        return ", ".join(names[:_NAMED_AT_MOST]) + more
+
+    @property
+    def _unnamed(self) -> bool:
+        return all(map(str.isdecimal, self.table.names))
 
     def _suggestion(self) -> str:
         """A ready column map on one line, as far as names say; ``?`` where they say nothing."""
         n = self.count
-        width = len(self.table.names)
-        if all(map(str.isdecimal, self.table.names)) and width in (
-            1 + 2 * n,
-            1 + 3 * n,
-        ):
-            order = ("q", "dq", "tau") if width > 1 + 2 * n else ("q", "tau")
-            first = {role: 1 + k * n for k, role in enumerate(order)}
-            spans = [f"{role}: {[*range(k, k + n)]}" for role, k in first.items()]
+        orders = {1 + 2 * n: ("q", "tau"), 1 + 3 * n: ("q", "dq", "tau")}
+        order = orders.get(len(self.table.names), ())
+        if self._unnamed and order:
+            starts = {role: 1 + k * n for k, role in enumerate(order)}
+            spans = [f"{role}: {[*range(k, k + n)]}" for role, k in starts.items()]
             return f"say which is which in a file for --map, such as {{t: 0, {', '.join(spans)}}}"
-        t = list(self.times[0]) if self.times else ["?"]
+        times = self.times[0]
+        t = [*times[0]] if times else ["?"]
         content: dict[str, object] = {"t": t[0] if len(t) == 1 else t}
         torque = next((role for role in ("tau", "i") if self.groups.get(role)), "tau")
         for role in ("q", torque):
-            full = [g for g in self.groups.get(role, ()) if g.full]
-            columns = full[0].columns if full else ("?",)
-            content[role] = self._pattern(columns) or (list(columns) if full else "?")
+            full = [g.columns for g in self.groups.get(role, ()) if g.full]
+            content[role] = (self._pattern(full[0]) or [*full[0]]) if full else "?"
         text: str = yaml.safe_dump(
             content,
             default_flow_style=True,
@@ -518,24 +503,28 @@ class _Search:
             width=1 << 20,
             allow_unicode=True,
         )
-        return f"say which in a file for --map, such as {text.strip()}"
+        return f"{_ADVICE} {text.strip()}"
 
     def _ambiguous(self, role: str, spans: Sequence[str]) -> BadRecording:
-        why = f"{_SAID[role]} could be {'; or '.join(spans)}: {self._suggestion()}"
+        why = f"{_PLURALS[role]} could be {'; or '.join(spans)}: {self._suggestion()}"
         return BadRecording(self.table.file, why)
 
     def missing(self, role: str) -> BadRecording:
         """The refusal of a log without a quantity."""
-        advice = f"there are {self._some()}; {self._suggestion()}"
+        file = self.table.file
+        if role == "tau" and self.prefix:
+            column = f"{self.prefix}1"
+            return BadRecording(file, "is missing; rename or add it", column=column)
         if role == "tau":
-            why = f"no torque, neither 'tau1' [N·m] nor 'i1' [A]: {advice}"
-            return BadRecording(self.table.file, why)
-        if all(map(str.isdecimal, self.table.names)):
+            what = "no torque, neither 'tau1' [N·m] nor 'i1' [A]"
+            why = f"{what}: there are {self._some()}; {self._suggestion()}"
+            return BadRecording(file, why)
+        if self._unnamed:
             why = f"its columns have no names: {self._suggestion()}"
-            return BadRecording(self.table.file, why)
-        column = "t" if role == "t" else "q1"
+            return BadRecording(file, why)
+        advice = f"there are {self._some()}; {self._suggestion()}"
         why = f"is missing; rename or add it: {advice}"
-        return BadRecording(self.table.file, why, column=column)
+        return BadRecording(file, why, column="t" if role == "t" else "q1")
 
 
 def _times(
@@ -546,27 +535,25 @@ def _times(
         return (("t",),), None
     alone = [m for m in meanings if m.joint is None]
     plain = [m for m in alone if not m.words]
-    for better in (lambda m: m.term != "duration", lambda m: "header" in m.column):
-        plain = [m for m in plain if better(m)] or plain
-    seconds, nanoseconds = (
-        [
-            m
-            for m in alone
-            if len(m.words) == 1 and PARTS_OF_TIME.get(m.words[0]) == unit
-        ]
-        for unit in ("s", "ns")
-    )
+    plain = [m for m in plain if m.term != "duration"] or plain
+    plain = [m for m in plain if "header" in m.column] or plain
+    parts = [(PARTS_OF_TIME.get(m.words[0]), m) for m in alone if len(m.words) == 1]
+    seconds = [m for unit, m in parts if unit == "s"]
+    nanoseconds = [m for unit, m in parts if unit == "ns"]
     if len(seconds) == len(nanoseconds) == 1:
         pair = (seconds[0].column, nanoseconds[0].column)
         return (pair, *((m.column,) for m in plain)), None
-    some = [*plain, *seconds, *nanoseconds]
-    unit = "s" if seconds else "ns" if nanoseconds else some[0].unit if some else None
-    return tuple((m.column,) for m in some), unit if len(some) == 1 else None
+    single = [*plain, *seconds, *nanoseconds]
+    unit = None
+    if len(single) == 1:
+        unit = "s" if seconds else "ns" if nanoseconds else single[0].unit
+    return tuple((m.column,) for m in single), unit
 
 
 def _in_unit(units: Unit | tuple[Unit | None, ...] | None, column: str) -> str:
-    if units is None or (
-        isinstance(units, str) and column.endswith((f"[{units}]", f"({units})"))
-    ):
+    """Units in brackets, but where the column's name has them."""
+    if isinstance(units, tuple):
+        return f" [{', '.join(map(str, units))}]"
+    if units is None or column.endswith((f"[{units}]", f"({units})")):
         return ""
-    return f" [{', '.join(map(str, units)) if isinstance(units, tuple) else units}]"
+    return f" [{units}]"

@@ -14,8 +14,8 @@ from excitant.exceptions import BadInput, BadRecording
 from excitant.files import size_of
 from excitant.identify.reading import bags, cells, tables
 from excitant.identify.reading.arrays import refuse_size
-from excitant.identify.reading.columns import Channel, Columns, resolve, with_names_of
-from excitant.identify.reading.names import ColumnMap
+from excitant.identify.reading.columns import Channel, Columns, resolve
+from excitant.identify.reading.mapping import ColumnMap
 from excitant.identify.reading.text import text_table
 from excitant.identify.recording import (
     MINIMUM_DURATION,
@@ -177,7 +177,6 @@ def _pieces(
     """
     if not isinstance(robot, int):
         robot = as_robot(robot)
-        table = with_names_of(table, robot.joints)
     columns = resolve(table, robot, mapping or ColumnMap())
     narrow = columns.names if rows is not None or table.joined else None
     timed = columns.t_unit is not None or len(columns.t) > 1

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 from excitant.exceptions import BadRecording
 from excitant.identify.reading.arrays import MOST, refuse_size
 from excitant.identify.reading.cells import Frame, cells, framed
-from excitant.identify.reading.names import spelled
 from excitant.identify.reading.tables import Table, opened, unreadable
+from excitant.identify.reading.units import spelled
 
 if TYPE_CHECKING:
     import pandas as pd
