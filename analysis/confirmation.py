@@ -24,11 +24,12 @@ from excitant.analysis.evidence import (
 )
 from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, underlies
+from excitant.identify.accuracy import Series, series
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import dense
-from excitant.identify.rows import Series, identified_robot, predicted_torque, series
+from excitant.identify.rows import identified_robot, predicted_torque
 from excitant.robots.effects import Effect, merged
 from excitant.robots.effects.geometry import GivenInertias
 from excitant.robots.motion import Array

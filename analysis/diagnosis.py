@@ -50,21 +50,13 @@ from excitant.analysis.selection import frictionless, idle, rivals, select
 from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
+from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.faults import warn_of_faults
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
-from excitant.identify.rows import (
-    Accuracy,
-    Data,
-    gains_of,
-    predicted_torque,
-    series,
-    split,
-    states,
-    told,
-)
+from excitant.identify.rows import Data, gains_of, predicted_torque, split, states, told
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.loading import RobotLike, as_robot

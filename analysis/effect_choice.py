@@ -11,10 +11,10 @@ from excitant.analysis.candidates import gather, observed
 from excitant.analysis.evidence import Candidate, Evidence, cross_validation
 from excitant.analysis.selection import select
 from excitant.exceptions import RankDeficient
+from excitant.identify.accuracy import series
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.rows import series
 from excitant.robots.effects import Effect, merged, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot

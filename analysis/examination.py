@@ -13,12 +13,12 @@ from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.explanation import main_cause, percent
 from excitant.analysis.identifiability import Identifiability, analyze
 from excitant.analysis.publication import extended_publication
+from excitant.identify.accuracy import Accuracy
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.export import Publication, publication
 from excitant.identify.faults import proven
 from excitant.identify.faults.fault import SET_UP
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Accuracy
 from excitant.robots.check import ModelCheck
 from excitant.robots.effects import plain
 from excitant.robots.motion import Array

@@ -40,7 +40,7 @@ from excitant.identify.prior import (
     silent_columns,
 )
 from excitant.identify.regression import dense
-from excitant.identify.rows import FitRows, fit_rows, implausible_size
+from excitant.identify.rows import FitRows, fit_rows, implausible_size, units_of
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
@@ -220,7 +220,7 @@ def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
 def refits(estimate: Estimate, rows: FitRows) -> Response:
     """Response of an estimate to another prior by a refit, in the metric of the original one."""
     R, z = rows.regression.factor(estimate.least_squares.weight)
-    phi = estimate.prior.reshape(-1, 10)
+    phi = estimate.physical.prior.bodies
     effects = rows.open_prior
     links = phi.size
     given = estimate.physical.prior
@@ -327,7 +327,7 @@ def recorded_experiment(
     complete = estimate.base.columns == base.columns
     seen = motion_information(base, rows.W, sigma, fit.covariance if complete else None)
     prior = prior_of(
-        estimate.prior.reshape(-1, 10), rows.open_prior, estimate.physical.prior.sigma
+        estimate.physical.prior.bodies, rows.open_prior, estimate.physical.prior.sigma
     )
     x = estimate.physical.x
     response = None if rng is None else refits(estimate, rows)
@@ -354,7 +354,7 @@ def recorded_experiment(
         beta=fit.beta if complete else base.regrouping @ x,
         prior=prior,
         std=estimate.std,
-        told=estimate.told,
+        told=units_of(estimate.given, effects, estimate.drive),
         influence=influence,
         motion=max((s.motion for s in estimate.data.train), key=len),
         q=np.concatenate([s.motion.q[s.keep] for s in estimate.data.train]),

@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 from excitant.analysis.effect_choice import choose_effects, described
 from excitant.exceptions import ExcitantError
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset
+from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.regression import regression_of
-from excitant.identify.rows import Accuracy, series
 from excitant.robots import Robot
 from excitant.robots.parameters import violations
 

@@ -3,7 +3,7 @@ from .differentiators import Differentiator, LocalPolynomial, ZeroPhaseButterwor
 from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
-from .export import Publication, model_files, publication, published
+from .export import Publication, model_files, publication, published, save_model
 from .knowledge import Knowledge, load_knowledge
 from .online import (
     Monitor,
@@ -71,5 +71,6 @@ __all__ = [
     "read_chunks",
     "read_recordings",
     "recording_from_table",
+    "save_model",
     "split",
 ]

@@ -5,58 +5,48 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import scipy
 
-from excitant.exceptions import BadInput, BadRecording, UnknownName
-from excitant.files import write_file
+from excitant.exceptions import BadRecording, UnknownName
+from excitant.identify import tables
+from excitant.identify.accuracy import (
+    Accuracy,
+    PredictionInterval,
+    Series,
+    prediction_interval,
+    series,
+)
 from excitant.identify.dataset import RecordingLike, Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.faults import warn_of_faults
-from excitant.identify.friction import (
-    FrictionCurve,
-    curves_over_velocity,
-    friction_curve,
-)
 from excitant.identify.knowledge import Knowledge
-from excitant.identify.least_squares import (
-    LeastSquares,
-    autocorrelation,
-    autocorrelation_time,
-    essential_parameters,
-    weighted_least_squares,
-)
+from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.lengths import LengthErrors, length_deviations, length_errors
-from excitant.identify.physical import PhysicalFit, centre_of_mass, fit_physical
-from excitant.identify.preprocessing import Mask, prepare
-from excitant.identify.prior import decided_by, prior_parameters
+from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.preprocessing import prepare
+from excitant.identify.prior import prior_parameters
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
-    Accuracy,
     Data,
     FitRows,
-    Series,
     fit_rows,
     fitted,
     gains_of,
     identified_robot,
     predicted_torque,
-    series,
     split,
-    states,
-    told,
+    units_of,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_estimate import BaseEstimate, is_covariance
-from excitant.robots.base_parameters import BaseParameters, base_parameters, categories
-from excitant.robots.effects import Effect, effect_values, plain, standard_effects
+from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, read_only
-from excitant.robots.parameters import UNITS, inertia, violations
+from excitant.robots.parameters import violations
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame, share
@@ -66,81 +56,11 @@ from excitant.robots.torque import torque
 if TYPE_CHECKING:
     import pandas as pd
 
-    from excitant.identify.export import Publication
     from excitant.identify.recording import Recording
 
-LEVEL = 0.95
-_FEWEST = 3.0  # degrees of freedom, below which no noise is known
-_MOST = 0.5  # of the residual's variance that is given back
-_FAR = 0.02
-_CERTAIN = 2.0  # share of samples and standard deviations that chance is allowed
-_HALF = 0.5  # of a mass or a length: so large a change is named
-_SLIGHT = 0.01  # m: a smaller one is not
-_BY = ("data", "both", "prior")
-_WHO = {
-    "data": "by the data",
-    "both": "between data and prior",
-    "prior": "as shared out by the prior",
-}
 # standard errors by which columns at a lower rate may move a base parameter
 _MOVED = 0.01
 _ROUNDS = 2  # until the torque that columns hold is that of the identified arm
-
-
-@dataclass(frozen=True, eq=False)
-class BodyChange:
-    """Mass and centre of mass of a link, of the prior and identified, in its joint's frame."""
-
-    link: str
-    given_mass: float  # [kg]
-    mass: float  # [kg]
-    mass_std: float  # [kg]
-    mass_by: str  # data, prior or both
-    given_centre: Array  # shape (3,) [m]
-    centre: Array  # shape (3,) [m]
-    centre_std: Array  # shape (3,) [m]
-    centre_by: str
-    length: float  # from its joint to the next or to its given centre of mass, the longer [m]
-
-    @property
-    def shift(self) -> tuple[float, float]:
-        """How far the centre of mass moved, and its standard deviation along that way [m]."""
-        way = self.centre - self.given_centre
-        size = float(np.linalg.norm(way))
-        return size, float(np.linalg.norm(self.centre_std * way) / max(size, 1e-300))
-
-    @property
-    def moved(self) -> str:
-        """What moved by half of the given mass or of the link's length, in words; empty if not."""
-        said = []
-        (size, std) = self.shift
-        if abs(self.mass - self.given_mass) >= _HALF * self.given_mass:
-            said.append(
-                f"mass {self.given_mass:.3g} → {self.mass:.3g} ± {self.mass_std:.2g} kg "
-                f"({_WHO[self.mass_by]})"
-            )
-        if size >= max(_HALF * self.length, _SLIGHT):
-            said.append(
-                f"centre of mass by {1e3 * size:.3g} ± {1e3 * std:.2g} mm ({_WHO[self.centre_by]})"
-            )
-        return f"{self.link}: {' and '.join(said)}" if said else ""
-
-    def entry(self) -> dict[str, Any]:
-        """Its entry in ``result.json``."""
-        mass = {"given": self.given_mass, "value": self.mass, "std": self.mass_std}
-        centre = {
-            "given": self.given_centre,
-            "value": self.centre,
-            "std": self.centre_std,
-        }
-        lists = {name: values.tolist() for name, values in centre.items()}
-        lists |= dict(zip(("shift", "shift_std"), self.shift, strict=True))
-        return {
-            "link": self.link,
-            "mass": mass | {"decided_by": self.mass_by},
-            "centre": lists | {"decided_by": self.centre_by},
-            "moved": self.moved or None,
-        }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,40 +107,21 @@ class Estimate(Shown):
         return read_only(gains_of(self.given, self.data, self.drive))
 
     @cached_property
-    def prior(self) -> Array:
-        """Standard parameters of the prior, shape (10 nv,)."""
-        return read_only(prior_parameters(self.given).ravel())
-
-    @cached_property
-    def fitted(self) -> Series:
-        """Rows of the fit."""
-        return series(self.data.train)
-
-    @cached_property
-    def predicted_fitted(self) -> Array:
-        """Torque of the model at the rows of the fit, shape (n, nv) [torque unit]."""
-        return read_only(predicted_torque(self.model, self.data.train) / self.gains)
+    def _fitted(self) -> tuple[Series, Array]:
+        """Rows of the fit, and the model's torque there, shape (n, nv) [torque unit]."""
+        predicted = predicted_torque(self.model, self.data.train) / self.gains
+        return series(self.data.train), read_only(predicted)
 
     @cached_property
     def train(self) -> Accuracy:
         """Accuracy of the model on the rows of the fit."""
-        return self.fitted.accuracy(self.predicted_fitted)
+        rows, predicted = self._fitted
+        return rows.accuracy(predicted)
 
     @cached_property
     def holdout(self) -> Series:
         """Rows of the hold-out."""
         return series(self.data.validate)
-
-    @cached_property
-    def velocity(self) -> Array:
-        """Velocities at these rows, shape (n, nv) [rad/s or m/s]; NaN where it rests."""
-        dq = states(self.data.validate)[1]
-        return read_only(np.where(self.holdout.counts, dq, np.nan))
-
-    @cached_property
-    def friction(self) -> tuple[FrictionCurve | None, ...]:
-        """Friction of each joint by its velocity; None where none was estimated."""
-        return tuple(friction_curve(self, joint) for joint in self.given.joints)
 
     @cached_property
     def predicted(self) -> Array:
@@ -243,11 +144,6 @@ class Estimate(Shown):
         return self.holdout.accuracy(self.predicted_given)
 
     @property
-    def told(self) -> list[tuple[float, str]]:
-        """Factor and unit in which each parameter of links and effects is told."""
-        return _told(self.given, self.model.effects, self.drive)
-
-    @property
     def phi(self) -> Array:
         """Identified standard parameters, shape (10 nv,)."""
         return read_only(self.physical.x[: 10 * self.given.nv])
@@ -266,95 +162,19 @@ class Estimate(Shown):
         lengths = self.lengths
         if lengths is not None:
             W = np.concatenate([W, lengths.columns(self.data.validate)], axis=2)
-            left = [
+            residuals = [
                 e / gain for e, gain in zip(lengths.residuals, self.gains, strict=True)
             ]
             return prediction_interval(
-                W, fit, left, self.gains, lengths.of_prediction(fit)
+                W, fit, residuals, self.gains, lengths.of_prediction(fit)
             )
-        residuals = self.fitted.counted(self.fitted.measured - self.predicted_fitted)
+        rows, predicted = self._fitted
+        residuals = rows.counted(rows.measured - predicted)
         return prediction_interval(W, fit, residuals, self.gains)
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result of `identify`."""
-        robot = self.given
-        fit = self.least_squares
-        broken = violations(self.phi, robot.links)
-        half = self.interval.half_width
-        known = self.interval.parameters
-        error = np.abs(self.holdout.measured - self.predicted)
-        inside = [each <= 0 for each in self.holdout.counted(error - half)]
-        held = coverage(inside)
-        sensors = self.data.sensors
-        cutoff_hz = self.data.cutoff_hz
-        intervals = [
-            {
-                "half_width": float(half[:, j].mean()),
-                "half_width_parameters": float(1.96 * known[:, j].mean()),
-                "coverage": float(held.share[j]),
-            }
-            for j in range(robot.nv)
-        ]
-        return {
-            "verb": "identify",
-            "robot": robot.name,
-            "estimator": f"{self.estimator}, then physically consistent semidefinite fit",
-            "effects": [effect.name for effect in self.model.effects],
-            "cutoff_hz": self.data.cutoff_hz,
-            **({} if self.shapes is None else {"shapes": self.shapes.entry()}),
-            **({} if self.lengths is None else {"lengths": self.lengths.entry()}),
-            "unit": robot.torque_unit(self.data.unit),
-            "holdout": self.data.holdout,
-            **(
-                {"drive_gain_Nm_per_A": None}
-                if self.drive is None
-                else self.drive.result()
-            ),
-            "joints": [
-                {
-                    "name": joint,
-                    "train": self.train.entry(j),
-                    "validate": self.validate.entry(j) | {"interval95": intervals[j]},
-                    "baseline": self.baseline.entry(j),
-                    **(
-                        {}
-                        if sensors is None
-                        else {"motion": sensors.entry(j, cutoff_hz)}
-                    ),
-                    **({} if curve is None else {"friction": curve.entry()}),
-                }
-                for j, (joint, curve) in enumerate(
-                    zip(robot.joints, self.friction, strict=True)
-                )
-            ],
-            "links": [body.entry() for body in self.bodies],
-            "prior_sigma": self._sigma.tolist(),
-            "parameters": self._parameters(),
-            "base_parameters": [
-                {
-                    "expression": text,
-                    "value": float(value),
-                    "std": float(s),
-                    "rel_std": float(s / abs(value)) if value else None,
-                }
-                for text, value, s in zip(
-                    self.base.expressions, fit.beta, self.base_std, strict=True
-                )
-            ],
-            "essential": self._essential(),
-            "physical": {
-                "consistent": not broken,
-                "violations": broken,
-                "kkt": vars(self.physical.kkt),
-            },
-            "knowledge": self.knowledge.entry(),
-            "notes": [
-                *self.notes,
-                *self._moved(),
-                *([self.knowledge.sentence] if self.knowledge.sentence else []),
-                *_missed(robot.joints, held),
-            ],
-        }
+        return tables.result_of(self)
 
     def predict(self, recording: RecordingLike, *, filtered: bool = True) -> Array:
         """Torque of the model at the instants of a recording, shape (n, nv) [torque unit].
@@ -408,145 +228,7 @@ class Estimate(Shown):
 
     def series(self) -> dict[str, Array]:
         """Torques and states on the hold-out, each of shape (n, nv), and curves of friction."""
-        return {
-            "t": self.holdout.t,
-            "measured": self.holdout.measured,
-            "given": self.predicted_given,
-            "identified": self.predicted,
-            "half_width": self.interval.half_width,
-            "position": states(self.data.validate)[0],
-            "velocity": self.velocity,
-            **curves_over_velocity(self),
-        }
-
-    def save(self, path: str | Path) -> list[Path]:
-        """Write the model as .urdf, .xml (MJCF), .sdf, or .yaml with the files it refers to.
-
-        `excitant.save` writes the whole run into a folder.
-
-        Raises:
-            BadInput: A folder.
-            UnknownName: Another suffix.
-        """
-        from excitant.identify.export import model_files
-
-        path = Path(path)
-        gains = self.gains if self.data.unit == "A" else None
-        if not path.suffix:
-            why = "name a file, such as model.yaml; excitant.save(estimate, folder) saves the run"
-            raise BadInput(f"{path}: a model is saved into one file; {why}")
-        files = model_files(self.model, path.stem, f"{path.stem}.yaml", gains=gains)
-        formats = {Path(name).suffix for name in files} - {".csv"}
-        UnknownName.refuse("format", [path.suffix], sorted(formats))
-        beside = [
-            path.with_suffix(".urdf"),
-            path.with_name(f"{path.stem}-estimate.csv"),
-        ]
-        written = [path] + beside * (path.suffix == ".yaml")
-        for file in written:
-            write_file(file, files[file.name])
-        return written
-
-    def publication(self, *, force: bool = False) -> Publication:
-        """Files of the model, unless the hold-out speaks against it; see `publication`."""
-        from excitant.identify.export import publication
-
-        return publication(self, force=force)
-
-    @cached_property
-    def bodies(self) -> tuple[BodyChange, ...]:
-        """Masses and centres of mass of the links, given and identified."""
-        covariance = self.physical.covariance
-        changes = list[BodyChange]()
-        who = decided_by(self.physical.influence)
-        places = list(self.given.model.jointPlacements)
-        for k, link in enumerate(self.given.links):
-            at = slice(10 * k, 10 * k + 10)
-            body = inertia(self.prior[at])
-            centre, std = centre_of_mass(self.phi[at], covariance[at, at])
-            ends = [
-                np.array(body.lever),
-                *(place.translation for place in places[k + 2 : k + 3]),
-            ]
-            radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
-            length = max(radius, *(np.linalg.norm(end) for end in ends))
-            mass = (
-                float(self.phi[10 * k]),
-                float(np.sqrt(covariance[10 * k, 10 * k])),
-                who[10 * k],
-            )
-            by = max(who[10 * k + 1 : 10 * k + 4], key=_BY.index)
-            change = body.mass, *mass, ends[0], centre, std, by, float(length)
-            changes.append(BodyChange(link, *change))
-        return tuple(changes)
-
-    def _essential(self) -> dict[str, Any]:
-        """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""
-        essential = essential_parameters(
-            self.least_squares.beta, self.least_squares.covariance
-        )
-        names = self.base.expressions
-        every, few = (
-            float(
-                np.nanmedian(
-                    self.holdout.accuracy(self.holdout_columns @ b / self.gains).nrmse
-                )
-            )
-            for b in (self.least_squares.beta, essential.beta)
-        )
-        return {
-            "kept": [names[k] for k in essential.kept],
-            "dropped": [names[k] for k in essential.dropped],
-            "p_value": essential.p_value,
-            "nrmse_all": every,
-            "nrmse_essential": few,
-        }
-
-    @property
-    def _sigma(self) -> Array:
-        """Relative uncertainty of each given link, shape (links,)."""
-        return np.broadcast_to(np.asarray(self.physical.prior.sigma), (self.given.nv,))
-
-    def _moved(self) -> list[str]:
-        """Sentences on how far the given bodies agree with the data, and which moved by half."""
-        sigma = self._sigma[0]
-        tool = self._sigma[-1]
-        last = f" ({self.given.links[-1]}: {100 * tool:.0f} %)" if tool != sigma else ""
-        found = [
-            f"the given bodies are off by about {100 * sigma:.0f} %{last} where the recordings see "
-            "them; as much is allowed for where they do not"
-        ]
-        if moved := "; ".join(body.moved for body in self.bodies if body.moved):
-            found.append(f"moved by half or more against the given model: {moved}")
-        return found
-
-    def _parameters(self) -> list[dict[str, Any]]:
-        robot = self.given
-        physical = self.physical
-        effects = [p for e in self.model.effects for p in e.parameters(robot)]
-        owners = [link for link in robot.links for _ in UNITS]
-        owners += [p.name.rpartition(".")[0] for p in effects]
-        prior = [*self.prior, *(None,) * len(effects)]
-        known = effect_values(robot)
-        given = [*robot.phi, *(known.get(p.name) for p in effects)]
-        who = decided_by(physical.influence)
-        return [
-            {
-                "name": self.base.names[k],
-                "link": owners[k],
-                "value": factor * float(physical.x[k]),
-                "std": float(self.std[k]),
-                "unit": unit,
-                "category": category,
-                "given": None if given[k] is None else factor * float(given[k]),
-                "prior": None if prior[k] is None else float(prior[k]),
-                "prior_dominated": category == "unidentifiable" or who[k] == "prior",
-                "decided_by": "prior" if category == "unidentifiable" else who[k],
-            }
-            for k, (category, (factor, unit)) in enumerate(
-                zip(categories(self.base), self.told, strict=True)
-            )
-        ]
+        return tables.series_of(self)
 
     def _lines(self) -> list[str]:
         errors = (
@@ -714,7 +396,8 @@ def judged(
         J = physical.covariance @ pull
         wider = physical.covariance + J @ drive.covariance @ J.T
         physical = replace(physical, covariance=wider)
-        factors = np.array([factor for factor, _ in _told(robot, rows.effects, drive)])
+        units = units_of(robot, rows.effects, drive)
+        factors = np.array([factor for factor, _ in units])
         std = np.where(factors == 1, np.sqrt(np.diag(wider)), factors * std)
     model = identified_robot(robot, rows.effects, physical.x)
     if is_covariance(widened):
@@ -727,15 +410,6 @@ def judged(
     return Estimate(
         robot, model, rows.base, fit, physical, *stds, rows.data, notes, drive=drive
     )
-
-
-def _told(
-    robot: Robot, effects: Sequence[Effect], drive: DriveGains | None
-) -> list[tuple[float, str]]:
-    """Factor and unit in which each parameter of links and effects is told."""
-    coefficients = [p for e in effects for p in e.parameters(robot)]
-    links = [(1.0, unit) for unit in UNITS * robot.nv]
-    return links + [told(p, robot, drive) for p in coefficients]
 
 
 def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:
@@ -791,105 +465,3 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
         columns = regression_of(reference, effects, rows.data.train)
         known = replace(rows, robot=reference, regression=rows.fitting(columns))
     return known
-
-
-def _missed(joints: Sequence[str], held: Coverage) -> list[str]:
-    """A sentence on joints with coverage far from 95 %, where there are any."""
-    low = np.flatnonzero(held.too_few)
-    if not len(low):
-        return []
-    shares = ", ".join(f"{joints[int(j)]} {100 * held.share[j]:.0f} %" for j in low)
-    return [
-        f"95 % intervals of the predicted torque hold less of the hold-out ({shares}): the model "
-        "misses something there; `excitant diagnose` looks for its cause"
-    ]
-
-
-class PredictionInterval(NamedTuple):
-    """95 % prediction interval of a new reading, around the predicted torque.
-
-    The torque W β̂ of a row has the variance w Σ wᵀ, Σ the covariance of the base parameters, which
-    counts coloured noise. A new reading lies around it by that and by the noise of its joint, whose
-    variance is that of the residuals, with what the fit took out of them given back. Coloured
-    residuals know it from ν = n / Σ ρ_k² independent samples (Bartlett): quantiles are Student's.
-
-    Attributes:
-        parameters: Standard deviation of the predicted torque by parameters, and by lengths where
-            these may be off, shape (n, nv) [torque unit].
-        noise: Standard deviation of the noise, shape (nv,) [torque unit].
-        freedom: Degrees of freedom that the noise is known with, shape (nv,).
-    """
-
-    parameters: Array
-    noise: Array
-    freedom: Array
-
-    @property
-    def half_width(self) -> Array:
-        """Half of the interval's width, shape (n, nv) [torque unit]."""
-        quantile = scipy.special.stdtrit(self.freedom, 0.5 + LEVEL / 2)
-        return np.asarray(quantile * np.hypot(self.parameters, self.noise), float)
-
-
-class Coverage(NamedTuple):
-    """Share of readings that lie in their intervals, each array of shape (nv,).
-
-    The standard deviation is that by chance where 95 % do, readings in a row counted by how many
-    are independent.
-    """
-
-    share: Array
-    std: Array
-
-    @property
-    def too_few(self) -> Array:
-        """Joints with more readings outside than by chance, shape (nv,) of bool."""
-        return np.asarray(self.share < LEVEL - _FAR - _CERTAIN * self.std, bool)
-
-
-def torque_std(W: Array, covariance: Array) -> Array:
-    """Standard deviation of the torque W β by the covariance of β, shape (n, nv)."""
-    variance = np.einsum("njr,njr->nj", W @ covariance, W, optimize=True)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), float)
-
-
-def prediction_interval(
-    W: Array,
-    fit: LeastSquares,
-    residuals: Sequence[Array],
-    gains: Array | float = 1.0,
-    covariance: Array | None = None,
-) -> PredictionInterval:
-    """95 % intervals of readings at new rows of the base columns, shape (n, nv, r).
-
-    The residual of each joint, (m_j,), is measured less predicted torque at its fitted rows. The
-    covariance is that of the fit, or of what W has columns of.
-    """
-    size = sum(map(len, residuals))
-    left = 1 - np.minimum(fit.inflation * len(fit.beta) / size, _MOST)
-    noise = np.sqrt(np.array([(e**2).mean() for e in residuals]) / left)
-    freedom = np.array([independent_squares(e) for e in residuals]) * left
-    parameters = (
-        torque_std(W, fit.covariance if covariance is None else covariance) / gains
-    )
-    return PredictionInterval(parameters, noise, np.maximum(freedom, _FEWEST))
-
-
-def independent_squares(residual: Array) -> float:
-    """ν = n / (1 + 2 Σ ρ_k²): how many independent samples know the variance as well, (n,) → ν.
-
-    Correlations that samples of white noise have by chance are left out.
-    """
-    n = len(residual)
-    rho = autocorrelation(residual)[1:]
-    chance = np.flatnonzero(np.abs(rho) < 2 / np.sqrt(n))
-    end = int(chance[0]) if len(chance) else len(rho)
-    return float(n / (1 + 2 * np.sum(rho[:end] ** 2)))
-
-
-def coverage(inside: Sequence[Mask]) -> Coverage:
-    """Share of readings within their intervals: whether each of a joint's is, one (n,) a joint."""
-    hits = [each.astype(float) for each in inside]
-    independent = np.array([len(each) / autocorrelation_time(each) for each in hits])
-    share = np.array([each.mean() for each in hits])
-    return Coverage(share, np.sqrt(LEVEL * (1 - LEVEL) / independent))

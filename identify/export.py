@@ -9,10 +9,12 @@ them.
 
 from __future__ import annotations
 
+import warnings
 import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,13 +23,10 @@ import pinocchio as pin
 import yaml
 
 from excitant.exceptions import BadInput, UnknownName
+from excitant.files import write_file
+from excitant.identify.accuracy import Accuracy, Series, chance_of_loss
 from excitant.identify.preprocessing import Segment
-from excitant.identify.rows import (
-    Accuracy,
-    Series,
-    chance_of_loss,
-    predicted_torque,
-)
+from excitant.identify.rows import predicted_torque
 from excitant.robots.effects import Effect, effect_entries, plain
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
 USUAL = ("urdf", "mjcf", "sdf")
 FORMATS = (*USUAL, "ros2_control")
 _SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "sdf": ".sdf"}
+MODEL_SUFFIXES = (*_SUFFIXES.values(), ".yaml")
 _COMMON_GRAVITY = (0.0, 0.0, -9.81)
 _THIN = 1e-3  # m: shorter distances between joints are not drawn
 _ROS2_REMARKS = (
@@ -476,6 +476,45 @@ class Publication:
         result["notes"] = [*result["notes"], *[self.note] * bool(self.note)]
 
 
+def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
+    """Write an identified model as .urdf, .xml (MJCF), .sdf, or .yaml with the files beside it.
+
+    A file that `publication` would leave out is written with a warning.
+
+    Raises:
+        BadInput: A path without a suffix.
+        UnknownName: Another suffix.
+    """
+    path = Path(path)
+    if not path.suffix:
+        why = "name a file, such as model.yaml; excitant.save(estimate, folder) saves the run"
+        raise BadInput(f"{path}: a model is saved into one file; {why}")
+    formats = {suffix: name for name, suffix in _SUFFIXES.items()}
+    UnknownName.refuse("format", [path.suffix], sorted(MODEL_SUFFIXES))
+    gains = estimate.gains if estimate.data.unit == "A" else None
+    complete = f"{path.stem}.yaml"
+    files = model_files(estimate.model, path.stem, complete, gains=gains)
+    written = [path]
+    if path.suffix == ".yaml":
+        written.append(path.with_suffix(".urdf"))
+        if estimate.model.estimate is not None:
+            written.append(path.with_name(f"{path.stem}-estimate.csv"))
+    else:
+        exported = exported_files(
+            estimate.model,
+            path.stem,
+            complete,
+            hold_out(estimate),
+            [formats[path.suffix]],
+        )
+        poor = [f for f in exported if f.refused and f.file == path.name]
+        if poor:
+            warnings.warn(f"{path.name}: {_shortcoming(poor)}", stacklevel=2)
+    for file in written:
+        write_file(file, files[file.name])
+    return written
+
+
 def publication(
     estimate: Estimate,
     *,
@@ -620,15 +659,17 @@ def exported_files(
 
 def _unwritten(files: Sequence[ExportedFile], complete: str) -> str:
     """A line on the files that are not written, at least one of them."""
-    names = ", ".join(file.file for file in files)
     verb = "is" if len(files) == 1 else "are"
+    names = ", ".join(file.file for file in files)
+    return f"{names} {verb} not written: {_shortcoming(files)}; {complete} holds everything"
+
+
+def _shortcoming(files: Sequence[ExportedFile]) -> str:
+    """What files lack that predict the hold-out worse than something else."""
     common = [x for x in files[0].lacks if all(x in file.lacks for file in files)]
     few = [*common[:_NAMED], *["and more"] * (len(common) > _NAMED)]
     without = f"without {', '.join(few)}" if few else "without what its format lacks"
-    return (
-        f"{names} {verb} not written: {without}, the hold-out is predicted worse than by "
-        f"{files[0].refused}; {complete} holds everything"
-    )
+    return f"{without}, the hold-out is predicted worse than by {files[0].refused}"
 
 
 def _against(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from excitant.identify.rows import told
+from excitant.identify.rows import states, told, units_of
 from excitant.robots.effects import Parameter
 from excitant.robots.motion import Array, freeze
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
 
 _POINTS = 100  # of a curve, an even number: none is at rest
-_DEVIATIONS = 1.96  # standard deviations that hold 95 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,55 +50,69 @@ class FrictionCurve:
         }
 
 
-def friction_curve(estimate: Estimate, joint: str) -> FrictionCurve | None:
-    """Friction of a joint by its velocity as estimated; None where none was."""
-    robot = estimate.given
-    j = estimate.given.joint_index(joint)
-    first = 10 * robot.nv
-    places = list[int]()
-    laws = []
-    for effect in estimate.model.effects:
-        names = [p.name.rpartition(".")[0] for p in effect.parameters(robot)]
-        own = [first + k for k, name in enumerate(names) if name == joint]
-        if (
-            own
-            and effect.family == "friction"
-            and effect.abscissa == "velocity"
-            and effect.law
-        ):
-            places += own
-            laws.append(effect.law)
-        first += len(names)
-    if not places:
-        return None
-    seen = estimate.velocity[:, j]
-    bend = np.linspace(-1, 1, _POINTS)
-    v = np.nanmax(np.abs(seen)) * bend * np.abs(bend)
-    v = v[(v >= np.nanmin(seen)) & (v <= np.nanmax(seen))]
-    rest = np.zeros(len(v))
-    C = np.column_stack([column for law in laws for column in law(rest, v, rest)])
-    # in the units in which the coefficients are told
-    x = np.array([estimate.told[k][0] for k in places]) * estimate.physical.x[places]
-    covariance = estimate.physical.covariance[np.ix_(places, places)]
-    scale = estimate.std[places] / np.sqrt(np.diag(covariance))
-    covariance = covariance * np.outer(scale, scale)
-    half = _DEVIATIONS * np.sqrt(np.einsum("mk,kl,ml->m", C, covariance, C))
-    torque = Parameter(f"{joint}.friction", robot.torque_unit("N·m", j))
-    factor, unit = told(torque, robot, estimate.drive)
-    turns = "rad/s" if robot.revolute[j] else "m/s"
-    return FrictionCurve(
-        joint, unit, turns, float(factor * estimate.gains[j]), v, C @ x, half
+def friction_curves(estimate: Estimate) -> tuple[FrictionCurve | None, ...]:
+    """Friction of each joint by its velocity as estimated; None where none was."""
+    _, velocity, _ = states(estimate.data.validate)
+    velocity = estimate.holdout.in_motion(velocity)
+    return tuple(
+        _friction_curve(estimate, j, velocity[:, j]) for j in range(estimate.given.nv)
     )
 
 
-def curves_over_velocity(estimate: Estimate) -> dict[str, Array]:
-    """Series of the curves of all joints, each (m, nv); NaN beyond them and where there is none."""
-    keys = ("velocity", "torque", "half_width")
-    arrays = {
-        f"friction_{key}": np.full((_POINTS, estimate.given.nv), np.nan) for key in keys
-    }
-    for j, curve in enumerate(estimate.friction):
-        for key in keys if curve is not None else ():
-            values = getattr(curve, key)
-            arrays[f"friction_{key}"][: len(values), j] = values
+def _friction_curve(
+    estimate: Estimate, j: int, velocity: Array
+) -> FrictionCurve | None:
+    """That of joint j, whose velocities at the rows of the hold-out have shape (n,)."""
+    robot = estimate.given
+    joint = robot.joints[j]
+    start = 10 * robot.nv
+    places = list[int]()
+    laws = []
+    for effect in estimate.model.effects:
+        owners = [p.name.rpartition(".")[0] for p in effect.parameters(robot)]
+        own = [start + k for k, owner in enumerate(owners) if owner == joint]
+        over_velocity = effect.family == "friction" and effect.abscissa == "velocity"
+        if own and over_velocity and effect.law:
+            places += own
+            laws.append(effect.law)
+        start += len(owners)
+    if not places:
+        return None
+    bend = np.linspace(-1, 1, _POINTS)
+    v = np.nanmax(np.abs(velocity)) * bend * np.abs(bend)
+    v = v[(v >= np.nanmin(velocity)) & (v <= np.nanmax(velocity))]
+    rest = np.zeros(len(v))
+    C = np.column_stack([column for law in laws for column in law(rest, v, rest)])
+    # in the units in which the coefficients are reported
+    units = units_of(robot, estimate.model.effects, estimate.drive)
+    factors = np.array([units[k][0] for k in places])
+    covariance = estimate.physical.covariance[np.ix_(places, places)]
+    scale = estimate.std[places] / np.sqrt(np.diag(covariance))
+    covariance = covariance * np.outer(scale, scale)
+    std = np.sqrt(np.einsum("mk,kl,ml->m", C, covariance, C))
+    torque = Parameter(f"{joint}.friction", robot.torque_unit("N·m", j))
+    factor, unit = told(torque, robot, estimate.drive)
+    return FrictionCurve(
+        joint,
+        unit=unit,
+        velocity_unit="rad/s" if robot.revolute[j] else "m/s",
+        per_reading=float(factor * estimate.gains[j]),
+        velocity=v,
+        torque=C @ (factors * estimate.physical.x[places]),
+        half_width=1.96 * std,
+    )
+
+
+def curves_over_velocity(
+    curves: Sequence[FrictionCurve | None],
+) -> dict[str, Array]:
+    """Curves of all joints as arrays (m, nv); NaN beyond them and where there is none."""
+    arrays = {}
+    for key in ("velocity", "torque", "half_width"):
+        array = np.full((_POINTS, len(curves)), np.nan)
+        for j, curve in enumerate(curves):
+            if curve is not None:
+                values = getattr(curve, key)
+                array[: len(values), j] = values
+        arrays[f"friction_{key}"] = array
     return arrays

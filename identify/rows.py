@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
 
 import numpy as np
-import scipy
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.drive_gains import DriveGains, current_gains
@@ -16,7 +13,6 @@ from excitant.identify.preprocessing import (
     CUTOFF_HZ,
     Mask,
     Segment,
-    away_from_rest,
     certain_rows,
     default_cutoff,
     prepare,
@@ -24,15 +20,15 @@ from excitant.identify.preprocessing import (
 from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
-from excitant.identify.smoother import SensorNoise, mean_noise, noise
+from excitant.identify.smoother import SensorNoise, mean_noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array
+from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
-_BLOCKS = 10  # of time, whose means are as good as independent
 _TOLD = 0.05  # of a joint's rows left out: from there on it is told
 _PRODUCTS = 2.0  # times the highest harmonic of a motion: that of centrifugal torque
 
@@ -138,111 +134,6 @@ def _parts(
         (r.between(0, FIT_SHARE, "first 70 %") for r in recordings),
         (r.between(FIT_SHARE, 1, "last 30 %") for r in recordings),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Accuracy:
-    """Prediction errors per joint at rows where it moves, each of shape (nv,).
-
-    Attributes:
-        rms: Root mean square of measured − predicted, both filtered [torque unit].
-        rms_raw: The same with the measured torque unfiltered [torque unit].
-        nrmse: rms / standard deviation of the filtered measured torque.
-        r2: 1 − nrmse².
-    """
-
-    rms: Array
-    rms_raw: Array
-    nrmse: Array
-    r2: Array
-
-    def entry(self, joint: int) -> dict[str, Any]:
-        """Figures of one joint under their JSON names."""
-        return {name: float(values[joint]) for name, values in vars(self).items()}
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """Rows of segments: by these, every error is judged.
-
-    Attributes:
-        t: Time without gaps, shape (n,) [s].
-        measured: Filtered torque, shape (n, nv) [torque unit].
-        raw: Unfiltered torque, shape (n, nv) [torque unit].
-        moves: Rows that no rest of the joint affects, shape (n, nv).
-    """
-
-    t: Array
-    measured: Array
-    raw: Array
-    moves: Mask
-
-    @cached_property
-    def counts(self) -> Mask:
-        """Rows at which an error counts: where the joint moves, all if it never does, (n, nv)."""
-        return np.where(self.moves.any(axis=0), self.moves, True)
-
-    def counted(self, values: Array) -> list[Array]:
-        """Values of each joint, shape (n, nv), at its rows that count."""
-        return [
-            column[rows] for column, rows in zip(values.T, self.counts.T, strict=True)
-        ]
-
-    def rms(self, error: Array) -> Array:
-        """Root mean square of an error, (n, nv), of each joint, shape (nv,)."""
-        return np.asarray(np.sqrt(np.mean(error**2, axis=0, where=self.counts)), float)
-
-    def accuracy(self, predicted: Array) -> Accuracy:
-        """Accuracy of a prediction at these rows, shape (n, nv)."""
-        rms = self.rms(self.measured - predicted)
-        raw = self.rms(self.raw - predicted)
-        spread = self.measured.std(axis=0, where=self.counts)
-        nrmse = np.divide(rms, spread, out=np.full_like(rms, np.nan), where=spread > 0)
-        return Accuracy(*map(read_only, (rms, raw, nrmse, 1 - nrmse**2)))
-
-    @cached_property
-    def judged(self) -> Mask:
-        """Joints that move here and whose torque varies by more than its noise, shape (nv,)."""
-        spread = self.measured.std(axis=0, where=self.counts)
-        return np.asarray(
-            self.moves.any(axis=0) & (spread > [noise(x) for x in self.raw.T])
-        )
-
-    def losses(self, predicted: Array, instead: Array) -> Array:
-        """How much larger the squared error of one prediction is than that of another, (n, nv).
-
-        Relative to the variance of the torque; 0 where an error does not count.
-        """
-        spread = self.measured.std(axis=0, where=self.counts)
-        scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
-        first, second = ((self.measured - x) * scale for x in (predicted, instead))
-        return np.asarray(np.where(self.counts, first**2 - second**2, 0.0))
-
-
-def chance_of_loss(losses: Array) -> float:
-    """Chance of losses in a row, shape (n,), so large where there are none in the mean.
-
-    Student's t of the means of ten blocks of time, in which errors that go on stay together.
-    """
-    means = np.array(
-        [block.mean() for block in np.array_split(losses, _BLOCKS) if len(block)]
-    )
-    error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) == _BLOCKS else 0.0
-    if not error > 0:
-        return 1.0
-    return float(scipy.special.stdtr(len(means) - 1, -means.mean() / error))
-
-
-def series(segments: Sequence[Segment]) -> Series:
-    """Rows of all segments, one after the other."""
-    times = []
-    start = 0.0
-    for segment in segments:
-        times.append(segment.t - segment.t[0] + start)
-        start = times[-1][-1] + (segment.t[1] - segment.t[0])
-    torques = ([s.tau[s.keep] for s in segments], [s.tau_raw[s.keep] for s in segments])
-    t, measured, raw = (read_only(np.concatenate(parts)) for parts in (times, *torques))
-    return Series(t, measured, raw, away_from_rest(segments))
 
 
 def states(segments: Sequence[Segment]) -> tuple[Array, Array, Array]:
@@ -371,6 +262,15 @@ def told(
     if drive is None or owner not in robot.joints:
         return 1.0, parameter.unit
     return drive.told(parameter.unit, robot.joint_index(owner))
+
+
+def units_of(
+    robot: Robot, effects: Sequence[Effect], drive: DriveGains | None
+) -> list[tuple[float, str]]:
+    """Factor and unit in which to tell each parameter of links and effects."""
+    coefficients = [p for e in effects for p in e.parameters(robot)]
+    links = [(1.0, unit) for unit in UNITS * robot.nv]
+    return links + [told(p, robot, drive) for p in coefficients]
 
 
 def implausible_size(columns: Array, tau: Array) -> Array:

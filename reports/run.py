@@ -17,6 +17,8 @@ import numpy as np
 
 from excitant.exceptions import BadInput
 from excitant.files import read_bytes, write_file, write_folder
+from excitant.identify.estimate import Estimate
+from excitant.identify.export import MODEL_SUFFIXES, save_model
 from excitant.identify.reading.arrays import read_arrays
 from excitant.reports.page import Page
 from excitant.reports.pages import page_of
@@ -257,6 +259,8 @@ def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[P
 
     A model is left out, with a warning, where the hold-out speaks against it, unless by ``force``.
 
+    An estimate is saved as a model alone where a file is named, such as arm.urdf (`save_model`).
+
     Args:
         noun: A design, estimate, identifiability, diagnosis, ...
         folder: Made when missing; files of an old run there go, what others put there stays.
@@ -269,6 +273,8 @@ def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[P
         BadInput: Anything else, or a folder that cannot be written.
     """
     _require_reportable(noun)
+    if isinstance(noun, Estimate) and Path(folder).suffix in MODEL_SUFFIXES:
+        return save_model(noun, folder)
     result = dict(noun.result())
     files = dict[str, str | bytes]()
     from excitant.analysis.publication import publication_of

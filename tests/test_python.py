@@ -14,6 +14,7 @@ import pytest
 import excitant as ex
 from excitant.exceptions import BadInput, BadRecording, UnknownName
 from excitant.identify import Estimate, Recording, identify_link_by_link, identify_online
+from excitant.identify.export import save_model
 from excitant.robots import Robot, torque
 
 
@@ -115,7 +116,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
     with pytest.raises(UnknownName, match="did you mean 'links'"):
         estimate.to_frame("link")  # type: ignore[arg-type]
     with pytest.raises(BadInput, match=r"excitant\.save\(estimate, folder\)"):
-        estimate.save(tmp_path / "folder")
+        save_model(estimate, tmp_path / "folder")
 
 
 def test_scores_are_those_of_the_result(

@@ -19,8 +19,8 @@ from excitant.analysis.explanation import at_rest, headline, reason_to_downgrade
 from excitant.analysis.residuals import BANDS, QUANTITIES, Residual
 from excitant.analysis.validation import LIKELY, refit, windows
 from excitant.identify import model_files
+from excitant.identify.accuracy import series
 from excitant.identify.preprocessing import away_from_rest
-from excitant.identify.rows import series
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import (
     EFFECTS,

@@ -13,9 +13,10 @@ from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.design import random_trajectory
 from excitant.identify import Recording
+from excitant.identify.accuracy import series
 from excitant.identify.faults import find_faults, supported
 from excitant.identify.prior import prior_parameters
-from excitant.identify.rows import series, split
+from excitant.identify.rows import split
 from excitant.robots import Robot, load_robot
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.motion import Motion

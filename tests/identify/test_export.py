@@ -25,7 +25,7 @@ from known_arms import write_csv
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset
 from excitant.identify.drive_gains import DriveGains
-from excitant.identify.export import HoldOut, model_files, publication, published
+from excitant.identify.export import HoldOut, model_files, publication, published, save_model
 from excitant.identify.mujoco import mujoco_torque, side_by_side
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import predicted_torque
@@ -484,8 +484,8 @@ def test_a_joint_whose_torque_is_its_noise_shows_nothing_to_be_judged(estimate: 
 def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path: Path) -> None:
     model, motion = estimate.model, states(estimate.model, 20)
     (tmp_path / "text.urdf").write_text(model.urdf, encoding="utf-8")
-    [mjcf] = estimate.save(tmp_path / "arm.xml")
-    *models, base = estimate.save(tmp_path / "arm.yaml")
+    [mjcf] = save_model(estimate, tmp_path / "arm.xml")
+    *models, base = save_model(estimate, tmp_path / "arm.yaml")
     assert base.name == "arm-estimate.csv"
     for file in (tmp_path / "text.urdf", *models):
         check(rigid_body_torque(load_robot(file), motion), rigid_body_torque(model, motion))
@@ -495,7 +495,7 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
         *("text.urdf", "arm.xml", "arm.yaml", "arm.urdf", "arm-estimate.csv"),
     }
     with pytest.raises(UnknownName, match=r"unknown format '\.step'"):
-        estimate.save(tmp_path / "arm.step")
+        save_model(estimate, tmp_path / "arm.step")
     carrying = model.with_effects([Payload(model.joints[-1:]).with_values(BODY)])
     again = robot_from_urdf(carrying.urdf, "carrying")
     check(rigid_body_torque(again, motion), torque(carrying, motion))
@@ -538,6 +538,8 @@ def test_a_file_that_lacks_too_much_is_not_written(
     again = load_robot(write(tmp_path, dict(model.files)) / "model.yaml")
     motion = states(again, 20)
     check(torque(again, motion), torque(beyond_formats.model, motion), PRECISION["yaml"])
+    with pytest.warns(UserWarning, match=r"asked\.urdf: without asymmetric friction of all"):
+        save_model(beyond_formats, tmp_path / "asked.urdf")
     forced = publication(beyond_formats, force=True)
     assert unwritten < set(forced.files)
     assert "not written" not in forced.note

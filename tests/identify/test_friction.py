@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from excitant.identify import Estimate, Recording, identify_robot
-from excitant.identify.friction import curves_over_velocity, friction_curve
+from excitant.identify.friction import curves_over_velocity, friction_curves
 from excitant.robots import Motion, Robot
 from excitant.robots.effects import CoulombFriction, RotorInertia, StribeckFriction, ViscousFriction
 
@@ -32,13 +32,14 @@ def estimate(planar: Robot, recordings: list[Recording]) -> Estimate:
 
 def test_a_curve_is_the_torque_of_the_joints_friction(estimate: Estimate, planar: Robot) -> None:
     friction = [e for e in estimate.model.effects if e.family == "friction"]
-    for j, curve in enumerate(estimate.friction):
+    for j, curve in enumerate(friction_curves(estimate)):
         v = np.zeros((len(curve.velocity), 2))
         v[:, j] = curve.velocity
         motion = Motion(np.arange(float(len(v))), 0 * v, v, 0 * v)
         torque = sum(effect.torque(planar, motion)[:, j] for effect in friction)
         np.testing.assert_allclose(curve.torque, torque, rtol=1e-9)
-        seen = estimate.velocity[np.isfinite(estimate.velocity[:, j]), j]
+        seen = estimate.series()["velocity"][:, j]
+        seen = seen[np.isfinite(seen)]
         assert seen.min() <= curve.velocity[0] < curve.velocity[-1] <= seen.max()
         assert (curve.velocity != 0).all()
         assert curve.entry() == {"unit": "N·m", "velocity_unit": "rad/s", "per_reading": 1.0}
@@ -49,7 +50,7 @@ def test_its_interval_is_that_of_draws_of_the_coefficients(estimate: Estimate) -
     places = [names.index(f"joint2.{symbol}") for symbol in ("Fs", "Fv", "Fc")]
     covariance = estimate.physical.covariance[np.ix_(places, places)]
     draws = np.random.default_rng(0).multivariate_normal(np.zeros(3), covariance, 20_000)
-    curve = estimate.friction[1]
+    curve = friction_curves(estimate)[1]
     v, sign = curve.velocity, np.sign(curve.velocity)
     spread = (draws @ np.array([sign * np.exp(-((v / 0.2) ** 2)), v, sign])).std(axis=0)
     np.testing.assert_allclose(curve.half_width, 1.96 * spread, rtol=0.05)
@@ -68,7 +69,7 @@ def test_true_friction_lies_in_the_interval(
             for p, x in zip(e.parameters(planar), e.values, strict=True)
         }
         given = {p.name: value for p, value in known.items()}
-        for curve in identify_robot(planar, fit, validate=held).friction:
+        for curve in friction_curves(identify_robot(planar, fit, validate=held)):
             Fv, Fc = (given[f"{curve.joint}.{symbol}"] for symbol in ("Fv", "Fc"))
             true = Fv * curve.velocity + Fc * np.sign(curve.velocity)
             inside.append((np.abs(true - curve.torque) <= curve.half_width).mean())
@@ -83,7 +84,7 @@ def test_curves_of_currents_are_told_as_the_coefficients_are(
     free = replace(known, drive=replace(known.drive, scale_std=2.0))  # nothing fixes the gains
     for found, unit in ((known, "N·m"), (free, "A")):
         rows = {row["name"]: row["value"] for row in found.result()["parameters"]}
-        for j, curve in enumerate(found.friction):
+        for j, curve in enumerate(friction_curves(found)):
             v, (Fv, Fc) = curve.velocity, (rows[f"{curve.joint}.{x}"] for x in ("Fv", "Fc"))
             assert curve.unit == unit
             np.testing.assert_allclose(curve.torque, Fv * v + Fc * np.sign(v))
@@ -94,8 +95,9 @@ def test_curves_of_currents_are_told_as_the_coefficients_are(
 def test_joints_without_friction_have_no_curve(planar: Robot, recordings: list[Recording]) -> None:
     effects = [ViscousFriction(("joint1",)), RotorInertia(planar.joints)]
     found = identify_robot(planar, recordings[0], effects=effects)
-    assert friction_curve(found, "joint2") is None
-    arrays = curves_over_velocity(found)
+    curves = friction_curves(found)
+    assert curves[1] is None
+    arrays = curves_over_velocity(curves)
     assert {name: values.shape for name, values in arrays.items()} == dict.fromkeys(
         ("friction_velocity", "friction_torque", "friction_half_width"), (100, 2)
     )

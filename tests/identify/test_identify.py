@@ -12,6 +12,7 @@ from known_arms import Call
 
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset, model_files
+from excitant.identify.tables import body_changes
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import Effect
 from excitant.robots.parameters import from_pseudo_inertia, violations
@@ -193,17 +194,18 @@ def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(
 ) -> None:
     link, light = 2, ur10.with_parameters(ur10.phi / 3)
     found = identify_robot(light, nominal[:1], validate=nominal[1:])
-    body, result = found.bodies[link], found.result()
-    assert abs(body.mass - 3 * body.given_mass) < 3 * body.mass_std
-    assert body.moved.startswith(f"forearm_link: mass {body.given_mass:.3g} → {body.mass:.3g} ± ")
+    body, result = body_changes(found)[link], found.result()
+    assert abs(body.mass - 3 * body.nominal_mass) < 3 * body.mass_std
+    assert body.moved.startswith(f"forearm_link: mass {body.nominal_mass:.3g} → {body.mass:.3g} ± ")
     assert [entry["moved"] for entry in result["links"]][link] == body.moved
-    way = body.centre - body.given_centre
+    way = body.centre - body.nominal_centre
     told = result["links"][link]["centre"]
     assert told["shift"] == pytest.approx(np.linalg.norm(way))
     along = way / np.linalg.norm(way)
     assert told["shift_std"] == pytest.approx(np.linalg.norm(along * body.centre_std))
     assert any("moved by half" in note and body.moved in note for note in result["notes"])
-    assert not identify_robot(ur10, nominal[:1], validate=nominal[1:]).bodies[link].moved
+    honest = identify_robot(ur10, nominal[:1], validate=nominal[1:])
+    assert not body_changes(honest)[link].moved
 
 
 def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recording]) -> None:
@@ -211,9 +213,9 @@ def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recor
     link, phi = 2, np.array(ur10.phi)
     phi[10 * link : 10 * link + 10] *= 3
     found = identify_robot(ur10.with_parameters(phi), nominal[:1], validate=nominal[1:])
-    true, body = float(ur10.phi[10 * link]), found.bodies[link]
+    true, body = float(ur10.phi[10 * link]), body_changes(found)[link]
     assert abs(body.mass - true) < min(4 * body.mass_std, 0.15 * true)
-    assert [bool(each.moved) for each in found.bodies] == [k == link for k in range(ur10.nv)]
+    assert [bool(each.moved) for each in body_changes(found)] == [k == link for k in range(ur10.nv)]
     sigma = found.result()["prior_sigma"]
     assert sigma[link] > 5 * max(np.delete(sigma, link))
 

@@ -16,7 +16,7 @@ from plant_recordings import displaced
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
 from excitant.identify import Estimate, Recording, identify_robot, recording_from_table
-from excitant.identify.estimate import torque_std
+from excitant.identify.accuracy import torque_std
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.lengths import LengthErrors, length_deviations
 from excitant.identify.preprocessing import certain_rows

@@ -30,6 +30,7 @@ from excitant.identify import (
     recording_from_table,
 )
 from excitant.identify.drive_gains import DriveGains, payload_gains
+from excitant.identify.export import save_model
 from excitant.identify.information import gaussian, information_of
 from excitant.identify.payload import estimate_payload, payload_information
 from excitant.identify.regression import Regression, dense
@@ -195,7 +196,7 @@ def test_a_model_keeps_what_it_knows_and_a_payload_is_told_over_time_on_top_of_i
 ) -> None:
     held, file = write_csv(tmp_path / "held.csv", planar_runs[0]), tmp_path / "model.yaml"
     identified = identify_robot(planar, planar_runs[1:])
-    names = {path.name for path in identified.save(file)}
+    names = {path.name for path in save_model(identified, file)}
     assert names == {"model.yaml", "model.urdf", "model-estimate.csv"}
     model, estimate = load_robot(file), identified.model.estimate
     assert model.estimate.names == estimate.names

@@ -10,7 +10,7 @@ import pytest
 import scipy.signal
 
 from excitant.identify import Recording, identify_robot
-from excitant.identify.estimate import (
+from excitant.identify.accuracy import (
     PredictionInterval,
     coverage,
     independent_squares,

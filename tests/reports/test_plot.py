@@ -16,6 +16,7 @@ import excitant as ex
 from excitant.design import design_trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, Recording, identify_robot
+from excitant.identify.friction import friction_curves
 from excitant.reports.estimate_figures import forest_groups
 from excitant.robots import Robot
 
@@ -70,7 +71,7 @@ def test_torque_is_measured_and_predicted_and_the_rest_below(estimate: Estimate)
 
 def test_friction_is_the_curve_its_band_and_the_readings(estimate: Estimate) -> None:
     (ax,) = ex.plot.friction(estimate, ["joint2"])
-    curve = estimate.friction[1]
+    curve = friction_curves(estimate)[1]
     drawn = np.concatenate([line.get_ydata() for line in ax.get_lines() if line.get_lw() == 1.8])
     np.testing.assert_allclose(drawn, curve.torque)
     points = ax.collections[0].get_offsets()
@@ -148,7 +149,7 @@ def test_joints_come_in_the_order_in_which_they_are_named(estimate: Estimate) ->
     axes = ex.plot.friction(estimate, ["joint2", "joint1"])
     assert [text.get_text() for text in axes[0].figure.texts] == ["joint2", "joint1"]
     extents = [ax.collections[0].get_offsets()[:, 0].max() for ax in axes]
-    tops = [np.nanmax(column) for column in estimate.velocity.T[::-1]]
+    tops = [np.nanmax(column) for column in estimate.series()["velocity"].T[::-1]]
     assert extents == pytest.approx(tops, rel=0.05)
 
 

@@ -1,0 +1,319 @@
+"""Tables of an identification: joints, links, parameters, and what its user should know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from excitant.identify.accuracy import Coverage, coverage
+from excitant.identify.friction import curves_over_velocity, friction_curves
+from excitant.identify.least_squares import essential_parameters
+from excitant.identify.physical import centre_of_mass
+from excitant.identify.prior import decided_by
+from excitant.identify.rows import states, units_of
+from excitant.robots.base_parameters import categories
+from excitant.robots.effects import effect_values
+from excitant.robots.motion import Array
+from excitant.robots.parameters import UNITS, inertia, violations
+
+if TYPE_CHECKING:
+    from excitant.identify.estimate import Estimate
+
+LARGE_CHANGE = 0.5  # of a nominal mass or of a link's length: it is named
+SMALLEST_SHIFT = 0.01  # of a centre of mass [m]: a smaller one is not named
+_DECIDED_BY = {  # from the surest to the least sure
+    "data": "by the data",
+    "both": "between data and prior",
+    "prior": "as shared out by the prior",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class BodyChange:
+    """Mass and centre of mass of a link, nominal and identified, in the frame of its joint.
+
+    Attributes:
+        link: Name of the link.
+        nominal_mass: Mass of the prior [kg].
+        mass: Identified mass [kg].
+        mass_std: Its standard deviation [kg].
+        mass_by: Who decided it: data, prior or both.
+        nominal_centre: Centre of mass of the prior, shape (3,) [m].
+        centre: Identified centre of mass, shape (3,) [m].
+        centre_std: Its standard deviation, shape (3,) [m].
+        centre_by: Who decided it, by the least sure of its coordinates.
+        length: From the joint to the next one or to the nominal centre of mass, or the radius of
+            gyration, whichever is longest [m].
+    """
+
+    link: str
+    nominal_mass: float
+    mass: float
+    mass_std: float
+    mass_by: str
+    nominal_centre: Array
+    centre: Array
+    centre_std: Array
+    centre_by: str
+    length: float
+
+    @property
+    def shift(self) -> tuple[float, float]:
+        """How far the centre of mass moved, and its standard deviation along that way [m]."""
+        way = self.centre - self.nominal_centre
+        distance = float(np.linalg.norm(way))
+        along = np.linalg.norm(self.centre_std * way) / max(distance, 1e-300)
+        return distance, float(along)
+
+    @property
+    def moved(self) -> str:
+        """What moved by half of the nominal mass or of the link's length; empty if nothing."""
+        changes = []
+        distance, std = self.shift
+        if abs(self.mass - self.nominal_mass) >= LARGE_CHANGE * self.nominal_mass:
+            changes.append(
+                f"mass {self.nominal_mass:.3g} → {self.mass:.3g} ± {self.mass_std:.2g} kg "
+                f"({_DECIDED_BY[self.mass_by]})"
+            )
+        if distance >= max(LARGE_CHANGE * self.length, SMALLEST_SHIFT):
+            changes.append(
+                f"centre of mass by {1e3 * distance:.3g} ± {1e3 * std:.2g} mm "
+                f"({_DECIDED_BY[self.centre_by]})"
+            )
+        return f"{self.link}: {' and '.join(changes)}" if changes else ""
+
+    def entry(self) -> dict[str, Any]:
+        """Its entry in ``result.json``."""
+        distance, std = self.shift
+        return {
+            "link": self.link,
+            "mass": {
+                "given": self.nominal_mass,
+                "value": self.mass,
+                "std": self.mass_std,
+                "decided_by": self.mass_by,
+            },
+            "centre": {
+                "given": self.nominal_centre.tolist(),
+                "value": self.centre.tolist(),
+                "std": self.centre_std.tolist(),
+                "shift": distance,
+                "shift_std": std,
+                "decided_by": self.centre_by,
+            },
+            "moved": self.moved or None,
+        }
+
+
+def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
+    """Masses and centres of mass of the links, nominal and identified."""
+    covariance = estimate.physical.covariance
+    who = decided_by(estimate.physical.influence)
+    places = list(estimate.given.model.jointPlacements)
+    changes = []
+    for k, link in enumerate(estimate.given.links):
+        own = slice(10 * k, 10 * k + 10)
+        body = inertia(estimate.physical.prior.bodies[k])
+        centre, centre_std = centre_of_mass(estimate.phi[own], covariance[own, own])
+        nominal_centre = np.array(body.lever)
+        next_joint = [place.translation for place in places[k + 2 : k + 3]]
+        radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
+        ends = (np.linalg.norm(end) for end in (nominal_centre, *next_joint))
+        change = BodyChange(
+            link,
+            nominal_mass=body.mass,
+            mass=float(estimate.phi[10 * k]),
+            mass_std=float(np.sqrt(covariance[10 * k, 10 * k])),
+            mass_by=who[10 * k],
+            nominal_centre=nominal_centre,
+            centre=centre,
+            centre_std=centre_std,
+            centre_by=max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index),
+            length=float(max(radius, *ends)),
+        )
+        changes.append(change)
+    return tuple(changes)
+
+
+def result_of(estimate: Estimate) -> dict[str, Any]:
+    """Contents of the ``result.json`` of an identification."""
+    robot = estimate.given
+    broken = violations(estimate.phi, robot.links)
+    half_width = estimate.interval.half_width
+    error = np.abs(estimate.holdout.measured - estimate.predicted)
+    beyond = estimate.holdout.counted(error - half_width)
+    covered = coverage([e <= 0 for e in beyond])
+    bodies = body_changes(estimate)
+    drive = {"drive_gain_Nm_per_A": None}
+    return {
+        "verb": "identify",
+        "robot": robot.name,
+        "estimator": f"{estimate.estimator}, then physically consistent semidefinite fit",
+        "effects": [effect.name for effect in estimate.model.effects],
+        "cutoff_hz": estimate.data.cutoff_hz,
+        **({} if estimate.shapes is None else {"shapes": estimate.shapes.entry()}),
+        **({} if estimate.lengths is None else {"lengths": estimate.lengths.entry()}),
+        "unit": robot.torque_unit(estimate.data.unit),
+        "holdout": estimate.data.holdout,
+        **(drive if estimate.drive is None else estimate.drive.result()),
+        "joints": _joints(estimate, covered),
+        "links": [body.entry() for body in bodies],
+        "prior_sigma": _body_std(estimate).tolist(),
+        "parameters": _parameters(estimate),
+        "base_parameters": _base_parameters(estimate),
+        "essential": _essential(estimate),
+        "physical": {
+            "consistent": not broken,
+            "violations": broken,
+            "kkt": vars(estimate.physical.kkt),
+        },
+        "knowledge": estimate.knowledge.entry(),
+        "notes": [
+            *estimate.notes,
+            *_moved(estimate, bodies),
+            *([estimate.knowledge.sentence] if estimate.knowledge.sentence else []),
+            *_missed(robot.joints, covered),
+        ],
+    }
+
+
+def series_of(estimate: Estimate) -> dict[str, Array]:
+    """Torques and states on the hold-out, each of shape (n, nv), and curves of friction."""
+    position, velocity, _ = states(estimate.data.validate)
+    return {
+        "t": estimate.holdout.t,
+        "measured": estimate.holdout.measured,
+        "given": estimate.predicted_given,
+        "identified": estimate.predicted,
+        "half_width": estimate.interval.half_width,
+        "position": position,
+        "velocity": estimate.holdout.in_motion(velocity),
+        **curves_over_velocity(friction_curves(estimate)),
+    }
+
+
+def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
+    sensors = estimate.data.sensors
+    half_width = estimate.interval.half_width.mean(axis=0)
+    by_parameters = estimate.interval.parameters.mean(axis=0)
+    entries = []
+    for j, curve in enumerate(friction_curves(estimate)):
+        interval = {
+            "half_width": float(half_width[j]),
+            "half_width_parameters": float(1.96 * by_parameters[j]),
+            "coverage": float(covered.share[j]),
+        }
+        entry = {
+            "name": estimate.given.joints[j],
+            "train": estimate.train.entry(j),
+            "validate": estimate.validate.entry(j) | {"interval95": interval},
+            "baseline": estimate.baseline.entry(j),
+        }
+        if sensors is not None:
+            entry["motion"] = sensors.entry(j, estimate.data.cutoff_hz)
+        if curve is not None:
+            entry["friction"] = curve.entry()
+        entries.append(entry)
+    return entries
+
+
+def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
+    robot = estimate.given
+    physical = estimate.physical
+    effects = estimate.model.effects
+    coefficients = [p for e in effects for p in e.parameters(robot)]
+    owners = [link for link in robot.links for _ in UNITS]
+    owners += [p.name.rpartition(".")[0] for p in coefficients]
+    values = effect_values(robot)
+    nominal = [*robot.phi, *(values.get(p.name) for p in coefficients)]
+    prior = [*physical.prior.bodies.ravel(), *(None,) * len(coefficients)]
+    who = decided_by(physical.influence)
+    units = units_of(robot, effects, estimate.drive)
+    entries = []
+    for k, category in enumerate(categories(estimate.base)):
+        factor, unit = units[k]
+        by = "prior" if category == "unidentifiable" else who[k]
+        entry = {
+            "name": estimate.base.names[k],
+            "link": owners[k],
+            "value": factor * float(physical.x[k]),
+            "std": float(estimate.std[k]),
+            "unit": unit,
+            "category": category,
+            "given": None if nominal[k] is None else factor * float(nominal[k]),
+            "prior": None if prior[k] is None else float(prior[k]),
+            "prior_dominated": by == "prior",
+            "decided_by": by,
+        }
+        entries.append(entry)
+    return entries
+
+
+def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
+    beta = estimate.least_squares.beta.tolist()
+    rows = zip(estimate.base.expressions, beta, estimate.base_std.tolist(), strict=True)
+    return [
+        {
+            "expression": text,
+            "value": value,
+            "std": std,
+            "rel_std": std / abs(value) if value else None,
+        }
+        for text, value, std in rows
+    ]
+
+
+def _essential(estimate: Estimate) -> dict[str, Any]:
+    """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""
+    fit = estimate.least_squares
+    essential = essential_parameters(fit.beta, fit.covariance)
+    names = estimate.base.expressions
+
+    def error(beta: Array) -> float:
+        predicted = estimate.holdout_columns @ beta / estimate.gains
+        return float(np.nanmedian(estimate.holdout.accuracy(predicted).nrmse))
+
+    return {
+        "kept": [names[k] for k in essential.kept],
+        "dropped": [names[k] for k in essential.dropped],
+        "p_value": essential.p_value,
+        "nrmse_all": error(fit.beta),
+        "nrmse_essential": error(essential.beta),
+    }
+
+
+def _body_std(estimate: Estimate) -> Array:
+    """Relative uncertainty of each nominal link, shape (links,)."""
+    sigma = np.asarray(estimate.physical.prior.sigma)
+    return np.broadcast_to(sigma, (estimate.given.nv,))
+
+
+def _moved(estimate: Estimate, bodies: Sequence[BodyChange]) -> list[str]:
+    """Sentences on how far the nominal bodies agree with the data, and which moved by half."""
+    std = _body_std(estimate)
+    first = std[0]
+    tool = std[-1]
+    last = estimate.given.links[-1]
+    apart = f" ({last}: {100 * tool:.0f} %)" if tool != first else ""
+    sentences = [
+        f"the given bodies are off by about {100 * first:.0f} %{apart} where the recordings see "
+        "them; as much is allowed for where they do not"
+    ]
+    if moved := "; ".join(body.moved for body in bodies if body.moved):
+        sentences.append(f"moved by half or more against the given model: {moved}")
+    return sentences
+
+
+def _missed(joints: Sequence[str], covered: Coverage) -> list[str]:
+    """A sentence on joints with coverage far from 95 %, where there are any."""
+    low = np.flatnonzero(covered.too_few).tolist()
+    if not low:
+        return []
+    shares = ", ".join(f"{joints[j]} {100 * covered.share[j]:.0f} %" for j in low)
+    return [
+        f"95 % intervals of the predicted torque hold less of the hold-out ({shares}): the model "
+        "misses something there; `excitant diagnose` looks for its cause"
+    ]
