@@ -17,7 +17,7 @@ from excitant.identify.accuracy import Accuracy
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.export import Publication, publication
 from excitant.identify.faults import proven
-from excitant.identify.faults.fault import SET_UP
+from excitant.identify.faults.fault import INSTALLATION
 from excitant.identify.recording import Recording
 from excitant.robots.check import ModelCheck
 from excitant.robots.effects import plain
@@ -66,7 +66,9 @@ class Examination:
 
         How the arm is set up is judged by all recordings together, in the diagnosis.
         """
-        return [f for f in self.faults if f["fault"] not in SET_UP and proven([f])]
+        return [
+            f for f in self.faults if f["fault"] not in INSTALLATION and proven([f])
+        ]
 
     @cached_property
     def use(self) -> str:
@@ -268,7 +270,7 @@ def examine(
     progress(0.3, "diagnosing")
     found = diagnose(robot, recordings, **options)
     turned = found.set_up is not None and found.set_up.robot is not robot
-    data = [fault for fault in faults if fault["fault"] not in SET_UP]
+    data = [fault for fault in faults if fault["fault"] not in INSTALLATION]
     publications = {
         "extended": extended_publication(found, data),
         "identified": publication(estimate, faults=proven(faults if turned else data)),

@@ -22,24 +22,26 @@ from excitant.identify.faults.channels import (
 )
 from excitant.identify.faults.fault import (
     FAULTS,
+    INSTALLATION,
     NO_TORQUE,
     PROVEN,
-    SET_UP,
     Fault,
     Log,
     Remedy,
     after_repair,
+    joints_without_torque,
     repair,
 )
-from excitant.identify.faults.modelled import not_measured, poor_excitation
-from excitant.identify.faults.physics import smooth, torque_fit, velocity_faults
-from excitant.identify.faults.set_up import (
+from excitant.identify.faults.installation import (
     odds_against,
     physics_faults,
     support,
     swapped,
 )
+from excitant.identify.faults.modelled import not_measured, poor_excitation
+from excitant.identify.faults.physics import smooth, torque_fit
 from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
+from excitant.identify.faults.velocity import velocity_faults
 from excitant.identify.recording import Recording, checked
 from excitant.robots.robot import Robot
 
@@ -54,7 +56,7 @@ __all__ = [
 ]
 __all__ += ["faults_of", "repair"]
 
-_SHORTEST = 50  # samples: fewer prove nothing
+_ROWS = 50  # fewer prove nothing
 _known = WeakKeyDictionary[
     Recording, tuple[Robot, tuple[Fault, ...]]
 ]()  # what was told
@@ -68,63 +70,59 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     named twice. All tests together raise a fault in at most one of fifty faultless recordings.
     """
     log = Log.of(robot, recording)
-    found: list[Fault] = []
+    faults: list[Fault] = []
     rows = np.arange(len(log))  # of the log as it came, by row of the log as repaired
 
-    def note(*faults: Fault) -> None:
+    def note(*new: Fault) -> None:
         nonlocal log, rows
-        found.extend(fault.at(rows) for fault in faults)
-        if any(fault.remedies for fault in faults):
-            log, left = after_repair(log, faults)
-            rows = rows[left]
+        faults.extend(fault.at(rows) for fault in new)
+        if any(fault.remedies for fault in new):
+            log, remaining = after_repair(log, new)
+            rows = rows[remaining]
 
     stamps, starts = stamp_faults(log)
     note(*stamps)
     if starts is None:
-        return tuple(found)
+        return tuple(faults)
     parts = np.union1d(log.t[np.isin(rows, starts)], recording.starts)
-    if len(log) >= _SHORTEST:
+    if len(log) >= _ROWS:
         note(*gap_faults(log, parts))
-    tests = (repeated_rows, wrapped_counters, held_channels, jumps_and_outliers)
-    for test in (missing_values, *tests):
-        if len(log) >= _SHORTEST or test is missing_values:
+    note(*missing_values(log))
+    for test in (repeated_rows, wrapped_counters, held_channels, jumps_and_outliers):
+        if len(log) >= _ROWS:
             note(*test(log))
-    if len(log) < _SHORTEST:
-        return tuple(found)
+    if len(log) < _ROWS:
+        return tuple(faults)
     channels = [*dead_channels(log), *saturation(log, robot)]
     cuts = np.split(np.arange(len(log)), np.searchsorted(log.t, parts))
     longest = log.take(max(cuts, key=len)) if len(cuts) > 1 else log
     speeds = velocity_faults(longest)
     longest, _ = after_repair(longest, speeds)
-    return (*found, *channels, *speeds, *_by_physics(robot, longest, channels))
+    return (*faults, *channels, *speeds, *_by_physics(robot, longest, channels))
 
 
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
     data = smooth(log)
-    found = list[Fault]()
+    faults = list[Fault]()
     if data is not None:
-        dead = [
-            f for f in channels if (f.fault, f.evidence.get("channel")) == NO_TORQUE
-        ]
-        case = torque_fit(robot, log, data, {fault.joints[0] for fault in dead})
-        found = [] if case is None else physics_faults(case)
-        if found:
-            log, _ = repair(log, found)
+        case = torque_fit(robot, log, data, joints_without_torque(channels))
+        faults = [] if case is None else physics_faults(case)
+        if faults:
+            log, _ = repair(log, faults)
             data = smooth(log) or data
         elif case is not None:
-            found = [*not_measured(case)]
-    return [*found, *poor_excitation(robot, log, data)]
+            faults = [*not_measured(case)]
+    return [*faults, *poor_excitation(robot, log, data)]
 
 
 def warn_of_faults(robot: Robot, recordings: Sequence[Recording]) -> None:
-    """Warn of the faults of each recording, once; not of those from `read_checked`."""
+    """Warn of the faults of each recording, once; not of those from `check`."""
     for recording in recordings:
         if recording not in _known:
             for fault in faults_of(robot, recording):
                 remedy = f"; repair {fault.repair}" if fault.repair else ""
-                warnings.warn(
-                    f"{recording.name}: {fault.detail}{remedy}", FaultWarning, 3
-                )
+                warning = f"{recording.name}: {fault.detail}{remedy}"
+                warnings.warn(warning, FaultWarning, 3)
 
 
 def faults_of(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -137,40 +135,41 @@ def faults_of(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
 def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
     """Faults, by name, of recordings with all values of an earlier one, whatever their times."""
     first: dict[bytes, str] = {}
-    found = {}
+    copies = {}
     for name, recording in recordings.items():
-        made = hashlib.sha256(b"".join(x.tobytes() for _, x in recording.channels()))
-        if (same := first.setdefault(made.digest(), name)) != name:
+        content = b"".join(values.tobytes() for _, values in recording.channels())
+        original = first.setdefault(hashlib.sha256(content).digest(), name)
+        if original != name:
             detail = (
-                f"{name} holds the same {len(recording)} rows as {same}: all positions, velocities "
-                f"and torques are equal, so it adds no evidence and is no hold-out"
+                f"{name} holds the same {len(recording)} rows as {original}: all positions, "
+                "velocities and torques are equal, so it adds no evidence and is no hold-out"
             )
-            evidence = {"same_as": same, "count": len(recording)}
-            found[name] = Fault("duplicate_samples", (), detail, evidence)
-    return found
+            evidence = {"same_as": original, "count": len(recording)}
+            copies[name] = Fault("duplicate_samples", (), detail, evidence)
+    return copies
 
 
 def find_swapped(
     robot: Robot, recordings: Sequence[Recording]
 ) -> tuple[list[Recording], dict[str, Fault]]:
     """Recordings with torques that were exchanged among them put back, and such faults by name."""
-    better = [*recordings]
-    found = dict[str, Fault]()
+    exchanged = [*recordings]
+    faults = dict[str, Fault]()
     for pair in swapped(robot, recordings):
         for one, other in (pair, pair[::-1]):
-            mine = recordings[one]
-            its = recordings[other]
-            better[one] = replace(mine, tau=its.tau)
-            detail = (
-                f"the torque of {mine.name} is that of the motion of {its.name}, and the reverse: "
-                f"so exchanged, it is that of bodies near the given ones"
+            name = recordings[one].name
+            source = recordings[other].name
+            exchanged[one] = replace(recordings[one], tau=recordings[other].tau)
+            faults[name] = Fault(
+                "swapped_recordings",
+                robot.joints,
+                f"the torque of {name} is that of the motion of {source}, and the reverse: "
+                f"so exchanged, it is that of bodies near the given ones",
+                {"torque_of": source},
+                f"takes the torque of {source}",
+                (Remedy("exchange", "tau"),),
             )
-            done = f"takes the torque of {its.name}"
-            evidence = {"torque_of": its.name}
-            remedies = (Remedy("exchange", "tau"),)
-            known = "swapped_recordings", robot.joints, detail, evidence, done, remedies
-            found[mine.name] = Fault(*known)
-    return better, found
+    return exchanged, faults
 
 
 def supported(
@@ -178,25 +177,24 @@ def supported(
     recordings: Mapping[str, Recording],
     faults: Mapping[str, Sequence[Fault]],
 ) -> dict[str, tuple[Fault, ...]]:
-    """Faults by recording, without mountings and zero positions that all together do not support.
+    """Faults by recording, without mountings and zero positions that not all together support.
 
     An arm is mounted one way: what a recording shows in which one joint moves, or a hand pushes, is
-    no set-up where the others speak against it.
+    no installation where the others speak against it.
     """
-    kept = {}
+    of_data = {n: [f for f in some if not f.of_the_arm] for n, some in faults.items()}
+    confirmed = {}
     for name, mine in faults.items():
-        shown = [fault for fault in mine if fault.fault in SET_UP]
-        if shown and len(recordings) > 1:
-            gains = (
-                support(
-                    robot, each, shown, [f for f in faults[other] if not f.of_the_arm]
-                )
-                for other, each in recordings.items()
-            )
+        installed = [fault for fault in mine if fault.fault in INSTALLATION]
+        if installed and len(recordings) > 1:
+            gains = [
+                support(robot, recording, installed, of_data[other])
+                for other, recording in recordings.items()
+            ]
             if sum(gains) <= odds_against(robot):
-                mine = [fault for fault in mine if fault not in shown]
-        kept[name] = tuple(mine)
-    return kept
+                mine = [fault for fault in mine if fault not in installed]
+        confirmed[name] = tuple(mine)
+    return confirmed
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,78 +26,61 @@ from excitant.identify.smoother import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_BLOCKS = 100  # of a channel, whose means white noise keeps small
-_STRETCH_S = 0.1  # s: shorter repetitions are samples that were held
-_TRAVELLED = 20.0  # resolutions that a joint must move during a dead stretch
-_SAME = 0.01  # share of pairs that far apart that may be equal by chance
-_LEVELS = 4
-_SIGMAS = 3.0  # width of the band below the extreme value
-_AT_LEAST = 5  # samples at the extreme value
-_FRESH = 0.2  # of the typical change: smaller counts as "hardly changed"
-_HELD = 25  # samples
 _COUNTERS = (2.0**8, 2.0**10, 2.0**12, 2.0**16, 2.0**32)
-_PATTERN = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])  # residual around one outlier
-_LIKE = 0.9  # cosine from which on a residual looks like that of one outlier
-_AROUND = 101  # samples that say what is usual around one
-_WINDOW = 11  # samples of the running median
-_JOLT = 5  # samples to either side that a jolt may disturb
-_GAP = 1.75  # steps: the interpolation does not reach across
-_SINGLE = float(
-    np.finfo(np.float32).eps
-)  # of a value: rounding of a log in single precision
-_MANY = 0.5  # of all channels: the row is at fault, not a channel
+_OUTLIER = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])
+"""Distances from the cubic through the four neighbours, around one outlier."""
+_AT_EXTREME = 5  # samples at an extreme value, from which on a channel may be cut off
+_MEDIAN_ROWS = 11  # of the running median that a value is compared with
+_Evidence = tuple[str, dict[str, Any]] | None
+"""Detail and evidence."""
 
 
 def dead_channels(log: Log) -> Iterator[Fault]:
     """Channels that are constant, only noise, or stop for a while, though the joint moves."""
     for (name, x), j in product(log.channels(), range(log.nv)):
-        found = (test(log, name, x[:, j], j) for test in (_constant, _white, _stretch))
-        for detail, evidence in filter(None, found):
-            sentence = f"{name} of {log.joints[j]} {detail}"
-            yield Fault(
-                "dead_channel", (log.joints[j],), sentence, {"channel": name} | evidence
-            )
-            break
+        for test in (_constant, _white, _stretch):
+            if (shown := test(log, name, x[:, j], j)) is not None:
+                detail = f"{name} of {log.joints[j]} {shown[0]}"
+                evidence = {"channel": name} | shown[1]
+                yield Fault("dead_channel", (log.joints[j],), detail, evidence)
+                break
 
 
-_Found = tuple[str, dict[str, Any]] | None
-"""Detail and evidence."""
-
-
-def _constant(log: Log, name: str, x: Array, j: int) -> _Found:
+def _constant(log: Log, name: str, x: Array, j: int) -> _Evidence:
     """A channel with one value, of which a position or velocity counts where the other moves."""
     moves = log.moving[:, j].any()
     if np.ptp(x) > 0 or (name == "dq" and not moves):
         return None
-    against = (
-        f", while q of the joint moves over {np.ptp(log.q[:, j]):.4g}" if moves else ""
-    )
+    against = ""
     if name == "q":
         speed = np.zeros(1) if log.dq is None else log.dq[:, j]
         if np.ptp(speed) == 0 or np.abs(speed).mean() < 5 * noise(speed):
             return None
         against = f", while dq of the joint varies over {np.ptp(speed):.4g}"
+    elif moves:
+        against = f", while q of the joint moves over {np.ptp(log.q[:, j]):.4g}"
     return f"is {x[0]:.6g} in every row{against}", {"value": float(x[0])}
 
 
-def _white(log: Log, name: str, x: Array, j: int) -> _Found:
+def _white(log: Log, name: str, x: Array, j: int) -> _Evidence:
     """A channel whose block means scatter no more than those of white noise, as χ² with B − 1."""
-    block = len(x) // _BLOCKS
-    if name == "q" or block < 5 or log.moving[:, j].mean() < 0.5:
+    blocks = 100
+    rows = len(x) // blocks
+    if name == "q" or rows < 5 or log.moving[:, j].mean() < 0.5:
         return None
-    means = x[: block * _BLOCKS].reshape(_BLOCKS, block).mean(axis=1)
-    ratio = block * means.var(ddof=1) / x.var()
-    bound = float(scipy.special.chdtri(_BLOCKS - 1, ALARM / log.nv)) / (_BLOCKS - 1)
+    means = x[: rows * blocks].reshape(blocks, rows).mean(axis=1)
+    ratio = rows * means.var(ddof=1) / x.var()
+    bound = float(scipy.special.chdtri(blocks - 1, ALARM / log.nv)) / (blocks - 1)
     if ratio > bound:
         return None
     detail = (
-        f"is only noise of {x.std():.3g} while the joint moves: means of {block} samples vary "
+        f"is only noise of {x.std():.3g} while the joint moves: means of {rows} samples vary "
         f"{ratio:.2f} times as much as those of white noise (by chance up to {bound:.2f})"
     )
     return detail, {"ratio": ratio, "bound": bound, "std": x.std()}
 
 
-def _stretch(log: Log, name: str, x: Array, j: int) -> _Found:
+def _stretch(log: Log, name: str, x: Array, j: int) -> _Evidence:
     """The longest run of one value, if the channel never else keeps a value that long."""
     starts, lengths = run_lengths(np.diff(x) == 0)
     length = int(lengths.max(initial=0))
@@ -106,18 +89,19 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> _Found:
     start = int(starts[np.argmax(lengths)])
     rows = slice(start, start + length + 1)
     seconds = float(np.ptp(log.t[rows]))
-    if seconds < _STRETCH_S:
-        return None
+    if seconds < 0.1:
+        return None  # so short a repetition is a sample that was held
     way = float(np.ptp(log.q[rows, j]))
-    clear = float(_TRAVELLED * log.grain[j])
+    clear = float(20 * log.grain[j])
     if name == "q":
         if log.dq is None:
             return None
         way = abs(float(np.trapezoid(log.dq[rows, j], log.t[rows])))
         clear += 5 * noise(log.dq[:, j]) * np.sqrt(length) * log.step
-    apart = x[length:] == x[:-length]
-    apart[max(0, start - length) : start + length + 1] = False
-    if way < clear or apart.mean() > _SAME or x[start] in (x.max(), x.min()):
+    equal = x[length:] == x[:-length]
+    equal[max(0, start - length) : start + length + 1] = False
+    by_chance = equal.mean() > 0.01  # pairs that far apart are often equal
+    if way < clear or by_chance or x[start] in (x.max(), x.min()):
         return None
     value = float(x[start])
     t = float(log.t[start])
@@ -137,39 +121,39 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
     moved = np.asarray(log.moving.any(axis=1), bool)
     for j, sign in product(range(log.nv), (1.0, -1.0)):
         x = sign * log.tau[:, j]
-        limit = float(robot.limits.torque[j])
         top = float(x.max())
         step = float(log.quanta["tau"][j])
         span = float(np.ptp(x))
         scatter = noise(x)
-        band = max(_LEVELS * step, _SIGMAS * scatter, 1e-6 * span)
+        band = max(4 * step, 3 * scatter, 1e-6 * span)  # below the extreme value
         at = moved & (x > top - min(step / 2, 1e-9 * span))
         near = int((moved & ~at & (x > top - band)).sum())
-        many = int(at.sum()) >= _AT_LEAST
-        evidence = {"value": sign * top, "near": near}
-        if (
-            many
-            and band > 0
-            and scipy.special.pdtrc(at.sum() - 1, near + 1) <= ALARM / (2 * log.nv)
-        ):
+        count = int(at.sum())
+        value = sign * top
+        many = count >= _AT_EXTREME and band > 0
+        chance = float(scipy.special.pdtrc(count - 1, near + 1)) if many else 1.0
+        if chance <= ALARM / (2 * log.nv):
             where = f"at its {'largest' if sign > 0 else 'smallest'} value"
             more = f", while joints move; only {near} lie within {band:.3g} of it"
         else:
+            limit = float(robot.limits.torque[j])
             at = x > limit - 2 * scatter
-            known = log.unit == "N·m" and np.isfinite(limit) and scatter <= 0.05 * limit
-            long = run_lengths(at)[1].max(initial=0) >= _AT_LEAST
-            if not (known and long and top <= limit + 6 * scatter):
+            limited = np.isfinite(limit) and scatter <= 0.05 * limit
+            if log.unit != "N·m" or not limited or top > limit + 6 * scatter:
+                continue
+            if run_lengths(at)[1].max(initial=0) < _AT_EXTREME:
                 continue
             where = "within its noise of the limit"
             more = ""
-            evidence = {"value": sign * limit}
+            value = sign * limit
+            count = int(at.sum())
         joint = log.joints[j]
-        count = int(at.sum())
         longest = int(run_lengths(at)[1].max())
         detail = (
-            f"tau of {joint} is {where} {evidence['value']:.6g} {log.unit} in {count} of "
+            f"tau of {joint} is {where} {value:.6g} {log.unit} in {count} of "
             f"{len(log)} rows, up to {longest} in a row{more}"
         )
+        evidence = {"value": value} | ({"near": near} if more else {})
         evidence |= {"count": count, "longest": longest}
         yield Fault("saturation", (joint,), detail, evidence)
 
@@ -178,42 +162,41 @@ def held_channels(log: Log) -> Iterator[Fault]:
     """Channels refreshed more seldom than logged: no change is more frequent than a small one."""
     for name, x in log.channels():
         columns = zip(x.T, log.moving.T, log.quanta[name], strict=True)
-        held = {
-            j: share
-            for j, each in enumerate(columns)
-            if (share := _held_share(*each)) > 0
-        }
-        if held:
-            worst = max(held, key=lambda j: held[j])
-            joints = log.names(held)
-            detail = (
-                f"{name} of {', '.join(joints)} is held: {100 * held[worst]:.1f} % of its samples "
-                f"at {log.joints[worst]} repeat the one before exactly while the joint moves, "
-                f"though the others change by many steps of its resolution"
-            )
-            evidence = {"channel": name, "share": list(held.values())}
-            yield Fault("duplicate_samples", joints, detail, evidence)
+        shares = [_held_share(*column) for column in columns]
+        held = {j: share for j, share in enumerate(shares) if share > 0}
+        if not held:
+            continue
+        worst = max(held, key=lambda j: held[j])
+        joints = log.names(held)
+        detail = (
+            f"{name} of {', '.join(joints)} is held: {100 * held[worst]:.1f} % of its samples "
+            f"at {log.joints[worst]} repeat the one before exactly while the joint moves, "
+            f"though the others change by many steps of its resolution"
+        )
+        evidence = {"channel": name, "share": list(held.values())}
+        yield Fault("duplicate_samples", joints, detail, evidence)
 
 
 def _held_share(x: Array, moving: Mask, step: float) -> float:
+    """Share of samples of a moving joint that repeat the one before; 0 where by chance."""
     moved = moving[1:] & moving[:-1]
     for start, length in zip(*run_lengths(np.diff(x) == 0), strict=True):
-        if length >= _HELD:  # dead, not held
+        if length >= 25:  # dead, not held
             moved[start : start + length] = False
     change = np.abs(np.diff(x))[moved]
     fresh = change[change > 0]
     if len(change) < 50 or len(fresh) < 25:
         return 0.0
-    small = _FRESH * float(np.median(fresh))
+    small = 0.2 * float(np.median(fresh))
     few = int((fresh <= small).sum())
     if few < 5:
         return 0.0  # coarse steps: no change is as good as a small one
     # a torque that friction rules stays for a while too, between small changes or few large ones
     starts, lengths = run_lengths(change == 0)
-    inner = (starts > 0) & (starts + lengths < len(change))
-    starts, ends = starts[inner], (starts + lengths)[inner]
-    large = max(small, _LEVELS * step)
-    held = int(((change[starts - 1] > large) & (change[ends] > large)).sum())
+    ends = starts + lengths
+    inner = (starts > 0) & (ends < len(change))
+    large = change > max(small, 4 * step)
+    held = int((large[starts[inner] - 1] & large[ends[inner]]).sum())
     excess = held - few - 5 * np.sqrt(held + few)
     beyond = excess > 0 and held > 0.02 * len(change)
     return 1 - len(fresh) / len(change) if beyond else 0.0
@@ -246,31 +229,26 @@ def _wrap(x: Array, position: bool) -> float | None:
     change = np.abs(np.diff(x))
     span = float(np.ptp(x))
     jumps = change > 0.5 * span
-    if (
-        span == 0
-        or jumps.sum() < 2
-        or jumps.mean() > 0.2
-        or (not position and x.min() < 0)
-    ):
+    signed = not position and x.min() < 0
+    if span == 0 or jumps.sum() < 2 or jumps.mean() > 0.2 or signed:
         return None
-    middle = (x - x.min()) / span
-    if np.mean((middle > 0.35) & (middle < 0.65)) > 0.01:
+    middle = np.abs(x - x.min() - span / 2) / span < 0.15
+    if middle.mean() > 0.01:
         return None
     size = float(np.median(change[jumps]))
-    typical = float(np.quantile(change[~jumps], 0.9))
     step = quantum(x)
-    known = [2 * np.pi, 360.0]
+    tolerance = 3 * float(np.quantile(change[~jumps], 0.9)) + 2 * step
+    ranges = [2 * np.pi, 360.0]
     if not position:
-        known = [65536.0 * 10.0**k for k in range(-6, 1)] + [
-            step * c for c in _COUNTERS
-        ]
-    near = [k for k in known if abs(k - size) <= 3 * typical + 2 * step]
-    if not near:
+        ranges = [65536.0 * 10.0**k for k in range(-6, 1)]
+        ranges += [step * count for count in _COUNTERS]
+    best = min(ranges, key=lambda counter: abs(counter - size))
+    if abs(best - size) > tolerance:
         return None
-    best = min(near, key=lambda k: abs(k - size))
     unwrapped = unwrap(x, best, position)
     smooth = np.abs(np.diff(unwrapped)).max() < 0.5 * best
-    return best if smooth and (position or np.ptp(unwrapped) < 0.9 * span) else None
+    narrower = position or np.ptp(unwrapped) < 0.9 * span
+    return best if smooth and narrower else None
 
 
 def missing_values(log: Log) -> Iterator[Fault]:
@@ -288,27 +266,26 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
     yield from hidden
     far = _outlying(log, hidden[0].evidence["rows"] if hidden else None)
     count = sum(mask.sum(axis=1) for mask in far.values())
-    total = log.nv * len(far)
-    whole = np.flatnonzero(count > _MANY * total)
+    whole = np.flatnonzero(count > 0.5 * log.nv * len(far))
     if len(whole):
         what = "are far from their neighbours in most columns, as rows with shifted columns are"
         detail = f"{len(whole)} of {len(log)} rows {what}; {log.first(whole)}"
         yield dropped(log.joints, whole, detail)
     for name, x in log.channels():
         far[name][whole] = False
-        median = _running_median(x, _WINDOW)
+        median = _running_median(x, _MEDIAN_ROWS)
         for j in np.flatnonzero(far[name].any(axis=0)):
             rows = np.flatnonzero(far[name][:, j])
             joint = log.joints[j]
             k = int(rows[np.argmax(np.abs(x - median)[rows, j])])
             value = float(x[k, j])
             around = float(median[k, j])
-            evidence = {"channel": name, "rows": rows, "count": len(rows)}
             detail = (
                 f"{name} of {joint} is far from its neighbours in {len(rows)} of {len(log)} rows; "
                 f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g} where those around have "
                 f"{around:.5g}"
             )
+            evidence = {"channel": name, "rows": rows, "count": len(rows)}
             evidence |= {"value": value, "around": around}
             done = f"interpolates {name} of {joint} over these {len(rows)} rows"
             remedy = Remedy("interpolate", name, (int(j),), rows)
@@ -329,34 +306,44 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
         for values in r.values():
             values[around] = 0.0
     alarm = ALARM / (log.nv * len(r))
-    far = {
-        name: _far(x, r[name], log.quanta[name], alarm, name != "tau")
-        for name, x in log.channels()
-    }
-    far["q"] &= _impossible(log, r["q"]) & log.moving.any(
-        axis=0
-    )  # a held joint's grain is none
-    for name, x in log.channels()[1:]:
-        apart = np.abs(x - _running_median(x, _WINDOW)) > 0.5 * np.abs(r[name])
-        reach = _WINDOW // 2
-        apart[:reach] = False
-        apart[len(x) - reach :] = False  # unknown at the ends
-        far[name] &= apart
+    far = dict[str, Mask]()
+    for name, x in log.channels():
+        far[name] = _far(x, r[name], log.quanta[name], alarm, name != "tau")
+        if name == "q":
+            # a joint at rest has no grain
+            far[name] &= _impossible(log, r[name]) & log.moving.any(axis=0)
+        else:
+            far[name] &= _apart(x, r[name])
     if log.dq is not None:
-        way = np.zeros_like(log.dq)
-        way[1:-1] = (log.q[2:] - log.q[:-2]) / (log.t[2:] - log.t[:-2])[:, None]
-        contradicted = (
-            np.abs(log.dq - way) > 0.5 * np.abs(r["dq"]) + 3 * log.grain / log.step
-        )
-        real = far["dq"] & ~contradicted
-        shared = (_near(far["dq"]).sum(axis=1) > 1) & ~_near(far["q"]).any(axis=1)
-        jolts = _near((real.any(axis=1) | shared)[:, None], _JOLT)
+        jolts = _jolts(log, log.dq, r["dq"], far)
         far["dq"] &= ~jolts
         far["tau"] &= ~jolts
     return far
 
 
+def _apart(x: Array, r: Array) -> Mask:
+    """Whether values stand apart from the running median, which is unknown at the ends."""
+    apart = np.abs(x - _running_median(x, _MEDIAN_ROWS)) > 0.5 * np.abs(r)
+    reach = _MEDIAN_ROWS // 2
+    apart[:reach] = False
+    apart[len(x) - reach :] = False
+    return apart
+
+
+def _jolts(log: Log, dq: Array, r: Array, far: dict[str, Mask]) -> Mask:
+    """Rows near a velocity that the positions confirm, or that several joints share, (n, 1)."""
+    way = np.zeros_like(dq)
+    way[1:-1] = (log.q[2:] - log.q[:-2]) / (log.t[2:] - log.t[:-2])[:, None]
+    tolerance = 0.5 * np.abs(r) + 3 * log.grain / log.step
+    contradicted = np.abs(dq - way) > tolerance
+    confirmed = far["dq"] & ~contradicted
+    several = _near(far["dq"]).sum(axis=1) > 1
+    shared = several & ~_near(far["q"]).any(axis=1)
+    return _near((confirmed.any(axis=1) | shared)[:, None], 5)
+
+
 def _near(mask: Mask, reach: int = 1) -> Mask:
+    """Whether a mask, shape (n, k), is true within so many rows."""
     wide = scipy.ndimage.maximum_filter1d(mask.astype(np.uint8), 2 * reach + 1, axis=0)
     return np.asarray(wide, bool)
 
@@ -377,17 +364,14 @@ def _far(x: Array, r: Array, step: Array, alarm: float, alike: bool) -> Mask:
     """
     span = np.ptp(x, axis=0)
     size = np.abs(r)
-    usual = np.maximum(
-        _running_median(size, _AROUND), 0.2 * np.quantile(size, 0.75, axis=0)
-    )
+    typical = np.quantile(size, 0.75, axis=0)
+    usual = np.maximum(_running_median(size, 101), 0.2 * typical)
     z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
     bound = [tail_bound(column[column > 0], alarm) for column in z.T]
-    floor = np.maximum(step, _SINGLE * np.abs(x).max(axis=0))
-    if alike:
-        seen = np.quantile(size, 0.75, axis=0)
-        floor = np.maximum(
-            floor, seen[seen > 0].min(initial=np.inf) if seen.any() else 0.0
-        )
+    single = float(np.finfo(np.float32).eps)  # rounding of a log in single precision
+    floor = np.maximum(step, single * np.abs(x).max(axis=0))
+    if alike and typical.any():
+        floor = np.maximum(floor, typical[typical > 0].min())
     return np.asarray((z > bound) & (size > 3 * floor), bool)
 
 
@@ -396,14 +380,12 @@ def _impossible(log: Log, r: Array) -> Mask:
     change = np.abs(np.diff(log.q, axis=0, prepend=log.q[:1]))
     jump = change > 3 * np.quantile(change, 0.99, axis=0)
     jump[:-1] |= jump[1:]
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(r, ((2, 2), (0, 0))), 5, axis=0
-    )
-    size = np.linalg.norm(windows, axis=-1) * np.linalg.norm(_PATTERN)
-    alike = np.abs(windows @ _PATTERN) / np.maximum(size, 1e-300)
-    return np.asarray(
-        (np.abs(r) > 0.5 * np.abs(log.travel)) & ((alike > _LIKE) | jump), bool
-    )
+    padded = np.pad(r, ((2, 2), (0, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0)
+    size = np.linalg.norm(windows, axis=-1) * np.linalg.norm(_OUTLIER)
+    cosine = np.abs(windows @ _OUTLIER) / np.maximum(size, 1e-300)
+    beyond_jitter = np.abs(r) > 0.5 * np.abs(log.travel)
+    return np.asarray(beyond_jitter & ((cosine > 0.9) | jump), bool)
 
 
 def _distance(t: Array, x: Array) -> Array:
@@ -414,13 +396,14 @@ def _distance(t: Array, x: Array) -> Array:
         return r
     k = np.arange(2, n - 2)
     around = [k - 2, k - 1, k + 1, k + 2]
-    guess = np.zeros_like(x[k])
+    cubic = np.zeros_like(x[k])
     for i in around:
         others = [m for m in around if m is not i]
         weight = np.prod([(t[k] - t[m]) / (t[i] - t[m]) for m in others], axis=0)
-        guess += weight[:, None] * x[i]
-    r[k] = x[k] - guess
-    wide = np.flatnonzero(np.diff(t) > _GAP * np.median(np.diff(t)))
+        cubic += weight[:, None] * x[i]
+    r[k] = x[k] - cubic
+    steps = np.diff(t)
+    gaps = np.flatnonzero(steps > 1.75 * np.median(steps))  # too wide for the cubic
     for shift in range(-2, 2):
-        r[np.clip(wide - shift, 0, n - 1)] = 0.0
+        r[np.clip(gaps - shift, 0, n - 1)] = 0.0
     return r

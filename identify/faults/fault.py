@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -17,43 +17,29 @@ from excitant.identify.smoother import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
+INSTALLATION = ("wrong_mounting", "wrong_zero")
+"""Faults of the model, which has the arm otherwise than it is installed."""
+OF_THE_ARM = ("wrong_sign", "wrong_order", *INSTALLATION)
+"""Faults of the arm or its logger, which all recordings share."""
+PROVEN = (
+    *OF_THE_ARM,
+    "wrong_unit",
+    "wrong_sample_rate",
+    "swapped_recordings",
+)
+"""Faults after which every figure is wrong, so that nothing is published from such data."""
 FAULTS = (
-    *(
-        "dead_channel",
-        "wrong_sign",
-        "wrong_unit",
-        "wrong_sample_rate",
-        "duplicate_samples",
-    ),
-    *(
-        "wrong_order",
-        "wrong_mounting",
-        "wrong_zero",
-        "dropped_samples",
-        "corrupt_rows",
-        "saturation",
-        "not_measured",
-        "wrong_frame",
-        "swapped_recordings",
-    ),
+    *PROVEN,
+    "dead_channel",
+    "duplicate_samples",
+    "dropped_samples",
+    "corrupt_rows",
+    "saturation",
+    "not_measured",
+    "wrong_frame",
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""
-SET_UP = ("wrong_mounting", "wrong_zero")
-"""Faults of the model, which has the arm otherwise than it is set up."""
-OF_THE_ARM = ("wrong_sign", "wrong_order", *SET_UP)
-"""Faults of the arm or its logger, which all recordings share."""
-PROVEN = (
-    *(
-        "wrong_sign",
-        "wrong_unit",
-        "wrong_sample_rate",
-        "wrong_order",
-        "swapped_recordings",
-    ),
-    *SET_UP,
-)
-"""Faults after which every figure is wrong, so that nothing is published from such data."""
 NO_TORQUE = "dead_channel", "tau"
 """Fault and channel of a joint whose torque tells nothing."""
 ALARM = 0.02 / 20
@@ -149,9 +135,14 @@ class Fault:
     remedies: tuple[Remedy, ...] = ()
 
     @property
+    def channel(self) -> object:
+        """Channel at fault, where it is one."""
+        return self.evidence.get("channel")
+
+    @property
     def of_the_arm(self) -> bool:
         """Whether all recordings of the arm share it."""
-        return self.fault in OF_THE_ARM and self.evidence.get("channel") != "dq"
+        return self.fault in OF_THE_ARM and self.channel != "dq"
 
     def entry(self) -> dict[str, Any]:
         """The fault under its JSON names; of many rows the first ten."""
@@ -170,6 +161,11 @@ class Fault:
             evidence["rows"] = rows[evidence["rows"]]
         remedies = tuple(replace(r, rows=rows[r.rows]) for r in self.remedies)
         return replace(self, evidence=evidence, remedies=remedies)
+
+
+def joints_without_torque(faults: Iterable[Fault]) -> set[str]:
+    """Joints whose torque tells nothing."""
+    return {f.joints[0] for f in faults if (f.fault, f.channel) == NO_TORQUE}
 
 
 def dropped(

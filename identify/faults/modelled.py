@@ -22,51 +22,41 @@ from excitant.identify.smoother import quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_SMOOTH = 1e-3  # of the channel's range: noise that counts as none
-_ORDERS = (4, 6, 8)
-_IDEAL = 0.01  # of the torque's spread: no drive is known better
-_HALF = 0.5  # of the joints: one that bears mainly weight proves nothing
+_MOST_JOINTS = 0.5  # of the joints: one that bears mainly weight proves nothing
 _EXPLAINED = 0.5  # of a variance: most of it
-_GAP = 1.5  # median steps
-_REACH = 6  # rows that two gradients and four differences reach
-_BETTER = 0.75  # of the error that the model leaves, summed over joints relative to their torque
-_WORSE = 1.5  # times a joint's own error, at most
-_TELLS = 0.1  # of the prior's information: less makes nothing more certain by even 5 %
 
 
 def not_measured(case: TorqueFit) -> Iterator[Fault]:
     """Joints whose torque has no error of its own, and those whose noise is that of the motion."""
     log = case.log
-    own = {j: _own_noise(log.tau[:, j]) for j in case.joints}
+    noise = {j: _own_noise(log.tau[:, j]) for j in case.joints}
     missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
-    ideal = [
-        j
-        for j in case.joints
-        if own[j] < _SMOOTH * np.ptp(log.tau[:, j]) and missed[j] < _IDEAL
-    ]
-    if len(ideal) > _HALF * len(case.joints):
+    span = np.ptp(log.tau, axis=0)
+    # no drive is known to a hundredth of its torque, or as free of noise as to a thousandth
+    ideal = [j for j in case.joints if noise[j] < 1e-3 * span[j] and missed[j] < 0.01]
+    if len(ideal) > _MOST_JOINTS * len(case.joints):
         worst = max(ideal, key=lambda j: missed[j])
         names = log.names(ideal)
-        noise = [own[j] for j in ideal]
+        own = [noise[j] for j in ideal]
         detail = (
             f"tau of {', '.join(names)} is the output of a model, not a measurement: rigid bodies "
             f"with viscous and Coulomb friction miss it by at most {100 * missed[worst]:.2f} % "
-            f"of its spread ({log.joints[worst]}), and its own noise is at most {max(noise):.1g} "
+            f"of its spread ({log.joints[worst]}), and its own noise is at most {max(own):.1g} "
             f"{log.unit}"
         )
-        yield Fault(
-            "not_measured", names, detail, {"missed": missed[ideal], "noise": noise}
-        )
-    copied = _derived(log, case.joints)
-    if len(copied) > _HALF * len(case.joints):
-        worst = max(copied, key=lambda j: copied[j])
-        names = log.names(copied)
+        evidence = {"missed": missed[ideal], "noise": own}
+        yield Fault("not_measured", names, detail, evidence)
+    derived = _derived(log, case.joints)
+    if len(derived) > _MOST_JOINTS * len(case.joints):
+        worst = max(derived, key=lambda j: derived[j])
+        names = log.names(derived)
         detail = (
             f"tau of {', '.join(names)} is computed from the logged motion, not measured: up "
-            f"to {100 * copied[worst]:.1f} % of the variance of its noise ({log.joints[worst]}) is "
-            f"that of the differentiated positions and velocities"
+            f"to {100 * derived[worst]:.1f} % of the variance of its noise ({log.joints[worst]}) "
+            f"is that of the differentiated positions and velocities"
         )
-        yield Fault("not_measured", names, detail, {"explained": list(copied.values())})
+        evidence = {"explained": [*derived.values()]}
+        yield Fault("not_measured", names, detail, evidence)
 
 
 def _own_noise(x: Array) -> float:
@@ -75,58 +65,55 @@ def _own_noise(x: Array) -> float:
         np.median(np.abs(np.diff(x, k)))
         / 0.6745
         / np.sqrt(scipy.special.comb(2 * k, k))
-        for k in _ORDERS
+        for k in (4, 6, 8)
     ]
     return max(0.0, float(min(differences)) - quantum(x) / float(np.sqrt(12)))
 
 
 def _derived(log: Log, joints: list[int]) -> dict[int, float]:
     """Joints whose noise, away from gaps, that of the accelerations explains, and its share."""
-    speed = [] if log.dq is None else [np.gradient(log.dq, log.t, axis=0)]
-    by_position = np.gradient(np.gradient(log.q, log.t, axis=0), log.t, axis=0)
-    gaps = np.append(np.diff(log.t) > _GAP * log.step, False)
-    near = scipy.ndimage.binary_dilation(gaps, np.ones(2 * _REACH + 1, bool))
+    accelerations = [np.gradient(np.gradient(log.q, log.t, axis=0), log.t, axis=0)]
+    if log.dq is not None:
+        accelerations.append(np.gradient(log.dq, log.t, axis=0))
+    gaps = np.append(np.diff(log.t) > 1.5 * log.step, False)
+    reach = 6  # rows of two gradients and four differences
+    near = scipy.ndimage.binary_dilation(gaps, np.ones(2 * reach + 1, bool))
     regular = ~near[2 : len(log.t) - 2]
-    rough = np.diff(np.column_stack([by_position, *speed]), 4, axis=0)[regular]
+    rough = np.diff(np.column_stack(accelerations), 4, axis=0)[regular]
     if not len(rough):
         return {}
     size = np.sqrt((rough**2).mean(axis=0))
     rough = rough[:, size > 0] / size[size > 0]
-    found = {}
+    shares = {}
     for j in joints:
         y = np.diff(log.tau[:, j], 4)[regular]
         if len(y) < 20 * rough.shape[1] or not y.any():
             continue
-        left = y - rough @ np.linalg.lstsq(rough, y, rcond=None)[0]
-        share = 1 - float((left**2).sum() / (y**2).sum())
+        residual = y - rough @ np.linalg.lstsq(rough, y, rcond=None)[0]
+        share = 1 - float((residual**2).sum() / (y**2).sum())
         if share > _EXPLAINED:
-            found[j] = share
-    return found
+            shares[j] = share
+    return shares
 
 
 def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
-    """The given inertias, where they explain the torque only if all are read in the distal frames.
+    """The nominal inertias, where they explain the torque only if all are in the distal frames.
 
     Both readings get each joint's friction, offset, rotor inertia and a gain.
     """
     if (case.robot.phi[::10] <= 0).any():
         return  # links without mass say nothing
     joints = case.joints
-    size = case.tau.var(axis=0)[case.joints]
-    readings = (case.robot.phi, in_joint_frames(case.robot))
-    as_read, moved = (_left(case, phi) for phi in readings)
-    before, after = (
-        np.sqrt(left / np.maximum(size, 1e-300)) for left in (as_read, moved)
-    )
+    variance = np.maximum(case.tau.var(axis=0)[joints], 1e-300)
+    as_read = _unexplained(case, case.robot.phi)
+    moved = _unexplained(case, in_joint_frames(case.robot))
+    before = np.sqrt(as_read / variance)
+    after = np.sqrt(moved / variance)
     gain = float((case.rows[joints] * np.log(as_read / moved)).sum())
-    clear = (
-        gain > scipy.special.chdtri(1, ALARM) and after.sum() < _BETTER * before.sum()
-    )
-    if (
-        not clear
-        or (after > _WORSE * before).any()
-        or np.median(after**2) > 1 - _EXPLAINED
-    ):
+    clear = gain > scipy.special.chdtri(1, ALARM)
+    better = after.sum() < 0.75 * before.sum()
+    worse = (after > 1.5 * before).any()
+    if not (clear and better) or worse or np.median(after**2) > 1 - _EXPLAINED:
         return
     best = int(np.argmin(after / before))
     detail = (
@@ -144,22 +131,23 @@ def in_joint_frames(robot: Robot) -> Array:
     """Standard parameters in the joints' frames, those given being in the distal ones, (10 nv,)."""
     model = robot.model
     places = [model.jointPlacements[j + 1] for j in range(1, robot.nv)]
-    bodies = map(pin.Inertia.FromDynamicParameters, robot.phi.reshape(robot.nv, 10))
-    pairs = zip([*places, model.frames[robot.tip].placement], bodies, strict=True)
-    return np.concatenate(
-        [place.act(body).toDynamicParameters() for place, body in pairs]
-    )
+    places.append(model.frames[robot.tip].placement)
+    moved = []
+    for place, phi in zip(places, robot.phi.reshape(robot.nv, 10), strict=True):
+        body = pin.Inertia.FromDynamicParameters(phi)
+        moved.append(place.act(body).toDynamicParameters())
+    return np.concatenate(moved)
 
 
-def _left(case: TorqueFit, phi: Array) -> Array:
-    """Mean square of what a model and each joint's own effects leave, of the joints that count."""
+def _unexplained(case: TorqueFit, phi: Array) -> Array:
+    """Mean square that a model and each joint's own effects leave, of the joints that count."""
     torque = (case.G + case.D) @ phi
-    left = []
+    squares = []
     for j in case.joints:
         columns = np.column_stack([torque[:, j], case.F[:, j]])
         error = scaled_least_squares(columns, case.tau[:, j])[2]
-        left.append(max(float((error**2).mean()), 1e-12 * float(case.size[j])))
-    return np.array(left)
+        squares.append(max(float((error**2).mean()), 1e-12 * float(case.size[j])))
+    return np.array(squares)
 
 
 def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fault]:
@@ -167,26 +155,28 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
     span = np.ptp(log.q, axis=0)
     still = span <= 50 * log.grain
     if data is None:
-        if not still.all() and span.any():
-            return
-        detail = f"no joint moves: positions vary by at most {span.max():.3g}"
-        yield Fault("poor_excitation", log.joints, detail, {"span": span})
+        if still.all() or not span.any():
+            detail = f"no joint moves: positions vary by at most {span.max():.3g}"
+            yield Fault("poor_excitation", log.joints, detail, {"span": span})
         return
     try:
         window = persistency(robot, data.motion)
     except ExcitantError:
-        return None  # the arm has no inertia to compare with
-    missing = int((window.levels < _TELLS).sum())
+        return  # the arm has no inertia to compare with
+    least = (
+        0.1  # of the prior's information: less makes nothing more certain by even 5 %
+    )
+    missing = int((window.levels < least).sum())
     if not missing:
         return
+    visible = len(window.levels)
     lacking = tuple(j for j in log.joints if j in window.joints)
     resting = log.names(np.flatnonzero(still))
     names = lacking or resting or log.joints
-    visible = len(window.levels)
     weakest = ", ".join(window.weak[0].parameters) if window.weak else "all"
     detail = (
         f"{missing} of {visible} directions of the parameters that such an arm can show "
-        f"in this time get less than {_TELLS:g} of the information that the given model already "
+        f"in this time get less than {least:g} of the information that the given model already "
         f"has, the weakest {window.level:.2g} ({weakest}); move {', '.join(names)}"
     )
     evidence = {

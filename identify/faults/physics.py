@@ -1,21 +1,16 @@
-"""Rate, units and signs: velocity against position, and torque against the physics of the arm.
+"""Units, order, signs and rate: torque against the physics of the arm.
 
-Without any model: over windows, ∫ q̇ dt must be Δq. The slope b of one against the other is 1; it is
-−1 where a sign is flipped, 180/π or 30/π where the velocity is in degrees or revolutions per
-minute, and c for all joints at once where the time runs c times too fast.
-
-With a model, a hypothesis ("positions in degrees", "joint 3 counted the other way", "time twice too
-slow") is named when it explains the torque better than the log as it stands: a likelihood ratio
-beyond chance in independent rows, at least one joint's squared error halved, and no joint's larger
-beyond chance. Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time runs c times too
-slow. All parameters are free, so nothing depends on the masses given, and filters are set in parts
-of the motion's own bandwidth, so that they mean the same whatever the unit of time.
+A hypothesis ("positions in degrees", "joint 3 counted the other way", "time twice too slow") is
+named when it explains the torque better than the log as it stands: a likelihood ratio beyond chance
+in independent rows, at least one joint's squared error halved, and no joint's larger beyond chance.
+Y(q, q̇, q̈) = G(q) + D(q, q̇, q̈), and D scales with 1/c² when the time runs c times too slow. All
+parameters are free, so nothing depends on the masses given, and filters are set in parts of the
+motion's own bandwidth, so that they mean the same whatever the unit of time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -24,6 +19,7 @@ import scipy
 
 from excitant.identify.drive_gains import gain_doubt, without_effects
 from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bound
+from excitant.identify.faults.velocity import RATES, slow_clock
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import Index
@@ -32,179 +28,15 @@ from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
-_WINDOW_S = 0.2
-_WINDOW_ROWS = 8
-_ENOUGH = 8  # windows in which the joint moves
-_CLEAR = 20.0  # resolutions: what counts as moving
-_FOLLOWS = 0.9  # correlation from which on one channel is the other's integral
-# a scale that is off by less changes inertial torque by less than a tenth
-_MARGIN = 0.05
-_UNIT_NEAR = 0.03  # of a named factor
-_FALLS = 0.1  # of what one rate leaves, two leave at most
-_UNITS = {
-    180 / np.pi: ("dq", ": dq is in degrees per second"),
-    30 / np.pi: ("dq", ": dq is in revolutions per minute"),
-    1 / (2 * np.pi): ("dq", ": dq is in revolutions per second"),
-    np.pi / 180: ("q", ", as with q in degrees and dq in rad/s"),
-    2 * np.pi: ("q", ", as with q in turns and dq in rad/s"),
-}
-"""Slopes of ∫q̇ dt against Δq that a unit explains, the channel in that unit, and words."""
-_RATES = (0.5, 2.0, 0.25, 4.0, 1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
-"""Factors by which a clock may be off for a reason."""
+BODY_STD = 0.3  # relative std assumed for nominal inertias
+MODEL_ERROR = 0.05  # of a torque's rms: errors of the model that count as noise
+HALVED = 0.5  # of a squared error: what a hypothesis must bring it below
 _BAND = 8.0  # bandwidth kept, in parts of the motion's rms frequency
-_OVERSAMPLED = 8  # rows per period of the cut-off
-_ROWS = 1200  # at most
-_NYQUIST = 0.2  # of the sampling rate: highest cut-off
-_RANK = 1e-10
-HALVED = 0.5
-_BROAD = np.geomspace(1e-3, 1e3, 25)  # time factors tried first
-_NEAR = 0.05  # of a clear factor
-_BY_CHANCE = 0.05  # probability of what most joints show by chance
+_RANK_TOLERANCE = 1e-10  # of the largest eigenvalue or singular value
 _EXPLAINED = 0.5  # of the torque's variance: the model is worth listening to
-# a part of the torque that is to have a sign exceeds the error by so much
-_SIGNAL = 3.0
-_OFF = 0.3  # of given bodies
-_SURE = 2.0  # standard deviations
-_FAR = 10.0  # times its limit: no drive does that, whatever its limit is to mean
+_FAR = 10.0  # times its limit: no drive does that, whatever the limit means
 _TORQUE_UNITS = {100.0: "N·cm", 1000.0: "N·mm", 1e6: "µN·m"}
-_WITHIN = 3.0  # times the limit, after a repair
-_FEW = 4  # orders, the likeliest by the given bodies, that are looked at closely
-_CLEARLY = 0.1  # squares per independent row, errors of the model counted: less needs no search
-FITS = 0.25  # squares per independent row: less needs no other order
-MODEL_ERROR = 0.05  # of a torque
-_NO_TORQUE = 1e-12  # N·m: bodies that need no more need none
-_BEYOND = 1.2 * 2 * np.pi  # rad: more than joints turn to one side
-_REACHES = 1.1  # of the position limits: what a joint reaches
-_IMPOSSIBLE = 3.0  # what it never does
-
-
-def velocity_faults(log: Log) -> list[Fault]:
-    """Faults that show in the velocity against the position."""
-    b, error, follows = _slopes(log)
-    bound = normal_bound(log.nv)
-    wrong = [j for j in follows if abs(b[j] - 1) > max(_MARGIN, bound * error[j])]
-    # the factor that all moving joints share, when more than one moves
-    common = (
-        float(np.median(b[follows])) if len(follows) > 1 and wrong == follows else None
-    )
-    if common is not None and (np.abs(b[follows] / common - 1) >= _MARGIN).any():
-        common = None
-    if len(log) > 3 and (np.diff(log.t) == 1.0).all():
-        detail = (
-            "every time step is exactly 1, so t counts samples "
-            f"({log.t[0]:g} to {log.t[-1]:g})"
-        )
-        if common is None or common <= 0:
-            return [Fault("wrong_sample_rate", log.joints, detail, {"step": 1.0})]
-        detail += f"; q and dq agree at a step of {1 / common:.4g} s ({common:.4g} Hz)"
-        return [_slower(log, common, detail, step=1.0)]
-    if wrong and (change := _rate_change(log)) is not None:
-        return [change]
-    if common is None or common <= 0 or _named(common) is not None:
-        return [_of_joint(log, j, float(b[j]), float(error[j])) for j in wrong]
-    factor = next((c for c in _RATES if abs(common / c - 1) < _UNIT_NEAR), common)
-    detail = (
-        f"the time runs {common:.4g} times too {'slow' if common > 1 else 'fast'} for the motion: "
-        f"∫dq dt is {common:.4g} ± {np.nanmedian(error):.2g} times the change of q at all "
-        f"{len(follows)} moving joints; the median step is {log.step:.4g} s, "
-        f"{log.step / factor:.4g} s would fit"
-    )
-    return [_slower(log, factor, detail, factor=common, slopes=b, errors=error)]
-
-
-def _windows(log: Log, dq: Array) -> tuple[int, Array, Array]:
-    """Rows of a window, Δq and ∫q̇ dt over windows, each of shape (windows, nv)."""
-    w = min(max(_WINDOW_ROWS, round(_WINDOW_S / log.step)), len(log) // 20)
-    steps = np.diff(log.t)[:, None] * (dq[1:] + dq[:-1]) / 2
-    way = np.concatenate([np.zeros((1, dq.shape[1])), steps.cumsum(axis=0)])
-    return w, np.diff(log.q[::w], axis=0), np.diff(way[::w], axis=0)
-
-
-def _slopes(log: Log) -> tuple[Array, Array, list[int]]:
-    """Slopes of ∫q̇ dt on Δq (NaN without motion), their standard errors, joints in proportion."""
-    b, error = np.full((2, log.nv), np.nan)
-    follows: list[int] = []
-    if log.dq is None or len(log) < 5 * _WINDOW_ROWS:
-        return b, error, follows
-    _, dq, dv = _windows(log, log.dq)
-    for j, (x, y) in enumerate(zip(dq.T, dv.T, strict=True)):
-        clear = np.abs(x) > _CLEAR * log.grain[j]
-        if clear.sum() < _ENOUGH or np.ptp(y) == 0:
-            continue
-        b[j] = x @ y / (x @ x)
-        error[j] = np.sqrt(((y - b[j] * x) ** 2 * x**2).sum()) / (x @ x)
-        if abs(x @ y) > _FOLLOWS * np.sqrt((x @ x) * (y @ y)):
-            follows.append(j)
-    return b, error, follows
-
-
-def _rate_change(log: Log) -> Fault | None:
-    """A rate that changes once, all joints alike, while the stamps run on as before."""
-    w, x, y = _windows(log, np.asarray(log.dq))
-    unit = np.maximum(np.abs(x).max(axis=0), 1e-12)
-    x = x / unit
-    y = y / unit
-    xx, xy, yy = ((a * b).sum(axis=1).cumsum() for a, b in ((x, x), (x, y), (y, y)))
-    k = np.arange(_ENOUGH, len(x) - _ENOUGH)
-    if not len(k) or (xx[k] <= 0).any() or (xx[-1] - xx[k] <= 0).any():
-        return None
-    first = xy[k] / xx[k]
-    second = (xy[-1] - xy[k]) / (xx[-1] - xx[k])
-    left = yy[-1] - first * xy[k] - second * (xy[-1] - xy[k])
-    best = int(np.argmin(left))
-    before = float(first[best])
-    after = float(second[best])
-    clear = left[best] <= _FALLS * (yy[-1] - xy[-1] ** 2 / xx[-1])
-    if not clear or not any(abs(after / before / r - 1) < _MARGIN for r in _RATES):
-        return None
-    at = float(log.t[(int(k[best]) + 1) * w])
-    detail = (
-        f"the sample rate changes near t = {at:.4g} s though the stamps run on: ∫dq dt is "
-        f"{before:.4g} times the change of q before and {after:.4g} times after, at all moving "
-        f"joints alike; cut the recording there and stretch the time of one part"
-    )
-    evidence = {"at": at, "before": before, "after": after}
-    return Fault("wrong_sample_rate", log.joints, detail, evidence)
-
-
-def _named(slope: float) -> float | None:
-    return next(
-        (factor for factor in _UNITS if abs(abs(slope) / factor - 1) < _UNIT_NEAR), None
-    )
-
-
-def _slower(log: Log, factor: float, detail: str, /, **evidence: object) -> Fault:
-    """The fault of a clock that runs so many times too slow."""
-    done = f"divides the time by {factor:.5g}"
-    remedy = Remedy("scale", "t", factor=1 / factor)
-    known = {"factor": factor, **evidence}
-    return Fault("wrong_sample_rate", log.joints, detail, known, done, (remedy,))
-
-
-def _of_joint(log: Log, j: int, b: float, error: float) -> Fault:
-    joint = log.joints[j]
-    unit = _named(b)
-    sign = float(np.sign(b))
-    fault = "wrong_unit"
-    flipped = ", and its sign is flipped" if b < 0 else ""
-    channel, what = (
-        _UNITS[unit] if unit else ("dq", ": no unit that is known, a scale is wrong")
-    )
-    factor = unit or abs(b)
-    repair = f"divides dq of {joint} by {sign * (unit or abs(b)):.6g}"
-    remedy = Remedy("scale", channel, (j,), factor=sign / factor)
-    if abs(b + 1) <= _MARGIN:
-        fault = "wrong_sign"
-        what = ": dq has the opposite sign of q"
-        flipped = ""
-        repair = f"negates dq of {joint}"
-        remedy = replace(remedy, factor=-1.0)
-    elif channel == "q":
-        repair = f"multiplies q of {joint} by {factor:.6g}"
-        remedy = replace(remedy, factor=sign * factor)
-    detail = f"∫dq dt of {joint} is {b:.4g} ± {error:.2g} times the change of its q{what}{flipped}"
-    evidence = {"channel": channel, "slope": b, "error": error}
-    return Fault(fault, (joint,), detail, evidence, repair, (remedy,))
+_BROAD = np.geomspace(1e-3, 1e3, 25)  # time factors tried first
 
 
 class Smooth(NamedTuple):
@@ -230,28 +62,35 @@ def smooth(log: Log) -> Smooth | None:
         speed = np.sqrt((log.travel[:, moved] ** 2).mean(axis=0)) / log.step
         frequency = float((speed / span[moved]).max() / (2 * np.pi))
     least = 2 * _BAND / (grid[-1] - grid[0])
-    cutoff = min(max(_BAND * frequency, least), _NYQUIST * rate)
-    q, tau = (
-        low_pass(
-            np.column_stack([np.interp(grid, log.t, c) for c in x.T]), cutoff, rate
-        )
-        for x in (log.q, log.tau)
-    )
-    spline = scipy.interpolate.make_interp_spline(grid, q, k=5)
-    stride = max(1, int(rate / (_OVERSAMPLED * cutoff)), len(grid) // _ROWS)
+    cutoff = min(max(_BAND * frequency, least), 0.2 * rate)
+
+    def filtered(x: Array) -> Array:
+        even = np.column_stack([np.interp(grid, log.t, column) for column in x.T])
+        return low_pass(even, cutoff, rate)
+
+    spline = scipy.interpolate.make_interp_spline(grid, filtered(log.q), k=5)
+    # eight rows per period of the cut-off, and at most some 1200 in all
+    stride = max(1, int(rate / (8 * cutoff)), len(grid) // 1200)
     at = grid[::stride]
-    motion = Motion(at, spline(at), spline.derivative(1)(at), spline.derivative(2)(at))
-    dry = low_pass(np.sign(spline.derivative(1)(grid)), cutoff, rate)[::stride]
-    return Smooth(motion, dry, tau[::stride], cutoff, rate / stride)
+    speed = spline.derivative(1)
+    motion = Motion(at, spline(at), speed(at), spline.derivative(2)(at))
+    dry = low_pass(np.sign(speed(grid)), cutoff, rate)[::stride]
+    tau = filtered(log.tau)[::stride]
+    return Smooth(motion, dry, tau, cutoff, rate / stride)
 
 
 class TorqueFit:
     """Least squares of a log's filtered torque on everything that is free, by normal equations.
 
-    Columns of the links at rest G and what motion adds D, (N, nv, 10 nv), of each joint's own
-    effects F, (N, nv, 4). ``factor`` multiplies positions. Where currents were recorded, columns of
-    the links are in ampere, by the drive gains that suit the given bodies best, whose relative
-    uncertainty is ``loose``, (nv,).
+    Attributes:
+        G: Columns of the links at rest, shape (N, nv, 10 nv).
+        D: What motion adds to them, likewise.
+        F: Columns of each joint's own effects, shape (N, nv, 4).
+        tau: Torque, shape (N, nv).
+        loose: Where currents were recorded, columns of the links are in ampere, by the drive gains
+            that suit the nominal bodies best; their relative standard deviation, shape (nv,).
+        size: Mean square of each torque, shape (nv,).
+        sigma: Noise of each of ``joints`` when fitted alone.
     """
 
     def __init__(
@@ -262,46 +101,61 @@ class TorqueFit:
         joints: list[int],
         factor: Array | float = 1.0,
     ) -> None:
-        q, dq, ddq = (
-            x * factor for x in (data.motion.q, data.motion.dq, data.motion.ddq)
-        )
-        still = np.zeros_like(q)
-        G = regressor(robot, Motion(data.motion.t, q, still, still))
-        D = regressor(robot, Motion(data.motion.t, q, dq, ddq)) - G
-        dry = data.dry * np.sign(factor)
-        F = np.stack([dq, dry, ddq, np.ones_like(q)], axis=2)
+        """Normal equations of the ``joints`` whose torque counts; factor multiplies positions."""
         self.robot = robot
         self.log = log
         self.data = data
         self.joints = joints
-        self.G, self.D, self.F, self.tau = map(self.filtered, (G, D, F, data.tau))
+        motion = data.motion
+        q = motion.q * factor
+        dq = motion.dq * factor
+        ddq = motion.ddq * factor
+        still = np.zeros_like(q)
+        G = regressor(robot, Motion(motion.t, q, still, still))
+        D = regressor(robot, Motion(motion.t, q, dq, ddq)) - G
+        dry = data.dry * np.sign(factor)
+        F = np.stack([dq, dry, ddq, np.ones_like(q)], axis=2)
+        self.G = self.filtered(G)
+        self.D = self.filtered(D)
+        self.F = self.filtered(F)
+        self.tau = self.filtered(data.tau)
         self.loose: Array = np.zeros(robot.nv)
         if log.unit != "N·m":
             per, self.loose = self._readings_per_torque()
             self.G = per[:, None] * self.G
             self.D = per[:, None] * self.D
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
-        self.freedom = p = 14 * robot.nv
-        self._A = tuple(np.zeros((len(joints), p, p)) for _ in range(3))
-        self._b = tuple(np.zeros((len(joints), p)) for _ in range(2))
-        for k, j in enumerate(joints):
-            links, effects = self._own(j)
-            own = np.append(links, effects)
-            m = len(links) + 4
-            X = np.column_stack(
-                [self.G[:, j, links], self.F[:, j], self.D[:, j, links]]
-            )
-            C = X.T @ X
-            c = X.T @ self.tau[:, j]
-            self._A[0][k][np.ix_(own, own)] = C[:m, :m]
-            self._A[1][k][np.ix_(own, links)] = C[:m, m:]
-            self._A[1][k] += self._A[1][k].T
-            self._A[2][k][np.ix_(links, links)] = C[m:, m:]
-            self._b[0][k, own] = c[:m]
-            self._b[1][k, links] = c[m:]
+        self._A, self._b = self._normal_equations()
         A = np.sum(self._A, axis=0)
         b = np.sum(self._b, axis=0)
-        self.sigma = np.sqrt(self._left(A, b, np.array(list(map(_solve, A, b)))))
+        alone = np.array(list(map(_solve, A, b)))
+        self.sigma = np.sqrt(self._left(A, b, alone))
+
+    @property
+    def freedom(self) -> int:
+        """Number of parameters."""
+        return 14 * self.robot.nv
+
+    def _normal_equations(self) -> tuple[Array, Array]:
+        """A and b of each joint, as polynomials in the factor of D, (3, n, p, p) and (2, n, p)."""
+        p = self.freedom
+        A = np.zeros((3, len(self.joints), p, p))
+        b = np.zeros((2, len(self.joints), p))
+        for k, j in enumerate(self.joints):
+            links, effects = self._own(j)
+            own = np.append(links, effects)
+            m = len(own)
+            parts = [self.G[:, j, links], self.F[:, j], self.D[:, j, links]]
+            X = np.column_stack(parts)
+            C = X.T @ X
+            c = X.T @ self.tau[:, j]
+            A[0, k][np.ix_(own, own)] = C[:m, :m]
+            A[1, k][np.ix_(own, links)] = C[:m, m:]
+            A[1, k] += A[1, k].T
+            A[2, k][np.ix_(links, links)] = C[m:, m:]
+            b[0, k, own] = c[:m]
+            b[1, k, links] = c[m:]
+        return A, b
 
     def _own(self, j: int) -> tuple[Index, Index]:
         """Parameters on which a joint's torque depends: of no link before it, its own effects."""
@@ -353,27 +207,25 @@ class TorqueFit:
         return rows
 
     def _readings_per_torque(self) -> tuple[Array, Array]:
-        """Current that a joint of the given bodies needs per torque, its relative std, (nv,)."""
+        """Current that a joint of the nominal bodies needs per torque, its relative std, (nv,)."""
         robot = self.robot
         columns = self.G + self.D
-        found = np.ones(robot.nv)
+        per = np.ones(robot.nv)
         loose = np.zeros(robot.nv)
-        near = (
-            spread(robot)
-            if (robot.phi[::10] > 0).all()
-            else np.zeros((len(robot.phi), 1))
-        )
+        massive = (robot.phi[::10] > 0).all()
+        near = spread(robot) if massive else np.zeros((len(robot.phi), 1))
         for j in self.joints:
-            Y, read = without_effects(self.F[:, j], columns[:, j], self.tau[:, j])
+            Y, current = without_effects(self.F[:, j], columns[:, j], self.tau[:, j])
             model = Y @ robot.phi
-            squares = max(float(model @ model), len(model) * _NO_TORQUE**2)
-            gain = float(model @ read) / squares
-            error = read - gain * model
+            least = 1e-12  # N·m: bodies that need no more need none
+            squares = max(float(model @ model), len(model) * least**2)
+            gain = float(model @ current) / squares
+            error = current - gain * model
             noise = float(error @ error) / len(error) * autocorrelation_time(error)
-            found[j] = max(abs(gain), 1e-300)
-            by_noise = np.sqrt(noise / squares) / found[j]
+            per[j] = max(abs(gain), 1e-300)
+            by_noise = np.sqrt(noise / squares) / per[j]
             loose[j] = np.hypot(by_noise, gain_doubt(Y, robot.phi, near))
-        return found, loose
+        return per, loose
 
     def gain(self, power: Array) -> float:
         """Twice the log-likelihood ratio of another reading against the log as it stands."""
@@ -390,51 +242,53 @@ class TorqueFit:
         return self.gain(power) > bound and bool(ratio.min() < HALVED and not worse)
 
     def surprise(self, noise: Array, rows: Array, S: Array) -> tuple[float, float]:
-        """Squares that bodies near the given ones φ̄ leave, and −2 log of the evidence for them.
+        """Squares that bodies near the nominal ones φ̄ leave, and −2 log of the evidence for them.
 
-        Noise is a mean square of each joint, shape (nv,), in so many independent rows; a twentieth
-        of the torque comes to it. Bodies are φ̄ + S z, z of unit variance, S (10 nv, 10 nv), gains
-        of drives are off by what is not known of them, and each joint's own effects free, but that
-        friction brakes.
+        Bodies are φ̄ + S z, z of unit variance; gains of drives are off by what is not known of
+        them; each joint's own effects are free, but that friction brakes.
+
+        Args:
+            noise: Mean square of each joint's noise, shape (nv,); `MODEL_ERROR` comes to it.
+            rows: Independent rows that it has, shape (nv,).
+            S: Root of the covariance of the bodies, shape (10 nv, 10 nv).
         """
-        weight = (rows / len(self.tau) / (noise + MODEL_ERROR**2 * self.size))[
-            self.joints
-        ]
+        links = len(self.robot.phi)
+        bodies = self.robot.phi
+        noise = noise + MODEL_ERROR**2 * self.size
+        weight = (rows / len(self.tau) / noise)[self.joints]
         A = np.sum(self._A, axis=0)
         b = np.sum(self._b, axis=0)
-        y = self.size * len(self.tau)
-        bodies = self.robot.phi
-        links = len(self.robot.phi)
         # a gain that is off by N(0, loose²) is projected out of each joint's columns
         v = A[:, :, :links] @ bodies
         t = b[:, :links] @ bodies
         loose = self.loose[self.joints]
-        told = weight * (v[:, :links] @ bodies) * loose**2
-        share = (weight * loose**2 / (1 + told))[:, None]
-        A = A - share[:, :, None] * v[:, :, None] * v[:, None, :]
-        b = b - share * t[:, None] * v
-        y = y[self.joints] - share[:, 0] * t**2
+        information = weight * (v[:, :links] @ bodies) * loose**2
+        share = weight * loose**2 / (1 + information)
+        A = A - share[:, None, None] * v[:, :, None] * v[:, None, :]
+        b = b - (share * t)[:, None] * v
+        y = (self.size * len(self.tau))[self.joints] - share * t**2
         G = np.tensordot(weight, A, 1)
         h = weight @ b
-        whole = h
-        h = h - G[:, :links] @ bodies
+        # own effects are eliminated: x = alone @ (h - G φ), and the bodies' share
+        beyond = h - G[:, :links] @ bodies
+        own = slice(links, None)
         effects = np.eye(len(h) - links)
-        own = _solve(
-            G[links:, links:], np.column_stack([effects, G[links:, :links], h[links:]])
-        )
-        alone = own[:, : len(effects)]
-        per_body = own[:, len(effects) : -1]
-        own = own[:, -1]
-        H = S.T @ (G[:links, :links] - G[:links, links:] @ per_body) @ S + np.eye(links)
-        z = np.linalg.solve(H, S.T @ (h[:links] - G[:links, links:] @ own))
-        x = np.concatenate([bodies + S @ z, own - per_body @ (S @ z)])
-        left = max(
-            float(weight @ y - (2 * whole - G @ x) @ x), 1e-10 * float(weight @ y)
-        )
-        unsure = alone + (M := per_body @ S) @ np.linalg.solve(H, M.T)
-        squares = left + float(z @ z) + self._driving(x[links:], unsure)
-        occam = float(np.linalg.slogdet(H)[1] + np.log1p(told).sum())
-        return squares, squares + occam
+        right = np.column_stack([effects, G[own, :links], beyond[own]])
+        solved = _solve(G[own, own], right)
+        alone = solved[:, : len(effects)]
+        per_body = solved[:, len(effects) : -1]
+        nominal = solved[:, -1]
+        schur = G[:links, :links] - G[:links, own] @ per_body
+        H = S.T @ schur @ S + np.eye(links)
+        z = np.linalg.solve(H, S.T @ (beyond[:links] - G[:links, own] @ nominal))
+        x = np.concatenate([bodies + S @ z, nominal - per_body @ (S @ z)])
+        squares = float(weight @ y)
+        left = max(squares - float((2 * h - G @ x) @ x), 1e-10 * squares)
+        M = per_body @ S
+        covariance = alone + M @ np.linalg.solve(H, M.T)
+        total = left + float(z @ z) + self._driving(x[own], covariance)
+        occam = float(np.linalg.slogdet(H)[1] + np.log1p(information).sum())
+        return total, total + occam
 
     def _driving(self, own: Array, covariance: Array) -> float:
         """Squared standard errors by which joints' own effects have friction that drives them."""
@@ -462,90 +316,88 @@ def torque_fit(
     robot: Robot, log: Log, data: Smooth, dead: set[str]
 ) -> TorqueFit | None:
     """The fit of a log's torque; None when no joint's torque can be used."""
-    alive = [
-        j
-        for j in range(robot.nv)
-        if log.joints[j] not in dead and np.ptp(data.tau[:, j]) > 0
-    ]
+    moved = np.ptp(data.tau, axis=0) > 0
+    alive = [j for j in range(robot.nv) if log.joints[j] not in dead and moved[j]]
     case = TorqueFit(robot, log, data, alive) if alive else None
     return case if case and len(case.tau) >= 60 else None
 
 
 def unlike(robot: Robot, data: Smooth) -> Array:
-    """Share of each torque of a log that the given bodies and own effects leave, (nv,).
+    """Share of each torque of a log that the nominal bodies and own effects leave, (nv,).
 
     The bodies' torque counts up to a factor of each joint.
     """
     model = rigid_body_torque(robot, data.motion)
     motion = data.motion
     F = np.stack([motion.dq, data.dry, motion.ddq, np.ones_like(motion.q)], axis=2)
-    shares = []
+    squares = []
     for j in range(robot.nv):
-        wanted, read = without_effects(F[:, j], model[:, j], data.tau[:, j])
-        factor = max(float(wanted @ read), 0.0) / max(float(wanted @ wanted), 1e-300)
-        shares.append(float(((read - factor * wanted) ** 2).sum()))
-    whole = (data.tau**2).sum(axis=0)
-    return np.asarray(
-        np.maximum(shares / np.maximum(whole, 1e-300), MODEL_ERROR**2), float
-    )
+        wanted, measured = without_effects(F[:, j], model[:, j], data.tau[:, j])
+        along = max(float(wanted @ measured), 0.0)
+        factor = along / max(float(wanted @ wanted), 1e-300)
+        squares.append(float(((measured - factor * wanted) ** 2).sum()))
+    whole = np.maximum((data.tau**2).sum(axis=0), 1e-300)
+    return np.asarray(np.maximum(squares / whole, MODEL_ERROR**2), float)
 
 
 def scaled_least_squares(W: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Columns scaled to a mean square of 1, their coefficients, and what is left of y."""
+    """Columns scaled to a mean square of 1, their coefficients, and the residual of y."""
     size = np.sqrt((W**2).mean(axis=0))
     W = W / np.where(size > 0, size, 1.0)
-    x = np.asarray(np.linalg.lstsq(W, y, rcond=_RANK)[0], float)
+    x = np.asarray(np.linalg.lstsq(W, y, rcond=_RANK_TOLERANCE)[0], float)
     return W, x, y - W @ x
 
 
 def fits(case: TorqueFit, S: Array) -> bool:
-    """Whether bodies near the given ones explain the torque so well that nothing is off."""
-    return case.surprise(0 * case.power, case.rows, S)[0] < _CLEARLY * float(
-        case.rows.sum()
-    )
+    """Whether bodies near the nominal ones explain the torque so well that nothing is off.
+
+    They leave less than a tenth of a square per independent row, errors of the model counted.
+    """
+    squares, _ = case.surprise(0 * case.power, case.rows, S)
+    return squares < 0.1 * float(case.rows.sum())
 
 
 def _solve(A: Array, b: Array) -> Array:
+    """Solution of least norm of A x = b, A positive semidefinite, in scaled unknowns."""
     d = np.sqrt(np.maximum(np.diag(A), 0.0))  # rounding leaves some below zero
     d = np.where(d > 0, d, 1.0)
     values, V = np.linalg.eigh(A / np.outer(d, d))
-    kept = values > _RANK * max(float(values[-1]), 1e-300)
-    V = V[:, kept] / d[:, None]
-    return np.asarray(V @ ((V.T @ b).T / values[kept]).T, float)
+    determined = values > _RANK_TOLERANCE * max(float(values[-1]), 1e-300)
+    V = V[:, determined] / d[:, None]
+    return np.asarray(V @ ((V.T @ b).T / values[determined]).T, float)
 
 
 def degrees(case: TorqueFit) -> Iterator[Fault]:
     """Positions in degrees, of all joints or of those beyond a turn."""
     log = case.log
-    largest = np.abs(case.log.q).max(axis=0)
+    largest = np.abs(log.q).max(axis=0)
     turning = np.asarray(case.robot.revolute)
-    beyond = turning & (largest > _BEYOND)
+    beyond = turning & (largest > 1.2 * 2 * np.pi)  # more than joints turn to one side
     if not beyond.any():
         return
-    tried = []
+    readings = []
     for mask in [turning] if beyond.all() else [turning, beyond]:
         factor = np.where(mask, np.pi / 180, 1.0)
         power = TorqueFit(case.robot, log, case.data, case.joints, factor).power
-        tried.append((case.gain(power), np.flatnonzero(mask), power))
-    gain, joints, power = max(tried, key=lambda reading: reading[0])
-    widest = int(np.argmax(largest))
+        readings.append((case.gain(power), np.flatnonzero(mask), power))
+    gain, joints, power = max(readings, key=lambda reading: reading[0])
     reach = np.abs(case.robot.limits.position).max(axis=1)[joints]
-    within = (largest[joints] * np.pi / 180 < _REACHES * reach).all()
-    impossible = within and (largest[joints] > _IMPOSSIBLE * reach).any()
-    if not case.better(power, len(tried)) and not (impossible and gain > 0):
+    within = (largest[joints] * np.pi / 180 < 1.1 * reach).all()
+    impossible = within and (largest[joints] > 3.0 * reach).any()
+    if not case.better(power, len(readings)) and not (impossible and gain > 0):
         return
+    widest = int(np.argmax(largest))
     detail = (
         f"q is in degrees: it reaches {largest[widest]:.4g} at {log.joints[widest]}, and read in "
         f"degrees {case.compared(power)}"
     )
     done = "multiplies q and dq, which agrees with it, by π/180"
-    remedies = [
+    scaled = [
         Remedy("scale", name, tuple(joints), factor=np.pi / 180) for name in ("q", "dq")
     ]
     evidence = {"channel": "q", "gain": gain, "largest": largest}
-    yield Fault(
-        "wrong_unit", log.names(joints), detail, evidence, done, tuple(remedies)
-    )
+    names = log.names(joints)
+    yield Fault("wrong_unit", names, detail, evidence, done, tuple(scaled))
 
 
 def torque_unit(case: TorqueFit) -> Iterator[Fault]:
@@ -556,25 +408,21 @@ def torque_unit(case: TorqueFit) -> Iterator[Fault]:
         return
     limit = case.robot.limits.torque[joints]
     peak = np.abs(log.tau[:, joints]).max(axis=0)
-    known = np.isfinite(limit)
-    if known.any():
-        sizes = (peak / limit)[known]
+    limited = np.isfinite(limit)
+    if limited.any():
         what = "the torque limit"
-        far = np.median(sizes) > _FAR
+        sizes = (peak / limit)[limited]
+        far = _FAR
     else:
-        model = (case.G + case.D) @ case.robot.phi
-        doubt = _doubt(case)
-        signs = [(_signs(case, model[:, j], j), doubt[j]) for j in joints]
-        clear = [s[0] for s, u in signs if s[1] > 0 and s[3] > _EXPLAINED and u < _OFF]
-        sizes = np.array(clear)
         what = "the torque of the given model"
-        far = len(sizes) > 0 and np.median(sizes) > _FAR**1.5
-    if not far:
+        sizes = np.array(_clear_gains(case))
+        far = _FAR**1.5
+    if not len(sizes) or np.median(sizes) <= far:
         return
     typical = float(np.median(sizes))
-    factor = next(
-        (f for f in _TORQUE_UNITS if typical / f < _WITHIN), max(_TORQUE_UNITS)
-    )
+    # after the repair torques stay below three times what they should be
+    enough = (size for size in _TORQUE_UNITS if typical / size < 3.0)
+    factor = next(enough, max(_TORQUE_UNITS))
     unit = _TORQUE_UNITS[factor]
     detail = f"tau is {typical:.3g} times {what} (median over joints), as in {unit}"
     remedy = Remedy("scale", "tau", tuple(range(log.nv)), factor=1 / factor)
@@ -583,98 +431,115 @@ def torque_unit(case: TorqueFit) -> Iterator[Fault]:
     yield Fault("wrong_unit", log.joints, detail, evidence, done, (remedy,))
 
 
+def _clear_gains(case: TorqueFit) -> list[float]:
+    """Positive gains of joints on the model that explain their torque and are hardly in doubt."""
+    model = (case.G + case.D) @ case.robot.phi
+    doubt = _gain_std(case)
+    votes = [(_signs(case, model[:, j], j), doubt[j]) for j in case.joints]
+    return [
+        vote.gain
+        for vote, std in votes
+        if vote.gain_z > 0 and vote.explained > _EXPLAINED and std < BODY_STD
+    ]
+
+
+class _Order(NamedTuple):
+    """Another order of the joints: joint j is the one recorded as ``joints[j]``."""
+
+    unlike: (
+        float  # log of the torque's share that the nominal bodies leave, over all rows
+    )
+    joints: list[int]
+    channels: tuple[str, ...]
+    data: Smooth
+
+
+def _orders(case: TorqueFit) -> list[_Order]:
+    """Two joints exchanged, all shifted, reversed or by name: of all columns, or of torque."""
+    n = case.robot.nv
+    same = list(range(n))
+    orders = {tuple(same[::-1]), (*same[1:], 0), (n - 1, *same[:-1])}
+    orders.add(tuple(np.argsort(np.argsort(case.log.joints)).tolist()))
+    for i in same:
+        for k in same[:i]:
+            swap = same.copy()
+            swap[i], swap[k] = k, i
+            orders.add(tuple(swap))
+    data = case.data
+    tried = []
+    for order in sorted(orders - {tuple(same)}):
+        at = list(order)
+        columns = (getattr(data.motion, name)[:, at] for name in ("q", "dq", "ddq"))
+        motion = Motion(data.motion.t, *columns)
+        moved = data._replace(motion=motion, dry=data.dry[:, at])
+        for channels, whole in ((("q", "dq", "tau"), moved), (("tau",), data)):
+            other = whole._replace(tau=data.tau[:, at])
+            left = float(case.rows[at] @ np.log(unlike(case.robot, other)))
+            tried.append(_Order(left, at, channels, other))
+    return tried
+
+
 def order(case: TorqueFit) -> Iterator[Fault]:
     """Columns of joints in another order: two exchanged, all shifted, reversed or by name."""
     log = case.log
     n = case.robot.nv
     if not len(case.joints) == n > 1 or (case.robot.phi[::10] <= 0).any():
         return
-    same = list(range(n))
-    orders = {tuple(same[::-1]), (*same[1:], 0), (n - 1, *same[:-1])}
-    orders.add(tuple(np.argsort(np.argsort(log.joints)).tolist()))
-    for i in same:
-        for k in same[:i]:
-            swap = same.copy()
-            swap[i], swap[k] = k, i
-            orders.add(tuple(swap))
-    known = spread(case.robot)
-    data = case.data
-    if fits(case, known):
+    S = spread(case.robot)
+    if fits(case, S):
         return
-    tried = list[tuple[float, list[int], tuple[str, ...], Smooth]]()
-    found = []
-    for order in sorted(orders - {tuple(same)}):
-        at = list(order)
-        columns = (getattr(data.motion, name)[:, at] for name in ("q", "dq", "ddq"))
-        moved = data._replace(
-            motion=Motion(data.motion.t, *columns), dry=data.dry[:, at]
-        )
-        every: tuple[str, ...] = ("q", "dq", "tau")
-        for channels, whole in ((every, moved), (every[2:], data)):
-            other = whole._replace(tau=data.tau[:, at])
-            left = float(case.rows[at] @ np.log(unlike(case.robot, other)))
-            tried.append((left, at, channels, other))
-    for _, at, channels, other in sorted(tried, key=lambda each: each[0])[:_FEW]:
-        fit = TorqueFit(case.robot, log, other, case.joints)
-        noise = np.minimum(
-            case.power[at], fit.power
-        )  # joint j is the one recorded as at[j]
-        left = fit.surprise(noise, case.rows[at], known)[0]
-        back = np.argsort(at)
-        found.append(
-            (case.surprise(noise[back], case.rows, known)[0], left, at, channels)
-        )
-    as_it_stands, left, at, channels = max(
-        found, key=lambda each: each[0] / max(each[1], 1e-9)
-    )
+    tried = _orders(case)
+    judged = []
+    for other in sorted(tried, key=lambda order: order.unlike)[:4]:
+        at = other.joints
+        fit = TorqueFit(case.robot, log, other.data, case.joints)
+        noise = np.minimum(case.power[at], fit.power)
+        left, _ = fit.surprise(noise, case.rows[at], S)
+        before, _ = case.surprise(noise[np.argsort(at)], case.rows, S)
+        judged.append((before, left, other))
+    before, left, best = max(judged, key=lambda some: some[0] / max(some[1], 1e-9))
     bound = float(scipy.special.chdtri(n, ALARM / len(tried)))
-    dispersion = max(
-        1.0, left / float(case.rows.sum())
-    )  # errors of the model count as noise
-    if as_it_stands - left < bound * dispersion or left > HALVED * as_it_stands:
+    rows = float(case.rows.sum())
+    dispersion = max(1.0, left / rows)  # errors of the model count as noise
+    if before - left < bound * dispersion or left > HALVED * before:
         return
-    wrong = [j for j in same if at[j] != j]
-    words = ", ".join(
-        f"{log.joints[j]} is recorded as {log.joints[at[j]]}" for j in wrong
-    )
-    what = "columns" if len(channels) > 1 else "torque columns"
+    at = best.joints
+    names = log.names(at)
+    wrong = [j for j in range(n) if at[j] != j]
+    words = ", ".join(f"{log.joints[j]} is recorded as {names[j]}" for j in wrong)
+    what = "columns" if len(best.channels) > 1 else "torque columns"
     detail = (
         f"{what} are in another order: {words}; so read, the torque is that of bodies near the "
-        f"given ones (sum of squares {as_it_stands:.3g} → {left:.3g} in {case.rows.sum():.0f} "
+        f"given ones (sum of squares {before:.3g} → {left:.3g} in {rows:.0f} "
         "independent rows)"
     )
-    remedies = tuple(Remedy("order", channel, tuple(at)) for channel in channels)
+    remedies = tuple(Remedy("order", channel, tuple(at)) for channel in best.channels)
     done = f"puts the {what} of {len(wrong)} joints in the order of the robot"
-    evidence = {
-        "order": log.names(at),
-        "channels": channels,
-        "gain": as_it_stands - left,
-    }
+    evidence = {"order": names, "channels": best.channels, "gain": before - left}
     yield Fault("wrong_order", log.names(wrong), detail, evidence, done, remedies)
 
 
 def position_signs(case: TorqueFit) -> Iterator[Fault]:
-    """Joints whose positions count the other way, whatever the given bodies are."""
+    """Joints whose positions count the other way, whatever the nominal bodies are."""
+    n = case.robot.nv
     for j, joint in enumerate(case.log.joints):
-        flip = np.where(np.arange(case.robot.nv) == j, -1.0, 1.0)
+        flip = np.where(np.arange(n) == j, -1.0, 1.0)
         negated = TorqueFit(case.robot, case.log, case.data, case.joints, flip)
         readings = (
             ("q", ("q", "dq"), negated.power),
             ("q and tau", ("q", "dq", "tau"), negated.fit(sign=flip)[1]),
         )
         for what, channels, power in readings:
-            if case.better(power, 2 * case.robot.nv):
-                yield Fault(
-                    "wrong_sign",
-                    (joint,),
-                    f"{what} of {joint} count the other way than the robot's: negated, "
-                    f"{case.compared(power)}",
-                    {"channel": what, "gain": case.gain(power)},
-                    f"negates {what} (and dq) of {joint}",
-                    tuple(
-                        Remedy("scale", name, (j,), factor=-1.0) for name in channels
-                    ),
-                )
+            if not case.better(power, len(readings) * n):
+                continue
+            detail = (
+                f"{what} of {joint} count the other way than the robot's: negated, "
+                f"{case.compared(power)}"
+            )
+            evidence = {"channel": what, "gain": case.gain(power)}
+            done = f"negates {what} (and dq) of {joint}"
+            remedies = [Remedy("scale", name, (j,), factor=-1.0) for name in channels]
+            yield Fault("wrong_sign", (joint,), detail, evidence, done, tuple(remedies))
 
 
 def rate(case: TorqueFit) -> Iterator[Fault]:
@@ -684,7 +549,7 @@ def rate(case: TorqueFit) -> Iterator[Fault]:
         return case.gain(case.fit(s=float(np.exp(2 * logarithm)))[1])
 
     def bound(side: int) -> float:
-        """Factor at which the likelihood has fallen by its 95 % bound."""
+        """Factor at which twice the log-likelihood has fallen by its 95 % bound."""
         width = 0.01
         while gain(peak) - gain(peak + side * width) < 3.84 and width < 3:
             width *= 1.5
@@ -701,15 +566,15 @@ def rate(case: TorqueFit) -> Iterator[Fault]:
     c = float(np.exp(peak))
     log = case.log
     power = case.fit(s=c**2)[1]
-    near = [r for r in _RATES if abs(c / r - 1) < _NEAR]
-    freedom = (
-        1 if near else None
-    )  # an odd factor may stand for anything the model lacks
-    if abs(c - 1) < 2 * _NEAR or not case.better(power, len(_BROAD), freedom):
+    margin = 0.05
+    near = [rate for rate in RATES if abs(c / rate - 1) < margin]
+    # an odd factor may stand for anything that the model lacks
+    freedom = 1 if near else None
+    if abs(c - 1) < 2 * margin or not case.better(power, len(_BROAD), freedom):
         return
-    each = (case.rows * np.log(case.power / power))[case.joints]
-    if np.median(each) < scipy.special.chdtri(1, _BY_CHANCE):
-        return  # a clock is wrong for all joints
+    of_joints = (case.rows * np.log(case.power / power))[case.joints]
+    if np.median(of_joints) < scipy.special.chdtri(1, 0.05):
+        return  # by chance at most joints, but a clock is wrong for all of them
     low = bound(-1)
     high = bound(1)
     factor = near[0] if near else c
@@ -718,36 +583,36 @@ def rate(case: TorqueFit) -> Iterator[Fault]:
         f"(95 % between {low:.3g} and {high:.3g}): so corrected, {case.compared(power)}; the "
         f"median step is {log.step:.4g} s, {log.step / factor:.4g} s would fit"
     )
-    yield _slower(
-        log, factor, detail, factor=c, interval=(low, high), gain=case.gain(power)
-    )
+    evidence = {"factor": c, "interval": (low, high), "gain": case.gain(power)}
+    yield slow_clock(log, factor, detail, **evidence)
 
 
 def torque_signs(case: TorqueFit) -> Iterator[Fault]:
     """Torques whose gain g on the model, or whose friction power, is negative beyond chance.
 
     τ_j = g τ_model + F_v q̇ + F_c sign q̇ + I_a q̈ + offset; neither may object to the other. A gain
-    says nothing where the given bodies, if they were off by 30 %, might have reversed it.
+    says nothing where the nominal bodies, off by `BODY_STD`, might have reversed it.
     """
     model = (case.G + case.D) @ case.robot.phi
-    doubt = _doubt(case)
+    doubt = _gain_std(case)
     bound = normal_bound(2 * len(case.joints))
     for j in case.joints:
-        g, gain, friction, explained = _signs(case, model[:, j], j)
-        gain *= abs(g) > _SURE * doubt[j]
-        votes = [z for z in (gain, friction) if abs(z) > bound]
-        if explained < _EXPLAINED or not votes or max(votes) > 0:
+        votes = _signs(case, model[:, j], j)
+        sure = abs(votes.gain) > 2 * doubt[j]
+        gain = votes.gain_z * sure
+        friction = votes.friction_z
+        explained = votes.explained
+        clear = [z for z in (gain, friction) if abs(z) > bound]
+        if explained < _EXPLAINED or not clear or max(clear) > 0:
             continue
         joint = case.log.joints[j]
         why = []
         if gain < -bound:
-            why.append(
-                f"it is {gain:.1f} standard errors opposite to the given model's torque"
-            )
+            off = f"{gain:.1f} standard errors"
+            why.append(f"it is {off} opposite to the given model's torque")
         if friction < -bound:
-            why.append(
-                f"its friction would drive the joint by {-friction:.1f} standard errors"
-            )
+            off = f"{-friction:.1f} standard errors"
+            why.append(f"its friction would drive the joint by {off}")
         yield Fault(
             "wrong_sign",
             (joint,),
@@ -766,43 +631,52 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
 
 @lru_cache(maxsize=8)
 def spread(robot: Robot) -> Array:
-    """Root of the covariance of bodies near the given ones, to 30 %, (10 nv, 10 nv)."""
-    return read_only(
-        link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, _OFF)
-    )
+    """Root of the covariance of bodies near the nominal ones, to `BODY_STD`, (10 nv, 10 nv)."""
+    coordinates = link_coordinates(prior_parameters(robot))
+    return read_only(coordinates / link_weights(robot.nv, BODY_STD))
 
 
-def _doubt(case: TorqueFit) -> Array:
-    """Standard deviation of each joint's gain on the model if its bodies are off by 30 %, (nv,)."""
+def _gain_std(case: TorqueFit) -> Array:
+    """Std of each joint's gain on the model if its bodies are off by `BODY_STD`, (nv,)."""
     robot = case.robot
     columns = case.G + case.D
-    doubt = np.zeros(case.robot.nv)
+    std = np.zeros(robot.nv)
     if (robot.phi[::10] > 0).all():
         near = spread(robot)
         for j in case.joints:
             [Y] = without_effects(case.F[:, j], columns[:, j])
-            doubt[j] = gain_doubt(Y, robot.phi, near)
-    return doubt
+            std[j] = gain_doubt(Y, robot.phi, near)
+    return std
 
 
-def _signs(case: TorqueFit, model: Array, j: int) -> tuple[float, float, float, float]:
-    """Gain; it and friction power in standard errors, 0 within the error; variance explained."""
-    dq, dry, y = *case.F[:, j, :2].T, case.tau[:, j]
+class _Signs(NamedTuple):
+    gain: float  # on the model
+    gain_z: float  # in standard errors, 0 within the error
+    friction_z: float  # power of friction, likewise
+    explained: float  # share of the torque's variance
+
+
+def _signs(case: TorqueFit, model: Array, j: int) -> _Signs:
+    """Signs of a joint's gain on its model torque, shape (N,), and of its friction power."""
+    y = case.tau[:, j]
     columns = np.column_stack([model, case.F[:, j]])
     W, x, error = scaled_least_squares(columns, y)
-    left = float(error.std())
+    std = float(error.std())
     independent = max(len(y) / autocorrelation_time(error), 8.0)
-    C = np.linalg.pinv(W.T @ W / len(y), rcond=1e-10) * left**2 / independent
+    C = np.linalg.pinv(W.T @ W / len(y), rcond=1e-10) * std**2 / independent
+    dq, dry = case.F[:, j, :2].T
     size = np.sqrt((columns[:, 1:3] ** 2).mean(axis=0))
-    power = np.array([(dq * dq).mean(), np.abs(dq * dry).mean()]) / np.where(
-        size > 0, size, 1.0
-    )
-    z = []
-    for part, weight in ((slice(0, 1), np.ones(1)), (slice(1, 3), power)):
-        clear = (W[:, part] @ x[part]).std() > _SIGNAL * left
+    size = np.where(size > 0, size, 1.0)
+    power = np.array([(dq * dq).mean(), np.abs(dq * dry).mean()]) / size
+
+    def z_of(part: slice, weight: Array) -> float:
+        if (W[:, part] @ x[part]).std() <= 3 * std:
+            return 0.0  # a part that is to have a sign stands clear of the error
         variance = float(weight @ C[part, part] @ weight)
-        z.append(
-            float(weight @ x[part] / np.sqrt(max(variance, 1e-300))) if clear else 0.0
-        )
+        return float(weight @ x[part] / np.sqrt(max(variance, 1e-300)))
+
     gain = float(x[0]) / max(float(np.sqrt((model**2).mean())), 1e-300)
-    return gain, z[0], z[1], 1 - float(error.var() / max(y.var(), 1e-300))
+    gain_z = z_of(slice(0, 1), np.ones(1))
+    friction_z = z_of(slice(1, 3), power)
+    explained = 1 - float(error.var() / max(y.var(), 1e-300))
+    return _Signs(gain, gain_z, friction_z, explained)

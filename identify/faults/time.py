@@ -8,8 +8,8 @@ rate for long enough: the log is cut there. Anything else has several meanings; 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,20 +29,36 @@ from excitant.identify.preprocessing import longest_step
 from excitant.identify.recording import MINIMUM_DURATION
 from excitant.robots.motion import Array
 
-_SHORT = 5  # rows of a run of stamps that may be wrong
-_STRAY = 8.0  # steps from the running median of twice that many stamps and one
-_ROOM = 0.75  # of a step per row: what a late row finds where it belongs
-_JUMP = 3.0  # of the 99 % quantile of steps of a position
-_ROUGH = 1.5  # times farther after one row than after two: two motions take turns
-_WRONG = 0.01  # of the rows may be left out
-_RATE = 0.05  # by which the rate of a clock that started anew may differ
-_BRIEF = 0.1  # of the rows may be in parts too short to be of use
-_OFTEN = 50  # rows: a clock that starts anew more often than that does something else
-_PAUSE = 10.0  # of the longest step that is no gap: what is put between parts
-_BACK = 1.5  # of a step: nearer to two steps than to one
-_WHOLE = 0.25  # how near to a whole number of samples a jump must be
 _NONE: Rows = np.zeros(0, np.intp)
-_LISTED = 5  # runs of rows that are spelt out
+
+
+@dataclass(frozen=True)
+class Repairable:
+    """What a log that is out of order may show so that its repair is no guess."""
+
+    run: int = 5
+    "Rows of a run of stamps that may be wrong."
+    stray: float = 8.0
+    "Steps from the running median of 2 run + 1 stamps from which on a stamp is out of order."
+    room: float = 0.75
+    "Steps per row that a late row finds between the rows where it belongs."
+    jump: float = 3.0
+    "Change of a position, in its usual (99 %) change per step, up to which rows are neighbours."
+    rough: float = 1.5
+    "Ratio of changes over one row to those over two, beyond which two motions take turns."
+    lost: float = 0.01
+    "Share of the rows that may be left out."
+    rate: float = 0.05
+    "Relative difference of the rate of a clock that started anew."
+    brief: float = 0.1
+    "Share of the rows that may be in parts shorter than `MINIMUM_DURATION`."
+    rows_per_start: int = 50
+    "Rows: a clock that starts anew more often does something else."
+    pause: float = 10.0
+    "Pause between parts, in the longest step that is no gap."
+
+
+REPAIRABLE = Repairable()
 
 
 def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
@@ -71,7 +87,8 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
     steps[np.searchsorted(log.t, starts) - 1] = 1.0
     padded = np.pad(steps, 1, constant_values=1.0)
     pairs = np.minimum(padded[:-2], padded[2:]) + steps
-    at = np.flatnonzero((steps > _BACK) & (pairs > _BACK + 1))
+    nearer_to_two = 1.5
+    at = np.flatnonzero((steps > nearer_to_two) & (pairs > nearer_to_two + 1))
     if not len(at):
         return
     missing = int(np.round(steps[at] - 1).sum())
@@ -81,12 +98,8 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
         f"longest, {steps[k] * log.step:.4g} s after t = {log.t[k]:.4g} s, is {steps[k]:.3g} times "
         f"the median step of {log.step:.4g} s"
     )
-    evidence = {
-        "gaps": len(at),
-        "missing": missing,
-        "rows": at,
-        "longest": float(steps[k]),
-    }
+    evidence = {"gaps": len(at), "missing": missing, "rows": at}
+    evidence["longest"] = float(steps[k])
     yield Fault("dropped_samples", log.joints, detail, evidence)
 
 
@@ -115,35 +128,30 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
     n = len(rate)
     if n < 30:
         return
-    speed = np.empty_like(rate)  # median of the four samples on either side
-    for j, padded in enumerate(np.pad(rate, ((4, 4), (0, 0)), "edge").T):
-        around = np.delete(
-            np.lib.stride_tricks.sliding_window_view(padded, 9), 4, axis=1
-        )
-        speed[:, j] = np.sort(around, axis=1)[:, 3:5].mean(axis=1)
-    scale = np.median(np.abs(rate - speed), axis=0) / 0.6745 + 1e-12 * np.abs(rate).max(
-        axis=0
-    )
-    scale = np.maximum(scale, 2 * log.quanta["q"] / log.step / np.sqrt(12))
+    speed = _median_around(rate)
+    rounding = 1e-12 * np.abs(rate).max(axis=0)
+    scatter = np.median(np.abs(rate - speed), axis=0) / 0.6745 + rounding
+    scale = np.maximum(scatter, 2 * log.quanta["q"] / log.step / np.sqrt(12))
     used = scale > 0
     s = speed[:, used] / scale[used]
     e = (rate - speed)[:, used] / scale[used]
+    # e = m s by least squares over the joints
     power = (s**2).sum(axis=1)
     m = (s * e).sum(axis=1) / np.maximum(power, 1e-300)
     z = np.abs(m) * np.sqrt(power)
-    shared = 1 - ((e - m[:, None] * s) ** 2).sum(axis=1) / np.maximum(
-        (e**2).sum(axis=1), 1e-300
-    )
-    whole = (np.round(m) >= 1) & (np.abs(m - np.round(m)) < _WHOLE)
-    alone = np.abs(m) > 2 * np.maximum(np.abs(np.roll(m, 1)), np.abs(np.roll(m, -1)))
+    left = ((e - m[:, None] * s) ** 2).sum(axis=1)
+    shared = 1 - left / np.maximum((e**2).sum(axis=1), 1e-300)
+    samples = np.round(m)
+    whole = (samples >= 1) & (np.abs(m - samples) < 0.25)
+    beside = np.maximum(np.abs(np.roll(m, 1)), np.abs(np.roll(m, -1)))
+    alone = np.abs(m) > 2 * beside
     several = ((np.abs(s) > 3).sum(axis=1) >= 2) if log.nv > 1 else np.zeros(n, bool)
-    rows = np.flatnonzero(
-        (z > tail_bound(z)) & whole & alone & several & (shared > 0.95)
-    )
+    clear = (z > tail_bound(z)) & (shared > 0.95)
+    rows = np.flatnonzero(clear & whole & alone & several)
     rows = rows[(rows > 5) & (rows < n - 6)]
     if not len(rows):
         return
-    missing = int(np.round(m[rows]).sum())
+    missing = int(samples[rows].sum())
     k = rows[0]
     detail = (
         f"all joints jump together in {len(rows)} places by whole numbers of samples, about "
@@ -154,14 +162,34 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
     yield Fault("dropped_samples", log.joints, detail, evidence)
 
 
+def _median_around(x: Array) -> Array:
+    """Median of the four values on either side of each one, by column."""
+    medians = np.empty_like(x)
+    for j, padded in enumerate(np.pad(x, ((4, 4), (0, 0)), "edge").T):
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 9)
+        around = np.sort(np.delete(windows, 4, axis=1), axis=1)
+        medians[:, j] = around[:, 3:5].mean(axis=1)
+    return medians
+
+
 class _Order(NamedTuple):
-    # repeat an earlier one, not the row before, with its stamp and values
+    """How rows come into the order of time.
+
+    Attributes:
+        again: Rows that repeat an earlier one, not the row before, with its stamp and values.
+        late: Rows that belong between earlier ones, where sorting puts them.
+        lost: Rows whose stamps fit nowhere.
+        starts: Rows at which the clock starts anew.
+        shifts: What is added to time from each of these on [s].
+        unclear: Why nothing can be done; empty where the above makes time rise.
+    """
+
     again: Rows = _NONE
-    late: Rows = _NONE  # belong between earlier ones, where sorting puts them
-    lost: Rows = _NONE  # their stamps fit nowhere
-    starts: Rows = _NONE  # the clock starts anew
-    shifts: tuple[float, ...] = ()  # added to time from each of these on [s]
-    unclear: str = ""  # why nothing can be done; empty where the above makes time rise
+    late: Rows = _NONE
+    lost: Rows = _NONE
+    starts: Rows = _NONE
+    shifts: tuple[float, ...] = ()
+    unclear: str = ""
 
 
 def _order_of(log: Log) -> _Order:
@@ -187,7 +215,7 @@ def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
     t = log.t[rows]
     if (np.diff(t) > 0).all():
         return _NONE, _NONE
-    moved = np.abs(t - _smoothed(t)) > _STRAY * step
+    moved = np.abs(t - _smoothed(t)) > REPAIRABLE.stray * step
     near = t[~moved]
     behind = near < np.maximum.accumulate(near)
     ahead = near > np.minimum.accumulate(near[::-1])[::-1]
@@ -195,40 +223,39 @@ def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
     order = np.argsort(t, kind="stable")
     unfit = np.zeros(len(t), bool)
     unfit[order] = _unfit(t[order], log.q[rows[order]], order, moved[order], step)
-    if (
-        unfit.sum() > max(_WRONG * len(t), 1)
-        or run_lengths(unfit)[1].max(initial=0) > _SHORT
-    ):
-        return None
-    return rows[moved & ~unfit], rows[unfit]
+    many = unfit.sum() > max(REPAIRABLE.lost * len(t), 1)
+    long = run_lengths(unfit)[1].max(initial=0) > REPAIRABLE.run
+    return None if many or long else (rows[moved & ~unfit], rows[unfit])
 
 
 def _smoothed(t: Array) -> Array:
-    return np.asarray(scipy.ndimage.median_filter(t, 2 * _SHORT + 1, mode="nearest"))
+    size = 2 * REPAIRABLE.run + 1
+    return np.asarray(scipy.ndimage.median_filter(t, size, mode="nearest"))
 
 
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
-    """Of rows sorted by time, the moved ones that do not belong where sorting puts them."""
-    one, two = (np.median(np.abs(q[k:] - q[:-k]), axis=0) for k in (1, 2))
+    """Reordered rows whose positions do not fit between their new neighbours."""
     steps = np.diff(t)
     change = np.abs(np.diff(q, axis=0))
     gap = steps > longest_step(step)
     usual = np.quantile(change[~gap] if (~gap).any() else change, 0.99, axis=0)
-    smooth = (change <= _JUMP * usual * np.maximum(steps / step, 1.0)[:, None]).all(
-        axis=1
-    )
+    allowed = REPAIRABLE.jump * usual * np.maximum(steps / step, 1.0)[:, None]
+    smooth = (change <= allowed).all(axis=1)
     joined = (np.diff(order) == 1) | gap | smooth
-    unfit = moved & bool((one > _ROUGH * two).any())
-    for a, count in zip(*run_lengths(moved), strict=True):
-        b = a + count
-        inside = a > 0 and b < len(t)
-        room = not inside or t[b] - t[a - 1] >= _ROOM * step * (count + 1)
-        near = (
-            count > _SHORT
-            or (a > 0 and not gap[a - 1])
-            or (b < len(t) and not gap[b - 1])
-        )
-        unfit[a:b] |= not (room and near and joined[max(a - 1, 0) : b].all())
+    over_one = np.median(change, axis=0)
+    over_two = np.median(np.abs(q[2:] - q[:-2]), axis=0)
+    take_turns = bool((over_one > REPAIRABLE.rough * over_two).any())
+    unfit = moved & take_turns
+    for start, count in zip(*run_lengths(moved), strict=True):
+        end = start + count
+        first = start == 0
+        last = end == len(t)
+        needed = REPAIRABLE.room * step * (count + 1)
+        room = first or last or t[end] - t[start - 1] >= needed
+        beside = (not first and not gap[start - 1]) or (not last and not gap[end - 1])
+        near = count > REPAIRABLE.run or beside
+        fits = room and near and joined[max(start - 1, 0) : end].all()
+        unfit[start:end] |= not fits
     unfit[1:] |= (steps == 0) & moved[1:]
     unfit[:-1] |= (steps == 0) & ~moved[1:]
     return unfit
@@ -237,46 +264,51 @@ def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
 def _cut(log: Log, rows: Rows, again: Rows, step: float) -> _Order:
     """The order of a log whose clock starts anew, if that is what it did."""
     t = log.t
-    clear = rows[np.abs(t[rows] - _smoothed(t[rows])) <= _STRAY * step]
-    falls = np.flatnonzero(np.diff(_smoothed(t[clear])) < 0) + 1
-    if not len(falls):
+    starts = _starts(t, rows, step)
+    if not len(starts):
         return _Order(again, unclear="its rows fit nowhere else")
-    reach = np.arange(-2 * _SHORT, 2 * _SHORT + 1)
-    near = np.clip(falls[:, None] + reach, 1, len(clear) - 1)
-    drops = np.diff(t[clear])[near - 1]
-    starts = np.unique(clear[near[np.arange(len(falls)), drops.argmin(axis=1)]])
     often = f"it does so {len(starts)} times, mostly within {MINIMUM_DURATION:g} s"
-    if len(starts) * _OFTEN >= len(rows):
+    if len(starts) * REPAIRABLE.rows_per_start >= len(rows):
         return _Order(again, unclear=often)
     late = []
     lost = []
     shifts = [0.0]
     end = -np.inf
     brief = 0
-    for own in np.split(rows, np.searchsorted(rows, starts)):
-        settled = _settled(log, own, step)
+    pause = REPAIRABLE.pause * longest_step(step)
+    for part in np.split(rows, np.searchsorted(rows, starts)):
+        settled = _settled(log, part, step)
         if settled is None:
-            return _Order(
-                again, unclear=f"from row {own[0]} on its rows fit nowhere else"
-            )
+            why = f"from row {part[0]} on its rows fit nowhere else"
+            return _Order(again, unclear=why)
         late.append(settled[0])
         lost.append(settled[1])
-        stamps = np.sort(t[np.setdiff1d(own, settled[1])])
-        rate = float(np.median(np.diff(stamps))) if len(stamps) > _SHORT else step
-        if abs(rate / step - 1) > _RATE:
-            return _Order(
-                again,
-                unclear=f"from row {own[0]} on it takes other steps, {rate:.4g} s",
-            )
-        brief += len(own) if stamps[-1] - stamps[0] < MINIMUM_DURATION else 0
-        shifts.append(
-            max(shifts[-1], end + _PAUSE * longest_step(step) - float(stamps[0]))
-        )
-        end = float(stamps[-1]) + shifts[-1]
-    if brief > _BRIEF * len(rows):
+        stamps = np.sort(t[np.setdiff1d(part, settled[1])])
+        long = len(stamps) > REPAIRABLE.run
+        rate = float(np.median(np.diff(stamps))) if long else step
+        if abs(rate / step - 1) > REPAIRABLE.rate:
+            why = f"from row {part[0]} on it takes other steps, {rate:.4g} s"
+            return _Order(again, unclear=why)
+        first, last = stamps[[0, -1]].tolist()
+        brief += len(part) if last - first < MINIMUM_DURATION else 0
+        shifts.append(max(shifts[-1], end + pause - first))
+        end = last + shifts[-1]
+    if brief > REPAIRABLE.brief * len(rows):
         return _Order(again, unclear=often)
     added = tuple(np.diff(shifts)[1:].tolist())
     return _Order(again, np.concatenate(late), np.concatenate(lost), starts, added)
+
+
+def _starts(t: Array, rows: Rows, step: float) -> Rows:
+    """Rows at which the clock starts anew: where time falls most near each fall of its median."""
+    clear = rows[np.abs(t[rows] - _smoothed(t[rows])) <= REPAIRABLE.stray * step]
+    falls = np.flatnonzero(np.diff(_smoothed(t[clear])) < 0) + 1
+    if not len(falls):
+        return _NONE
+    reach = np.arange(-2 * REPAIRABLE.run, 2 * REPAIRABLE.run + 1)
+    near = np.clip(falls[:, None] + reach, 1, len(clear) - 1)
+    drops = np.diff(t[clear])[near - 1]
+    return np.unique(clear[near[np.arange(len(falls)), drops.argmin(axis=1)]])
 
 
 def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
@@ -287,24 +319,24 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     rows = np.union1d(beside, again)
     if not len(rows):
         return
-    same = np.all(
-        [(x[beside] == x[before]).all(axis=1) for _, x in log.channels()], axis=0
-    ).sum()
+    equal = [(x[beside] == x[before]).all(axis=1) for _, x in log.channels()]
+    identical = int(np.all(equal, axis=0).sum())
     n = len(log)
-    found = len(rows) - len(again)
+    beside_only = len(rows) - len(again)
     parts = []
-    if found:
-        said = f"{found} of {n} rows ({100 * found / n:.2f} %) repeat the time of the row before"
-        parts.append(f"{said}, {same} of them all its values too")
+    if beside_only:
+        share = f"{100 * beside_only / n:.2f} %"
+        parts.append(
+            f"{beside_only} of {n} rows ({share}) repeat the time of the row before, {identical} "
+            "of them all its values too"
+        )
     if len(again):
         parts.append(f"{len(again)} of {n} rows repeat time and values of earlier ones")
     detail = f"{'; '.join(parts)}; {log.first(rows)}"
-    fault = dropped(
-        log.joints, rows, detail, "duplicate_samples", identical=int(same) + len(again)
-    )
-    yield replace(
-        fault, repair=f"keeps the first of each and leaves {len(rows)} rows out"
-    )
+    identical += len(again)
+    fault = dropped(log.joints, rows, detail, "duplicate_samples", identical=identical)
+    done = f"keeps the first of each and leaves {len(rows)} rows out"
+    yield replace(fault, repair=done)
 
 
 def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
@@ -317,11 +349,13 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
         rows: Rows,
         detail: str,
         done: str | None = None,
-        *remedies: Remedy,
+        remedies: Sequence[Remedy] = (),
         **evidence: Any,
     ) -> Fault:
         evidence = {"rows": rows, "count": len(rows), "channel": "t", **evidence}
-        return Fault("corrupt_rows", log.joints, detail, evidence, done, remedies)
+        return Fault(
+            "corrupt_rows", log.joints, detail, evidence, done, tuple(remedies)
+        )
 
     def fall(row: int) -> str:
         return f"first from {log.t[timed[timed < row][-1]]:.6g} to {log.t[row]:.6g} s"
@@ -336,7 +370,8 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
         )
         yield fault(rows, detail, unclear=order.unclear)
         return
-    if len(starts := order.starts):
+    starts = order.starts
+    if len(starts):
         detail = (
             f"the clock starts anew in {_listed(starts)}, {fall(int(starts[0]))}, and runs "
             f"on at the same rate, as in recordings written one after the other"
@@ -346,29 +381,28 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
             Remedy("shift", "t", rows=starts[k : k + 1], factor=shift)
             for k, shift in enumerate(order.shifts)
         ]
-        yield fault(starts, detail, done, *remedies, shifts=order.shifts)
-    steps = [
-        (said.format(_listed(some)), Remedy(action, channel, rows=some))
-        for said, action, channel, some in (
-            ("sorts {} by time, where they fit", "sort", "t", order.late),
-            ("leaves {} out", "drop", "", order.lost),
-        )
-        if len(some)
-    ]
-    if steps:
-        moved = np.union1d(order.late, order.lost)
-        (said, actions) = zip(*steps, strict=True)
-        where = f"{fall(first)} in row {first}"
-        detail = f"time goes back: {len(moved)} of {n} rows are out of order, {where}"
-        yield fault(moved, detail, " and ".join(said), *actions, late=len(order.late))
+        yield fault(starts, detail, done, remedies, shifts=order.shifts)
+    moved = np.union1d(order.late, order.lost)
+    if not len(moved):
+        return
+    words = []
+    remedies = []
+    if len(order.late):
+        words.append(f"sorts {_listed(order.late)} by time, where they fit")
+        remedies.append(Remedy("sort", "t", rows=order.late))
+    if len(order.lost):
+        words.append(f"leaves {_listed(order.lost)} out")
+        remedies.append(Remedy("drop", rows=order.lost))
+    where = f"{fall(first)} in row {first}"
+    detail = f"time goes back: {len(moved)} of {n} rows are out of order, {where}"
+    yield fault(moved, detail, " and ".join(words), remedies, late=len(order.late))
 
 
 def _listed(rows: Rows) -> str:
+    """The first five runs of rows in words."""
     runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    shown = [str(r[0]) if len(r) == 1 else f"{r[0]} to {r[-1]}" for r in runs[:_LISTED]]
-    more = (
-        f" and {len(rows) - sum(map(len, runs[:_LISTED]))} more"
-        if len(runs) > _LISTED
-        else ""
-    )
-    return f"row{'s' if len(rows) > 1 else ''} {', '.join(shown)}{more}"
+    first = runs[:5]
+    words = [str(r[0]) if len(r) == 1 else f"{r[0]} to {r[-1]}" for r in first]
+    more = len(rows) - sum(map(len, first))
+    rest = f" and {more} more" if more else ""
+    return f"row{'s' if len(rows) > 1 else ''} {', '.join(words)}{rest}"
