@@ -19,33 +19,73 @@ from excitant.robots.threads import on_one_thread
 BoundProgress = Callable[[float, float, float], None]
 """Called after every round with the time taken [s], the bound so far and its ceiling."""
 
-_SEEDS = 8  # random trajectories to begin with
-_SEED_STATES = 40  # and states of each
-_SEED_HARMONICS = 5  # of those
-_SEED_PERIOD = 10.0  # where the motion has no band
-_STARTS = 120  # of the ascent, from states of large weight and from random ones each
-_STEPS = 8  # steps of all
-_KEPT = 80  # how many go on
-_POLISH = 24  # and their further steps
-_FINAL_STARTS = 300
-_FINAL_STEPS = 16  # of the last search for a violation
-_FINAL_ROUNDS = 5  # of it at most: it is done again until it finds nothing worse
-_FINAL_SHARE = 0.1  # of the time limit, kept for that search
-_LOOSE_ROUNDS = 6  # with a loose master problem and no polish
-_LOOSE = 1e-2
-_TIGHT = 1e-3  # gaps at which the master problem stops
-_SPARE = 80  # states kept beyond twice those with weight
-_ADDED = 0.02  # of the worst violation: states that violate more are added
-_SUPPORT = 1e-3  # of the largest weight
-_CLOSED = 2e-3  # relative distance of bound and ceiling to stop at
-# largest of an equality row, in units of the typical tr M; 0.03 occurs
-_MULTIPLIER = 0.1
 
-_STEP = 0.95  # of the way to the boundary of the cone
-_ITERATIONS = 60
-_SLACK = 10.0  # the dual slacks begin at this multiple of the identity
-_FEASIBLE = 1e2  # residuals weigh so much more than the gap
-_PATIENCE = 5  # steps without progress
+@dataclass(frozen=True)
+class PricingSettings:
+    """Column generation: states that a mixture may use, and the search for those it lacks."""
+
+    seed_motions: int = 8
+    "Random motions whose states the mixture begins with."
+    seed_states: int = 40
+    "States of each of them."
+    seed_harmonics: int = 5
+    "Their harmonics, where the motion has no band."
+    seed_period: float = 10.0
+    "Their period [s], where the motion has no band."
+    starts: int = 120
+    "Starts of the ascent, from states of large weight and from random ones each."
+    steps: int = 8
+    "Steps of every ascent."
+    polished: int = 80
+    "Best points of the ascent that are polished."
+    polish_steps: int = 24
+    "Further steps of these."
+    final_starts: int = 300
+    "Starts of the last search for a violation."
+    final_steps: int = 16
+    "Steps of that search."
+    final_rounds: int = 5
+    "Times that it is repeated, at most, until it finds nothing worse."
+    final_time: float = 0.1
+    "Share of the time limit that is kept for it."
+    loose_rounds: int = 6
+    "First rounds, with `loose_gap` and without polishing."
+    loose_gap: float = 1e-2
+    "Relative gap at which the master problem stops in these rounds."
+    gap: float = 1e-3
+    "The same in later rounds."
+    spare_states: int = 80
+    "States kept beyond twice those with weight."
+    added: float = 0.02
+    "Share of the worst violation above which a state is added."
+    support: float = 1e-3
+    "Share of the largest weight above which a state has weight."
+    closed: float = 2e-3
+    "Relative distance of bound and ceiling at which the search ends."
+    largest_multiplier: float = 0.1
+    "Largest multiplier of an equality row, in units of the typical tr M; 0.03 occurs."
+
+
+PRICING = PricingSettings()
+
+
+@dataclass(frozen=True)
+class InteriorPoint:
+    """Settings of the primal-dual interior-point method of the master problem."""
+
+    step: float = 0.95
+    "Share of the way to the boundary of the cone."
+    iterations: int = 60
+    "Largest number of iterations."
+    slack: float = 10.0
+    "Multiple of the identity at which the dual slacks begin."
+    residual_weight: float = 1e2
+    "Weight of the residuals beside the duality gap."
+    patience: int = 5
+    "Iterations without progress after which it stops."
+
+
+SOLVER = InteriorPoint()
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,16 +207,20 @@ class _Search:
             if progress is not None:
                 progress(now - began, self.bound, ceiling)
             longest = max(longest, now - started)
-            late = now + longest > began + (1 - _FINAL_SHARE) * time_limit
-            if late or self.bound > (1 - _CLOSED) * ceiling:
+            late = now + longest > began + (1 - PRICING.final_time) * time_limit
+            if late or self.bound > (1 - PRICING.closed) * ceiling:
                 return
 
     def round(self) -> float:
-        early = self.rounds < _LOOSE_ROUNDS
-        tolerance, polish = (_LOOSE, 0) if early else (_TIGHT, _POLISH)
+        early = self.rounds < PRICING.loose_rounds
+        tolerance, polish = (
+            (PRICING.loose_gap, 0) if early else (PRICING.gap, PRICING.polish_steps)
+        )
         self.weights, multipliers = mixture_of(self.problem, self.states, tolerance)
-        starts = self.starts(multipliers, _STARTS)
-        found, price = self.problem.worst(multipliers, starts, _STEPS, _KEPT, polish)
+        starts = self.starts(multipliers, PRICING.starts)
+        found, price = self.problem.worst(
+            multipliers, starts, PRICING.steps, PRICING.polished, polish
+        )
         violation = float(price.max(initial=0.0))
         bound = float(np.sqrt(multipliers.value / (1 + violation)))
         if bound > self.bound:
@@ -185,13 +229,13 @@ class _Search:
             self.violation = violation
         ceiling = float(np.sqrt(multipliers.value))
         self.rounds += 1
-        self.exchange(multipliers, found[price > _ADDED * violation])
+        self.exchange(multipliers, found[price > PRICING.added * violation])
         return ceiling
 
     def exchange(self, multipliers: Multipliers, found: Motion) -> None:
         self.archive = _together([self.archive, found])
         w = self.weights
-        room = 2 * int((w > _SUPPORT * w.max()).sum()) + _SPARE
+        room = 2 * int((w > PRICING.support * w.max()).sum()) + PRICING.spare_states
         if len(w) > room:
             order = np.argsort(-self.problem.price(multipliers, self.states))[:room]
             self.states = self.states[np.sort(order)]
@@ -208,10 +252,14 @@ class _Search:
 
     def certify(self) -> Multipliers:
         """The best multipliers, repaired by the violation that a longer search finds."""
-        for _ in range(_FINAL_ROUNDS):
-            starts = self.starts(self.best, _FINAL_STARTS)
+        for _ in range(PRICING.final_rounds):
+            starts = self.starts(self.best, PRICING.final_starts)
             found, price = self.problem.worst(
-                self.best, starts, _FINAL_STEPS, _KEPT, _POLISH
+                self.best,
+                starts,
+                PRICING.final_steps,
+                PRICING.polished,
+                PRICING.polish_steps,
             )
             worst = float(price.max(initial=0.0))
             if worst <= self.violation:
@@ -228,11 +276,12 @@ def _seeds(
     pool: Sequence[Motion],
 ) -> Motion:
     if harmonics is None:
-        period = _SEED_PERIOD
-        harmonics = _SEED_HARMONICS
-    t = (np.arange(_SEED_STATES) + 0.5) / _SEED_STATES * period
+        period = PRICING.seed_period
+        harmonics = PRICING.seed_harmonics
+    t = (np.arange(PRICING.seed_states) + 0.5) / PRICING.seed_states * period
     motions = [
-        random_trajectory(robot, rng, period, harmonics).at(t) for _ in range(_SEEDS)
+        random_trajectory(robot, rng, period, harmonics).at(t)
+        for _ in range(PRICING.seed_motions)
     ]
     for motion in pool:
         if motion.nv != robot.nv:
@@ -240,7 +289,7 @@ def _seeds(
                 f"motion has {motion.nv} joints, robot {robot.name} has {robot.nv}"
             )
         rows = np.linspace(
-            0, len(motion) - 1, min(len(motion), 2 * _SEED_STATES)
+            0, len(motion) - 1, min(len(motion), 2 * PRICING.seed_states)
         ).round()
         motions.append(motion[np.unique(rows.astype(np.intp))])
     return _together(motions)
@@ -261,7 +310,9 @@ def mixture_of(
     size = np.trace(M, axis1=1, axis2=2) + 1e-9 * problem.unit
     rows = problem.tests.rates(states) * (problem.unit / size)[:, None]
     M = M / size[:, None, None]
-    weights, found = best_mixture(M, rows, bound=_MULTIPLIER, tolerance=tolerance)
+    weights, found = best_mixture(
+        M, rows, bound=PRICING.largest_multiplier, tolerance=tolerance
+    )
     return weights / size, replace(found, y=found.y * problem.unit)
 
 
@@ -283,7 +334,7 @@ def best_mixture(
     point = best = programme.start()
     least = np.inf
     stalled = 0
-    for _ in range(_ITERATIONS):
+    for _ in range(SOLVER.iterations):
         residual, merit = programme.residual(point)
         if merit < least:
             best = point
@@ -291,7 +342,7 @@ def best_mixture(
             stalled = 0
         else:
             stalled += 1
-        if merit < tolerance or stalled == _PATIENCE:
+        if merit < tolerance or stalled == SOLVER.patience:
             break
         try:
             point = point.moved(programme.newton(point, residual))
@@ -318,8 +369,12 @@ class _Point:
 
     def moved(self, d: _Point) -> _Point:
         """As far along a direction as it stays inside the cone, primal and dual apart."""
-        primal = min(1.0, _STEP * min(_reach(self.X, d.X), _reach_line(self.x, d.x)))
-        dual = min(1.0, _STEP * min(_reach(self.S, d.S), _reach_line(self.s, d.s)))
+        primal = min(
+            1.0, SOLVER.step * min(_reach(self.X, d.X), _reach_line(self.x, d.x))
+        )
+        dual = min(
+            1.0, SOLVER.step * min(_reach(self.S, d.S), _reach_line(self.s, d.s))
+        )
         X = self.X + primal * d.X
         x = self.x + primal * d.x
         return _Point(
@@ -352,7 +407,11 @@ class _Programme:
         x[self.n :] = self.b[-1] / 3
         one = np.stack([np.eye(r)] * 2)
         return _Point(
-            one / r, x, _SLACK * one, np.full(len(x), _SLACK), np.zeros(len(self.b))
+            one / r,
+            x,
+            SOLVER.slack * one,
+            np.full(len(x), SOLVER.slack),
+            np.zeros(len(self.b)),
         )
 
     def forward(self, X: Array, x: Array) -> Array:
@@ -375,7 +434,7 @@ class _Programme:
         size = max(float(np.abs(part).max()) for part in (primal, line, dual))
         product = float(np.vdot(point.X, point.S) + point.x @ point.s)
         gap = product / max(1.0, abs(float(np.vdot(point.X, self.C))))
-        return (dual, line), max(gap, _FEASIBLE * size)
+        return (dual, line), max(gap, SOLVER.residual_weight * size)
 
     def schur(self, X: Array, inverse: Array, ratio: Array) -> Array:
         """A (X ⊗ S⁻¹) Aᵀ + L diag(ratio) Lᵀ, shape (equations, equations)."""

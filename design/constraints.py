@@ -20,15 +20,31 @@ from excitant.robots.torque import largest_torque
 
 KINEMATIC = ("position", "velocity", "acceleration", "jerk")  # by derivative order
 
-_PER_HARMONIC = 100  # instants per period of the highest harmonic, for torque
-_PER_SAMPLE = 8  # instants per sampling interval of a recorded motion
-_SHRINKS = 30
 _ONE_SIDED = 4 * np.pi  # width given to a range that is bounded on one side only
 
-_RESOLUTION = 1e-3  # m: how sharply the smallest distance is bounded
-_INTERVALS = 200
-_LARGEST = 200_000  # poses; beyond them the bound stays looser than the resolution
 SCALE = 0.1  # m of missing clearance that count like a limit exceeded by its own size
+
+
+@dataclass(frozen=True)
+class Certification:
+    """How limits and clearance are certified between samples."""
+
+    per_harmonic: int = 100
+    "Instants per period of the highest harmonic at which torque is evaluated."
+    per_sample: int = 8
+    "The same per sampling interval of a recorded motion."
+    shrinks: int = 30
+    "Attempts to shrink a motion until all limits hold."
+    resolution: float = 1e-3
+    "Distance [m] to which the smallest clearance is bounded."
+    intervals: int = 200
+    "Intervals of time with which branch and bound begins."
+    poses: int = 200_000
+    "Poses beyond which the bound stays looser than the resolution."
+
+
+CERTIFICATION = Certification()
+
 
 Extrema = tuple[
     Array, Array, Array, Array
@@ -175,7 +191,9 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
         path = motion
         stops = motion.extrema_in_time(0)[0].ravel()
         t = np.linspace(
-            0.0, motion.period, _PER_HARMONIC * max(motion.harmonics, 1) + 1
+            0.0,
+            motion.period,
+            CERTIFICATION.per_harmonic * max(motion.harmonics, 1) + 1,
         )
         found = [
             _extreme(*(part.T for part in motion.extrema_in_time(k))) for k in orders
@@ -184,7 +202,7 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
         if len(motion) < 2:
             raise BadInput(f"motion has {len(motion)} samples, at least two are needed")
         path = HermiteTrajectory(motion)
-        share = np.arange(_PER_SAMPLE) / _PER_SAMPLE
+        share = np.arange(CERTIFICATION.per_sample) / CERTIFICATION.per_sample
         t = (motion.t[:-1, None] + share * np.diff(motion.t)[:, None]).ravel()
         t = np.append(t, motion.t[-1])
         stops = _reversals(path, t)
@@ -226,7 +244,7 @@ def within_limits(
     X = trajectory.coefficients
     one = trajectory.series.one
     centre = trajectory.series.constant(one @ X / one.sum())
-    for _ in range(_SHRINKS):
+    for _ in range(CERTIFICATION.shrinks):
         excess = check(robot, trajectory).worst.ratio - 1
         if excess <= 0:
             apart = scene is None or clearance(scene, trajectory).certified >= least
@@ -329,7 +347,7 @@ def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
     its bodies can approach each other in that time, a bound from joint speeds and lever arms.
     """
     start, end, speed = _span(path)
-    t = np.linspace(start, end, _INTERVALS + 1)
+    t = np.linspace(start, end, CERTIFICATION.intervals + 1)
     distance = scene.distances(path(t))
     approach = scene.speeds() @ speed  # m/s, per pair
     left = distance[:-1]
@@ -340,9 +358,11 @@ def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
     evaluated = len(t)
     while True:
         bound = ((left + right - approach * length) / 2).min(axis=1)
-        open_ = bound < best.distance - _RESOLUTION
-        certified = min(best.distance - _RESOLUTION, float(bound.min(initial=np.inf)))
-        if not open_.any() or evaluated > _LARGEST:
+        open_ = bound < best.distance - CERTIFICATION.resolution
+        certified = min(
+            best.distance - CERTIFICATION.resolution, float(bound.min(initial=np.inf))
+        )
+        if not open_.any() or evaluated > CERTIFICATION.poses:
             return replace(best, certified=certified)
         left = left[open_]
         right = right[open_]

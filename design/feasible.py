@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from excitant.design.constraints import kinematic_limits, pose_use, position_range
@@ -19,15 +21,30 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque
 
-_POSES = 2000
-_POLISH = 30
-_DRAWS = 20
-_SHRINKS = 40
-# shares tried for each joint between all of its motion and what all joints may
-_WIDER = 4
-_TORQUE_SAMPLES = 32  # per harmonic
-_WAVES = 10  # highest harmonic of a random start
-_TORQUE_SHARE = 0.99  # of the limit at the samples, which leaves room between them
+
+@dataclass(frozen=True)
+class StartSettings:
+    """How a motion within all limits is drawn at random."""
+
+    poses: int = 2000
+    "Poses that are tried for one within torque limits and clearance."
+    rounds: int = 30
+    "Rounds in which these are drawn, nearer and nearer to the best."
+    draws: int = 20
+    "Motions that are drawn, of which the first feasible one is taken."
+    shrinks: int = 40
+    "Attempts to shrink a motion until it is feasible."
+    widenings: int = 4
+    "Shares tried for each joint between all of its motion and what all joints may."
+    samples: int = 32
+    "Samples per harmonic at which torque and clearance are judged."
+    harmonics: int = 10
+    "Highest harmonic of a random motion."
+    torque_share: float = 0.99
+    "Share of the torque limits at the samples, which leaves room between them."
+
+
+START = StartSettings()
 
 
 def random_trajectory(
@@ -52,7 +69,7 @@ def random_start(
     required: float = 0.0,
 ) -> Trajectory:
     """A random trajectory of a series, as `random_trajectory`; bodies of a scene apart [m]."""
-    t = series.instants(_TORQUE_SAMPLES)
+    t = series.instants(START.samples)
 
     def uses(trajectory: Trajectory) -> Array:
         """Of each torque limit, and of the clearance."""
@@ -60,27 +77,30 @@ def random_start(
         return np.append(torque_use(robot, trajectory.at(t)), apart)
 
     drawn: list[tuple[float, int, Trajectory]] = []
-    for k in range(_DRAWS):
+    for k in range(START.draws):
         trajectory = _draw(robot, rng, series)
         drawn.append((float(uses(trajectory).max()), k, trajectory))
-        if drawn[-1][0] <= _TORQUE_SHARE:
+        if drawn[-1][0] <= START.torque_share:
             return trajectory
     best = min(drawn)[2]
     X0 = series.constant(_standstill(robot, rng, scene, required))
     way = best.coefficients - X0
-    for share in 0.7 ** np.arange(1, _SHRINKS):
+    for share in 0.7 ** np.arange(1, START.shrinks):
         *use, apart = uses(series.trajectory(X0 + share * way))
-        if max(*use, apart) > _TORQUE_SHARE:
+        if max(*use, apart) > START.torque_share:
             continue
         shares = np.full(robot.nv, share)
         for j in rng.permutation(robot.nv):  # what one joint must not, another may
-            for more in share ** np.linspace(0, 1, _WIDER, endpoint=False):
+            for more in share ** np.linspace(0, 1, START.widenings, endpoint=False):
                 wider = np.where(np.arange(robot.nv) == j, more, shares)
-                if uses(series.trajectory(X0 + wider * way)).max() <= _TORQUE_SHARE:
+                if (
+                    uses(series.trajectory(X0 + wider * way)).max()
+                    <= START.torque_share
+                ):
                     shares = wider
                     break
         return series.trajectory(X0 + shares * way)
-    if max(use) <= _TORQUE_SHARE:
+    if max(use) <= START.torque_share:
         raise Infeasible(
             f"trajectory of {robot.name}",
             "every motion tried comes too close to an obstacle or to the arm itself; lower the "
@@ -106,7 +126,7 @@ def _draw(robot: Robot, rng: np.random.Generator, series: Series) -> Trajectory:
     middle, half = position_range(robot.limits)
     half = np.where(np.isfinite(half), half, np.pi)
     bound = kinematic_limits(robot.limits)[1]
-    waves = FourierSeries(series.period, min(series.terms, _WAVES))
+    waves = FourierSeries(series.period, min(series.terms, START.harmonics))
     fade = 1 / np.arange(1, waves.harmonics + 1)[:, None] ** rng.uniform(0.0, 2.0)
     X = rng.normal(size=(waves.size, robot.nv))
     X[1:] *= np.vstack([fade, fade])
@@ -138,9 +158,9 @@ def _standstill(
     best = np.inf
     use = np.zeros(robot.nv)
     apart = 0.0
-    for _ in range(_POLISH):
+    for _ in range(START.rounds):
         poses = pose + width * half * rng.uniform(
-            -1, 1, (_POSES // _POLISH * 2, robot.nv)
+            -1, 1, (START.poses // START.rounds * 2, robot.nv)
         )
         poses = np.clip(poses, middle - half, middle + half)
         zero = np.zeros_like(poses)
@@ -155,7 +175,7 @@ def _standstill(
             use = uses[k]
             apart = float(near[k])
         width *= 0.8
-    if best < _TORQUE_SHARE:
+    if best < START.torque_share:
         return pose
     if scene is not None and apart >= use.max():
         distance = scene.distances(pose[None])[0]

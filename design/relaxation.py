@@ -14,17 +14,34 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
-_SLIGHT = 1e-6  # step of differences in the cube
-_POSES = 500
-_SHRINKS = 25
-_STATES = 1000  # random states for scales and symmetries
-_SAME = 1e-9
-_TORQUE_PENALTY = 1e3
-_DRAWS = 30  # random points per point kept
-# tried along every gradient, as multiples of the last step
-_STEPS = (0.05, 0.25, 1.0, 4.0)
-_IDENTITY_SHARE = 0.5
 _ONE, _SIN, _COS, _X, _XX = range(5)  # factors of test functions
+
+
+@dataclass(frozen=True)
+class StateSampling:
+    """States that scale the relaxation, and the ascent to those that violate it."""
+
+    difference: float = 1e-6
+    "Step of finite differences in the cube of states."
+    poses: int = 500
+    "Random poses at which the acceleration that torque allows is evaluated."
+    stretchings: int = 25
+    "Factors by which time is stretched until torque holds."
+    states: int = 1000
+    "Random states for scales and symmetries."
+    same: float = 1e-9
+    "Relative change of the regressor below which it does not depend on a position."
+    torque_penalty: float = 1e3
+    "Weight of the squared torque excess on the way."
+    draws: int = 30
+    "Random points drawn for each that is kept."
+    steps: tuple[float, ...] = (0.05, 0.25, 1.0, 4.0)
+    "Multiples of the last step that are tried along a gradient."
+    identity_share: float = 0.5
+    "Share of I / r in the matrix that repairs a violation."
+
+
+SAMPLING = StateSampling()
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +89,7 @@ class StateSpace:
     def slowed(self, motion: Motion) -> Motion:
         """The states, time stretched until torque holds; those that gravity forbids left out."""
         share = np.full(len(motion), np.nan)
-        for factor in (1.0, *np.linspace(0.99, 0.0, _SHRINKS)):
+        for factor in (1.0, *np.linspace(0.99, 0.0, SAMPLING.stretchings)):
             rest = np.flatnonzero(np.isnan(share))
             slower = _stretched(motion[rest], np.full(len(rest), factor))
             share[rest[self.use(slower) <= 1]] = factor
@@ -132,7 +149,7 @@ def state_space(robot: Robot, top: float) -> StateSpace:
 def _torque_reach(robot: Robot, middle: Array, half: Array, speed: Array) -> Array:
     """Twice the largest acceleration that torque limits leave at random states, shape (nv,)."""
     rng = np.random.default_rng(0)
-    q = middle + half * rng.uniform(-1, 1, (_POSES, robot.nv))
+    q = middle + half * rng.uniform(-1, 1, (SAMPLING.poses, robot.nv))
     dq = speed * rng.uniform(-1, 1, q.shape)
     units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.nv))
     at_rest, *moving = (
@@ -191,8 +208,8 @@ class Multipliers:
     @property
     def repair(self) -> Array:
         """R = (I / r + Q) / 2 of trace 1, by which a violation is repaired."""
-        R: Array = _IDENTITY_SHARE * np.eye(len(self.Q)) / len(self.Q)
-        return R + (1 - _IDENTITY_SHARE) * self.Q
+        R: Array = SAMPLING.identity_share * np.eye(len(self.Q)) / len(self.Q)
+        return R + (1 - SAMPLING.identity_share) * self.Q
 
     def repaired(self, violation: float) -> Multipliers:
         """Multipliers that hold wherever the violation is at most this: Q + violation R."""
@@ -271,7 +288,7 @@ class Relaxation:
             best = u.copy()
             top = value.copy()
             used = 0.2 * reach
-            for factor in _STEPS:
+            for factor in SAMPLING.steps:
                 there = np.clip(u + (factor * reach)[:, None] * d, -1, 1)
                 merit = self._merit(multipliers, there)
                 up = merit > top
@@ -285,7 +302,7 @@ class Relaxation:
         self, multipliers: Multipliers, known: Array, rng: np.random.Generator, n: int
     ) -> Array:
         """The n best-priced of many points of the cube: random ones and mutants of known ones."""
-        count = _DRAWS * n
+        count = SAMPLING.draws * n
         u = rng.uniform(-1, 1, (count, 3 * self.space.robot.nv))
         u = np.where(
             rng.random(u.shape) < rng.choice([0.0, 0.5], (count, 1)), np.sign(u), u
@@ -299,12 +316,14 @@ class Relaxation:
     def _merit(self, multipliers: Multipliers, u: Array) -> Array:
         motion = self.space.motion(u)
         over = np.maximum(self.space.use(motion) - 1, 0.0)
-        merit: Array = self.price(multipliers, motion) - _TORQUE_PENALTY * over**2
+        merit: Array = (
+            self.price(multipliers, motion) - SAMPLING.torque_penalty * over**2
+        )
         return merit
 
     def _slope(self, multipliers: Multipliers, u: Array, merit: Array) -> Array:
         """Gradient of the merit by u, by differences towards the inside of the cube."""
-        step = np.where(u > 0, -_SLIGHT, _SLIGHT)
+        step = np.where(u > 0, -SAMPLING.difference, SAMPLING.difference)
         columns = [
             (self._merit(multipliers, u + step * unit) - merit) / step[:, k]
             for k, unit in enumerate(np.eye(u.shape[1]))
@@ -324,7 +343,7 @@ def relaxation(
     visible = information(robot, columns)
     space = state_space(robot, top)
     rng = np.random.default_rng(0)
-    motion = space.motion(rng.uniform(-1, 1, (_STATES, 3 * robot.nv)))
+    motion = space.motion(rng.uniform(-1, 1, (SAMPLING.states, 3 * robot.nv)))
     Y = visible.observation(motion)
     back = visible.observation(numbered(motion.q, -motion.dq, motion.ddq))
     odd = np.abs(Y + back).max(axis=(0, 1)) < np.abs(Y - back).max(axis=(0, 1))
@@ -332,7 +351,7 @@ def relaxation(
     for j, unit in enumerate(np.eye(robot.nv)):
         moved = visible.observation(numbered(motion.q + unit, motion.dq, motion.ddq))
         if (
-            np.abs(moved - Y).max() > _SAME * np.abs(Y).max()
+            np.abs(moved - Y).max() > SAMPLING.same * np.abs(Y).max()
         ):  # not a first joint along gravity
             factors += [
                 (j, kind) for kind in ((_SIN, _COS) if robot.revolute[j] else (_X, _XX))

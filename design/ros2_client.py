@@ -21,9 +21,8 @@ import time
 from typing import Any
 
 JOINTS: list[str] = []
-MOTIONS: dict[
-    str, list[list[float]]
-] = {}  # rows t [s], positions, velocities, accelerations
+# rows t [s], positions, velocities, accelerations; the designer writes both lines
+MOTIONS: dict[str, list[list[float]]] = {}
 
 LEAD = 1.0  # s from where the arm stands to where a motion begins
 START = 0.02  # rad or m off where a motion begins: farther away it is not sent

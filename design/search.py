@@ -24,37 +24,86 @@ from excitant.processes import unordered
 from excitant.robots.motion import Array
 from excitant.robots.threads import on_one_thread
 
-_FEASIBLE = 5e-5  # torque excess that the margin kept in the bounds covers
-_RADIUS = 0.3  # of each coefficient's reach
-_RADIUS_MIN = 1e-5
-_RADIUS_MAX = 1.0
-_GAIN = 1e-4  # predicted decrease of the merit at which a search has converged
-_COARSE = 1.5e-2
-_FINE = 2e-3  # least decrease of the merit over `_STALL` iterations
-_STALL = 8
-_HOPELESS = 4.0  # gap to the target over the decrease in as many iterations
-_ITERATIONS = 300
 
-_SCREENING = 12  # iterations after which the worse half of the random starts is stopped
-_FEWEST = 3  # starts that are drawn even after the time limit
-_RANDOM = 12  # random starts, at most, before the best of them are built upon
-_ELITE = 3  # searches whose solutions are mixed with random trajectories to start again
-_MIX = (0.3, 0.5)  # share of the random trajectory in a restart
-_ROUND = 6  # restarts that begin from the same knowledge
-_ROUNDS = 2  # of restarts without a gain after which random starts begin anew
-_WORTH = 1e-3  # decrease of the merit that counts as a gain
-_POLISHED = 4  # best searches that are driven to convergence
+@dataclass(frozen=True)
+class Convergence:
+    """When the search from one start shrinks its steps, slows down or ends.
 
-# numbers of periods that are compared
-_SPLITS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
-_SAMPLED = 4  # starts that compare them
-_COMPARING = 0.1  # and share of the remaining time for each
-_WORSE = 0.2  # increase of the criterion that a few starts can tell
-# least decrease of the criterion that more periods or harmonics are worth
-_GROWTH = 0.02
-_FAMILY = 2  # best solutions that go on with more harmonics
-_FIRST = 0.1
-_SHARE = 0.35  # of the remaining time for the first and each further number
+    Merits are logarithms of the criterion with a penalty: 0.01 is a change by 1 %. All values
+    move `benchmarks/design.py`.
+    """
+
+    torque_excess: float = 5e-5
+    "Share by which torque may exceed its bound: the margin of the problem covers it."
+    radius: float = 0.3
+    "First trust region, as a share of each coefficient's reach."
+    smallest_radius: float = 1e-5
+    "Trust region below which a search cannot improve any more."
+    largest_radius: float = 1.0
+    "Trust region that covers the reach of each coefficient."
+    promised_gain: float = 1e-4
+    "A search has converged when a step promises to lower the merit by less."
+    coarse_pace: float = 1.5e-2
+    "Decrease of the merit over `window` iterations below which a search stalls."
+    fine_pace: float = 2e-3
+    "The same for the searches that are driven to convergence."
+    window: int = 8
+    "Iterations over which the decrease of the merit is judged."
+    hopeless: float = 4.0
+    "Distance to the target over the recent decrease beyond which a search is stopped."
+    iterations: int = 300
+    "Largest number of iterations of one search."
+
+
+@dataclass(frozen=True)
+class Restarts:
+    """How many searches begin at random motions, and how restarts build upon the best."""
+
+    random_starts: int = 12
+    "Random starts, at most, before the best of them are built upon."
+    fewest_starts: int = 3
+    "Starts that are drawn even after the time limit."
+    screening_iterations: int = 12
+    "Iterations after which the worse half of the random starts is stopped."
+    elite: int = 3
+    "Searches whose solutions are mixed with random motions to start again."
+    random_shares: tuple[float, float] = (0.3, 0.5)
+    "Range of the share of the random motion in a restart."
+    round_size: int = 6
+    "Restarts that begin from the same solutions."
+    rounds_without_gain: int = 2
+    "Rounds without a gain after which random starts begin anew."
+    gain: float = 1e-3
+    "Decrease of the merit that counts as a gain."
+    polished: int = 4
+    "Best searches that are driven to convergence."
+
+
+@dataclass(frozen=True)
+class SeriesChoice:
+    """How the numbers of periods and harmonics are chosen."""
+
+    periods: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+    "Numbers of periods that are compared, in this order."
+    period_starts: int = 4
+    "Starts that compare two numbers of periods."
+    period_time: float = 0.1
+    "Share of the remaining time for each number of periods."
+    clear_loss: float = 0.2
+    "Increase of the criterion's logarithm that a few starts can tell: more periods are not tried."
+    gain: float = 0.02
+    "Least decrease of the criterion's logarithm that more periods or harmonics are worth."
+    seeds: int = 2
+    "Best solutions that go on with more harmonics."
+    first_time: float = 0.1
+    "Share of the remaining time for the first number of harmonics."
+    growth_time: float = 0.35
+    "Share of the remaining time for each further number."
+
+
+CONVERGENCE = Convergence()
+RESTARTS = Restarts()
+SERIES_CHOICE = SeriesChoice()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +119,7 @@ class SearchState:
     # unknowns of the lowest value within all limits, if there is one yet
     best: Array | None = None
     best_value: float = np.inf  # that value
-    radius: float = _RADIUS  # trust region
+    radius: float = CONVERGENCE.radius  # trust region
     # "running", "stalled" (slow; may go on), "stopped" (not worth it beside others), "converged",
     # "iteration limit", "time limit", "interrupted" or "infeasible"
     status: str = "running"
@@ -105,8 +154,8 @@ class SearchState:
     def recent_gain(self) -> float:
         """Decrease of the merit over the last iterations."""
         return (
-            self.merits[-_STALL - 1] - self.merit
-            if len(self.merits) > _STALL
+            self.merits[-CONVERGENCE.window - 1] - self.merit
+            if len(self.merits) > CONVERGENCE.window
             else np.inf
         )
 
@@ -116,7 +165,7 @@ class SearchState:
         value = objective(M, problem.criterion)
         excess = max(0.0, worst_use(problem, z) - 1.0)
         new = replace(self, z=z, value=value, excess=excess)
-        if excess <= _FEASIBLE and value < self.best_value:
+        if excess <= CONVERGENCE.torque_excess and value < self.best_value:
             new = replace(new, best=z, best_value=value)
         history = (*self.history, condition_number(M))
         return replace(new, history=history, merits=(*self.merits, new.merit))
@@ -143,8 +192,8 @@ class Task:
     """Iterations of one search, to a least decrease of the merit, while a target is in reach."""
 
     state: SearchState
-    iterations: int = _ITERATIONS
-    pace: float = _COARSE
+    iterations: int = CONVERGENCE.iterations
+    pace: float = CONVERGENCE.coarse_pace
     target: float = -np.inf
 
 
@@ -162,10 +211,10 @@ def _advance(problem: DesignProblem, task: Task, deadline: float) -> SearchState
         if state.status != "running":
             break
         if state.recent_gain < task.pace:
-            slow = task.pace > _FINE
+            slow = task.pace > CONVERGENCE.fine_pace
             state = replace(state, status="stalled") if slow else state.exhausted()
         elif (
-            state.merit - task.target > _HOPELESS * state.recent_gain
+            state.merit - task.target > CONVERGENCE.hopeless * state.recent_gain
             and task.target > -np.inf
         ):
             state = replace(state, status="stopped")
@@ -176,19 +225,21 @@ def _iterate(problem: DesignProblem, state: SearchState) -> SearchState:
     """One linearisation, with the trust region shrunk until the merit decreases."""
     model = local_model(problem, state.z)
     radius = state.radius
-    while radius > _RADIUS_MIN:
+    while radius > CONVERGENCE.smallest_radius:
         step = solve_step(problem, model, radius)
         if step is None:
             radius /= 4
             continue
         dz, promised = step
-        if promised < _GAIN:
+        if promised < CONVERGENCE.promised_gain:
             break
         moved = state.at(problem, state.z + dz)
         share = (state.merit - moved.merit) / promised
         if share > 0.05:
             factor = 2.0 if share > 0.6 else 1.0 if share > 0.25 else 0.5
-            return replace(moved, radius=min(factor * radius, _RADIUS_MAX))
+            return replace(
+                moved, radius=min(factor * radius, CONVERGENCE.largest_radius)
+            )
         radius *= 0.4
     return state.exhausted()
 
@@ -232,7 +283,7 @@ def search(
     )
     if not harmonics:
         return first.problem, first.run()
-    first.go_on(effort.share(effort.starts, _FIRST))
+    first.go_on(effort.share(effort.starts, SERIES_CHOICE.first_time))
     return _grow(first.problem, first.run(), effort, periods, top_hz)
 
 
@@ -242,7 +293,7 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
     They go on with the whole effort.
     """
     best = None
-    for count in _SPLITS:
+    for count in SERIES_CHOICE.periods:
         candidate = replace(problem, series=problem.series.split(count))
         if (
             best is not None
@@ -250,16 +301,18 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
         ):
             break
         starts = (
-            _SAMPLED if effort.starts is None else max(1, effort.starts // _SAMPLED)
+            SERIES_CHOICE.period_starts
+            if effort.starts is None
+            else max(1, effort.starts // SERIES_CHOICE.period_starts)
         )
-        tried = _MultiStart(candidate, effort.share(starts, _COMPARING))
+        tried = _MultiStart(candidate, effort.share(starts, SERIES_CHOICE.period_time))
         searches = tried.begin()
         loss = -np.inf if best is None else _value(searches) - _value(best.searches)
-        if best is None or loss < -_GROWTH:
+        if best is None or loss < -SERIES_CHOICE.gain:
             best = tried
         elif _interrupted(searches):
             best.interrupt()
-        if _interrupted(best.searches) or not loss < _WORSE:
+        if _interrupted(best.searches) or not loss < SERIES_CHOICE.clear_loss:
             break
     assert best is not None
     best.go_on(effort)
@@ -276,14 +329,18 @@ def _grow(
     """Searches with harmonics added while κ falls, each from the best solutions before."""
     gain = np.inf
     while (
-        gain > _GROWTH and time.time() < effort.deadline and not _interrupted(searches)
+        gain > SERIES_CHOICE.gain
+        and time.time() < effort.deadline
+        and not _interrupted(searches)
     ):
         gain = 0.0
         for series in _larger(problem.series, periods, top_hz):
             larger = replace(problem, series=series)
             seeds = _seeds(larger, problem, searches)
             starts = effort.starts and len(seeds)
-            found = _MultiStart(larger, effort.share(starts, _SHARE), seeds).run()
+            found = _MultiStart(
+                larger, effort.share(starts, SERIES_CHOICE.growth_time), seeds
+            ).run()
             gain = _value(searches) - _value(found)
             if gain > 0:
                 problem = larger
@@ -316,7 +373,7 @@ def _seeds(
     """The best solutions of a search as unknowns of a problem, within its limits."""
     near = (
         problem.trajectory(problem.unknowns(before.trajectory(z)))
-        for z in best_solutions(searches, _FAMILY)
+        for z in best_solutions(searches, SERIES_CHOICE.seeds)
     )
     kept = (within_limits(problem.robot, trajectory) for trajectory in near)
     return tuple(
@@ -365,10 +422,14 @@ class _MultiStart:
             self.island(0)
             while self.more():
                 self.island(len(self.states))
-            self.work(self.polishing(_POLISHED, 0))
+            self.work(self.polishing(RESTARTS.polished, 0))
             self.end(
                 "stopped",
-                [s for s in self.ranked(0)[_POLISHED:] if s.status == "stalled"],
+                [
+                    s
+                    for s in self.ranked(0)[RESTARTS.polished :]
+                    if s.status == "stalled"
+                ],
             )
             late = time.time() > self.effort.deadline
             self.end("time limit" if late else "iteration limit", self.ranked(0))
@@ -403,14 +464,14 @@ class _MultiStart:
         self.first = first
         self.random_starts()
         idle = 0
-        while self.more() and idle < _ROUNDS:
+        while self.more() and idle < RESTARTS.rounds_without_gain:
             before = self.merit()
             self.restarts()
-            idle = 0 if self.merit() < before - _WORTH else idle + 1
+            idle = 0 if self.merit() < before - RESTARTS.gain else idle + 1
 
     def random_starts(self) -> None:
         first = len(self.states)
-        count = int(min(self.room, max(3, min(_RANDOM, self.room / 2))))
+        count = int(min(self.room, max(3, min(RESTARTS.random_starts, self.room / 2))))
         begun: dict[int, Array] = {}
         if first < len(self.seeds):
             count = len(self.seeds)
@@ -419,7 +480,7 @@ class _MultiStart:
             SearchState(k, begun.get(k, self.nothing))
             for k in range(first, first + count)
         ]
-        self.work([Task(state, _SCREENING) for state in new])
+        self.work([Task(state, RESTARTS.screening_iterations) for state in new])
         ranked = self.ranked(first)
         keep = len(ranked) if len(ranked) < 4 else -(-len(ranked) // 2)
         self.end("stopped", [s for s in ranked[keep:] if s.status == "running"])
@@ -427,9 +488,11 @@ class _MultiStart:
 
     def restarts(self) -> None:
         first = len(self.states)
-        elite = [s for s in self.ranked(self.first) if np.isfinite(s.merit)][:_ELITE]
-        tasks = self.polishing(_POLISHED // 2, self.first)
-        for k in range(first, first + int(min(_ROUND, self.room))):
+        elite = [s for s in self.ranked(self.first) if np.isfinite(s.merit)][
+            : RESTARTS.elite
+        ]
+        tasks = self.polishing(RESTARTS.polished // 2, self.first)
+        for k in range(first, first + int(min(RESTARTS.round_size, self.room))):
             task = Task(SearchState(k, self.nothing))
             if elite:
                 parent = elite[k % len(elite)]
@@ -458,7 +521,7 @@ class _MultiStart:
 
     def polishing(self, count: int, first: int) -> list[Task]:
         slow = [s for s in self.ranked(first)[:count] if s.status == "stalled"]
-        return [Task(state, pace=_FINE) for state in slow]
+        return [Task(state, pace=CONVERGENCE.fine_pace) for state in slow]
 
     def work(self, tasks: Sequence[Task]) -> None:
         for state in _results(self.problem, tasks, self.effort):
@@ -487,7 +550,7 @@ def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchSta
     """The state of a search after its task, on one thread; the problem is packed once for all."""
     problem: DesignProblem = _unpacked(packed)
     if not task.state.history:
-        if task.state.index >= _FEWEST and time.time() > deadline:
+        if task.state.index >= RESTARTS.fewest_starts and time.time() > deadline:
             return replace(
                 task.state, status="time limit"
             )  # a pose takes long in a big scene
@@ -504,6 +567,6 @@ def _begun(problem: DesignProblem, state: SearchState, seed: int) -> SearchState
     rng = np.random.default_rng([seed, state.index])
     z = problem.unknowns(problem.random(rng))
     if state.parent is not None:
-        share = rng.uniform(*_MIX)
+        share = rng.uniform(*RESTARTS.random_shares)
         z = (1 - share) * state.z + share * z
     return state.at(problem, z)

@@ -17,14 +17,30 @@ from excitant.robots.motion import Array
 # of a torque violation (as share of the limit) against the log criterion
 PENALTY = 50.0
 
-_LOWEST = 8
-_HIGHEST = 4  # eigenvectors whose subspace an LMI follows
-_NEAR = 0.5  # share of a limit from which an extremum is a row
-_NEAR_TORQUE = 0.7
-_NEAR_CLEARANCE = -0.5  # 15 cm more than required
-_EXCHANGES = 8
-_TOLERANCE = 3e-5  # of a limit, at which the exchange stops
-_LOOSE = 0.01  # the same, as a share of the step's length
+
+@dataclass(frozen=True)
+class StepSettings:
+    """What a convex step follows, and how exactly it keeps the limits."""
+
+    lowest: int = 8
+    "Eigenvectors of the smallest eigenvalues, whose subspace a matrix inequality follows."
+    highest: int = 4
+    "The same of the largest eigenvalues."
+    near: float = 0.5
+    "Share of a kinematic limit from which an extremum is a row of the programme."
+    near_torque: float = 0.7
+    "The same for torque."
+    near_clearance: float = -0.5
+    "The same for clearance: 15 cm more than required."
+    exchanges: int = 8
+    "Times that extrema are added, at most."
+    tolerance: float = 3e-5
+    "Share of a limit by which an extremum may exceed it when the exchange ends."
+    relative_tolerance: float = 0.01
+    "The same as a share of the step's length, where that is more: the next step takes it back."
+
+
+STEP = StepSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +78,8 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
     else:
         eigenvalues, V = np.linalg.eigh(M)
         spans = [
-            (-1.0, slice(0, _LOWEST)),
-            (1.0, slice(max(len(M) - _HIGHEST, 0), None)),
+            (-1.0, slice(0, STEP.lowest)),
+            (1.0, slice(max(len(M) - STEP.highest, 0), None)),
         ]
         for sign, span in spans[: 1 + (problem.criterion == "condition")]:
             scale = eigenvalues[0 if sign < 0 else -1]
@@ -72,8 +88,8 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
                 information_derivative(linear, problem.sample_bases, V[:, span]) / scale
             )
             blocks.append(Block(value, dM, sign))
-    torque = torque_rows(problem, z, _NEAR_TORQUE)
-    apart = clearance_rows(problem, z, _NEAR_CLEARANCE)
+    torque = torque_rows(problem, z, STEP.near_torque)
+    apart = clearance_rows(problem, z, STEP.near_clearance)
     rows, use = (np.concatenate(parts) for parts in zip(torque, apart, strict=True))
     return LocalModel(z, tuple(blocks), gradient, hessian, rows, use)
 
@@ -87,8 +103,8 @@ def solve_step(
     long step may leave a small share of its length beyond them, which the next one takes back.
     """
     cost, A, right, cones = _programme(problem, model, radius)
-    rows, room = _extremum_rows(problem, model.z, model.z, _NEAR)
-    for _ in range(_EXCHANGES):
+    rows, room = _extremum_rows(problem, model.z, model.z, STEP.near)
+    for _ in range(STEP.exchanges):
         wide = np.pad(rows, ((0, 0), (0, A.shape[1] - rows.shape[1])))
         all_cones = [*cones, clarabel.NonnegativeConeT(len(rows))]
         solution = _solved(
@@ -98,7 +114,7 @@ def solve_step(
             return None
         dz = solution[: problem.size].reshape(model.z.shape)
         length = float(np.abs(problem.series.rest @ dz / problem.reach).max())
-        tolerance = max(_TOLERANCE, _LOOSE * length)
+        tolerance = max(STEP.tolerance, STEP.relative_tolerance * length)
         added, added_room = _extremum_rows(
             problem, model.z, model.z + dz, 1 + tolerance
         )

@@ -24,19 +24,48 @@ HOLDING = 0.95
 
 # between checked poses: rad of a revolute joint, m of a prismatic one
 _RESOLUTION = (0.02, 0.005)
-_SAMPLES = 1000  # via points tried
-_REACH = 0.4  # rad or m: longest branch that the search grows at once
-_SHORTCUTS = 60
 _SPACINGS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01)  # rad or m between control points
 
-_UNBOUNDED = 1e4  # of the joint speed in units of the path, where there is no limit
-_STAGES = 300  # intervals of the path at least
-_STAGES_PER_PIECE = 8
-_PASSES = 8  # of the linearisation of friction in the squared speed
-_SETTLED = 5e-4  # relative change of the duration between passes
-_BLUR = 2.0  # samples over which a jump of acceleration is spread
-_TIGHTENED = 6  # attempts to hold the limits between samples by lower limits
-_SLOWER = 15  # and by a lower speed
+
+@dataclass(frozen=True)
+class PathSearch:
+    """The search for a path around obstacles, by rapidly exploring trees."""
+
+    samples: int = 1000
+    "Via points that are tried."
+    reach: float = 0.4
+    "Longest branch that a tree grows at once [rad or m]."
+    shortcuts: int = 60
+    "Random shortcuts that are tried."
+
+
+PATH_SEARCH = PathSearch()
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How a path is timed, and how its limits are made to hold between samples."""
+
+    unlimited_speed: float = 1e4
+    "Stands for no limit on a joint speed, in units of the path."
+    stages: int = 300
+    "Intervals of the path, at least."
+    stages_per_piece: int = 8
+    "Intervals of each polynomial piece, at least."
+    passes: int = 8
+    "Linearisations of friction in the squared speed, at most."
+    settled: float = 5e-4
+    "Relative change of the duration below which they end."
+    blur: float = 2.0
+    "Samples over which a jump of acceleration is spread."
+    tightenings: int = 6
+    "Attempts to hold the limits between samples by lower limits."
+    slowings: int = 15
+    "Further attempts by a lower speed."
+
+
+TIMING = Timing()
+
 
 Edge = Callable[[Array, Array], bool]
 Branch = list[Array]  # poses from the root of a tree to one of its nodes
@@ -262,7 +291,7 @@ def _detour(
     low, high = np.clip(around, *robot.limits.position.T)
     trees = [[[start]], [[goal]]]
     edges = [free, lambda a, b: free(b, a)]  # the way back from goal
-    for count in range(_SAMPLES):
+    for count in range(PATH_SEARCH.samples):
         order = slice(None, None, -1 if count % 2 else 1)
         (here, there) = trees[order]
         (edge, back) = edges[order]
@@ -286,7 +315,9 @@ def _grow(
         ahead = target - branch[-1]
         distance = float(np.linalg.norm(ahead))
         pose = (
-            target if distance <= _REACH else branch[-1] + ahead * (_REACH / distance)
+            target
+            if distance <= PATH_SEARCH.reach
+            else branch[-1] + ahead * (PATH_SEARCH.reach / distance)
         )
         if distance == 0 or not free(branch[-1], pose):
             return added
@@ -297,7 +328,7 @@ def _grow(
 
 
 def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
-    for _ in range(_SHORTCUTS):
+    for _ in range(PATH_SEARCH.shortcuts):
         length = _lengths(waypoints)
         cut = np.sort(rng.uniform(0.0, length[-1], 2))
         a, b = _between(waypoints, length, cut)
@@ -317,8 +348,8 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
     excess; where that leaves no solution, the motion is slowed down as a whole.
     """
     tightened = robot
-    first = profile = time_optimal(robot, path, blur=_BLUR / rate_hz, name=name)
-    for _ in range(_TIGHTENED):
+    first = profile = time_optimal(robot, path, blur=TIMING.blur / rate_hz, name=name)
+    for _ in range(TIMING.tightenings):
         motion = profile.motion(path, rate_hz)
         uses = check(robot, motion).uses[1:4]  # of speed, acceleration and torque
         if all(use.ratio <= 1 for use in uses):
@@ -330,10 +361,12 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
         }
         tightened = tightened.with_limits(replace(tightened.limits, **lower))
         try:
-            profile = time_optimal(tightened, path, blur=_BLUR / rate_hz, name=name)
+            profile = time_optimal(
+                tightened, path, blur=TIMING.blur / rate_hz, name=name
+            )
         except Infeasible:
             break
-    for factor in 1 + 1e-3 * 2.0 ** np.arange(_SLOWER):
+    for factor in 1 + 1e-3 * 2.0 ** np.arange(TIMING.slowings):
         motion = replace(first, speed=first.speed / factor).motion(path, rate_hz)
         uses = check(robot, motion).uses[1:4]
         if all(use.ratio <= 1 for use in uses):
@@ -406,7 +439,9 @@ def time_optimal(
     the duration settles. Dry friction is taken at its worst over ``blur`` [s] before and after,
     for it jumps where a joint turns back while the acceleration takes time.
     """
-    s = np.linspace(0.0, 1.0, max(_STAGES, _STAGES_PER_PIECE * path.pieces) + 1)
+    s = np.linspace(
+        0.0, 1.0, max(TIMING.stages, TIMING.stages_per_piece * path.pieces) + 1
+    )
     limits = robot.limits
     unlimited = np.isinf(limits.acceleration) & np.isinf(limits.torque)
     acceleration = np.where(unlimited, DEFAULT_ACCELERATION, limits.acceleration)
@@ -416,7 +451,7 @@ def time_optimal(
     finite = np.where(np.isinf(acceleration), DEFAULT_ACCELERATION, acceleration)
     unit = float(np.max(np.maximum(way / limits.velocity, 2 * np.sqrt(way / finite))))
     profile = None
-    for _ in range(_PASSES):
+    for _ in range(TIMING.passes):
         speed = None if profile is None else profile.speed
         dynamics = _dynamics(robot, path, s, speed, blur)
         found = _topp(
@@ -424,7 +459,9 @@ def time_optimal(
         )
         if found is None:
             break
-        settled = profile is not None and abs(found.duration / unit - 1) < _SETTLED
+        settled = (
+            profile is not None and abs(found.duration / unit - 1) < TIMING.settled
+        )
         profile = found
         unit = found.duration
         if settled:
@@ -487,7 +524,9 @@ def _topp(
 
     zero = np.zeros((len(s), path.dof))
     kinematics = (path(s, 1), path(s, 2), zero, zero)
-    limits = [JointVelocityConstraint(np.minimum(velocity * unit, _UNBOUNDED))]
+    limits = [
+        JointVelocityConstraint(np.minimum(velocity * unit, TIMING.unlimited_speed))
+    ]
     for parts, bound in zip((kinematics, dynamics), bounds, strict=True):
         if np.isfinite(bound).any():
             limits.append(_linear_constraint(parts, bound, unit))
