@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
 from excitant.reports import values as v
+from excitant.reports.figure import Bars, Figure, Key
 from excitant.reports.values import NONE, Result
-from excitant.robots.motion import Array
 
 GOOD = "good"
 FAIR = "fair"
@@ -69,56 +69,6 @@ class Table:
         names = [head.rpartition("|")[0] for head, _ in self.columns]
         found = [(name, len(list(columns))) for name, columns in groupby(names)]
         return found if any(names) else []
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One drawing of a figure: its SVG element, what it shows in words, and its title."""
-
-    svg: str
-    label: str
-    title: str = ""
-
-
-@dataclass(frozen=True)
-class Key:
-    """One item of a legend: a mark (``line``, ``dash``, ``box``, ``dot``, ``ring``) in a colour."""
-
-    mark: str
-    colour: str
-    label: str
-
-
-@dataclass(frozen=True, eq=False)
-class Timeline:
-    """What the panels of a figure draw, one joint each, to select, to zoom into and to read off.
-
-    Attributes:
-        t: Time without gaps, shape (n,) [s].
-        names: Joints of the panels.
-        unit: Unit of the curves.
-        curves: Label, colour and values (n, panels) of each; the first is what was measured.
-        half_width: Half of the interval about the last curve, shape (n, panels).
-    """
-
-    t: Array
-    names: tuple[str, ...]
-    unit: str
-    curves: tuple[tuple[str, str, Array], ...]
-    half_width: Array | None = None
-
-
-@dataclass(frozen=True)
-class Figure:
-    """Small multiples that share a legend; the caption says what to see.
-
-    With a timeline, a browser that runs the page's script shows one panel at a time, to zoom into.
-    """
-
-    panels: tuple[Panel, ...]
-    caption: str
-    legend: tuple[Key, ...] = ()
-    timeline: Timeline | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -199,7 +149,7 @@ class Folded:
     closed: bool = False
 
 
-Block = Table | Figure | Matrix | Player | Facts | Notes | Folded
+Block = Table | Figure | Bars | Matrix | Player | Facts | Notes | Folded
 Blocks = list["Block | tuple[str, Blocks] | None"]
 """What stands in a part; a title with blocks is a part within it."""
 Parts = list[tuple[str, Blocks]]
@@ -397,17 +347,6 @@ def notes(
     return Notes(tuple(sentences), tone, brief) if sentences else None
 
 
-def figure(
-    panels: Sequence[Panel | None],
-    caption: str,
-    legend: Sequence[Key] = (),
-    timeline: Timeline | None = None,
-) -> Figure | None:
-    """A figure of the panels that have data; None without any."""
-    present = tuple(panel for panel in panels if panel is not None)
-    return Figure(present, caption, tuple(legend), timeline) if present else None
-
-
 def section(
     title: str, lead: str, parts: Parts, brief: Brief = (), closed: Parts | None = None
 ) -> Section:
@@ -415,13 +354,11 @@ def section(
 
     After the parts come those that are behind their titles.
     """
-    kept = [_part(*part) for part in parts]
-    kept += [_part(*part, closed=True) for part in closed or []]
-    return Section(title, lead, tuple(part for part in kept if part.blocks), brief)
+    built = [_part(*part) for part in parts]
+    built += [_part(*part, True) for part in closed or []]
+    return Section(title, lead, tuple(part for part in built if part.blocks), brief)
 
 
 def _part(title: str, blocks: Blocks, closed: bool = False) -> Folded:
-    built: list[Block | None] = []
-    for block in blocks:
-        built.append(_part(*block) if isinstance(block, tuple) else block)
+    built = [_part(*block) if isinstance(block, tuple) else block for block in blocks]
     return Folded(title, tuple(block for block in built if block is not None), closed)

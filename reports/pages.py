@@ -15,20 +15,19 @@ from excitant.exceptions import BadInput
 from excitant.names import printable
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.analyze import analyze_section, links_folded
-from excitant.reports.design import (
+from excitant.reports.page import Cell, Page, Section
+from excitant.reports.sections.analyze import analyze_section, links_folded
+from excitant.reports.sections.design import (
     check_section,
     design_section,
     rehearse_section,
     show_section,
 )
-from excitant.reports.diagnose import diagnose_section
-from excitant.reports.drawing import style
-from excitant.reports.examination import examination_page
-from excitant.reports.fleet import fleet_section
-from excitant.reports.identify import identify_section
-from excitant.reports.page import Cell, Page, Section
-from excitant.reports.robot import robot_section
+from excitant.reports.sections.diagnose import diagnose_section
+from excitant.reports.sections.examination import examination_page
+from excitant.reports.sections.fleet import fleet_section
+from excitant.reports.sections.identify import identify_section
+from excitant.reports.sections.robot import robot_section
 from excitant.reports.values import NONE, Result, Series
 
 _SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
@@ -69,14 +68,13 @@ def page_of(result: Result, series: Series) -> Page:
         raise BadInput(
             f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}"
         )
-    with style():
-        if verb in _WHOLE:
-            page = _examination_page(result, series)
-        elif verb == COMPARE:
-            page = _comparison_page(result)
-        else:
-            only = _SECTIONS[verb](result, series)
-            page = Page(_title(only.title, result), only.lead, (), (only,))
+    if verb in _WHOLE:
+        page = _examination_page(result, series)
+    elif verb == COMPARE:
+        page = _comparison_page(result)
+    else:
+        only = _SECTIONS[verb](result, series)
+        page = Page(_title(only.title, result), only.lead, (), (only,))
     return replace(page, files=tuple(v.words(result, "files")))
 
 

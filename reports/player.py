@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from excitant.reports import drawing as draw
+from excitant.reports import figure as fig
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.page import Key, Moment, Player
+from excitant.reports.figure import COLOURS, Key
+from excitant.reports.page import Moment, Player
 from excitant.reports.values import Result, Series
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
 
@@ -38,16 +39,16 @@ def player(result: Result, series: Series) -> Player | None:
     shapes = [
         {**row, **_mesh(series, k)} for k, row in enumerate(v.records(look, "shapes"))
     ]
-    colours = {"limit": draw.AMBER, "beyond": draw.GIVEN, "gap": draw.GREEN}
-    colours |= {"path": draw.FITTED, "obstacle": draw.PURPLE}
+    roles = {"limit": fig.AMBER, "beyond": fig.GIVEN, "gap": fig.GREEN}
+    roles |= {"path": fig.FITTED, "obstacle": fig.PURPLE}
     obstacles = v.records(result, "obstacles")
     legend = [
-        Key("box", draw.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
-        Key("box", draw.GIVEN, "limit exceeded"),
-        *[Key("line", draw.GREEN, "shortest distance of two bodies")]
+        Key("box", fig.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
+        Key("box", fig.GIVEN, "limit exceeded"),
+        *[Key("line", fig.GREEN, "shortest distance of two bodies")]
         * ("distance" in frames),
-        Key("line", draw.FITTED, "path of the tool"),
-        *[Key("box", draw.PURPLE, "obstacle, workspace")]
+        Key("line", fig.FITTED, "path of the tool"),
+        *[Key("box", fig.PURPLE, "obstacle, workspace")]
         * any(v.text(each, "name") != "floor" for each in obstacles),
     ]
     return Player(
@@ -60,7 +61,7 @@ def player(result: Result, series: Series) -> Player | None:
             "frames": {name: _packed(values) for name, values in frames.items()},
             "touched": TOUCHED / _SHARE,
             "share": _SHARE,
-            "colours": colours,
+            "colours": {name: COLOURS[role][0] for name, role in roles.items()},
         },
         joints=tuple(zip(names, units, strict=True)),
         quantities=_QUANTITIES,

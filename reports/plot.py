@@ -10,25 +10,21 @@ or ``ax`` is one axes for several drawings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.reports import page
 from excitant.reports import values as v
-from excitant.reports.drawing import Sheet
-from excitant.reports.error_figures import torque_figure
-from excitant.reports.estimate_figures import (
-    forest_figure,
-    forest_groups,
-    friction_figure,
-)
-from excitant.reports.identify import CURVES
-from excitant.reports.motion_figures import motion_figure
-from excitant.reports.residual_figures import residual_figure
+from excitant.reports.figure import Figure
+from excitant.reports.figures.estimate import forest_figure, friction_figure
+from excitant.reports.figures.motion import motion_figure
+from excitant.reports.figures.residual import residual_figure
+from excitant.reports.figures.torque import torque_figure
+from excitant.reports.pyplot import draw, draw_onto
 from excitant.reports.run import Reportable, as_saved
+from excitant.reports.sections.identify import CURVES
 from excitant.reports.values import Result, Series
 from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion
@@ -53,7 +49,7 @@ def torque(estimate: Estimate, joints: Names = None) -> list[Axes]:
     result, series = _of_joints(estimate, joints)
     names = v.joint_names(result)
     unit = v.text(result, "unit")
-    return _drawn(lambda: torque_figure(names, series, unit, CURVES))
+    return _drawn(torque_figure(names, series, unit, CURVES))
 
 
 def friction(
@@ -61,15 +57,13 @@ def friction(
 ) -> list[Axes]:
     """Friction over velocity with its 95 % interval, and the readings of the hold-out."""
     result, series = _of_joints(estimate, joints)
-    return _drawn(
-        lambda: friction_figure(result, series), ax, len(v.joint_names(result))
-    )
+    return _drawn(friction_figure(result, series), ax)
 
 
 def residuals(estimate: Estimate, joints: Names = None) -> list[Axes]:
     """Residual over position, velocity and load, and its spectrum: four axes a joint."""
     result, series = _of_joints(estimate, joints)
-    return _drawn(lambda: residual_figure(result, series, v.text(result, "unit")))
+    return _drawn(residual_figure(result, series, v.text(result, "unit")))
 
 
 def parameters(
@@ -80,17 +74,15 @@ def parameters(
     Names are those of links, joints or parameters, or symbols such as ``m`` and ``Fc``.
     """
     rows = estimate.result()["parameters"]
-    kept = []
-    ways = [
-        {name, *name.rpartition(".")[::2]} for name in (row["name"] for row in rows)
-    ]
+    aliases = [{row["name"], *row["name"].rpartition(".")[::2]} for row in rows]
     wanted = {names} if isinstance(names, str) else set(names or ())
-    UnknownName.refuse("parameter", sorted(wanted), sorted(set().union(*ways)))
-    kept = [
-        row for row, way in zip(rows, ways, strict=True) if not wanted or way & wanted
+    UnknownName.refuse("parameter", sorted(wanted), sorted(set().union(*aliases)))
+    chosen = [
+        row
+        for row, names in zip(rows, aliases, strict=True)
+        if not wanted or names & wanted
     ]
-    result = {"parameters": kept}
-    return _drawn(lambda: forest_figure(result), ax, len(forest_groups(result)))
+    return _drawn(forest_figure({"parameters": chosen}), ax)
 
 
 def motion(
@@ -115,7 +107,7 @@ def motion(
             known |= check(robot, motion).entries(robot.limits)
         curves = {name: getattr(samples, name) for name in ("t", "q", "dq", "ddq")}
         result, series = _chosen(known, curves, joints)
-    return _drawn(lambda: motion_figure(v.joint_names(result), result, series))
+    return _drawn(motion_figure(v.joint_names(result), result, series))
 
 
 def _of_joints(noun: Reportable, joints: Names) -> _Drawn:
@@ -150,13 +142,15 @@ def _chosen(result: Result, series: Series, joints: Names) -> _Drawn:
     return result, arrays
 
 
-def _drawn(
-    draw: Callable[[], page.Figure | None], ax: Axes | None = None, panels: int = 1
-) -> list[Axes]:
-    if ax is not None and panels > 1:
-        why = "name one joint or kind of parameters, or leave ax out"
-        raise BadInput(f"ax holds one drawing, but these are {panels}; {why}")
-    found = Sheet(ax).drawn(draw)
-    if not found:
+def _drawn(figure: Figure | None, ax: Axes | None = None) -> list[Axes]:
+    if figure is None:
         raise BadInput("there is nothing to draw: the result holds none of it")
-    return found
+    if ax is None:
+        return draw(figure)
+    if len(figure.panels) > 1:
+        why = "name one joint or kind of parameters, or leave ax out"
+        raise BadInput(
+            f"ax holds one drawing, but these are {len(figure.panels)}; {why}"
+        )
+    draw_onto(ax, figure)
+    return [ax]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
@@ -12,6 +11,8 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from excitant.names import shortened
+from excitant.reports.charts import packed
+from excitant.reports.figure import COLOURS, Figure
 from excitant.reports.page import (
     Block,
     Facts,
@@ -22,10 +23,8 @@ from excitant.reports.page import (
     Player,
     Section,
     Table,
-    Timeline,
 )
 from excitant.reports.values import NONE
-from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
     import jinja2
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
 _FIGURE = 14  # characters of a number in text
 _LABEL = 32
 _UNBROKEN = 24  # letters of a word that is never broken
-_SAMPLES = 250_000  # of all curves of a timeline
 # columns of words are a multiple of this wide, so that few changes move them
 _STEP = 10
 _WIDE = 200  # columns where no terminal is
@@ -45,19 +43,37 @@ _ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 def html(page: Page, saved: bool = True) -> str:
     """A page as one HTML file: no network, figures and scripts inside.
 
-    A figure with a timeline is drawn by uPlot, a motion by three.js.
+    Figures are drawn by uPlot, a motion by three.js.
 
     Args:
         page: What to write.
         saved: Whether the result it is drawn from stands beside it.
     """
-    blocks = [each for s in page.sections for part in s.parts for each in part.blocks]
-    plays = any(isinstance(each, Player) for each in blocks)
-    timed = any(getattr(each, "timeline", None) for each in blocks)
-    names = [*["uplot.min.js"] * timed, "report.js", *["three.js", "player.js"] * plays]
+    kinds = {
+        type(block)
+        for section in page.sections
+        for part in section.parts
+        for block in _blocks(part.blocks)
+    }
+    drawn = Figure in kinds
+    names = [
+        "report.js",
+        *["uplot.min.js", "figures.js"] * drawn,
+        *["three.js", "player.js"] * (Player in kinds),
+    ]
     template = _environment().get_template("report.html.j2")
     scripts = [_script(name) for name in names]
-    return template.render(page=page, saved=saved, timed=timed, scripts=scripts)
+    return template.render(
+        page=page, saved=saved, drawn=drawn, scripts=scripts, colours=COLOURS
+    )
+
+
+def _blocks(blocks: Sequence[Block]) -> Iterator[Block]:
+    """Blocks and those within them."""
+    for block in blocks:
+        yield block
+        if isinstance(block, Folded):
+            yield from _blocks(block.blocks)
 
 
 def _script(name: str) -> dict[str, str]:
@@ -78,7 +94,6 @@ def _template(name: str) -> str:
 @cache
 def _environment() -> jinja2.Environment:
     import jinja2
-    from markupsafe import Markup
 
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_template),
@@ -87,9 +102,8 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters["drawing"] = Markup  # SVG of ours, its texts are escaped
     environment.filters["breakable"] = _breakable
-    environment.filters["packed"] = _packed
+    environment.filters["packed"] = packed
     environment.filters["kind"] = lambda block: type(block).__name__
     return environment
 
@@ -105,49 +119,6 @@ def _breakable(words: str) -> Markup:
     return Markup(
         re.sub(r"(?<!\S)--[\w-]+", r'<span class="whole">\g<0></span>', written)
     )
-
-
-def _packed(timeline: Timeline) -> Markup:
-    """A timeline as JSON for the page's script; a long one has fewer rows."""
-    from markupsafe import Markup
-
-    count = len(timeline.t) * len(timeline.names) * (len(timeline.curves) + 1)
-    rows = slice(None, None, -(-count // _SAMPLES))
-    half = timeline.half_width
-    told = {
-        "t": b64encode(timeline.t[rows].astype("<f4").tobytes()).decode(),
-        "unit": timeline.unit,
-        "names": timeline.names,
-        "curves": [
-            {
-                "label": label,
-                "colour": colour,
-                "values": [_steps(x) for x in values[rows].T],
-            }
-            for label, colour, values in timeline.curves
-        ],
-        "half": None if half is None else [_steps(x) for x in half[rows].T],
-    }
-    return Markup(json.dumps(told, separators=(",", ":")).replace("<", "\\u003c"))
-
-
-def _steps(x: Array) -> dict[str, object]:
-    """A curve as 16-bit steps between its least and greatest value; the least is for NaN."""
-    import numpy as np
-
-    known = np.isfinite(x)
-    low, high = (
-        (float(f(x[known])) for f in (np.min, np.max)) if known.any() else (0.0, 0.0)
-    )
-    step = (high - low) / 65534 or 1.0
-    k = np.where(
-        known, np.round((np.where(known, x, low) - low) / step) - 32767, -32768
-    )
-    return {
-        "low": low,
-        "step": step,
-        "k": b64encode(k.astype("<i2").tobytes()).decode(),
-    }
 
 
 def summary(page: Page) -> str:

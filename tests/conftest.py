@@ -99,12 +99,6 @@ def excitant(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
     return run
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawings are not written, which takes most of a page's time."""
-    monkeypatch.setattr("excitant.reports.drawing._svg", lambda *_: "<svg></svg>")
-
-
 @pytest.fixture(scope="session")
 def runs() -> Callable[..., list[Recording]]:
     """``runs(robot, seed, hidden=..., sensors=..., tolerance=...)``: two motions, or one, recorded.

@@ -22,8 +22,6 @@ from excitant.design import check, random_trajectory, trajectory_csv, trajectory
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import industrial_sensors, virtual_arm
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 REPORT = {"result.json", "summary.txt", "report.html"}
 
 

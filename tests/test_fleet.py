@@ -27,8 +27,6 @@ from excitant.processes import unordered
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import virtual_arm
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 ROBOT = load_robot("planar_2r")
 
 

@@ -16,8 +16,6 @@ from excitant.reports import load_run
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import HiddenEffect, ideal_sensors, virtual_arm
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cell3"
 HIDDEN = HiddenEffect("coulomb_friction", "joint2", (("Fc", 1.0),))
 SECTIONS = ("Robot", "Identification", "Identifiability", "Diagnosis")

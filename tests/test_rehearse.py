@@ -31,8 +31,6 @@ from excitant.design import (
 from excitant.robots import Robot
 from excitant.robots.effects import standard_effects
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 Command = Callable[..., Any]
 
 

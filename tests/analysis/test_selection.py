@@ -26,8 +26,6 @@ from excitant.robots import effects as kinds
 from excitant.robots.parameters import violations
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 JOINTS = ("joint1", "joint2")
 STANDARD = kinds.standard_effects(JOINTS)
 PLANTED = (

@@ -52,8 +52,6 @@ from excitant.robots.effects import (
 )
 from excitant.robots.urdf import robot_from_urdf
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 SMOOTH = (ViscousFriction, RotorInertia)
 BUILT_IN = ("planar_2r", "ur10", "panda", "cmu_dd_arm_ii", "puma560", "cylindrical")
 HELD = {

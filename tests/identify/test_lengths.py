@@ -28,8 +28,6 @@ from excitant.robots.plant.sensors import Run
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.virtual_arm import VirtualArm, industrial_sensors, virtual_arm
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 STD = 0.005  # m
 
 

@@ -20,8 +20,6 @@ from excitant.robots import Motion, Robot, base_parameters, torque
 from excitant.robots.effects import TimeDelay, TorqueOffset, ViscousFriction, standard_effects
 from excitant.robots.torque import observation_columns
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 RATE = 250.0
 T = np.arange(0, 12, 1 / RATE)
 SIGMA = np.array([0.05, 0.02])

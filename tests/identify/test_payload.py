@@ -40,8 +40,6 @@ from excitant.robots.parameters import STANDARD, violations
 from excitant.robots.torque import observation_columns
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors, virtual_arm
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 MASS, CENTRE = 1.5, np.array([0.02, -0.03, 0.18])  # kg, m from the last joint's frame
 BODY = pin.Inertia(MASS, CENTRE, np.diag([0.004, 0.005, 0.006]))
 PHI = BODY.toDynamicParameters()

@@ -30,6 +30,12 @@ class Opened:
             "document.querySelector('main details')?.getBoundingClientRect().top || 0"
         )
 
+    def draw(self) -> None:
+        """Scroll through the page, whose figures are drawn when they come into view."""
+        for panel in self.page.locator(".plots").all():
+            panel.scroll_into_view_if_needed()
+        driver.expect(self.page.locator(".plot:not(:has(canvas))")).to_have_count(0)
+
     def _hear(self, message) -> None:
         """What pages say; without a graphics card its driver says how slow it is."""
         if "GL Driver Message" not in message.text:
@@ -37,8 +43,7 @@ class Opened:
 
     def unfolded(self) -> Iterator["Opened"]:
         self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
-        for choice in self.page.locator(".chart select").all():
-            choice.select_option(label="all joints")
+        self.draw()
         yield self
         self.page.close()
 
@@ -164,58 +169,25 @@ def test_contents_lead_to_their_sections_and_are_shut_on_a_phone(opened):
         assert -2 <= heading["top"] < (900 if heading["end"] else 60), heading
 
 
-DRAWN = """async () => {
-  const boxOf = (text) => {  // of level or upright letters, without the room above and below them
-    const r = text.getBoundingClientRect(), level = Math.abs(text.getScreenCTM().b) < 1e-6;
-    const [x, y] = level ? [0, 0.2 * r.height] : [0.2 * r.width, 0];
-    return [r.left + x, r.top + y, r.right - x, r.bottom - y];
-  };
-  const apart = (a, b) => [0, 1].some(
-    (k) => a[k + 2] < b[k] + 0.5 || b[k + 2] < a[k] + 0.5);
-  const overlaps = [], outside = [], empty = [], small = [];
-  let least = [99, ""];
-  for (const image of document.querySelectorAll("svg image")) {
-    const picture = new Image();
-    picture.src = image.getAttribute("href");
-    await picture.decode();
-  }
-  const frameInk = new Set(  // none, white, grid and axes
-    ["none", "rgb(255, 255, 255)", "rgb(228, 230, 232)", "rgb(138, 143, 148)"]);
-  for (const svg of document.querySelectorAll("svg[role=img]")) {
-    const label = svg.getAttribute("aria-label").slice(0, 60);
-    const frame = svg.getBoundingClientRect();
-    const texts = [...svg.querySelectorAll("text")].filter((t) => t.textContent.trim());
-    const boxes = texts.map(boxOf);
-    texts.forEach((t, i) => {
-      const m = t.getScreenCTM();
-      const size = parseFloat(getComputedStyle(t).fontSize) * Math.hypot(m.a, m.b);
-      if (size < least[0]) least = [size, `${t.textContent} in ${label}`];
-      const [left, top, right, bottom] = boxes[i];
-      if (left < frame.left - 1 || right > frame.right + 1 ||
-          top < frame.top - 1 || bottom > frame.bottom + 1)
-        outside.push(`${t.textContent} in ${label}`);
-      for (let j = 0; j < i; j++)
-        if (!apart(boxes[i], boxes[j]))
-          overlaps.push(`${t.textContent} / ${texts[j].textContent} in ${label}`);
-    });
-    const marks = [...svg.querySelectorAll("path, use, image, line, rect, circle")].filter((e) => {
-      if (e.closest("defs, clipPath")) return false;
-      const s = getComputedStyle(e);
-      return e.tagName === "image" || !frameInk.has(s.stroke) || !frameInk.has(s.fill);
-    });
-    if (!marks.length) empty.push(label);
-    if (frame.width <= 150 || frame.height <= 50) small.push(label);
-  }
-  return { overlaps, outside, empty, small, least };
-}"""
+INKED = """() => [...document.querySelectorAll(".plot canvas")].map((canvas) => {
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const { width, height } = canvas.getBoundingClientRect();
+  let inked = 0;
+  for (let k = 3; k < data.length; k += 4) inked += data[k] > 128;
+  return [width, height, inked / (data.length / 4)];
+})"""
 
 
-def test_drawings_show_something_in_letters_that_are_legible_apart_and_inside(opened):
-    drawn = opened.page.evaluate(DRAWN)
-    assert drawn.pop("least")[0] > 8.5
-    assert drawn == {"overlaps": [], "outside": [], "empty": [], "small": []}
-    drawings = opened.page.locator("svg[role=img]").count()
-    assert opened.page.locator(".enlarge").count() == drawings
+def test_every_figure_is_drawn_as_large_as_its_place(opened):
+    for width, height, inked in opened.page.evaluate(INKED):
+        assert width > 200
+        assert height > 60
+        assert inked > 0.003
+    panels = opened.page.locator(".panel")
+    assert opened.page.locator(".enlarge").count() == panels.count()
+    for panel in panels.all():
+        canvas = panel.locator("canvas").first.bounding_box()
+        assert canvas["width"] == pytest.approx(panel.bounding_box()["width"], abs=30)
 
 
 def test_tables_that_go_on_show_it(opened):
@@ -254,26 +226,28 @@ def test_no_cell_is_a_ladder_of_words(opened):
 
 
 def test_drawing_opens_and_closes_by_mouse_and_keyboard(opened):
-    page, drawings = opened.page, opened.page.locator(".panel > svg")
-    large = page.locator("dialog[open] svg[role=img]")
+    page, drawings = opened.page, opened.page.locator(".panel .plots")
+    large = page.locator("dialog[open] .plots")
     if not drawings.count():
-        assert page.locator("dialog[open], .enlarge, svg[role=img]").count() == 0
+        assert page.locator("dialog, .enlarge").count() == 0
         return
-    small = drawings.first.bounding_box()["width"]
+    small = drawings.first.locator("canvas").first.bounding_box()["height"]
     labels = [drawing.get_attribute("aria-label") for drawing in drawings.all()]
 
     def close(how):
         how()
-        driver.expect(page.locator("dialog svg[role=img]")).to_have_count(0)
+        driver.expect(page.locator("dialog .plots")).to_have_count(0)
         assert page.locator("dialog[open]").count() == 0
         assert [drawing.get_attribute("aria-label") for drawing in drawings.all()] == labels
 
-    drawings.first.click()
+    page.locator(".enlarge").first.click()
     assert large.get_attribute("aria-label") == labels[0]
-    assert large.bounding_box()["width"] > 1.3 * small
-    assert page.locator("dialog .caption").text_content()
+    width = large.locator("canvas").first.bounding_box()["width"]
+    assert width > 0.8 * page.viewport_size["width"]
+    assert page.locator("dialog .caption").first.text_content()
     close(page.get_by_role("button", name="Close").click)
-    assert drawings.first.bounding_box()["width"] == pytest.approx(small)
+    box = drawings.first.locator("canvas").first.bounding_box()
+    assert box["height"] == pytest.approx(small, abs=1)
 
     page.locator(".enlarge").first.focus()
     for key, shown in (("Enter", 0), ("ArrowRight", 1 % len(labels)), ("ArrowLeft", 0)):
@@ -295,6 +269,8 @@ def test_paper_shows_all_in_light_colours(browser, file):
     assert wide <= window
     driver.expect(page.locator("body")).to_have_css("background-color", "rgb(255, 255, 255)")
     assert page.locator(".enlarge:visible").count() == 0
+    driver.expect(page.locator(".plot:not(:has(canvas))")).to_have_count(0)
+    assert all(width < 330 for width, *_ in page.evaluate(INKED))
     tables = page.locator("table:not(.player table)").all()  # players do not move on paper
     assert all(table.bounding_box()["height"] > 20 for table in tables)
     _, poor = page.evaluate(CONTRAST)
@@ -304,77 +280,69 @@ def test_paper_shows_all_in_light_colours(browser, file):
     page.close()
 
 
-@pytest.fixture(params=["identify", "diagnose"])
-def timed(request, written, tmp_path) -> Path:
-    path = tmp_path / "report.html"
-    path.write_text(written(request.param).source, "utf-8")
-    return path
-
-
 @pytest.mark.parametrize("width", [1200, 400])
-def test_torque_over_time_is_chosen_zoomed_into_and_read_off(browser, timed, width):
-    opened = Opened(browser, timed, width, "light")
+@pytest.mark.parametrize("verb", ["identify", "diagnose"])
+def test_torque_over_time_is_read_off_and_zoomed_into(browser, verb, width, written, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text(written(verb).source, "utf-8")
+    opened = Opened(browser, path, width, "light")
     page = opened.page
     page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
-    chart, panels = page.locator(".chart"), page.locator("figure.live .panel:visible")
-    span, value = chart.locator("output"), chart.locator(".u-series:not(.edge) .u-value")
-    whole = span.text_content()
-    assert panels.count() == 0
-    assert chart.locator("canvas").count() == 2  # torque, and below it the residual
+    opened.draw()
+    panel = page.locator(".panel", has=page.locator("[aria-label*='measured torque over time']"))
+    plots = panel.first.locator(".u-over")
+    tips = panel.first.locator(".tip:not([hidden])")
 
-    plot = chart.locator(".u-over").first
-    plot.scroll_into_view_if_needed()
-    box = plot.bounding_box()
-    at = [(box["x"] + share * box["width"], box["y"] + 40) for share in (0.25, 0.5)]
-    page.mouse.move(*at[0])
-    driver.expect(value.first).not_to_have_text("–")
-    t, measured, *models = (float(x) for x in value.all_text_contents()[: value.count() // 2 + 1])
-    start, end = (float(x) for x in whole.removesuffix(" s").split(" to "))
-    assert t == pytest.approx(start + 0.25 * (end - start), abs=0.02 * (end - start))
-    residuals = [float(x) for x in value.all_text_contents()[len(models) + 3 :]]
-    assert residuals == pytest.approx([measured - x for x in models], abs=2e-3 * abs(measured))
+    def read(k, share):
+        """Time, and the values by name, that the k-th axes show under the pointer."""
+        plots.nth(k).scroll_into_view_if_needed()
+        box = plots.nth(k).bounding_box()
+        page.mouse.move(box["x"] + share * box["width"], box["y"] + 0.5 * box["height"])
+        driver.expect(tips).to_have_count(2)
+        shown = []
+        for tip in tips.all():
+            lines = tip.inner_text().replace("−", "-").splitlines()
+            shown.append({name: float(x) for name, _, x in (x.rpartition(" ") for x in lines)})
+        return shown
 
-    page.mouse.down()
-    page.mouse.move(*at[1], steps=4)
-    page.mouse.up()
-    low, high = (float(x) for x in span.text_content().removesuffix(" s").split(" to "))
-    quarter = (end - start) / 4
-    assert [low - start, high - low] == pytest.approx([quarter, quarter], abs=0.1 * quarter)
+    torque, residual = read(0, 0.5)
+    assert torque["time"] == residual["time"]
+    measured = torque["measured"]
+    for name in residual.keys() - {"time"}:
+        assert residual[name] == pytest.approx(measured - torque[name], abs=2e-3 * abs(measured))
+    start, middle, end = (read(0, share)[0]["time"] for share in (0.01, 0.5, 0.99))
 
-    def residuals_follow():
-        below = chart.locator(".u-over").nth(1).bounding_box()
-        page.mouse.move(below["x"] + 0.5 * below["width"], below["y"] + 20)
-        first, last = (float(x) for x in span.text_content().removesuffix(" s").split(" to "))
-        middle = float(value.nth(len(models) + 2).text_content())
-        assert middle == pytest.approx((first + last) / 2, abs=0.05 * (last - first))
+    def drag(first, last, k=0):
+        box = plots.nth(k).bounding_box()
+        at = [box["x"] + share * box["width"] for share in (first, last)]
+        page.mouse.move(at[0], box["y"] + 20)
+        page.mouse.down()
+        page.mouse.move(at[1], box["y"] + 22, steps=4)
+        page.mouse.up()
 
-    residuals_follow()
-    chart.locator("select").select_option(index=1)
-    assert span.text_content() == f"{low:.4g} to {high:.4g} s"
-    page.mouse.move(at[0][0] + 5, at[0][1])
-    driver.expect(value.nth(1)).not_to_have_text(f"{measured:.4g}")
-    for name in ("Zoom out", "Zoom in", "Later", "Earlier", "Whole time"):
-        before = span.text_content()
-        page.get_by_role("button", name=name).click()
-        assert span.text_content() != before
-        residuals_follow()
-    assert span.text_content() == whole
+    drag(0.25, 0.75)
+    for k in (0, 1):  # the residual follows
+        ends = [read(k, share)[k]["time"] for share in (0.01, 0.99)]
+        assert ends[1] - ends[0] == pytest.approx((end - start) / 2, rel=0.05)
+    plots.first.dblclick()
+    assert read(0, 0.01)[0]["time"] == pytest.approx(start, abs=0.02 * (end - start))
 
-    chart.locator("select").select_option(label="all joints")
-    names = chart.locator("option").all_text_contents()[:-1]
-    assert panels.locator("p").all_text_contents() == names
-    assert not chart.locator("canvas").first.is_visible()
-    page.emulate_media(media="print")
-    assert not chart.is_visible()
+    panel.first.locator(".enlarge").click()
+    plots, tips = (page.locator(f"dialog {x}") for x in (".u-over", ".tip:not([hidden])"))
+    for name, span in (("Zoom in", 0.5), ("Zoom out", 1.0), ("Zoom in", 0.5), ("Whole", 1.0)):
+        page.get_by_role("button", name=name, exact=True).click()
+        ends = [read(1, share)[1]["time"] for share in (0.01, 0.99)]
+        assert ends[1] - ends[0] == pytest.approx(span * (end - start), rel=0.05)
+    page.get_by_role("button", name="Move right").click()
+    assert read(1, 0.01)[1]["time"] == pytest.approx(middle, abs=0.03 * (end - start))
     assert opened.said == []
     page.close()
 
 
-def test_torque_over_time_is_drawn_without_a_script(browser, timed):
+def test_without_a_script_figures_say_so(browser, written, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text(written("analyze").source, "utf-8")
     page = browser.new_page(java_script_enabled=False)
-    page.goto(timed.as_uri())
-    figure = page.locator("figure:has(script.timeline)")
-    figure.locator("xpath=ancestor::details/summary").click()
-    assert figure.locator(".panel svg[role=img]").first.is_visible()
-    assert page.locator(".chart").count() == 0
+    page.goto(path.as_uri())
+    assert page.get_by_text("Figures are drawn where JavaScript is on.").count() == 1
     page.close()

@@ -13,8 +13,6 @@ from excitant.reports.values import percent
 from excitant.robots import load_robot
 from excitant.robots.check import ModelCheck
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 def pair(build, change):
     first, second = build(), build()

@@ -2,19 +2,17 @@
 
 import re
 
-import numpy as np
-
 from excitant.reports import page_of, summary
-from excitant.reports.drawing import axes, style
-from excitant.reports.error_figures import INTERVAL, Curves, draw_band, torque_figure
-from excitant.reports.identify import identify_section
+from excitant.reports.figure import Band
+from excitant.reports.figures.torque import INTERVAL, Curves, torque_figure
 from excitant.reports.page import Notes, Table
+from excitant.reports.sections.identify import identify_section
 
 CURVES = Curves("given", "identified", "identified", "caption", band="half_width")
 PARTS = {"Payload", "On-line estimation", "Estimates over time", "Excitation over time"}
 
 
-def test_every_part_is_there_with_its_figure(make, show, written, undrawn):
+def test_every_part_is_there_with_its_figure(make, show, written):
     page = written("identify")
     assert set(page.headings) >= PARTS
     said = " ".join(page.labels)
@@ -26,7 +24,7 @@ def test_every_part_is_there_with_its_figure(make, show, written, undrawn):
     assert not set(show(result, series).headings) & PARTS
 
 
-def test_spans_of_poor_excitation_are_named_and_messages_written(make, show, written, undrawn):
+def test_spans_of_poor_excitation_are_named_and_messages_written(make, show, written):
     said = written("identify").words
     assert "not exciting enough from 6.5 s to 9.0 s" in said
     assert "not exciting enough since 2.1 s: 3 of 40 visible <directions>" in said
@@ -54,18 +52,6 @@ def test_payload_in_words(written):
         assert part in said, part
 
 
-def test_the_band_holds_every_edge():
-    (ax,) = axes(2.0)
-    t = np.arange(1000) / 100
-    centre, half = np.sin(7 * t), 0.1 + 0.05 * np.cos(3 * t)
-    half[333] = 2.0
-    draw_band(ax, t, [400], centre, half)
-    corners = np.vstack([path.vertices for c in ax.collections for path in c.get_paths()])
-    assert corners[:, 1].max() == (centre + half).max()
-    assert corners[:, 1].min() == (centre - half).min()
-    assert len(ax.collections) == 2  # broken where recordings were joined
-
-
 def test_the_torque_figure_explains_its_band(make):
     _, series = make["identify"]()
     half = series.pop("half_width")
@@ -76,15 +62,14 @@ def test_the_torque_figure_explains_its_band(make):
     assert INTERVAL in [key.label for key in figure.legend]
     assert INTERVAL in figure.panels[0].label
     assert len(plain.legend) == len(figure.legend) - 1
-    assert "#c3dcec" in figure.panels[0].svg
-    for other in (plain, short):
-        assert "#c3dcec" not in other.panels[0].svg
+    for shown, bands in ((figure, 2), (plain, 0), (short, 0)):
+        marks = [mark for axes in shown.panels[0].axes for mark in axes.marks]
+        assert sum(isinstance(mark, Band) for mark in marks) == bands
 
 
 def test_intervals_and_essential_parameters_in_words(make):
     def blocks(result):
-        with style():
-            return [b for part in identify_section(result, {}).parts for b in part.blocks]
+        return [b for part in identify_section(result, {}).parts for b in part.blocks]
 
     found = blocks(make["identify"]()[0])
     (table,) = (b for b in found if isinstance(b, Table) and "Hold-out inside" in dict(b.columns))
@@ -104,7 +89,7 @@ def test_link_by_link_says_what_each_link_shows_and_what_is_missing(make):
         assert said in text, said
 
 
-def test_absurd_numbers_of_a_saved_run_are_none(make, undrawn):
+def test_absurd_numbers_of_a_saved_run_are_none(make):
     result, _ = make["identify"]()
     link = result["links"][0]
     link["centre"]["given"] = [1e308, 0.1, 10**400]

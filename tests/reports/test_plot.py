@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 
 import excitant as ex
 from excitant.design import design_trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, Recording, identify_robot
 from excitant.identify.friction import friction_curves
-from excitant.reports.estimate_figures import forest_groups
+from excitant.reports.figures.estimate import forest_groups
 from excitant.robots import Robot
 
 
@@ -41,16 +42,25 @@ def lines(ax: Axes) -> dict[str, np.ndarray]:
     return {str(line.get_color()): np.asarray(line.get_ydata()) for line in ax.get_lines()}
 
 
+def cloud_of(ax: Axes) -> np.ndarray:
+    (points,) = [each for each in ax.collections if isinstance(each, PathCollection)]
+    return np.asarray(points.get_offsets())
+
+
+def titles(axes: list[Axes]) -> list[str]:
+    return list(dict.fromkeys(ax.figure.get_suptitle() for ax in axes))
+
+
 def test_all_panels_are_axes_of_one_figure_beside_each_other(estimate: Estimate) -> None:
     for plot, each in ((ex.plot.torque, 2), (ex.plot.friction, 1), (ex.plot.residuals, 4)):
         plt.close("all")
         axes = plot(estimate)
         assert len(axes) == 2 * each
-        assert plt.get_fignums() == [axes[0].figure.number]
-        assert {ax.figure for ax in axes} == {axes[0].figure}
-        assert [text.get_text() for text in axes[0].figure.texts] == ["joint1", "joint2"]
+        (figure,) = {ax.get_figure(root=True) for ax in axes}
+        assert plt.get_fignums() == [figure.number]
+        assert titles(axes) == ["joint1", "joint2"]
         boxes = [ax.get_tightbbox() for ax in axes]
-        width, height = axes[0].figure.bbox.size
+        width, height = figure.bbox.size
         for k, box in enumerate(boxes):
             assert min(box.x0, box.y0, width - box.x1, height - box.y1) > -1
             assert not any(box.overlaps(other) for other in boxes[each:] if k < each), (plot, k)
@@ -74,11 +84,12 @@ def test_friction_is_the_curve_its_band_and_the_readings(estimate: Estimate) -> 
     curve = friction_curves(estimate)[1]
     drawn = np.concatenate([line.get_ydata() for line in ax.get_lines() if line.get_lw() == 1.8])
     np.testing.assert_allclose(drawn, curve.torque)
-    points = ax.collections[0].get_offsets()
+    points = cloud_of(ax)
     model = np.interp(points[:, 0], curve.velocity, curve.torque)
     left = estimate.holdout.counted(estimate.holdout.measured - estimate.predicted)[1]
     assert (points[:, 1] - model).std() == pytest.approx(left.std(), rel=0.1)
-    edges = np.concatenate([band.get_paths()[0].vertices[:, 1] for band in ax.collections[1:]])
+    bands = [each for each in ax.collections if not isinstance(each, PathCollection)]
+    edges = np.concatenate([band.get_paths()[0].vertices[:, 1] for band in bands])
     assert edges.max() == pytest.approx((curve.torque + curve.half_width).max())
 
 
@@ -86,14 +97,14 @@ def test_parameters_are_values_with_intervals_beside_the_given_ones(estimate: Es
     rows = {row["name"]: row for row in estimate.result()["parameters"]}
     (ax,) = ex.plot.parameters(estimate, "Fv")
     assert [text.get_text() for text in ax.get_yticklabels()] == ["joint1", "joint2"]
-    zero, *drawn = [np.asarray(line.get_xdata(), float) for line in ax.get_lines()]
+    zero, interval, *drawn = [np.asarray(line.get_xdata(), float) for line in ax.get_lines()]
     assert zero.tolist() == [0, 0]
     both = [rows[f"{joint}.Fv"] for joint in ("joint1", "joint2")]
     value, std, given = (np.array([row[key] for row in both]) for key in ("value", "std", "given"))
     assert [row["decided_by"] for row in both] == ["data"] * 2
     for shown, known in zip(drawn, (given, value, []), strict=True):  # none is the prior's
         assert shown == pytest.approx(known)
-    intervals = np.array([segment[:, 0] for segment in ax.collections[0].get_segments()])
+    intervals = interval.reshape(-1, 3)[:, :2]
     assert intervals == pytest.approx(value[:, None] + 1.96 * std[:, None] * np.array([-1, 1]))
     assert len(ex.plot.parameters(estimate, "link2")) == 3  # mass, first moment, inertia
     assert len(ex.plot.parameters(estimate)) == len(forest_groups(estimate.result())) == 7
@@ -119,8 +130,10 @@ def test_motions_are_drawn_against_limits(planar: Robot) -> None:
     for axes in (ex.plot.motion(trajectory, "planar_2r"), ex.plot.motion(trajectory.sample(500))):
         assert len(axes) == 6
         for order in range(3):
-            top = max(line.get_ydata().max() for line in axes[3 + order].get_lines()[:1])
-            assert top == pytest.approx(trajectory.extrema(order)[1][1], rel=1e-3)
+            drawn = [np.asarray(line.get_ydata()) for line in axes[3 + order].get_lines()]
+            assert max(drawn, key=len).max() == pytest.approx(
+                trajectory.extrema(order)[1][1], rel=1e-3
+            )
     limited, free = ex.plot.motion(trajectory, planar)[1], ex.plot.motion(trajectory)[1]
     assert "of limit" in limited.get_title("right")
     assert free.get_title("right") == "no limit"
@@ -147,8 +160,8 @@ def estimate_recording(planar: Robot) -> Recording:
 
 def test_joints_come_in_the_order_in_which_they_are_named(estimate: Estimate) -> None:
     axes = ex.plot.friction(estimate, ["joint2", "joint1"])
-    assert [text.get_text() for text in axes[0].figure.texts] == ["joint2", "joint1"]
-    extents = [ax.collections[0].get_offsets()[:, 0].max() for ax in axes]
+    assert titles(axes) == ["joint2", "joint1"]
+    extents = [cloud_of(ax)[:, 0].max() for ax in axes]
     tops = [np.nanmax(column) for column in estimate.series()["velocity"].T[::-1]]
     assert extents == pytest.approx(tops, rel=0.05)
 

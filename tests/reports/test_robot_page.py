@@ -1,13 +1,11 @@
 """The page of an arm: its picture, its tables, what looks wrong, and the command that writes it."""
 
-import re
-
 import numpy as np
 import pytest
 
 from excitant.reports import brief, load_run, page_of
-from excitant.reports.arm_figures import arm_figure
-from excitant.reports.drawing import style
+from excitant.reports.figure import Polygon, Words
+from excitant.reports.figures.arm import arm_figure
 from excitant.robots import builtin_robots, load_robot
 from excitant.robots.check import ModelCheck
 
@@ -24,24 +22,28 @@ def here(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["planar_2r", "scara", "so100", "iiwa14"])
 def test_arms_have_a_picture(name):
     robot = load_robot(name)
-    with style():
-        figure = arm_figure(ModelCheck(robot).series())
+    figure = arm_figure(ModelCheck(robot).series())
     assert len(figure.panels) == len({panel.title for panel in figure.panels}) == 3
     for panel in figure.panels:
-        numbers = re.findall(r">([\d,]+)</text>", panel.svg)
-        shown = {int(k) for group in numbers for k in group.split(",") if k}
-        assert set(range(1, robot.nv + 1)) <= shown
+        words = [mark.text for mark in panel.axes[0].marks if isinstance(mark, Words)]
+        numbers = {int(k) for group in words for k in group.split(",") if k.isdigit()}
+        assert numbers == set(range(1, robot.nv + 1))
 
 
 def test_the_picture_shows_what_there_is():
     series = ModelCheck(load_robot("ur10")).series()
-    with style():
-        whole = arm_figure(series)
-        bare = arm_figure({**series, "zero_solids": np.empty((0, 8))})
+    whole = arm_figure(series)
+    bare = arm_figure({**series, "zero_solids": np.empty((0, 8))})
     assert "solids" in whole.caption
     assert "as lines" in bare.caption
     assert len(whole.legend) == len(bare.legend) + 1
-    assert whole.panels[0].svg.count("<path") > bare.panels[0].svg.count("<path")
+    areas = [
+        sum(
+            isinstance(mark, Polygon) and mark.edge != "" for mark in figure.panels[0].axes[0].marks
+        )
+        for figure in (whole, bare)
+    ]
+    assert areas == [len(series["zero_solids"]), 0]
 
 
 def test_the_page_says_what_is_wrong_and_where(here, excitant, show):

@@ -5,13 +5,10 @@ import re
 from urllib.parse import unquote
 
 import pandas as pd
-import pytest
 
 from excitant.reports import page_of, save_run, table_files
 from excitant.reports.page import Cell, Page, Section, Table, section
 from excitant.reports.tables import csv_table, latex_table
-
-pytestmark = pytest.mark.usefixtures("undrawn")
 
 HEADS = ("name:Joint", "number:Mass [kg]|given", "number:Mass [kg]|± std", "number:r²")
 HEADS += ("number:nrmse", "text:Detail")

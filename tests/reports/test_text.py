@@ -7,8 +7,6 @@ import pytest
 
 from excitant.reports import brief, html, page_of, summary
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 def text_of(result):
     return summary(page_of(result, {}))

@@ -6,7 +6,7 @@ import math
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.arm_figures import arm_figure
+from excitant.reports.figures.arm import arm_figure
 from excitant.reports.values import NONE, Result, Series
 
 _FULL = 0.9  # of its effort limit that gravity takes: hardly any left to move

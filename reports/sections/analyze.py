@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.design import excitation_sentence
-from excitant.reports.identify import fault_table
-from excitant.reports.motion_figures import spectrum_figure
+from excitant.reports.figures.search import spectrum_figure
+from excitant.reports.sections.design import excitation_sentence
+from excitant.reports.sections.identify import fault_table
 from excitant.reports.values import NONE, Result, Series
 from excitant.robots.parameters import STANDARD
 

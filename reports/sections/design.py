@@ -8,15 +8,14 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.arm_figures import space_figure
-from excitant.reports.error_figures import tracking_figure
-from excitant.reports.motion_figures import (
-    convergence_figure,
+from excitant.reports.figures.motion import (
     envelope_of,
     motion_figure,
     share_of_limit,
-    spectrum_figure,
 )
+from excitant.reports.figures.search import convergence_figure, spectrum_figure
+from excitant.reports.figures.space import space_figure
+from excitant.reports.figures.torque import tracking_figure
 from excitant.reports.player import FULL, moments, player
 from excitant.reports.values import NONE, Result, Series
 

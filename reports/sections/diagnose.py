@@ -9,15 +9,14 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.error_figures import (
-    Curves,
-    error_bars,
-    evidence_figure,
-    over_holdout,
-    torque_figure,
-    waterfall_figure,
+from excitant.reports.figures.error import error_bars, waterfall_figure
+from excitant.reports.figures.residual import evidence_figure
+from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
+from excitant.reports.sections.identify import (
+    CUTOFF_REMARK,
+    exported_table,
+    fault_table,
 )
-from excitant.reports.identify import CUTOFF_REMARK, exported_table, fault_table
 from excitant.reports.values import NONE, Result, Series
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
@@ -470,7 +469,7 @@ def _errors(result: Result, unit: str, changed: bool) -> p.Blocks:
         "nrmse is rms over the measured torque's standard deviation.",
     )
     return [
-        error_bars(pairs, [model for _, model in models], unit, _CURVES, what),
+        error_bars(pairs, [m for _, m in models], unit, _CURVES.after_label, what),
         table,
     ]
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from excitant.reports import drawing as draw
+from excitant.reports import figure as fig
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.page import Figure, Panel
+from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Panel, Points
 from excitant.reports.values import Result, Series
 
 _DRAWN = 6  # changes that are drawn
@@ -158,12 +156,12 @@ def _drifts(drifts: list[Result]) -> p.Table | None:
 
 def _figure(drifts: list[Result], series: Series) -> Figure | None:
     panels = [_panel(k, row, series) for k, row in enumerate(drifts[:_DRAWN])]
-    return p.figure(
+    return fig.figure(
         panels,
         "Parameters that change, each data set with its standard deviation.",
         (
-            p.Key("dot", draw.MEASURED, "data set"),
-            p.Key("line", draw.FITTED, "line through all"),
+            Key("dot", fig.MEASURED, "data set"),
+            Key("line", fig.FITTED, "line through all"),
         ),
     )
 
@@ -177,23 +175,24 @@ def _panel(k: int, row: Result, series: Series) -> Panel | None:
     x, std = (v.array(series, f"drift{k}/{key}", len(days)) for key in ("value", "std"))
     if x is None or std is None:
         return None
+    ends = np.array([np.nanmin(days), np.nanmax(days)])
+    apart = np.full(len(days), np.nan)
+    bars = np.column_stack([x - std, x + std, apart]).ravel()
+    marks = (
+        Line(np.repeat(days, 3), bars, fig.MEASURED, width=1.0),
+        Points(days, x, fig.MEASURED, "data set"),
+        Line(ends, np.array([before, after]), fig.FITTED, "line through all"),
+    )
+    dates = [(day, str(np.datetime64(0, "D") + round(day))) for day in ends.tolist()]
+    axes = Axes(
+        marks,
+        Axis(ticks=tuple(dates)),
+        Axis(f"value [{v.text(row, 'unit')}]"),
+        150,
+    )
     arm = v.text(row, "arm")
     name = v.text(row, "parameter")
-    [ax] = draw.axes(1.7)
-    ax.errorbar(days, x, std, fmt="o", ms=4, lw=1.0, color=draw.MEASURED)
-    ax.plot([np.nanmin(days), np.nanmax(days)], [before, after], color=draw.FITTED)
-    ticks = np.linspace(np.nanmin(days), np.nanmax(days), 3)
-    ax.set_xticks(ticks)
-    ax.tick_params(axis="x", labelbottom=False)
-    for day, side in zip(ticks, ("left", "center", "right"), strict=True):
-        look: Any = {
-            "xycoords": ax.get_xaxis_transform(),
-            "textcoords": "offset points",
-        }
-        date = str(np.datetime64(0, "D") + round(day))
-        ax.annotate(date, (day, 0), (0, -7), ha=side, va="top", fontsize=8.5, **look)
-    draw.label_y(ax, f"value [{v.text(row, 'unit')}]")
-    return draw.panel(ax, f"{name} of {arm} over time", f"{arm}: {name}")
+    return Panel((axes,), f"{name} of {arm} over time", f"{arm}: {name}")
 
 
 def _failed(failed: list[Result]) -> p.Table | None:

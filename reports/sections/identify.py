@@ -9,25 +9,21 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.error_figures import (
-    Curves,
-    error_bars,
-    over_holdout,
-    torque_figure,
-)
-from excitant.reports.estimate_figures import (
+from excitant.reports.figures.error import error_bars
+from excitant.reports.figures.estimate import (
     forest_figure,
     forest_groups,
     friction_figure,
 )
-from excitant.reports.motion_figures import (
+from excitant.reports.figures.online import (
     ENOUGH,
     estimates_figure,
     excitation_figure,
     excitation_levels,
     payload_figure,
 )
-from excitant.reports.residual_figures import agreement_figure, residual_figure
+from excitant.reports.figures.residual import agreement_figure, residual_figure
+from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.values import Result, Series
 from excitant.robots.parameters import STANDARD
 
@@ -275,7 +271,7 @@ def _errors(result: Result, unit: str) -> p.Blocks:
         + ("; last, the error on the data it was fitted to" if held else "")
         + ". nrmse is rms over the measured torque's standard deviation.",
     )
-    return [error_bars(rows, models, unit, CURVES, what), table]
+    return [error_bars(rows, models, unit, CURVES.after_label, what), table]
 
 
 def _intervals(result: Result, unit: str) -> p.Table | None:

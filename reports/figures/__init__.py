@@ -1,0 +1,1 @@
+"""Figures of the pages, built as data from results and series."""

@@ -1,0 +1,111 @@
+"""Errors as bars: of each joint by model, and step by step with every effect that is added."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from excitant.reports import figure as fig
+from excitant.reports import values as v
+from excitant.reports.figure import Bar, Bars, Key
+from excitant.reports.figures.torque import GIVEN_MODEL
+from excitant.reports.values import Result
+
+_SHARE = "rms of residual, share of the measured torque's std"
+_STEPS = 12  # of the waterfall that are drawn one by one
+_TALLEST = 4.0  # times the median error, or 1.5: bars beyond are cut
+
+
+def error_bars(
+    records: Sequence[Result],
+    models: Sequence[str],
+    unit: str,
+    identified: str,
+    what: str,
+) -> Bars | None:
+    """Errors per joint as bars as long as nrmse, or else rms, which stands beside.
+
+    Args:
+        records: Errors of a joint each, by model.
+        models: Keys of the given model and of the ``identified`` one, which is named so.
+        unit: Of the errors.
+        identified: Name of the second model.
+        what: The words that begin the caption.
+    """
+    errors = [
+        [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models]
+        for row in records
+    ]
+    count = 1 + any(rms is not None for pairs in errors for rms, _ in pairs[1:])
+    looks = ((GIVEN_MODEL, fig.GIVEN), (identified, fig.FITTED))[:count]
+    every = [pair for pairs in errors for pair in pairs[:count]]
+    shares = all(share is not None or rms is None for rms, share in every)
+    known = [x for pair in every if (x := pair[shares]) is not None]
+    if not known:
+        return None
+    top = max(known)
+    if shares:  # one useless model must not make all other bars invisible
+        top = min(top, max(1.5, _TALLEST * float(np.median(known))))
+    names = [v.text(row, "name") for row in records]
+    rows = []
+    remarks = []
+    for joint, pairs in zip(names, errors, strict=True):
+        bars = []
+        for pair, (label, colour) in zip(pairs, looks, strict=False):
+            length = pair[shares]
+            words = v.quantity(pair[0], unit)
+            remarks.append(f"{label} {words} at {joint}")
+            if length is not None and length > top:
+                words += " (bar cut)"
+            pieces = () if length is None else ((min(length, top), colour),)
+            bars.append(Bar(pieces, words))
+        rows.append((joint, tuple(bars)))
+    measure = (
+        "as a share of the measured torque's standard deviation" if shares else "as rms"
+    )
+    return Bars(
+        tuple(rows),
+        _SHARE if shares else f"rms [{unit}]",
+        top or 1.0,
+        f"rms per joint: {'; '.join(remarks)}",
+        f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
+        tuple(Key("box", colour, label) for label, colour in looks),
+    )
+
+
+def waterfall_figure(result: Result) -> Bars | None:
+    """Hold-out error, relative to the given model, after each effect; small ones as one."""
+    steps = []
+    for row in v.records(result, "waterfall"):
+        effect, where, joints = v.text(row, "label").partition(" at ")
+        if (rms := v.real(row, "rms")) is not None:
+            steps.append((v.plain(effect) + where + joints, rms))
+    small = len(steps) - _STEPS
+    if small > 1:
+        merged = (f"+ {small} smaller causes", steps[-2][1])
+        steps = [*steps[: _STEPS - 1], merged, steps[-1]]
+    if len(steps) < 2:
+        return None
+    before = 0.0
+    rows = []
+    for k, (label, rms) in enumerate(steps):
+        pieces = [(rms, fig.FITTED if k else fig.GIVEN)]
+        if before > rms:
+            pieces.append((before - rms, fig.LIGHT))
+        rows.append((label, (Bar(tuple(pieces), v.percent(rms, 3)),)))
+        before = rms
+    listed = "; ".join(f"{label} {v.percent(rms, 3)}" for label, rms in steps)
+    return Bars(
+        tuple(rows),
+        "error on the hold-out, share of the given model's",
+        max(rms for _, rms in steps) or 1.0,
+        f"error on the hold-out step by step: {listed}",
+        "Hold-out error after each effect that was added, every joint relative to the model as "
+        "given: long grey pieces are effects that matter.",
+        (
+            Key("box", fig.GIVEN, "model as given"),
+            Key("box", fig.FITTED, "what remains"),
+            Key("box", fig.LIGHT, "removed by this effect"),
+        ),
+    )

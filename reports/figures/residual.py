@@ -1,0 +1,248 @@
+"""What a residual goes with: the quantity that shows an effect, state, load, and frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from excitant.identify.spectra import power_density
+from excitant.reports import figure as fig
+from excitant.reports import values as v
+from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points
+from excitant.reports.values import Result, Series
+from excitant.robots.motion import Array
+
+_CLOUD = 1000  # points drawn of a cloud
+_MEDIANS = 24  # bins of a cloud, whose medians are drawn
+_CURVE = 60  # points along a fitted effect
+_WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is drawn
+_SHOWN = 2.0  # times the cut-off: frequencies up to there are drawn
+_WINDOWS = 8  # at least, of which a spectrum is the mean
+_DECADES = 4.0  # below the highest density, what is drawn of a spectrum
+_MODELS = (
+    ("given", fig.GIVEN, "model as given"),
+    ("identified", fig.FITTED, "identified model"),
+)
+MEDIANS = Key("dot", fig.MEASURED, "median in bins")
+
+
+def cloud(x: Array, y: Array, name: str) -> list[Mark]:
+    """A cloud of points, thinned, and their medians in bins where there are enough of them."""
+    seen = np.isfinite(x) & np.isfinite(y)
+    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
+    x = x[order]
+    y = y[order]
+    rows = np.linspace(0, len(x) - 1, min(len(x), _CLOUD)).astype(int)
+    marks: list[Mark] = [Points(x[rows], y[rows], fig.CLOUD, name, 2.5, "cloud")]
+    if len(x) >= 4 * _MEDIANS:
+        centres, medians = _medians(x, y, _MEDIANS)
+        marks.append(Points(centres, medians, fig.MEASURED, "median", 4.0))
+    return marks
+
+
+def _medians(
+    x: Array, y: Array, bins: int, fewest: int | None = None
+) -> tuple[Array, Array]:
+    """Median of y in equal bins of the sorted x, of few points in none; x and y when short."""
+    if len(x) <= 2 * bins or x[-1] <= x[0]:
+        return x, y
+    lower, upper = np.quantile(x, [0.002, 0.998])
+    if upper <= lower:
+        lower = x[0]
+        upper = x[-1]
+    edges: npt.NDArray[np.intp] = np.searchsorted(
+        x, np.linspace(lower, upper, bins + 1)
+    )
+    least = max(3, len(x) // (40 * bins)) if fewest is None else fewest
+    pairs = [
+        (np.median(x[first:last]), np.nanmedian(y[first:last]))
+        for first, last in pairwise(edges)
+        if last - first >= least and np.isfinite(y[first:last]).any()
+    ]
+    centres, medians = np.array(pairs, dtype=float).reshape(-1, 2).T
+    return centres, medians
+
+
+def evidence_figure(
+    index: int, finding: Result, series: Series, unit: str
+) -> Figure | None:
+    """Residual before an effect was added, over the quantity that shows it, and the fit."""
+    x, residual, fit, rival = (
+        v.curve(series, f"finding{index}_{key}")
+        for key in ("x", "residual", "fit", "rival")
+    )
+    if x is None or residual is None or len(x) != len(residual):
+        return None
+    seen = np.isfinite(x) & np.isfinite(residual)
+    if seen.sum() < 2:
+        return None
+    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
+    fit, rival = (
+        y[order] if y is not None and len(y) == len(x) else None for y in (fit, rival)
+    )
+    x = x[order]
+    effect = v.plain(v.text(finding, "effect"))
+    quantity = v.text(finding, "figure", "x_label") or "quantity that shows it"
+    joints = v.listing(v.words(finding, "joints"), "all joints")
+    joint = v.text(finding, "figure", "joint") or joints
+    rivals = [v.plain(v.text(row, "effect")) for row in v.records(finding, "rivals")]
+    marks = cloud(x, residual[order], "residual before")
+    legend = [Key("dot", fig.CLOUD, "residual before")]
+    legend += [MEDIANS] * (len(marks) > 1)
+    caption = (
+        f"What everything found leaves at {joint}, against {quantity}: medians that bend away "
+        "from zero are what no candidate describes."
+    )
+    if fit is not None:
+        marks.append(_curve(x, fit, fig.FITTED, effect, 1.8))
+        legend.append(Key("line", fig.FITTED, "fitted effect"))
+        through = "medians" if MEDIANS in legend else "points"
+        caption = (
+            f"Residual at {joint} without {effect} but with all other findings, against "
+            f"{quantity}: the fitted effect (blue) should run through the {through}."
+        )
+    if rival is not None and rivals:
+        marks.append(_curve(x, rival, fig.PURPLE, rivals[0], 1.5, dashed=True))
+        words = f"{rivals[0]} instead, fitted to these points"
+        legend.append(Key("dash", fig.PURPLE, words))
+        if fit is not None:
+            caption += f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
+    ordinate = Axis(v.text(finding, "figure", "y_label") or f"residual [{unit}]")
+    axes = Axes(tuple(marks), Axis(quantity), ordinate, 210)
+    label = f"{joint}: residual against {quantity}, with the fitted {effect}"
+    return Figure((Panel((axes,), label, joint),), caption, tuple(legend))
+
+
+def _curve(
+    x: Array, y: Array, colour: str, name: str, width: float, dashed: bool = False
+) -> Line:
+    along, height = _medians(x, y, _CURVE, 1)
+    gaps = np.flatnonzero(np.diff(along, prepend=along[:1]) > _WIDE * np.ptp(along))
+    along = np.insert(along, gaps, np.nan)
+    return Line(along, np.insert(height, gaps, np.nan), colour, name, width, dashed)
+
+
+def agreement_figure(result: Result, series: Series, unit: str) -> Figure | None:
+    """Measured torque over what each model predicts, per joint."""
+    panels = [
+        _agreement(k, row, series, unit)
+        for k, row in enumerate(v.records(result, "joints"))
+    ]
+    caption = (
+        "Measured over predicted torque while the joint moves on the hold-out: a good model's "
+        "points lie on the diagonal; a slope tells of a wrong gain or mass, a step of friction."
+    )
+    keys = [Key("dot", colour, name) for _, colour, name in _MODELS]
+    return fig.figure(panels, caption, [*keys, Key("dash", fig.MEASURED, "equal")])
+
+
+def _agreement(k: int, row: Result, series: Series, unit: str) -> Panel | None:
+    keys = ("measured", "given", "identified", "velocity")
+    measured, given, identified, dq = v.curves(series, k, *keys)
+    if measured is None or identified is None:
+        return None
+    moving = np.flatnonzero(np.isfinite(measured if dq is None else measured + dq))
+    rows = moving[:: max(1, len(moving) // _CLOUD)]
+    marks: list[Mark] = []
+    for model, (_, colour, name) in zip((given, identified), _MODELS, strict=True):
+        if model is not None:
+            points = Points(model[rows], measured[rows], colour, name, 2.5, "cloud")
+            marks.append(points)
+    ends = np.array([measured[moving].min(initial=0), measured[moving].max(initial=0)])
+    marks.append(Line(ends, ends, fig.MEASURED, "equal", 1.0, dashed=True))
+    axes = Axes(
+        tuple(marks), Axis(f"predicted [{unit}]"), Axis(f"measured [{unit}]"), 220
+    )
+    share = v.at(row, "validate", "r2")
+    remark = f", identified r² {v.number4(share)}" if share is not None else ""
+    joint = v.text(row, "name")
+    label = f"{joint}: measured over predicted torque{remark}"
+    return Panel((axes,), label, f"{joint}{remark}")
+
+
+def residual_figure(result: Result, series: Series, unit: str) -> Figure | None:
+    """Residual of the identified model over position, velocity, load and frequency, per joint."""
+    cutoff = v.real(result, "cutoff_hz")
+    rows = enumerate(v.records(result, "joints"))
+    panels = [_residual(k, row, series, unit, cutoff) for k, row in rows]
+    caption = (
+        "What the identified model leaves while the joint moves on the hold-out. Medians that bend "
+        "away from zero over position tell of springs or ripple, over velocity of friction, over "
+        "load (the torque's magnitude, signed by direction) of gains or load-dependent friction. "
+        "Last its spectrum, with those of the torque and of the given model's residual."
+    )
+    legend = [
+        Key("dot", fig.CLOUD, "residual"),
+        MEDIANS,
+        Key("line", fig.MEASURED, "spectrum of the torque"),
+        *(
+            Key("line", colour, f"of the residual, {name}")
+            for _, colour, name in _MODELS
+        ),
+    ]
+    return fig.figure(panels, caption, legend)
+
+
+def _residual(
+    k: int, row: Result, series: Series, unit: str, cutoff: float | None
+) -> Panel | None:
+    t = v.times(series)
+    keys = ("measured", "given", "identified", "position", "velocity")
+    measured, given, model, q, dq = v.curves(series, k, *keys)
+    if t is None or measured is None or model is None or q is None or dq is None:
+        return None
+    if len(measured) != len(t):
+        return None
+    speed = v.text(row, "friction", "velocity_unit")
+    abscissae = (
+        ("position", q, speed.removesuffix("/s")),
+        ("velocity", dq, speed),
+        ("load", np.abs(model) * np.sign(dq), unit),
+    )
+    stack = []
+    for name, x, si in abscissae:
+        moving = np.where(np.isfinite(dq), x, np.nan)
+        marks = [fig.Rule(0.0), *cloud(moving, measured - model, "residual")]
+        abscissa = Axis(f"{name} [{si}]" if si else name)
+        stack.append(Axes(tuple(marks), abscissa, Axis(f"[{unit}]"), 130))
+    lines = [(measured, fig.MEASURED, "torque")]
+    for other, (_, colour, name) in zip((given, model), _MODELS, strict=True):
+        if other is not None:
+            residual = np.where(np.isfinite(dq), measured - other, 0.0)
+            lines.append((residual, colour, name))
+    rate = 1.0 / float(np.median(np.diff(fig.Timeline.of(t).t)))
+    stack.append(_spectra(rate, lines, cutoff, unit))
+    joint = v.text(row, "name")
+    label = f"{joint}: residual over position, velocity and load, and its spectrum"
+    return Panel(tuple(stack), label, joint, shared=False)
+
+
+def _spectra(
+    rate: float,
+    signals: Sequence[tuple[Array, str, str]],
+    cutoff: float | None,
+    unit: str,
+) -> Axes:
+    """Amplitude densities of signals with their colours and names, up to twice the cut-off [Hz]."""
+    top = min(rate / 2, _SHOWN * (cutoff or rate))
+    highest = 0.0
+    marks: list[Mark] = []
+    for values, colour, name in signals:
+        finite = values[np.isfinite(values)]
+        window = max(8, len(finite) // _WINDOWS)
+        f, power = power_density(finite, rate, window)
+        shown = (f > 0) & (f <= top)
+        density = np.sqrt(power[shown])
+        highest = max(highest, float(density.max(initial=0.0)))
+        marks.append(Line(f[shown], density, colour, name, 1.0))
+    if cutoff is not None and cutoff < top:
+        marks.append(fig.Rule(cutoff, fig.MEASURED, "x", dashed=True))
+    ordinate = Axis(f"[{unit}/√Hz]")
+    if highest > 0:
+        least = highest / 10**_DECADES
+        ordinate = Axis(f"[{unit}/√Hz]", least, 2 * highest, log=True)
+    abscissa = Axis("frequency [Hz], cut-off dashed", 0.0, top)
+    return Axes(tuple(marks), abscissa, ordinate, 130)

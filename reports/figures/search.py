@@ -1,0 +1,104 @@
+"""What a motion shows, and how a design was found."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from excitant.reports import figure as fig
+from excitant.reports import values as v
+from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points
+from excitant.reports.values import Result, Series
+from excitant.robots.motion import Array
+
+_ENDS = (
+    ("initial", fig.GIVEN, "start of the search"),
+    ("final", fig.FITTED, "designed motion"),
+)
+_LOG_RATIO = 8  # of condition numbers from which on their axis is logarithmic
+
+
+def spectrum_figure(series: Series) -> Figure | None:
+    """Singular values of the observation matrix, before and after a design, greatest first."""
+    spectra = [
+        (key, np.sqrt(sizes), colour, name)
+        for key, colour, name in _ENDS
+        if len(sizes := _positive(series, f"eigenvalues_{key}"))
+    ]
+    designed = bool(spectra)
+    if not designed and len(sizes := _positive(series, "singular_values")):
+        spectra = [("final", sizes, fig.MEASURED, "this motion")]
+    if not spectra:
+        return None
+    marks: list[Mark] = []
+    ratios = []
+    legend = []
+    for key, sizes, colour, name in spectra:
+        final = key == "final"
+        order = np.arange(1, len(sizes) + 1, dtype=float)
+        marks.append(
+            Points(order, sizes, colour, name, 3.6, "dot" if final else "ring")
+        )
+        ratio = v.number(sizes[0] / sizes[-1])
+        ratios.append(f"{name}: {len(sizes)} values, ratio {ratio}")
+        legend.append(Key("dot" if final else "ring", colour, name))
+    unit = "N·m" if designed else "–"
+    direction = Axis("direction in parameter space, best seen first", 0.0, whole=True)
+    axes = Axes(
+        tuple(marks), direction, Axis(f"singular value [{unit}]", log=True), 190
+    )
+    caption = (
+        "Singular values of the observation matrix W/√n, the torque that each direction of the "
+        "base parameters makes; the ratio of the first to the last is the condition number."
+        if designed
+        else "Singular values of the normalised observation matrix: estimates along directions far "
+        "below the others are uncertain."
+    )
+    panel = Panel((axes,), f"singular values; {'; '.join(ratios)}")
+    return Figure((panel,), caption, tuple(legend) * designed)
+
+
+def _positive(series: Series, key: str) -> Array:
+    values = v.curve(series, key)
+    return np.empty(0) if values is None else np.sort(values[values > 0])[::-1]
+
+
+def convergence_figure(result: Result) -> Figure | None:
+    """Condition number over the iterations of each start; the best start stands out."""
+    starts = [(row, v.reals(row, "history")) for row in v.records(result, "starts")]
+    starts = [(row, h) for row, h in starts if np.isfinite(h).any() and len(h) > 1]
+    if not starts:
+        return None
+    ends = [
+        v.real(row, "condition_number") or float(h[np.isfinite(h)][-1])
+        for row, h in starts
+    ]
+    best = int(np.argmin(ends))
+    marks: list[Mark] = []
+    for k, (_, history) in sorted(enumerate(starts), key=lambda pair: pair[0] == best):
+        colour = fig.FITTED if k == best else fig.LIGHT
+        iteration = np.arange(len(history), dtype=float)
+        name = f"start {k + 1}"
+        width = 1.6 if k == best else 1.0
+        marks.append(Line(iteration, history, colour, name, width))
+        last = np.flatnonzero(np.isfinite(history))[-1:]
+        marks.append(Points(iteration[last], history[last], colour, name, 3.0))
+    legend = [Key("line", fig.FITTED, "best start")]
+    legend += [Key("line", fig.LIGHT, "other starts")] * (len(starts) > 1)
+    bound = v.real(result, "condition_number", "lower_bound")
+    if bound is not None and bound > 0:
+        marks.append(fig.Rule(bound, fig.AMBER, dashed=True))
+        legend.append(Key("dash", fig.AMBER, "proven lower bound"))
+    reached: Array = np.concatenate([h[np.isfinite(h)] for _, h in starts])
+    log = bool(reached.min() > 0 and reached.max() > _LOG_RATIO * reached.min())
+    ordinate = Axis("condition number [–]", log=log)
+    axes = Axes(tuple(marks), Axis("iteration", 0.0, whole=True), ordinate, 180)
+    caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
+    caption += "value suggest that a much better motion does not exist."
+    states = [v.text(row, "status") for row, _ in starts]
+    if cut := sum(status in ("time_limit", "time limit") for status in states):
+        caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
+    label = (
+        f"condition number over iterations of {len(starts)} starts; "
+        f"best ends at {v.number(ends[best])}"
+    )
+    return Figure((Panel((axes,), label),), caption, tuple(legend))

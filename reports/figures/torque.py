@@ -1,0 +1,154 @@
+"""Torque over time against what models predict, and how closely an arm follows with each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from excitant.reports import figure as fig
+from excitant.reports import values as v
+from excitant.reports.figure import (
+    Axes,
+    Axis,
+    Band,
+    Figure,
+    Key,
+    Line,
+    Mark,
+    Panel,
+    Timeline,
+)
+from excitant.reports.values import Result, Series
+
+INTERVAL = "95\u00a0% interval of a reading"
+_INTERVAL_CAPTION = (
+    " The band holds 95\u00a0% of readings if noise and parameters are all that is off."
+)
+GIVEN_MODEL = "model as given"
+_MODELS = {
+    "given": (GIVEN_MODEL, fig.GIVEN),
+    "identified": ("identified", fig.FITTED),
+    "extended": ("extended by the diagnosis", fig.GREEN),
+}
+_FOLLOWED = (
+    ("before", "arm as identified", ("given", "identified")),
+    ("after", "after its change", ("given", "identified", "extended")),
+)
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Series drawn against the measurement: two models, the half width of intervals."""
+
+    before: str
+    after: str
+    after_label: str
+    caption: str
+    band: str = ""
+
+
+def over_holdout(unit: str) -> str:
+    """Heading of the torque figure, which shows currents where torque is recorded as such."""
+    return "Current on the hold-out" if unit == "A" else "Torque on the hold-out"
+
+
+def torque_figure(
+    joints: Sequence[str], series: Series, unit: str, curves: Curves
+) -> Figure | None:
+    """Measured torque against the model before and after, the residual below, per joint."""
+    panels = [
+        _torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)
+    ]
+
+    def drawn(key: str) -> bool:
+        return any(v.curve(series, key, k) is not None for k in range(len(joints)))
+
+    legend = [
+        Key("line", fig.MEASURED, "measured"),
+        *[Key("line", fig.GIVEN, GIVEN_MODEL)] * drawn(curves.before),
+        *[Key("line", fig.FITTED, curves.after_label)] * drawn(curves.after),
+        *[Key("box", fig.BAND, INTERVAL)] * drawn(curves.band),
+    ]
+    caption = curves.caption + _INTERVAL_CAPTION * drawn(curves.band)
+    return fig.figure(panels, caption, legend)
+
+
+def _torque_panel(
+    k: int, joint: str, series: Series, unit: str, curves: Curves
+) -> Panel | None:
+    t = v.times(series)
+    measured = v.curve(series, "measured", k)
+    if t is None or measured is None or len(measured) != len(t):
+        return None
+    timeline = Timeline.of(t)
+    torque: list[Mark] = []
+    residual: list[Mark] = [fig.Rule(0.0)]
+    remarks = []
+    half, after = (
+        v.curve(series, key, k, len(t)) for key in (curves.band, curves.after)
+    )
+    if half is not None and np.isfinite(half).all() and after is not None:
+        for marks, centre in ((torque, after), (residual, np.zeros(len(t)))):
+            low = timeline.broken(centre - half)
+            high = timeline.broken(centre + half)
+            marks.append(Band(timeline.t, low, high))
+        remarks.append(f"{INTERVAL} ±{v.quantity(float(half.mean()), unit)}")
+    curve = timeline.broken(measured)
+    torque.append(Line(timeline.t, curve, fig.MEASURED, "measured", 1.3))
+    for key, label, colour in (
+        (curves.before, GIVEN_MODEL, fig.GIVEN),
+        (curves.after, curves.after_label, fig.FITTED),
+    ):
+        model = v.curve(series, key, k, len(t))
+        if model is None:
+            continue
+        predicted = timeline.broken(model)
+        torque.append(Line(timeline.t, predicted, colour, label, 0.9))
+        residual.append(Line(timeline.t, curve - predicted, colour, label, 0.8))
+        remarks.append(f"below it what the {label} leaves")
+    name = "current" if unit == "A" else "torque"
+    above = Axes(tuple(torque), timeline.axis(""), Axis(f"{name} [{unit}]"), 150)
+    ordinate = Axis(f"residual [{unit}]")
+    below = Axes(tuple(residual), timeline.axis(), ordinate, 120)
+    label = f"{joint}: measured torque over time; {'; '.join(remarks)}"
+    return Panel((above, below), label, joint)
+
+
+def tracking_figure(
+    joints: Sequence[str], result: Result, series: Series
+) -> Figure | None:
+    """Tracking error of each joint over time by model, before and after the arm changed."""
+    t = series.get("tracking_t")
+    units = v.records(result, "tracking", "before")
+    if t is None or len(units) != len(joints):
+        return None
+    timeline = Timeline.of(np.asarray(t, float))
+    panels = []
+    for k, joint in enumerate(joints):
+        unit = f"m{v.text(units[k], 'unit')}"
+        remarks = []
+        stack = []
+        for when, title, models in _FOLLOWED:
+            marks = []
+            for model in models:
+                error = v.curve(series, f"{when}_{model}", k, len(t))
+                if error is None:
+                    continue
+                name, colour = _MODELS[model]
+                curve = timeline.broken(1e3 * error)
+                marks.append(Line(timeline.t, curve, colour, name, 0.9))
+                rms = 1e3 * float(np.sqrt(np.mean(error**2)))
+                remarks.append(f"{title}, {name}: rms {v.quantity(rms, unit)}")
+            abscissa = timeline.axis("time [s]" if when == "after" else "")
+            ordinate = Axis(f"error [{unit}]")
+            stack.append(Axes(tuple(marks), abscissa, ordinate, 130, title))
+        label = f"{joint}: tracking error over time; {'; '.join(remarks)}"
+        panels.append(Panel(tuple(stack), label, joint))
+    caption = (
+        "Desired less true position while each model gives the torque, in one and the same loop: "
+        "torque that a model gets wrong, the loop makes up for by an error of position."
+    )
+    legend = [Key("line", colour, name) for name, colour in _MODELS.values()]
+    return fig.figure(panels, caption, legend)

@@ -1,0 +1,222 @@
+"""Figures drawn by Matplotlib, for notebooks, scripts and files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from excitant.reports.figure import (
+    COLOURS,
+    Axes,
+    Band,
+    Figure,
+    Key,
+    Line,
+    Mark,
+    Panel,
+    Points,
+    Polygon,
+    Rule,
+    Span,
+    Words,
+)
+from excitant.reports.values import power_of_ten
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Drawn
+    from matplotlib.figure import Figure as Sheet
+
+_COLUMNS = 2
+_WIDTH = 4.2  # inch: panel
+_PIXELS = 88  # px of a page for an inch
+_HEADING = 0.3  # inch: title of a panel
+_TICK = 35  # px of a page for a tick of the ordinate
+_LETTER = 0.065  # inch: width of one in a legend
+_DASHED = (0, (5, 3))
+_STYLE: Any = {
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.linewidth": 0.7,
+    "axes.edgecolor": "#8a8f94",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e4e6e8",
+    "grid.linewidth": 0.6,
+    "text.parse_math": False,
+}
+
+
+def draw(figure: Figure) -> list[Drawn]:
+    """All axes of a figure, in one new figure of pyplot with a panel beside the other."""
+    import matplotlib as mpl
+    from matplotlib import pyplot
+
+    columns = min(len(figure.panels), _COLUMNS)
+    rows = [
+        figure.panels[k : k + columns] for k in range(0, len(figure.panels), columns)
+    ]
+    heights = [max(map(_height, row)) for row in rows]
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        size = (columns * _WIDTH, sum(heights) + 0.25 * len(figure.legend) ** 0.5)
+        sheet = pyplot.figure(figsize=size, layout="constrained")
+        parts = sheet.subfigures(
+            len(rows), columns, squeeze=False, height_ratios=heights
+        )
+        drawn = []
+        for panel, part in zip(figure.panels, parts.flat, strict=False):
+            drawn += _draw_panel(panel, part)
+        _draw_legend(sheet, figure.legend, columns * _WIDTH)
+        sheet.draw_without_rendering()  # which makes ticks in this style
+    return drawn
+
+
+def draw_onto(ax: Drawn, figure: Figure) -> None:
+    """The only axes of a figure, in axes that exist and in their style."""
+    (panel,) = figure.panels
+    (axes,) = panel.axes
+    _draw_axes(axes, ax)
+    ax.set_title(panel.title)
+    ax.legend(handles=list(map(_handle, figure.legend)))
+
+
+def _height(panel: Panel) -> float:
+    return _HEADING + sum(axes.height for axes in panel.axes) / _PIXELS
+
+
+def _draw_panel(panel: Panel, part: Any) -> list[Drawn]:
+    grid = part.subplots(
+        len(panel.axes),
+        1,
+        sharex=panel.shared,
+        squeeze=False,
+        height_ratios=[axes.height for axes in panel.axes],
+    )
+    drawn: list[Drawn] = list(grid[:, 0])
+    for axes, ax in zip(panel.axes, drawn, strict=True):
+        _draw_axes(axes, ax)
+    if panel.title:
+        part.suptitle(panel.title, x=0.02, ha="left", fontsize=9.5, fontweight="bold")
+    return drawn
+
+
+def _draw_legend(sheet: Sheet, legend: Sequence[Key], width: float) -> None:
+    if legend:
+        longest = 0.6 + _LETTER * max(len(key.label) for key in legend)
+        sheet.legend(
+            handles=list(map(_handle, legend)),
+            ncols=max(1, int(width / longest)),
+            loc="outside upper left",
+            frameon=False,
+        )
+
+
+def _draw_axes(axes: Axes, ax: Drawn) -> None:
+    for k, mark in enumerate(axes.marks):
+        _draw_mark(mark, ax, 2 + 0.01 * k)
+    for along, axis, scale in (("x", axes.x, ax.xaxis), ("y", axes.y, ax.yaxis)):
+        if axis.log:
+            getattr(ax, f"set_{along}scale")("log")
+        elif axis.ticks:
+            at, names = zip(*axis.ticks, strict=True)
+            scale.set_ticks(at, names)
+        else:
+            from matplotlib.ticker import MaxNLocator
+
+            count = 6 if along == "x" else min(5, axes.height // _TICK)
+            scale.set_major_locator(
+                MaxNLocator(count, steps=[1, 2, 2.5, 5, 10], integer=axis.whole)
+            )
+            scale.set_major_formatter(tick)
+        if axis.label:
+            getattr(ax, f"set_{along}label")(axis.label)
+    ax.set_xlim(*axes.ends("x"))
+    ax.set_ylim(*axes.ends("y"))
+    if axes.equal:
+        ax.set_aspect("equal", adjustable="box")
+    if not axes.framed:
+        ax.set_axis_off()
+    ax.set_title(axes.title, loc="left", color=COLOURS[axes.colour][0])
+    ax.set_title(axes.remark, loc="right", color="#5a626a")
+
+
+def _draw_mark(mark: Mark, ax: Drawn, order: float) -> None:
+    match mark:
+        case Line():
+            stroke: Any = _DASHED if mark.dashed else "-"
+            colour = COLOURS[mark.colour][0]
+            ax.plot(
+                mark.x, mark.y, color=colour, lw=mark.width, ls=stroke, zorder=order
+            )
+        case Points():
+            _draw_points(mark, ax, order)
+        case Band():
+            look: Any = {"color": COLOURS[mark.colour][0], "lw": 0, "zorder": order}
+            ax.fill_between(mark.x, mark.low, mark.high, **look)
+        case Polygon():
+            edge = COLOURS[mark.edge][0] if mark.edge else "none"
+            fill = COLOURS[mark.colour][0]
+            look = {"facecolor": fill, "edgecolor": edge, "lw": 0.7, "zorder": order}
+            ax.fill(mark.x, mark.y, alpha=mark.opacity, **look)
+        case Span():
+            span = ax.axvspan if mark.along == "x" else ax.axhspan
+            look = {"color": COLOURS[mark.colour][0], "lw": 0, "zorder": order}
+            span(mark.low, mark.high, alpha=mark.opacity, **look)
+        case Rule():
+            rule = ax.axvline if mark.along == "x" else ax.axhline
+            stroke = _DASHED if mark.dashed else "-"
+            rule(mark.at, color=COLOURS[mark.colour][0], lw=0.9, ls=stroke)
+        case Words():
+            side = "left" if mark.shift != (0.0, 0.0) else "center"
+            ax.annotate(
+                mark.text,
+                (mark.x, mark.y),
+                mark.shift,
+                textcoords="offset points",
+                ha=side,
+                va="center",
+                zorder=order,
+            )
+
+
+def _draw_points(mark: Points, ax: Drawn, order: float) -> None:
+    colour = COLOURS[mark.colour][0]
+    if mark.style == "cloud":
+        look: Any = {"s": mark.size**2, "c": colour, "alpha": 0.35, "lw": 0}
+        ax.scatter(mark.x, mark.y, zorder=order, rasterized=True, **look)
+        return
+    fill = {"dot": colour, "ring": "none", "hole": "white"}[mark.style]
+    look = {"ms": mark.size, "mec": colour, "mfc": fill, "color": colour}
+    ax.plot(mark.x, mark.y, "o", zorder=order, **look)
+
+
+def _handle(key: Key) -> Any:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    colour = COLOURS[key.colour][0]
+    if key.mark == "box":
+        return Patch(color=colour, label=key.label)
+    looks: dict[str, dict[str, Any]] = {
+        "line": {},
+        "dash": {"ls": _DASHED},
+        "dot": {"ls": "", "marker": "o"},
+        "ring": {"ls": "", "marker": "o", "mfc": "none"},
+    }
+    return Line2D([], [], color=colour, label=key.label, **looks[key.mark])
+
+
+def tick(value: float, _position: float | None = None) -> str:
+    """A tick's number with a true minus sign, and powers of ten of what is large or small."""
+    if abs(value) < np.finfo(float).eps:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        return f"{value:.6g}".replace("-", "−")
+    exponent = math.floor(math.log10(abs(value)) + 1e-9)
+    return f"{value / 10.0**exponent:.3g}×{power_of_ten(exponent)}".replace("-", "−")

@@ -1,0 +1,1 @@
+"""Sections of the pages, one for each verb."""
