@@ -69,7 +69,7 @@ class Observed:
         return tau
 
     def _once(self, effect: Effect) -> ActingColumns:
-        known = self._by_robot if effect.depends_on_model else self._by_motion
+        known = self._by_robot if effect.physics.on_model else self._by_motion
         if effect not in known:
             known[effect] = effect_columns(self.robot, effect, self.segments)
         return known[effect]
@@ -85,7 +85,7 @@ def cause_columns(
     effect: Effect, given: Observed, understood: Observed
 ) -> ActingColumns:
     """Columns of a cause: for a gain by the given robot, else by the model so far."""
-    return (given if effect.of_given_torque else understood).acting(effect)
+    return (given if effect.physics.on_given_torque else understood).acting(effect)
 
 
 def gather(
@@ -131,10 +131,10 @@ def gather(
     for effect, trials in proposals(
         robot, facts, [(c.effect, c.trials) for c in believed]
     ):
-        if identified and not effect.further:
+        if identified and not effect.search.addable:
             continue
         if (
-            gains is not None and effect.of_given_torque
+            gains is not None and effect.physics.on_given_torque
         ):  # is no other than the drive's gain
             continue
         own = cause_columns(effect, given, train)

@@ -31,7 +31,7 @@ from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import dense
 from excitant.identify.rows import identified_robot, predicted_torque
 from excitant.robots.effects import Effect, merged
-from excitant.robots.effects.geometry import GivenInertias
+from excitant.robots.effects.body import GivenInertias
 from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
@@ -420,7 +420,7 @@ def finding_of(
         np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error)
     )
     # what depends on the model looks like noise of positions
-    plain = asked.gain > _PLAIN and not effect.depends_on_model
+    plain = asked.gain > _PLAIN and not effect.physics.on_model
     share = float(
         (rows.rms(torque) / np.maximum(rows.rms(rows.measured), 1e-300)).max()
     )

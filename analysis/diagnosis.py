@@ -493,7 +493,7 @@ def _parameters(
             "given": factor * given,
             "unit": unit,
         } | {"std": spread}
-    for s in found.effect.shapes:
+    for s in found.effect.search.shapes:
         if s.positive and not s.trial:
             name = f"{found.effect.joints[0]}.{s.name}"
             value = getattr(found.effect, s.name)
@@ -753,7 +753,9 @@ def _iterated(first: Extender, refuted: frozenset[Key] = frozenset()) -> Extensi
             and not held.worse(before.predicted, fit.predicted, _LITTLE)
         ):
             break
-        if not any(c.effect.depends_on_model or c.effect.shapes for c in fit.chosen):
+        if not any(
+            c.effect.physics.on_model or c.effect.search.shapes for c in fit.chosen
+        ):
             break
     assert best is not None
     return best

@@ -27,7 +27,13 @@ from excitant.analysis.selection import ALIKE
 from excitant.identify.preprocessing import Segment, away_from_rest, top_speed
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import ActingColumns, dense
-from excitant.robots.effects import Effect, JointFacts, joint_facts
+from excitant.robots.effects import (
+    Effect,
+    JointFacts,
+    alternatives,
+    joint_facts,
+    separating_experiment,
+)
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -96,7 +102,10 @@ class Contest:
         columns: dict[Effect, slice] = {}
         for pair in self.pairs:
             shapes = *self._shapes(pair.found), *self._shapes(pair.rival)
-            for effect in (*shapes, *(effect.bare() for effect in pair.beside)):
+            for effect in (
+                *shapes,
+                *(effect.without_values() for effect in pair.beside),
+            ):
                 if effect not in columns:
                     size = len(effect.parameters(self.robot))
                     columns[effect] = slice(start, start + size)
@@ -164,9 +173,9 @@ class Contest:
         for pair, imitation in zip(self.pairs, self.imitations, strict=True):
             beside = self._beside(pair)
             ways = []
-            if pair.found.name not in pair.rival.contains or not imitation.any():
+            if pair.found.name not in pair.rival.search.contains or not imitation.any():
                 ways.append((pair.found, np.array(pair.found.values), pair.rival))
-            if pair.rival.name not in pair.found.contains and imitation.any():
+            if pair.rival.name not in pair.found.search.contains and imitation.any():
                 ways.append((pair.rival, imitation, pair.found))
             each = [self._apart(R, floor, beside, *way) for way in ways]
             found.append(min(each, key=lambda s: s.delta))
@@ -206,12 +215,11 @@ class Contest:
         return Separation(left, cosine, repetitions(left))
 
     def _shapes(self, effect: Effect) -> list[Effect]:
-        return effect.alternatives(
-            self._facts[self.robot.joint_index(effect.joints[0])]
-        )
+        joint = self.robot.joint_index(effect.joints[0])
+        return alternatives(effect, self._facts[joint])
 
     def _indices(self, effect: Effect) -> list[int]:
-        at = self.causes[effect.bare()]
+        at = self.causes[effect.without_values()]
         skip = len(self.precision)
         return list(range(at.start - skip, at.stop - skip))
 
@@ -320,7 +328,7 @@ class Plan:
     def of(self, found: Effect, rival: Effect) -> Advice:
         """Experiment for a pair; the general action where no motion was looked for."""
         known = self.experiments.get(key(found, rival))
-        return known or Advice(found.told_from(rival))
+        return known or Advice(separating_experiment(found, rival))
 
 
 def key(found: Effect, rival: Effect) -> Key:

@@ -28,7 +28,11 @@ from excitant.design.feasible import torque_use
 from excitant.design.trajectory import FourierSeries, from_coefficients
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import (
+    Effect,
+    separating_experiment,
+    standard_effects,
+)
 from excitant.robots.geometry import Scene, scene
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -441,7 +445,7 @@ def _experiment(
     best: Discriminating | None,
     motions: Sequence[Discriminating],
 ) -> Advice:
-    action = pair.found.told_from(pair.rival)
+    action = separating_experiment(pair.found, pair.rival)
     if best is None:
         return Advice(
             f"no motion within the limits was found that separates them: {action}"

@@ -121,10 +121,10 @@ def described(effects: Sequence[Effect]) -> tuple[str, ...]:
     """Effects chosen beyond the standard ones, as sentences."""
     said = []
     for effect in effects:
-        if effect.standard:
+        if effect.search.standard:
             continue
         shapes = ", ".join(
-            f"{s.name} {getattr(effect, s.name):.3g}" for s in effect.shapes
+            f"{s.name} {getattr(effect, s.name):.3g}" for s in effect.search.shapes
         )
         where = f"{plain(effect.name)} at {', '.join(effect.joints)}"
         said.append(f"effect added: {where}{f' ({shapes})' if shapes else ''}")

@@ -379,7 +379,7 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     """
     rough = [
         *chosen,
-        *(c for c in evidence.candidates if c.effect.usual and c not in chosen),
+        *(c for c in evidence.candidates if c.effect.search.usual and c not in chosen),
     ]
     active = evidence.active(rough)
     problem = evidence.problem
@@ -445,7 +445,7 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
     usual = [  # what joints have is left free, but not as what is given twice
         c
         for c in evidence.candidates
-        if c.effect.usual
+        if c.effect.search.usual
         and not {(c.effect.name, joint) for joint in c.effect.joints} <= given
     ]
     others = np.setdiff1d(evidence.active(usual), part)

@@ -191,7 +191,7 @@ class Examination:
             if e.role == "torque" and any(e.values or ())
         ]
         return list(
-            dict.fromkeys(plain(e.name) for e in own if "urdf" not in e.formats)
+            dict.fromkeys(plain(e.name) for e in own if "urdf" not in e.export.formats)
         )
 
     @cached_property

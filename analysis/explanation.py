@@ -46,9 +46,12 @@ def reason_to_downgrade(
     effect = found.effect
     torque = found.torque
     gains = {
-        j for f in (found, *others) if f.effect.of_given_torque for j in f.effect.joints
+        j
+        for f in (found, *others)
+        if f.effect.physics.on_given_torque
+        for j in f.effect.joints
     }
-    several_gains = effect.of_given_torque and 2 * len(gains) > robot.nv
+    several_gains = effect.physics.on_given_torque and 2 * len(gains) > robot.nv
     if several_gains and np.abs(effect.values or 0.0).max() < _COMMON * tolerance:
         return "given masses that are all off by one factor would look the same"
     if found.share < IDEAL:
@@ -56,7 +59,7 @@ def reason_to_downgrade(
         return f"models are hardly better than to {small}, which it makes"
     # noise of positions makes such torque too, which unseen data take back
     asked = found.asked
-    if effect.depends_on_model and 1 - asked.size > max(
+    if effect.physics.on_model and 1 - asked.size > max(
         TOLERANCE, DEVIATIONS * asked.error
     ):
         return (
@@ -87,14 +90,18 @@ def reason_to_downgrade(
         same = {*effect.joints} <= {*other.effect.joints}
         if _taken_back(found, other):
             return f"it and {name} mostly take each other back"
-        if same and other.effect.shapes and found.explained < _SMALL * other.explained:
+        if (
+            same
+            and other.effect.search.shapes
+            and found.explained < _SMALL * other.explained
+        ):
             return (
                 f"it is small compared with {name}, whose shape is only roughly known"
             )
         if same and _SMALL * found.explained < other.explained:
-            if effect.is_friction_curve and other.effect.is_friction_curve:
+            if effect.curve == other.effect.curve == "velocity":
                 return f"it shares the friction curve of the joint with {name}"
-            if effect.is_position_curve and other.effect.is_position_curve:
+            if effect.curve == other.effect.curve == "position":
                 return f"it shares the position curve of the joint with {name}"
     return ""
 
@@ -270,8 +277,8 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
             _ranges(part, diagnosis) for part in kinds.values()
         )
     alike = group if len(joints) == 1 else group[:1]
-    said = effect.sentence(
-        robot, joints, [s for f in alike for s in sizes(f, diagnosis)]
+    said = effect.words.sentence(
+        effect, robot, joints, [s for f in alike for s in sizes(f, diagnosis)]
     )
     if len(joints) > 1 and len(group) > 1:
         return f"{said}: {_ranges(group, diagnosis).removeprefix(plain(effect.name)).lstrip()}"
@@ -324,7 +331,8 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
         reasons = dict.fromkeys(f.downgrade for f in group if f.downgrade)
         return "".join(f" This is not decided: {reason}." for reason in reasons)
     if len(group) == 1:
-        other = group[0].rivals[0].candidate.effect.noun(diagnosis.robot)
+        rival = group[0].rivals[0].candidate.effect
+        other = rival.words.noun(rival, diagnosis.robot)
         return f" {other[0].upper()}{other[1:]} would look the same."
     open_ = sum(bool(f.rivals) for f in group)
     some = "all of them" if open_ == len(group) else f"{open_} of them"
@@ -413,14 +421,16 @@ def curve_of(
     other = next((k for k in joints if k != j), j)
     # all friction of a joint is one curve
     torque = np.sum([f.torque[:, j] for f in group], axis=0)
-    if lead.effect.abscissa == "own torque":
+    if lead.effect.words.abscissa == "own torque":
         drawn = (
             f"torque of the fitted {plain(lead.effect.name)} [{diagnosis.unit(j)}]",
             torque,
         )
     else:
-        drawn = _abscissa(diagnosis, lead.effect.abscissa, j, other)
-    label, x = lead.effect.drawn(*drawn)
+        drawn = _abscissa(diagnosis, lead.effect.words.abscissa, j, other)
+    label, x = drawn
+    if lead.effect.words.drawn is not None:
+        label, x = lead.effect.words.drawn(lead.effect, label, x)
     x = np.where(moves[:, j], x, np.nan)
     residual = diagnosis.left[:, j] + torque
     rival = (
@@ -440,7 +450,7 @@ def _rival(
     if len(effects) < 2 or not alike:
         return None
     usual = standard_effects((diagnosis.robot.joints[j],))
-    beside = [e for e in usual if e.joint_property in ("viscous", "offset")]
+    beside = [e for e in usual if e.export.joint_property in ("viscous", "offset")]
     held = diagnosis.extension.held
     columns = np.concatenate(
         [held.columns(e)[:, j] for e in (effects[1], *beside)], axis=1

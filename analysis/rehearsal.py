@@ -492,7 +492,7 @@ def rehearsal_arm(robot: Robot, rng: np.random.Generator) -> VirtualArm:
 
 
 def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
-    known = robot.with_effects([e for e in robot.effects if e.standard])
+    known = robot.with_effects([e for e in robot.effects if e.search.standard])
     given = nominal_truth(known).drives
     strength = with_strength(robot).limits.torque
     _, dq, ddq = (
@@ -505,7 +505,7 @@ def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
     }
     effects = []
     for effect in standard_effects(robot.joints):
-        drive = effect.joint_property
+        drive = effect.export.joint_property
         own = getattr(given, drive)
         usual = _SHARE[drive] * strength / per_unit.get(drive, 1.0)
         effects.append(
@@ -538,5 +538,7 @@ def changed(arm: VirtualArm, effect: HiddenEffect) -> VirtualArm:
 def planted_parameters(arm: VirtualArm, effects: tuple[Effect, ...]) -> Array:
     """True standard parameters of the links, then those of standard effects, shape (p,)."""
     bodies = [body.toDynamicParameters() for body in list(arm.truth.model.inertias)[1:]]
-    drives = [getattr(arm.truth.drives, effect.joint_property) for effect in effects]
+    drives = [
+        getattr(arm.truth.drives, effect.export.joint_property) for effect in effects
+    ]
     return read_only(np.concatenate([*bodies, *drives]))

@@ -15,7 +15,7 @@ from excitant.analysis.evidence import (
     Key,
     reweighed,
 )
-from excitant.robots.effects import Effect
+from excitant.robots.effects import Effect, plausible
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -45,11 +45,15 @@ def select(
     """
     bare = frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
-    standard = [c for c in allowed if c.effect.standard and {*c.effect.joints} <= bare]
+    standard = [
+        c for c in allowed if c.effect.search.standard and {*c.effect.joints} <= bare
+    ]
     evidence, chosen = _grown(evidence, robot, [], standard)
     evidence, chosen = _grown(evidence, robot, chosen, allowed)
     for common in [
-        c for c in chosen if c.effect.of_given_torque and c.effect.is_common(robot)
+        c
+        for c in chosen
+        if c.effect.physics.on_given_torque and c.effect.is_common(robot)
     ]:
         others = [c for c in allowed if c.key != common.key]
         rest = [c for c in chosen if c is not common]
@@ -119,14 +123,14 @@ def _simplest(
     Plain friction is a special case of all finer friction of its joint.
     """
     # so is a shape that this motion does not show: play that is never crossed is an offset
-    if found.effect.shapes:
+    if found.effect.search.shapes:
         for other in evidence.candidates:
             same = other.size == found.size and {*other.effect.joints} == {
                 *found.effect.joints
             }
             if (
                 same
-                and not other.effect.shapes
+                and not other.effect.search.shapes
                 and evidence.cosine(other, found) > _IDENTICAL
             ):
                 return other
@@ -135,7 +139,7 @@ def _simplest(
         c
         for c in evidence.candidates
         if (
-            c.effect.name in found.effect.contains
+            c.effect.name in found.effect.search.contains
             or (finer and is_plain_friction(c.effect))
         )
         and c.effect.joints == found.effect.joints
@@ -212,16 +216,17 @@ def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> 
     finer = (
         c.effect
         for c in rest
-        if c.effect.family == "friction" and not c.effect.standard
+        if c.effect.family == "friction" and not c.effect.search.standard
     )
     return any(
-        e.joints == effect.joints and effect.name not in e.contains for e in finer
+        e.joints == effect.joints and effect.name not in e.search.contains
+        for e in finer
     )
 
 
 def is_plain_friction(effect: Effect) -> bool:
     """Whether an effect is friction that every joint has, viscous or Coulomb."""
-    return effect.standard and effect.family == "friction"
+    return effect.search.standard and effect.family == "friction"
 
 
 def _plausible(
@@ -237,7 +242,7 @@ def _plausible(
     value = candidate.scale @ coordinates[candidate.columns]
     block = covariance[candidate.columns, candidate.columns]
     std = np.sqrt(np.diag(candidate.scale @ block @ candidate.scale.T))
-    return candidate.effect.plausible(robot, value, std)
+    return plausible(candidate.effect, robot, value, std)
 
 
 def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
@@ -333,6 +338,8 @@ def rivals(
 
 
 def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
-    special = found.effect.name in other.effect.contains and other.size > found.size
-    real = found.effect.name in other.effect.imitates
+    special = (
+        found.effect.name in other.effect.search.contains and other.size > found.size
+    )
+    real = found.effect.name in other.effect.search.imitates
     return special and not real and evidence.cosine(found, other) > _SAME

@@ -28,9 +28,15 @@ from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import link_coordinates, link_weights
 from excitant.identify.recording import Recording
 from excitant.identify.rows import implausible_size
-from excitant.robots.effects import EFFECTS, Effect, Size, standard_effects
+from excitant.robots.effects import EFFECTS, Acts, Effect, Size, Words, standard_effects
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
+
+
+def _detail(
+    fault: DataFault, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+) -> str:
+    return f"{fault.detail[:1].upper()}{fault.detail[1:]} (repaired)"
 
 
 @dataclass(frozen=True)
@@ -38,8 +44,8 @@ class DataFault(Effect):
     """A fault of the data that was repaired, as a cause of the given model's errors."""
 
     family = "set-up"
-    jointwise = True
-    abscissa = "time"
+    acts_on = Acts.EACH
+    words = Words("time", sentence=_detail)
     fault: str = ""
     detail: str = ""
 
@@ -51,12 +57,6 @@ class DataFault(Effect):
     def columns(self, robot: Robot, motion: Motion) -> Array:
         """It has none."""
         return np.zeros((len(motion), robot.nv, 0))
-
-    def sentence(
-        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
-    ) -> str:
-        """The fault's own detail."""
-        return f"{self.detail[:1].upper()}{self.detail[1:]} (repaired)"
 
 
 @dataclass(frozen=True, eq=False)

@@ -385,7 +385,7 @@ def _simulable(robot: Robot, effect: Effect) -> bool:
     """Whether forward simulation supports an effect."""
     with suppress(BadInput):
         return (
-            effect.of_state_alone
+            effect.physics.of_state
             and forward_model(robot.with_effects([effect])) is not None
         )
     return False

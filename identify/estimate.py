@@ -444,14 +444,14 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
     """
     robot = rows.robot
     effects = rows.effects
-    apart = tuple(e for e in effects if not e.depends_on_model)
+    apart = tuple(e for e in effects if not e.physics.on_model)
     if len(apart) == len(effects):
         return rows
     counts = [len(e.parameters(robot)) for e in effects]
     links, *places = np.split(
         range(rows.regression.p), np.cumsum([10 * robot.nv, *counts])[:-1]
     )
-    own = [at for e, at in zip(effects, places, strict=True) if not e.depends_on_model]
+    own = [at for e, at in zip(effects, places, strict=True) if not e.physics.on_model]
     regression = rows.regression.select(np.concatenate([links, *own]).tolist())
     known = replace(
         rows, effects=apart, base=base_parameters(robot, apart), regression=regression

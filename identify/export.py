@@ -103,8 +103,8 @@ def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
             )
         if effect.role != "torque":
             robot = effect.applied(robot)
-        elif effect.joint_property:
-            drives[effect.joint_property][effect.rows(robot)] += effect.values
+        elif effect.export.joint_property:
+            drives[effect.export.joint_property][effect.rows(robot)] += effect.values
     kept = [effect for effect in given.effects if effect.role == "torque"]
     return (robot if robot is given else robot.with_effects(kept)), drives
 
@@ -116,12 +116,12 @@ def lacking(arm: Robot, file_format: str) -> list[str]:
         values = effect.values or ()
         joints = list(effect.joints)
         below = list[str]()
-        if effect.joint_property:
+        if effect.export.joint_property:
             lowest = [p.lower for p in effect.parameters(arm)]
             rows = list(zip(joints, values, lowest, strict=True))
             joints = [joint for joint, value, _ in rows if value]
             below = [joint for joint, value, low in rows if value < low]
-        if joints and file_format not in effect.formats:
+        if joints and file_format not in effect.export.formats:
             listed = "all joints" if len(joints) == arm.nv else ", ".join(joints)
             missing.append(f"{plain(effect.name)} of {listed}")
         elif joints and below:
@@ -137,11 +137,11 @@ def held_by(model: Robot, file_format: str) -> Robot:
     arm, drives = folded(model)
     effects: dict[str, Effect] = {}
     for effect in arm.effects:
-        if file_format in effect.formats:
+        if file_format in effect.export.formats:
             whole = replace(effect, joints=arm.joints, values=None)
             lowest = [p.lower for p in whole.parameters(arm)]
-            values = np.maximum(drives[effect.joint_property], lowest)
-            effects[effect.joint_property] = whole.with_values(values)
+            values = np.maximum(drives[effect.export.joint_property], lowest)
+            effects[effect.export.joint_property] = whole.with_values(values)
     return arm.with_effects(list(effects.values()))
 
 
@@ -149,9 +149,9 @@ def comment(robot: Robot, file_format: str, complete: str) -> str:
     """Deviations of a file from the model, and the file that is complete."""
     left_out = lacking(robot, file_format)
     own = [
-        effect.format_notes[file_format]
+        note
         for effect in robot.effects
-        if file_format in effect.format_notes and any(effect.values or ())
+        if (note := effect.export.formats.get(file_format)) and any(effect.values or ())
     ]
     if file_format == "sdf" and not np.allclose(robot.gravity, _COMMON_GRAVITY):
         own.append("gravity is that of the world, which Drake wants to be told in code")

@@ -71,7 +71,9 @@ def _friction_curve(
     for effect in estimate.model.effects:
         owners = [p.name.rpartition(".")[0] for p in effect.parameters(robot)]
         own = [start + k for k, owner in enumerate(owners) if owner == joint]
-        over_velocity = effect.family == "friction" and effect.abscissa == "velocity"
+        over_velocity = (
+            effect.family == "friction" and effect.words.abscissa == "velocity"
+        )
         if own and over_velocity and effect.law:
             places += own
             laws.append(effect.law)

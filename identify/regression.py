@@ -316,7 +316,7 @@ def effect_columns(
     def columns(motion: Motion) -> Array:
         return effect.columns(robot, motion)[:, joints]
 
-    parts = [(s.thin if effect.smooth else s).rows(columns) for s in segments]
+    parts = [(s.thin if effect.physics.smooth else s).rows(columns) for s in segments]
     return ActingColumns.of(frozen(np.concatenate(parts)), joints)
 
 

@@ -134,9 +134,9 @@ def refined_shapes(rows: FitRows, prior: Array, knowledge: Knowledge) -> Shapes 
     The prior has shape (nv, 10). What is known of the bodies is of no account in the descent.
     """
     effects = tuple(
-        own for e in rows.effects for own in (e.singles() if e.tuned else [e])
+        own for e in rows.effects for own in (e.singles() if e.search.tuned else [e])
     )
-    if not any(effect.tuned for effect in effects):
+    if not any(effect.search.tuned for effect in effects):
         return None
     rows = replace(rows, effects=effects)
     try:
@@ -176,8 +176,8 @@ class _Search:
         at = 0
         for k, effect in enumerate(self.effects):
             count = len(effect.parameters(self.robot))
-            if effect.tuned is not None:
-                self.places.append((k, slice(at, at + count), effect.tuned.name))
+            if effect.search.tuned is not None:
+                self.places.append((k, slice(at, at + count), effect.search.tuned.name))
             at += count
         self.last: tuple[bytes, Array] = (b"", self.R[:, self.links :])
 
@@ -226,7 +226,9 @@ class _Search:
             basis = Q[0][:, :rank]
             left = self.z - basis @ (basis.T @ self.z)
             fact = facts[self.robot.joint_index(joint)]
-            shapes = [effect, *(effect.candidates(joint, fact) if fact.moves else [])]
+            usual = type(effect)((joint,))
+            grid = effect.search.candidates(usual, fact) if fact.moves else []
+            shapes = [effect, *grid]
             gains = [self._explained(each, basis, left) for each in shapes]
             best.append(getattr(shapes[int(np.argmax(gains))], name))
         return np.array(best)
@@ -284,7 +286,7 @@ class _Search:
         for (k, _, name), old, new, s in zip(
             self.places, given, values, std, strict=True
         ):
-            shape = effects[k].tuned
+            shape = effects[k].search.tuned
             assert shape is not None
             effects[k] = effects[k].reshaped(name, float(new))
             unit = effects[k].shape_unit(self.robot, shape)

@@ -111,7 +111,7 @@ def carried_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of the bodies and of all effects that do not depend on it, shape (n, nv) [N·m]."""
     total = np.array(rigid_torque(robot, motion))
     for effect in robot.effects:
-        if effect.values is not None and not effect.acts_on_torque:
+        if effect.values is not None and not effect.physics.on_torque:
             total += effect.torque(robot, motion)
     return read_only(total)
 

@@ -138,10 +138,10 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
                 f"{robot.name}: effect {effect.name} has no values; give them"
             )
         carrying, before = effect.applied(carrying), carrying
-        if effect.acts_on_torque or carrying is not before:
+        if effect.physics.on_torque or carrying is not before:
             continue
-        if effect.joint_property:
-            plain[effect.joint_property][effect.rows(robot)] += effect.values
+        if effect.export.joint_property:
+            plain[effect.export.joint_property][effect.rows(robot)] += effect.values
         elif (stepper := effect.stepper(robot)) is not None:
             steppers.append(stepper)
             others.append(stepper)

@@ -37,8 +37,10 @@ def current_urdf(robot: Robot) -> str:
     for effect in (effect for effect in robot.effects if effect.values is not None):
         if effect.role != "torque":  # a payload, or other inertia of a link
             carrying = effect.applied(carrying)
-        elif effect.joint_property in friction:
-            friction[effect.joint_property][effect.rows(robot)] += effect.values or ()
+        elif effect.export.joint_property in friction:
+            friction[effect.export.joint_property][effect.rows(robot)] += (
+                effect.values or ()
+            )
     values = dict(zip(robot.links, carrying.phi.reshape(-1, 10), strict=True))
     dry = dict(
         zip(

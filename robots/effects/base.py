@@ -1,10 +1,16 @@
-"""Effect: anything that makes torque beyond the rigid-body inertia of the given links."""
+"""Effect: anything that makes torque beyond the rigid-body inertia of the given links.
+
+Its torque is linear in its coefficients once its shape is fixed. An effect answers for itself in
+four parts: what makes its torque (`Physics`), where it is looked for (`Search`), how it is said
+(`Words`) and what files of a model hold of it (`Export`).
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from enum import Enum
 from itertools import pairwise
 from typing import (
     TYPE_CHECKING,
@@ -20,21 +26,12 @@ from typing import (
 import numpy as np
 import numpy.typing as npt
 
-from excitant.exceptions import BadInput
-from excitant.robots.effects.experiments import BETWEEN, GENERAL, SAME
+from excitant.exceptions import BadInput, UnknownName
+from excitant.robots.effects.search import JointFacts, Search, Shape
 from excitant.robots.motion import Array, Motion
 
 if TYPE_CHECKING:
     from excitant.robots.robot import Robot
-
-_LARGEST = 2.0  # of the typical size of a coefficient that has one
-# standard deviations by which a value may lie beyond what physics allows
-SIGN_DEVIATIONS = 2.0
-_NEAR = (0.3, 2.5)  # of a trial value, for which the columns are right
-_TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # a shape that was found, where it may be another
-# standard deviations of the noise of positions that hide where one turns back
-_DEVIATIONS = 4.0
-_STILL = 1e-3  # rad/s: slower joints rest
 
 Role = Literal["torque", "link", "body"]
 Law = Callable[[Array, Array, Array], Sequence[Array]]
@@ -47,28 +44,77 @@ def plain(name: object) -> str:
     return words.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
 
 
-def _unit(unit: str, slides: bool) -> str:
-    """The unit of a joint's coefficient, where this is that of a turning one's."""
-    for turning, sliding in (
-        ("(N·m)", "N"),
-        ("N·m", "N"),
-        ("kg·m²", "kg"),
-        ("rad", "m"),
-    ):
-        unit = unit.replace(turning, sliding) if slides else unit
-    return unit
+class Acts(Enum):
+    """Joints that an effect acts on by the same coefficients."""
+
+    EACH = "each joint with coefficients of its own"
+    ONE = "one joint"
+    PAIR = "2 joints"
+    COMMON = "all joints that it is given"
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One coefficient of an effect."""
+    """One coefficient of an effect.
 
-    name: str  # its symbol; after that of the joint, pair or link it belongs to, its full name
-    unit: str  # where torque is in N·m
-    lower: float = -np.inf  # smallest value that physics allows
-    # size where it matters; None where that depends on the arm
+    Attributes:
+        name: Its symbol; after that of the joint, pair or link it belongs to, its full name.
+        unit: Unit where torque is in N·m.
+        lower: Smallest value that physics allows.
+        typical: Size where it matters; None where that depends on the arm.
+        vector: Name of the vector whose component it is, which is told by its length.
+    """
+
+    name: str
+    unit: str
+    lower: float = -np.inf
     typical: float | None = None
-    vector: str = ""  # quantity whose component it is, told by its length
+    vector: str = ""
+
+
+def _unit(unit: str, slides: bool) -> str:
+    """The unit of a coefficient of a turning joint, at one that slides."""
+    if slides:
+        for turning, sliding in (
+            ("(N·m)", "N"),
+            ("N·m", "N"),
+            ("kg·m²", "kg"),
+            ("rad", "m"),
+        ):
+            unit = unit.replace(turning, sliding)
+    return unit
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What makes the torque of an effect.
+
+    Attributes:
+        depends_on: What columns are computed from beside the motion: nothing (``motion``), the
+            ``bodies``, all other ``torque``, or that of the given model (``given torque``).
+        smooth: Whether its torque is as smooth as the motion and never jumps.
+        of_state: Whether the state of an arm determines it, so that forward dynamics has it;
+            others need a known motion.
+    """
+
+    depends_on: Literal["motion", "bodies", "torque", "given torque"] = "bodies"
+    smooth: bool = False
+    of_state: bool = True
+
+    @property
+    def on_model(self) -> bool:
+        """Whether columns depend on inertias or other effects."""
+        return self.depends_on != "motion"
+
+    @property
+    def on_torque(self) -> bool:
+        """Whether it is how a sensor reads all other torque, which does not move the arm."""
+        return self.depends_on in ("torque", "given torque")
+
+    @property
+    def on_given_torque(self) -> bool:
+        """Whether that is the torque of the given model; else it imitates findings."""
+        return self.depends_on == "given torque"
 
 
 @dataclass(frozen=True)
@@ -101,93 +147,62 @@ def length(x: Array, covariance: Array) -> tuple[float, float]:
     return size, std if size > 2 * std else worst
 
 
-@dataclass(frozen=True, eq=False)
-class JointFacts:
-    """Statistics of one joint in recordings, which choose and scale the shapes of effects."""
-
-    speed: float = np.inf  # highest [rad/s or m/s]
-    reach: float = np.inf  # range of positions [rad or m]
-    start: float = 0.0  # first instant [s]
-    duration: float = np.inf  # of all recordings, from first to last instant [s]
-    # how far it moves about a reversal while samples and filter see none
-    blur: float = 0.0
-    q: Array = field(
-        default_factory=lambda: np.zeros(0)
-    )  # at the rows of `unexplained`, (n,)
-    dq: Array = field(default_factory=lambda: np.zeros(0))  # there, (n,)
-    unexplained: Array = field(
-        default_factory=lambda: np.zeros(0)
-    )  # torque left, (n,) [N·m]
-    cutoff_hz: float = np.inf  # of the filter that this torque has passed [Hz]
-
-    @property
-    def moves(self) -> bool:
-        """Whether the joint is ever faster than at rest."""
-        return self.speed > _STILL
+def usual_noun(effect: Effect, robot: Robot) -> str:
+    """A cause with its place."""
+    where = "all joints" if len(effect.joints) > 3 else ", ".join(effect.joints)
+    return f"{effect.label} at {where}"
 
 
-def joint_facts(
-    motions: Sequence[Motion],
-    rows: Sequence[slice] = (),
-    unexplained: Array | None = None,
-    cutoff_hz: float = np.inf,
-    noise: Array | float = 0.0,
-) -> tuple[JointFacts, ...]:
-    """Statistics of each joint in recordings, with the residual torque of a model at some rows.
-
-    Noise is a density of the positions, (nv,) [rad²/Hz or m²/Hz].
-    """
-
-    def joined(parts: Sequence[Motion]) -> tuple[Array, Array]:
-        return np.concatenate([m.q for m in parts]), np.concatenate(
-            [m.dq for m in parts]
+def usual_sentence(
+    effect: Effect, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+) -> str:
+    """Statement of a diagnosis on an effect at joints, its own first."""
+    label = effect.label
+    if len(joints) > 1:
+        return (
+            f"{label[0].upper()}{label[1:]} of {len(joints)} joints is missing or wrong"
         )
-
-    q, dq = joined(motions)
-    speed = np.abs(dq).max(axis=0).tolist()
-    reach = np.ptp(q, axis=0).tolist()
-    start = min(float(m.t[0]) for m in motions)
-    duration = max(float(m.t[-1]) for m in motions) - start
-    unseen = max(float(m.t[1] - m.t[0]) for m in motions)
-    passed = 0.0
-    if cutoff_hz < np.inf:  # positions pass twice the cut-off
-        unseen = unseen + 1 / (2 * np.pi * 2 * cutoff_hz)
-        passed = 2 * cutoff_hz
-    pull = np.sqrt(np.mean(np.concatenate([m.ddq for m in motions]) ** 2, axis=0))
-    blur = (pull * unseen**2 / 2 + _DEVIATIONS * np.sqrt(noise * passed)).tolist()
-    facts = [
-        JointFacts(top, far, start, duration, near)
-        for top, far, near in zip(speed, reach, blur, strict=True)
-    ]
-    if unexplained is None:
-        return tuple(facts)
-    q, dq = joined([motion[part] for motion, part in zip(motions, rows, strict=True)])
-    return tuple(
-        replace(
-            seen,
-            q=q[:, j],
-            dq=dq[:, j],
-            unexplained=unexplained[:, j],
-            cutoff_hz=cutoff_hz,
-        )
-        for j, seen in enumerate(facts)
-    )
+    several = len(sizes) > 1
+    words = (f"{s.name} " * several + str(s) for s in sizes)
+    size = ", ".join(words).replace("_", " ")
+    if any(s.given for s in sizes):
+        nominal = ", ".join(f"{s.given:.3g}" for s in sizes)
+        return f"{joints[0]}: {label} is {size}, the model says {nominal}"
+    return f"{joints[0]}: {label} of {size} is not in the model"
 
 
 @dataclass(frozen=True)
-class Shape:
-    """A field of an effect that torque is not linear in, by its name."""
+class Words:
+    """How an effect is said and drawn.
 
-    name: str
-    unit: str
-    positive: bool = True  # whether it must be; then a fit may refine it
-    # the coefficient that columns, not linear in it, are computed for
-    trial: bool = False
-    grid: Callable[[JointFacts], Iterable[float]] | None = None  # values to consider
-    # largest that counts, beyond it the effect is another; without it, the grid has what may be
-    most: Callable[[JointFacts], float] | None = None
-    # smallest that recordings tell from none at all
-    least: Callable[[JointFacts], float] = lambda facts: -np.inf
+    Attributes:
+        abscissa: Quantity over which the error without it is drawn.
+        separated_by: Experiments, each with the names of the rivals that it tells it from.
+        sentence: Statement of a diagnosis, as `usual_sentence`.
+        noun: The cause with its place, as `usual_noun`.
+        drawn: Label and values of the abscissa, NaN where not to be drawn; None: as they are.
+    """
+
+    abscissa: str = "own torque"
+    separated_by: tuple[tuple[str, str], ...] = ()
+    sentence: Callable[[Any, Robot, Sequence[str], Sequence[Size]], str] = (
+        usual_sentence
+    )
+    noun: Callable[[Any, Robot], str] = usual_noun
+    drawn: Callable[[Any, str, Array], tuple[str, Array]] | None = None
+
+
+@dataclass(frozen=True)
+class Export:
+    """What files of a model hold of an effect.
+
+    Attributes:
+        joint_property: Property of joints in those files; empty where there is none.
+        formats: Formats that have it, each with a note on what it means there otherwise.
+    """
+
+    joint_property: str = ""
+    formats: Mapping[str, str] = field(default_factory=dict)
 
 
 class Stepper(Protocol):
@@ -202,62 +217,48 @@ class Stepper(Protocol):
 class Effect(ABC):
     """Torque that is linear in the effect's coefficients once its shape is fixed.
 
+    Attributes:
+        name: In JSON, command line and documentation.
+        family: Friction, body, static, transmission, geometry or reading.
+        terms: Its coefficients, once or on each joint.
+        acts_on: Joints that share coefficients.
+        role: ``link``: its coefficients are changes of a link's own; ``body``: of a further one.
+        physics: What makes its torque.
+        search: Where and in which shapes it is looked for.
+        words: How it is said and drawn.
+        export: What files of a model hold of it.
+        joints: Names of the joints it acts on.
+        values: One per parameter; None while unknown.
+
     Raises:
         BadInput: It acts on another number of joints, or a field of its shape cannot be.
     """
 
     name: ClassVar[str]
-    # friction, body, static, transmission, geometry or reading
     family: ClassVar[str] = ""
-    arity: ClassVar[int] = 0  # how many joints it acts on; 0: as many as it is given
-    jointwise: ClassVar[bool] = False  # each joint has coefficients that act on it only
-    terms: ClassVar[
-        tuple[Parameter, ...]
-    ] = ()  # its coefficients, once or on each joint
-    # "link": changes of a link's own; "body": of a further one
+    terms: ClassVar[tuple[Parameter, ...]] = ()
+    acts_on: ClassVar[Acts] = Acts.COMMON
     role: ClassVar[Role] = "torque"
-    shapes: ClassVar[tuple[Shape, ...]] = ()
-    # columns depend on inertias or other effects
-    depends_on_model: ClassVar[bool] = True
-    # columns are those of a sensor of all other torque
-    acts_on_torque: ClassVar[bool] = False
-    # that of the given model; else it imitates findings
-    of_given_torque: ClassVar[bool] = False
-    smooth: ClassVar[bool] = False  # as the motion is: its torque never jumps
-    # a simulation knows it; others follow a known motion
-    of_state_alone: ClassVar[bool] = True
-    standard: ClassVar[bool] = False  # `identify` estimates it by default
-    usual: ClassVar[bool] = False  # most joints have it
-    # a model may get it; not what bodies and gravity hold
-    further: ClassVar[bool] = True
-    needs_motion: ClassVar[bool] = False  # joints that rest do not show it
-    contains: ClassVar[
-        tuple[str, ...]
-    ] = ()  # what it is when some coefficients are zero
-    imitates: ClassVar[tuple[str, ...]] = ()  # what of that it can be at work for
-    told: ClassVar[
-        tuple[tuple[str, str], ...]
-    ] = ()  # experiment, rivals it is separated from
-    abscissa: ClassVar[str] = "own torque"  # what the error without it is drawn over
-    joint_property: ClassVar[str] = ""  # what joints in files of a model have for it
-    formats: ClassVar[tuple[str, ...]] = ()  # of the files that have it
-    format_notes: ClassVar[Mapping[str, str]] = {}  # what it means there otherwise
+    physics: ClassVar[Physics] = Physics()
+    search: ClassVar[Search] = Search()
+    words: ClassVar[Words] = Words()
+    export: ClassVar[Export] = Export()
 
-    joints: tuple[str, ...]  # it acts on
-    values: tuple[float, ...] | None = None  # one per parameter; None while unknown
+    joints: tuple[str, ...]
+    values: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.joints)
-        if self.arity and count != self.arity:
-            wanted = "one joint" if self.arity == 1 else f"{self.arity} joints"
+        wanted = {Acts.ONE: 1, Acts.PAIR: 2}.get(self.acts_on, count)
+        if count != wanted:
             raise BadInput(
-                f"effect {self.name} acts on {wanted}, not on {count}; name it or them"
+                f"effect {self.name} acts on {self.acts_on.value}, not on {count}; name it or them"
             )
         if len(set(self.joints)) < count:
             raise BadInput(
                 f"effect {self.name} names a joint twice: {', '.join(self.joints)}"
             )
-        for shape in self.shapes:
+        for shape in self.search.shapes:
             if shape.positive and not getattr(self, shape.name) > 0:
                 raise BadInput(f"effect {self.name}: {shape.name} must be positive")
 
@@ -266,11 +267,16 @@ class Effect(ABC):
         """Its name as it stands in a sentence."""
         return plain(self.name)
 
+    @property
+    def jointwise(self) -> bool:
+        """Whether each joint has coefficients of its own, which act on that joint only."""
+        return self.acts_on is Acts.EACH
+
     def owners(self, robot: Robot) -> tuple[str, ...]:
         """Joints, pair or link that its terms belong to, as the names of its coefficients say."""
         if self.jointwise or len(self.joints) == 1:
             return self.joints
-        return ("-".join(self.joints) if self.arity else "common",)
+        return ("-".join(self.joints) if self.acts_on is Acts.PAIR else "common",)
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
@@ -279,12 +285,12 @@ class Effect(ABC):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Its coefficients, in the order of the columns."""
-        slides = np.array(robot.joints)[~robot.revolute] if self.jointwise else ()
+        sliding = np.array(robot.joints)[~robot.revolute] if self.jointwise else ()
         return tuple(
             replace(
                 term,
                 name=f"{owner}.{term.name}",
-                unit=_unit(term.unit, owner in slides),
+                unit=_unit(term.unit, owner in sliding),
             )
             for owner in self.owners(robot)
             for term in self.own_terms
@@ -300,10 +306,12 @@ class Effect(ABC):
 
     def torque(self, robot: Robot, motion: Motion) -> Array:
         """Torque that the joints must give for it, shape (n, nv) [N·m]."""
-        tau: Array = self.columns(robot, motion) @ np.array(self._known())
+        tau: Array = self.columns(robot, motion) @ np.array(self.coefficients)
         return tau
 
-    def _known(self) -> tuple[float, ...]:
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """Its values; ValueError while they are unknown."""
         if self.values is None:
             raise ValueError(f"{self.name} has no values yet")
         return self.values
@@ -313,19 +321,34 @@ class Effect(ABC):
         """Its torque where the joint's own state at that instant makes it; None for others."""
         return None
 
+    @property
+    def curve(self) -> str:
+        """Quantity of the joint that its torque is a curve over: velocity, position or none.
+
+        Beside the standard effects, one curve over each has a meaning at a joint.
+        """
+        friction = self.family == "friction" and self.law is not None
+        return "velocity" if friction and not self.search.standard else ""
+
     def with_values(self, values: npt.ArrayLike) -> Self:
         """The same effect with these coefficients."""
         return replace(self, values=tuple(float(v) for v in np.ravel(values)))
 
-    def bare(self) -> Self:
+    def without_values(self) -> Self:
         """The same effect without values."""
         return replace(self, values=None)
 
+    def reshaped(self, name: str, value: float) -> Self:
+        """The effect with another value of one field of its shape."""
+        change: dict[str, Any] = {name: value}
+        return replace(self, **change)
+
     def singles(self) -> list[Self]:
         """The effect without values, joint by joint where each has coefficients of its own."""
+        usual = self.without_values()
         if not self.jointwise:
-            return [self.bare()]
-        return [replace(self, joints=(joint,), values=None) for joint in self.joints]
+            return [usual]
+        return [replace(usual, joints=(joint,)) for joint in self.joints]
 
     def rows(self, robot: Robot) -> list[int]:
         """Indices of its joints."""
@@ -335,16 +358,6 @@ class Effect(ABC):
         """Indices of the joints whose torque it changes: its own, or any where bodies move."""
         return self.rows(robot) if self.jointwise else list(range(robot.nv))
 
-    @property
-    def is_friction_curve(self) -> bool:
-        """Whether it is friction by the joint's velocity alone, finer than the usual."""
-        return self.family == "friction" and self.law is not None and not self.standard
-
-    @property
-    def is_position_curve(self) -> bool:
-        """Whether it is a smooth torque by the joint's position alone."""
-        return False
-
     def is_common(self, robot: Robot) -> bool:
         """Whether it acts on all joints of an arm by the same coefficients."""
         return robot.nv > 1 and {*self.joints} == {*robot.joints}
@@ -353,93 +366,6 @@ class Effect(ABC):
         """The link whose columns of the regressor are its own; None for what is no body."""
         return None if self.role == "torque" else robot.joint_index(self.joints[0])
 
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Shapes of the effect to consider at a joint: those of its grid, or the usual one."""
-        usual = cls((joint,))
-        for shape in cls.shapes:
-            if shape.grid is not None:
-                seen = [float(v) for v in shape.grid(facts) if v >= shape.least(facts)]
-                return [usual.reshaped(shape.name, value) for value in seen]
-        return [usual]
-
-    @classmethod
-    def proposed(
-        cls, robot: Robot, facts: Sequence[JointFacts]
-    ) -> list[tuple[Self, int]]:
-        """All of it to consider on an arm, with the number of shapes each is the best of."""
-        return [
-            (effect, 1)
-            for joint, seen in zip(robot.joints, facts, strict=True)
-            if seen.moves or not cls.needs_motion
-            for effect in cls.candidates(joint, seen)
-        ]
-
-    def refined(self, beside: Iterable[Effect], facts: JointFacts) -> list[Self]:
-        """The effect in shapes at thirds of the way to the nearest of some beside its own."""
-        near: list[Self] = []
-        for name in (shape.name for shape in self.shapes):
-            own = getattr(self, name)
-            others = {getattr(e, name) for e in beside}
-            lower = [v for v in others if v < own]
-            upper = [v for v in others if v > own]
-            for end in (max(lower, default=own), min(upper, default=own)):
-                if end != own:
-                    steps = np.geomspace if end * own > 0 else np.linspace
-                    near += [
-                        self.reshaped(name, float(v)) for v in steps(own, end, 4)[1:3]
-                    ]
-        return near
-
-    def alternatives(self, facts: JointFacts) -> list[Self]:
-        """The effect without values in its own shape and those that it may have as well."""
-        own = self.bare()
-        for shape in self.shapes[:1]:
-            value = getattr(own, shape.name)
-            if shape.most is not None:
-                most = max(abs(value), shape.most(facts))
-                values = [
-                    times * value for times in _TIMES if abs(times * value) <= most
-                ]
-            else:
-                grid = () if shape.grid is None else shape.grid(facts)
-                values = [value, *(v for v in grid if v != value)]
-            return [own.reshaped(shape.name, v) for v in values]
-        return [own]
-
-    def reshaped(self, name: str, value: float) -> Self:
-        """The effect with another value of one field of its shape."""
-        change: dict[str, Any] = {name: value}
-        return replace(self, **change)
-
-    @property
-    def tuned(self) -> Shape | None:
-        """The shape parameter that a fit may refine, if any."""
-        return next(
-            (shape for shape in self.shapes if shape.positive and not shape.trial), None
-        )
-
-    def credible(self, robot: Robot, values: Array) -> bool:
-        """Whether coefficients are of a size at which they mean what the effect says."""
-        for shape in self.shapes:
-            if (
-                shape.trial
-                and not _NEAR[0] < values[0] / getattr(self, shape.name) < _NEAR[1]
-            ):
-                return False
-        typical = [p.typical for p in self.parameters(robot)]
-        most = np.array(
-            [np.inf if size is None else _LARGEST * size for size in typical]
-        )
-        return bool((np.abs(values) < most).all())
-
-    def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
-        """Whether values (k,), added to those that the robot has, are such as physics allows."""
-        known = effect_values(robot)
-        parameters = self.parameters(robot)
-        lower = np.array([p.lower - known.get(p.name, 0.0) for p in parameters])
-        return within(values, lower, std) and self.credible(robot, values)
-
     def applied(self, robot: Robot) -> Robot:
         """The robot with what the effect changes of its bodies and gravity."""
         return robot
@@ -447,11 +373,6 @@ class Effect(ABC):
     def stepper(self, robot: Robot) -> Stepper | None:
         """The effect with a state of its own, carried from step to step, where it has one."""
         return None
-
-    def noun(self, robot: Robot) -> str:
-        """The cause with its place."""
-        where = "all joints" if len(self.joints) > 3 else ", ".join(self.joints)
-        return f"{self.label} at {where}"
 
     def sizes(
         self, value: Array, given: Array, covariance: Array, units: Sequence[str]
@@ -464,84 +385,43 @@ class Effect(ABC):
             covariance: Of the coefficients, shape (k, k).
             units: Of the coefficients.
         """
-        terms = self.own_terms * (len(value) // len(self.own_terms))
-        vectors = dict[tuple[str, int], list[int]]()
-        for k, term in enumerate(terms):
-            apart = k // len(self.own_terms) if term.vector else k
-            vectors.setdefault((term.vector, apart), []).append(k)
+        count = len(self.own_terms)
+        components = dict[tuple[str, int], list[int]]()
+        for k in range(len(value)):
+            term = self.own_terms[k % count]
+            vector = (term.vector, k // count) if term.vector else (term.name, k)
+            components.setdefault(vector, []).append(k)
         sizes = []
-        for (vector, _), at in vectors.items():
-            if vector:
-                size, std = length(value[at], covariance[np.ix_(at, at)])
-                nominal = float(np.linalg.norm(given[at]))
-                sizes.append(Size(vector, units[at[0]], size, std, nominal))
-            else:
-                k = at[0]
-                std = float(np.sqrt(covariance[k, k]))
-                size = float(value[k])
-                nominal = float(given[k])
-                sizes.append(Size(terms[k].name, units[k], size, std, nominal))
+        for (name, _), at in components.items():
+            size, std = length(value[at], covariance[np.ix_(at, at)])
+            nominal = float(np.linalg.norm(given[at]))
+            if not self.own_terms[at[0] % count].vector:
+                size = float(value[at[0]])
+                nominal = float(given[at[0]])
+            sizes.append(Size(name, units[at[0]], size, std, nominal))
         return tuple(sizes)
-
-    def sentence(
-        self, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
-    ) -> str:
-        """Statement of a diagnosis on the effect at joints, its own first."""
-        name = self.label
-        if len(joints) > 1:
-            return f"{name[0].upper()}{name[1:]} of {len(joints)} joints is missing or wrong"
-        several = len(sizes) > 1
-        words = (f"{s.name} " * several + str(s) for s in sizes)
-        size = ", ".join(words).replace("_", " ")
-        if any(s.given for s in sizes):
-            nominal = ", ".join(f"{s.given:.3g}" for s in sizes)
-            return f"{joints[0]}: {name} is {size}, the model says {nominal}"
-        return f"{joints[0]}: {name} of {size} is not in the model"
-
-    @classmethod
-    def told_from(cls, rival: Effect | type[Effect]) -> str:
-        """Action that tells it from another effect."""
-        if cls.name == rival.name:
-            return SAME
-        pairs = ((cls.told, rival.name), (rival.told, cls.name))
-        known = (
-            action
-            for told, name in pairs
-            for action, all_ in told
-            if name in all_.split()
-        )
-        return next(known, BETWEEN.get(frozenset((cls.family, rival.family)), GENERAL))
-
-    def drawn(self, label: str, x: Array) -> tuple[str, Array]:
-        """Label and values of the quantity it is drawn over, NaN where not to be shown."""
-        return label, x
 
 
 class JointwiseEffect(Effect):
     """Effect with coefficients of its own on each joint, which act on that joint only."""
 
-    jointwise: ClassVar[bool] = True
-    needs_motion: ClassVar[bool] = True
+    acts_on: ClassVar[Acts] = Acts.EACH
 
     @abstractmethod
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         """Torque per unit of each term for joint j, each of shape (n,)."""
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
-        count = len(self.own_terms) * len(self.joints)
-        columns = np.zeros((len(motion), robot.nv, count))
-        per_joint = [
-            (j, values)
-            for j in self.rows(robot)
-            for values in self.at(robot, motion, j)
-        ]
-        for column, (j, values) in enumerate(per_joint):
-            columns[:, j, column] = values
+        count = len(self.own_terms)
+        columns = np.zeros((len(motion), robot.nv, count * len(self.joints)))
+        for k, j in enumerate(self.rows(robot)):
+            for i, column in enumerate(self.at(robot, motion, j)):
+                columns[:, j, count * k + i] = column
         return columns
 
     def torque(self, robot: Robot, motion: Motion) -> Array:
         tau = np.zeros((len(motion), robot.nv))
-        values = iter(self._known())
+        values = iter(self.coefficients)
         for j in self.rows(robot):
             for column in self.at(robot, motion, j):
                 tau[:, j] += next(values) * column
@@ -551,7 +431,7 @@ class JointwiseEffect(Effect):
 class JointEffect(JointwiseEffect):
     """Effect on each joint by that joint's own motion at that instant."""
 
-    depends_on_model: ClassVar[bool] = False
+    physics: ClassVar[Physics] = Physics("motion")
 
     @abstractmethod
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
@@ -565,25 +445,11 @@ class JointEffect(JointwiseEffect):
         return self.of_state(motion.q[:, j], motion.dq[:, j], motion.ddq[:, j])
 
 
-class StandardEffect(JointEffect):
-    """Effect that most joints have and `identify` estimates by default."""
-
-    standard: ClassVar[bool] = True
-    usual: ClassVar[bool] = True
-    further: ClassVar[bool] = False
-
-
 class PairEffect(Effect):
     """Effect between two joints, ``joints = (one, other)``."""
 
-    arity: ClassVar[int] = 2
-    depends_on_model: ClassVar[bool] = False
-
-    @classmethod
-    def proposed(
-        cls, robot: Robot, facts: Sequence[JointFacts]
-    ) -> list[tuple[Self, int]]:
-        return [(cls(pair), 1) for pair in pairwise(robot.joints)]
+    acts_on: ClassVar[Acts] = Acts.PAIR
+    physics: ClassVar[Physics] = Physics("motion")
 
 
 Kind = TypeVar("Kind", bound=Effect)
@@ -600,28 +466,47 @@ def registered(kind: type[Kind]) -> type[Kind]:
 
 def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
     """Default effects of `identify`: friction, offset and rotor inertia of each joint."""
-    return tuple(kind(joints) for kind in EFFECTS.values() if kind.standard)
+    return tuple(kind(joints) for kind in EFFECTS.values() if kind.search.standard)
 
 
 def proposals(
     robot: Robot,
     facts: Sequence[JointFacts],
-    believed: Iterable[tuple[Effect, int]] = (),
+    selected: Iterable[tuple[Effect, int]] = (),
 ) -> list[tuple[Effect, int]]:
     """All effects to consider on an arm, each with the number of shapes it is the best of.
 
-    Effects believed so far, with that number, are considered again, and shapes close to theirs.
+    Effects selected so far, with that number, are considered again, and shapes close to theirs.
     """
-    found = [pair for kind in EFFECTS.values() for pair in kind.proposed(robot, facts)]
-    known = {effect: effect for effect, _ in found}
+    proposed: list[tuple[Effect, int]] = []
+    for kind in EFFECTS.values():
+        for joints in _places(kind, robot.joints):
+            first = facts[robot.joint_index(joints[0])]
+            if first.moves or kind.search.at_rest or kind.acts_on is not Acts.EACH:
+                trials = kind.search.trials(first)
+                candidates = kind.search.candidates(kind(joints), first)
+                proposed += [(effect, trials) for effect in candidates]
+    known = {effect: effect for effect, _ in proposed}
     again = dict[Effect, int]()
-    for effect, trials in believed:
+    for effect, trials in selected:
         beside = [
             e for e in known if e.name == effect.name and e.joints == effect.joints
         ]
-        seen = facts[robot.joint_index(effect.joints[0])]
-        again |= dict.fromkeys((effect, *effect.refined(beside, seen)), trials)
-    return found + [pair for pair in again.items() if pair[0] not in known]
+        first = facts[robot.joint_index(effect.joints[0])]
+        finer = effect.search.refined(effect, beside, first)
+        again |= dict.fromkeys((effect, *finer), trials)
+    return proposed + [pair for pair in again.items() if pair[0] not in known]
+
+
+def _places(kind: type[Effect], joints: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
+    """Sets of joints at which to look for a kind of effect."""
+    if kind.search.places is not None:
+        return kind.search.places(joints)
+    if kind.acts_on is Acts.COMMON:
+        return [joints]
+    if kind.acts_on is Acts.PAIR:
+        return pairwise(joints)
+    return [(joint,) for joint in joints]
 
 
 def merged(effects: Iterable[Effect]) -> list[Effect]:
@@ -630,27 +515,74 @@ def merged(effects: Iterable[Effect]) -> list[Effect]:
     others = list[Effect]()
     for effect in effects:
         if effect.jointwise:
-            kinds.setdefault(replace(effect, joints=(), values=None), []).extend(
-                effect.joints
-            )
+            kind = replace(effect, joints=(), values=None)
+            kinds.setdefault(kind, []).extend(effect.joints)
         else:
             others.append(effect)
+    together = [replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()]
+    return [*together, *others]
+
+
+def effect_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
+    """Effects as entries ``{effect, joints, values, …}`` of a ``robot.yaml``."""
     return [
-        *(replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()),
-        *others,
+        {"effect": effect.name}
+        | {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in vars(effect).items()
+            if value is not None
+        }
+        for effect in effects
     ]
 
 
-def effect_values(robot: Robot) -> dict[str, float]:
-    """Coefficients of the robot's own effects by name; those not known are left out."""
-    return {
-        p.name: value
-        for effect in robot.effects
-        if effect.values is not None
-        for p, value in zip(effect.parameters(robot), effect.values, strict=True)
-    }
+def effects_from_entries(
+    entries: Sequence[Mapping[str, Any]], robot: Robot, source: str
+) -> tuple[Effect, ...]:
+    """Effects of a robot from entries of a file; all joints where an entry names none.
+
+    Raises:
+        BadInput: Unknown effect, joint or field, or values that do not fit.
+    """
+    return tuple(_from_entry(dict(entry), robot, source) for entry in entries)
 
 
-def within(values: Array, lower: Array | float, std: Array) -> bool:
-    """Whether values reach a bound within their uncertainty."""
-    return bool((values > lower - SIGN_DEVIATIONS * std).all())
+def _from_entry(entry: dict[str, Any], robot: Robot, source: str) -> Effect:
+    name = str(entry.pop("effect", ""))
+    if name not in EFFECTS:
+        raise BadInput(f"{source}: {UnknownName('effect', name, EFFECTS)}")
+    defaults = {field.name: field.default for field in fields(EFFECTS[name])}
+    joints = entry.pop("joints", robot.joints)
+    if not isinstance(joints, list | tuple):
+        raise BadInput(
+            f"{source}: effect {name} needs 'joints: [names]', not '{joints}'"
+        )
+    joints = tuple(str(joint) for joint in joints)
+    try:
+        UnknownName.refuse("joint", joints, robot.joints)
+        values = np.array(entry.pop("values"), float).ravel()
+        shape = {key: _like(defaults[key], value) for key, value in entry.items()}
+        effect = EFFECTS[name](joints=joints, **shape).with_values(values)
+    except (BadInput, UnknownName) as error:
+        raise BadInput(f"{source}: {error}") from None
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise BadInput(
+            f"{source}: effect {name} needs 'values: [numbers]' and takes {', '.join(defaults)}"
+        ) from None
+    expected = len(effect.parameters(robot))
+    if len(values) != expected or not np.isfinite(values).all():
+        raise BadInput(
+            f"{source}: effect {name} has {len(values)} values, expected {expected}, all finite"
+        )
+    return effect
+
+
+def _like(default: Any, value: Any) -> Any:
+    """A value of the type of a default: yes or no, a finite number, or other."""
+    if isinstance(default, bool) != isinstance(value, bool):
+        raise TypeError
+    if isinstance(default, float):
+        value = float(value)
+        if not np.isfinite(value):
+            raise ValueError
+    return value

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from excitant.robots.effects.base import Effect
+
 AT_REST = "read the torque at rest after approaching one pose from both sides"
 LADDER = "move the joint at several constant speeds, 0.1 to 100 % of its limit, both directions"
 UNPOWERED = "read the torque with the motor unpowered, at rest and turned by hand"
@@ -48,7 +53,7 @@ FOLDED = (
 _WEIGH = "weigh the link, or hang a known mass on it and repeat"
 
 SEEN = "move each joint alone by a quarter turn and compare the arm with a picture of its model"
-BETWEEN = {  # families of two effects that say nothing of each other in `Effect.told`
+BETWEEN = {  # families of two effects that say nothing of each other in their words
     frozenset(pair): action
     for pair, action in {
         ("friction",): f"{LADDER}, then {WARM}",
@@ -77,3 +82,16 @@ BETWEEN = {  # families of two effects that say nothing of each other in `Effect
         ("set-up", "static"): SEEN,
     }.items()
 }
+
+
+def separating_experiment(
+    one: Effect | type[Effect], other: Effect | type[Effect]
+) -> str:
+    """Experiment that tells one effect from another; a general one where none is known."""
+    if one.name == other.name:
+        return SAME
+    for effect, rival in ((one, other), (other, one)):
+        for experiment, rivals in effect.words.separated_by:
+            if rival.name in rivals.split():
+                return experiment
+    return BETWEEN.get(frozenset((one.family, other.family)), GENERAL)

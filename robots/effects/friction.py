@@ -2,58 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
-    SIGN_DEVIATIONS,
+    Effect,
+    Export,
     JointEffect,
-    JointFacts,
     JointwiseEffect,
     PairEffect,
     Parameter,
-    Shape,
-    StandardEffect,
-    effect_values,
+    Physics,
+    Words,
     registered,
-    within,
+)
+from excitant.robots.effects.search import (
+    BOUND_STDS,
+    JointFacts,
+    Search,
+    Shape,
+    above,
+    effect_values,
 )
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import rigid_torque
 from excitant.robots.robot import Robot
 
-# of a joint's highest speed: a Stribeck velocity beyond it is Coulomb friction
-_SLOW = 0.4
-_SHORT = 0.1  # of a joint's range: friction that builds up over more is a spring
-_PART = 0.25  # of dry friction that builds up, at least
-_REACH = 8.0  # break-away distances from a reversal that show hysteresis
+STRIBECK_SPEED = 0.4  # of a joint's highest: beyond it Stribeck friction is Coulomb's
+PRESLIDING_REACH = 0.1  # of a joint's range: beyond it such friction is a spring
+LEAST_PRESLIDING = 0.25  # of dry friction: less is a blurred reversal
+REVERSAL_DISTANCES = 8.0  # break-away distances from a reversal that show hysteresis
 
 
 class _Friction:
     family: ClassVar[str] = "friction"
-    abscissa: ClassVar[str] = "velocity"
+
+
+class _StandardFriction(_Friction, JointEffect):
+    search: ClassVar[Search] = Search("standard")
 
 
 @registered
-class ViscousFriction(_Friction, StandardEffect):
+class ViscousFriction(_StandardFriction):
     """τ = F_v q̇."""
 
     name = "viscous_friction"
     terms = (Parameter("Fv", "N·m·s/rad", 0.0),)
-    joint_property = "viscous"
-    formats = ("urdf", "mjcf", "sdf", "ros2_control")
-    told = (
-        (by.LADDER, "coulomb_friction stribeck_friction"),
-        (by.LADDER, "nonlinear_viscous_friction asymmetric_friction"),
-        (by.WARM, "thermal_friction_drift"),
-        (by.CURRENT, "torque_gain"),
-        (by.LOADS, "load_dependent_friction"),
-        (by.HOLD_OTHER, "friction_coupling"),
-        (by.KINEMATICS, "encoder_scale"),
+    export = Export(
+        "viscous", dict.fromkeys(("urdf", "mjcf", "sdf", "ros2_control"), "")
+    )
+    words = Words(
+        "velocity",
+        (
+            (by.LADDER, "coulomb_friction stribeck_friction"),
+            (by.LADDER, "nonlinear_viscous_friction asymmetric_friction"),
+            (by.WARM, "thermal_friction_drift"),
+            (by.CURRENT, "torque_gain"),
+            (by.LOADS, "load_dependent_friction"),
+            (by.HOLD_OTHER, "friction_coupling"),
+            (by.KINEMATICS, "encoder_scale"),
+        ),
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
@@ -61,28 +73,46 @@ class ViscousFriction(_Friction, StandardEffect):
 
 
 @registered
-class CoulombFriction(_Friction, StandardEffect):
+class CoulombFriction(_StandardFriction):
     """τ = F_c sign(q̇)."""
 
     name = "coulomb_friction"
     terms = (Parameter("Fc", "N·m", 0.0),)
-    joint_property = "coulomb"
-    formats = ("urdf", "mjcf", "sdf", "ros2_control")
-    format_notes: ClassVar[Mapping[str, str]] = {
-        "mjcf": "frictionloss is a constraint, as stiff as a step of 2 ms allows: it has its full "
-        "value, against the motion, once a joint slides, and turns with the velocity within 2 ms"
-    }
-    told = (
-        (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
-        (by.AT_REST, "asymmetric_friction"),
-        (by.REVERSALS, "presliding_hysteresis backlash"),
-        (by.LOADS, "load_dependent_friction"),
-        (by.HOLD_OTHER, "friction_coupling"),
-        (by.WARM, "thermal_friction_drift"),
+    export = Export(
+        "coulomb",
+        {
+            "urdf": "",
+            "mjcf": "frictionloss is a constraint, as stiff as a step of 2 ms allows: it has its "
+            "full value, against the motion, once a joint slides, and turns with the velocity "
+            "within 2 ms",
+            "sdf": "",
+            "ros2_control": "",
+        },
+    )
+    words = Words(
+        "velocity",
+        (
+            (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
+            (by.AT_REST, "asymmetric_friction"),
+            (by.REVERSALS, "presliding_hysteresis backlash"),
+            (by.LOADS, "load_dependent_friction"),
+            (by.HOLD_OTHER, "friction_coupling"),
+            (by.WARM, "thermal_friction_drift"),
+        ),
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         return (np.sign(dq),)
+
+
+def _brakes(
+    effect: AsymmetricFriction, robot: Robot, values: Array, std: Array
+) -> bool:
+    """Whether friction, with that of the robot, brakes in both directions."""
+    present = effect_values(robot)
+    joint = effect.joints[0]
+    usual = [present.get(f"{joint}.{symbol}", 0.0) for symbol in ("Fc", "Fv")]
+    return above(values + np.repeat(usual, 2)[: len(values)], 0.0, std)
 
 
 @registered
@@ -90,27 +120,30 @@ class AsymmetricFriction(_Friction, JointEffect):
     """τ = F_c± sign(q̇) + F_v± q̇: friction that differs with the direction."""
 
     name = "asymmetric_friction"
-    contains = ("torque_offset", "coulomb_friction", "viscous_friction")
-    imitates = ("torque_offset",)
+    search = Search(
+        contains=("torque_offset", "coulomb_friction", "viscous_friction"),
+        imitates=("torque_offset",),
+        candidates=lambda effect, facts: (replace(effect, viscous=False), effect),
+        feasible=_brakes,
+    )
     terms = (
         Parameter("Fc_plus", "N·m"),
         Parameter("Fc_minus", "N·m"),
         Parameter("Fv_plus", "N·m·s/rad"),
         Parameter("Fv_minus", "N·m·s/rad"),
     )
-    told = (
-        (f"{by.AT_REST}, and once with the motor unpowered", "torque_offset"),
-        (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
-        (by.LOADS, "load_dependent_friction"),
-        (by.WARM, "thermal_friction_drift"),
-        (by.HOLD_OTHER, "friction_coupling"),
+    words = Words(
+        "velocity",
+        (
+            (f"{by.AT_REST}, and once with the motor unpowered", "torque_offset"),
+            (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
+            (by.LOADS, "load_dependent_friction"),
+            (by.WARM, "thermal_friction_drift"),
+            (by.HOLD_OTHER, "friction_coupling"),
+        ),
     )
 
     viscous: bool = True  # whether viscous friction differs too
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        return cls((joint,), viscous=False), cls((joint,))
 
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
@@ -121,14 +154,6 @@ class AsymmetricFriction(_Friction, JointEffect):
         back = np.minimum(dq, 0.0)
         return (np.sign(ahead), np.sign(back), ahead, back)[: 2 + 2 * self.viscous]
 
-    def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
-        """Whether friction, with what is given, brakes in both directions."""
-        known = effect_values(robot)
-        given = [
-            known.get(f"{self.joints[0]}.{symbol}", 0.0) for symbol in ("Fc", "Fv")
-        ]
-        return within(values + np.repeat(given, 2)[: len(values)], 0.0, std)
-
 
 @registered
 class StribeckFriction(_Friction, JointEffect):
@@ -136,20 +161,25 @@ class StribeckFriction(_Friction, JointEffect):
 
     name = "stribeck_friction"
     terms = (Parameter("Fs", "N·m", 0.0),)
-    shapes = (
-        Shape(
-            "velocity",
-            "rad/s",
-            grid=lambda facts: facts.speed * np.geomspace(0.01, _SLOW, 8),
-            most=lambda facts: _SLOW * facts.speed,
-        ),
+    search = Search(
+        shapes=(
+            Shape(
+                "velocity",
+                "rad/s",
+                grid=lambda facts: facts.speed * np.geomspace(0.01, STRIBECK_SPEED, 8),
+                most=lambda facts: STRIBECK_SPEED * facts.speed,
+            ),
+        )
     )
-    told = (
-        (by.LADDER, "nonlinear_viscous_friction"),
-        (by.REVERSALS, "presliding_hysteresis backlash"),
-        (f"{by.LADDER}, at two payloads", "load_dependent_friction"),
-        (by.HOLD_OTHER, "friction_coupling"),
-        (by.WARM, "thermal_friction_drift"),
+    words = Words(
+        "velocity",
+        (
+            (by.LADDER, "nonlinear_viscous_friction"),
+            (by.REVERSALS, "presliding_hysteresis backlash"),
+            (f"{by.LADDER}, at two payloads", "load_dependent_friction"),
+            (by.HOLD_OTHER, "friction_coupling"),
+            (by.WARM, "thermal_friction_drift"),
+        ),
     )
 
     velocity: float = 0.1  # v_s [rad/s]
@@ -163,11 +193,14 @@ class NonlinearViscousFriction(_Friction, JointEffect):
     """τ = F_n |q̇|^a sign(q̇), on top of viscous friction."""
 
     name = "nonlinear_viscous_friction"
-    contains = ("viscous_friction",)  # exponent one
     terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
-    shapes = (
-        Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),
+    search = Search(
+        shapes=(
+            Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),
+        ),
+        contains=("viscous_friction",),  # exponent one
     )
+    words = Words("velocity")
 
     exponent: float = 2.0  # a, not one
 
@@ -181,17 +214,30 @@ class LoadDependentFriction(_Friction, JointwiseEffect):
 
     name = "load_dependent_friction"
     terms = (Parameter("Fl", "1", 0.0),)
-    abscissa = "load"
-    told = (
-        (f"{by.BACKWARDS}, a gain does not; then with a known payload", "torque_gain"),
-        (f"{by.REVERSALS}, at two payloads", "presliding_hysteresis"),
-        (by.REVERSALS, "backlash"),
-        (f"{by.LADDER}, at two payloads", "nonlinear_viscous_friction"),
-        (by.HOLD_OTHER, "friction_coupling"),
+    words = Words(
+        "load",
+        (
+            (
+                f"{by.BACKWARDS}, a gain does not; then with a known payload",
+                "torque_gain",
+            ),
+            (f"{by.REVERSALS}, at two payloads", "presliding_hysteresis"),
+            (by.REVERSALS, "backlash"),
+            (f"{by.LADDER}, at two payloads", "nonlinear_viscous_friction"),
+            (by.HOLD_OTHER, "friction_coupling"),
+        ),
     )
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         return (np.abs(rigid_torque(robot, motion)[:, j]) * np.sign(motion.dq[:, j]),)
+
+
+def _is_dry(
+    effect: PreslidingHysteresis, robot: Robot, values: Array, std: Array
+) -> bool:
+    """Whether it is a good part of the joint's dry friction; less is a blurred reversal."""
+    coulomb = effect_values(robot).get(f"{effect.joints[0]}.Fc", 0.0)
+    return bool(values[0] + BOUND_STDS * std[0] > LEAST_PRESLIDING * coulomb)
 
 
 @registered
@@ -203,42 +249,45 @@ class PreslidingHysteresis(_Friction, JointwiseEffect):
     """
 
     name = "presliding_hysteresis"
-    depends_on_model = False
     terms = (Parameter("Fh", "N·m", 0.0),)
-    shapes = (
-        Shape(
-            "distance",
-            "rad",
-            grid=lambda facts: facts.reach * np.geomspace(3e-4, _SHORT, 8),
-            most=lambda facts: _SHORT * facts.reach,
-            least=lambda facts: facts.blur,
+    physics = Physics("motion")
+    search = Search(
+        shapes=(
+            Shape(
+                "distance",
+                "rad",
+                grid=lambda facts: (
+                    facts.reach * np.geomspace(3e-4, PRESLIDING_REACH, 8)
+                ),
+                most=lambda facts: PRESLIDING_REACH * facts.reach,
+                least=lambda facts: facts.blur,
+            ),
         ),
+        feasible=_is_dry,
     )
-    abscissa = "reversal"
-    told = ((by.REVERSALS, "backlash"),)
+    words = Words(
+        "reversal",
+        ((by.REVERSALS, "backlash"),),
+        drawn=lambda effect, label, x: (label, _near_reversals(effect, x)),
+    )
 
     distance: float = 0.01  # δ, over which friction builds up [rad]
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         return (bristles(motion.q[:, j], self.distance) - np.sign(motion.dq[:, j]),)
 
-    def plausible(self, robot: Robot, values: Array, std: Array) -> bool:
-        """Whether it is a good part of the joint's dry friction; less is a blurred reversal."""
-        given = effect_values(robot).get(f"{self.joints[0]}.Fc", 0.0)
-        enough = values[0] + SIGN_DEVIATIONS * std[0] > _PART * given
-        return bool(enough) and super().plausible(robot, values, std)
-
     def stepper(self, robot: Robot) -> Bristles:
         force = np.zeros(robot.nv)
-        force[self.rows(robot)] = self._known()
+        force[self.rows(robot)] = self.coefficients
         return Bristles(
             self.distance, force, np.zeros(robot.nv), np.full(robot.nv, np.nan)
         )
 
-    def drawn(self, label: str, x: Array) -> tuple[str, Array]:
-        """Near reversals only, where any of it is."""
-        far = np.abs(x) > _REACH * self.distance
-        return label, np.where(far & (far.mean() < 1), np.nan, x)
+
+def _near_reversals(effect: PreslidingHysteresis, x: Array) -> Array:
+    """Distances since a reversal, NaN where hysteresis has faded, if some are near."""
+    far = np.abs(x) > REVERSAL_DISTANCES * effect.distance
+    return np.where(far & (far.mean() < 1), np.nan, x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,32 +343,30 @@ class FrictionCoupling(_Friction, PairEffect):
 
     name = "friction_coupling"
     terms = (Parameter("Fv", "N·m·s/rad", 0.0), Parameter("Fc", "N·m", 0.0))
-    shapes = (Shape("ratio", "1", positive=False),)
-    abscissa = "other velocity"
-    told = ((by.HOLD_OTHER, "inertia_coupling"),)
+    search = Search(
+        shapes=(Shape("ratio", "1", positive=False),),
+        candidates=lambda effect, facts: [
+            replace(effect, ratio=ratio) for ratio in (1.0, -1.0)
+        ],
+    )
+    words = Words("other velocity", ((by.HOLD_OTHER, "inertia_coupling"),))
 
     ratio: float = 1.0  # ρ
-
-    @classmethod
-    def proposed(
-        cls, robot: Robot, facts: Sequence[JointFacts]
-    ) -> list[tuple[Self, int]]:
-        """Shafts that turn with the sum or the difference of a joint and the next."""
-        usual = super().proposed(robot, facts)
-        return [
-            (e.reshaped("ratio", ratio), 1) for e, _ in usual for ratio in (1.0, -1.0)
-        ]
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         i, k = self.rows(robot)
         speed = motion.dq[:, i] + self.ratio * motion.dq[:, k]
         columns = np.zeros((len(motion), robot.nv, 2))
         for row, lever in ((i, 1.0), (k, self.ratio)):
-            columns[:, row, 0], columns[:, row, 1] = (
-                lever * speed,
-                lever * np.sign(speed),
-            )
+            columns[:, row, 0] = lever * speed
+            columns[:, row, 1] = lever * np.sign(speed)
         return columns
+
+
+def _warming(effect: ThermalFrictionDrift, facts: JointFacts) -> list[Effect]:
+    """Time constants up to the recording's length; longer ones look like a ramp."""
+    times = facts.duration * np.array([0.15, 0.4, 1.0])
+    return [replace(effect, time=float(time), start=facts.start) for time in times]
 
 
 @registered
@@ -327,20 +374,17 @@ class ThermalFrictionDrift(_Friction, JointwiseEffect):
     """τ = e^{−(t − t_0)/T} (F_v q̇ + F_c sign q̇): what friction loses while the joint warms up."""
 
     name = "thermal_friction_drift"
-    depends_on_model = False
-    shapes = (Shape("time", "s", most=lambda facts: facts.duration),)
-    abscissa = "time"
-    contains = ("viscous_friction", "coulomb_friction")
     terms = (Parameter("Fv_cold", "N·m·s/rad"), Parameter("Fc_cold", "N·m"))
+    physics = Physics("motion")
+    search = Search(
+        shapes=(Shape("time", "s", most=lambda facts: facts.duration),),
+        contains=("viscous_friction", "coulomb_friction"),
+        candidates=_warming,
+    )
+    words = Words("time")
 
     time: float = 60.0  # T [s]
     start: float = 0.0  # t_0, when the arm was cold [s]
-
-    @classmethod
-    def candidates(cls, joint: str, facts: JointFacts) -> Iterable[Self]:
-        """Time constants up to the recording's length; longer ones look like a ramp."""
-        times = facts.duration * np.array([0.15, 0.4, 1.0])
-        return [cls((joint,), time=float(time), start=facts.start) for time in times]
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
         fading = np.exp(-np.maximum(motion.t - self.start, 0.0) / self.time)

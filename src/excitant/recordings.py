@@ -290,9 +290,9 @@ def _highest_harmonic(path: str, robot: Robot) -> float:
 def _named(names: Sequence[str] | None, robot: Robot) -> list[Effect] | None:
     if names is None:
         return None
-    from excitant.robots.effects import EFFECTS
+    from excitant.robots.effects import EFFECTS, Acts
 
-    known = {name: kind for name, kind in EFFECTS.items() if kind.jointwise}
+    known = {name: kind for name, kind in EFFECTS.items() if kind.acts_on is Acts.EACH}
     UnknownName.refuse("effect", names, known)
     return [known[name](robot.joints) for name in names]
 

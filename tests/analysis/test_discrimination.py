@@ -25,9 +25,9 @@ from excitant.analysis.discrimination_plan import HOPELESS, described, discrimin
 from excitant.design import FourierTrajectory, check
 from excitant.robots import Motion, Robot
 from excitant.robots import effects as kinds
-from excitant.robots.effects import EFFECTS, Effect
+from excitant.robots.effects import EFFECTS, Effect, separating_experiment
+from excitant.robots.effects.body import GivenInertias
 from excitant.robots.effects.experiments import GENERAL
-from excitant.robots.effects.geometry import GivenInertias
 
 SIGMA, INFLATION = 0.05, 2.0
 LAST = ("joint2",)  # of the planar arm
@@ -184,9 +184,9 @@ def test_unstated_limits_are_those_of_the_recording(planar: Robot) -> None:
 
 def test_every_pair_of_effects_has_an_action() -> None:
     for one, other in itertools.combinations(EFFECTS.values(), 2):
-        assert one.told_from(other) == other.told_from(one)
-        assert one.told_from(other) != GENERAL, (one, other)
-    assert "without the load" in kinds.Payload.told_from(kinds.InertialParameters)
+        assert separating_experiment(one, other) == separating_experiment(other, one)
+        assert separating_experiment(one, other) != GENERAL, (one, other)
+    assert "without the load" in separating_experiment(kinds.Payload, kinds.InertialParameters)
 
 
 @pytest.fixture(scope="module")
@@ -216,7 +216,8 @@ def test_without_a_plan_actions_stand(undecided: Diagnosis) -> None:
     assert entry["verdict"] == "undecided"
     assert all(rival["why"] for rival in entry["rivals"])
     for rival in entry["rivals"]:
-        assert rival["experiment"] == EFFECTS[entry["effect"]].told_from(EFFECTS[rival["effect"]])
+        one, other = EFFECTS[entry["effect"]], EFFECTS[rival["effect"]]
+        assert rival["experiment"] == separating_experiment(one, other)
         assert rival["file"] is None
     assert Plan().motions == ()
 

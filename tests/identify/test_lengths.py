@@ -56,7 +56,7 @@ def true_base(estimate: Estimate, arm: VirtualArm) -> np.ndarray:
     """True base parameters, grouped with the lengths that the model has."""
     bodies = [body.toDynamicParameters() for body in list(arm.truth.model.inertias)[1:]]
     effects = standard_effects(arm.nominal.joints)
-    drives = [getattr(arm.truth.drives, effect.joint_property) for effect in effects]
+    drives = [getattr(arm.truth.drives, effect.export.joint_property) for effect in effects]
     return estimate.base.regrouping @ np.concatenate([*bodies, *drives])
 
 

@@ -59,12 +59,14 @@ def test_friction_has_its_closed_form(
     np.testing.assert_allclose(tau, expected, rtol=1e-12, atol=1e-100)
 
 
-@pytest.mark.parametrize("name", sorted(name for name, kind in EFFECTS.items() if kind.contains))
+@pytest.mark.parametrize(
+    "name", sorted(name for name, kind in EFFECTS.items() if kind.search.contains)
+)
 def test_an_effect_contains_what_it_says(planar: Robot, random_states: States, name: str) -> None:
     """Columns of the contained effects are combinations of its own, wherever joints move."""
     motion, whole, one = random_states(planar, 5, 40), EFFECTS[name], planar.joints[:1]
     columns = whole(one, **LIMITS.get(name, {})).columns(planar, motion)[:, 0]
-    for inner in whole.contains:
+    for inner in whole.search.contains:
         part = EFFECTS[inner](one).columns(planar, motion)[:, 0]
         rest = part - columns @ np.linalg.lstsq(columns, part, rcond=None)[0]
         assert np.abs(rest).max() <= 1e-10 * np.abs(part).max()

@@ -22,7 +22,7 @@ from excitant.robots.simulation import REST, forward_model
 
 States = Callable[[Robot, int, int], Motion]
 Proposals = list[tuple[Effect, int]]
-JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.jointwise)
+JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.acts_on is fx.Acts.EACH)
 OF_THE_PAST = ("encoder_scale", "joint_elasticity", "backlash")
 CARRIED = ("gravity_direction", "payload", "inertial_parameters")
 
@@ -33,7 +33,7 @@ def kind(request: pytest.FixtureRequest) -> type[Effect]:
 
 
 def on(robot: Robot, kind: type[Effect]) -> Effect:
-    return kind(robot.joints[-kind.arity :])
+    return kind(robot.joints[-{fx.Acts.ONE: 1, fx.Acts.PAIR: 2}.get(kind.acts_on, 0) :])
 
 
 def test_units_follow_the_joint() -> None:
@@ -46,7 +46,7 @@ def test_units_follow_the_joint() -> None:
     assert [robot.torque_unit(joint=j) for j in range(4)] == ["N·m", "N·m", "N", "N·m"]
     assert (robot.torque_unit(), robot.torque_unit("A")) == ("N·m or N", "A")
     stribeck = [fx.StribeckFriction((joint,)) for joint in robot.joints[1:3]]
-    assert [e.shape_unit(robot, e.shapes[0]) for e in stribeck] == ["rad/s", "m/s"]
+    assert [e.shape_unit(robot, e.search.shapes[0]) for e in stribeck] == ["rad/s", "m/s"]
 
 
 def valued(robot: Robot, kind: type[Effect], seed: int) -> Effect:
@@ -74,7 +74,9 @@ def test_ripple_and_lever_are_told_by_their_amplitude_whatever_the_phase(
         assert size.value == pytest.approx(2.5)
         assert size.std == pytest.approx(0.1)
         assert size.unit == "N·m"
-        assert f"{effect.label} of 2.5 ± 0.1 N·m" in effect.sentence(planar, joint, [size])
+        assert f"{effect.label} of 2.5 ± 0.1 N·m" in effect.words.sentence(
+            effect, planar, joint, [size]
+        )
     [moved] = sizes_of(planar, fx.KinematicError(joint, (0.3, 0.0, -0.4)))
     assert moved.value == pytest.approx(0.5)
     both = sizes_of(planar, fx.FrictionCoupling(planar.joints, (0.0, 3.0)))
@@ -98,14 +100,17 @@ def test_amplitude_has_the_spread_of_its_samples() -> None:
 def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
     assert EFFECTS[kind.name] is kind
     assert len(EFFECTS) == 24
-    told = (name for _, names in kind.told for name in names.split())
-    assert {*kind.contains, *told} <= {*EFFECTS}
-    assert set(kind.imitates) <= set(kind.contains)
+    told = (name for _, names in kind.words.separated_by for name in names.split())
+    assert {*kind.search.contains, *told} <= {*EFFECTS}
+    assert set(kind.search.imitates) <= set(kind.search.contains)
     assert frozenset((kind.family,)) in BETWEEN
-    assert kind.standard <= kind.usual <= kind.jointwise
+    assert kind.search.standard <= kind.search.usual <= (kind.acts_on is fx.Acts.EACH)
     effect = valued(planar, kind, 0)
     sizes = sizes_of(planar, effect)
-    for said in (effect.noun(planar), effect.sentence(planar, effect.joints[:1], sizes)):
+    for said in (
+        effect.words.noun(effect, planar),
+        effect.words.sentence(effect, planar, effect.joints[:1], sizes),
+    ):
         assert said == said.strip()
         assert "_" not in said.replace(kind.name, "")
 
@@ -124,7 +129,7 @@ def test_torque_is_columns_times_values(
     whole = torque(robot, motion)
     assert np.abs(whole - torque(arm, motion) - tau).max() <= 1e-12 * np.abs(whole).max()
     with pytest.raises(ValueError, match="no values"):
-        effect.bare().torque(arm, motion)
+        effect.without_values().torque(arm, motion)
 
 
 @pytest.mark.parametrize("name", JOINTWISE)
@@ -156,7 +161,7 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(
         [e.with_values([3.0] * ur10.nv) for e in fx.standard_effects(ur10.joints)]
     )
     same = np.array_equal(effect.columns(ur10, motion), effect.columns(other, motion))
-    assert same != kind.depends_on_model
+    assert same != kind.physics.on_model
 
 
 def test_in_a_simulation_it_makes_the_torque_of_its_columns(
@@ -179,7 +184,7 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(
         return
     states = zip(motion.t, motion.q, motion.dq, motion.ddq, strict=True)
     made = [state(*x) + inertia @ x[3] for x in states] + changed
-    expected = np.zeros((20, 2)) if kind.acts_on_torque else effect.torque(robot, motion)
+    expected = np.zeros((20, 2)) if kind.physics.on_torque else effect.torque(robot, motion)
     np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -206,7 +211,8 @@ def test_every_effect_proposes_shapes_that_can_be(
         assert set(effect.joints) <= set(ur10.joints)
         alike = [other for other in own if other.joints == effect.joints]
         seen = replace(facts[ur10.joint_index(effect.joints[0])], q=np.array([-1.0, 1.0]))
-        finer, others = effect.refined(alike, seen), effect.alternatives(seen)
+        finer = effect.search.refined(effect, alike, seen)
+        others = fx.alternatives(effect, seen)
         assert effect in others
         assert not set(finer) & {*alike}
         assert {(x.name, x.joints) for x in (*finer, *others)} == {(kind.name, effect.joints)}
@@ -253,10 +259,10 @@ def test_a_file_of_the_model_holds_it_or_says_that_it_does_not(
     arm, drives = folded(planar.with_effects((effect,)))
     said = "not in this file" in comment(arm, file_format, "model.yaml")
     in_links = kind.role != "torque"
-    assert said != (in_links or file_format in kind.formats)
-    assert bool(kind.formats) == bool(kind.joint_property)
-    if kind.joint_property:
-        np.testing.assert_allclose(drives[kind.joint_property], effect.values)
+    assert said != (in_links or file_format in kind.export.formats)
+    assert bool(kind.export.formats) == bool(kind.export.joint_property)
+    if kind.export.joint_property:
+        np.testing.assert_allclose(drives[kind.export.joint_property], effect.values)
 
 
 def test_parameter_names_are_unique(ur10: Robot) -> None:
@@ -335,13 +341,17 @@ def test_presliding_is_a_good_part_of_dry_friction_over_more_than_a_blurred_reve
     planar = load_robot("planar_2r")
     given = planar.with_effects([fx.CoulombFriction(planar.joints).with_values([1.0, 1.0])])
     effect, std = fx.PreslidingHysteresis(planar.joints[:1], distance=0.01), np.array([0.01])
-    assert effect.plausible(given, np.array([0.5]), std)
-    assert not effect.plausible(given, np.array([0.1]), std)
-    assert effect.plausible(planar.with_effects([]), np.array([0.1]), std)
+    assert fx.plausible(effect, given, np.array([0.5]), std)
+    assert not fx.plausible(effect, given, np.array([0.1]), std)
+    assert fx.plausible(effect, planar.with_effects([]), np.array([0.1]), std)
     facts = fx.JointFacts(speed=1.0, reach=2.0, blur=0.01)
-    distances = [each.distance for each in fx.PreslidingHysteresis.candidates("joint1", facts)]
+    distances = [each.distance for each in effect.search.candidates(effect, facts)]
     assert distances
     assert min(distances) >= 0.01
+
+
+def ripples(facts: fx.JointFacts) -> list[fx.TorqueRipple]:
+    return list(fx.TorqueRipple.search.candidates(fx.TorqueRipple(("joint1",)), facts))
 
 
 @pytest.mark.parametrize("order", [2.0, 3.0, 7.0])
@@ -353,11 +363,14 @@ def test_ripple_of_any_order_is_proposed_beside_a_spring(order: float) -> None:
     e = spring + 0.3 * np.sin(order * q + 0.7) + 0.01 * np.random.default_rng(0).normal(size=len(t))
     facts = fx.JointFacts(q=q, dq=dq, unexplained=e, cutoff_hz=10.0)
     step = np.pi / (2 * np.ptp(q))
-    found = [effect.order for effect in fx.TorqueRipple.candidates("joint1", facts)]
+    found = [effect.order for effect in ripples(facts)]
     assert abs(found[0] - order) <= step / 2 * (1 + 1e-9)
-    best = fx.TorqueRipple.candidates("joint1", facts)[0]
+    best = ripples(facts)[0]
     for _ in range(4):  # as each round of a diagnosis does
-        best = min([best, *best.refined([], facts)], key=lambda effect: abs(effect.order - order))
+        best = min(
+            [best, *best.search.refined(best, [], facts)],
+            key=lambda effect: abs(effect.order - order),
+        )
     assert abs(best.order - order) <= step / 18 * 1.01
 
 
@@ -378,5 +391,5 @@ def test_orders_of_ripple_are_those_of_least_squares(order: float) -> None:
     for each in orders[np.argsort(left)].tolist():
         if len(wanted) < 3 and all(abs(each - known) > 3 * step for known in wanted):
             wanted.append(each)
-    found = [effect.order for effect in fx.TorqueRipple.candidates("joint1", facts)]
+    found = [effect.order for effect in ripples(facts)]
     np.testing.assert_allclose(found, wanted, rtol=1e-12)

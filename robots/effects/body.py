@@ -1,0 +1,233 @@
+"""Bodies of an arm, its mounting and where its joints sit.
+
+All are linear in their coefficients to first order, at the given model's torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from excitant.robots.effects import experiments as by
+from excitant.robots.effects.base import (
+    Acts,
+    Effect,
+    Parameter,
+    Physics,
+    Size,
+    Words,
+    registered,
+)
+from excitant.robots.effects.search import BOUND_STDS, Search, above
+from excitant.robots.motion import Array, Motion
+from excitant.robots.parameters import STANDARD, UNITS
+from excitant.robots.regressor import gravity_torque, regressor, rigid_body_torque
+from excitant.robots.robot import Robot
+
+GRAVITY_TOLERANCE = 0.05  # of its size, by which a turned gravity may differ
+PLACEMENT_STEP = 1e-3  # m: torque is quadratic in a placement, so any step would do
+_BODY = tuple(zip(STANDARD, UNITS, strict=True))
+
+
+def _distance(
+    effect: KinematicError, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+) -> str:
+    distance = f"{1e3 * sizes[0].value:.0f} ± {1e3 * sizes[0].std:.2g} mm"
+    return f"The axis of {joints[0]} seems {distance} off where the model has it"
+
+
+@registered
+class KinematicError(Effect):
+    """The joint sits elsewhere in its parent link than the model says."""
+
+    name = "kinematic_error"
+    family = "geometry"
+    acts_on = Acts.ONE
+    terms = tuple(
+        Parameter(f"d{axis}", "m", typical=0.1, vector="distance") for axis in "xyz"
+    )
+    physics = Physics(smooth=True, of_state=False)
+    search = Search("diagnosis")
+    words = Words(
+        separated_by=(
+            (
+                f"{by.KINEMATICS}; or repeat the motion in another pose region",
+                "inertial_parameters",
+            ),
+            (by.UNLOADED, "payload"),
+            (f"{by.LEVEL}; {by.KINEMATICS}", "gravity_direction"),
+        ),
+        sentence=_distance,
+    )
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        """Central differences by the translation; the first joint feels the same everywhere."""
+        j = self.rows(robot)[0]
+        columns = np.zeros((*motion.q.shape, 3))
+        if robot.model.parents[j + 1] == 0:
+            return columns
+        for k, step in enumerate(PLACEMENT_STEP * np.eye(3)):
+            ahead = rigid_body_torque(_moved(robot, j, step), motion)
+            behind = rigid_body_torque(_moved(robot, j, -step), motion)
+            columns[:, :, k] = (ahead - behind) / (2 * PLACEMENT_STEP)
+        return columns
+
+
+def _moved(robot: Robot, j: int, step: Array) -> Robot:
+    model = robot.model.copy()
+    placement = model.jointPlacements[j + 1]
+    placement.translation = placement.translation + step
+    return replace(robot, model=model)
+
+
+def _is_gravity(
+    effect: GravityDirection, robot: Robot, values: Array, std: Array
+) -> bool:
+    """Whether the changed vector is as long as gravity."""
+    size = float(np.linalg.norm(robot.gravity))
+    off = abs(float(np.linalg.norm(robot.gravity + values)) - size)
+    uncertain = BOUND_STDS * float(np.linalg.norm(std))
+    tolerance = GRAVITY_TOLERANCE * size
+    return off < tolerance + min(uncertain, tolerance)
+
+
+def _true_gravity(
+    effect: GravityDirection, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+) -> str:
+    gravity = ", ".join(f"{x:.2f}" for x in robot.gravity + effect.coefficients)
+    spread = ", ".join(f"{size.std:.2g}" for size in sizes)
+    return f"Gravity points along ({gravity}) ± ({spread}) m/s² in the base frame"
+
+
+@registered
+class GravityDirection(Effect):
+    """Gravity points elsewhere in the base frame: the arm is mounted otherwise, or tilted."""
+
+    name = "gravity_direction"
+    family = "static"
+    terms = tuple(Parameter(f"d{axis}", "m/s²", typical=10.0) for axis in "xyz")
+    physics = Physics(smooth=True)
+    search = Search("diagnosis", feasible=_is_gravity)
+    words = Words(
+        separated_by=(
+            (f"{by.LEVEL}; or {by.STRETCHED}", "inertial_parameters"),
+            (f"{by.UNLOADED}; {by.LEVEL}", "payload"),
+        ),
+        sentence=_true_gravity,
+    )
+
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        return ("gravity",)
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        torques = [gravity_torque(robot, motion, unit) for unit in np.eye(3)]
+        return np.stack(torques, axis=2)
+
+    def applied(self, robot: Robot) -> Robot:
+        return robot.with_gravity(robot.gravity + self.coefficients)
+
+
+@dataclass(frozen=True)
+class AddedInertia(Effect):
+    """Inertial parameters added to the link that one joint carries, about the joint frame."""
+
+    family: ClassVar[str] = "body"
+    acts_on: ClassVar[Acts] = Acts.ONE
+    physics: ClassVar[Physics] = Physics("motion")
+    search: ClassVar[Search] = Search("diagnosis")
+
+    def owners(self, robot: Robot) -> tuple[str, ...]:
+        return tuple(robot.links[row] for row in self.rows(robot))
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        Y = regressor(robot, motion)
+        parts = [Y[:, :, 10 * j : 10 * j + 10] for j in self.rows(robot)]
+        return np.concatenate(parts, axis=2)
+
+    def applied(self, robot: Robot) -> Robot:
+        phi = robot.phi.reshape(-1, 10).copy()
+        phi[self.rows(robot)] += np.reshape(self.coefficients, (-1, 10))
+        return robot.with_parameters(phi)
+
+
+@registered
+class Payload(AddedInertia):
+    """A body held by the last link: mass, first moment and inertia about its joint frame."""
+
+    name = "payload"
+    role = "body"
+    terms = tuple(Parameter(f"payload_{name}", unit) for name, unit in _BODY)
+    search = Search(
+        "diagnosis",
+        places=lambda joints: [joints[-1:]],
+        feasible=lambda effect, robot, values, std: above(values[:1], 0.0, std[:1]),
+    )
+    words = Words(
+        separated_by=((by.UNLOADED, "inertial_parameters"),),
+        sentence=lambda effect, robot, joints, sizes: (
+            f"A payload of {sizes[0]} on the last link is missing from the model"
+        ),
+        noun=lambda effect, robot: "a payload",
+    )
+
+    def is_common(self, robot: Robot) -> bool:
+        """It is: all joints carry the same body."""
+        return True
+
+
+def _wrong_mass(
+    effect: InertialParameters,
+    robot: Robot,
+    joints: Sequence[str],
+    sizes: Sequence[Size],
+) -> str:
+    [link] = effect.owners(robot)
+    mass = f"mass {sizes[0].value:+.2f} ± {sizes[0].std:.2g} kg"
+    if link == robot.links[-1] and sizes[0].value < 0:
+        return (
+            f"{link} is lighter than the model says ({mass.removeprefix('mass ')}), as if a tool "
+            "in the model were not mounted"
+        )
+    return f"The inertial parameters of {link} are wrong ({mass})"
+
+
+@registered
+class InertialParameters(AddedInertia):
+    """A link's inertial parameters differ from the given ones."""
+
+    name = "inertial_parameters"
+    role = "link"
+    terms = tuple(Parameter(f"delta_{name}", unit) for name, unit in _BODY)
+    words = Words(
+        sentence=_wrong_mass,
+        noun=lambda effect, robot: (
+            f"wrong inertial parameters of {effect.owners(robot)[0]}"
+        ),
+    )
+
+
+def _masses(
+    effect: GivenInertias, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+) -> str:
+    nominal = robot.phi[::10][effect.rows(robot)]
+    change = effect.coefficients[::10]
+    masses = ", ".join(
+        f"{link} {mass:.3g} → {mass + added:.3g} kg"
+        for link, mass, added in zip(effect.owners(robot), nominal, change, strict=True)
+    )
+    return f"The given inertias are off at several links, so they were re-identified ({masses})"
+
+
+class GivenInertias(InertialParameters):
+    """The inertial parameters of several links differ from the given ones."""
+
+    acts_on = Acts.COMMON
+    words = Words(
+        sentence=_masses,
+        noun=lambda effect, robot: (
+            f"inertias of {', '.join(effect.owners(robot))} other than given"
+        ),
+    )

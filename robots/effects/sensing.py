@@ -1,0 +1,181 @@
+"""Sensing: how torque is read, and encoders that do not read the angle of their joint.
+
+All are linear in their coefficients to first order, at the given model's torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from excitant.exceptions import BadInput
+from excitant.robots.effects import experiments as by
+from excitant.robots.effects.base import (
+    Acts,
+    Effect,
+    Parameter,
+    Physics,
+    Size,
+    Words,
+    registered,
+    usual_sentence,
+)
+from excitant.robots.effects.search import Search, Shape
+from excitant.robots.motion import Array, Motion
+from excitant.robots.regressor import carried_torque, torque_along
+from excitant.robots.robot import Robot
+
+DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
+LONGEST_DELAY = 0.04  # s, of an alternative to another delay
+
+
+def _each_then_all(joints: tuple[str, ...]) -> list[tuple[str, ...]]:
+    return [*((joint,) for joint in joints), joints]
+
+
+def _gain(
+    effect: TorqueGain, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+) -> str:
+    if len(joints) > 1:
+        return usual_sentence(effect, robot, joints, sizes)
+    gain = f"{100 * sizes[0].value:+.1f} ± {100 * sizes[0].std:.2g} %"
+    return f"{joints[0]}: torque reads {gain} against the model's"
+
+
+@registered
+class TorqueGain(Effect):
+    """Reading = (1 + g) τ: the torque sensor's or the drive's constant is wrong."""
+
+    name = "torque_gain"
+    family = "reading"
+    terms = (Parameter("gain", "1", typical=0.5),)
+    physics = Physics("given torque", of_state=False)
+    search = Search("diagnosis", places=_each_then_all)
+    words = Words(
+        "torque",
+        (
+            (f"{by.LOADS}: a gain scales its torque too", "inertial_parameters"),
+            (f"{by.LOADS} beside the unknown one", "payload"),
+            (f"{by.LEVEL}; {by.LOADS}", "gravity_direction"),
+            (f"{by.LOADS}; {by.KINEMATICS}", "kinematic_error"),
+            (by.KINEMATICS, "encoder_scale"),
+            (f"{by.ZERO}; {by.LOADS}", "encoder_offset"),
+        ),
+        sentence=_gain,
+    )
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        columns = np.zeros((len(motion), robot.nv, 1))
+        rows = self.rows(robot)
+        columns[:, rows, 0] = carried_torque(robot, motion)[:, rows]
+        return columns
+
+
+def _lag(
+    effect: TimeDelay, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+) -> str:
+    delay = f"{1e3 * sizes[0].value:.1f} ± {1e3 * sizes[0].std:.2g} ms"
+    return f"The torque lags the motion by {delay}"
+
+
+@registered
+class TimeDelay(Effect):
+    """Reading(t) = τ(t − d), to first order in d around a trial delay.
+
+    Positions that come late are a negative delay of the torque.
+    """
+
+    name = "time_delay"
+    family = "reading"
+    terms = (Parameter("delay", "s", typical=0.05),)
+    physics = Physics("torque", of_state=False)
+    search = Search(
+        shapes=(
+            Shape(
+                "trial",
+                "s",
+                positive=False,
+                trial=True,
+                grid=lambda facts: DELAYS,
+                most=lambda facts: LONGEST_DELAY,
+            ),
+        ),
+        places=_each_then_all,
+    )
+    words = Words(
+        "torque rate",
+        (
+            (by.SPEEDS, "inertial_parameters encoder_scale"),
+            (by.WARM, "thermal_friction_drift"),
+        ),
+        sentence=_lag,
+    )
+
+    trial: float = 1e-3  # delay at which the column is the exact difference [s]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.trial:
+            raise BadInput(f"effect {self.name}: trial must not be zero")
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        """(τ(t − d₀) − τ(t)) / d₀ at these joints."""
+        tau = carried_torque(robot, motion)
+        t = motion.t
+        columns = np.zeros((len(motion), robot.nv, 1))
+        for j in self.rows(robot):
+            late = np.interp(t - self.trial, t, tau[:, j])
+            columns[:, j, 0] = (late - tau[:, j]) / self.trial
+        return columns
+
+
+@dataclass(frozen=True)
+class _EncoderError(Effect):
+    """A joint is elsewhere than its encoder says."""
+
+    family: ClassVar[str] = "geometry"
+    acts_on: ClassVar[Acts] = Acts.ONE
+    physics: ClassVar[Physics] = Physics(smooth=True, of_state=False)
+    search: ClassVar[Search] = Search("diagnosis")
+
+
+@registered
+class EncoderOffset(_EncoderError):
+    """True angle = reading + δ."""
+
+    name = "encoder_offset"
+    terms = (Parameter("offset_angle", "rad", typical=0.3),)
+    words = Words(
+        separated_by=(
+            (
+                f"{by.ZERO}; the last joint's offset is a turned last link",
+                "inertial_parameters",
+            ),
+            (f"{by.ZERO}; or {by.UNLOADED}", "payload"),
+            (
+                f"{by.TURNED}: tilt's phase follows q1, an encoder's offset does not",
+                "gravity_direction",
+            ),
+            (f"{by.ZERO}, and at the far end of its range", "encoder_scale"),
+        )
+    )
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        shift = np.ones(len(motion))
+        return torque_along(robot, motion, self.rows(robot)[0], shift)[:, :, None]
+
+
+@registered
+class EncoderScale(_EncoderError):
+    """True angle = (1 + s) reading; speed and acceleration alike."""
+
+    name = "encoder_scale"
+    terms = (Parameter("scale", "1", typical=0.3),)
+    words = Words(separated_by=((by.KINEMATICS, "inertial_parameters"),))
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        j = self.rows(robot)[0]
+        return torque_along(robot, motion, j, motion.q[:, j])[:, :, None]
