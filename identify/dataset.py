@@ -58,9 +58,7 @@ LONG = 300_000
 WINDOW_S = 30.0
 """Length of the windows that are kept of longer ones [s]."""
 
-_USUAL = (".parquet", ".csv")
 _DATE = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
-_START = 1 << 16  # bytes of a text file, whose lines stand for all
 
 
 class _Kinematics(msgspec.Struct, frozen=True):
@@ -108,26 +106,24 @@ class Dataset:
 
     def paths(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Path]:
         """Files of recordings; see `recordings`."""
-        held = {self._path(name).resolve() for name in without}
+        holdout = {self._path(name).resolve() for name in without}
         for name in names:
-            if self._path(name).resolve() in held:
+            if self._path(name).resolve() in holdout:
                 why = "is to be fitted and held out; leave it out of one of the two"
                 raise BadInput(f"{name} {why}")
-        given = [self._path(name) for name in names]
-        paths = [p for path in given for p in _inside(path)] or self._all()
-        kept = [path for path in paths if path.resolve() not in held]
-        if not kept:
-            raise BadInput(
-                f"{self.folder}: every recording is held out; none is left to fit"
-            )
-        return kept
+        paths = [path for name in names for path in _inside(self._path(name))]
+        paths = [p for p in paths or self._all() if p.resolve() not in holdout]
+        if not paths:
+            why = "every recording is held out; none is left to fit"
+            raise BadInput(f"{self.folder}: {why}")
+        return paths
 
     def _path(self, name: str) -> Path:
         path = Path(name) if self.folder is None else self.folder / name
         if self.folder is None or exists(path):
             return path
-        found = (path.with_name(path.name + suffix) for suffix in SUFFIXES)
-        return next((each for each in found if isfile(each)), path)
+        files = (path.with_name(path.name + suffix) for suffix in SUFFIXES)
+        return next(filter(isfile, files), path)
 
     def _all(self) -> list[Path]:
         if self.bag is not None:
@@ -142,14 +138,12 @@ def _inside(path: Path) -> list[Path]:
     if not isdir(path) or is_bag(path):
         return [path]
     files = sorted(path.iterdir())
-    found = [p for p in files if p.suffix in _USUAL] or [
-        p for p in files if suffix_of(p) in SUFFIXES or is_bag(p)
-    ]
-    if not found:
-        raise BadInput(
-            f"{path}: no .parquet or .csv recording in this folder, and it is no bag"
-        )
-    return found
+    usual = [p for p in files if p.suffix in (".parquet", ".csv")]
+    logs = usual or [p for p in files if suffix_of(p) in SUFFIXES or is_bag(p)]
+    if not logs:
+        why = "no .parquet or .csv recording in this folder, and it is no bag"
+        raise BadInput(f"{path}: {why}")
+    return logs
 
 
 def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Dataset:
@@ -164,86 +158,81 @@ def load_dataset(spec: str | Path, *, columns: str | Path | None = None) -> Data
         BadInput: A folder without a robot, or a file that cannot be read.
     """
     folder = Path(spec)
-    given = ColumnMap() if columns is None else load_column_map(columns)
+    mapping = ColumnMap() if columns is None else load_column_map(columns)
     if is_bag(folder) and exists(folder):
-        return Dataset(_robot_in(folder, spec), mapping=given, bag=folder)
+        return Dataset(_robot_in(folder, spec), mapping=mapping, bag=folder)
     if not isdir(folder):
-        return Dataset(load_robot(spec), mapping=_with_drive(given, folder))
-    sidecar = folder / "dataset.json"
+        return Dataset(load_robot(spec), mapping=_with_drive(mapping, folder))
     beside = folder / "columns.yaml"
     if columns is None and isfile(beside):
-        given = load_column_map(beside)
-    known = (
-        read_yaml(sidecar, _Sidecar, "a data set") if isfile(sidecar) else _Sidecar()
-    )
-    kinematics = known.kinematics or _Kinematics()
-    torque = known.torque or _Torque()
-    candidates = [folder / name for name in (kinematics.urdf, "robot.yaml") if name]
-    model = next((path for path in candidates if isfile(path)), None)
+        mapping = load_column_map(beside)
+    sidecar = folder / "dataset.json"
+    record = _sidecar(folder)
+    kinematics = record.kinematics or _Kinematics()
+    torque = record.torque or _Torque()
+    models = [folder / name for name in (kinematics.urdf, "robot.yaml") if name]
+    model = next(filter(isfile, models), None)
     if model is None:
-        files = sorted(folder.iterdir())
-        if bag := next(filter(is_bag, files), None):
-            return Dataset(_robot_in(bag, bag), folder, given)
+        bag = next(filter(is_bag, sorted(folder.iterdir())), None)
+        if bag is not None:
+            return Dataset(_robot_in(bag, bag), folder, mapping)
         raise BadInput(
             f"{folder}: no robot model (robot.urdf or robot.yaml) in this folder; add one, or "
             f"give ROBOT and the paths of the recordings"
         )
-    if kinematics.urdf != _Kinematics().urdf and model == candidates[0]:
-        within(
-            model,
-            sidecar,
-            allow="ROBOT and the paths of the recordings on the command line",
-        )
+    if kinematics.urdf != _Kinematics().urdf and model == models[0]:
+        advice = "ROBOT and the paths of the recordings on the command line"
+        within(model, sidecar, allow=advice)
     try:
-        robot = load_robot(
-            model, lock=dict.fromkeys(kinematics.lock or [], 0.0) or None
-        )
+        lock = dict.fromkeys(kinematics.lock or [], 0.0)
+        robot = load_robot(model, lock=lock or None)
     except UnknownName as error:
         raise BadInput(f"{sidecar}: {error}") from None
-    if isinstance(known.units, dict) and not given.units:
-        given = replace(
-            given, units=column_map({"units": known.units}, str(sidecar)).units
-        )
-    if given.drive is None and isinstance(torque.gains, list):
-        given = replace(
-            given, drive=drive_of({"gain_Nm_per_A": torque.gains}, str(sidecar))
-        )
-    return Dataset(
-        robot, folder, replace(_with_drive(given, model), torque=torque.column)
-    )
+    source = str(sidecar)
+    if isinstance(record.units, dict) and not mapping.units:
+        units = column_map({"units": record.units}, source).units
+        mapping = replace(mapping, units=units)
+    if mapping.drive is None and isinstance(torque.gains, list):
+        drive = drive_of({"gain_Nm_per_A": torque.gains}, source)
+        mapping = replace(mapping, drive=drive)
+    mapping = replace(_with_drive(mapping, model), torque=torque.column)
+    return Dataset(robot, folder, mapping)
+
+
+def _sidecar(folder: Path) -> _Sidecar:
+    """The folder's ``dataset.json``, or one that says nothing."""
+    file = folder / "dataset.json"
+    return read_yaml(file, _Sidecar, "a data set") if isfile(file) else _Sidecar()
 
 
 def _robot_in(bag: Path, spec: str | Path | RobotSpec) -> Robot:
-    """The robot that a bag describes; joints without states in it, or coupled ones, are held."""
-    found = described(bag)
-    if found is None:
-        raise BadInput(
-            f"{bag}: no robot_description in this bag; give ROBOT before it, or record that topic"
-        )
+    """The robot that a bag describes; joints without states in it, or coupled ones, are locked."""
+    description = described(bag)
+    if description is None:
+        why = "no robot_description in this bag; give ROBOT before it, or record that topic"
+        raise BadInput(f"{bag}: {why}")
     spec = spec if isinstance(spec, RobotSpec) else RobotSpec(spec)
-    joints = parse_xml(found.urdf, bag).findall("joint")
-    movable = [
-        str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"
-    ]
+    joints = parse_xml(description.urdf, bag).findall("joint")
+    movable = [str(j.get("name")) for j in joints if j.get("type") != "fixed"]
     coupled = {
         name
         for joint in joints
         for mimic in joint.findall("mimic")
         for name in (joint.get("name"), mimic.get("joint"))
     }
-    seen = {*found.joints} - coupled | {*(spec.joints or ())}
-    held = [name for name in movable if name not in seen]
-    held = (
-        held if len(held) < len(movable) else []
-    )  # else names differ, by a prefix perhaps
-    spec = replace(spec, lock={**dict.fromkeys(held, 0.0), **spec.lock})
-    robot = robot_of(Description(found.urdf), spec)
-    if any(joint in robot.joints for joint in found.limits):
-        robot = robot.with_limits(
-            limits_from({"joint_limits": found.limits}, robot, bag)
-        )
-    said = f"held at 0, without states of their own in the bag: {', '.join(held)}"
-    return replace(robot, notes=(*robot.notes, *[said] * bool(held)))
+    logged = {*description.joints} - coupled | {*(spec.joints or ())}
+    locked = [name for name in movable if name not in logged]
+    if len(locked) == len(movable):  # names differ, by a prefix perhaps
+        locked = []
+    spec = replace(spec, lock={**dict.fromkeys(locked, 0.0), **spec.lock})
+    robot = robot_of(Description(description.urdf), spec)
+    if any(joint in robot.joints for joint in description.limits):
+        limits = limits_from({"joint_limits": description.limits}, robot, bag)
+        robot = robot.with_limits(limits)
+    if not locked:
+        return robot
+    note = f"held at 0, without states of their own in the bag: {', '.join(locked)}"
+    return replace(robot, notes=(*robot.notes, note))
 
 
 def is_dataset(folder: Path) -> bool:
@@ -262,24 +251,23 @@ def origin(folder: Path, name: str) -> tuple[str, date | None]:
     Raises:
         BadInput: A ``dataset.json`` that cannot be read.
     """
-    sidecar = folder / "dataset.json"
-    known = (
-        read_yaml(sidecar, _Sidecar, "a data set") if isfile(sidecar) else _Sidecar()
-    )
+    record = _sidecar(folder)
     arm = name
     day = None
-    for found in _DATE.finditer(name):
+    for match in _DATE.finditer(name):
         with suppress(ValueError):
-            day = date(*map(int, found.groups()))
-            arm = (name[: found.start()] + name[found.end() :]).strip("/_-. ") or name
-    return known.arm or arm, known.date or day
+            day = date(*map(int, match.groups()))
+            arm = (name[: match.start()] + name[match.end() :]).strip("/_-. ") or name
+    return record.arm or arm, record.date or day
 
 
-def _with_drive(given: ColumnMap, model: Path) -> ColumnMap:
-    if given.drive or model.suffix not in (".yaml", ".yml") or not isfile(model):
-        return given
-    drive = drive_of(read_yaml(model, RobotRecord, "a robot").drive, str(model))
-    return replace(given, drive=drive)
+def _with_drive(mapping: ColumnMap, model: Path) -> ColumnMap:
+    """A map with the drive constants of a robot.yaml, where it has none."""
+    is_yaml = model.suffix in (".yaml", ".yml") and isfile(model)
+    if mapping.drive or not is_yaml:
+        return mapping
+    record = read_yaml(model, RobotRecord, "a robot")
+    return replace(mapping, drive=drive_of(record.drive, str(model)))
 
 
 def read_recordings(
@@ -290,11 +278,10 @@ def read_recordings(
     Of logs that are too long to hold, windows at equal distances are kept (`excerpt`).
     """
     share = LONG / max(1, sum(_samples(Path(path)) for path in paths))
-    if share < 1:
-        return [
-            excerpt(read_chunks(path, robot, mapping=mapping), share) for path in paths
-        ]
-    return [load_recording(path, robot, mapping=mapping) for path in paths]
+    if share >= 1:
+        return [load_recording(path, robot, mapping=mapping) for path in paths]
+    logs = [read_chunks(path, robot, mapping=mapping) for path in paths]
+    return [excerpt(pieces, share) for pieces in logs]
 
 
 def as_recordings(recordings: Recordings, robot: Robot) -> list[Recording]:
@@ -360,7 +347,7 @@ def _samples(path: Path) -> int:
                 return int(file.metadata.num_rows)
         if suffix in TEXTS:
             with path.open("rb") as file:
-                start = file.read(_START)
+                start = file.read(1 << 16)  # whose lines stand for all
             packed = suffix.endswith(".gz")
             text = zlib.decompressobj(wbits=31).decompress(start) if packed else start
             return int(size * text.count(b"\n") / max(len(start), 1))
@@ -375,17 +362,16 @@ def excerpt(pieces: Iterable[Recording], share: float) -> Recording:
     The first window begins with the log. A log that ends within its first window is kept whole.
     """
     every = WINDOW_S / share
-    kept = []
+    parts = []
     for piece in pieces:
         rows = np.flatnonzero(np.mod(piece.t, every) < WINDOW_S)
         if len(rows):
-            kept.append(piece.take(rows))
-    first = min(
-        kept, key=lambda part: len(part.channels())
-    )  # speeds may end within the log
+            parts.append(piece.take(rows))
+    # speeds may end within the log
+    first = min(parts, key=lambda part: len(part.channels()))
     names = ("t", *(name for name, _ in first.channels()))
     arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in kept]) for name in names
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
     }
     t = arrays["t"]
     starts = tuple(every * np.arange(1, 1 + t[-1] // every))
