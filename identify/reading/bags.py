@@ -51,16 +51,17 @@ def described(path: Path) -> Described | None:
     Raises:
         BadRecording: Not readable.
     """
-    told = dict[str, str]()
     joints = dict[str, None]()
     with _opened(path) as reader:
         states = [c for c in reader.connections if c.msgtype == _STATE]
         for _, state in islice(_messages(reader, states), _FEW):
             joints |= dict.fromkeys(state.name)
         texts = [c for c in reader.connections if c.msgtype == _TEXT]
-        told |= {topic: text.data for topic, text in _messages(reader, texts)}
-        limits = parsed_yaml(told.get("joint_limits", "{}")).get("joint_limits", {})
-    urdf = told.get("robot_description")
+        described_by = {topic: text.data for topic, text in _messages(reader, texts)}
+        limits = parsed_yaml(described_by.get("joint_limits", "{}")).get(
+            "joint_limits", {}
+        )
+    urdf = described_by.get("robot_description")
     return None if urdf is None else Described(urdf, limits, tuple(joints))
 
 
@@ -83,31 +84,24 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
     Raises:
         BadRecording: Not readable, no joint states, or several topics with them.
     """
-    if path.suffix == ".bag" and isfile(
-        path
-    ):  # whose reader searches all of any other file
+    if path.suffix == ".bag" and isfile(path):
+        # whose reader searches all of any other file
         with path.open("rb") as stream:
             if stream.read(len(_ROS1)) != _ROS1:
-                raise BadRecording(
-                    path, "cannot be read (it is no bag of ROS 1); record it again"
-                )
+                why = "cannot be read (it is no bag of ROS 1); record it again"
+                raise BadRecording(path, why)
     import pandas as pd
 
     with _opened(path) as reader:
         topic, notes = _topic(reader, topic, path)
         cells = _cells_of_messages(reader, topic, path)
         blocks = iter(lambda: list(islice(cells, _AT_ONCE)), [])
-        parts = [pd.DataFrame(block) for block in blocks]
-    log = (
-        pd.concat(parts, ignore_index=True)
-        if parts
-        else pd.DataFrame(columns=["", "stamp_ns"])
-    )
+        parts = [pd.DataFrame(columns=["", "stamp_ns"]), *map(pd.DataFrame, blocks)]
+    log = pd.concat(parts[1:] or parts, ignore_index=True)
     joints = dict.fromkeys(name.rpartition(".")[0] for name in log.columns[2:])
     if not joints:
-        raise BadRecording(
-            path, f"no message on {topic} names a joint; record {_USUAL}"
-        )
+        why = f"no message on {topic} names a joint; record {_USUAL}"
+        raise BadRecording(path, why)
     if not log["stamp_ns"].any():
         notes += ("time: headers hold none, so it is that of recording",)
         log["stamp_ns"] = log[""]
@@ -115,13 +109,9 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         for part in table.frames(rows, columns):
-            told = [
-                ~np.isnan(as_numbers(x))
-                for name, x in part.items()
-                if name != "stamp_ns"
-            ]
-            kept = np.any(told, axis=0)
-            yield {name: x[kept] for name, x in part.items()}
+            values = [as_numbers(x) for name, x in part.items() if name != "stamp_ns"]
+            of_arm = np.any(~np.isnan(values), axis=0)
+            yield {name: x[of_arm] for name, x in part.items()}
 
     return replace(table, frames=frames, labels=dict(enumerate(joints)), joined=True)
 
@@ -143,26 +133,25 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
+    """The topic of the arm's states, and a note where there was a choice."""
     topics = sorted({c.topic for c in reader.connections if c.msgtype == _STATE})
-    measured = [topic for topic in topics if not meaning(topic).commanded]
-    some = ", ".join(topics)
-    if wanted is not None and wanted in topics:
-        return wanted, ()
+    names = ", ".join(topics)
     if wanted is not None:
-        why = f"has no joint states on {wanted}; topics with them: {some or 'none'}"
-    elif not topics:
-        kinds = (
-            ", ".join(sorted({str(c.msgtype) for c in reader.connections})[:8])
-            or "nothing"
-        )
-        why = f"holds no {_STATE}, only {kinds}; record {_USUAL}"
-    elif len(measured) == 1 or _USUAL in measured:
+        if wanted in topics:
+            return wanted, ()
+        why = f"has no joint states on {wanted}; topics with them: {names or 'none'}"
+        raise BadRecording(path, why)
+    if not topics:
+        kinds = sorted({str(c.msgtype) for c in reader.connections})
+        others = ", ".join(kinds[:8]) or "nothing"
+        why = f"holds no {_STATE}, only {others}; record {_USUAL}"
+        raise BadRecording(path, why)
+    measured = [topic for topic in topics if not meaning(topic).commanded]
+    if len(measured) == 1 or _USUAL in measured:
         chosen = measured[0] if len(measured) == 1 else _USUAL
         return chosen, (f"topic: {chosen}",) if len(topics) > 1 else ()
-    else:
-        advice = f"say which in a file for --map, such as {{topic: {topics[0]}}}"
-        why = f"joint states are on {some}: {advice}"
-    raise BadRecording(path, why)
+    advice = f"say which in a file for --map, such as {{topic: {topics[0]}}}"
+    raise BadRecording(path, f"joint states are on {names}: {advice}")
 
 
 def _cells_of_messages(reader: Any, topic: str, path: Path) -> Iterator[dict[str, Any]]:

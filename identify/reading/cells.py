@@ -41,11 +41,9 @@ def cells(series: pd.Series) -> Cells:
     if isinstance(series.dtype, np.dtype):
         return series.to_numpy()
     whole = np.dtype(f"{kind}8")
-    return (
-        series.to_numpy(float, na_value=np.nan)
-        if series.hasnans
-        else series.to_numpy(whole)
-    )
+    if series.hasnans:
+        return series.to_numpy(float, na_value=np.nan)
+    return series.to_numpy(whole)
 
 
 def as_numbers(values: Cells) -> Array:
@@ -147,14 +145,11 @@ def _dates(values: Cells) -> pd.Series:
     if _is_date(values):
         return pd.to_datetime(pd.Series(values), utc=True)
     text = pd.Series(values).astype(str).str.replace(",", ".", regex=False)
-    found = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
-    for order in _ORDERS if found.isna().all() else ():
-        if (
-            (dated := pd.to_datetime(text, format=order, errors="coerce", utc=True))
-            .notna()
-            .all()
-        ):
-            return dated
-    if found.isna().all():
-        return pd.to_timedelta(text, errors="coerce") + pd.Timestamp(0, tz="UTC")
-    return found
+    iso = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
+    if iso.notna().any():
+        return iso
+    for order in _ORDERS:
+        dates = pd.to_datetime(text, format=order, errors="coerce", utc=True)
+        if dates.notna().all():
+            return dates
+    return pd.to_timedelta(text, errors="coerce") + pd.Timestamp(0, tz="UTC")

@@ -118,11 +118,11 @@ def read_chunks(
         first_row = 0
         for raw in _pieces(_open_log(file, mapping), robot, mapping, rows, origin):
             refuse_bad_rows(raw, first_row, end)
-            seen = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
-            extremes = np.array([seen.min(axis=0), seen.max(axis=0)])
+            tau = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
+            extremes = np.array([tau.min(axis=0), tau.max(axis=0)])
             origin = raw.start
             end = float(raw.t[-1])
-            first_row = first_row + len(raw)
+            first_row += len(raw)
             yield with_finite_speeds(raw)
     if end < MINIMUM_DURATION:
         why = f"too short: {max(end, 0.0):.3g} s, at least {MINIMUM_DURATION:g} s are needed"
@@ -137,10 +137,9 @@ def suffix_of(path: Path) -> str:
 
 
 def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
+    """The table in a file, by its kind; any error of a reader as the refusal of its file."""
     path = Path(path)
-    is_bag = bags.is_bag(path)
     suffix = suffix_of(path)
-    why = f"unknown format '{suffix}'; give .parquet or .csv, .json, .npz, .mat, .bag or .mcap"
     try:
         size = 0 if isdir(path) else size_of(path)
     except FileNotFoundError:
@@ -148,20 +147,23 @@ def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
     except OSError as error:
         why = f"cannot be read ({error.strerror}); give a file"
         raise BadRecording(path, why) from None
+    is_bag = bags.is_bag(path)
     if isdir(path) and not is_bag:
         why = "is a folder without metadata.yaml of a ROS 2 bag; give a file, or a bag"
-    elif is_bag or suffix in _READERS:
-        try:
-            if suffix in (".npz", ".mat"):  # which are read whole
-                refuse_size(size)
-            if is_bag:
-                return bags.bag_table(path, mapping.topic if mapping else None)
-            return _READERS[suffix](path)
-        except (BadRecording, ModuleNotFoundError):
-            raise
-        except Exception as error:  # readers of others raise anything on a damaged file
-            raise tables.unreadable(path, error) from None
-    raise BadRecording(path, why)
+        raise BadRecording(path, why)
+    if not is_bag and suffix not in _READERS:
+        known = ".parquet or .csv, .json, .npz, .mat, .bag or .mcap"
+        raise BadRecording(path, f"unknown format '{suffix}'; give {known}")
+    try:
+        if is_bag:
+            return bags.bag_table(path, mapping.topic if mapping else None)
+        if suffix in (".npz", ".mat"):  # which are read whole
+            refuse_size(size)
+        return _READERS[suffix](path)
+    except (BadRecording, ModuleNotFoundError):
+        raise
+    except Exception as error:  # readers of others raise anything on a damaged file
+        raise tables.unreadable(path, error) from None
 
 
 def _pieces(
@@ -199,47 +201,49 @@ def _in_si_units(
     columns: Columns,
     origin: tuple[float, float] | None,
 ) -> Recording:
-    texts: dict[tuple[int, str], str] = {}
+    """Some rows of a log, in SI units; of cells that are no numbers the text is kept."""
+    unreadable: dict[tuple[int, str], str] = {}
 
-    def remembered(column: str, values: Array) -> Array:
+    def note_unreadable(column: str, values: Array) -> None:
         for row in np.flatnonzero(~np.isfinite(values))[:_REMEMBERED]:
-            texts[int(row), column] = str(np.asarray(frame[column])[row])
-        return values
+            unreadable[int(row), column] = str(np.asarray(frame[column])[row])
 
-    def channel(found: Channel) -> Array:
-        values = [
-            remembered(name, cells.as_numbers(frame[name])) for name in found.columns
-        ]
+    def values_of(channel: Channel) -> Array:
+        values = [cells.as_numbers(frame[name]) for name in channel.columns]
+        for name, column in zip(channel.columns, values, strict=True):
+            note_unreadable(name, column)
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(np.column_stack(values) * found.factors)
+            return np.asarray(np.column_stack(values) * channel.factors)
 
-    whole, rest = cells.in_seconds(frame[columns.t[0]], columns.t_unit)
+    time = columns.t[0]
+    whole, rest = cells.in_seconds(frame[time], columns.t_unit)
     if len(columns.t) == 2:
         rest = rest + 1e-9 * cells.as_numbers(frame[columns.t[1]])
-    usable = np.flatnonzero(np.isfinite(remembered(columns.t[0], whole + rest)))
+    note_unreadable(time, whole + rest)
+    usable = np.flatnonzero(np.isfinite(whole + rest))
     if origin is None:
+        first = usable[0] if len(usable) else None
         origin = (
-            (float(whole[usable[0]]), float(rest[usable[0]]))
-            if len(usable)
-            else (0.0, 0.0)
+            (0.0, 0.0) if first is None else (float(whole[first]), float(rest[first]))
         )
     with np.errstate(invalid="ignore", over="ignore"):
         t = (whole - origin[0]) + (rest - origin[1])
+    others = {name: x for name, x in frame.items() if name not in columns.names}
     return Recording(
         name=Path(table.file).stem,
         file=table.file,
         t=t,
-        q=channel(columns.q),
-        tau=channel(columns.tau),
+        q=values_of(columns.q),
+        tau=values_of(columns.tau),
         unit=columns.unit,
-        dq=None if columns.dq is None else channel(columns.dq),
+        dq=None if columns.dq is None else values_of(columns.dq),
         notes=(*table.notes, *columns.notes),
         extras={
-            name: cells.as_numbers(values)
-            for name, values in frame.items()
-            if name not in columns.names and values.dtype.kind in "iuf"
+            name: cells.as_numbers(x)
+            for name, x in others.items()
+            if x.dtype.kind in "iuf"
         },
-        columns=(columns.t[0], *columns.q.columns, *columns.tau.columns),
+        columns=(time, *columns.q.columns, *columns.tau.columns),
         start=origin,
-        unreadable=texts,
+        unreadable=unreadable,
     )

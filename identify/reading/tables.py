@@ -139,17 +139,12 @@ def parquet_table(path: Path) -> Table:
     schema = pq.read_schema(path)
     names = tuple(schema.names)
     if any(map(pa.types.is_list, schema.types)):
-        groups = pq.read_metadata(path)
-        refuse_size(
-            sum(
-                groups.row_group(k).total_byte_size
-                for k in range(groups.num_row_groups)
-            )
-        )
+        about = pq.read_metadata(path)
+        groups = map(about.row_group, range(about.num_row_groups))
+        refuse_size(sum(group.total_byte_size for group in groups))
         whole = pq.read_table(path).to_pandas()
-        return _table_of_arrays(
-            {name: _stacked(whole[name].tolist()) for name in whole}, path
-        )
+        arrays = {name: _stacked(whole[name].tolist()) for name in whole}
+        return _table_of_arrays(arrays, path)
     return Table(str(path), names, frames)
 
 
@@ -169,23 +164,21 @@ def json_table(path: Path) -> Table:
         return _table_of_arrays(_flattened(content), path)
     records = [dict(_fields(record)) for record in content]
     for row, record in enumerate(records):
-        if lacking := [name for name in records[0] if name not in record]:
-            raise BadRecording(
-                path, "is missing; write it, or null", row=row, column=lacking[0]
-            )
-    return _table_of_arrays(
-        {n: _stacked([r[n] for r in records]) for n in records[0]}, path
-    )
+        if missing := [name for name in records[0] if name not in record]:
+            why = "is missing; write it, or null"
+            raise BadRecording(path, why, row=row, column=missing[0])
+    names = records[0]
+    arrays = {name: _stacked([record[name] for record in records]) for name in names}
+    return _table_of_arrays(arrays, path)
 
 
 def _fields(record: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    """Names and values of a record, those of records in it after their name and a point."""
     for name, value in record.items():
-        inner = isinstance(value, Mapping)
-        yield from (
-            _fields(value, f"{before}{name}.")
-            if inner
-            else [(f"{before}{name}", value)]
-        )
+        if isinstance(value, Mapping):
+            yield from _fields(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
 
 
 def _stacked(rows: Sequence[Any]) -> Any:
@@ -256,53 +249,45 @@ def _flattened(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
+    """A table of arrays that have as many rows or columns as there are samples."""
     numbers = {
         name: array[:, None] if array.ndim == 1 else array
         for name, array in arrays.items()
         if array.dtype.kind in "fiuM" and array.ndim in (1, 2) and array.size
     }
+    meanings = {name: meaning(name) for name in arrays}
     for name, array in arrays.items():
-        means = meaning(name)
-        if name not in numbers and array.size > 1 and means.role and not means.words:
+        telling = meanings[name].role and not meanings[name].words
+        if name not in numbers and array.size > 1 and telling:
             kind = {"S": "bytes", "U": "text"}.get(array.dtype.kind, str(array.dtype))
             why = f"holds {kind} instead of numbers; save it as numbers, in rows or columns"
             raise BadRecording(path, why, column=name)
     if not numbers:
         raise BadRecording(path, "holds no array of numbers; give t, q and tau")
-    times = [
-        a for name, a in numbers.items() if meaning(name).role == "t" and 1 in a.shape
-    ]
+    timed = [name for name in numbers if meanings[name].role == "t"]
+    times = [numbers[name] for name in timed if 1 in numbers[name].shape]
     lengths = Counter(max(array.shape) for array in numbers.values())
     n = times[0].size if len(times) == 1 else lengths.most_common(1)[0][0]
     columns: dict[str, Any] = {}
     others = []
     for name, array in numbers.items():
+        m = meanings[name]
         if array.shape == (n, n) and n > 1:
-            raise BadRecording(
-                path, f"is {n} × {n}: rows or columns could be samples", column=name
-            )
-        if n not in array.shape:
-            found = meaning(name)
+            why = f"is {n} × {n}: rows or columns could be samples"
+            raise BadRecording(path, why, column=name)
+        if n in array.shape:
+            rows = array if n == array.shape[0] else array.T
+            width = rows.shape[1]
+            for k, column in enumerate(rows.T):
+                columns[f"{name}[{k}]" if width > 1 else name] = column
+        elif m.role in ("q", "tau", "i") and not m.words and not m.commanded:
             shape = " × ".join(map(str, array.shape))
-            if (
-                found.role in ("q", "tau", "i")
-                and not found.words
-                and not found.commanded
-            ):
-                why = (
-                    f"is {shape}, but there are {n} samples; save arrays of one length"
-                )
-                raise BadRecording(path, why, column=name)
+            why = f"is {shape}, but there are {n} samples; save arrays of one length"
+            raise BadRecording(path, why, column=name)
+        else:
             others.append(name)
-            continue
-        rows = array if n == array.shape[0] else array.T
-        width = rows.shape[1]
-        columns |= {
-            f"{name}[{k}]" if width > 1 else name: rows[:, k] for k in range(width)
-        }
-    notes = (
-        (f"arrays of other lengths left out: {', '.join(others)}",) if others else ()
-    )
+    left_out = f"arrays of other lengths left out: {', '.join(others)}"
+    notes = (left_out,) if others else ()
     table = _table((*columns,), [*columns.values()], str(path), notes)
     return replace(table, labels=_labels(arrays))
 

@@ -154,10 +154,14 @@ class _Lines:
         if line.isspace() or line.startswith(_COMMENTS) or cut:
             return False
         parsed = separator == " " or (self._dialect.quoted and '"' in line)
-        found = len(_cells(line, separator)) if parsed else line.count(separator) + 1
-        if found != expected or "\0" in line:
-            what = f"{found} cells where the header names {expected}"
-            why = f"{what if found != expected else 'holds zero bytes'}; repair or remove this row"
+        count = len(_cells(line, separator)) if parsed else line.count(separator) + 1
+        what = ""
+        if count != expected:
+            what = f"{count} cells where the header names {expected}"
+        elif "\0" in line:
+            what = "holds zero bytes"
+        if what:
+            why = f"{what}; repair or remove this row"
             self.refusal = BadRecording(self._file, why, row=self._row)
             raise ValueError(why)
         self._row += 1
@@ -173,21 +177,27 @@ def _dialect_of(path: Path) -> _Dialect:
     """
     encoding, text, cut = _head(path)
     lines = text.splitlines()
-    found = ((sign, _first_row(lines, sign)) for sign in _SEPARATORS)
-    separator, first = next(((s, k) for s, k in found if k is not None), ("", 0))
-    if not separator:
-        header = next((line for line in lines if line.strip()), "")
-        separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
-        names = _cells(header, separator)
-        if len(names) < 2:
-            why = "cannot be read (no line of names followed by numbers); give a table with named"
-            raise BadRecording(path, f"{why} columns")
-        return _Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
-    some = [
-        line for line in lines[first : first + 200] if not line.startswith(_COMMENTS)
-    ]
-    rows = [_cells(line, separator) for line in some]
-    cells = [cell for cells in rows for cell in cells]
+    for separator in _SEPARATORS:
+        first = _first_row(lines, separator)
+        if first is not None:
+            return _dialect_from(lines, first, separator, encoding, cut)
+    header = next((line for line in lines if line.strip()), "")
+    separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
+    names = _cells(header, separator)
+    if len(names) < 2:
+        why = "no line of names followed by numbers"
+        advice = "give a table with named columns"
+        raise BadRecording(path, f"cannot be read ({why}); {advice}")
+    return _Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
+
+
+def _dialect_from(
+    lines: Sequence[str], first: int, separator: str, encoding: str, cut: bool
+) -> _Dialect:
+    """Format of a table whose first row of numbers is known."""
+    shown = lines[first : first + 200]
+    rows = [_cells(x, separator) for x in shown if not x.startswith(_COMMENTS)]
+    cells = [cell for row in rows for cell in row]
     commas = sum(bool(_COMMA.fullmatch(cell)) for cell in cells)
     points = sum("." in cell and bool(_POINT.fullmatch(cell)) for cell in cells)
     names = _header(lines[:first], separator) or _echoed(rows[0])
@@ -201,7 +211,7 @@ def _dialect_of(path: Path) -> _Dialect:
         if match and len(texts) == 1 and not _is_number(label := texts.pop()):
             labels[int(match[1])] = label
     decimal = "," if commas > points else "."
-    quoted = '"' in some[0]
+    quoted = '"' in shown[0]
     return _Dialect(
         encoding, separator, decimal, tuple(names), first, quoted, cut, labels
     )
@@ -236,13 +246,10 @@ def _head(path: Path) -> tuple[str, str, bool]:
 def _cells(line: str, separator: str) -> list[str]:
     if separator == " ":
         return line.split()
+    lines = [line.rstrip("\r\n")]
     try:
-        cells = next(
-            csv.reader(
-                [line.rstrip("\r\n")], delimiter=separator, skipinitialspace=True
-            )
-        )
-    except (csv.Error, StopIteration):
+        [cells] = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    except (csv.Error, ValueError):  # there is no cell
         return [line]
     return [cell.strip() for cell in cells]
 
