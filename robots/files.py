@@ -9,7 +9,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
 from os.path import exists, isdir, isfile
 from pathlib import Path
-from typing import Any
+
+from defusedxml import EntitiesForbidden
+from defusedxml.ElementTree import XMLParser
 
 from excitant.exceptions import BadRobot
 from excitant.files import read_text
@@ -19,7 +21,6 @@ LARGEST = 32_000_000
 
 _DEEPEST = 100  # elements within one another
 _MOST = 200_000  # elements
-_PIECE = 50_000  # characters of XML between two looks at both
 
 ALLOW = "--package FOLDER (packages: [..] in a robot.yaml)"
 """How files elsewhere are allowed."""
@@ -36,37 +37,68 @@ def read_description(path: str | Path) -> str:
     raise BadRobot(path, why)
 
 
-def parse_xml(text: str, source: str | Path, form: str = "URDF") -> ET.Element:
-    """Root of an XML text, which is neither deep, nor huge, nor built of entities."""
-    if re.search(r"<!ENTITY", text):
-        raise BadRobot(
-            source, "its XML declares entities; write out what they stand for"
-        )
-    parser: Any = ET.XMLPullParser(("start", "end"))
-    root = ET.Element("")
-    depth = 0
-    count = 0
+def parse_xml(
+    text: str, source: str | Path, form: str = "URDF", prefix: str = ""
+) -> ET.Element:
+    """Root of an XML text, which is neither deep, nor huge, nor built of entities.
+
+    Args:
+        text: The text.
+        source: The file, for messages.
+        form: The format that is expected, for messages.
+        prefix: Prefix of the namespace whose names are kept as ``prefix:name``, those of all
+            others as ``name``; without one, names stay as XML has them, ``{namespace}name``.
+    """
+    target = _Tree(source, prefix)
     try:
-        for at in range(0, len(text) + 1, _PIECE):
-            parser.feed(text[at : at + _PIECE])
-            if at + _PIECE > len(text):
-                parser.close()
-            for event, element in parser.read_events():
-                root = root if count else element
-                depth += 1 if event == "start" else -1
-                count += event == "start"
-                if depth > _DEEPEST or count > _MOST:
-                    what = (
-                        f"{_DEEPEST} elements deep"
-                        if depth > _DEEPEST
-                        else f"{_MOST} elements"
-                    )
-                    raise BadRobot(
-                        source, f"its XML is more than {what}; no arm needs that"
-                    )
+        parser = XMLParser(target=target, forbid_entities=True)
+        parser.feed(text)
+        root: ET.Element = parser.close()
+    except EntitiesForbidden:
+        why = "its XML declares entities; write out what they stand for"
+        raise BadRobot(source, why) from None
     except ET.ParseError as error:
         raise BadRobot(source, f"not XML ({error}); give a {form} file") from None
     return root
+
+
+class _Tree(ET.TreeBuilder):
+    """Builds a tree within bounds of size and depth."""
+
+    def __init__(self, source: str | Path, prefix: str) -> None:
+        super().__init__()
+        self.source = source
+        self.prefix = prefix
+        self.spaces: dict[str, str] = {}  # what stands for each namespace in a name
+        self.depth = 0
+        self.count = 0
+
+    def start_ns(self, prefix: str, uri: str) -> None:
+        """Begin the scope of a namespace."""
+        self.spaces[uri] = f"{prefix}:" if prefix == self.prefix else ""
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
+        """Begin an element."""
+        self.depth += 1
+        self.count += 1
+        if self.depth > _DEEPEST or self.count > _MOST:
+            deep = self.depth > _DEEPEST
+            what = f"{_DEEPEST} elements deep" if deep else f"{_MOST} elements"
+            why = f"its XML is more than {what}; no arm needs that"
+            raise BadRobot(self.source, why)
+        if self.prefix:
+            tag = self._named(tag)
+            attrs = {self._named(name): value for name, value in attrs.items()}
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ET.Element:
+        """End an element."""
+        self.depth -= 1
+        return super().end(self._named(tag) if self.prefix else tag)
+
+    def _named(self, name: str) -> str:
+        space, _, local = name.rpartition("}")
+        return self.spaces.get(space[1:], "") + local
 
 
 def real_path(path: str | Path) -> Path:

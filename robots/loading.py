@@ -33,7 +33,7 @@ from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
 from excitant.robots.urdf import number, robot_from_urdf
 from excitant.robots.urdf_writer import limits_in_urdf
-from excitant.robots.xacro_files import is_xacro, urdf_from_xacro
+from excitant.robots.xacro import is_xacro, urdf_from_xacro
 
 
 def builtin_robots() -> tuple[str, ...]:

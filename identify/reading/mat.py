@@ -1,21 +1,19 @@
-"""MAT files, loaded by a process of their own: one that is damaged may end it, as SciPy trusts it.
-
-Run as a script, with the file, how many bytes its variables have, and how many they may claim.
-"""
+"""MAT files, loaded in a child process: SciPy trusts them, and a damaged one may end it."""
 
 from __future__ import annotations
 
 import math
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
+
+from excitant.identify.reading.arrays import MOST, refuse_size
+from excitant.limited import Exceeded, in_child
 
 _BYTES = {"double": 8, "single": 4} | {
     f"{u}int{8 * k}": k for u in ("", "u") for k in (1, 2, 4, 8)
 }
-_CLAIMS = "claims "  # bytes, in the words of a refusal
+_SECONDS = 300  # of processor time that a file of the largest size may take
 
 
 def loaded(path: Path, size: int) -> dict[str, Any]:
@@ -24,35 +22,24 @@ def loaded(path: Path, size: int) -> dict[str, Any]:
     Raises:
         ValueError: A damaged file, or one whose variables would not fit into memory.
     """
-    from excitant.identify.reading.arrays import MOST, refuse_size
-
-    words = [sys.executable, __file__, str(path), str(size), str(MOST)]
-    done = subprocess.run(words, capture_output=True, check=False)
-    if done.returncode == 0:
-        content: dict[str, Any] = pickle.loads(done.stdout)
-        return content
-    said = done.stderr.decode(errors="replace").strip().splitlines()
-    if said and said[-1].startswith(_CLAIMS):
-        refuse_size(float(said[-1].removeprefix(_CLAIMS)))
-    raise ValueError(said[-1] if said and done.returncode > 0 else "it is damaged")
-
-
-def _load(path: str, size: int, most: int) -> dict[str, Any]:
-    import scipy.io
-
-    held = [(n, math.prod(shape), kind) for n, shape, kind in scipy.io.whosmat(path)]
-    if (claimed := sum(count * _BYTES.get(kind, 0) for _, count, kind in held)) > most:
-        raise ValueError(f"{_CLAIMS}{claimed}")
-    for name, count, kind in held:
-        if kind in _BYTES and count > size:
-            raise ValueError(f"{name} is shorter than its header says")
-    content: dict[str, Any] = scipy.io.loadmat(path, simplify_cells=True)
+    task = (str(path), size)
+    try:
+        answer = in_child(load, *task, seconds=_SECONDS, memory=4 * MOST)
+    except Exceeded:
+        raise ValueError("it is damaged") from None
+    content: dict[str, Any] = pickle.loads(answer)
     return content
 
 
-if __name__ == "__main__":
-    try:
-        variables = pickle.dumps(_load(sys.argv[1], int(sys.argv[2]), int(sys.argv[3])))
-    except Exception as error:
-        sys.exit(" ".join(str(error).split()) or type(error).__name__)
-    sys.stdout.buffer.write(variables)
+def load(path: str, size: int) -> bytes:
+    """Variables of a file, pickled; ValueError where they are not as long as they claim to be."""
+    import scipy.io
+
+    variables = [
+        (name, math.prod(shape), kind) for name, shape, kind in scipy.io.whosmat(path)
+    ]
+    refuse_size(sum(count * _BYTES.get(kind, 0) for _, count, kind in variables))
+    for name, count, kind in variables:
+        if kind in _BYTES and count > size:
+            raise ValueError(f"{name} is shorter than its header says")
+    return pickle.dumps(scipy.io.loadmat(path, simplify_cells=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
@@ -347,8 +348,10 @@ def test_a_mat_file_that_ends_its_reader_is_damaged(
     """Some bytes make SciPy write where it must not."""
     scipy.io.savemat(tmp_path / "a.mat", {"t": T, "q": Q, "dq": DQ, "tau": TAU})
     same(load(tmp_path / "a.mat"))
-    (tmp_path / "dies.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-    monkeypatch.setattr(mat, "__file__", str(tmp_path / "dies.py"))
+    dies = "import os, signal\ndef load(*_): os.kill(os.getpid(), signal.SIGSEGV)"
+    (tmp_path / "dies.py").write_text(dies)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(mat, "load", importlib.import_module("dies").load)
     with pytest.raises(BadRecording, match=r"cannot be read.*damaged"):
         load(tmp_path / "a.mat")
 

@@ -18,8 +18,8 @@ import pytest
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
 from excitant.files import write_folder
 from excitant.identify import load_dataset, load_recording
-from excitant.robots import Robot, load_robot, xacro_files
-from excitant.robots.expressions import Function, Refused, evaluate
+from excitant.robots import Robot, load_robot, xacro
+from excitant.robots.expressions import MATH, PYTHON, Names, Refused, evaluate
 from excitant.robots.geometry import scene, unchecked
 
 Refuse = Callable[..., str]
@@ -29,6 +29,11 @@ BODY = (
     '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 )
 SECONDS = 15.0  # of processor time: what no file may take
+
+
+def _processor_time() -> float:
+    """Processor time of this process and its children [s]."""
+    return sum(os.times()[:4])
 
 
 def arm(name: str = "arm", before: str = "", shape: str = "", origin: str = 'xyz="0 0 1"') -> str:
@@ -54,29 +59,29 @@ XACRO: dict[str, tuple[str, str]] = {  # what stands before the links, what is s
     "command": (
         "${[c for c in ().__class__.__base__.__subclasses__() if c.__name__ == 'catch_warnings']"
         "[0]()._module.__builtins__['__import__']('os').system('touch ran')}",
-        r"in line 1 of .*arm\.xacro uses \(\)\.__class__; .*--trust-xacro",
+        r"in line 1 of .*arm\.xacro is refused: .*--trust-xacro",
     ),
     "environment": ("$(env SECRET)", "asks for the environment; .*--trust-xacro"),
     "environment evaluated": ("$(eval env)", "no data"),
-    "power": ("${9**9**8}", "too large"),
-    "powers": ("${9**9**9**9}", "too large"),
-    "text": ("${'a'*10**10}", "too large"),
-    "list": ("${len([0]*10**9)}", "too large"),
+    "power": ("${9**9**8}", "refused"),
+    "powers": ("${9**9**9**9}", "refused"),
+    "text": ("${'a'*10**10}", "that long"),
+    "list": ("${len([0]*10**9)}", "that long"),
     "range": ("${len(list(range(10**9)))}", "too large"),
-    "loops": ("${sum(x for x in range(99999) for y in range(99999))}", "too large"),
-    "lists of lists": ("${len(python.map(range, [99999]*9999))}", "too large"),
-    "product of numbers": ("${7**1000 * 7**1000}", "1000 digits"),
-    "digits": ("${round(5, -10**9)}", "too large"),
-    "width": ("${'%1000000000d' % 1}", "format"),
+    "loops": ("${sum(x for x in range(99999) for y in range(99999))}", "too many"),
+    "lists of lists": ("${list(python.map(list, python.map(range, [99999]*99999)))}", "too"),
+    "product of numbers": ("${7**9999 * 7**9999}", "digits"),
+    "digits": ("${round(5, -10**9)}", "too much"),
+    "width": ("${'%1000000000d' % 1}", "too large"),
     "join": ("${('a'*90000).join(['b']*90000)}", "too large"),
     "replace": ("${('a'*90000).replace('a', 'b'*90000)}", "too large"),
-    "factorial": ("${math.factorial(10**7)}", "math.factorial"),
+    "factorial": ("${math.factorial(10**7)}", "too much"),
     "nested": ("${" + "-" * 50000 + "1}", "too deep"),
     "module": ("${math}", "no data"),
-    "functions": ("${math.values()}", "math.values"),
-    "doubled text": (properties("ab", "${P}${P}"), "too much work|too large"),
-    "doubled list": (properties("${[1]}", "${[P, P]}"), "100000 values"),
-    "macros": (f'<xacro:macro name="m0"/>{CALLS}<xacro:m60/>', "too much work"),
+    "functions": ("${math.values()}", "values"),
+    "doubled text": (properties("ab", "${P}${P}"), "too much"),
+    "doubled list": (properties("${[1]}", "${[P, P]}"), "too much"),
+    "macros": (f'<xacro:macro name="m0"/>{CALLS}<xacro:m60/>', "too much"),
     "macro in itself": ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "loop"),
     "file in itself": ('<xacro:include filename="arm.xacro"/>', "50 deep, perhaps in a loop"),
     "file elsewhere": ('<xacro:include filename="../secret.yaml"/>', "--package FOLDER"),
@@ -91,7 +96,7 @@ XACRO: dict[str, tuple[str, str]] = {  # what stands before the links, what is s
     "YAML in itself": ("${xacro.load_yaml('self.yaml')}", "more than 300000 values"),
     "YAML that runs": ("${xacro.load_yaml('runs.yaml')}", "constructor"),
     "deep": ("<a>" * 100_000 + "</a>" * 100_000, "100 elements deep"),
-    "long": ("${1}" + "x" * 200_000, "100000 characters"),
+    "long": ("${'x' * 200_000}", "that long"),
 }
 
 
@@ -120,13 +125,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(
     folder: Path, refused: Refuse, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr(xacro_files, "_WORK", xacro_files._WORK // 10)
+    monkeypatch.setattr(xacro, "SECONDS", 2)
     before, words = XACRO[name]
-    path, start = folder / "arm.xacro", time.process_time()
+    path, start = folder / "arm.xacro", _processor_time()
     element = before if before.startswith("<") else f'<a b="{before}"/>'
     path.write_text(arm(before=element))
     said = refused(words, load_robot, path, error=BadRobot)
-    assert time.process_time() - start < SECONDS
+    assert _processor_time() - start < SECONDS
     assert "hidden" not in said
     assert len(said) < 1000
     assert not (folder / "ran").exists()
@@ -175,14 +180,15 @@ LARGE_MACRO = '<xacro:macro name="m" params="{}"/>'
 @pytest.mark.parametrize("params", ["a:=" + "b" * 60 + "'", "a:=" + "''" * 60 + "x'"])
 def test_parameters_of_a_macro_are_read_at_once(folder: Path, params: str) -> None:
     """By a pattern of xacro's own they would take years."""
-    path, start = folder / "arm.xacro", time.process_time()
+    path, start = folder / "arm.xacro", _processor_time()
     path.write_text(arm(before=LARGE_MACRO.format(params.replace("'", "&apos;"))))
     assert load_robot(path).nv == 1
-    assert time.process_time() - start < 5
+    assert _processor_time() - start < 5
 
 
 def test_expressions_have_the_values_of_python() -> None:
-    names = {"a": 2.5, "xs": [3, 1, 2], "text": "a,b", "f": Function(abs), "max": Function(max)}
+    values = {"a": 2.5, "xs": [3, 1, 2], "text": "a,b"}
+    names = Names(MATH | PYTHON, values.__getitem__)
     for expression in (
         "-a ** 2 // 3 % 2 + 1e3",
         "xs[0] if a > 2 and not xs[1] == 2 else xs[-1]",
@@ -190,14 +196,13 @@ def test_expressions_have_the_values_of_python() -> None:
         "text.split(',')[1].upper() + '%5.2f' % a",
         "1 < a <= 3 != 4",
         "3 in xs or 'a' not in text",
-        "max(xs, key=f) + f(-2)",
+        "max(xs, key=abs) + abs(-2)",
         "(1, 2) + (3,)",
     ):
-        plain = {"a": 2.5, "xs": [3, 1, 2], "text": "a,b", "f": abs, "max": max}
-        assert evaluate(expression, names, lambda _: None) == eval(expression, plain)
-    for expression in ("a.real", "text.__len__", "f.call", "xs.append(1)", "(y := 1)", "a @ a"):
+        assert evaluate(expression, names) == eval(expression, values)
+    for expression in ("a.real", "text.__len__", "abs.call", "xs.append(1)", "(y := 1)", "a @ a"):
         with pytest.raises(Refused):
-            evaluate(expression, names, lambda _: None)
+            evaluate(expression, names)
 
 
 MJCF = """<mujoco>{}<worldbody><body name="a"><joint name="j"/><geom size=".1"/>{}
@@ -382,6 +387,7 @@ def test_a_damaged_description_is_an_arm_or_refused_in_one_line(
 ) -> None:
     shutil.copytree(DATA, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(xacro, "in_child", lambda work, *task, **_: work(*task))
     path, text = tmp_path / file, (DATA / file).read_text("utf-8")
     files = {*tmp_path.iterdir()}
     for seed in range(40):

@@ -1,0 +1,703 @@
+"""Xacro files as URDF text: ROS's macro language (https://wiki.ros.org/xacro), without ROS.
+
+Elements ``xacro:...`` define properties, arguments and macros, include files, and are replaced by
+what they build; ``${...}`` and ``$(...)`` in attributes and text are replaced by their values.
+Comments, and names of other XML namespaces, are left out. Files of others are read in a child
+process of bounded time and memory, within the folders that they may reach, in an environment that
+is empty; a file that is trusted is read as ROS does.
+"""
+
+from __future__ import annotations
+
+import copy
+import glob
+import html
+import json
+import os
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from excitant.exceptions import BadRobot, ExcitantError, UnknownName
+from excitant.files import read_text
+from excitant.limited import Exceeded, in_child
+from excitant.robots.expressions import (
+    MATH,
+    PYTHON,
+    Entries,
+    Names,
+    Properties,
+    Refused,
+    evaluate,
+)
+from excitant.robots.files import package_folders, parse_xml, read_description, within
+from excitant.robots.schema import Loader, parsed_yaml
+
+SECONDS = 10  # of processor time that a file may take
+MEMORY = 1 << 30  # bytes of address space that reading it may take
+_NESTED = 50  # files that include one another
+_TRUST = "if you trust the file, --trust-xacro runs it as Python"
+_TEXT = re.compile(
+    r"(?P<escaped>\$\$+[{(])|\$\{(?P<expression>[^}]*)\}|\$\((?P<command>[^)]*)\)"
+    r"|[^$]+|\$[^{($]+|\$$"
+)
+_MACRO_ARGUMENT = re.compile(
+    r"""\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'[^']*'|"[^"]*"|[^\s'"])+|)"""
+    r"(?:\s+|$)"
+)
+_UNITS = {
+    "radians": 1.0,
+    "degrees": MATH["pi"] / 180,
+    "meters": 1.0,
+    "millimeters": 1e-3,
+    "foot": 0.3048,
+    "inches": 0.0254,
+}
+
+
+def is_xacro(text: str) -> bool:
+    """Whether the text of a robot needs xacro."""
+    return "xacro" in text and any(sign in text for sign in ("<xacro:", "${", "$("))
+
+
+def urdf_from_xacro(
+    path: str | Path,
+    arguments: Mapping[str, str],
+    packages: Sequence[str | Path] = (),
+    *,
+    trust: bool = False,
+) -> tuple[str, tuple[str, ...]]:
+    """URDF text of a xacro file, and what it was denied, as sentences.
+
+    Args:
+        path: The file.
+        arguments: Values of its ``<xacro:arg>`` by name.
+        packages: Folders in which ``$(find name)`` looks: the package itself, or a folder that
+            holds it. Folders around the file are searched without being named.
+        trust: Whether its expressions run as Python, with all files and the environment.
+    """
+    folders = [str(folder) for folder in packages]
+    task = (str(path), dict(arguments), folders, trust)
+    try:
+        answer = (
+            process(*task)
+            if trust
+            else in_child(process, *task, seconds=SECONDS, memory=MEMORY)
+        )
+    except Exceeded as error:
+        raise BadRobot(
+            path,
+            f"this xacro file {error}, perhaps in macros that call one another; {_TRUST}",
+        ) from None
+    except ValueError as error:
+        raise BadRobot(path, f"xacro cannot read it: {error}") from None
+    result = json.loads(answer)
+    if "why" in result:
+        raise BadRobot(result["source"], result["why"])
+    for name in arguments:
+        if name not in result["declared"]:
+            unknown = UnknownName("xacro argument", name, result["declared"])
+            raise BadRobot(path, str(unknown))
+    return result["urdf"], tuple(result["notes"])
+
+
+def process(
+    path: str, arguments: Mapping[str, str], packages: Sequence[str], trust: bool
+) -> bytes:
+    """Answer to `urdf_from_xacro` as JSON: ``urdf``, ``notes``, ``declared``; or ``why`` not."""
+    reading = _Reading(Path(path), dict(arguments), packages, trust)
+    try:
+        root = reading.document(path)
+        built = ET.Element(root.tag)
+        with reading.inside(path):
+            reading.build(root, built, _Scope())
+        if built.find("link") is None:
+            why = "if it only defines macros, give the file that calls them"
+            raise BadRobot(path, f"this xacro file builds no links; {why}")
+        answer = {
+            "urdf": ET.tostring(built, encoding="unicode"),
+            "notes": reading.notes,
+            "declared": sorted(reading.declared),
+        }
+    except BadRobot as error:
+        answer = {"source": error.source, "why": error.why}
+    except RecursionError:
+        why = "its macros or expressions lie too deep within one another, perhaps in a loop"
+        answer = {"source": path, "why": why}
+    return json.dumps(answer).encode()
+
+
+@dataclass(frozen=True)
+class _Macro:
+    """A macro: its parameters with their defaults, blocks marked by ``*``, and what it builds."""
+
+    parameters: Mapping[str, _Default | None]
+    body: ET.Element
+
+
+@dataclass(frozen=True)
+class _Default:
+    """Default of a parameter: the caller's property of the same name where ``forward``, or text."""
+
+    forward: bool
+    text: str | None
+
+
+@dataclass
+class _Scope:
+    """Properties, macros and namespaces that are visible at one place of a file."""
+
+    parent: _Scope | None = None
+    is_namespace: bool = False
+    properties: dict[str, Any] = field(default_factory=dict)
+    unevaluated: set[str] = field(default_factory=set)
+    macros: dict[str, _Macro] = field(default_factory=dict)
+    namespaces: dict[str, _Scope] = field(default_factory=dict)
+
+    def chain(self) -> Iterator[_Scope]:
+        """The scope and those around it."""
+        scope: _Scope | None = self
+        while scope is not None:
+            yield scope
+            scope = scope.parent
+
+    def owner(self, name: str) -> _Scope:
+        """The nearest scope with a property of a name; KeyError without any."""
+        for scope in self.chain():
+            if name in scope.properties:
+                return scope
+        raise KeyError(name)
+
+    def __contains__(self, name: str) -> bool:
+        return any(name in scope.properties for scope in self.chain())
+
+    def caller(self) -> _Scope:
+        """The scope around that of a macro, namespaces left out."""
+        around = list(self.chain())[1:] or [self]
+        if self.is_namespace:
+            return around[0]
+        return next((scope for scope in around if not scope.is_namespace), around[-1])
+
+    def macro(self, name: str) -> tuple[_Macro, _Scope]:
+        """A macro, and the scope around its own: its namespace, or that of the call."""
+        for scope in self.chain():
+            if name in scope.macros:
+                return scope.macros[name], self
+        space, _, rest = name.partition(".")
+        for scope in self.chain():
+            if rest and space in scope.namespaces:
+                return scope.namespaces[space].macro(rest)
+        raise KeyError(name)
+
+
+class _Reading:
+    """The reading of one xacro file with those that it includes."""
+
+    def __init__(
+        self,
+        path: Path,
+        arguments: dict[str, str],
+        packages: Sequence[str],
+        trust: bool,
+    ) -> None:
+        self.path = path
+        self.arguments = arguments
+        self.packages = packages
+        self.trust = trust
+        self.declared: set[str] = set()
+        self.packages_found: list[Path] = []
+        self.files: list[str] = []  # that include one another, the innermost last
+        self.texts: dict[str, str] = {}
+        self.notes: list[str] = []
+        self.evaluating: list[str] = []  # properties that need one another
+        own = self._functions()
+        spaces = {"math": MATH, "python": PYTHON, "xacro": own}
+        self.functions = {**MATH, **PYTHON, **own}
+        self.functions |= {name: SimpleNamespace(**x) for name, x in spaces.items()}
+
+    # Elements
+
+    def build(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
+        """Add to an element what the content of another builds, its attributes included."""
+        for name, value in element.attrib.items():
+            if not name.startswith("xacro:"):
+                out.set(name, str(self.value(value, scope)))
+        self.build_content(element, out, scope)
+
+    def build_content(
+        self, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
+        """Add to an element what the children of another build."""
+        text = self.value(element.text or "", scope)
+        out.text = f"{out.text or ''}{text}".strip() or None
+        for child in element:
+            self.build_child(child, out, scope)
+
+    def build_child(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
+        """Add to an element what another builds."""
+        prefix, _, kind = element.tag.rpartition(":")
+        if prefix != "xacro":
+            self.build(element, ET.SubElement(out, element.tag), scope)
+            return
+        action = getattr(self, f"_build_{kind}", None)
+        if action is None:
+            self._call(kind, element, out, scope)
+        else:
+            action(element, out, scope)
+
+    def _build_property(
+        self, element: ET.Element, _: ET.Element, scope: _Scope
+    ) -> None:
+        name = str(self.value(_required(element, "name"), scope))
+        if not name.isidentifier() or name.startswith("__"):
+            raise self._error(
+                f"property '{name}' is no name; use letters, digits and _"
+            )
+        value: Any = element.get("value")
+        default = element.get("default")
+        if _truth(self.value(element.get("remove", "false"), scope), "remove"):
+            for outer in scope.chain():
+                outer.properties.pop(name, None)
+            return
+        if default is not None:
+            if name in scope:
+                return
+            value = default
+        if value is None:
+            name = f"**{name}"
+            value = element
+        lazy = _truth(self.value(element.get("lazy_eval", "true"), scope), "lazy_eval")
+        target = scope
+        if (reach := element.get("scope")) in ("global", "parent"):
+            lazy = False
+            target = list(scope.chain())[-1] if reach == "global" else scope.caller()
+        if not lazy and isinstance(value, str):
+            value = self.value(value, scope)
+        self._set(target, name, value, lazy)
+
+    def _build_arg(self, element: ET.Element, _: ET.Element, scope: _Scope) -> None:
+        name = _required(element, "name")
+        default = _required(element, "default")
+        self.declared.add(name)
+        if name not in self.arguments:
+            self.arguments[name] = str(self.value(default, scope))
+
+    def _build_macro(self, element: ET.Element, _: ET.Element, scope: _Scope) -> None:
+        name = _required(element, "name").removeprefix("xacro:")
+        if name == "call" or "." in name:
+            raise self._error(f"a macro cannot be called '{name}'")
+        parameters = dict(_parameters(element.get("params", "")))
+        scope.macros[name] = _Macro(parameters, element)
+
+    def _build_if(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
+        self._condition(element, out, scope, True)
+
+    def _build_unless(
+        self, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
+        self._condition(element, out, scope, False)
+
+    def _condition(
+        self, element: ET.Element, out: ET.Element, scope: _Scope, wanted: bool
+    ) -> None:
+        condition = _required(element, "value")
+        if _truth(self.value(condition, scope), condition) == wanted:
+            self.build_content(element, out, scope)
+
+    def _build_insert_block(
+        self, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
+        name = _required(element, "name")
+        if f"**{name}" in scope:
+            block = scope.owner(f"**{name}").properties[f"**{name}"]
+            self.build_content(block, out, scope)
+        elif f"*{name}" in scope:
+            block = scope.owner(f"*{name}").properties[f"*{name}"]
+            self.build_child(block, out, scope)
+        else:
+            raise self._error(f"there is no block '{name}'")
+
+    def _build_element(
+        self, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
+        built = copy.copy(element)
+        built.tag = str(self.value(_required(element, "xacro:name"), scope))
+        self.build_child(built, out, scope)
+
+    def _build_attribute(
+        self, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
+        name, value = (
+            str(self.value(_required(element, key), scope)) for key in ("name", "value")
+        )
+        out.set(name, value)
+
+    def _build_call(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
+        call = copy.copy(element)
+        name = str(self.value(_required(element, "macro"), scope))
+        del call.attrib["macro"]
+        self._call(name, call, out, scope)
+
+    def _build_include(
+        self, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
+        optional = _truth(element.get("optional", "false"), "optional")
+        inner = scope
+        if namespace := element.get("ns"):
+            inner = _Scope(scope, is_namespace=True)
+            name = str(self.value(namespace, scope))
+            scope.namespaces[name] = inner
+            scope.properties[name] = Properties(self._look_up(inner))
+        named = str(self.value(_required(element, "filename"), scope))
+        for file in self._included(named):
+            if optional and not os.path.exists(file):
+                continue
+            with self.inside(file):
+                self.build_content(self.document(file), out, inner)
+
+    def _call(
+        self, name: str, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
+        """Build what a macro builds with the attributes and blocks of an element."""
+        try:
+            macro, around = scope.macro(name)
+        except KeyError:
+            raise self._error(f"unknown macro name: xacro:{name}") from None
+        inner = _Scope(around)
+        for key, value in element.attrib.items():
+            if key not in macro.parameters:
+                raise self._error(f"macro '{name}' has no parameter '{key}'")
+            self._set(inner, key, self.value(value, scope), lazy=False)
+        content = ET.Element("blocks")
+        self.build_content(element, content, scope)
+        blocks = list(content)
+        for key, default in macro.parameters.items():
+            if key.startswith("*"):
+                if not blocks:
+                    raise self._error(f"macro '{name}' needs a block for '{key}'")
+                inner.properties[key] = blocks.pop(0)
+            elif key not in inner.properties:
+                value = self._default(name, key, default, scope)
+                self._set(inner, key, value, lazy=False)
+        if blocks:
+            raise self._error(f"macro '{name}' has no block for <{blocks[0].tag}>")
+        self.build_content(macro.body, out, inner)
+
+    def _default(
+        self, macro: str, name: str, default: _Default | None, scope: _Scope
+    ) -> Any:
+        if default is not None and default.forward and name in scope:
+            return self._look_up(scope)(name)
+        if default is None or default.text is None:
+            raise self._error(
+                f"macro '{macro}' needs a value of its parameter '{name}'"
+            )
+        return self.value(default.text, scope)
+
+    # Values
+
+    def _set(self, scope: _Scope, name: str, value: Any, lazy: bool) -> None:
+        value = _literal(value)
+        scope.properties[name] = value
+        scope.unevaluated.discard(name)
+        if lazy and isinstance(value, str):
+            scope.unevaluated.add(name)
+
+    def _look_up(self, scope: _Scope) -> Callable[[str], Any]:
+        """Function that gives the value of a property; KeyError where there is none."""
+
+        def value(name: str) -> Any:
+            owner = scope.owner(name)
+            if name in owner.unevaluated:
+                if name in self.evaluating:
+                    names = " -> ".join([*self.evaluating, name])
+                    raise self._error(f"properties need one another in a loop: {names}")
+                self.evaluating.append(name)
+                found = _literal(self.value(owner.properties[name], owner))
+                self.evaluating.pop()
+                owner.properties[name] = found
+                owner.unevaluated.discard(name)
+            return owner.properties[name]
+
+        return value
+
+    def value(self, text: str, scope: _Scope) -> Any:
+        """Value of a text with its expressions and commands; of a single one with its type."""
+        parts: list[Any] = []
+        for part in _TEXT.finditer(text):
+            if part["expression"] is not None:
+                expression = str(self.value(part["expression"], scope))
+                names = Names(self.functions, self._look_up(scope))
+                parts.append(self._evaluated(expression, names))
+            elif part["command"] is not None:
+                parts.append(self._command(str(self.value(part["command"], scope))))
+            else:
+                parts.append(part[0][1:] if part["escaped"] else part[0])
+        return parts[0] if len(parts) == 1 else "".join(map(str, parts))
+
+    def _evaluated(self, expression: str, names: Names) -> Any:
+        short = _shortened(expression, 80)
+        try:
+            if self.trust:
+                return eval(expression.strip(), names)
+            return evaluate(expression, names)
+        except (ExcitantError, RecursionError, MemoryError):
+            raise
+        except Refused as error:
+            raise self._error(
+                f"the expression '{short}'{self._line(expression)} is refused: {error}; only "
+                f"plain values of bounded size are evaluated; {_TRUST}"
+            ) from None
+        except Exception as error:  # an expression of the file may raise any
+            why = _shortened(str(error) or type(error).__name__, 300)
+            raise self._error(
+                f"xacro cannot evaluate '{short}'{self._line(expression)}: {why}"
+            ) from None
+
+    def _command(self, command: str) -> Any:
+        """Value of ``$(command)``."""
+        name, _, rest = command.strip().partition(" ")
+        words = rest.split()
+        if name == "eval":
+            return str(self._evaluated(rest, self._names_of_arguments()))
+        if name == "cwd":
+            return os.getcwd()
+        if name == "optenv" and words:
+            return self.environment(words[0], " ".join(words[1:]))
+        commands = {"arg": self.argument, "find": self.find, "env": self.environment}
+        if name in commands and len(words) == 1:
+            return commands[name](words[0])
+        raise self._error(f"xacro does not know $({command})")
+
+    def _names_of_arguments(self) -> Names:
+        """Names in ``$(eval ..)``: arguments as what they look like, conversions, mathematics."""
+        own = {
+            "true": True,
+            "false": False,
+            "arg": lambda name: _typed(self.argument(name)),
+            "find": self.find,
+            "env": self.environment,
+            "optenv": lambda name, default="": self.environment(name, default),
+        }
+
+        def look_up(name: str) -> Any:
+            return own[name] if name in own else _typed(self.arguments[name])
+
+        return Names(MATH | PYTHON | own, look_up)
+
+    def argument(self, name: str) -> str:
+        """Value of an argument."""
+        self.declared.add(name)
+        if name not in self.arguments:
+            raise self._error(
+                f"xacro: undefined argument '{name}'; give it with --xacro-arg NAME:=VALUE "
+                "(xacro_args in a robot.yaml)"
+            )
+        return self.arguments[name]
+
+    def environment(self, name: str, default: str | None = None) -> str:
+        """An environment variable: there is none, whatever is set, unless the file is trusted."""
+        if self.trust and name in os.environ:
+            return os.environ[name]
+        if default is None:
+            raise self._error(f"$(env {name}) asks for the environment; {_TRUST}")
+        if name in os.environ:
+            self.notes.append(
+                f"$(optenv {name}) is taken as not set; --trust-xacro reads it"
+            )
+        return default
+
+    def _functions(self) -> dict[str, Any]:
+        """Functions of xacro's own."""
+
+        def silent(*_: object, **__: object) -> str:
+            return ""
+
+        return {
+            "load_yaml": self.yaml,
+            "abs_filename": self._beside,
+            "dotify": Entries,
+            "arg": self.argument,
+            "tokenize": _tokenize,
+            "fatal": _fatal,
+            **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
+        }
+
+    # Files
+
+    @contextmanager
+    def inside(self, file: str) -> Iterator[None]:
+        """Read a file, which others are named relative to."""
+        self.files.append(file)
+        if len(self.files) > _NESTED:
+            why = (
+                f"files include one another more than {_NESTED} deep, perhaps in a loop"
+            )
+            raise self._error(why)
+        yield
+        self.files.pop()
+
+    def document(self, file: str) -> ET.Element:
+        """Root of a file."""
+        try:
+            text = read_text(file)
+        except OSError as error:
+            raise self._error(f"xacro cannot read {file}: {error.strerror}") from None
+        except UnicodeDecodeError:
+            text = read_description(file)
+        self.texts[file] = text
+        return parse_xml(text, file, "xacro", prefix="xacro")
+
+    def find(self, name: str) -> str:
+        """Folder of a package: among those given, or around the file."""
+        folder = next(package_folders(name, self.path, self.packages), None)
+        if folder is None:
+            raise self._error(
+                f"$(find {name}): there is no package '{name}' around the file; give its folder "
+                f"with --package /path/to/{name} (packages: [..] in a robot.yaml)"
+            )
+        self.packages_found.append(folder)
+        return str(folder)
+
+    def _beside(self, file: str) -> str:
+        """Path of a file that is named relative to the one that is read."""
+        return os.path.join(os.path.dirname(self.files[-1]), file)
+
+    def _included(self, named: str) -> Iterator[str]:
+        """Files of an ``<xacro:include>``, whose name may hold ``*`` and the like."""
+        path = self._beside(named)
+        folder = os.path.dirname(path)
+        if glob.has_magic(folder) and not self.trust:
+            raise self._error(
+                f"it includes {path}: only the last part of a name may hold * or ?; {_TRUST}"
+            )
+        for file in sorted(glob.glob(path)) if glob.has_magic(path) else [path]:
+            self._require_allowed(file)
+            yield file
+
+    def _require_allowed(self, file: str) -> None:
+        """Refuse a file that the one that is read may not name."""
+        if not self.trust:
+            known = [self.path.parent, *map(Path, self.packages), *self.packages_found]
+            within(file, self.files[-1], known)
+
+    def yaml(self, file: str) -> Any:
+        """Content of a YAML file."""
+        path = self._beside(file)
+        self._require_allowed(path)
+        try:
+            text = read_text(path)
+        except (OSError, UnicodeDecodeError) as error:
+            why = getattr(error, "strerror", "not UTF-8")
+            raise self._error(f"xacro cannot read {path}: {why}") from None
+        with self.inside(path):
+            return _dotted(parsed_yaml(text, self._loader()))
+
+    def _loader(self) -> type[Loader]:
+        """YAML whose numbers may have a unit, such as ``!degrees 90``."""
+
+        class WithUnits(Loader):
+            pass
+
+        for unit, factor in _UNITS.items():
+            WithUnits.add_constructor(f"!{unit}", self._quantity(factor))
+        return WithUnits
+
+    def _quantity(self, factor: float) -> Callable[[Any, Any], float]:
+        names = Names(self.functions, self._look_up(_Scope()))
+
+        def construct(loader: Any, node: Any) -> float:
+            expression = loader.construct_scalar(node)
+            return float(self._evaluated(expression, names)) * factor
+
+        return construct
+
+    # Messages
+
+    def _error(self, why: str) -> BadRobot:
+        return BadRobot(self.path, why)
+
+    def _line(self, expression: str) -> str:
+        """File and line of an expression, where it stands there in one line."""
+        for file, text in reversed(self.texts.items()):
+            for number, line in enumerate(text.splitlines(), start=1):
+                if expression in html.unescape(line):
+                    return f" in line {number} of {file}"
+        return ""
+
+
+def _required(element: ET.Element, key: str) -> str:
+    value = element.get(key)
+    if value is None:
+        raise ValueError(f"<{element.tag}> lacks its attribute '{key}'")
+    return value
+
+
+def _parameters(text: str) -> Iterator[tuple[str, _Default | None]]:
+    """Parameters of a macro: ``name``, ``name:=default``, ``name:=^|default``, ``*block``."""
+    while text := text.lstrip():
+        if stated := _MACRO_ARGUMENT.match(text):
+            name, forward, default = stated.groups()
+            yield name, _Default(bool(forward), default or None)
+            text = text[stated.end() :]
+        else:
+            name, *rest = text.split(None, 1)
+            yield name, None
+            text = "".join(rest)
+
+
+def _literal(value: Any) -> Any:
+    """A text as the number or truth value that it stands for, or without its quotes."""
+    if not isinstance(value, str):
+        return value
+    if len(value) >= 2 and value[0] == value[-1] == "'":
+        return value[1:-1]
+    if "_" in value:
+        return value
+    for kind in (int, float):
+        try:
+            return kind(value)
+        except ValueError:
+            pass
+    truths = {"true": True, "True": True, "false": False, "False": False}
+    return truths.get(value, value)
+
+
+def _typed(text: str) -> Any:
+    """An argument as what it looks like."""
+    try:
+        return float(text) if "." in text else int(text)
+    except ValueError:
+        return {"true": True, "false": False}.get(text.lower(), text)
+
+
+def _truth(value: Any, condition: str) -> bool:
+    value = _literal(value)
+    if isinstance(value, str):
+        raise ValueError(f'"{condition}" is "{value}", neither true nor false')
+    return bool(value)
+
+
+def _dotted(content: Any) -> Any:
+    """Content of YAML whose keys are attributes too."""
+    if isinstance(content, dict):
+        return Entries({key: _dotted(value) for key, value in content.items()})
+    return [_dotted(x) for x in content] if isinstance(content, list) else content
+
+
+def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
+    words = re.split(f"[{re.escape(sep)}]", text)
+    return [word for word in words if word] if skip_empty else words
+
+
+def _fatal(*words: object) -> None:
+    raise ValueError(" ".join(map(str, words)))
+
+
+def _shortened(text: str, most: int) -> str:
+    return text if len(text) < most else f"{text[: most - 3]}..."

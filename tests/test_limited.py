@@ -1,0 +1,56 @@
+"""Work in a child process: its result, its refusals, and what it may not do."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from excitant.limited import Exceeded, in_child
+
+WORK = """
+def answers(a, b): return f"{a} {b}".encode()
+def refuses(): raise KeyError("no\\nsuch thing")
+def loops():
+    while True: pass
+def grows(): return bytes(1 << 31)
+def writes(file): open(file, "w").write("x" * 9999)
+"""
+
+
+@pytest.fixture
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """``work(name, ...)``: what a function comes to with a second and half a GB."""
+    (tmp_path / "strange_work.py").write_text(WORK)
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module("strange_work")
+
+    def run(name: str, *arguments: object) -> str:
+        found = in_child(getattr(module, name), *arguments, seconds=1, memory=1 << 29)
+        return found.decode()
+
+    return run
+
+
+def test_a_child_answers_or_says_why_not(work: Callable[..., str]) -> None:
+    assert work("answers", 1, "b") == "1 b"
+    with pytest.raises(ValueError, match=r"no.*such thing") as refused:
+        work("refuses")
+    assert not isinstance(refused.value, Exceeded)
+
+
+@pytest.mark.parametrize("name", ["loops", "grows"])
+def test_a_child_ends_at_its_limits(work: Callable[..., str], name: str) -> None:
+    start = sum(os.times()[:4])
+    with pytest.raises(Exceeded, match="too much time or memory"):
+        work(name)
+    assert sum(os.times()[:4]) - start < 5
+
+
+def test_a_child_writes_no_files(work: Callable[..., str], tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"File too large|too much"):
+        work("writes", str(tmp_path / "file"))
+    assert not (tmp_path / "file").exists() or not (tmp_path / "file").stat().st_size
