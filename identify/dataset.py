@@ -40,7 +40,7 @@ from excitant.identify.reading.mapping import (
 from excitant.identify.recording import Recording
 from excitant.robots.chains import RobotSpec
 from excitant.robots.files import parse_xml, within
-from excitant.robots.limits import limits_from
+from excitant.robots.limits_file import limits_from
 from excitant.robots.loading import load_robot, robot_of
 from excitant.robots.mjcf import Description
 from excitant.robots.robot import Robot

@@ -11,7 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from excitant.robots.geometry import missing_meshes, readable_solids, zero_pose
+from excitant.robots.geometry import readable_solids, zero_pose
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -119,7 +119,10 @@ class Appearance:
             more = f" and {len(links) - _LISTED} more" if len(links) > _LISTED else ""
             said += [f"{how}: {', '.join(links[:_LISTED])}{more}"] * bool(links)
         kinds = ("collision", "visual") if said else ("collision",)
-        lost = {kind: missing_meshes(self.robot, kind) for kind in kinds}
+        counts = {
+            kind: self.robot.format.count_shapes(self.robot, kind) for kind in kinds
+        }
+        lost = {kind: missing for kind, (_, missing, _) in counts.items()}
         said += [
             f"{count} {kind} meshes were not found"
             for kind, count in lost.items()

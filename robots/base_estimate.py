@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from excitant.exceptions import BadRobot
-from excitant.robots.files import read_description
 from excitant.robots.motion import Array, freeze
 
 _HEAD = ("parameter", "value")
@@ -49,14 +48,10 @@ class BaseEstimate:
         return text.getvalue()
 
 
-def read_base_estimate(path: Path) -> BaseEstimate:
-    """The table that `BaseEstimate.csv` writes.
-
-    Raises:
-        BadRobot: A file that cannot be read, or holds no such table.
-    """
+def base_estimate_from_csv(text: str, path: Path) -> BaseEstimate:
+    """The table that `BaseEstimate.csv` writes; `BadRobot` where a text holds none."""
     try:
-        head, *rows = list(csv.reader(io.StringIO(read_description(path)))) or [[]]
+        head, *rows = list(csv.reader(io.StringIO(text))) or [[]]
     except csv.Error as error:
         raise BadRobot(path, f"not CSV ({error}); {_AGAIN}") from None
     names = tuple(head[2:])

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.geometry import Body, bent_pose, bodies, sketch, zero_pose
+from excitant.robots.geometry import Body, bent_pose, sketch, zero_pose
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import PLACEHOLDER, elements, violations
 from excitant.robots.regressor import rigid_body_torque
@@ -80,7 +80,7 @@ class ModelCheck:
     @cached_property
     def bodies(self) -> tuple[Body, ...]:
         """The links as stated."""
-        return bodies(self.robot)
+        return self.robot.format.bodies(self.robot)
 
     @cached_property
     def gravity_peaks(self) -> Array:

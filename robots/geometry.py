@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import product
-from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +15,6 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
-from excitant.robots.chains import tree
-from excitant.robots.files import package_folders, real_path, within
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.schema import (
@@ -30,7 +24,6 @@ from excitant.robots.schema import (
     convert,
     read_yaml,
 )
-from excitant.robots.urdf import full_model, quietly
 
 _DRAWN = 300  # poses tried for one in which the arm does not hide itself
 _BEND = 1.9  # rad, either way, of those
@@ -45,7 +38,6 @@ _UPRIGHT = 0.99  # cosine between the base's axis and up, at least, of an arm on
 _STANDS = 0.25  # of all poses: above the plane that an arm stands on
 _BASE = 0.05  # m: shapes of a base that end so near its frame stand on it
 _LISTED = 3  # links without collision shapes, by name
-_LARGEST_MESH = 500_000_000  # bytes
 _POINT = 1e-4  # m, radius of the sphere that stands for it
 
 
@@ -106,94 +98,6 @@ class Body:
         return np.asarray(spread + np.cov(centres.T, aweights=volumes, ddof=0))
 
 
-def bodies(robot: Robot) -> tuple[Body, ...]:
-    """The links of an arm that its joints move or that stand under it, from the base outward."""
-    root = ET.fromstring(robot.description)
-    named = tree(root, robot.source)
-    under = [joint.parent for joint in named.ancestors(robot.links[0])]
-    origins: dict[str, list[Array]] = {}
-    for joint in root.findall("joint"):
-        parent = named.joints[str(joint.get("name"))].parent
-        origins.setdefault(parent, [np.zeros(3)]).append(_origin(joint).translation)
-    found = []
-    for link in root.findall("link"):
-        name = str(link.get("name"))
-        carrier = named.carrier(name, robot.links)
-        if carrier or name in under:
-            points = np.array(origins.get(name, [np.zeros(3)]))
-            kinds = (
-                map(_shape, link.findall(kind)) for kind in ("collision", "visual")
-            )
-            solids = (tuple(filter(None, shapes)) for shapes in kinds)
-            shapes = next(filter(None, solids), ())
-            found.append(Body(name, carrier, *_inertia(link), points, shapes))
-    order = {link: k for k, link in enumerate(robot.links)}
-    return tuple(sorted(found, key=lambda body: order.get(body.carrier, -1)))
-
-
-def _inertia(link: ET.Element) -> tuple[bool, float, Array, Array]:
-    """Whether a link states one, its mass, centre and tensor about it in the link's axes."""
-    inertial = link.find("inertial")
-    if inertial is None:
-        return False, 0.0, np.zeros(3), np.zeros((3, 3))
-    place = _origin(inertial)
-    mass = float(_attribute(inertial, "mass", "value", "0"))
-    tensor = [
-        [
-            float(_attribute(inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0"))
-            for b in "xyz"
-        ]
-        for a in "xyz"
-    ]
-    return True, mass, place.translation, place.rotation @ tensor @ place.rotation.T
-
-
-def _attribute(element: ET.Element, child: str, key: str, default: str) -> str:
-    found = element.find(child)
-    return default if found is None else found.get(key) or default
-
-
-def _origin(element: ET.Element) -> pin.SE3:
-    """Placement that an element's ``<origin xyz rpy>`` states; none is the identity."""
-    xyz, rpy = (
-        _floats(_attribute(element, "origin", key, "0 0 0")) for key in ("xyz", "rpy")
-    )
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
-
-
-def _floats(text: str) -> Array:
-    return np.array(text.split(), float)
-
-
-def _shape(element: ET.Element) -> Shape | None:
-    """The solid of a collision or visual element; None for meshes and what has no volume."""
-    solid = element.find("geometry/*")
-    if solid is None:
-        return None
-    r = float(solid.get("radius", "0"))
-    length = float(solid.get("length", "0"))
-    box = _floats(solid.get("size", "0 0 0")) / 2
-    variance = np.array([r * r / 4, r * r / 4, length**2 / 12])
-    bar = np.array([r, r, length / 2]), np.pi * r * r * length, variance, length, r
-    known = {  # half the extents, volume, variances, length of the axis, radius
-        "sphere": (np.full(3, r), 4.19 * r**3, np.full(3, r * r / 5), 0.0, r),
-        "cylinder": bar,
-        "capsule": (bar[0] + [0, 0, r], *bar[1:]),
-        "box": (box, 8 * box.prod(), box**2 / 3, 2 * box[2], float(box[:2].mean())),
-    }
-    half, volume, variance, axis, radius = known.get(
-        solid.tag, (box, 0.0, box, 0.0, 0.0)
-    )
-    if volume <= 0:
-        return None
-    place = _origin(element)
-    R = place.rotation
-    c = place.translation
-    corners = c + (np.array(list(product((-1, 1), repeat=3))) * half) @ R.T
-    tip = R[:, 2] * axis / 2
-    return Shape(c - tip, c + tip, radius, corners, float(volume), (R * variance) @ R.T)
-
-
 def zero_pose(robot: Robot) -> Array:
     """Zero, or the end of a joint's range that is nearest to it, shape (nv,) [rad or m]."""
     return np.clip(np.zeros(robot.nv), *robot.limits.position.T)
@@ -241,7 +145,7 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
     axes = robot.axes(q, data)
     pin.updateFramePlacements(model, data)
     solids = []
-    for body in bodies(robot):
+    for body in robot.format.bodies(robot):
         frame = data.oMf[model.getFrameId(body.link, pin.FrameType.BODY)]
         joint = robot.links.index(body.carrier) + 1 if body.carrier else 0
         for shape in body.shapes:
@@ -457,7 +361,7 @@ def scene(
         obstacles: Bodies in the cell.
         clearance: Distance that will be required [m].
     """
-    geometry = _solids(robot).copy()
+    geometry = robot.format.solids(robot, "collision").copy()
     boxed = {
         name for o in obstacles if o.shape == "workspace" for name, _, _ in o.bodies()
     }
@@ -490,22 +394,6 @@ def scene(
     )
 
 
-@lru_cache(maxsize=8)
-def _solids(robot: Robot, kind: str = "collision") -> Any:
-    """Collision or visual shapes, but for meshes that are not there; never edited."""
-    root = ET.fromstring(robot.description)
-    _find_meshes(root, robot, kind)
-    model, reference, locked = full_model(root, robot)
-    text = ET.tostring(root, encoding="unicode")
-    wanted = getattr(pin.GeometryType, kind.upper())
-    with quietly(robot.source):
-        geometry = pin.buildGeomFromUrdfString(model, text, wanted)
-    _make_convex(geometry)
-    if locked:
-        _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
-    return geometry
-
-
 def floor(height: float) -> Obstacle:
     """The floor at a height in the base frame [m]."""
     return Obstacle(_FLOOR, "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), height))
@@ -524,7 +412,7 @@ def base_plane(robot: Robot) -> float | None:
         return None
     lowest = min(float(_corners(body)[:, 2].min()) for body in fixed)
     height = 0.0 if abs(lowest) < _BASE else lowest
-    geometry = _solids(robot).copy()
+    geometry = robot.format.solids(robot, "collision").copy()
     [(name, plane, here)] = floor(height).bodies()
     last = geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, here, plane))
     pairs = [pair for pair in _pairs(robot, geometry, set()) if last in pair]
@@ -581,14 +469,9 @@ def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
 def readable_solids(robot: Robot, kind: str = "collision") -> list[Any]:
     """Collision or visual shapes as Pinocchio has them, meshes as hulls; none if one is damaged."""
     try:
-        return list(_solids(robot, kind).geometryObjects)
+        return list(robot.format.solids(robot, kind).geometryObjects)
     except BadRobot:
         return []
-
-
-def missing_meshes(robot: Robot, kind: str) -> int:
-    """Number of meshes of collision or visual shapes that are not found."""
-    return _find_meshes(ET.fromstring(robot.description), robot, kind)[0]
 
 
 def unchecked(robot: Robot, scene: Scene | None) -> str:
@@ -596,11 +479,9 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
 
     Shapes of neighbouring links, which touch by design, are never checked against each other.
     """
-    root = ET.fromstring(robot.description)
-    stated = len(root.findall("link/collision"))
-    (missing, outside) = _find_meshes(root, robot)
-    solid = _carriers(root, robot, "collision")
-    drawn = _carriers(root, robot, "visual")
+    stated, missing, outside = robot.format.count_shapes(robot, "collision")
+    solid = robot.format.carriers(robot, "collision")
+    drawn = robot.format.carriers(robot, "visual")
     shapeless = [link or "base" for link in ("", *robot.links) if link in drawn - solid]
     left = []
     if missing or not solid - {""} or scene is None:
@@ -629,13 +510,6 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
     if scene is None or all(obstacle.name != _FLOOR for obstacle in scene.obstacles):
         left.append(_FLOOR)
     return "; ".join(left)
-
-
-def _carriers(root: ET.Element, robot: Robot, kind: str) -> set[str]:
-    """Moving links that carry a collision or visual element; empty for what stands still."""
-    links = root.findall(f"link[{kind}]")
-    named = tree(root, robot.source)
-    return {named.carrier(str(link.get("name")), robot.links) for link in links}
 
 
 def _paired(
@@ -670,78 +544,3 @@ def _pairs(robot: Robot, geometry: Any, boxed: set[str]) -> list[tuple[int, int]
         and (alone[k] or parents[joints[k]] != joints[i])
         and alone[i] == alone[k]
     ]
-
-
-def _make_convex(geometry: Any) -> None:
-    """Replace meshes by their convex hulls; flat ones have none and stay."""
-    for body in geometry.geometryObjects:
-        mesh = body.geometry
-        if not isinstance(mesh, coal.BVHModelBase):
-            continue
-        try:
-            mesh.buildConvexHull(True, "Qt")
-        except (ValueError, RuntimeError):
-            continue
-        body.geometry = mesh.convex
-
-
-def _find_meshes(
-    root: ET.Element, robot: Robot, kind: str = "collision"
-) -> tuple[int, int]:
-    """Name mesh files by their full paths; remove shapes whose mesh is not there.
-
-    Returns:
-        The number of those, and of them those that lie where the description may not reach.
-    """
-    missing = outside = 0
-    for link in root.findall("link"):
-        for element in link.findall(kind):
-            mesh = element.find("geometry/mesh")
-            if mesh is None:
-                continue
-            try:
-                path = _mesh_file(str(mesh.get("filename")), robot)
-            except BadRobot:
-                path = None
-                outside = outside + 1
-            if path is not None:
-                mesh.set("filename", str(path))
-            else:
-                link.remove(element)
-                missing += 1
-    return missing, outside
-
-
-def _mesh_file(name: str, robot: Robot) -> Path | None:
-    """File of a mesh: beside the description, in a package that holds it, or in one of ROS.
-
-    Raises:
-        BadRobot: It is there, but where the description may not reach.
-    """
-    if not name.startswith("package://"):
-        path = real_path(robot.source).parent / name.removeprefix("file://")
-        return within(path, robot.source, robot.packages) if _is_mesh(path) else None
-    package, _, inside = name.removeprefix("package://").partition("/")
-    inside = os.path.normpath(inside)
-    roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
-    split = (
-        (os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots
-    )
-    shared = [Path(path) / inner for paths, inner in split for path in paths if path]
-    installed = [each / package for each in shared]
-    installed += [each for each in shared if each.name == package]
-    if inside.startswith(("..", os.sep)) or package in ("", ".", ".."):
-        return None
-    for folder in package_folders(package, robot.source, robot.packages):
-        path = real_path(folder / inside)
-        if _is_mesh(path) and path.is_relative_to(folder):
-            return path
-    return next((each / inside for each in installed if _is_mesh(each / inside)), None)
-
-
-def _is_mesh(path: Path) -> bool:
-    """Whether a path is that of a file of a size that meshes have."""
-    try:
-        return isfile(path) and path.stat().st_size < _LARGEST_MESH
-    except (OSError, ValueError):  # a name that no file can have
-        return False

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from excitant.exceptions import BadRobot, UnknownName
 from excitant.robots.angles import Angles
-from excitant.robots.base_estimate import read_base_estimate
+from excitant.robots.base_estimate import base_estimate_from_csv
 from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import chain_from_record, urdf_of_chain
 from excitant.robots.effects import (
@@ -27,7 +27,7 @@ from excitant.robots.effects import (
     plain,
 )
 from excitant.robots.files import is_exposed, read_description, real_path, within
-from excitant.robots.limits import merge_limits
+from excitant.robots.limits_file import merge_limits
 from excitant.robots.mjcf import Description, description_from_mjcf
 from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
@@ -150,7 +150,8 @@ def _from_yaml(path: Path, spec: RobotSpec) -> Robot:
         robot = _supplemented(_from_model(own, record.gravity), record, str(path))
         if record.estimate is not None and not spec.is_part and not spec.lock:
             file = within(path.parent / record.estimate, path, own.packages)
-            robot = replace(robot, estimate=read_base_estimate(file))
+            estimate = base_estimate_from_csv(read_description(file), file)
+            robot = replace(robot, estimate=estimate)
     else:
         raise BadRobot(
             path,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,35 @@ from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, inertia
 from excitant.robots.shown import Shown, Table, data_frame
-from excitant.robots.urdf_writer import current_urdf
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from excitant.robots.effects import Effect
+    from excitant.robots.geometry import Body
+
+
+class Format(Protocol):
+    """The format of a description, such as URDF, which knows what a robot does not hold."""
+
+    def written(self, robot: Robot) -> str:
+        """Text of the robot as it is now."""
+
+    def bodies(self, robot: Robot) -> tuple[Body, ...]:
+        """Links that the joints move or that stand under them, from the base outward."""
+
+    def solids(self, robot: Robot, kind: str) -> Any:
+        """Collision or visual shapes as Pinocchio's geometry model, meshes as hulls.
+
+        Raises:
+            BadRobot: A mesh is damaged.
+        """
+
+    def carriers(self, robot: Robot, kind: str) -> set[str]:
+        """Moving links that carry collision or visual shapes; empty for what stands still."""
+
+    def count_shapes(self, robot: Robot, kind: str) -> tuple[int, int, int]:
+        """Number of shapes, of those whose mesh is not there, and is where it may not be read."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,6 +60,7 @@ class Robot(Shown):
         limits: Limits of the joints.
         description: URDF text the arm was read from, with exact angles; `urdf` is that of the arm
             as it is now.
+        format: Format of the description.
         locked: Positions of the joints that are held.
         effects: What makes torque beyond rigid-body inertia, with values.
         source: File or name the arm was loaded from.
@@ -50,6 +74,7 @@ class Robot(Shown):
     revolute: npt.NDArray[np.bool_]
     limits: Limits
     description: str
+    format: Format
     locked: tuple[tuple[str, float], ...] = ()
     effects: tuple[Effect, ...] = ()
     source: str = ""
@@ -70,11 +95,7 @@ class Robot(Shown):
     @cached_property
     def urdf(self) -> str:
         """URDF text of the arm as it is now: inertias, dry and viscous friction, held joints."""
-        return (
-            self.description
-            if self.described and not self.locked
-            else current_urdf(self)
-        )
+        return self.format.written(self)
 
     @property
     def nv(self) -> int:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import sys
-import tempfile
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +16,9 @@ from excitant.robots.angles import Angles
 from excitant.robots.chains import RobotSpec, held_joints, tree
 from excitant.robots.files import parse_xml, real_path
 from excitant.robots.limits import Limits
-from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.urdf_model import build_model, held_pose, restore_link_names
+from excitant.robots.urdf_shapes import URDF
 from excitant.robots.urdf_writer import ENDS, LIMIT_KEYS, UNLIMITED
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -61,17 +58,17 @@ def robot_from_urdf(
     named = tree(root, source)
     held, notes = held_joints(named, spec, loops)
     title = name or root.get("name") or Path(source).stem
-    model = _build(root, source)
+    model = build_model(root, source)
     if held:
         try:
-            model = pin.buildReducedModel(model, *_lock(model, held))
+            model = pin.buildReducedModel(model, *held_pose(model, held))
         except ValueError as error:
             raise BadRobot(
                 source, f"Pinocchio cannot hold joints of it: {error}"
             ) from None
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
-    _restore_link_names(model)
+    restore_link_names(model)
     model.gravity.linear = weight
     moving = [named.joints[str(joint)] for joint in list(model.names)[1:]]
     return Robot(
@@ -86,30 +83,8 @@ def robot_from_urdf(
         tool=spec.tip or "",
         notes=(*angles.notes, *notes),
         packages=tuple(str(real_path(folder)) for folder in spec.packages),
+        format=URDF,
     )
-
-
-def full_model(root: ET.Element, robot: Robot) -> tuple[pin.Model, Array, list[int]]:
-    """Model of a robot's URDF with all joints, to build geometry on; changes the URDF.
-
-    Returns:
-        The model, a configuration with the locked joints in place, and their indices.
-    """
-    model = _build(root, robot.source)
-    joints, reference = _lock(model, dict(robot.locked))
-    return model, reference, joints
-
-
-def _lock(
-    model: pin.Model, held: Mapping[str, float | None]
-) -> tuple[list[int], Array]:
-    """Indices of held joints, and a configuration that has them in place."""
-    reference: Array = pin.neutral(model)
-    for name, value in held.items():
-        joint = model.joints[model.getJointId(name)]
-        if joint.nq == 1:
-            reference[joint.idx_q] = value
-    return [model.getJointId(name) for name in held], reference
 
 
 def _check(root: ET.Element, source: str) -> None:
@@ -166,7 +141,6 @@ def _check(root: ET.Element, source: str) -> None:
 
 _LARGEST = 1e9  # kg, m, rad, kg·m² of anything that is part of an arm
 _MOST = 1000  # links or joints
-_RENAMED = " (link)"  # after the name of a link that is also that of a joint
 _VECTORS = ("xyz", "rpy", "size", "scale")
 _NUMBERS = {
     "mass": ("value",),
@@ -205,74 +179,6 @@ def number(text: str, key: str, owner: ET.Element, source: str) -> float:
             source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is {why}"
         )
     return value
-
-
-def _bound_continuous_joints(root: ET.Element) -> None:
-    """Make continuous joints revolute with no limits, so that q and q̇ have the same size."""
-    for joint in root.findall("joint[@type='continuous']"):
-        joint.set("type", "revolute")
-        limit = joint.find("limit")
-        limit = ET.SubElement(joint, "limit") if limit is None else limit
-        limit.attrib |= {"lower": str(-UNLIMITED), "upper": str(UNLIMITED)}
-        for key in ("effort", "velocity"):
-            limit.set(key, limit.get(key) or str(UNLIMITED))
-
-
-def _rename_links_called_as_joints(root: ET.Element) -> None:
-    """Give links that share a joint's name another one: Pinocchio cannot hold such joints."""
-    joints = {joint.get("name") for joint in root.findall("joint")}
-    named = [(link, "name") for link in root.findall("link")]
-    named += [(end, "link") for tag in ENDS for end in root.findall(f"joint/{tag}")]
-    for element, key in named:
-        if element.get(key) in joints:
-            element.set(key, f"{element.get(key)}{_RENAMED}")
-
-
-def _restore_link_names(model: pin.Model) -> None:
-    """Give the links their names in the description again, once no joint is to be held."""
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY:
-            frame.name = frame.name.removesuffix(_RENAMED)
-
-
-def _build(root: ET.Element, source: str) -> pin.Model:
-    """Pinocchio's model; the URDF is changed into one that Pinocchio can take."""
-    root.set("name", root.get("name") or "robot")
-    _bound_continuous_joints(root)
-    _rename_links_called_as_joints(root)
-    with quietly(source):
-        return pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
-
-
-@contextmanager
-def quietly(source: str) -> Iterator[None]:
-    """Run Pinocchio on a description: what it prints and raises is one `BadRobot`."""
-    with tempfile.TemporaryFile() as sink:
-        for stream in (sys.stdout, sys.stderr):
-            if stream is not None:
-                stream.flush()
-        saved = [os.dup(stream) for stream in (1, 2)]
-        for stream in (1, 2):
-            os.dup2(sink.fileno(), stream)
-        try:
-            yield
-        except Exception as error:
-            sink.seek(0)
-            lines = (
-                *sink.read().decode(errors="replace").splitlines(),
-                *str(error).splitlines(),
-            )
-            told = [
-                line.partition("message:")[2] for line in lines if "message:" in line
-            ]
-            first = next(
-                (s for line in (*told, *lines) if (s := line.strip())), repr(error)
-            )
-            raise BadRobot(source, f"Pinocchio cannot read it: {first}") from None
-        finally:
-            for stream, before in zip((1, 2), saved, strict=True):
-                os.dup2(before, stream)
-                os.close(before)
 
 
 def _limits(model: pin.Model) -> Limits:

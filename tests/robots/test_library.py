@@ -11,7 +11,7 @@ import pytest
 
 from excitant.design import random_trajectory
 from excitant.robots import Robot, builtin_robots, load_robot
-from excitant.robots.geometry import bent_pose, bodies, scene, sketch, zero_pose
+from excitant.robots.geometry import bent_pose, scene, sketch, zero_pose
 from excitant.robots.library import arm_entry
 from excitant.robots.parameters import violations
 from excitant.robots.urdf import robot_from_urdf
@@ -53,7 +53,7 @@ def test_every_arm_is_complete(builtin: Robot) -> None:
 
 
 def test_every_arm_has_bodies_that_keep_apart_in_most_poses(builtin: Robot) -> None:
-    shaped = {body.link for body in bodies(builtin) if body.shapes}
+    shaped = {body.link for body in builtin.format.bodies(builtin) if body.shapes}
     assert len(shaped & set(builtin.links)) >= builtin.nv - 1
     found = scene(builtin)
     if found is None:

@@ -10,7 +10,6 @@ import pytest
 
 from excitant.robots import Robot, builtin_robots, load_robot
 from excitant.robots.check import ModelCheck
-from excitant.robots.geometry import bodies
 from excitant.robots.urdf import robot_from_urdf
 
 Array = np.ndarray
@@ -228,7 +227,7 @@ def test_only_what_moves_and_what_stands_under_it_counts() -> None:
     whole = load_robot("ur10")
     held = load_robot("ur10", lock={"wrist_3_joint": 0.3, "wrist_2_joint": 0.0})
     assert found(held) == set()
-    carriers = {body.link: body.carrier for body in bodies(held)}
+    carriers = {body.link: body.carrier for body in held.format.bodies(held)}
     assert carriers["wrist_3_link"] == "wrist_1_link"
     assert carriers["base_link"] == ""
     assert ModelCheck(held).moving_mass == pytest.approx(ModelCheck(whole).moving_mass)

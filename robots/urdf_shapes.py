@@ -1,0 +1,237 @@
+"""Bodies, shapes and meshes that a URDF states, and the writing of a URDF: a `Format` of robots."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from functools import lru_cache
+from itertools import product
+from os.path import isfile
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from excitant.exceptions import BadRobot
+from excitant.robots.chains import tree
+from excitant.robots.files import package_folders, real_path, within
+from excitant.robots.geometry import Body, Shape
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+from excitant.robots.urdf_model import build_model, held_pose, quietly
+from excitant.robots.urdf_writer import current_urdf
+
+_LARGEST_MESH = 500_000_000  # bytes
+
+
+class UrdfFormat:
+    """What a URDF says of the robot that was read from it."""
+
+    def written(self, robot: Robot) -> str:
+        """URDF text of the robot as it is now."""
+        as_read = robot.described and not robot.locked
+        return robot.description if as_read else current_urdf(robot)
+
+    def bodies(self, robot: Robot) -> tuple[Body, ...]:
+        """Links that the joints move or that stand under them, from the base outward."""
+        return _bodies(robot)
+
+    def solids(self, robot: Robot, kind: str) -> Any:
+        """Collision or visual shapes, meshes as hulls; never edited."""
+        return _solids(robot, kind)
+
+    def carriers(self, robot: Robot, kind: str) -> set[str]:
+        """Moving links that carry collision or visual shapes; empty for what stands still."""
+        root = ET.fromstring(robot.description)
+        named = tree(root, robot.source)
+        links = [str(link.get("name")) for link in root.findall(f"link[{kind}]")]
+        return {named.carrier(link, robot.links) for link in links}
+
+    def count_shapes(self, robot: Robot, kind: str) -> tuple[int, int, int]:
+        """Number of shapes, of those whose mesh is not there, and is where it may not be read."""
+        root = ET.fromstring(robot.description)
+        stated = len(root.findall(f"link/{kind}"))
+        return (stated, *_find_meshes(root, robot, kind))
+
+
+URDF = UrdfFormat()
+
+
+def _bodies(robot: Robot) -> tuple[Body, ...]:
+    """The links of an arm that its joints move or that stand under it, from the base outward."""
+    root = ET.fromstring(robot.description)
+    named = tree(root, robot.source)
+    under = [joint.parent for joint in named.ancestors(robot.links[0])]
+    origins: dict[str, list[Array]] = {}
+    for joint in root.findall("joint"):
+        parent = named.joints[str(joint.get("name"))].parent
+        origins.setdefault(parent, [np.zeros(3)]).append(_origin(joint).translation)
+    found = []
+    for link in root.findall("link"):
+        name = str(link.get("name"))
+        carrier = named.carrier(name, robot.links)
+        if carrier or name in under:
+            points = np.array(origins.get(name, [np.zeros(3)]))
+            kinds = (
+                map(_shape, link.findall(kind)) for kind in ("collision", "visual")
+            )
+            solids = (tuple(filter(None, shapes)) for shapes in kinds)
+            shapes = next(filter(None, solids), ())
+            found.append(Body(name, carrier, *_inertia(link), points, shapes))
+    order = {link: k for k, link in enumerate(robot.links)}
+    return tuple(sorted(found, key=lambda body: order.get(body.carrier, -1)))
+
+
+def _inertia(link: ET.Element) -> tuple[bool, float, Array, Array]:
+    """Whether a link states one, its mass, centre and tensor about it in the link's axes."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return False, 0.0, np.zeros(3), np.zeros((3, 3))
+    place = _origin(inertial)
+    mass = float(_attribute(inertial, "mass", "value", "0"))
+    tensor = [
+        [
+            float(_attribute(inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0"))
+            for b in "xyz"
+        ]
+        for a in "xyz"
+    ]
+    return True, mass, place.translation, place.rotation @ tensor @ place.rotation.T
+
+
+def _attribute(element: ET.Element, child: str, key: str, default: str) -> str:
+    found = element.find(child)
+    return default if found is None else found.get(key) or default
+
+
+def _origin(element: ET.Element) -> pin.SE3:
+    """Placement that an element's ``<origin xyz rpy>`` states; none is the identity."""
+    xyz, rpy = (
+        _floats(_attribute(element, "origin", key, "0 0 0")) for key in ("xyz", "rpy")
+    )
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+
+
+def _floats(text: str) -> Array:
+    return np.array(text.split(), float)
+
+
+def _shape(element: ET.Element) -> Shape | None:
+    """The solid of a collision or visual element; None for meshes and what has no volume."""
+    solid = element.find("geometry/*")
+    if solid is None:
+        return None
+    r = float(solid.get("radius", "0"))
+    length = float(solid.get("length", "0"))
+    box = _floats(solid.get("size", "0 0 0")) / 2
+    variance = np.array([r * r / 4, r * r / 4, length**2 / 12])
+    bar = np.array([r, r, length / 2]), np.pi * r * r * length, variance, length, r
+    known = {  # half the extents, volume, variances, length of the axis, radius
+        "sphere": (np.full(3, r), 4.19 * r**3, np.full(3, r * r / 5), 0.0, r),
+        "cylinder": bar,
+        "capsule": (bar[0] + [0, 0, r], *bar[1:]),
+        "box": (box, 8 * box.prod(), box**2 / 3, 2 * box[2], float(box[:2].mean())),
+    }
+    half, volume, variance, axis, radius = known.get(
+        solid.tag, (box, 0.0, box, 0.0, 0.0)
+    )
+    if volume <= 0:
+        return None
+    place = _origin(element)
+    R = place.rotation
+    c = place.translation
+    corners = c + (np.array(list(product((-1, 1), repeat=3))) * half) @ R.T
+    tip = R[:, 2] * axis / 2
+    return Shape(c - tip, c + tip, radius, corners, float(volume), (R * variance) @ R.T)
+
+
+@lru_cache(maxsize=8)
+def _solids(robot: Robot, kind: str) -> Any:
+    """Collision or visual shapes, but for meshes that are not there; never edited."""
+    root = ET.fromstring(robot.description)
+    _find_meshes(root, robot, kind)
+    model = build_model(root, robot.source)
+    locked, reference = held_pose(model, dict(robot.locked))
+    text = ET.tostring(root, encoding="unicode")
+    wanted = getattr(pin.GeometryType, kind.upper())
+    with quietly(robot.source):
+        geometry = pin.buildGeomFromUrdfString(model, text, wanted)
+    _make_convex(geometry)
+    if locked:
+        _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
+    return geometry
+
+
+def _make_convex(geometry: Any) -> None:
+    """Replace meshes by their convex hulls; flat ones have none and stay."""
+    for body in geometry.geometryObjects:
+        mesh = body.geometry
+        if not isinstance(mesh, coal.BVHModelBase):
+            continue
+        try:
+            mesh.buildConvexHull(True, "Qt")
+        except (ValueError, RuntimeError):
+            continue
+        body.geometry = mesh.convex
+
+
+def _find_meshes(root: ET.Element, robot: Robot, kind: str) -> tuple[int, int]:
+    """Name mesh files by their full paths; remove shapes whose mesh is not there.
+
+    Returns:
+        The number of those, and of them those that lie where the description may not reach.
+    """
+    missing = outside = 0
+    for link in root.findall("link"):
+        for element in link.findall(kind):
+            mesh = element.find("geometry/mesh")
+            if mesh is None:
+                continue
+            try:
+                path = _mesh_file(str(mesh.get("filename")), robot)
+            except BadRobot:
+                path = None
+                outside = outside + 1
+            if path is not None:
+                mesh.set("filename", str(path))
+            else:
+                link.remove(element)
+                missing += 1
+    return missing, outside
+
+
+def _mesh_file(name: str, robot: Robot) -> Path | None:
+    """File of a mesh: beside the description, in a package that holds it, or in one of ROS.
+
+    Raises:
+        BadRobot: It is there, but where the description may not reach.
+    """
+    if not name.startswith("package://"):
+        path = real_path(robot.source).parent / name.removeprefix("file://")
+        return within(path, robot.source, robot.packages) if _is_mesh(path) else None
+    package, _, inside = name.removeprefix("package://").partition("/")
+    inside = os.path.normpath(inside)
+    roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
+    split = (
+        (os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots
+    )
+    shared = [Path(path) / inner for paths, inner in split for path in paths if path]
+    installed = [each / package for each in shared]
+    installed += [each for each in shared if each.name == package]
+    if inside.startswith(("..", os.sep)) or package in ("", ".", ".."):
+        return None
+    for folder in package_folders(package, robot.source, robot.packages):
+        path = real_path(folder / inside)
+        if _is_mesh(path) and path.is_relative_to(folder):
+            return path
+    return next((each / inside for each in installed if _is_mesh(each / inside)), None)
+
+
+def _is_mesh(path: Path) -> bool:
+    """Whether a path is that of a file of a size that meshes have."""
+    try:
+        return isfile(path) and path.stat().st_size < _LARGEST_MESH
+    except (OSError, ValueError):  # a name that no file can have
+        return False
