@@ -51,15 +51,13 @@ from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.accuracy import Accuracy, series
-from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains, current_gains
-from excitant.identify.faults import warn_of_faults
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
+from excitant.identify.recording import Recordings, recordings_of
 from excitant.identify.rows import Data, gains_of, predicted_torque, split, states, told
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame, share
@@ -522,7 +520,7 @@ def _unknown(diagnosis: Diagnosis, left: Sequence[Residual]) -> dict[str, Any]:
 
 @on_one_thread
 def diagnose(
-    robot: RobotLike,
+    robot: Robot,
     recordings: Recordings,
     *,
     validate: Recordings = (),
@@ -531,9 +529,8 @@ def diagnose(
     """Find the causes of a given model's errors.
 
     Args:
-        robot: The given model: inertias and effects as they are believed to be; or its name or
-            file.
-        recordings: Recordings to explain, or tables or files of them.
+        robot: The given model: inertias and effects as they are believed to be.
+        recordings: Recordings to explain.
         validate: Likewise, to judge on; the last 30 % of each recording when empty.
         cutoff_hz: Cut-off of the torque filter [Hz].
 
@@ -541,11 +538,10 @@ def diagnose(
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass.
     """
-    given = robot = as_robot(robot)
-    recordings = as_recordings(recordings, robot)
-    validate = as_recordings(validate, robot)
+    given = robot
+    recordings = recordings_of(recordings, robot)
+    validate = recordings_of(validate, robot)
     prior = prior_parameters(robot)
-    warn_of_faults(given, recordings)
     mounted, amended = set_up(given, recordings, validate)
     fitted = amended[: len(recordings)]
     unseen = amended[len(recordings) :]

@@ -22,10 +22,13 @@ from excitant.analysis.discrimination import (
     needed,
 )
 from excitant.analysis.selection import is_plain_friction
-from excitant.design import CLEARANCE, FourierTrajectory, random_trajectory
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
-from excitant.design.feasible import torque_use
-from excitant.design.trajectory import FourierSeries, from_coefficients
+from excitant.design.feasible import random_trajectory, torque_use
+from excitant.design.trajectory import (
+    FourierSeries,
+    FourierTrajectory,
+    from_coefficients,
+)
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.robots.effects import (
@@ -33,7 +36,7 @@ from excitant.robots.effects import (
     separating_experiment,
     standard_effects,
 )
-from excitant.robots.geometry import Scene, scene
+from excitant.robots.geometry import CLEARANCE, Scene, scene
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread

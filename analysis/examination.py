@@ -23,6 +23,7 @@ from excitant.robots.check import ModelCheck
 from excitant.robots.effects import plain
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.shown import Shown, Table
 
 _SAME = 0.05  # of the error: a model that gains no more is not worth a change
 _STANDS_OUT = 2.0  # times the median of the joints
@@ -32,8 +33,8 @@ _NAMED = 3  # effects that are said to be lacking in a file
 _COMPLETE = {"identified": "model.yaml", "extended": "extended.yaml"}
 
 
-@dataclass(frozen=True, eq=False)
-class Examination:
+@dataclass(frozen=True, eq=False, repr=False)
+class Examination(Shown):
     """A given model examined by recordings.
 
     Attributes:
@@ -161,6 +162,19 @@ class Examination:
             where = f" ({', '.join(fault['joints'])})" if fault["joints"] else ""
             return f"{plain(fault['fault'])} in {fault['recording']}{where}"
         return self._notes[0]
+
+    def _lines(self) -> list[str]:
+        return [
+            f"Examination of {self.check.robot.name}: use {self.use or 'no model'}",
+            " ".join(self.sentences),
+            self.next_step,
+        ]
+
+    def _table(self) -> Table:
+        joints = self.check.robot.joints
+        errors = [accuracy.nrmse.tolist() for accuracy in self.accuracies.values()]
+        heads = ("joint", *(f"nrmse, {name}" for name in self.accuracies))
+        return heads, zip(joints, *errors, strict=True)
 
     @property
     def _notes(self) -> list[str]:

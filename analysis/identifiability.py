@@ -27,7 +27,6 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.dh import distal_frames
 from excitant.robots.effects import Effect
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.parameters import UNITS, moved_parameters
 from excitant.robots.robot import Robot
@@ -268,7 +267,7 @@ class Identifiability(Shown):
 
 @on_one_thread
 def analyze(
-    robot: RobotLike,
+    robot: Robot,
     *,
     effects: Sequence[Effect] = (),
     motion: Motion | None = None,
@@ -283,7 +282,7 @@ def analyze(
     """Identifiability of an arm's parameters.
 
     Args:
-        robot: The arm, its built-in name or file.
+        robot: The arm.
         effects: Effects whose coefficients are unknown too.
         motion: A motion to judge, with torque noise that is independent at every instant.
         estimate: Instead, an estimate from a recording, with its noise and motion.
@@ -301,7 +300,6 @@ def analyze(
             noise that does not fit the arm; or circumstances that contradict each other.
         UnknownName: A joint that the arm does not have.
     """
-    robot = as_robot(robot)
     shown = motion is not None or estimate is not None
     refused = {
         "moving: leave it out, a trajectory or recording determines which joints move": (

@@ -18,11 +18,16 @@ from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.evidence import Candidate
 from excitant.analysis.tracking import BANDWIDTH_HZ, Tracking, track
-from excitant.design import random_trajectory
+from excitant.design.constraints import clearance as clearance_along
+from excitant.design.feasible import random_trajectory
+from excitant.design.optimal import SceneOption
+from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import Infeasible, RankDeficient
-from excitant.identify import Estimate, Recording, identify_robot, recording_from_table
+from excitant.identify.estimate import Estimate, identify_robot
+from excitant.identify.reading.logs import recording_from_table
+from excitant.identify.recording import Recording
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
-from excitant.robots.loading import RobotLike, as_robot
+from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.plant.planting import plant
 from excitant.robots.plant.sensors import Run
@@ -41,7 +46,7 @@ from excitant.robots.virtual_arm import (
     virtual_arm,
 )
 
-Path = Callable[[Array, int], Array]
+Path = Trajectory | HermiteTrajectory
 Progress = Callable[[float, str], None]
 
 _CHANGES = ("payload", "viscous_friction", "coulomb_friction")
@@ -142,6 +147,19 @@ def limit_items(situation: Situation) -> list[Item]:
         detail = f"{100 * worst:.1f} % of the limit used"
         items.append(_item(f"{name} limits", joint, worst <= 1 + _OVER, detail, advice))
     return items
+
+
+def clearance_item(scene: Scene, path: Path, required: float) -> Item:
+    """Distance between bodies over the continuous motion, as `check` has it."""
+    near = clearance_along(scene, path)
+    distance_mm = 1000 * near.distance / near.scale
+    required_mm = 1000 * required / near.scale
+    detail = (
+        f"{' and '.join(near.bodies)} come within {distance_mm:.3g} mm at {near.time:.4g} s, "
+        f"required {required_mm:.3g} mm"
+    )
+    advice = f"keep {' and '.join(near.bodies)} apart: design the motion for this scene"
+    return _item("clearance", "", near.distance >= required, detail, advice)
 
 
 def _recovered(
@@ -383,19 +401,25 @@ class Rehearsal(Shown):
 
 @on_one_thread
 def rehearse(
-    robot: RobotLike,
+    robot: Robot,
     path: Path,
     duration: float,
     rng: np.random.Generator,
+    *,
+    scene: SceneOption = None,
+    clearance: float = CLEARANCE,
     progress: Progress | None = None,
 ) -> Rehearsal:
     """Try a motion on a virtual arm.
 
     Args:
-        robot: The arm as it is known, with its limits, its built-in name or file.
+        robot: The arm as it is known, with its limits.
         path: Positions ``path(t, order)`` and derivatives, shape (n, nv); from rest.
         duration: Length of the motion [s].
         rng: Draws the arm, its noise and its change.
+        scene: Bodies that must keep apart; the arm's own and the floor that it stands on when
+            None; an empty tuple leaves clearance out.
+        clearance: Smallest distance that they must keep [m].
         progress: Called with the fraction done and the current step.
 
     Raises:
@@ -403,7 +427,6 @@ def rehearse(
         BadRecording: The motion is too short to be identified from.
         BadRobot: A link of negative mass.
     """
-    robot = as_robot(robot)
     tell = progress or (lambda fraction, words: None)
     tell(0.0, "running the motion")
     arm = rehearsal_arm(robot, rng)
@@ -412,6 +435,9 @@ def rehearse(
     situation = Situation(robot, run)
     common = (robot, duration, arm, change, run)
     items = limit_items(situation)
+    around = usual_scene(robot, clearance) if scene is None else scene or None
+    if around is not None:
+        items.append(clearance_item(around, path, clearance))
     tell(0.15, "running it slower")
 
     def slower(t: npt.ArrayLike, order: int = 0) -> Array:

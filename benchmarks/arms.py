@@ -142,7 +142,7 @@ def designed(robot: Robot, time_limit: float) -> tuple[str, str]:
     try:
         found = design_trajectory(robot, scene=scene(robot), **options)
     except Infeasible:
-        found, note = design_trajectory(robot, scene=None, **options), " (without clearance)"
+        found, note = design_trajectory(robot, scene=(), **options), " (without clearance)"
     motion = found.trajectory.motion(50.0)
     noise = np.maximum(NOISE * np.abs(torque(robot, motion)).max(axis=0), 1e-6)
     shown = analyze(

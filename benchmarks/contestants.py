@@ -33,7 +33,7 @@ from excitant.design import (
     trajectory_csv,
     trajectory_json,
 )
-from excitant.design.optimal import TOP_HZ
+from excitant.design.options import Search
 from excitant.design.trajectory import FourierTrajectory
 from excitant.exceptions import BadInput, BadRobot
 from excitant.processes import owned
@@ -158,7 +158,8 @@ def excitant(
     found = design_trajectory(
         problem.robot,
         duration=problem.duration,
-        harmonics=None if searched else problem.harmonics,
+        harmonics="search" if searched else problem.harmonics,
+        scene=(),
         series=series,
         criterion=criterion,
         columns="inertial",
@@ -192,7 +193,7 @@ def _attempts(attempt: Attempt, file: Path, settings: Settings, job: int) -> Fou
 
     rng = np.random.default_rng([settings.seed, job])
     least, best, runs = np.inf, None, 0
-    most = max(1, int(TOP_HZ * problem.duration / problem.harmonics))
+    most = max(1, int(Search.max_frequency * problem.duration / problem.harmonics))
     while not runs or time.time() < settings.deadline:
         periods = int(rng.integers(1, most, endpoint=True))
         period = problem.duration / periods

@@ -18,7 +18,6 @@ import yaml
 from excitant.design.trajectory import FourierTrajectory, SplineSeries, Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import read_text
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
 from excitant.robots.schema import Finite, Positive, convert, read_yaml
@@ -103,7 +102,7 @@ def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
     return json.dumps(content, indent=1) + "\n"
 
 
-def load_trajectory(path: str | Path, robot: RobotLike) -> Trajectory | Motion:
+def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
     """Trajectory from a ``.json`` file of coefficients or a table of samples (CSV).
 
     Raises:
@@ -111,7 +110,6 @@ def load_trajectory(path: str | Path, robot: RobotLike) -> Trajectory | Motion:
             another number of joints, not finite, or time that does not increase.
     """
     path = Path(path)
-    robot = as_robot(robot)
     if path.suffix.lower() == ".json":
         return _from_json(path, robot)
     try:

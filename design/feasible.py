@@ -16,7 +16,6 @@ from excitant.design.trajectory import (
 )
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import largest_torque
@@ -48,7 +47,7 @@ START = StartSettings()
 
 
 def random_trajectory(
-    robot: RobotLike, rng: np.random.Generator, duration: float, harmonics: int
+    robot: Robot, rng: np.random.Generator, duration: float, harmonics: int
 ) -> FourierTrajectory:
     """A random Fourier series at rest at both ends and within all limits of the robot.
 
@@ -57,7 +56,7 @@ def random_trajectory(
     Raises:
         Infeasible: No pose, or no motion found, within position and torque limits.
     """
-    drawn = random_start(as_robot(robot), rng, FourierSeries(duration, harmonics))
+    drawn = random_start(robot, rng, FourierSeries(duration, harmonics))
     return from_coefficients(drawn.coefficients, duration)
 
 

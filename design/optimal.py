@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from typing import Any, Literal
 
 import joblib
 import numpy as np
@@ -13,14 +14,14 @@ import numpy.typing as npt
 
 from excitant.design.constraints import check, within_limits
 from excitant.design.criterion import CRITERIA, condition_number, information, objective
+from excitant.design.options import Search
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
 from excitant.design.search import Effort, SearchState, best_solutions, search
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.processes import connect
-from excitant.robots.geometry import CLEARANCE, Scene
-from excitant.robots.loading import RobotLike, as_robot
+from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
 from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
@@ -30,27 +31,56 @@ Progress = Callable[[int, int | None, float, float], None]
 and its worst limit ratio."""
 
 SERIES = ("fourier", "spline")
-USE = 0.9  # of the limits; the rest is for what the model and the controller get wrong
-TOP_HZ = 2.5  # a quarter of the cut-off that identification filters at
 CANDIDATES = 4  # best searches whose exact figures decide
 
-_STARTS = 16
-_FEWEST = 5  # harmonics that a search for their number begins with
-_CLEARANCE_MARGIN = 0.004  # m, for what happens between the instants of the optimiser
+STARTS = 16  # of a search without a time limit
+FEWEST_HARMONICS = 5  # that a search for their number begins with
+CLEARANCE_MARGIN = 0.004  # m, for what happens between the instants of the optimiser
+
+SceneOption = Scene | tuple[()] | None
+"""What to keep clear of; None: the arm's bodies and its floor; an empty tuple: nothing."""
+
+
+def motion_options(search: Search) -> dict[str, Any]:
+    """Options of `build_design`."""
+    names = ("duration", "periods", "harmonics", "series", "criterion", "columns")
+    return {name: getattr(search, name) for name in names}
+
+
+def free_counts(search: Search) -> dict[str, bool]:
+    """What is searched for beside the coefficients."""
+    names = ("periods", "harmonics")
+    return {name: getattr(search, name) == "search" for name in names}
+
+
+@contextmanager
+def effort_of(search: Search, starts: int = STARTS) -> Iterator[Effort]:
+    """Budget: the default starts, or as many as fit into the time limit."""
+    count = search.starts
+    if count is not None and count < 1:
+        raise BadInput(f"{count} starts: at least one is needed")
+    deadline = np.inf
+    if search.time_limit is not None:
+        deadline = time.time() + search.time_limit
+    elif count is None:
+        count = starts
+    jobs = search.jobs or int(joblib.cpu_count())
+    with connect(search.cluster) if search.cluster else nullcontext() as client:
+        yield Effort(count, jobs, search.seed, deadline, client)
 
 
 def build_design(
     robot: Robot,
     *,
     duration: float = 10.0,
-    periods: int | None = None,
-    harmonics: int | None = 5,
+    periods: int | Literal["search"] = "search",
+    harmonics: int | Literal["search"] = 5,
     series: str = "fourier",
     criterion: str = "condition",
     columns: str = "friction",
     noise: npt.ArrayLike | None = None,
-    earlier: Sequence[Motion] = (),
-    scene: Scene | None = None,
+    after: Sequence[Motion] = (),
+    scene: SceneOption = None,
     clearance: float = CLEARANCE,
 ) -> DesignProblem:
     """State the problem that `design_trajectory` solves, as its search begins."""
@@ -61,18 +91,15 @@ def build_design(
         raise UnknownName("criterion", criterion, CRITERIA)
     if not np.isfinite(clearance) or clearance < 0:
         raise BadInput(f"clearance {clearance} m is not a distance")
-    return DesignProblem(
-        information(robot, columns, noise=noise, earlier=earlier, duration=duration),
-        criterion,
-        _series(
-            series,
-            duration,
-            1 if periods is None else periods,
-            _FEWEST if harmonics is None else harmonics,
-        ),
-        scene,
-        clearance + _CLEARANCE_MARGIN,
+    begun = _series(
+        series,
+        duration,
+        1 if periods == "search" else periods,
+        FEWEST_HARMONICS if harmonics == "search" else harmonics,
     )
+    seen = information(robot, columns, noise=noise, earlier=after, duration=duration)
+    around = usual_scene(robot, clearance) if scene is None else scene or None
+    return DesignProblem(seen, criterion, begun, around, clearance + CLEARANCE_MARGIN)
 
 
 def _series(name: str, duration: float, periods: int, harmonics: int) -> Series:
@@ -94,26 +121,14 @@ def _series(name: str, duration: float, periods: int, harmonics: int) -> Series:
 
 @on_one_thread
 def design_trajectory(
-    robot: RobotLike,
+    robot: Robot,
     *,
-    duration: float = 10.0,
-    periods: int | None = None,
-    harmonics: int | None = 5,
-    series: str = "fourier",
-    use: float = USE,
-    top_hz: float = TOP_HZ,
-    criterion: str = "condition",
-    columns: str = "friction",
     noise: npt.ArrayLike | None = None,
-    earlier: Sequence[Motion] = (),
-    scene: Scene | None = None,
+    after: Sequence[Motion] = (),
+    scene: SceneOption = None,
     clearance: float = CLEARANCE,
-    starts: int | None = None,
-    jobs: int | None = None,
-    cluster: str | None = None,
-    seed: int = 0,
-    time_limit: float | None = None,
     progress: Progress | None = None,
+    **options: Any,
 ) -> Design:
     """Excitation trajectory that makes the base parameters best visible within the limits.
 
@@ -121,31 +136,16 @@ def design_trajectory(
     and keep every limit of the robot in continuous time.
 
     Args:
-        robot: The arm, its built-in name or file; its limits and effects count.
-        duration: Length of the motion [s].
-        periods: Number of equal periods that it has, each from rest to rest; None for as many as
-            make the criterion least: the same harmonics are slow and wide in one long period, fast
-            in several short ones.
-        harmonics: Number of harmonics of a period, at least 2; None to add harmonics while κ
-            falls.
-        series: ``"fourier"``, or ``"spline"``: B-splines with twice as many pieces as there
-            would be harmonics, whose local freedom suits tight cells.
-        use: Share of the limits on velocity, acceleration, torque and jerk that is used (of 1).
-        top_hz: Highest frequency that a search for periods or harmonics goes to [Hz].
-        criterion: ``"condition"`` (cond₂ W), ``"d"`` (det M), ``"a"`` (tr M⁻¹), ``"e"`` (λmin).
-        columns: ``"friction"`` or ``"inertial"``.
+        robot: The arm; its limits and effects count.
         noise: Standard deviation of each joint's torque noise, shape (nv,) [N·m or N], to
             weight its equations with; equal if not given.
-        earlier: Motions recorded already, whose information counts: what should run next?
-        scene: The arm's bodies among obstacles, kept apart; None to leave clearance out.
+        after: Motions recorded already, whose information counts: what should run next?
+        scene: Bodies kept apart; the arm's own and the floor that it stands on when None; an
+            empty tuple leaves clearance out.
         clearance: Smallest distance that they keep [m].
-        starts: Number of searches; 16 by default, or as many as fit in a time limit.
-        jobs: Number of processes; as many as processors by default. Without a time limit the
-            result does not depend on it.
-        cluster: Address of a Dask scheduler to search on instead.
-        seed: Seed of all randomness.
-        time_limit: Time after which the best so far is returned [s]. Ctrl-C does the same.
         progress: Called whenever a search has news.
+        options: Fields of `Search`. Without a time limit the result does not depend on the number
+            of processes. Ctrl-C, too, returns the best so far.
 
     Raises:
         Infeasible: No motion keeps the limits; names those in conflict.
@@ -153,53 +153,45 @@ def design_trajectory(
         BadRobot: No link has a mass.
         BadInput: Duration, periods, use, harmonics or starts out of range, or no cluster there.
     """
-    robot = as_robot(robot)
+    asked = Search(**options)
     began = time.time()
-    held = robot.using(use)
-    with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
+    used = robot.using(asked.use)
+    with effort_of(asked) as effort:
         first = build_design(
-            held, duration=duration, periods=periods, harmonics=harmonics, series=series,
-            criterion=criterion, columns=columns, noise=noise, earlier=earlier, scene=scene,
+            used,
+            noise=noise,
+            after=after,
+            scene=scene,
             clearance=clearance,
-        )  # fmt: skip
+            **motion_options(asked),
+        )
         initial = first.random(
-            np.random.default_rng([seed, 0])
+            np.random.default_rng([asked.seed, 0])
         )  # refuses what no motion keeps
         if progress is not None:
             effort = replace(effort, report=_Teller(effort.starts, progress))
-        free = {"periods": periods is None, "harmonics": harmonics is None}
-        problem, searches = search(first, effort, **free, top_hz=top_hz)
+        problem, searches = search(
+            first, effort, **free_counts(asked), top_hz=asked.max_frequency
+        )
     if problem.period != first.period:
         begun = replace(problem, series=problem.series.resized(first.series.terms))
-        initial = begun.random(np.random.default_rng([seed, 0]))
-    found = map(problem.trajectory, best_solutions(searches, CANDIDATES))
-    kept = [within_limits(held, trajectory, scene, clearance) for trajectory in found]
+        initial = begun.random(np.random.default_rng([asked.seed, 0]))
+    candidates = [initial]
+    for z in best_solutions(searches, CANDIDATES):
+        kept = within_limits(used, problem.trajectory(z), first.scene, clearance)
+        if kept is not None:
+            candidates.append(kept)
     chosen = min(
-        [initial, *(trajectory for trajectory in kept if trajectory is not None)],
-        key=lambda x: objective(problem.information.matrix(dense_motion(x)), criterion),
+        candidates,
+        key=lambda x: objective(
+            problem.information.matrix(dense_motion(x)), asked.criterion
+        ),
     )
     wall_s = time.time() - began
     seen = replace(problem.information, robot=robot)
-    return Design(seen, criterion, initial, chosen, scene, use, searches, wall_s)
-
-
-@contextmanager
-def effort_of(
-    starts: int | None,
-    default: int,
-    jobs: int | None,
-    cluster: str | None,
-    seed: int,
-    time_limit: float | None,
-) -> Iterator[Effort]:
-    """Budget of options: the default starts, or as many as fit into a time limit [s]."""
-    if starts is not None and starts < 1:
-        raise BadInput(f"{starts} starts: at least one is needed")
-    if starts is None and time_limit is None:
-        starts = default
-    deadline = np.inf if time_limit is None else time.time() + time_limit
-    with connect(cluster) if cluster else nullcontext() as client:
-        yield Effort(starts, jobs or int(joblib.cpu_count()), seed, deadline, client)
+    return Design(
+        seen, asked.criterion, initial, chosen, first.scene, asked.use, searches, wall_s
+    )
 
 
 class _Teller:

@@ -275,8 +275,8 @@ class Design(Shown):
         return rows
 
 
-@dataclass(frozen=True, eq=False)
-class TrajectoryCheck:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrajectoryCheck(Shown):
     """Whether a motion keeps all limits and clear of bodies, and how well it excites."""
 
     robot: Robot
@@ -308,6 +308,34 @@ class TrajectoryCheck:
         """The motion to watch."""
         return Playback(self.robot, self.path, self.limits, self.scene, self.clearance)
 
+    @property
+    def verdicts(self) -> list[str]:
+        """Each limit that is exceeded, and bodies that come too close, in words."""
+        verdicts = [
+            f"{use.quantity} limit of {use.joint} exceeded by {100 * (use.ratio - 1):.3g} % "
+            f"at {use.time:.4g} s"
+            for use in self.limits.uses
+            if use.ratio > 1
+        ]
+        near = self.clearance
+        if near is not None and self.touched:
+            verdicts.append(
+                f"{near.bodies[0]} and {near.bodies[1]} come within "
+                f"{1000 * near.distance / near.scale:.3g} mm at {near.time:.4g} s, required "
+                f"{1000 * self.least / near.scale:.3g} mm"
+            )
+        return verdicts or ["all limits hold, between samples too"]
+
+    def _lines(self) -> list[str]:
+        return [
+            f"Check of a motion of {self.robot.name}, {self.motion.t[-1]:.4g} s",
+            *self.verdicts,
+        ]
+
+    def _table(self) -> Table:
+        rows = [(use.quantity, use.joint, share(use.ratio)) for use in self.limits.uses]
+        return ("limit", "joint", "used"), rows
+
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``."""
         robot = self.robot
@@ -317,18 +345,6 @@ class TrajectoryCheck:
         entries["worst"] = {
             name: worst for name, worst in entries["worst"].items() if worst
         }
-        verdicts = [
-            f"{use.quantity} limit of {use.joint} exceeded by {100 * (use.ratio - 1):.3g} % "
-            f"at {use.time:.4g} s"
-            for use in self.limits.uses
-            if use.ratio > 1
-        ]
-        if near is not None and self.touched:
-            verdicts.append(
-                f"{near.bodies[0]} and {near.bodies[1]} come within "
-                f"{1000 * near.distance / near.scale:.3g} mm at {near.time:.4g} s, required "
-                f"{1000 * self.least / near.scale:.3g} mm"
-            )
         if asked is not None:
             kappa = condition_number(asked.matrix(self.motion))
             entries |= {"columns": asked.columns, "condition_number": kappa}
@@ -341,7 +357,7 @@ class TrajectoryCheck:
             "holds": self.limits.hold and not self.touched,
             **entries,
             **_surroundings(robot, self.scene, near),
-            "verdicts": verdicts or ["all limits hold, between samples too"],
+            "verdicts": self.verdicts,
             **self.playback.result(),
         }
 

@@ -21,11 +21,13 @@ from excitant.design.criterion import Information, objective
 from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.optimal import (
     CANDIDATES,
-    TOP_HZ,
-    USE,
+    SceneOption,
     build_design,
     effort_of,
+    free_counts,
+    motion_options,
 )
+from excitant.design.options import Search
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
 from excitant.design.search import Report, SearchState, best_solutions, search
@@ -175,22 +177,10 @@ def _stem(joint: int) -> str:
 def design_link_by_link(
     robot: Robot,
     *,
-    duration: float = 10.0,
-    periods: int | None = None,
-    harmonics: int | None = 5,
-    series: str = "fourier",
-    use: float = USE,
-    top_hz: float = TOP_HZ,
-    criterion: str = "condition",
-    columns: str = "friction",
-    scene: Scene | None = None,
+    scene: SceneOption = None,
     clearance: float = CLEARANCE,
-    starts: int | None = None,
-    jobs: int | None = None,
-    cluster: str | None = None,
-    seed: int = 0,
-    time_limit: float | None = None,
     progress: Progress | None = None,
+    **options: Any,
 ) -> LinkByLinkDesign:
     """Motions at rest at both ends that show link after link best within all limits.
 
@@ -198,48 +188,45 @@ def design_link_by_link(
     each link's columns in its own row. ``starts`` counts the searches per motion, 6 by default;
     the time limit [s] is that of all motions together.
     """
+    asked = Search(**options)
     began = time.time()
-    held = robot.using(use)
-    options: dict[str, Any] = {
-        "duration": duration,
-        "periods": periods,
-        "harmonics": harmonics,
-        "series": series,
-        "criterion": criterion,
-        "columns": columns,
-        "clearance": clearance,
-    }
+    held = robot.using(asked.use)
+    common = motion_options(asked) | {"clearance": clearance}
     motions: dict[int, Design] = {}
-    with effort_of(starts, _STARTS, jobs, cluster, seed, time_limit) as effort:
-        goal = build_design(robot, **options).information
+    with effort_of(asked, _STARTS) as effort:
+        whole = build_design(robot, scene=scene, **common)
+        goal = whole.information
+        around = whole.scene
         last = last_rows(robot, goal.effects, goal.base)
         joints = [j for j in reversed(range(robot.nv)) if (last == j).any()]
-        pose = _resting_pose(robot, scene, clearance)
-        free = {"periods": periods is None, "harmonics": harmonics is None}
+        pose = _resting_pose(robot, around, clearance)
         for k, joint in enumerate(joints):
             part = effort.share(effort.starts, 1 / (len(joints) - k))
             if progress is not None:
                 tell = _teller(progress, robot.links[joint], k, len(joints))
                 part = replace(part, report=tell)
-            problem = _problem(held, joint, pose, scene, options)
-            problem, searches = search(problem, part, **free, top_hz=top_hz)
-            initial = problem.random(np.random.default_rng([seed, 0]))
+            problem = _problem(held, joint, pose, around, common)
+            problem, searches = search(
+                problem, part, **free_counts(asked), top_hz=asked.max_frequency
+            )
+            initial = problem.random(np.random.default_rng([asked.seed, 0]))
             drawn = [
                 initial,
                 *map(problem.trajectory, best_solutions(searches, CANDIDATES)),
             ]
-            kept = _keeping(held, [_whole(x, pose) for x in drawn], scene, clearance)
+            kept = _keeping(held, [_whole(x, pose) for x in drawn], around, clearance)
             seen = _of_link(goal, joint, last == joint)
             values = [
-                objective(seen.matrix(dense_motion(motion)), criterion)
+                objective(seen.matrix(dense_motion(motion)), asked.criterion)
                 for motion in kept
             ]
             chosen = kept[int(np.argmin(values))]
             motions[joint] = Design(
-                seen, criterion, kept[0], chosen, scene, use, searches, 0.0
+                seen, asked.criterion, kept[0], chosen, around, asked.use, searches, 0.0
             )
+    wall_s = time.time() - began
     return LinkByLinkDesign(
-        robot, columns, criterion, len(last), motions, time.time() - began
+        robot, asked.columns, asked.criterion, len(last), motions, wall_s
     )
 
 
@@ -248,7 +235,7 @@ def _problem(
 ) -> DesignProblem:
     arm = _held(robot, joint, pose)
     around = None if scene is None else scene_of(arm, scene.obstacles)
-    problem = build_design(arm, scene=around, **options)
+    problem = build_design(arm, scene=around or (), **options)
     seen = problem.information
     last = last_rows(arm, seen.effects, seen.base)
     return replace(problem, information=_of_link(seen, joint, last == joint))

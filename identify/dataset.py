@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 from datetime import date
 from os.path import exists, isdir, isfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 import msgspec
 import numpy as np
 
-from excitant.exceptions import BadInput, BadRecording, UnknownName
+from excitant.exceptions import BadInput, UnknownName
 from excitant.files import size_of
 from excitant.identify.faults import Checked, check
 from excitant.identify.reading.bags import described, is_bag
@@ -28,7 +28,6 @@ from excitant.identify.reading.logs import (
     load_recording,
     raw_recording,
     read_chunks,
-    recording_from_table,
     suffix_of,
 )
 from excitant.identify.reading.mapping import (
@@ -45,13 +44,6 @@ from excitant.robots.loading import load_robot, robot_of
 from excitant.robots.mjcf import Description
 from excitant.robots.robot import Robot
 from excitant.robots.schema import RobotRecord, read_yaml
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-RecordingLike: TypeAlias = "Recording | pd.DataFrame | str | Path"
-"""A recording, a table in memory, or a file."""
-Recordings: TypeAlias = "RecordingLike | Sequence[RecordingLike]"
 
 LONG = 300_000
 """Samples of recordings together, of which no more are kept: more rows than a fit uses."""
@@ -282,34 +274,6 @@ def read_recordings(
         return [load_recording(path, robot, mapping=mapping) for path in paths]
     logs = [read_chunks(path, robot, mapping=mapping) for path in paths]
     return [excerpt(pieces, share) for pieces in logs]
-
-
-def as_recordings(recordings: Recordings, robot: Robot) -> list[Recording]:
-    """Recordings as they are, and those of tables and files; see `load_recording`.
-
-    Raises:
-        BadRecording: One that cannot be used, or of another number of joints than the robot's.
-    """
-    # recordings and data frames have columns, which tells them without importing pandas
-    single = isinstance(recordings, str | Path) or hasattr(recordings, "columns")
-    several: Any = [recordings] if single else recordings
-    sources = list[Any](several)
-    paths = [source for source in sources if isinstance(source, str | Path)]
-    read = iter(read_recordings(paths, robot))
-    nouns = list[Recording]()
-    for k, source in enumerate(sources, start=1):
-        if isinstance(source, Recording):
-            recording = source
-        elif isinstance(source, str | Path):
-            recording = next(read)
-        else:
-            label = f"table {k}"
-            recording = recording_from_table(source, robot, file=label, name=label)
-        if recording.nv != robot.nv:
-            why = f"has {recording.nv} joints, but {robot.name} has {robot.nv}"
-            raise BadRecording(recording.file, f"{why}; load it for this robot")
-        nouns.append(recording)
-    return nouns
 
 
 def read_checked(

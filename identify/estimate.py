@@ -18,16 +18,15 @@ from excitant.identify.accuracy import (
     prediction_interval,
     series,
 )
-from excitant.identify.dataset import RecordingLike, Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
-from excitant.identify.faults import warn_of_faults
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.lengths import LengthErrors, length_deviations, length_errors
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import prepare
 from excitant.identify.prior import prior_parameters
+from excitant.identify.recording import Recording, Recordings, recordings_of
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
     Data,
@@ -44,7 +43,6 @@ from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_estimate import BaseEstimate, is_covariance
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import violations
 from excitant.robots.regressor import rigid_body_torque
@@ -56,7 +54,6 @@ from excitant.robots.torque import torque
 if TYPE_CHECKING:
     import pandas as pd
 
-    from excitant.identify.recording import Recording
 
 # standard errors by which columns at a lower rate may move a base parameter
 _MOVED = 0.01
@@ -176,7 +173,7 @@ class Estimate(Shown):
         """Machine-readable result of `identify`."""
         return tables.result_of(self)
 
-    def predict(self, recording: RecordingLike, *, filtered: bool = True) -> Array:
+    def predict(self, recording: Recording, *, filtered: bool = True) -> Array:
         """Torque of the model at the instants of a recording, shape (n, nv) [torque unit].
 
         It is that of the motion as `identify_robot` sees it: positions are filtered at twice the
@@ -209,7 +206,7 @@ class Estimate(Shown):
         ]
 
     def _alike(self, recordings: Recordings) -> list[Recording]:
-        found = as_recordings(recordings, self.given)
+        found = recordings_of(recordings, self.given)
         for each in found:
             if each.unit != self.data.unit:
                 why = f"torque is in {each.unit}, but in {self.data.unit} where it was identified"
@@ -260,7 +257,7 @@ class Estimate(Shown):
 
 @on_one_thread
 def identify_robot(
-    robot: RobotLike,
+    robot: Robot,
     recordings: Recordings,
     *,
     validate: Recordings = (),
@@ -276,13 +273,12 @@ def identify_robot(
     Weighted least squares gives noise levels and base parameters; the semidefinite fit then gives
     physically consistent standard parameters. With any other estimator, that fit is to the torque
     that its base parameters predict on these rows, weighted by the noise it found. Shapes of
-    effects, in which torque is not linear, are refined where that fits better. Faults of recordings
-    are warned of (`FaultWarning`), not repaired.
+    effects, in which torque is not linear, are refined where that fits better.
 
     Args:
-        robot: The arm, or its built-in name or file; its inertias are the prior.
-        recordings: What to fit: recordings, or tables or files of them.
-        validate: What to judge on, likewise; the last 30 % of each recording when empty.
+        robot: The arm; its inertias are the prior.
+        recordings: What to fit.
+        validate: What to judge on; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
@@ -301,15 +297,13 @@ def identify_robot(
         Infeasible: An estimator does not converge, or knowledge leaves no room.
     """
     UnknownName.refuse("estimator", [estimator], ESTIMATORS)
-    robot = as_robot(robot)
-    recordings = as_recordings(recordings, robot)
-    validate = as_recordings(validate, robot)
+    recordings = recordings_of(recordings, robot)
+    validate = recordings_of(validate, robot)
     unsure = length_deviations(
         robot.length_std if length_std is None else length_std, robot
     )
     prior = prior_parameters(robot)
     known = (knowledge or Knowledge()).of(robot)
-    warn_of_faults(robot, recordings)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
 

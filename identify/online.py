@@ -21,7 +21,6 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.differentiators import (
     LocalPolynomial,
     causal_polynomial,
@@ -49,12 +48,11 @@ from excitant.identify.prior import (
     prior_parameters,
     reference_motion,
 )
-from excitant.identify.recording import Recording
+from excitant.identify.recording import Recording, Recordings, recordings_of
 from excitant.identify.rows import fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
 from excitant.robots.effects.base import Law
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
@@ -583,7 +581,7 @@ class OnlineIdentification:
 
 @on_one_thread
 def identify_online(
-    robot: RobotLike,
+    robot: Robot,
     recordings: Recordings,
     *,
     validate: Recordings = (),
@@ -597,9 +595,8 @@ def identify_online(
     Args and errors are those of `identify_robot`, and the time constant of forgetting [s] (nothing
     is forgotten when None); ``progress`` is told the fraction done.
     """
-    robot = as_robot(robot)
-    recordings = as_recordings(recordings, robot)
-    validate = as_recordings(validate, robot)
+    recordings = recordings_of(recordings, robot)
+    validate = recordings_of(validate, robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)

@@ -19,7 +19,6 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadInput
-from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
 from excitant.identify.information import Information, gaussian, information_of
 from excitant.identify.online import PERIOD, OnlineEstimator, replayable
@@ -30,12 +29,11 @@ from excitant.identify.prior import (
     base_prior,
     prior_parameters,
 )
-from excitant.identify.recording import Recording
+from excitant.identify.recording import Recording, Recordings, recordings_of
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import fit_rows, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.robot import Robot
@@ -223,7 +221,7 @@ def _given_arm(
 
 @on_one_thread
 def identify_payload(
-    robot: RobotLike,
+    robot: Robot,
     loaded: Recordings,
     *,
     unloaded: Recordings = (),
@@ -247,9 +245,8 @@ def identify_payload(
         BadInput: Currents of a loaded arm with nothing to compare them with.
         BadRecording: Recordings that cannot be used.
     """
-    robot = as_robot(robot)
-    loaded = as_recordings(loaded, robot)
-    unloaded = as_recordings(unloaded, robot)
+    loaded = recordings_of(loaded, robot)
+    unloaded = recordings_of(unloaded, robot)
     effects = _own_effects(robot, effects)
     base = base_parameters(robot, effects)
     unit = loaded[0].unit

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadRecording
 from excitant.robots.motion import Array, freeze, read_only
+from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table
 
 if TYPE_CHECKING:
@@ -131,6 +132,23 @@ class Recording(Shown):
         rows = zip(range(1, self.nv + 1), *ranges, strict=True)
         heads = ("joint", "q from", "q to", f"torque from [{self.unit}]", "torque to")
         return heads, rows
+
+
+Recordings: TypeAlias = Recording | Sequence[Recording]
+
+
+def recordings_of(recordings: Recordings, robot: Robot) -> list[Recording]:
+    """One recording or several of a robot as a list.
+
+    Raises:
+        BadRecording: One of another number of joints than the robot's.
+    """
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    for recording in several:
+        if recording.nv != robot.nv:
+            why = f"has {recording.nv} joints, but {robot.name} has {robot.nv}"
+            raise BadRecording(recording.file, f"{why}; load it for this robot")
+    return several
 
 
 def checked(raw: Recording) -> Recording:

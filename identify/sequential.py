@@ -34,7 +34,6 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import RankDeficient
-from excitant.identify.dataset import Recordings, as_recordings
 from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
 from excitant.identify.information import Information, gaussian, square_root
 from excitant.identify.knowledge import Knowledge
@@ -47,10 +46,10 @@ from excitant.identify.least_squares import (
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, moving, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
+from excitant.identify.recording import Recordings, recordings_of
 from excitant.identify.rows import Data, FitRows, fit_rows, split
 from excitant.robots.base_parameters import base_parameters, expression, last_rows
 from excitant.robots.effects import Effect, standard_effects
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
@@ -357,7 +356,7 @@ class LinkByLink:
 
 @on_one_thread
 def identify_link_by_link(
-    robot: RobotLike,
+    robot: Robot,
     recordings: Recordings,
     *,
     validate: Recordings = (),
@@ -368,9 +367,8 @@ def identify_link_by_link(
 
     Args and errors are those of `identify_robot`, but no motion is refused for what it leaves open.
     """
-    robot = as_robot(robot)
-    recordings = as_recordings(recordings, robot)
-    validate = as_recordings(validate, robot)
+    recordings = recordings_of(recordings, robot)
+    validate = recordings_of(validate, robot)
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     prior = prior_parameters(robot)
     rows = link_rows(robot, effects, split(recordings, validate, cutoff_hz))

@@ -26,8 +26,8 @@ from excitant.reports.pyplot import draw, draw_onto
 from excitant.reports.run import Reportable, as_saved
 from excitant.reports.sections.identify import CURVES
 from excitant.reports.values import Result, Series
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,7 +87,7 @@ def parameters(
 
 def motion(
     motion: Design | Trajectory | Motion,
-    robot: RobotLike | None = None,
+    robot: Robot | None = None,
     joints: Names = None,
 ) -> list[Axes]:
     """Position, velocity and acceleration of each joint, an axes each, against the robot's limits.
@@ -102,7 +102,6 @@ def motion(
         if robot is not None:
             from excitant.design import check
 
-            robot = as_robot(robot)
             known = {"joints": robot.joints, "revolute": robot.revolute}
             known |= check(robot, motion).entries(robot.limits)
         curves = {name: getattr(samples, name) for name in ("t", "q", "dq", "ddq")}

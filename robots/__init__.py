@@ -4,7 +4,7 @@ from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.dh import DHChain, robot_from_dh
 from excitant.robots.limits import Limits
 from excitant.robots.limits_file import load_limits
-from excitant.robots.loading import RobotLike, as_robot, builtin_robots, load_robot
+from excitant.robots.loading import builtin_robots, load_robot
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import (
     regressor,
@@ -21,8 +21,6 @@ __all__ = [
     "Limits",
     "Motion",
     "Robot",
-    "RobotLike",
-    "as_robot",
     "base_parameters",
     "builtin_robots",
     "load_limits",

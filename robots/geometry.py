@@ -394,6 +394,13 @@ def scene(
     )
 
 
+def usual_scene(robot: Robot, clearance: float = CLEARANCE) -> Scene | None:
+    """Scene of an arm of whose cell nothing is said: its bodies, the floor it stands on."""
+    height = base_plane(robot)
+    obstacles = () if height is None else (floor(height),)
+    return scene(robot, obstacles, clearance)
+
+
 def floor(height: float) -> Obstacle:
     """The floor at a height in the base frame [m]."""
     return Obstacle(_FLOOR, "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), height))

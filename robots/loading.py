@@ -42,15 +42,6 @@ def builtin_robots() -> tuple[str, ...]:
     return tuple(sorted({f.stem for f in files if f.suffix in (".urdf", ".yaml")}))
 
 
-RobotLike = Robot | RobotSpec | str | Path
-"""A robot, or what `load_robot` finds one by."""
-
-
-def as_robot(robot: RobotLike) -> Robot:
-    """The robot itself, or the one of a built-in name or a file; see `load_robot`."""
-    return robot if isinstance(robot, Robot) else load_robot(robot)
-
-
 def load_robot(
     spec: str | Path | RobotSpec,
     *,

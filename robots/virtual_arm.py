@@ -18,7 +18,6 @@ import pandas as pd
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, elements, inertia, steiner
 from excitant.robots.plant.arm import (
@@ -138,7 +137,7 @@ class VirtualArm:
 
 
 def virtual_arm(
-    robot: RobotLike,
+    robot: Robot,
     rng: np.random.Generator,
     *,
     hidden: Sequence[HiddenEffect] | None = None,
@@ -148,7 +147,7 @@ def virtual_arm(
     """Build a truth around a nominal arm, whose effects, if any, are known ones.
 
     Args:
-        robot: The nominal arm, its built-in name or file.
+        robot: The nominal arm.
         rng: Draws the deviations.
         hidden: What the truth has besides; one effect drawn at random when not given.
         sensors: `industrial_sensors` when not given.
@@ -158,7 +157,6 @@ def virtual_arm(
     Raises:
         BadInput: Hidden effects that leave a mass without physical consistency.
     """
-    robot = as_robot(robot)
     if hidden is None:
         hidden = (draw_hidden_effect(robot, rng),)
     truth = nominal_truth(robot)

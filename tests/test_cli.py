@@ -436,7 +436,7 @@ WRAPPED.__cause__ = KeyboardInterrupt()
 def test_a_failure_is_owned_in_one_line(
     error: BaseException, says: str, refused: Any, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr("excitant.identify.identify_robot", mock.Mock(side_effect=error))
+    monkeypatch.setattr("excitant.api.identify_robot", mock.Mock(side_effect=error))
     assert says in refused(f"{ONE} -o out", status=1 if error is BUG else 130)
     if error is BUG:
         for words in (f"--debug {ONE}", f"{ONE} --debug"):

@@ -11,8 +11,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 import excitant as ex
-from excitant.design import design_trajectory
-from excitant.identify import identify_robot, load_recording
+from excitant import api
 from excitant.robots.shown import html_table
 
 NOTEBOOK = """
@@ -30,7 +29,7 @@ SHOWN = {
     "design.trajectory": "Fourier trajectory of 8 s",
     "run": "Recording run: ",
     "estimate": "Estimate of planar_2r",
-    "ex.analyze(robot, estimate=estimate, rng=rng)": "Identifiability of planar_2r",
+    "ex.analyze(robot, estimate=estimate)": "Identifiability of planar_2r",
     "ex.diagnose(robot, [run])": "Errors of the model of planar_2r",
 }
 
@@ -79,9 +78,9 @@ def test_names_are_those_of_the_packages() -> None:
     for name in ex.__all__:
         assert getattr(ex, name) is not None
         assert name in dir(ex)
-    assert ex.design_trajectory is design_trajectory
-    assert ex.identify_robot is identify_robot
-    assert ex.load_recording is load_recording
+    assert ex.design_trajectory is api.design_trajectory
+    assert ex.identify_robot is api.identify_robot
+    assert ex.load_recording is api.load_recording
     with pytest.raises(AttributeError, match="load_robots"):
         ex.load_robots  # noqa: B018
 

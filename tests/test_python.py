@@ -13,7 +13,7 @@ import pytest
 
 import excitant as ex
 from excitant.exceptions import BadInput, BadRecording, UnknownName
-from excitant.identify import Estimate, Recording, identify_link_by_link, identify_online
+from excitant.identify import Estimate, Recording
 from excitant.identify.export import save_model
 from excitant.robots import Robot, torque
 
@@ -52,6 +52,7 @@ def panda() -> dict[str, object]:
         "Identifiability": ex.analyze(robot, estimate=estimate),
         "Identifiability ": ex.analyze(robot),
         "Errors": ex.diagnose(robot, run),
+        "Check": ex.check(robot, path),
     }
 
 
@@ -86,11 +87,14 @@ def test_tables_and_files_and_names_stand_for_recordings_and_robots(
         np.testing.assert_allclose(other.phi, estimate.phi)
         assert other.score(held) == estimate.score(held)
     assert ex.identify_robot(model, tables[0], validate=file).validate.r2.min() > 0.99
-    assert identify_online("planar_2r", tables[0], validate=file).estimate.validate.r2.min() > 0.9
-    assert len(identify_link_by_link("planar_2r", tables[0], validate=held).stages) == 2
+    assert (
+        ex.identify_online("planar_2r", tables[0], validate=file).estimate.validate.r2.min() > 0.9
+    )
+    assert len(ex.identify_link_by_link("planar_2r", tables[0], validate=held).stages) == 2
     found = ex.diagnose("planar_2r", tables[0], validate=file)
     assert found.simulation.entry(0)["rms"] == pytest.approx(estimate.baseline.rms[0], rel=1e-3)
-    assert len(ex.analyze(str(model)).base) < len(ex.analyze(planar, effects=planar.effects).base)
+    links = ex.analyze(str(model), columns="inertial")
+    assert len(links.base) < len(ex.analyze(planar).base)
 
 
 def test_what_cannot_be_used_is_refused_in_one_line(
@@ -105,7 +109,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
     with pytest.raises(BadInput, match="no recording given"):
         ex.identify_robot(planar, [])
     with pytest.raises(BadRecording, match=r"recording gone\.csv: no such file"):
-        estimate.score("gone.csv")
+        ex.load_recording("gone.csv", planar)
     holed = tables[0].assign(tau2=tables[0]["tau2"].where(tables[0].index != 7))
     with pytest.raises(BadRecording, match=r"recording table 2, column 'tau2', row 7: "):
         ex.identify_robot(planar, [tables[0], holed])
@@ -119,11 +123,30 @@ def test_what_cannot_be_used_is_refused_in_one_line(
         save_model(estimate, tmp_path / "folder")
 
 
+def test_everything_at_once_takes_a_table_and_shows_itself(
+    tables: tuple[pd.DataFrame, pd.DataFrame],
+) -> None:
+    found = ex.go("planar_2r", tables[0], validate=tables[1])
+    shown = repr(found)
+    assert shown.startswith("Examination of planar_2r: use ")
+    assert len(shown) <= 400
+    assert "nrmse, given" in found._repr_html_()
+
+
+def test_a_virtual_arm_records_a_file_and_motions_are_rehearsed(tmp_path: Path) -> None:
+    path = ex.random_trajectory("planar_2r", np.random.default_rng(0), 4.0, 3)
+    simulation = ex.simulate("planar_2r", path, seed=1, hidden=True)
+    assert len(simulation.hidden) == 1
+    assert simulation.duration == pytest.approx(4.0)
+    assert ex.simulate("planar_2r", path, seed=1).hidden == ()
+
+
 def test_scores_are_those_of_the_result(
     estimate: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame]
 ) -> None:
     for part, table in (("train", tables[0]), ("validate", tables[1])):
-        for score, joint in zip(estimate.score(table), estimate.result()["joints"], strict=True):
+        run = ex.recording_from_table(table, 2, file=part, name=part)
+        for score, joint in zip(estimate.score(run), estimate.result()["joints"], strict=True):
             judged = {key: x for key, x in joint[part].items() if key != "interval95"}
             assert score == {"name": joint["name"], **judged}
 

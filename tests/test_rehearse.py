@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+import excitant as ex
 from excitant.analysis.rehearsal import (
     Rehearsal,
     Situation,
     changed,
+    clearance_item,
     draw_change,
     limit_items,
     planted_parameters,
@@ -45,6 +47,21 @@ def tried(robot: Robot, motion: FourierTrajectory, *amplitudes: float) -> Rehear
     coefficients = np.vstack([motion.coefficients[:1], motion.coefficients[1:] * amplitudes])
     weak = from_coefficients(coefficients, motion.period)
     return rehearse(robot, weak, weak.period, np.random.default_rng(0))
+
+
+def test_clearance_is_a_requirement() -> None:
+    """Of a motion that drives the wrist through the floor, as `check` has it."""
+    through = ex.Surroundings(ignore_collisions=True)
+    robot = ex.load_robot("ur10")
+    rng = np.random.default_rng(0)
+    path = ex.random_trajectory(robot, rng, 4.0, 3)
+    checked = ex.check(robot, path)
+    assert checked.touched
+    item = clearance_item(checked.scene, path, checked.least)
+    assert not item.passed
+    assert item.detail in checked.verdicts
+    free = ex.check(robot, path, surroundings=through)
+    assert free.clearance is None
 
 
 @pytest.mark.slow

@@ -25,8 +25,8 @@ from excitant.identify.recording import (
     refuse_constant_torque,
     with_finite_speeds,
 )
-from excitant.robots.loading import RobotLike, as_robot
 from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,7 +53,7 @@ _REMEMBERED = 100  # unreadable cells whose text is kept
 
 
 def load_recording(
-    path: str | Path, robot: RobotLike | int, *, mapping: ColumnMap | None = None
+    path: str | Path, robot: Robot | int, *, mapping: ColumnMap | None = None
 ) -> Recording:
     """Recording from a log: Parquet, CSV, JSON, NPZ, MAT (up to version 7.2), ROS bag, MCAP.
 
@@ -71,7 +71,7 @@ def load_recording(
 
 
 def raw_recording(
-    path: str | Path, robot: RobotLike | int, mapping: ColumnMap | None = None
+    path: str | Path, robot: Robot | int, mapping: ColumnMap | None = None
 ) -> Recording:
     """A log as it is: columns understood, units converted, no row refused; see `load_recording`."""
     return next(_pieces(_open_log(path, mapping), robot, mapping))
@@ -79,7 +79,7 @@ def raw_recording(
 
 def recording_from_table(
     table: pd.DataFrame,
-    robot: RobotLike | int,
+    robot: Robot | int,
     *,
     file: str,
     name: str,
@@ -92,7 +92,7 @@ def recording_from_table(
 
 def read_chunks(
     paths: str | Path | Sequence[str | Path],
-    robot: RobotLike | int,
+    robot: Robot | int,
     rows: int = 100_000,
     *,
     mapping: ColumnMap | None = None,
@@ -168,7 +168,7 @@ def _open_log(path: str | Path, mapping: ColumnMap | None) -> tables.Table:
 
 def _pieces(
     table: tables.Table,
-    robot: RobotLike | int,
+    robot: Robot | int,
     mapping: ColumnMap | None,
     rows: int | None = None,
     origin: tuple[float, float] | None = None,
@@ -177,8 +177,6 @@ def _pieces(
 
     ``origin`` is the time that becomes 0, that of the first row when None.
     """
-    if not isinstance(robot, int):
-        robot = as_robot(robot)
     columns = resolve(table, robot, mapping or ColumnMap())
     narrow = columns.names if rows is not None or table.joined else None
     timed = columns.t_unit is not None or len(columns.t) > 1

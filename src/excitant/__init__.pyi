@@ -1,32 +1,32 @@
-from .analysis import (
-    Diagnosis,
-    Examination,
-    Identifiability,
+from .analysis import Diagnosis, Examination, Identifiability
+from .analysis.rehearsal import Rehearsal
+from .api import (
     analyze,
-    diagnose,
-    examine,
-)
-from .analysis.rehearsal import rehearse
-from .design import (
-    Design,
-    FourierTrajectory,
+    as_recordings,
+    check,
     design_trajectory,
+    diagnose,
+    go,
+    identify_link_by_link,
+    identify_online,
+    identify_payload,
+    identify_robot,
+    load_recording,
     load_trajectory,
     random_trajectory,
-)
-from .exceptions import ExcitantError
-from .identify import (
-    Estimate,
-    Recording,
-    identify_robot,
-    load_dataset,
-    load_recording,
     recording_from_table,
+    rehearse,
+    show,
+    simulate,
+    virtual_arm,
 )
+from .design import Design, FourierTrajectory, Search
+from .exceptions import ExcitantError
+from .identify import Estimate, Recording, load_dataset
 from .reports import plot
 from .reports.run import report, save
 from .robots import Robot, builtin_robots, load_robot
-from .robots.virtual_arm import virtual_arm
+from .surroundings import Surroundings
 
 __version__: str
 
@@ -39,13 +39,21 @@ __all__ = [
     "FourierTrajectory",
     "Identifiability",
     "Recording",
+    "Rehearsal",
     "Robot",
+    "Search",
+    "Surroundings",
     "__version__",
     "analyze",
+    "as_recordings",
     "builtin_robots",
+    "check",
     "design_trajectory",
     "diagnose",
-    "examine",
+    "go",
+    "identify_link_by_link",
+    "identify_online",
+    "identify_payload",
     "identify_robot",
     "load_dataset",
     "load_recording",
@@ -57,5 +65,7 @@ __all__ = [
     "rehearse",
     "report",
     "save",
+    "show",
+    "simulate",
     "virtual_arm",
 ]

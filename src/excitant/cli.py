@@ -15,13 +15,12 @@ from cyclopts import App, CycloptsError, Parameter
 from cyclopts.help import DefaultFormatter, HelpPanel, PanelSpec, TableSpec
 
 from excitant import fleets, motions, recordings
-from excitant.exceptions import BadInput, ExcitantError, FaultWarning
+from excitant.exceptions import BadInput, FaultWarning, interrupt_in, line_of
 from excitant.interrupts import check
 from excitant.names import one_line
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 from excitant.progress import progress_bar
 
-_EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
 _EVERYDAY = {
     *(
         "--output",
@@ -128,34 +127,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except BaseException as error:
-        interrupted = _interrupted(error) is not None
+        interrupted = interrupt_in(error) is not None
         if not interrupted and (debug or not isinstance(error, Exception)):
             raise
-        print(f"excitant: {_line(error)}", file=sys.stderr)
+        print(f"excitant: {line_of(error)}", file=sys.stderr)
         return 130 if interrupted else 1
-
-
-def _line(error: BaseException) -> str:
-    if _interrupted(error) is not None:
-        return one_line(f"interrupted; {_interrupted(error) or 'nothing was written'}")
-    if isinstance(error, ExcitantError):
-        return str(error)
-    if isinstance(error, OSError):
-        return one_line(f"{error.filename or 'file'}: {error.strerror or error}")
-    name = str(getattr(error, "name", "")).partition(".")[0]
-    if isinstance(error, ModuleNotFoundError) and name in _EXTRAS:
-        return f"this needs {name}: pip install 'excitant[{_EXTRAS[name]}]'"
-    what = one_line(f"{type(error).__name__}: {error}")
-    return f"a bug ({what}); please run it again with --debug and report what it prints"
-
-
-def _interrupted(error: BaseException | None) -> str | None:
-    """What Ctrl-C says that is behind an error that a library made of it; None where it is not."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return str(error)
-        error = error.__cause__ or error.__context__
-    return None
 
 
 def demo(

@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.examination import examine
-from excitant.design import (
-    design_trajectory,
-    random_trajectory,
-    trajectory_csv,
-    trajectory_json,
-)
-from excitant.identify import recording_from_table
+from excitant.design.export import trajectory_csv, trajectory_json
+from excitant.design.feasible import random_trajectory
+from excitant.design.optimal import design_trajectory
+from excitant.identify.reading.logs import recording_from_table
 from excitant.motions import table_bytes
 from excitant.progress import Advance
-from excitant.robots import Array, Robot
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
 from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
 
 _DURATION = 10.0  # s, of the excitation and of the hold-out

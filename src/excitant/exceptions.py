@@ -10,6 +10,9 @@ from typing import Any
 
 from excitant.names import one_line
 
+EXTRAS = {"rosbags": "ros", "distributed": "cluster", "mujoco": "mjcf"}
+"""Extras that bring a module that may be missing."""
+
 
 class ExcitantError(Exception):
     """Base of all errors that a user can act on; its text is one line."""
@@ -121,3 +124,28 @@ class WorkerDied(ExcitantError):
             "a worker process was ended from outside, as by a system that runs out of memory; "
             "free some, or use fewer processes (--jobs)"
         )
+
+
+def line_of(error: BaseException) -> str:
+    """An error of a command as one line."""
+    message = interrupt_in(error)
+    if message is not None:
+        return one_line(f"interrupted; {message or 'nothing was written'}")
+    if isinstance(error, ExcitantError):
+        return str(error)
+    if isinstance(error, OSError):
+        return one_line(f"{error.filename or 'file'}: {error.strerror or error}")
+    name = str(getattr(error, "name", "")).partition(".")[0]
+    if isinstance(error, ModuleNotFoundError) and name in EXTRAS:
+        return f"this needs {name}: pip install 'excitant[{EXTRAS[name]}]'"
+    what = one_line(f"{type(error).__name__}: {error}")
+    return f"a bug ({what}); please run it again with --debug and report what it prints"
+
+
+def interrupt_in(error: BaseException | None) -> str | None:
+    """Message of the KeyboardInterrupt in the chain of an exception, or None."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return str(error)
+        error = error.__cause__ or error.__context__
+    return None

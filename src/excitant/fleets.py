@@ -6,25 +6,32 @@ import hashlib
 import io
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from os.path import isdir, isfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from excitant.exceptions import BadInput, ExcitantError, WorkerDied
+from excitant.exceptions import (
+    BadInput,
+    ExcitantError,
+    WorkerDied,
+    interrupt_in,
+    line_of,
+)
 from excitant.files import write_file
 from excitant.names import in_folder, one_line
 from excitant.options import Run
 from excitant.processes import connect, unordered
 from excitant.progress import Advance, progress_bar
+from excitant.recordings import diagnose, identify
 
 if TYPE_CHECKING:
     from excitant.analysis.fleet import Examined, Value
 
 _ARMS = "arms"
 _STAMP = "input.json"
-_VERBS: tuple[tuple[str, ...], ...] = (("identify",), ("diagnose", "--no-experiments"))
+_VERBS = ("identify", "diagnose")
 _DIED = (
     "the process that examined it was ended twice, as by a system that runs out of memory; "
     "examine it alone, on a larger machine"
@@ -155,25 +162,24 @@ def _examine(name: str, folder: str, out: str) -> str:
     stamp = _stamp(folder)
     if _noted(out).get("input") == stamp:
         return name
-    failed = ""
-    for verb, *options in _VERBS:
-        failed = _ran([verb, folder, *options, "-o", f"{out}/{verb}"])
-        if failed:
-            break
+    failed = _refusal(identify, folder, run=Run(output=f"{out}/identify"))
+    if not failed:
+        run = Run(output=f"{out}/diagnose")
+        failed = _refusal(diagnose, folder, run=run, experiments=False)
     _note(out, stamp, failed)
     return name
 
 
-def _ran(words: Sequence[str]) -> str:
+def _refusal(command: Callable[..., object], folder: str, **options: Any) -> str:
     """Run a command; the line with which it was refused, empty where it has a result."""
-    from excitant.cli import main
-
-    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as err:
-        status = main(words)
-    if status == 130:  # where this is no process of its own
-        raise KeyboardInterrupt
-    said = [x for x in err.getvalue().splitlines() if x.startswith("excitant: ")]
-    return said[-1].removeprefix("excitant: ") if status and said else ""
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            command(folder, **options)
+    except Exception as error:
+        if interrupt_in(error) is not None:
+            raise KeyboardInterrupt from None
+        return line_of(error)
+    return ""
 
 
 def _stamp(folder: str) -> str:
@@ -217,7 +223,7 @@ def _examined(data_set: _DataSet) -> Examined:
         arm, day = origin(Path(folder), name)
         if failed:
             return Examined(name, arm, day, failed=failed)
-        model, diagnosis = (load_run(Path(out) / verb)[0] for verb, *_ in _VERBS)
+        model, diagnosis = (load_run(Path(out) / verb)[0] for verb in _VERBS)
     except ExcitantError as error:
         return Examined(name, arm, day, failed=failed or str(error))
     if not model["published"]:

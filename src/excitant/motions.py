@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from excitant.design.options import Search
 from excitant.exceptions import BadInput, Infeasible
 from excitant.files import write_file
 from excitant.names import printable
 from excitant.options import (
+    Around,
     Columns,
     Files,
     Names,
@@ -23,12 +24,12 @@ from excitant.options import (
     RobotName,
     Run,
     Seed,
-    Surroundings,
     TrajectoryFile,
     Window,
     print_json,
 )
-from excitant.progress import progress_bar
+from excitant.progress import Advance, progress_bar
+from excitant.surroundings import Surroundings
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -36,70 +37,80 @@ if TYPE_CHECKING:
     from excitant.design import Design, HermiteTrajectory, Trajectory
     from excitant.robots import Motion, Robot
 
-_DENSE_HZ = 100.0
-_BOUND_TIME = 60.0  # s: much less leaves the bound near 1
+SAMPLE_HZ = 100.0  # of a motion that is judged at even steps
+BOUND_TIME_S = 60.0  # much less leaves the bound near 1
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Search:
-    """Options of the motion and its optimisation."""
+class Play:
+    """How the motion is to be played."""
 
-    duration: float = 10.0
-    "Length of the motion [s]."
-    periods: int | Literal["search"] = "search"
-    "Equal periods that it has; 'search' for as many as lower the condition number."
-    harmonics: int | Literal["search"] = 5
-    "Harmonics of a period, or 'search' to add them as long as they lower the condition number."
-    series: Literal["fourier", "spline"] = "fourier"
-    "spline: B-splines of 2 H pieces, for tight cells."
-    max_frequency: float = 2.5
-    "Highest frequency [Hz] that a search for periods or harmonics goes to."
-    criterion: Literal["condition", "d", "a", "e"] = "condition"
+    start: Annotated[Numbers, Parameter(name="--from")] = None
+    "Present pose, Q1,Q2,...: writes approach.csv and return.csv too."
+    formats: Names = None
     (
-        "What to make small: the condition number, or of the covariance the determinant (d), the "
-        "trace (a) or the largest eigenvalue (e)."
+        "Further files: ros2 (YAML), mcap, npz, and the programs urscript and ros2_client, "
+        "which run at a fifth of the speed until told otherwise."
     )
-    columns: Columns = "friction"
-    "What to make visible: all that identify estimates, or the links only."
-    use: float = 0.9
-    "Share of the limits on velocity, acceleration, torque and jerk that is used."
-    starts: int | None = None
-    "Number of searches; default: 16."
-    jobs: int | None = None
-    "Processes; default: all processors."
-    cluster: str | None = None
-    "Dask scheduler to search on, such as tcp://10.0.0.5:8786."
-    seed: Seed = 0
-    "Draws the starts."
-    time_limit: float | None = None
-    "Return the best so far after this time [s]."
+    rate: float = 100.0
+    "Rate of trajectory.csv [Hz]."
+    repeat: int = 1
+    "How often trajectory.csv has the motion, for averaging."
+    speed: float | None = None
+    (
+        "Also first_run.csv, the same path at this share of the speed (of 1), checked itself; "
+        "default: 0.2 with a program among the formats, else none."
+    )
 
-    def options(self) -> dict[str, Any]:
-        """Arguments of the functions that design."""
-        given = {
-            key: None if value == "search" else value
-            for key, value in vars(self).items()
-        }
-        given["top_hz"] = given.pop("max_frequency")
-        return given
+    @property
+    def programs(self) -> list[str]:
+        """Formats that are programs of robots."""
+        from excitant.design.export import PROGRAMS
+
+        return [name for name in self.formats or () if name in PROGRAMS]
+
+    def checked(self, robot: Robot) -> Play:
+        """The same with the default speed of programs; refuses what cannot be played."""
+        import numpy as np
+
+        from excitant.design.export import FIRST_SPEED, write_formats
+        from excitant.robots.motion import Motion
+
+        if not 1 <= self.rate <= 10_000:
+            raise BadInput(
+                f"--rate {self.rate:g} Hz: give a control rate from 1 to 10000 Hz"
+            )
+        if self.repeat < 1:
+            raise BadInput(
+                f"--repeat {self.repeat}: give how often the motion runs, at least 1"
+            )
+        still = np.zeros((2, robot.nv))
+        at_rest = Motion(np.arange(2.0), still, still, still)
+        write_formats({"": at_rest}, robot, self.formats or ())  # may refuse
+        speed = FIRST_SPEED if self.programs and self.speed is None else self.speed
+        if speed is not None and not 0 < speed <= 1:
+            raise BadInput(
+                f"--speed {speed:g}: give the share of the speed, above 0 and up to 1"
+            )
+        if self.start is not None and len(self.start) != robot.nv:
+            raise BadInput(
+                f"--from has {len(self.start)} numbers, {robot.name} has {robot.nv} joints"
+            )
+        return replace(self, speed=speed)
 
 
 def design(
     robot: RobotName,
     /,
     *,
-    search: Search = Search(),
+    search: Annotated[Search, Parameter(name="*")] = Search(),
     noise: Numbers = None,
     after: Files = None,
     link_by_link: bool = False,
     bound: bool = False,
-    start: Annotated[Numbers, Parameter(name="--from")] = None,
-    formats: Names = None,
-    rate: float = 100.0,
-    repeat: int = 1,
-    speed: float | None = None,
-    surroundings: Surroundings = Surroundings(),
+    play: Play = Play(),
+    surroundings: Around = Surroundings(),
     part: Part = Part(),
     run: Run = Run(),
 ) -> int:
@@ -110,39 +121,20 @@ def design(
         after: Recordings made already: design what should run next.
         link_by_link: One motion per link, from the last inward, each of this duration.
         bound: Also a numerical lower bound on the condition number of any such motion.
-        start: Present pose, Q1,Q2,...: writes approach.csv and return.csv too.
-        formats: Further files: ros2 (YAML), mcap, npz, and the programs urscript and ros2_client,
-            which run at a fifth of the speed until told otherwise.
-        rate: Rate of trajectory.csv [Hz].
-        repeat: How often trajectory.csv has the motion, for averaging.
-        speed: Also first_run.csv, the same path at this share of the speed (of 1), checked itself;
-            default: 0.2 with a program among the formats, else none.
     """
-    import numpy as np
-
-    import excitant.design as designs
-    from excitant.design.export import FIRST_SPEED, PROGRAMS
-    from excitant.robots import Motion
+    from excitant import api
     from excitant.robots.limits import require_limits
 
-    arm = surroundings.robot(part, robot)
+    arm = api.within(part.robot(robot), surroundings)
     if note := require_limits(arm):
         print(note, file=sys.stderr)
-    if not 1 <= rate <= 10_000:
-        raise BadInput(f"--rate {rate:g} Hz: give a control rate from 1 to 10000 Hz")
-    if repeat < 1:
-        raise BadInput(f"--repeat {repeat}: give how often the motion runs, at least 1")
-    names = formats or []
-    still = np.zeros((2, arm.nv))
-    designs.write_formats(
-        {"": Motion(np.arange(2.0), *3 * [still])}, arm, names
-    )  # may refuse
-    programs = [name for name in names if name in PROGRAMS]
-    if programs and speed is None:
-        speed = FIRST_SPEED
-    if speed is not None and not 0 < speed <= 1:
+    if search.seed < 0:
+        raise BadInput(f"--seed {search.seed}: give 0 or more")
+    alone: dict[str, object] = {"bound": bound, "noise": noise, "after": after}
+    alone |= {"from": play.start, "formats": play.formats, "speed": play.speed}
+    for option in (name for name, value in alone.items() if value and link_by_link):
         raise BadInput(
-            f"--speed {speed:g}: give the share of the speed, above 0 and up to 1"
+            f"--link-by-link designs each link by its own row; leave --{option} out"
         )
     if bound and search.criterion != "condition":
         raise BadInput(
@@ -153,123 +145,145 @@ def design(
         raise BadInput(
             "--bound holds for one motion with equal noise; leave --noise and --after"
         )
-    if start is not None and len(start) != arm.nv:
-        raise BadInput(
-            f"--from has {len(start)} numbers, {arm.name} has {arm.nv} joints"
-        )
-    alone: dict[str, object] = {
-        "bound": bound,
-        "noise": noise,
-        "after": after,
-        "from": start,
-    }
-    alone |= {"formats": formats, "speed": speed}
-    for option in (name for name, value in alone.items() if value and link_by_link):
-        raise BadInput(
-            f"--link-by-link designs each link by its own row; leave --{option} out"
-        )
-    scene, least = surroundings.scene(arm)
-    asked = search.options() | {"scene": scene, "clearance": least}
+    play = play.checked(arm)
     if link_by_link:
-        with progress_bar("design") as advance:
-            asked["progress"] = lambda done, link, best: advance(
-                done, f"{link}, best κ {best:.4g}"
-            )
-            links = designs.design_link_by_link(arm, **asked)
-        result = links.result() | {"repeat": repeat}
-        run.finish(result, links.series(), links.files(rate, repeat))
-        if any(motion.interrupted for motion in links.motions.values()):
-            raise KeyboardInterrupt("the best motions so far were written")
+        _design_link_by_link(arm, search, surroundings, play, run)
         return 0
-    began = time.monotonic()
     with progress_bar("design") as advance:
-
-        def tell(done: int, total: int | None, condition: float, ratio: float) -> None:
-            spent = time.monotonic() - began
-            share = (
-                done / total
-                if total
-                else min(spent / (search.time_limit or spent), 1.0)
-            )
-            words = f"{done} starts, best κ {condition:.4g}, worst limit {100 * ratio:.1f} %"
-            advance(share, words)
-
-        found = designs.design_trajectory(
-            arm, **asked, noise=noise, earlier=_earlier(arm, after), progress=tell
+        found = api.design_trajectory(
+            arm,
+            noise=noise,
+            after=after or (),
+            surroundings=surroundings,
+            progress=_teller(advance, search.time_limit),
+            **vars(search),
         )
-    trajectory = found.trajectory
-    files: dict[str, str | bytes] = {**found.files(rate, repeat)}
-    way = {
-        "trajectory": trajectory.motion(rate, repeat)
-    }  # in the order in which it runs
-    result = found.result() | {"repeat": repeat}
-    missing = False
+    result = found.result() | {"repeat": play.repeat}
+    files: dict[str, str | bytes] = {**found.files(play.rate, play.repeat)}
     if bound and not found.interrupted:
         result["condition_number"]["lower_bound"], note = _bound(found, search.seed)
         result["notes"].append(note)
-    if start is not None:
-        there = trajectory(0.0)[0]
-        here = np.array(start)
-        near: dict[str, Any] = {"scene": scene, "clearance": least, "rate_hz": rate}
-        held = arm.using(search.use)
-        try:
-            first, last = (
-                designs.approach(held, *ends, name=name, **near)
-                for name, ends in (
-                    ("approach", (here, there)),
-                    ("return", (there, here)),
-                )
-            )
-            way = {"approach": first, **way, "return": last}
-            files |= {
-                f"{k}.csv": designs.motion_csv(way[k]) for k in ("approach", "return")
-            }
-        except Infeasible as error:  # the design stands without them
-            result["notes"].append(str(error))
-            missing = True
-    if speed is not None:
-        slow = trajectory.slowed(speed)
-        used = designs.check(arm, slow).worst
-        result["first_run"] = {
-            "speed": speed,
-            "duration": slow.duration,
-            "limit": used.ratio,
-        }
-        said = (
-            f"the same path in {slow.duration:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
-            f"limit ({used.quantity} of {used.joint})"
-        )
-        if used.ratio > 1:  # what holds the arm is not less at a lower speed
-            missing = True
-            names = [name for name in names if name not in programs]
-            left = f" nor are programs ({', '.join(programs)})" if programs else ""
-            said += f", so it is not written{left}"
-        else:
-            first_run = slow.motion(rate)
-            files["first_run.csv"] = designs.motion_csv(first_run)
-            data = [name for name in names if name not in programs]
-            files |= designs.write_formats({"first_run": first_run}, arm, data)
-        result["notes"].append(f"first_run.csv: {said}")
-    files |= designs.write_formats(way, arm, names)
+    done = _add_files(found, play, api.clearance_of(surroundings), result, files)
     run.finish(result, found.series(), files)
     if found.interrupted:
         raise KeyboardInterrupt("the best motion so far was written")
-    return int(missing)
+    return 0 if done else 1
 
 
-def _earlier(robot: Robot, recordings: Sequence[str] | None) -> list[Motion]:
-    if not recordings:
-        return []
-    from excitant.identify.dataset import Dataset
-    from excitant.identify.preprocessing import prepare
+def _teller(advance: Advance, time_limit: float | None) -> Any:
+    """Progress of a design on a bar: of its starts, or of its time."""
+    began = time.monotonic()
 
-    read = Dataset(robot).recordings(recordings)
-    return [part.motion[part.keep] for recording in read for part in prepare(recording)]
+    def tell(done: int, total: int | None, condition: float, ratio: float) -> None:
+        spent = time.monotonic() - began
+        share = done / total if total else min(spent / (time_limit or spent), 1.0)
+        words = (
+            f"{done} starts, best κ {condition:.4g}, worst limit {100 * ratio:.1f} %"
+        )
+        advance(share, words)
+
+    return tell
+
+
+def _design_link_by_link(
+    robot: Robot, search: Search, surroundings: Surroundings, play: Play, run: Run
+) -> None:
+    from excitant import api
+    from excitant.design.sequence import design_link_by_link
+
+    with progress_bar("design") as advance:
+        links = design_link_by_link(
+            robot,
+            scene=api.scene_around(robot, surroundings) or (),
+            clearance=api.clearance_of(surroundings),
+            progress=lambda done, link, best: advance(
+                done, f"{link}, best κ {best:.4g}"
+            ),
+            **vars(search),
+        )
+    result = links.result() | {"repeat": play.repeat}
+    run.finish(result, links.series(), links.files(play.rate, play.repeat))
+    if any(motion.interrupted for motion in links.motions.values()):
+        raise KeyboardInterrupt("the best motions so far were written")
+
+
+def _add_files(
+    found: Design,
+    play: Play,
+    clearance: float,
+    result: dict[str, Any],
+    files: dict[str, str | bytes],
+) -> bool:
+    """Add approach, return, first run and further formats; whether nothing is missing."""
+    from excitant.design.export import motion_csv, write_formats
+
+    robot = found.robot
+    names = list(play.formats or ())
+    way = {"trajectory": found.trajectory.motion(play.rate, play.repeat)}
+    complete = True
+    if play.start is not None:
+        try:
+            way = _there_and_back(found, play, clearance, way)
+            files |= {f"{k}.csv": motion_csv(way[k]) for k in ("approach", "return")}
+        except Infeasible as error:  # the design stands without them
+            result["notes"].append(str(error))
+            complete = False
+    if play.speed is not None:
+        first_run, entry, note = _first_run(found, play)
+        result["first_run"] = entry
+        if first_run is None:  # what holds the arm is not less at a lower speed
+            complete = False
+            programs = ", ".join(play.programs)
+            names = [name for name in names if name not in play.programs]
+            note += ", so it is not written"
+            note += f" nor are programs ({programs})" if programs else ""
+        else:
+            files["first_run.csv"] = motion_csv(first_run)
+            data = [name for name in names if name not in play.programs]
+            files |= write_formats({"first_run": first_run}, robot, data)
+        result["notes"].append(f"first_run.csv: {note}")
+    files |= write_formats(way, robot, names)
+    return complete
+
+
+def _there_and_back(
+    found: Design, play: Play, clearance: float, way: dict[str, Motion]
+) -> dict[str, Motion]:
+    """Motions in the order in which they run, with those from and to the present pose."""
+    import numpy as np
+
+    from excitant.design.timing import approach
+
+    there = found.trajectory(0.0)[0]
+    here = np.array(play.start)
+    robot = found.robot.using(found.use)
+    options: dict[str, Any] = {"scene": found.scene, "clearance": clearance}
+    options["rate_hz"] = play.rate
+    first = approach(robot, here, there, name="approach", **options)
+    last = approach(robot, there, here, name="return", **options)
+    return {"approach": first, **way, "return": last}
+
+
+def _first_run(
+    found: Design, play: Play
+) -> tuple[Motion | None, dict[str, float], str]:
+    """The slow motion, None beyond a limit; its entry, and a note on it."""
+    from excitant.design.constraints import check as check_limits
+
+    assert play.speed is not None
+    slow = found.trajectory.slowed(play.speed)
+    used = check_limits(found.robot, slow).worst
+    entry = {"speed": play.speed, "duration": slow.duration, "limit": used.ratio}
+    note = (
+        f"the same path in {slow.duration:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
+        f"limit ({used.quantity} of {used.joint})"
+    )
+    return (slow.motion(play.rate) if used.ratio <= 1 else None), entry, note
 
 
 def _bound(found: Design, seed: int) -> tuple[float, str]:
     """The lower bound of the condition number, and what it says."""
-    from excitant.design import lower_bound
+    from excitant.design.bound import lower_bound
 
     with progress_bar("bound") as advance:
         bound = lower_bound(
@@ -280,10 +294,10 @@ def _bound(found: Design, seed: int) -> tuple[float, str]:
             else found.harmonics,
             columns=found.information.columns,
             seed=seed,
-            time_limit=_BOUND_TIME,
-            pool=[found.trajectory.motion(_DENSE_HZ)],
+            time_limit=BOUND_TIME_S,
+            pool=[found.trajectory.motion(SAMPLE_HZ)],
             progress=lambda spent, value, ceiling: advance(
-                min(spent / _BOUND_TIME, 1.0), f"κ ≥ {value:.4g}"
+                min(spent / BOUND_TIME_S, 1.0), f"κ ≥ {value:.4g}"
             ),
         )
     ratio = found.condition_final / bound.value
@@ -301,7 +315,7 @@ def check(
     *,
     columns: Columns = "friction",
     window: Window = None,
-    surroundings: Surroundings = Surroundings(),
+    surroundings: Around = Surroundings(),
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
@@ -313,17 +327,16 @@ def check(
     Raises:
         OutsideLimits: A limit is exceeded, or bodies come too close; after the run is saved.
     """
-    import excitant.design as designs
-    from excitant.identify import persistency
+    from excitant import api
+    from excitant.identify.excitation import persistency
     from excitant.robots.effects import standard_effects
 
-    arm = surroundings.robot(part, robot)
-    motion, path = path_of(designs.load_trajectory(trajectory, arm))
-    effects = standard_effects(arm.joints) if columns == "friction" else ()
-    shown = persistency(arm, _evenly(path, motion), effects, window=window)
-    scene, least = surroundings.scene(arm)
-    asked = designs.information(arm, columns)
-    found = designs.TrajectoryCheck(arm, motion, path, scene, least, asked)
+    found = api.check(
+        part.robot(robot), trajectory, columns=columns, surroundings=surroundings
+    )
+    effects = standard_effects(found.robot.joints) if columns == "friction" else ()
+    motion = _evenly(found.path, found.motion)
+    shown = persistency(found.robot, motion, effects, window=window)
     result = found.result() | {"trajectory": trajectory, "persistency": shown.result()}
     run.finish(result, found.series())
     found.require()
@@ -333,9 +346,9 @@ def _evenly(path: Trajectory | HermiteTrajectory, motion: Motion) -> Motion:
     """A motion at even steps, whatever those of its samples are."""
     import numpy as np
 
-    from excitant.robots import Motion
+    from excitant.robots.motion import Motion
 
-    steps = max(4, int((motion.t[-1] - motion.t[0]) * _DENSE_HZ))
+    steps = max(4, int((motion.t[-1] - motion.t[0]) * SAMPLE_HZ))
     t = np.linspace(motion.t[0], motion.t[-1], steps + 1)
     return Motion(t, path(t), path(t, 1), path(t, 2))
 
@@ -347,7 +360,7 @@ def show(
     *,
     output: Annotated[str | None, Parameter(name=("--output", "-o"))] = None,
     json: bool = False,
-    surroundings: Surroundings = Surroundings(),
+    surroundings: Around = Surroundings(),
     part: Part = Part(),
 ) -> None:
     """The arm in motion, to watch before it runs: limits touched, and what comes close.
@@ -356,22 +369,21 @@ def show(
         output: File to write, .html; default: runs/show-<robot>-<time>.html.
         json: Print the result as JSON and nothing else.
     """
-    from excitant.design import TrajectoryCheck, load_trajectory
+    from excitant import api
     from excitant.reports import brief, html, page_of
     from excitant.reports.run import as_saved
 
-    arm = surroundings.robot(part, robot)
+    arm = part.robot(robot)
     target = Path(output or f"{Run().folder({'verb': 'show', 'robot': arm.name})}.html")
     if target.suffix != ".html":
         raise BadInput(f"{target}: name a .html file")
-    motion, path = path_of(load_trajectory(trajectory, arm))
-    around = surroundings.around(arm)
-    found = TrajectoryCheck(arm, motion, path, *surroundings.seen(arm, around))
+    found = api.show(arm, trajectory, surroundings=surroundings)
     result = found.result() | {
         "verb": "show",
         "trajectory": trajectory,
         "files": [str(target)],
     }
+    around = api.obstacles_around(found.robot, surroundings)
     result["obstacles"] = [obstacle.plain() for obstacle in around]
     plain, series = as_saved(result, found.series())
     page = page_of(plain, series)
@@ -402,31 +414,31 @@ def simulate(
             is not in the model.
         json: Print the result as JSON and nothing else.
     """
-    import numpy as np
-
-    from excitant.design import load_trajectory
-    from excitant.robots.virtual_arm import virtual_arm
+    from excitant import api
 
     arm = part.robot(robot)
     target = Path(output)
     if target.suffix not in (".csv", ".parquet"):
         raise BadInput(f"{target}: name a .csv or .parquet file")
-    motion, path = path_of(load_trajectory(trajectory, arm))
-    duration = float(motion.t[-1])
-    rng = np.random.default_rng(seed)
-    tolerance = 0.03 if hidden else 0.0
-    virtual = virtual_arm(arm, rng, hidden=None if hidden else (), tolerance=tolerance)
     with progress_bar("simulate") as advance:
-        table = virtual.record(path, duration, rng, lambda share: advance(share, ""))
+        found = api.simulate(
+            arm,
+            trajectory,
+            seed=seed,
+            hidden=hidden,
+            progress=lambda share: advance(share, ""),
+        )
+    table = found.table
     write_file(target, table_bytes(table, target.suffix))
     if json:
         result = {"verb": "simulate", "robot": arm.name, "samples": len(table)}
-        hides = [effect.entry() for effect in virtual.hidden]
-        print_json(
-            result | {"duration": duration, "hidden": hides, "files": [str(target)]}
-        )
+        hides = [effect.entry() for effect in found.hidden]
+        more = {"duration": found.duration, "hidden": hides, "files": [str(target)]}
+        print_json(result | more)
     else:
-        print(f"{printable(str(target))}  {len(table)} samples over {duration:g} s")
+        print(
+            f"{printable(str(target))}  {len(table)} samples over {found.duration:g} s"
+        )
 
 
 def rehearse(
@@ -434,50 +446,30 @@ def rehearse(
     trajectory: TrajectoryFile,
     /,
     *,
-    limits: str | None = None,
     seed: Seed = 0,
+    surroundings: Around = Surroundings(),
     part: Part = Part(),
     run: Run = Run(),
 ) -> int:
     """A motion tried on a virtual arm, up to what it recovers; from rest to rest.
 
     Args:
-        limits: YAML or JSON with limits to use instead.
         seed: Draws the arm, its noise and the effect to name.
     """
-    import numpy as np
+    from excitant import api
 
-    from excitant.analysis.rehearsal import rehearse as rehearse_motion
-    from excitant.design import load_trajectory
-
-    arm = part.robot(robot, limits)
-    motion, path = path_of(load_trajectory(trajectory, arm))
+    arm = part.robot(robot)
     with progress_bar("rehearse") as advance:
-        rng = np.random.default_rng(seed)
-        found = rehearse_motion(arm, path, float(motion.t[-1]), rng, advance)
-    run.finish(
-        found.result() | {"trajectory": trajectory, "seed": seed}, found.series()
-    )
+        found = api.rehearse(
+            arm, trajectory, seed=seed, surroundings=surroundings, progress=advance
+        )
+    result = found.result() | {"trajectory": trajectory, "seed": seed}
+    run.finish(result, found.series())
     return 0 if found.passed else 1
 
 
 def table_bytes(table: DataFrame, suffix: str) -> bytes:
     """A table as the content of a ``.csv`` or ``.parquet`` file."""
-    csv = suffix == ".csv"
-    return (
-        table.to_csv(index=False).encode()
-        if csv
-        else bytes(table.to_parquet(index=False))
-    )
-
-
-def path_of(
-    trajectory: Trajectory | Motion,
-) -> tuple[Motion, Trajectory | HermiteTrajectory]:
-    """Samples of a trajectory, at 100 Hz where it has none of its own, and what it is between."""
-    from excitant.design import HermiteTrajectory
-    from excitant.robots import Motion
-
-    if isinstance(trajectory, Motion):
-        return trajectory, HermiteTrajectory(trajectory)
-    return trajectory.motion(_DENSE_HZ), trajectory
+    if suffix == ".csv":
+        return table.to_csv(index=False).encode()
+    return bytes(table.to_parquet(index=False))

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os.path import isdir, isfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -18,13 +18,14 @@ from excitant.exceptions import BadInput
 from excitant.files import require_replaceable
 from excitant.interrupts import check
 from excitant.names import in_folder, one_line, printable
+from excitant.surroundings import Surroundings
 
 if TYPE_CHECKING:
     from cyclopts import Token
 
     from excitant.identify import Dataset, Recording
+    from excitant.identify.faults import Checked
     from excitant.robots import Array, Robot
-    from excitant.robots.geometry import Obstacle, Scene
 
 
 def _arms(_: object) -> Iterator[str]:
@@ -67,6 +68,7 @@ Numbers = Annotated[list[float] | None, _comma(_numbers)]
 Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 Seed = Annotated[int, Parameter(validator=Number(gte=0))]
 Columns = Literal["friction", "inertial"]
+Around = Annotated[Surroundings, Parameter(name="*")]
 Window = Annotated[
     float | None,
     Parameter(
@@ -119,13 +121,13 @@ class Part:
             self.trust_xacro,
         )
 
-    def robot(self, path: str, limits: str | None = None) -> Robot:
-        """The robot with the limits of a file; its notes go to the error stream."""
-        from excitant.robots import load_limits, load_robot
+    def robot(self, path: str) -> Robot:
+        """The robot; its notes go to the error stream."""
+        from excitant.robots.loading import load_robot
 
         robot = load_robot(self.spec(path))
         _say({robot.source: robot.notes})
-        return robot.with_limits(load_limits(limits, robot)) if limits else robot
+        return robot
 
     def dataset(self, path: str, mapping: str | None) -> Dataset:
         """The robot with the recordings beside it."""
@@ -153,78 +155,6 @@ def _assignment(word: str) -> tuple[str, str]:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Surroundings:
-    """Limits, and what the arm must keep clear of."""
-
-    limits: str | None = None
-    "YAML or JSON with limits to use instead."
-    mass_uncertainty: float = 0.0
-    "Hold the torque limits even if each link's mass and inertia are larger or smaller by this [%]."
-    obstacles: str | None = None
-    "YAML with boxes, spheres, half-spaces, or a workspace of the tool."
-    floor: float | None = None
-    "Height of the floor in the base frame [m]; default: the plane that the base stands on."
-    no_floor: bool = False
-    "There is no floor."
-    clearance: float | None = None
-    "Least distance [m] to floor, obstacles and between bodies; default: 0.01 m."
-    ignore_collisions: bool = False
-    "Leave clearance out."
-
-    def robot(self, part: Part, path: str) -> Robot:
-        """The robot, whose torque limits are to hold as far as its masses are uncertain."""
-        robot = part.robot(path, self.limits)
-        if not 0 <= self.mass_uncertainty < 100:
-            raise BadInput(
-                f"--mass-uncertainty {self.mass_uncertainty:g}: give 0 to 100 [%]"
-            )
-        share = self.mass_uncertainty / 100
-        return robot.with_limits(replace(robot.limits, mass_uncertainty=share))
-
-    def around(self, robot: Robot) -> tuple[Obstacle, ...]:
-        """Obstacles and the floor, if it is known."""
-        from excitant.robots.geometry import base_plane, floor, load_obstacles
-
-        if self.no_floor and self.floor is not None:
-            raise BadInput("--floor and --no-floor exclude each other; leave one out")
-        obstacles = load_obstacles(self.obstacles) if self.obstacles else ()
-        height = (
-            base_plane(robot)
-            if self.floor is None and not self.no_floor
-            else self.floor
-        )
-        return obstacles if height is None else (*obstacles, floor(height))
-
-    def seen(
-        self, robot: Robot, around: Sequence[Obstacle]
-    ) -> tuple[Scene | None, float]:
-        """Scene as far as the arm has shapes, and the least distance [m]."""
-        from excitant.design import CLEARANCE
-        from excitant.robots.geometry import scene
-
-        least = CLEARANCE if self.clearance is None else self.clearance
-        return None if self.ignore_collisions else scene(robot, around, least), least
-
-    def scene(self, robot: Robot) -> tuple[Scene | None, float]:
-        """Scene to keep clear of, if any, and the least distance [m]."""
-        from excitant.robots.geometry import unchecked
-
-        found, least = self.seen(
-            robot, () if self.ignore_collisions else self.around(robot)
-        )
-        asked = (self.obstacles, self.floor, self.clearance)
-        left = found is None and not self.ignore_collisions
-        if left and any(option is not None for option in asked):
-            raise BadInput(
-                f"{robot.source}: clearance cannot be checked ({unchecked(robot, None)}); give "
-                "its URDF <collision> elements whose meshes are there, or leave --obstacles, "
-                "--floor and --clearance out"
-            )
-        return found, least
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
 class Data:
     """Reading and judging of recordings."""
 
@@ -239,21 +169,39 @@ class Data:
 
     def read(
         self, dataset: Dataset, names: Sequence[str], others: Sequence[str] = ()
-    ) -> tuple[list[Recording], list[Recording], dict[str, Any], list[str]]:
-        """Recordings to fit (all but others where none is named), hold-out, entries, notes."""
+    ) -> Readings:
+        """Recordings to fit (all but others where none is named), and to judge on."""
         from excitant.identify.dataset import read_checked
 
-        held = self.validate or []
+        validate = self.validate or []
         checked = read_checked(
-            dataset, names, without=[*held, *others], repaired=self.repair
+            dataset, names, without=[*validate, *others], repaired=self.repair
         )
-        fit = checked.recordings
-        unseen = dataset.recordings(held) if held else []
-        understood = _say(
-            {each.name: each.notes for each in (*fit, *unseen) if each.notes}
-        )
-        said = {"faults": checked.entries(), "import": understood}
-        return list(fit), list(unseen), said, list(checked.notes)
+        holdout = dataset.recordings(validate) if validate else []
+        return Readings(checked, list(holdout))
+
+
+class Readings:
+    """Recordings of a command, with what is to be said of them.
+
+    Attributes:
+        checked: Recordings to fit, with their faults.
+        holdout: Recordings to judge on; empty when none is named.
+        fit: Recordings to fit.
+        notes: Remarks on repairs, as sentences.
+        entries: Entries of result.json: ``faults`` and ``import``.
+    """
+
+    def __init__(self, checked: Checked, holdout: list[Recording]) -> None:
+        self.checked = checked
+        self.holdout = holdout
+        self.fit = list(checked.recordings)
+        self.notes = list(checked.notes)
+        notes = {run.name: run.notes for run in (*self.fit, *holdout) if run.notes}
+        self.entries: dict[str, Any] = {
+            "faults": checked.entries(),
+            "import": _say(notes),
+        }
 
 
 @Parameter(name="*")

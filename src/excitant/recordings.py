@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from excitant.exceptions import BadInput, RankDeficient, UnknownName
+from excitant.exceptions import BadInput, UnknownName
 from excitant.options import (
     Columns,
     Data,
@@ -26,7 +26,13 @@ from excitant.options import (
 from excitant.progress import progress_bar
 
 if TYPE_CHECKING:
-    from excitant.identify import Dataset, DriveGains, Estimate, Recording
+    from excitant.identify import (
+        Dataset,
+        DriveGains,
+        Estimate,
+        PayloadEstimate,
+        Recording,
+    )
     from excitant.robots import Robot
     from excitant.robots.effects import Effect
 
@@ -68,6 +74,164 @@ class Load:
             dataset.robot, recordings, loaded, payload, **options
         )
 
+    def carried(
+        self,
+        dataset: Dataset,
+        recordings: Sequence[Recording],
+        drive: DriveGains | None,
+        effects: Sequence[Effect] | None,
+        fit: Fit,
+    ) -> PayloadEstimate:
+        """The payload of these recordings."""
+        from excitant import api
+
+        unloaded = dataset.recordings(self.unloaded) if self.unloaded else []
+        if drive is not None:
+            unloaded = drive.torque(unloaded)
+        return api.identify_payload(
+            dataset.robot,
+            recordings,
+            unloaded=unloaded,
+            effects=effects,
+            forgetting=fit.forgetting,
+            over_time=fit.online,
+        )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Fit:
+    """What is estimated, and how."""
+
+    effects: Effects = None
+    (
+        "Effects to estimate, or auto: the standard ones and what the recordings call for. "
+        "Default: viscous_friction,coulomb_friction,torque_offset,rotor_inertia."
+    )
+    estimator: str | None = None
+    (
+        "Of the base parameters: wls (weighted least squares, the default), irls (robust against "
+        "wrong torques), iv or oe (noisy positions)."
+    )
+    trajectory: str | None = None
+    "Commanded trajectory.json: without --cutoff the filter passes its highest harmonic."
+    knowledge: str | None = None
+    "YAML with what is known of the bodies: masses, their sum, where centres of mass lie."
+    length_std: Numbers = None
+    (
+        "Lengths that are assumed, not measured: standard deviation [m] of where joints sit in "
+        "their links, one for all or one per joint S1,S2,...; default: that of robot.yaml, else "
+        "0. It widens what is said of parameters and torque."
+    )
+    online: bool = False
+    "Sample by sample, as in a control loop: estimates over time."
+    link_by_link: bool = False
+    "From the last link inward, each from its own joint's torque."
+    forgetting: float | None = None
+    "With --online: time constant of forgetting [s]; default: nothing is forgotten."
+
+    @property
+    def automatic(self) -> bool:
+        """Whether effects are chosen from the recordings."""
+        return self.effects == ["auto"]
+
+    @property
+    def names(self) -> list[str] | None:
+        """Names of the effects; None for the standard ones or a choice."""
+        return None if self.automatic else self.effects
+
+    def require(self, load: Load) -> None:
+        """Refuse options that contradict each other."""
+        another = self.online or self.link_by_link
+        com = load.payload_com
+        alone = load.unloaded and not load.payload
+        apart = bool(load.payload_recording) != (load.payload_mass is not None)
+        refused: list[tuple[object, str]] = [
+            (
+                self.automatic and (another or load.payload),
+                "--effects auto needs all rows at once and the arm alone; name effects, or "
+                "leave --online, --link-by-link and --payload out",
+            ),
+            (
+                alone,
+                "--unloaded names what --payload is compared with; give --payload too",
+            ),
+            (
+                apart,
+                "--payload-recording and --payload-mass belong together; give both",
+            ),
+            (
+                com and len(com) != 3,
+                "--payload-com needs three numbers, X,Y,Z in metres",
+            ),
+            (
+                self.forgetting is not None and not self.online,
+                "--forgetting is for --online; give --online too",
+            ),
+            (
+                self.link_by_link and self.online,
+                "--link-by-link needs whole recordings; leave --online out",
+            ),
+        ]
+        for name in ("estimator", "knowledge", "trajectory", "length_std"):
+            why = "is for all rows at once; leave the other way out"
+            option = name.replace("_", "-")
+            refused.append((getattr(self, name) and another, f"--{option} {why}"))
+        for wrong, why in refused:
+            if wrong:
+                raise BadInput(why)
+
+    def found(
+        self,
+        robot: Robot,
+        recordings: Sequence[Recording],
+        effects: Sequence[Effect] | None,
+        **options: Any,
+    ) -> Any:
+        """The estimate, on-line or link by link where that is asked for."""
+        from excitant import api
+
+        options["effects"] = effects
+        with progress_bar("identify") as advance:
+            if self.online:
+                return api.identify_online(
+                    robot,
+                    recordings,
+                    forgetting=self.forgetting,
+                    progress=lambda share: advance(share, ""),
+                    **options,
+                )
+            if self.link_by_link:
+                return api.identify_link_by_link(robot, recordings, **options)
+            return api.identify_robot(
+                robot,
+                recordings,
+                estimator=self.estimator or "wls",
+                trajectory=self.trajectory,
+                knowledge=self.knowledge,
+                length_std=self.length_std,
+                **options,
+            )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Model:
+    """Files of the model."""
+
+    formats: Names = None
+    (
+        "Files of the model beside URDF and model.yaml: mjcf, sdf, ros2_control (parameters of "
+        "controllers); default: mjcf,sdf."
+    )
+    mujoco: bool = False
+    (
+        "Also the torque that the given and the identified model need in MuJoCo, as MJCF, for the "
+        "motion of the hold-out."
+    )
+    force: bool = False
+    "Publish the model even if the given one, or none, predicts the hold-out better."
+
 
 def go(
     robot: RobotOrFolder,
@@ -86,21 +250,19 @@ def go(
         recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP, or folders of them; all of the
             folder or bag when none is named.
     """
-    from excitant.analysis import examine
+    from excitant import api
 
     dataset = part.dataset(robot, data.map)
-    fit, held, said, notes = data.read(dataset, recordings)
-    options: dict[str, Any] = {"validate": held, "cutoff_hz": data.cutoff}
+    read = data.read(dataset, recordings)
     with progress_bar("go") as advance:
-        found = examine(
+        found = api.examined(
             dataset.robot,
-            fit,
-            faults=said["faults"],
-            notes=notes,
+            read.checked,
+            validate=read.holdout,
+            cutoff=data.cutoff,
             progress=advance,
-            **options,
         )
-    result = found.result() | {"import": said["import"]}
+    result = found.result() | {"import": read.entries["import"]}
     refusal = "" if found.use else f"use no model of these recordings: {found.refusal}"
     shown = (*found.recommended, "report.html")
     run.finish(result, found.series(), found.files, first=refusal, shown=shown)
@@ -112,17 +274,8 @@ def identify(
     /,
     *recordings: str,
     data: Data = Data(),
-    effects: Effects = None,
-    estimator: str | None = None,
-    trajectory: str | None = None,
-    knowledge: str | None = None,
-    length_std: Numbers = None,
-    formats: Names = None,
-    mujoco: bool = False,
-    force: bool = False,
-    online: bool = False,
-    link_by_link: bool = False,
-    forgetting: float | None = None,
+    fit: Fit = Fit(),
+    model: Model = Model(),
     load: Load = Load(),
     part: Part = Part(),
     run: Run = Run(),
@@ -132,109 +285,62 @@ def identify(
     Args:
         recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP; all of the folder when none is
             named.
-        effects: Effects to estimate, or auto: the standard ones and what the recordings call
-            for. Default: viscous_friction,coulomb_friction,torque_offset,rotor_inertia.
-        estimator: Of the base parameters: wls (weighted least squares, the default), irls (robust
-            against wrong torques), iv or oe (noisy positions).
-        trajectory: trajectory.json that the arm was told: without --cutoff, the cut-off is high
-            enough for the torque of its harmonics.
-        knowledge: YAML with what is known of the bodies: masses, their sum, where centres of mass
-            lie.
-        length_std: Lengths that are assumed, not measured: standard deviation [m] of where joints
-            sit in their links, one for all or one per joint S1,S2,...; default: that of robot.yaml,
-            else 0. It widens what is said of parameters and torque.
-        formats: Files of the model beside URDF and model.yaml: mjcf, sdf, ros2_control (parameters
-            of controllers); default: mjcf,sdf.
-        mujoco: Also the torque that the given and the identified model need in MuJoCo, as MJCF,
-            for the motion of the hold-out.
-        force: Publish the model even if the given one, or none, predicts the hold-out better.
-        online: Sample by sample, as in a control loop: estimates over time.
-        link_by_link: From the last link inward, each from its own joint's torque.
-        forgetting: With --online: time constant of forgetting [s]; default: nothing is forgotten.
     """
-    import excitant.identify as identification
+    from excitant import api
+    from excitant.analysis.effect_choice import described
     from excitant.identify.estimators import ESTIMATORS
-    from excitant.identify.export import FORMATS, USUAL
+    from excitant.identify.export import FORMATS, USUAL, publication
     from excitant.identify.faults import proven
-    from excitant.identify.rows import fitted
 
-    if mujoco:
+    if model.mujoco:
         import_module("mujoco")  # refused before the work, not after it
-    chosen = effects == ["auto"]
-    whole: dict[str, Any] = {"estimator": estimator, "knowledge": knowledge}
-    whole |= {"trajectory": trajectory, "length-std": length_std}
-    _refuse_contradictions(load, chosen, online, link_by_link, forgetting, whole)
-    UnknownName.refuse("estimator", [estimator] if estimator else (), ESTIMATORS)
-    UnknownName.refuse("format", formats or (), FORMATS)
+    fit.require(load)
+    UnknownName.refuse(
+        "estimator", [fit.estimator] if fit.estimator else (), ESTIMATORS
+    )
+    UnknownName.refuse("format", model.formats or (), FORMATS)
     dataset = part.dataset(robot, data.map)
     arm = dataset.robot
-    named = None if chosen else _named(effects, arm)
-    options: dict[str, Any] = {"effects": named, "cutoff_hz": data.cutoff}
     others = [*(load.unloaded or ()), *(load.payload_recording or ())]
-    fit, held, said, notes = data.read(dataset, recordings, others)
-    drive = load.drive(dataset, fit, options | {"validate": held})
+    read = data.read(dataset, recordings, others)
+    notes = list(read.notes)
+    named = None if fit.names is None else api.as_effects(fit.names, arm)
+    train = read.fit
+    holdout = read.holdout
+    judged = {"validate": holdout, "cutoff_hz": data.cutoff}
+    drive = load.drive(dataset, train, judged | {"effects": named})
     if drive is not None:
-        fit = drive.torque(fit)
-        held = drive.torque(held)
-    if chosen:
-        from excitant.analysis.effect_choice import choose_effects, described
-
-        with progress_bar("effects") as advance:
-            options["effects"] = choose_effects(
-                arm, fitted(fit, held), cutoff_hz=data.cutoff, progress=advance
-            )
-        notes += described(options["effects"])
-    options["validate"] = held
-    with progress_bar("identify") as advance:
-        if online:
-            options |= {
-                "forgetting": forgetting,
-                "progress": lambda share: advance(share, ""),
-            }
-            found: Any = identification.identify_online(arm, fit, **options)
-        elif link_by_link:
-            found = identification.identify_link_by_link(arm, fit, **options)
-        else:
-            known = (
-                identification.load_knowledge(knowledge, arm.links)
-                if knowledge
-                else None
-            )
-            highest = _highest_harmonic(trajectory, arm) if trajectory else None
-            options |= {
-                "knowledge": known,
-                "harmonics_hz": highest,
-                "length_std": length_std,
-            }
-            found = identification.identify_robot(
-                arm, fit, **options, estimator=estimator or "wls"
-            )
+        train = drive.torque(train)
+        holdout = drive.torque(holdout)
+    effects: Sequence[Effect] | None = named
+    if fit.automatic:
+        chosen = _chosen_effects(arm, train, holdout, data.cutoff)
+        notes += described(chosen)
+        effects = chosen
+    found = fit.found(arm, train, effects, validate=holdout, cutoff=data.cutoff)
     estimate: Estimate = getattr(found, "estimate", found)
     result = found.result()
     if load.payload:
-        unloaded = dataset.recordings(load.unloaded) if load.unloaded else []
-        if drive is not None:
-            unloaded = drive.torque(unloaded)
-        over: dict[str, Any] = {"forgetting": forgetting, "over_time": online}
-        carried = identification.identify_payload(
-            arm, fit, unloaded=unloaded, effects=named, **over
-        )
+        carried = load.carried(dataset, train, drive, named, fit)
         result["payload"] = carried.result()
-    if arm.length_std and (online or link_by_link or load.payload):
+    if arm.length_std and (fit.online or fit.link_by_link or load.payload):
         notes.append(
             "length_std of the robot counts where all rows are fitted at once: not on-line, link "
             "by link, or in a payload"
         )
-    result |= said
+    result |= read.entries
     series = estimate.series() | found.series()
-    if mujoco:
+    if model.mujoco:
         from excitant.identify.mujoco import side_by_side
 
         beside = side_by_side(estimate)
         result["mujoco"] = beside.result()
         series |= beside.series()
-    published = identification.publication(
-        estimate, formats=formats or USUAL, force=force, faults=proven(said["faults"])
+    published = publication(
+        estimate,
+        formats=model.formats or USUAL,
+        force=model.force,
+        faults=proven(read.entries["faults"]),
     )
     result["notes"] += notes
     published.note_in(result)
@@ -242,59 +348,19 @@ def identify(
     return 0 if published.published else 1
 
 
-def _refuse_contradictions(
-    load: Load, chosen: bool, online: bool, by_link: bool, forgetting: float | None,
-    whole: dict[str, Any],
-) -> None:  # fmt: skip
-    com = load.payload_com
-    another = online or by_link
-    alone = load.unloaded and not load.payload
-    apart = bool(load.payload_recording) != (load.payload_mass is not None)
-    refused: list[tuple[object, str]] = [
-        (
-            chosen and (another or load.payload),
-            "--effects auto needs all rows at once and the arm alone; name effects, or leave "
-            "--online, --link-by-link and --payload out",
-        ),
-        (alone, "--unloaded names what --payload is compared with; give --payload too"),
-        (apart, "--payload-recording and --payload-mass belong together; give both"),
-        (com and len(com) != 3, "--payload-com needs three numbers, X,Y,Z in metres"),
-        (
-            forgetting is not None and not online,
-            "--forgetting is for --online; give --online too",
-        ),
-        (
-            by_link and online,
-            "--link-by-link needs whole recordings; leave --online out",
-        ),
-    ]
-    why = "is for all rows at once; leave the other way out"
-    refused += [(value and another, f"--{name} {why}") for name, value in whole.items()]
-    for wrong, why in refused:
-        if wrong:
-            raise BadInput(why)
+def _chosen_effects(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    holdout: Sequence[Recording],
+    cutoff_hz: float | None,
+) -> Sequence[Effect]:
+    """Effects that the recordings call for."""
+    from excitant.analysis.effect_choice import choose_effects
+    from excitant.identify.rows import fitted
 
-
-def _highest_harmonic(path: str, robot: Robot) -> float:
-    from excitant.design import load_trajectory
-    from excitant.robots import Motion
-
-    planned = load_trajectory(path, robot)
-    if isinstance(planned, Motion):
-        raise BadInput(
-            f"--trajectory {path} holds samples; give the trajectory.json, which holds harmonics"
-        )
-    return planned.harmonics / planned.period
-
-
-def _named(names: Sequence[str] | None, robot: Robot) -> list[Effect] | None:
-    if names is None:
-        return None
-    from excitant.robots.effects import EFFECTS, Acts
-
-    known = {name: kind for name, kind in EFFECTS.items() if kind.acts_on is Acts.EACH}
-    UnknownName.refuse("effect", names, known)
-    return [known[name](robot.joints) for name in names]
+    whole = fitted(recordings, holdout)
+    with progress_bar("effects") as advance:
+        return choose_effects(robot, whole, cutoff_hz=cutoff_hz, progress=advance)
 
 
 def analyze(
@@ -325,64 +391,41 @@ def analyze(
         frames: Frames that the links' inertias are about: their joints', or Denavit-Hartenberg's
             (distal) as in Khosla (1987).
     """
-    from excitant.analysis import identifiability
-    from excitant.robots.effects import standard_effects
+    from excitant import api
 
     if trajectory and recording:
         raise BadInput("--trajectory and --recording exclude each other; leave one out")
     dataset = part.dataset(robot, data.map) if recording or isdir(robot) else None
     arm = part.robot(robot) if dataset is None else dataset.robot
-    effects = standard_effects(arm.joints) if columns == "friction" else ()
-    given: dict[str, Any] = {
-        "noise": noise,
-        "moving": moving,
-        "measured": measured,
-        "frames": frames,
-    }
     notes = list[str]()
-    said = dict[str, Any]()
+    entries = dict[str, Any]()
+    estimate = None
     if dataset is not None and recording:
-        import numpy as np
-
-        fit, held, said, notes = data.read(dataset, recording)
-        options = {"effects": effects, "validate": held, "cutoff_hz": data.cutoff}
-        given["estimate"] = _as_far_as_shown(arm, fit, options, notes)
-        given["rng"] = np.random.default_rng(0)
-    elif trajectory:
-        from excitant.design import load_trajectory
-        from excitant.motions import path_of
-
-        given["motion"], _ = path_of(load_trajectory(trajectory, arm))
-    found = identifiability.analyze(arm, effects=effects, **given)
-    result = found.result() | said
+        read = data.read(dataset, recording)
+        notes += read.notes
+        entries = read.entries
+        estimate = api.estimate_shown(
+            arm,
+            read.fit,
+            validate=read.holdout,
+            cutoff=data.cutoff,
+            columns=columns,
+            notes=notes,
+        )
+    found = api.analyze(
+        arm,
+        trajectory=trajectory,
+        estimate=estimate,
+        noise=noise,
+        moving=moving,
+        measured=measured,
+        columns=columns,
+        frames=frames,
+        window=window,
+    )
+    result = found.result() | entries
     result["notes"] += notes
     run.finish(result, found.series())
-
-
-def _as_far_as_shown(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    options: dict[str, Any],
-    notes: list[str],
-) -> Estimate:
-    """An estimate even where the recorded motion leaves parameters open, or is brief."""
-    from excitant.analysis import identify_shown
-    from excitant.identify import identify_robot
-    from excitant.identify.recording import MINIMUM_DURATION
-    from excitant.identify.rows import FIT_SHARE
-
-    short = MINIMUM_DURATION / (1 - FIT_SHARE)
-    brief = [r for r in recordings if r.duration < short and not options["validate"]]
-    notes += [
-        f"{r.name} lasts {r.duration:.3g} s, too short to hold a part of it back: all of it is "
-        "analysed, and what so few rows say of the noise is rough; record longer"
-        for r in brief
-    ]
-    options |= {"validate": recordings} if brief else {}
-    try:
-        return identify_robot(robot, recordings, **options)
-    except RankDeficient:
-        return identify_shown(robot, recordings, **options)
 
 
 def diagnose(
@@ -408,16 +451,17 @@ def diagnose(
     """
     import numpy as np
 
-    from excitant.analysis import diagnosis
+    from excitant import api
     from excitant.analysis.discrimination import Plan
     from excitant.analysis.publication import extended_publication
-    from excitant.design import trajectory_csv, trajectory_json
+    from excitant.design.export import trajectory_csv, trajectory_json
 
     dataset = part.dataset(robot, data.map)
-    fit, held, said, notes = data.read(dataset, recordings)
+    read = data.read(dataset, recordings)
+    entries = read.entries
     with progress_bar("diagnose"):
-        found = diagnosis.diagnose(
-            dataset.robot, fit, validate=held, cutoff_hz=data.cutoff
+        found = api.diagnose(
+            dataset.robot, read.fit, validate=read.holdout, cutoff=data.cutoff
         )
     plan = Plan()
     if experiments:
@@ -425,11 +469,11 @@ def diagnose(
 
         limit = np.inf if experiment_time is None else experiment_time
         plan = planned(found, np.random.default_rng(0), time_limit=limit)
-    said["faults"] = found.amended(said["faults"])
-    model = extended_publication(found, said["faults"], force=force)
+    entries["faults"] = found.amended(entries["faults"])
+    model = extended_publication(found, entries["faults"], force=force)
     files = dict(model.files)
-    result = found.result(plan) | said
-    result["notes"] += notes
+    result = found.result(plan) | entries
+    result["notes"] += read.notes
     model.note_in(result)
     if experiments and experiment_time is not None:
         result["notes"].append(

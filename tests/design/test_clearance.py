@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from excitant.design import clearance, design_trajectory, from_coefficients
+from excitant.design import build_design, clearance, design_trajectory, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, load_robot
 from excitant.robots.geometry import (
@@ -290,3 +290,13 @@ def contacts_in_mujoco(robot: Robot, q: np.ndarray) -> int:
                 count += 1
                 break
     return count
+
+
+def test_a_design_keeps_clear_of_itself_and_the_floor_without_a_word() -> None:
+    """The wrist came 846 mm below the floor where nothing was said of a scene."""
+    options = {"duration": 5.0, "harmonics": 3, "starts": 1, "jobs": 1, "time_limit": 2.0}
+    robot = load_robot("ur10")
+    kept = design_trajectory(robot, **options)
+    assert [obstacle.name for obstacle in kept.scene.obstacles] == ["floor"]
+    assert kept.clearance.distance >= 0.01
+    assert build_design(robot, scene=()).scene is None

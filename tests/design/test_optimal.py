@@ -246,7 +246,7 @@ def test_what_next_makes_up_for_what_a_recording_lacks(planar: Robot) -> None:
     once = random_trajectory(planar, rng, 5.0, 4).sample(500)
     alone = replace(once, **{name: getattr(once, name) * [0, 1] for name in ("q", "dq", "ddq")})
     options = {"duration": 5.0, "harmonics": 3, "columns": "inertial", "starts": 4, "jobs": 1}
-    knowing = design_trajectory(planar, earlier=[alone] * 10, **options)
+    knowing = design_trajectory(planar, after=[alone] * 10, **options)
     unknowing = design_trajectory(planar, **options)
     both = information(planar, "inertial", earlier=[alone] * 10, duration=5.0)
     values = [condition_number(both.matrix(x.trajectory.sample(500))) for x in (knowing, unknowing)]
@@ -260,7 +260,9 @@ def test_harmonics_are_added_while_they_pay(planar: Robot) -> None:
     options = {"duration": 6.0, "periods": 1, "columns": "inertial", "starts": 4, "jobs": 1}
     few = design_trajectory(tight, harmonics=5, **options)
     for series in ("fourier", "spline"):
-        more = design_trajectory(tight, harmonics=None, series=series, top_hz=2.5, **options)
+        more = design_trajectory(
+            tight, harmonics="search", series=series, max_frequency=2.5, **options
+        )
         assert more.limits.hold
         assert more.trajectory.at_rest
         assert 5 < more.harmonics <= 15

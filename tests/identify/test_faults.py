@@ -15,7 +15,7 @@ import pinocchio as pin
 import pytest
 from planted_faults import PLANTS, Plant, edited, recorded, scaled, with_rows
 
-from excitant.analysis import diagnose
+import excitant as ex
 from excitant.exceptions import BadRecording, FaultWarning
 from excitant.identify import ColumnMap, Recording, identify_robot, load_dataset, raw_recording
 from excitant.identify.dataset import read_checked
@@ -137,10 +137,10 @@ def test_functions_warn_once_of_what_commands_list(clean: Log) -> None:
     degrees = np.degrees(clean.q), np.degrees(clean.dq)
     recording = Recording("run", "run.csv", clean.t, degrees[0], clean.tau, dq=degrees[1])
     with pytest.warns(FaultWarning, match=r"run: q is in degrees.*; repair multiplies q"):
-        identify_robot(PLANAR, [recording])
+        ex.identify_robot(PLANAR, [recording])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        diagnose(PLANAR, [recording])
+        ex.diagnose(PLANAR, [recording])
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])

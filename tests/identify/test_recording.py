@@ -26,6 +26,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import smooth_motion
 
+from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
 from excitant.identify import (
     ColumnMap,
@@ -37,7 +38,7 @@ from excitant.identify import (
     recording_from_table,
     split,
 )
-from excitant.identify.dataset import as_recordings, excerpt
+from excitant.identify.dataset import excerpt
 from excitant.identify.faults import find_faults
 from excitant.robots import load_robot
 

@@ -127,7 +127,7 @@ def test_axes_of_ones_own_take_one_drawing_in_their_own_style(estimate: Estimate
 
 def test_motions_are_drawn_against_limits(planar: Robot) -> None:
     trajectory = ex.random_trajectory(planar, np.random.default_rng(0), 6.0, 3)
-    for axes in (ex.plot.motion(trajectory, "planar_2r"), ex.plot.motion(trajectory.sample(500))):
+    for axes in (ex.plot.motion(trajectory, planar), ex.plot.motion(trajectory.sample(500))):
         assert len(axes) == 6
         for order in range(3):
             drawn = [np.asarray(line.get_ydata()) for line in axes[3 + order].get_lines()]

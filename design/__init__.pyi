@@ -1,0 +1,59 @@
+from .bound import Bound, lower_bound
+from .constraints import (
+    Clearance,
+    LimitReport,
+    LimitUse,
+    check,
+    clearance,
+)
+from .criterion import Information, condition_number, information
+from .export import (
+    load_trajectory,
+    motion_csv,
+    trajectory_csv,
+    trajectory_json,
+    write_formats,
+)
+from .feasible import random_trajectory
+from .optimal import build_design, design_trajectory
+from .options import Search
+from .result import Design, TrajectoryCheck
+from .sequence import LinkByLinkDesign, design_link_by_link
+from .timing import approach
+from .trajectory import (
+    FourierTrajectory,
+    HermiteTrajectory,
+    Trajectory,
+    from_coefficients,
+)
+
+__all__ = [
+    "Bound",
+    "Clearance",
+    "Design",
+    "FourierTrajectory",
+    "HermiteTrajectory",
+    "Information",
+    "LimitReport",
+    "LimitUse",
+    "LinkByLinkDesign",
+    "Search",
+    "Trajectory",
+    "TrajectoryCheck",
+    "approach",
+    "build_design",
+    "check",
+    "clearance",
+    "condition_number",
+    "design_link_by_link",
+    "design_trajectory",
+    "from_coefficients",
+    "information",
+    "load_trajectory",
+    "lower_bound",
+    "motion_csv",
+    "random_trajectory",
+    "trajectory_csv",
+    "trajectory_json",
+    "write_formats",
+]
