@@ -12,7 +12,7 @@ import numpy.typing as npt
 from excitant.reports import figure as fig
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figure import COLOURS, Key
+from excitant.reports.figure import Key
 from excitant.reports.page import Moment, Player
 from excitant.reports.values import Result, Series
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
@@ -39,8 +39,6 @@ def player(result: Result, series: Series) -> Player | None:
     shapes = [
         {**row, **_mesh(series, k)} for k, row in enumerate(v.records(look, "shapes"))
     ]
-    roles = {"limit": fig.AMBER, "beyond": fig.GIVEN, "gap": fig.GREEN}
-    roles |= {"path": fig.FITTED, "obstacle": fig.PURPLE}
     obstacles = v.records(result, "obstacles")
     legend = [
         Key("box", fig.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
@@ -61,7 +59,6 @@ def player(result: Result, series: Series) -> Player | None:
             "frames": {name: _packed(values) for name, values in frames.items()},
             "touched": TOUCHED / _SHARE,
             "share": _SHARE,
-            "colours": {name: COLOURS[role][0] for name, role in roles.items()},
         },
         joints=tuple(zip(names, units, strict=True)),
         quantities=_QUANTITIES,

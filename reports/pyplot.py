@@ -66,12 +66,11 @@ def draw(figure: Figure) -> list[Drawn]:
         mpl.rcParams.update(_STYLE)
         size = (columns * _WIDTH, sum(heights) + 0.25 * len(figure.legend) ** 0.5)
         sheet = pyplot.figure(figsize=size, layout="constrained")
-        parts = sheet.subfigures(
-            len(rows), columns, squeeze=False, height_ratios=heights
-        )
+        grid = sheet.add_gridspec(len(rows), columns, height_ratios=heights)
         drawn = []
-        for panel, part in zip(figure.panels, parts.flat, strict=False):
-            drawn += _draw_panel(panel, part)
+        for k, panel in enumerate(figure.panels):
+            place = grid[k // columns, k % columns]
+            drawn += _draw_panel(panel, sheet, place)
         _draw_legend(sheet, figure.legend, columns * _WIDTH)
         sheet.draw_without_rendering()  # which makes ticks in this style
     return drawn
@@ -90,19 +89,28 @@ def _height(panel: Panel) -> float:
     return _HEADING + sum(axes.height for axes in panel.axes) / _PIXELS
 
 
-def _draw_panel(panel: Panel, part: Any) -> list[Drawn]:
-    grid = part.subplots(
-        len(panel.axes),
-        1,
-        sharex=panel.shared,
-        squeeze=False,
-        height_ratios=[axes.height for axes in panel.axes],
-    )
-    drawn: list[Drawn] = list(grid[:, 0])
-    for axes, ax in zip(panel.axes, drawn, strict=True):
+def _draw_panel(panel: Panel, sheet: Sheet, place: Any) -> list[Drawn]:
+    heights = [axes.height for axes in panel.axes]
+    grid = place.subgridspec(len(heights), 1, height_ratios=heights)
+    drawn: list[Drawn] = []
+    for k, axes in enumerate(panel.axes):
+        above = drawn[0] if panel.shared and drawn else None
+        ax = sheet.add_subplot(grid[k], sharex=above)
         _draw_axes(axes, ax)
+        inner = panel.shared and k < len(heights) - 1
+        ax.tick_params(axis="x", labelbottom=not inner)
+        drawn.append(ax)
     if panel.title:
-        part.suptitle(panel.title, x=0.02, ha="left", fontsize=9.5, fontweight="bold")
+        raised = 17 if panel.axes[0].title or panel.axes[0].remark else 4
+        drawn[0].annotate(
+            panel.title,
+            (0, 1),
+            (0, raised),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            fontweight="bold",
+            annotation_clip=False,
+        )
     return drawn
 
 

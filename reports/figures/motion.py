@@ -42,7 +42,8 @@ _QUANTITIES = (
     _Quantity("jerk", "dddq", fig.SKY, "rad/s³", "m/s³"),
     _Quantity("torque", "tau", fig.GIVEN, "N·m", "N"),
 )
-_HEIGHT = 74  # px of a curve
+_HEIGHT = 70  # px of a curve
+_BELOW = 28  # px of the time axis
 _NEAR = 0.15  # share of a limit from which on the limit is drawn in
 
 _CERTIFIED = (
@@ -138,8 +139,10 @@ def _panel(
             context, remark = _context(timeline, t, y, row, result, k)
             marks = [*context, curve]
             remarks.append(f"{row.name} {remark}")
-        abscissa = timeline.axis("time [s]" if row is rows[-1] else "")
-        axes = Axes(tuple(marks), abscissa, Axis(), _HEIGHT, title, remark, row.colour)
+        last = row is rows[-1]
+        abscissa = timeline.axis("time [s]" if last else "")
+        height = _HEIGHT + _BELOW * last
+        axes = Axes(tuple(marks), abscissa, Axis(), height, title, remark, row.colour)
         stack.append(axes)
     label = f"{joint} over time: {', '.join(remarks)}"
     return Panel(tuple(stack), label, v.shorten(joint, 60))

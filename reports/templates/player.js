@@ -136,6 +136,7 @@
 
     const scene = new THREE.Scene(), camera = new THREE.PerspectiveCamera(35, 1, reach / 50, 60 * reach);
     camera.up.copy(Z);
+    const inks = getComputedStyle(figure), shade = (name) => inks.getPropertyValue(`--${name}`).trim();
     const sun = new THREE.DirectionalLight(0xffffff, 1.9);
     sun.position.set(-0.4, 0.7, 1);
     camera.add(sun, sun.target);
@@ -143,11 +144,11 @@
     const trail = path.filter((place, n) => !n || place.distanceTo(path[n - 1]) > 1e-5 * reach);
     const trace = trail.length < 2 ? new THREE.Group() : new THREE.Mesh(
       new THREE.TubeGeometry(new THREE.CatmullRomCurve3(trail), Math.min(4 * trail.length, 4000), 0.004 * reach, 5),
-      new THREE.MeshBasicMaterial({ color: data.colours.path }));
+      new THREE.MeshBasicMaterial());
     const gap = new THREE.Mesh(new THREE.CylinderGeometry(0.008 * reach, 0.008 * reach, 1, 12),
-      new THREE.MeshBasicMaterial({ color: data.colours.gap, depthTest: false, transparent: true }));
+      new THREE.MeshBasicMaterial({ color: shade("green"), depthTest: false, transparent: true }));
     gap.visible = Boolean(motion.points);
-    const around = data.obstacles.map((each) => obstacleOf(each, data.colours.obstacle, centre, reach));
+    const around = data.obstacles.map((each) => obstacleOf(each, shade("purple"), centre, reach));
     const light = new THREE.HemisphereLight(0xffffff, 0x8d8d8d, 1.6);
     const frame = new THREE.AxesHelper(0.2 * reach).setColors(0xd0021b, 0x2e8b2e, 0x2f5fd0);
     scene.add(arm.base, trace, gap, camera, light, frame, ...around);
@@ -162,13 +163,13 @@
       });
     };
     const colour = () => {
-      const style = getComputedStyle(figure), shade = (name) => style.getPropertyValue(`--${name}`).trim();
+      trace.material?.color.set(shade("fitted"));
       arm.paints.forEach((paint, k) => {
         const level = levels[k - 1];
-        paint.color.set(level ? data.colours[level] : shade(k ? `arm-${k % 2}` : "arm-base"));
+        paint.color.set(level ? shade({ limit: "amber", beyond: "given" }[level]) : shade(k ? `arm-${k % 2}` : "arm-base"));
       });
       for (const each of around)
-        if (each.userData.cell) each.material.color.set(each.userData.floor ? shade("grid") : data.colours.obstacle);
+        if (each.userData.cell) each.material.color.set(each.userData.floor ? shade("grid") : shade("purple"));
     };
 
     const write = (where) => {
@@ -194,7 +195,7 @@
         gap.position.copy(a).add(b).divideScalar(2);
         gap.scale.y = Math.max(length, 1e-4 * reach);
         gap.quaternion.setFromUnitVectors(UP, b.sub(a).divideScalar(length || 1));
-        gap.material.color.set(inside ? data.colours.beyond : data.colours.gap);
+        gap.material.color.set(shade(inside ? "given" : "green"));
         const bodies = data.bodies[motion.pair[n]].join(" and ");
         const size = `${Number((1000 * Math.abs(motion.distance[n])).toPrecision(3))} mm`;
         told.push(inside ? `${bodies} overlap by ${size}` : `Nearest: ${bodies}, ${size} apart`);

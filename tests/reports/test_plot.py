@@ -48,7 +48,7 @@ def cloud_of(ax: Axes) -> np.ndarray:
 
 
 def titles(axes: list[Axes]) -> list[str]:
-    return list(dict.fromkeys(ax.figure.get_suptitle() for ax in axes))
+    return [ax.texts[0].get_text() for ax in axes if ax.texts]
 
 
 def test_all_panels_are_axes_of_one_figure_beside_each_other(estimate: Estimate) -> None:
@@ -56,7 +56,7 @@ def test_all_panels_are_axes_of_one_figure_beside_each_other(estimate: Estimate)
         plt.close("all")
         axes = plot(estimate)
         assert len(axes) == 2 * each
-        (figure,) = {ax.get_figure(root=True) for ax in axes}
+        (figure,) = {ax.figure for ax in axes}
         assert plt.get_fignums() == [figure.number]
         assert titles(axes) == ["joint1", "joint2"]
         boxes = [ax.get_tightbbox() for ax in axes]
