@@ -24,13 +24,15 @@ def packed(figure: Figure) -> Markup:
     """A figure as JSON for a script element; what many marks share is in it once."""
     from markupsafe import Markup
 
-    axes = [each for panel in figure.panels for each in panel.axes]
-    curves = [m for each in axes for m in each.marks if isinstance(m, Line | Band)]
+    axes = [one for panel in figure.panels for one in panel.axes]
+    curves = [
+        mark for one in axes for mark in one.marks if isinstance(mark, Line | Band)
+    ]
     most = max(2, _SAMPLES // max(1, 2 * len(curves)))
     store = _Store(most)
     content = {
         "panels": [
-            {"shared": panel.shared, "axes": [store.axes(each) for each in panel.axes]}
+            {"shared": panel.shared, "axes": [store.axes(one) for one in panel.axes]}
             for panel in figure.panels
         ],
         "arrays": store.arrays,

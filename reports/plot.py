@@ -98,14 +98,16 @@ def motion(
         result, series = _of_joints(motion, joints)
     else:
         samples = motion if isinstance(motion, Motion) else motion.sample(_SAMPLES)
-        known: dict[str, Any] = {"joints": [f"joint {j + 1}" for j in range(motion.nv)]}
+        entries: dict[str, Any] = {
+            "joints": [f"joint {j + 1}" for j in range(motion.nv)]
+        }
         if robot is not None:
             from excitant.design import check
 
-            known = {"joints": robot.joints, "revolute": robot.revolute}
-            known |= check(robot, motion).entries(robot.limits)
+            entries = {"joints": robot.joints, "revolute": robot.revolute}
+            entries |= check(robot, motion).entries(robot.limits)
         curves = {name: getattr(samples, name) for name in ("t", "q", "dq", "ddq")}
-        result, series = _chosen(known, curves, joints)
+        result, series = _chosen(entries, curves, joints)
     return _drawn(motion_figure(v.joint_names(result), result, series))
 
 
@@ -128,13 +130,13 @@ def _chosen(result: Result, series: Series, joints: Names) -> _Drawn:
     rows = [names.index(name) for name in wanted]
     nv = len(names)
 
-    def kept(entry: Any) -> Any:
+    def of_joints(entry: Any) -> Any:
         if isinstance(entry, dict):
-            return {key: kept(each) for key, each in entry.items()}
+            return {key: of_joints(value) for key, value in entry.items()}
         per_joint = isinstance(entry, list) and len(entry) == nv
         return [entry[row] for row in rows] if per_joint else entry
 
-    result |= {key: kept(result[key]) for key in _BY_JOINT if key in result}
+    result |= {key: of_joints(result[key]) for key in _BY_JOINT if key in result}
     arrays = {
         key: x[:, rows] if np.shape(x)[1:] == (nv,) else x for key, x in series.items()
     }

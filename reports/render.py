@@ -158,9 +158,9 @@ def _drawn(table: Table, terminal: bool) -> str:
     for row in table.rows:
         drawn.add_row(*(Text(cell.text, _STYLES.get(cell.tone, "")) for cell in row))
     console = Console(force_terminal=terminal, width=None if terminal else _WIDE)
-    with console.capture() as found:
+    with console.capture() as captured:
         console.print(drawn)
-    return "\n".join(line.rstrip() for line in found.get().splitlines())
+    return "\n".join(line.rstrip() for line in captured.get().splitlines())
 
 
 def _brief(section: Section) -> Iterator[tuple[str, str]]:
@@ -175,14 +175,14 @@ def _brief(section: Section) -> Iterator[tuple[str, str]]:
                 if not label:
                     label = row[0].text
                     cells = cells[1:]
-                known = [
+                written = [
                     (kind, cell.text) for (_, kind), cell in cells if cell.text != NONE
                 ]
-                names = ", ".join(words for kind, words in known if kind == "name")
+                names = ", ".join(words for kind, words in written if kind == "name")
                 yield (
                     label,
                     ": ".join(
-                        [names, *(words for kind, words in known if kind != "name")]
+                        [names, *(words for kind, words in written if kind != "name")]
                     ),
                 )
 
@@ -205,7 +205,7 @@ def _block(block: Block) -> list[str]:
     match block:
         case Notes():
             label = f"{block.brief}: " if block.brief else ""
-            return [f"    {label}{said}" for said in block.sentences]
+            return [f"    {label}{sentence}" for sentence in block.sentences]
         case Facts():
             return [
                 f"    {fact.label:<{_LABEL}} = {fact.value}"

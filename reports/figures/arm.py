@@ -63,8 +63,8 @@ class View:
 
     def flat(self, points: Array) -> Array:
         """Points (..., 3) on the screen, shape (..., 2)."""
-        shown: Array = points @ self.screen[:2].T
-        return shown
+        projected: Array = points @ self.screen[:2].T
+        return projected
 
     def line(self, points: Array, colour: str, **look: Any) -> Line:
         """A line through points (n, 3)."""

@@ -41,12 +41,12 @@ def error_bars(
     looks = ((GIVEN_MODEL, fig.GIVEN), (identified, fig.FITTED))[:count]
     every = [pair for pairs in errors for pair in pairs[:count]]
     shares = all(share is not None or rms is None for rms, share in every)
-    known = [x for pair in every if (x := pair[shares]) is not None]
-    if not known:
+    lengths = [x for pair in every if (x := pair[shares]) is not None]
+    if not lengths:
         return None
-    top = max(known)
+    top = max(lengths)
     if shares:  # one useless model must not make all other bars invisible
-        top = min(top, max(1.5, _TALLEST * float(np.median(known))))
+        top = min(top, max(1.5, _TALLEST * float(np.median(lengths))))
     names = [v.text(row, "name") for row in records]
     rows = []
     remarks = []

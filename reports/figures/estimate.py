@@ -50,15 +50,15 @@ def friction_figure(result: Result, series: Series) -> Figure | None:
 
 def _friction(k: int, row: Result, series: Series) -> Panel | None:
     """Points are what the rest of the model leaves of the torque; None where none was estimated."""
-    known = v.at(row, "friction")
+    law = v.at(row, "friction")
     keys = ("velocity", "torque", "half_width")
     speed, torque, half = v.curves(series, k, *(f"friction_{key}" for key in keys))
-    if known is None or speed is None or torque is None or half is None:
+    if law is None or speed is None or torque is None or half is None:
         return None
     marks: list[Mark] = []
     at, measured, model = v.curves(series, k, "velocity", "measured", "identified")
     if at is not None and measured is not None and model is not None:
-        scale = v.real(known, "per_reading") or 1.0
+        scale = v.real(law, "per_reading") or 1.0
         seen = np.isfinite(speed)
         friction = np.interp(at, speed[seen], torque[seen])
         marks += cloud(at, scale * (measured - model) + friction, "hold-out")
@@ -68,8 +68,8 @@ def _friction(k: int, row: Result, series: Series) -> Panel | None:
         width = half[side]
         marks.insert(0, Band(x, y - width, y + width))
         marks.append(Line(x, y, fig.FITTED, "identified friction", 1.8))
-    abscissa = Axis(f"velocity [{v.text(known, 'velocity_unit')}]")
-    ordinate = Axis(f"friction [{v.text(known, 'unit')}]")
+    abscissa = Axis(f"velocity [{v.text(law, 'velocity_unit')}]")
+    ordinate = Axis(f"friction [{v.text(law, 'unit')}]")
     joint = v.text(row, "name")
     label = (
         f"{joint}: friction over velocity, hold-out readings and the identified curve"

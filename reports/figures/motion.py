@@ -92,7 +92,7 @@ def motion_figure(
     if t is None:
         return None
     curves = [_curves_of(k, series, len(t)) for k in range(len(joints))]
-    rows = [row for row in _QUANTITIES if any(row.name in known for known in curves)]
+    rows = [row for row in _QUANTITIES if any(row.name in joint for joint in curves)]
     panels = [
         _panel(k, joint, rows, curves[k], t, result)
         for k, joint in enumerate(joints)

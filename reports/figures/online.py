@@ -30,8 +30,8 @@ def excitation_levels(result: Result) -> tuple[Array, Array]:
     t, level = (
         v.reals(result, "online", "history", key) for key in ("t", "excitation_level")
     )
-    known = len(t) == len(level) and bool(np.isfinite(t).all())
-    return (t, level) if known else (np.empty(0), np.empty(0))
+    complete = len(t) == len(level) and bool(np.isfinite(t).all())
+    return (t, level) if complete else (np.empty(0), np.empty(0))
 
 
 def estimates_figure(result: Result, series: Series) -> Figure | None:

@@ -234,10 +234,10 @@ def _spectra(
         finite = values[np.isfinite(values)]
         window = max(8, len(finite) // _WINDOWS)
         f, power = power_density(finite, rate, window)
-        shown = (f > 0) & (f <= top)
-        density = np.sqrt(power[shown])
+        within = (f > 0) & (f <= top)
+        density = np.sqrt(power[within])
         highest = max(highest, float(density.max(initial=0.0)))
-        marks.append(Line(f[shown], density, colour, name, 1.0))
+        marks.append(Line(f[within], density, colour, name, 1.0))
     if cutoff is not None and cutoff < top:
         marks.append(fig.Rule(cutoff, fig.MEASURED, "x", dashed=True))
     ordinate = Axis(f"[{unit}/√Hz]")
