@@ -210,7 +210,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "columns.yaml": _mapped,
     "ms.csv": _mapped,
     "limits.yaml": _beside_arm("excitant.robots", "load_limits", "limits.yaml"),
-    "cell.yaml": _beside_arm("excitant.robots.geometry", "load_obstacles", "cell.yaml"),
+    "cell.yaml": _beside_arm("excitant.robots.obstacles_file", "load_obstacles", "cell.yaml"),
     "known.yaml": _beside_arm("excitant.identify", "load_knowledge", "known.yaml"),
     "trajectory.csv": _beside_arm("excitant.design", "load_trajectory", "trajectory.csv"),
     "trajectory.json": _beside_arm("excitant.design", "load_trajectory", "trajectory.json"),

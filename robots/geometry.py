@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import coal
@@ -17,13 +16,6 @@ import pinocchio as pin
 from excitant.exceptions import BadRobot
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-from excitant.robots.schema import (
-    OBSTACLE_SHAPES,
-    HalfSpaceRecord,
-    ObstacleRecord,
-    convert,
-    read_yaml,
-)
 
 _DRAWN = 300  # poses tried for one in which the arm does not hide itself
 _BEND = 1.9  # rad, either way, of those
@@ -161,12 +153,20 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
 
 
 @dataclass(frozen=True)
+class HalfSpace:
+    """All points x with n·x ≤ offset, in the base frame."""
+
+    normal: tuple[float, float, float]
+    offset: float  # [m]
+
+
+@dataclass(frozen=True)
 class Obstacle:
     """A body that stands in the cell, in the base frame of the URDF."""
 
     name: str
     shape: str  # box, sphere, half_space, or workspace: the box that the tool point stays in
-    values: Any  # its record of `excitant.robots.schema`
+    values: Any  # its measures, as `excitant.robots.schema` names them
 
     def bodies(self) -> list[tuple[str, Any, Any]]:
         """Name, shape and placement for Pinocchio; of a workspace, all that is outside it."""
@@ -204,26 +204,6 @@ class Obstacle:
             "shape": self.shape,
             **msgspec.to_builtins(self.values),
         }
-
-
-def load_obstacles(path: str | Path) -> tuple[Obstacle, ...]:
-    """Obstacles from a YAML file: a list of ``{name, box|sphere|half_space|workspace: {...}}``.
-
-    A workspace, ``{low: [x, y, z], high: [x, y, z]}`` [m], is a box that the tool point stays in.
-
-    Raises:
-        BadInput: Unreadable, an unknown shape, or values that do not fit; names the entry.
-    """
-    content: Any = read_yaml(path, Any, "obstacles")
-    listed = content.get("obstacles") if isinstance(content, dict) else content
-    records = convert(listed, list[ObstacleRecord], path, ".obstacles")
-    found = []
-    for k, record in enumerate(records, start=1):
-        shape = next(s for s in OBSTACLE_SHAPES if getattr(record, s) is not None)
-        found.append(
-            Obstacle(record.name or f"{shape} {k}", shape, getattr(record, shape))
-        )
-    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,7 +383,7 @@ def usual_scene(robot: Robot, clearance: float = CLEARANCE) -> Scene | None:
 
 def floor(height: float) -> Obstacle:
     """The floor at a height in the base frame [m]."""
-    return Obstacle(_FLOOR, "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), height))
+    return Obstacle(_FLOOR, "half_space", HalfSpace((0.0, 0.0, 1.0), height))
 
 
 def base_plane(robot: Robot) -> float | None:

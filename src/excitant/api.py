@@ -60,13 +60,13 @@ from excitant.robots.geometry import (
     Scene,
     base_plane,
     floor,
-    load_obstacles,
     scene,
     unchecked,
 )
 from excitant.robots.limits_file import load_limits
 from excitant.robots.loading import load_robot
 from excitant.robots.motion import Motion
+from excitant.robots.obstacles_file import load_obstacles
 from excitant.robots.robot import Robot
 from excitant.robots.virtual_arm import HiddenEffect, VirtualArm
 from excitant.surroundings import Surroundings

@@ -20,10 +20,10 @@ from excitant.robots.geometry import (
     Scene,
     base_plane,
     floor,
-    load_obstacles,
     scene,
     unchecked,
 )
+from excitant.robots.obstacles_file import load_obstacles
 from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord, WorkspaceRecord
 from excitant.robots.urdf import robot_from_urdf
 

@@ -20,7 +20,8 @@ from excitant.cli import main
 from excitant.design import check, clearance, from_coefficients, trajectory_json
 from excitant.design.trajectory import FourierTrajectory
 from excitant.robots import Robot, builtin_robots, load_robot
-from excitant.robots.geometry import floor, load_obstacles, scene
+from excitant.robots.geometry import floor, scene
+from excitant.robots.obstacles_file import load_obstacles
 
 driver = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
