@@ -10,6 +10,7 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate, Evidence, calibrated, weigh
 from excitant.analysis.residuals import position_noise
+from excitant.analysis.thresholds import EVIDENCE
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.regression import ActingColumns, dense, effect_columns
@@ -19,10 +20,9 @@ from excitant.robots.motion import Array, frozen
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
-TOLERANCE = 0.05  # relative standard deviation of the given values: right to ±10 %
-# relative standard deviation of a link with wrong `inertial_parameters`
-WRONG_LINK = 1.0
-_REACH = 0.3  # m: lever that scales the coordinates of a payload
+PAYLOAD_LEVER = (
+    0.3  # m: scales the coordinates of a payload, without effect on the result
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +69,10 @@ class Observed:
         return tau
 
     def _once(self, effect: Effect) -> ActingColumns:
-        known = self._by_robot if effect.physics.on_model else self._by_motion
-        if effect not in known:
-            known[effect] = effect_columns(self.robot, effect, self.segments)
-        return known[effect]
+        computed = self._by_robot if effect.physics.on_model else self._by_motion
+        if effect not in computed:
+            computed[effect] = effect_columns(self.robot, effect, self.segments)
+        return computed[effect]
 
 
 def observed(robot: Robot, segments: Sequence[Segment]) -> Observed:
@@ -105,29 +105,29 @@ def gather(
     wide as in an identification, and then only effects beyond the standard model are candidates.
     Of torque from currents, ``gains`` is the covariance of the gains' logarithms, (nv, nv).
     """
-    given = train.by(robot)
+    nominal = train.by(robot)
     segments = train.segments
-    known = train.matrix(robot.effects)[:, :, 10 * robot.nv :]
+    columns_of_effects = train.matrix(robot.effects)[:, :, 10 * robot.nv :]
     values = np.concatenate(
         [np.abs(e.values or ()) for e in robot.effects] or [np.zeros(0)]
     )
-    spread = TOLERANCE * np.where(values > 0, values, 1e-9)
+    spread = EVIDENCE.tolerance * np.where(values > 0, values, 1e-9)
     if identified:
-        spread = implausible_size(known, tau)
-    parts = [train.links @ link_coordinates(bodies), known * spread]
-    sigma = PRIOR_SIGMA if identified else TOLERANCE
+        spread = implausible_size(columns_of_effects, tau)
+    parts = [train.links @ link_coordinates(bodies), columns_of_effects * spread]
+    sigma = PRIOR_SIGMA if identified else EVIDENCE.tolerance
     weights = [link_weights(robot.nv, sigma) ** 2, np.ones(len(spread))]
     if gains is not None:
-        parts.append(given.torque()[:, :, None] * gain_root(gains))
+        parts.append(nominal.torque()[:, :, None] * gain_root(gains))
         weights.append(np.ones(robot.nv))
     columns = [*map(ActingColumns.of, parts)]
     nuisance = start = sum(map(len, weights))
     candidates = []
     motions = [s.motion for s in segments]
     rows = [s.keep for s in segments]
-    left = tau - train.torque()
+    residual = tau - train.torque()
     noise = position_noise(segments)
-    facts = joint_facts(motions, rows, left, segments[0].cutoff_hz, noise)
+    facts = joint_facts(motions, rows, residual, segments[0].cutoff_hz, noise)
     for effect, trials in proposals(
         robot, facts, [(c.effect, c.trials) for c in believed]
     ):
@@ -137,18 +137,18 @@ def gather(
             gains is not None and effect.physics.on_given_torque
         ):  # is no other than the drive's gain
             continue
-        own = cause_columns(effect, given, train)
-        if not len(own.joints):
+        acting = cause_columns(effect, nominal, train)
+        if not len(acting.joints):
             continue
-        scale, weight = _coordinates(robot, effect, bodies, own, tau)
+        scale, weight = _coordinates(robot, effect, bodies, acting, tau)
         stop = start + len(weight)
         candidates.append(Candidate(effect, slice(start, stop), scale, trials))
-        columns.append(own @ scale)
+        columns.append(acting @ scale)
         weights.append(weight)
         start = stop
     names = [str(k) for k in range(start)]
     evidence = weigh(
-        dense(columns, tau - given.torque(), names, away_from_rest(segments)),
+        dense(columns, tau - nominal.torque(), names, away_from_rest(segments)),
         np.concatenate(weights),
         nuisance,
         candidates,
@@ -180,10 +180,12 @@ def _coordinates(
 ) -> tuple[Array, Array]:
     if effect.role == "link":
         return link_coordinates(bodies[effect.rows(robot)]), link_weights(
-            1, WRONG_LINK
+            1, EVIDENCE.wrong_link
         ) ** 2
     if effect.role == "body":
-        units = bodies[:, 0].sum() * np.repeat([1.0, _REACH, _REACH**2], [1, 3, 6])
+        units = bodies[:, 0].sum() * np.repeat(
+            [1.0, PAYLOAD_LEVER, PAYLOAD_LEVER**2], [1, 3, 6]
+        )
         return np.diag(units), np.ones(10)
     parameters = effect.parameters(robot)
     felt = torque[:, columns.joints]

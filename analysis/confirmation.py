@@ -8,13 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from excitant.analysis.candidates import (
-    TOLERANCE,
-    WRONG_LINK,
-    Observed,
-    coefficient_sizes,
-    observed,
-)
+from excitant.analysis.candidates import Observed, coefficient_sizes, observed
 from excitant.analysis.evidence import (
     Candidate,
     Evidence,
@@ -24,7 +18,9 @@ from excitant.analysis.evidence import (
 )
 from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, underlies
+from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE
 from excitant.identify.accuracy import Series, series
+from excitant.identify.drive_gains import DriveGains
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
@@ -37,25 +33,12 @@ from excitant.robots.parameters import from_pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names, effect_values
 
-_BLOCKS = 10  # of the hold-out, to see how much the gain varies
-# standard errors by which a gain must exceed zero, a value the given one
-DEVIATIONS = 2.0
-# standard errors by which a joint's error grows with a cause common to all
-_CONTRADICTED = 3.0
-_PLAIN = 0.1  # of a joint's squared error: a gain as large counts even below the noise
-_FAINT = 0.005  # of a joint's torque: no model is right to so much
-IDEAL = 0.01  # of it: what is missed by ideal friction, filters and samples
-FLOOR = 0.05  # of a joint's squared error: dry friction is never an ideal sign function
-_PAYLOAD_SIGMA = 100.0  # relative: a payload is left free
-_PAYLOAD_SHARE = 0.05  # its reference body: of the arm's mass
-_PAYLOAD_RADIUS = 0.1  # m
 
-
-class Asked(NamedTuple):
-    """Size that the error of unseen data asks of a torque, relative to the one fitted."""
+class HoldoutScale(NamedTuple):
+    """Factor on a fitted torque that fits the hold-out best, all else as it is."""
 
     size: float
-    error: float  # its standard error, from blocks of time
+    std: float  # standard error, from blocks of time
     power: float  # ‖torque‖² / ‖error‖²
 
     @property
@@ -64,9 +47,21 @@ class Asked(NamedTuple):
         return (2 * self.size - 1) * self.power
 
     @property
-    def gain_error(self) -> float:
+    def gain_std(self) -> float:
         """Standard error of the gain."""
-        return 2 * self.error * self.power
+        return 2 * self.std * self.power
+
+
+def holdout_scale(error: Array, torque: Array) -> HoldoutScale:
+    """Scale of a torque by an error, both (n, joints), in units in which noise is alike."""
+    power = (torque**2).sum()
+    if power <= 0:
+        return HoldoutScale(1.0, 0.0, 0.0)
+    size = (error * torque).sum() / power
+    scores = torque * (error - size * torque)
+    parts = np.array_split(scores, CONFIRMATION.blocks)
+    std = np.linalg.norm([part.sum() for part in parts]) / power
+    return HoldoutScale(float(size), float(std), power / (error**2).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +70,15 @@ class Finding:
 
     Attributes:
         effect: The cause, on one joint, with the value that the extended model has.
-        given: The value that the given model has for each coefficient.
+        nominal: The value that the nominal model has for each coefficient.
         covariance: Of its k coefficients by the fit, shape (k, k).
         by_gains: Their errors by one standard deviation of the drive gains, shape (k,).
-        explained: Share of the given model's squared error on the hold-out that it removes.
+        explained: Share of the nominal model's squared error on the hold-out that it removes.
         joint: Index of the joint where it is largest relative to what remains.
         rms_before: Error on the hold-out without it, all others kept, of its joints that turn or
             slide as that one does [torque unit].
         rms_after: The same of the extended model [torque unit].
-        asked: Size that the hold-out asks for at its joints, all else as it is, and the gain.
+        scale: Scale of its torque by the hold-out at its joints, and the gain.
         torque: What it adds at the rows of the hold-out, shape (n, nv) [torque unit].
         share: Rms of that relative to the measured torque, of the joint where it is largest.
         margin: Gain beyond the threshold of confirmation; negative where the size may be chance.
@@ -92,14 +87,14 @@ class Finding:
     """
 
     effect: Effect
-    given: tuple[float, ...]
+    nominal: tuple[float, ...]
     covariance: Array
     by_gains: Array
     explained: float
     joint: int
     rms_before: float
     rms_after: float
-    asked: Asked
+    scale: HoldoutScale
     torque: Array
     share: float
     margin: float = 0.0
@@ -113,29 +108,29 @@ class Finding:
         return std
 
     @property
-    def pays(self) -> bool:
+    def significant(self) -> bool:
         """Whether its gain and its size exceed chance and noise; if not, others need it."""
         return self.margin >= 0
 
     @property
-    def near_given(self) -> bool:
-        """Whether all its values are the given ones to two standard deviations."""
-        off = np.abs(np.array(self.effect.values or ()) - self.given)
-        return len(off) > 0 and bool((off < DEVIATIONS * self.std).all())
+    def is_nominal(self) -> bool:
+        """Whether all its values are the nominal ones to two standard deviations."""
+        change = np.abs(np.array(self.effect.values or ()) - self.nominal)
+        threshold = CONFIRMATION.deviations * self.std
+        return len(change) > 0 and bool((change < threshold).all())
 
     @property
-    def as_given(self) -> bool:
-        """Whether it is a value that the model has, to two standard deviations."""
-        return (
-            self.effect.role == "torque"
-            and bool(np.any(self.given))
-            and self.near_given
-        )
+    def is_no_change(self) -> bool:
+        """Whether it is an effect of the nominal model with its value."""
+        of_model = self.effect.role == "torque" and bool(np.any(self.nominal))
+        return of_model and self.is_nominal
 
     @property
     def refuted(self) -> bool:
         """Whether the error on the hold-out is significantly larger with it."""
-        return self.asked.gain + DEVIATIONS * self.asked.gain_error < -FLOOR
+        scale = self.scale
+        largest = scale.gain + CONFIRMATION.deviations * scale.gain_std
+        return largest < -CONFIRMATION.floor
 
     @property
     def verdict(self) -> str:
@@ -144,62 +139,68 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
+class Holdout:
     """The hold-out by which every model is judged; torques of shape (n, nv) [torque unit]."""
 
-    observed: Observed  # its rows, of the given robot
+    observed: Observed  # its rows, of the nominal robot in the set-up found
     gains: Array  # torque per reading, shape (nv,)
     series: Series  # measured torque, and the rows at which each joint moves
-    simulated: Array  # torque of the given model
-    mounted: Array  # of the given model in the set-up found
+    simulated: Array  # torque of the nominal model
+    mounted: Array  # of the nominal model in the set-up found
     floor: Array  # noise of each joint's filtered torque, measured and modelled, shape (nv,)
 
     @property
-    def given(self) -> Array:
-        """Residual of the given model."""
+    def error(self) -> Array:
+        """Error of the nominal model."""
         return self.series.measured - self.simulated
 
     def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
         """Whether a prediction has a larger squared error than another, by a share, in motion."""
         measured = self.series.measured
         weight = self.series.moves / measured.std(axis=0)
-        errors = [
-            float((((measured - tau) * weight) ** 2).sum()) for tau in (predicted, than)
-        ]
-        return errors[0] > (1 + share) * errors[1]
+        error = (((measured - predicted) * weight) ** 2).sum()
+        other = (((measured - than) * weight) ** 2).sum()
+        return bool(error > (1 + share) * other)
+
+    def rms_like(self, error: Array, joints: Sequence[int], lead: int) -> float:
+        """Rms of an error over the joints that turn or slide as a leading one does."""
+        revolute = self.observed.robot.revolute
+        alike = [j for j in joints if revolute[j] == revolute[lead]]
+        return float(np.sqrt((self.series.rms(error)[alike] ** 2).mean()))
 
 
-def held_out(
+def holdout_of(
     robot: Robot,
     segments: tuple[Segment, ...],
     gains: Array,
-    given: Robot | None = None,
-) -> HeldOut:
-    """The hold-out of a robot as it is set up, and as given; its torque per reading, (nv,)."""
-    found = observed(robot, segments)
+    nominal: Robot | None = None,
+) -> Holdout:
+    """The hold-out of a robot as it is set up, and as it is described; gains are (nv,)."""
+    rows = observed(robot, segments)
     floor = np.array([noise_floor(segments, j) for j in range(robot.nv)])
     floor = np.hypot(floor, motion_noise(robot, segments) / gains)
-    mounted = simulated = found.torque() / gains
-    if given is not None and given is not robot:
-        simulated = predicted_torque(given, segments) / gains
-    return HeldOut(found, gains, series(segments), simulated, mounted, floor)
+    mounted = simulated = rows.torque() / gains
+    if nominal is not None and nominal is not robot:
+        simulated = predicted_torque(nominal, segments) / gains
+    return Holdout(rows, gains, series(segments), simulated, mounted, floor)
 
 
 @dataclass(frozen=True, eq=False)
 class Extension:
-    """The given model with causes added, everything re-identified physically consistently."""
+    """The nominal model with causes added, everything re-identified physically consistently."""
 
     evidence: Evidence  # by which the causes were chosen
     chosen: tuple[Candidate, ...]
-    model: Robot  # the given robot with re-identified inertias and effects, those found included
+    model: (
+        Robot  # with re-identified inertias and effects, those of the causes included
+    )
     names: tuple[str, ...]  # of its parameters
     covariance: Array  # of them
-    held: Observed  # columns of that model at the rows of the hold-out
+    observed: Observed  # columns of that model at the rows of the hold-out
     predicted: Array  # its torque at them, shape (n, nv) [torque unit]
     findings: tuple[Finding, ...] = ()  # each cause with its gain on the hold-out
-    refuted: frozenset[Key] = (
-        frozenset()
-    )  # selected causes with which the hold-out is worse
+    # selected causes with which the hold-out is worse
+    refuted: frozenset[Key] = frozenset()
 
     def covariance_of(self, names: Sequence[str]) -> Array:
         """Covariance of some of the parameters, shape (k, k)."""
@@ -208,90 +209,88 @@ class Extension:
         return block
 
 
-def unextended(evidence: Evidence, held: HeldOut) -> Extension:
-    """The given model as it is set up."""
-    return Extension(
-        evidence,
-        (),
-        held.observed.robot,
-        (),
-        np.zeros((0, 0)),
-        held.observed,
-        held.mounted,
-    )
+def unextended(evidence: Evidence, holdout: Holdout) -> Extension:
+    """The nominal model as it is set up."""
+    observed = holdout.observed
+    none = np.zeros((0, 0))
+    mounted = holdout.mounted
+    return Extension(evidence, (), observed.robot, (), none, observed, mounted)
 
 
 @dataclass(frozen=True, eq=False)
 class Extender:
-    """Fits the given robot with added causes: these are free, all else keeps its tolerance."""
+    """Fits the nominal robot with added causes: these are free, all else keeps its tolerance."""
 
-    prior: Array  # standard parameters of the given robot as prior, shape (nv, 10)
+    prior: Array  # standard parameters of the nominal robot as prior, shape (nv, 10)
     train: Observed  # columns to fit, of the model so far
     tau: Array  # measured torque at the rows, shape (n, nv) [N·m]
-    held: HeldOut
+    holdout: Holdout
     evidence: Evidence  # noise levels, and the tolerance that the data support
     gains: Array | None = None  # covariance of the logarithms of drive gains, (nv, nv)
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
-        robot = self.held.observed.robot
+        robot = self.holdout.observed.robot
         evidence = self.evidence
         effects = _effects(robot, chosen)
         W = self.train.matrix(effects)
         names = column_names(robot, effects)
         problem = dense(W, self.tau, names, away_from_rest(self.train.segments))
         R, z = problem.factor(np.sqrt(evidence.weight))
-        bodies, sigma = self._bodies(chosen)
-        open_ = self._effect_prior(effects, chosen, W[:, :, 10 * len(bodies) :])
-        fit = fit_physical(R, z, BodyPrior(bodies, sigma), open_)
+        bodies = self._body_prior(chosen)
+        scalar = self._effect_prior(effects, chosen, W[:, :, bodies.bodies.size :])
+        fit = fit_physical(R, z, bodies, scalar)
         model = identified_robot(robot, effects, fit.x)
-        found = self.held.observed.by(model)
-        predicted = found.torque() / self.held.gains
+        rows = self.holdout.observed.by(model)
         extension = Extension(
-            evidence, tuple(chosen), model, names, fit.covariance, found, predicted
+            evidence,
+            tuple(chosen),
+            model,
+            names,
+            fit.covariance,
+            rows,
+            rows.torque() / self.holdout.gains,
         )
-        return replace(extension, findings=_findings(robot, extension, self.held))
+        return replace(extension, findings=_findings(robot, extension, self.holdout))
 
-    def _bodies(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
-        """Prior and its relative uncertainty for every link, and for a payload if there is one."""
-        robot = self.held.observed.robot
-        sigma = TOLERANCE * widened(robot, self.evidence.tolerance[0])
-        wrong = [
-            row
-            for c in chosen
-            if c.effect.role == "link"
-            for row in c.effect.rows(robot)
-        ]
-        sigma[wrong] = np.maximum(sigma[wrong], WRONG_LINK)
+    def _body_prior(self, chosen: Sequence[Candidate]) -> BodyPrior:
+        """Prior of every link, and of a payload if there is one."""
+        robot = self.holdout.observed.robot
+        sigma = EVIDENCE.tolerance * widened(robot, self.evidence.tolerance[0])
+        for c in chosen:
+            if c.effect.role == "link":
+                rows = c.effect.rows(robot)
+                sigma[rows] = np.maximum(sigma[rows], EVIDENCE.wrong_link)
         if not any(c.effect.role == "body" for c in chosen):
-            return self.prior, sigma
-        mass = _PAYLOAD_SHARE * self.prior[:, 0].sum()
-        reference = from_pseudo_inertia(
-            mass * np.diag([*(_PAYLOAD_RADIUS**2,) * 3, 1.0])
-        )
-        return np.vstack([self.prior, reference]), np.array([*sigma, _PAYLOAD_SIGMA])
+            return BodyPrior(self.prior, sigma)
+        mass = CONFIRMATION.payload_share * self.prior[:, 0].sum()
+        moment = CONFIRMATION.payload_radius**2
+        payload = from_pseudo_inertia(mass * np.diag([moment, moment, moment, 1.0]))
+        bodies = np.vstack([self.prior, payload])
+        return BodyPrior(bodies, np.append(sigma, CONFIRMATION.payload_std))
 
     def _effect_prior(
         self, effects: Sequence[Effect], chosen: Sequence[Candidate], columns: Array
     ) -> EffectPrior:
-        robot = self.held.observed.robot
-        free = {p.name for c in chosen for p in c.effect.parameters(robot)}
+        robot = self.holdout.observed.robot
         scalar = [e for e in effects if e.role != "body"]
         parameters = [p for e in scalar for p in e.parameters(robot)]
         mean = np.array(
             [v for e in scalar for v in e.values or (0.0,) * len(e.parameters(robot))]
         )
-        tight = np.maximum(self.evidence.tolerance[1] * TOLERANCE * np.abs(mean), 1e-9)
-        loose = np.array([p.name in free for p in parameters], dtype=bool)
-        std = np.where(loose, coefficient_sizes(parameters, columns, self.tau), tight)
+        tolerance = self.evidence.tolerance[1] * EVIDENCE.tolerance
+        known = np.maximum(tolerance * np.abs(mean), 1e-9)
+        names = {p.name for c in chosen for p in c.effect.parameters(robot)}
+        free = np.array([p.name in names for p in parameters], dtype=bool)
+        std = np.where(free, coefficient_sizes(parameters, columns, self.tau), known)
         return EffectPrior(mean, std, np.array([p.lower for p in parameters]))
 
 
 def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
-    has = {p.name for e in robot.effects for p in e.parameters(robot)}
+    present = {p.name for e in robot.effects for p in e.parameters(robot)}
     bodies = [c.effect for c in chosen if c.effect.role == "body"]
-    found = [c.effect for c in chosen if c.effect.role == "torque"]
-    added = [e for e in found if not {p.name for p in e.parameters(robot)} <= has]
+    causes = [c.effect for c in chosen if c.effect.role == "torque"]
+    added = [e for e in causes if not {p.name for p in e.parameters(robot)} <= present]
     return [*bodies, *robot.effects, *merged(added)]
 
 
@@ -300,142 +299,144 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
 
     Plain friction below finer friction stays, and a cause without which the refit is clearly worse.
     """
-    held = extender.held
+    holdout = extender.holdout
     fit = extender(chosen)
-    kept = set[Candidate]()
+    needed = set[Candidate]()
     refuted = set[Key]()
-    while (worst := _weakest(held.observed.robot, fit, kept)) is not None:
+    while (worst := _weakest(holdout.observed.robot, fit, needed)) is not None:
         if fit.findings[fit.chosen.index(worst)].refuted:
             refuted.add(worst.key)
         fewer = extender([c for c in fit.chosen if c is not worst])
-        if held.worse(fewer.predicted, fit.predicted, FLOOR):
-            kept.add(worst)
+        if holdout.worse(fewer.predicted, fit.predicted, CONFIRMATION.floor):
+            needed.add(worst)
         else:
             fit = fewer
     return replace(fit, refuted=frozenset(refuted))
 
 
-def _weakest(robot: Robot, fit: Extension, kept: set[Candidate]) -> Candidate | None:
+def _weakest(robot: Robot, fit: Extension, needed: set[Candidate]) -> Candidate | None:
     for k in np.argsort([finding.margin for finding in fit.findings], kind="stable"):
         candidate: Candidate = fit.chosen[k]
-        if fit.findings[k].pays:
+        if fit.findings[k].significant:
             return None
         rest = [c for c in fit.chosen if c is not candidate]
-        if candidate not in kept and not underlies(robot, rest, candidate):
+        if candidate not in needed and not underlies(robot, rest, candidate):
             return candidate
     return None
 
 
-def _findings(robot: Robot, fit: Extension, held: HeldOut) -> tuple[Finding, ...]:
+def _findings(robot: Robot, fit: Extension, holdout: Holdout) -> tuple[Finding, ...]:
     findings = []
     for candidate in fit.chosen:
-        values, given, covariance = _coefficients(robot, fit, candidate.effect)
-        torque = fit.held.columns(candidate.effect) @ (values - given) / held.gains
-        effect = candidate.effect.with_values(values.tolist())
-        found = finding_of(robot, fit, held, effect, torque, given.tolist(), covariance)
-        if effect.role == "torque" and found.near_given:
-            found = replace(found, margin=min(found.margin, -FLOOR))
-        findings.append(found)
+        finding = _refitted(robot, fit, holdout, candidate.effect)
+        if finding.effect.role == "torque" and finding.is_nominal:
+            margin = min(finding.margin, -CONFIRMATION.floor)
+            finding = replace(finding, margin=margin)
+        findings.append(finding)
     return tuple(findings)
 
 
-def off_effects(robot: Robot, fit: Extension, held: HeldOut) -> Iterator[Finding]:
-    """The given effects, joint by joint, whose values the data correct noticeably."""
+def _refitted(
+    robot: Robot, fit: Extension, holdout: Holdout, effect: Effect
+) -> Finding:
+    """The change of an effect's values, or of a link, from the nominal ones."""
+    values, nominal, covariance = _coefficients(robot, fit, effect)
+    torque = fit.observed.columns(effect) @ (values - nominal) / holdout.gains
+    changed = effect.with_values(values.tolist())
+    return finding_of(
+        robot, fit, holdout, changed, torque, nominal.tolist(), covariance
+    )
+
+
+def off_effects(robot: Robot, fit: Extension, holdout: Holdout) -> Iterator[Finding]:
+    """The nominal effects, joint by joint, whose values the data correct noticeably."""
     least = _noticed(fit.evidence.tolerance[1])
-    taken = {candidate.key for candidate in fit.chosen}
-    for effect in (
-        single for each in robot.effects for single in each.singles() if fit.names
-    ):
-        if effect.role != "torque" or (effect.name, effect.joints) in taken:
-            continue
-        values, given, covariance = _coefficients(robot, fit, effect)
-        torque = fit.held.columns(effect) @ (values - given) / held.gains
-        off = effect.with_values(values.tolist())
-        found = finding_of(robot, fit, held, off, torque, given.tolist(), covariance)
-        if found.pays and found.share > least:
-            yield found
+    chosen = {candidate.key for candidate in fit.chosen}
+    singles = (single for effect in robot.effects for single in effect.singles())
+    for effect in singles if fit.names else ():
+        if effect.role == "torque" and (effect.name, effect.joints) not in chosen:
+            finding = _refitted(robot, fit, holdout, effect)
+            if finding.significant and finding.share > least:
+                yield finding
 
 
 def _noticed(tolerance: float) -> float:
-    """Share of a torque by which given values are noticeably off: right to ±10 % are no finding.
+    """Share of a torque by which nominal values are noticeably off: those within ±10 % are not.
 
     Where they are off by more than they might be, smaller corrections belong to the finding.
     """
-    return 2 * TOLERANCE / max(tolerance, 1.0)
+    return 2 * EVIDENCE.tolerance / max(tolerance, 1.0)
 
 
-def off_bodies(robot: Robot, fit: Extension, held: HeldOut) -> Finding | None:
-    """The links whose given inertias the data contradict, as one finding; None where none pays."""
-    apart = {
+def off_bodies(robot: Robot, fit: Extension, holdout: Holdout) -> Finding | None:
+    """The links whose nominal inertias the data contradict, as one finding, or None."""
+    if are_placeholders(robot) or not fit.names:
+        return None
+    changed = {
         row
         for c in fit.chosen
         if c.effect.role != "torque"
         for row in c.effect.rows(robot)
     }
-    if are_placeholders(robot) or not fit.names:
-        return None
     change = fit.model.phi - robot.phi
 
     def of(rows: Sequence[int]) -> Finding:
         at = np.concatenate([np.arange(10 * k, 10 * k + 10) for k in rows])
-        effect = GivenInertias(tuple(robot.joints[k] for k in rows)).with_values(
-            change[at]
-        )
-        torque = fit.held.links[:, :, at] @ change[at] / held.gains
-        given = (0.0,) * len(at)
+        joints = tuple(robot.joints[k] for k in rows)
+        effect = GivenInertias(joints).with_values(change[at])
+        torque = fit.observed.links[:, :, at] @ change[at] / holdout.gains
+        nominal = (0.0,) * len(at)
         covariance = fit.covariance_of([robot.parameter_names[k] for k in at])
-        return finding_of(robot, fit, held, effect, torque, given, covariance)
+        return finding_of(robot, fit, holdout, effect, torque, nominal, covariance)
 
-    rows = [k for k in range(robot.nv) if k not in apart and of([k]).pays]
-    found = of(rows) if rows else None
-    least = _noticed(fit.evidence.tolerance[0])
-    return found if found is not None and found.share > least else None
+    rows = [k for k in range(robot.nv) if k not in changed and of([k]).significant]
+    if not rows:
+        return None
+    finding = of(rows)
+    return finding if finding.share > _noticed(fit.evidence.tolerance[0]) else None
 
 
 def finding_of(
     robot: Robot,
     fit: Extension,
-    held: HeldOut,
+    holdout: Holdout,
     effect: Effect,
     torque: Array,
-    given: Sequence[float],
+    nominal: Sequence[float],
     covariance: Array,
 ) -> Finding:
     """A cause with its gain on the hold-out, where it makes a torque (n, nv) [torque unit]."""
-    rows = held.series
-    error = held.series.measured - fit.predicted
-    weight = rows.moves * held.gains / fit.evidence.sigma
-    power = float(((held.given * weight) ** 2).sum())
-    joints = np.array(effect.affected(robot))
+    rows = holdout.series
+    error = rows.measured - fit.predicted
     without = error + torque
+    weight = rows.moves * holdout.gains / fit.evidence.sigma
+    power = float(((holdout.error * weight) ** 2).sum())
+    joints = effect.affected(robot)
     fall = ((without**2 - error**2) * weight**2)[:, joints]
-    asked = _asked((without * weight)[:, joints], (torque * weight)[:, joints])
-    margin = asked.gain - max(FLOOR, DEVIATIONS * asked.gain_error)
-    shows = np.sqrt(((torque * rows.moves) ** 2).mean(axis=0)) > held.floor
-    most = effect.rows(robot)[0]
+    scale = holdout_scale((without * weight)[:, joints], (torque * weight)[:, joints])
+    lead = effect.rows(robot)[0]
     if not effect.jointwise:
-        most = int(np.argmax(rows.rms(torque) / rows.rms(error)))
-    alike = joints[robot.revolute[joints] == robot.revolute[most]]
-    before, after = (
-        np.sqrt((rows.rms(e)[alike] ** 2).mean()) for e in (without, error)
-    )
+        lead = int(np.argmax(rows.rms(torque) / rows.rms(error)))
+    measured = np.maximum(rows.rms(rows.measured), 1e-300)
+    share = float((rows.rms(torque) / measured).max())
+    margin = scale.gain
+    margin -= max(CONFIRMATION.floor, CONFIRMATION.deviations * scale.gain_std)
     # what depends on the model looks like noise of positions
-    plain = asked.gain > _PLAIN and not effect.physics.on_model
-    share = float(
-        (rows.rms(torque) / np.maximum(rows.rms(rows.measured), 1e-300)).max()
-    )
-    if not (plain or shows.any()) or share < _FAINT:
-        margin = min(margin, -FLOOR)
+    plain = scale.gain > CONFIRMATION.plain and not effect.physics.on_model
+    rms = np.sqrt(((torque * rows.moves) ** 2).mean(axis=0))
+    visible = plain or (rms > holdout.floor).any()
+    if not visible or share < CONFIRMATION.faint:
+        margin = min(margin, -CONFIRMATION.floor)
     return Finding(
         effect,
-        tuple(given),
+        tuple(nominal),
         covariance,
-        np.zeros(len(given)),
+        np.zeros(len(nominal)),
         explained=float(fall.sum()) / power,
-        joint=most,
-        rms_before=float(before),
-        rms_after=float(after),
-        asked=asked,
+        joint=lead,
+        rms_before=holdout.rms_like(without, joints, lead),
+        rms_after=holdout.rms_like(error, joints, lead),
+        scale=scale,
         torque=torque,
         share=share,
         margin=margin,
@@ -449,40 +450,48 @@ def _contradicted(robot: Robot, effect: Effect, error: Array, torque: Array) -> 
     """The joints whose error grows with a cause that is common to all; half a sentence."""
     if not effect.is_common(robot) or effect.role == "body":
         return ""
-    each = [_asked(error[:, [j]], torque[:, [j]]) for j in range(robot.nv)]
-    against = [
-        joint
-        for joint, asked in zip(robot.joints, each, strict=True)
-        if asked.gain + _CONTRADICTED * asked.gain_error < -FLOOR
-    ]
+    against = []
+    for j, joint in enumerate(robot.joints):
+        scale = holdout_scale(error[:, [j]], torque[:, [j]])
+        largest = scale.gain + CONFIRMATION.contradicted * scale.gain_std
+        if largest < -CONFIRMATION.floor:
+            against.append(joint)
     if not against:
         return ""
     return f"all joints have it, and the error of {', '.join(against)} grows with it"
 
 
-def _asked(error: Array, torque: Array) -> Asked:
-    power = (torque**2).sum()
-    if power <= 0:
-        return Asked(1.0, 0.0, 0.0)
-    size = (error * torque).sum() / power
-    scores = torque * (error - size * torque)
-    blocks = np.array([part.sum() for part in np.array_split(scores, _BLOCKS)])
-    return Asked(
-        float(size), float(np.linalg.norm(blocks) / power), power / (error**2).sum()
-    )
-
-
 def _coefficients(
     robot: Robot, fit: Extension, effect: Effect
 ) -> tuple[Array, Array, Array]:
+    """Values of the extended and the nominal model, (k,), and the covariance of the former."""
     if effect.role == "link":
         j = robot.joint_index(effect.joints[0])
         part = slice(10 * j, 10 * j + 10)
         change = fit.model.phi[part] - robot.phi[part]
         return change, np.zeros(10), fit.covariance_of(robot.parameter_names[part])
     fitted = effect_values(fit.model)
-    known = effect_values(robot)
+    nominal = effect_values(robot)
     names = [p.name for p in effect.parameters(robot)]
     value = np.array([fitted[name] for name in names])
-    given = np.array([known.get(name, 0.0) for name in names])
-    return value, given, fit.covariance_of(names)
+    before = np.array([nominal.get(name, 0.0) for name in names])
+    return value, before, fit.covariance_of(names)
+
+
+def errors_by_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Array:
+    """Errors of a finding's coefficients by one standard deviation of the drive gains.
+
+    It is of their logarithms: a value far below the nominal one is as unsure as that.
+    """
+    effect = finding.effect
+    values = np.array(effect.values or ())
+    largest = np.maximum(np.abs(values), np.abs(finding.nominal))
+    size: Array = np.copysign(largest, values)
+    if drive is None:
+        return 0 * size
+    if effect.role == "torque" and effect.joints:
+        rows = [robot.joint_index(joint) for joint in effect.joints]
+        spread = np.sqrt(drive.covariance[rows, rows].max())
+    else:
+        spread = drive.scale_std
+    return np.asarray(spread * size, float)

@@ -13,41 +13,27 @@ directions counts; where one is a special case of the other, only the general on
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
-from excitant.analysis.candidates import TOLERANCE, Observed, cause_columns
+from excitant.analysis.candidates import Observed, cause_columns
 from excitant.analysis.evidence import widened
-from excitant.analysis.selection import ALIKE
+from excitant.analysis.thresholds import DISCRIMINATION, EVIDENCE, SELECTION
 from excitant.identify.preprocessing import Segment, away_from_rest, top_speed
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import ActingColumns, dense
-from excitant.robots.effects import (
-    Effect,
-    JointFacts,
-    alternatives,
-    joint_facts,
-    separating_experiment,
-)
+from excitant.robots.effects import Effect, JointFacts, alternatives, joint_facts
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 
-if TYPE_CHECKING:
-    from excitant.design import FourierTrajectory
-
-POWER = 0.9
-LEVEL = 0.05
-MOST_RUNS = 10
-_ALIKE_LEVEL = 0.001  # where signatures are alike, for which `diagnose` is stricter
-_LOOSE = 1e-9  # prior precision of free coefficients, relative to their information
-_SAMPLES = 2.0  # of a motion per row
-_ROWS = 4.0  # rows per period of the cut-off, as many as recordings are decimated to
+FREE = 1e-9  # prior precision of free coefficients, relative to their information
+SAMPLES_PER_ROW = 2.0  # of a motion
+ROWS_PER_PERIOD = 4.0  # of the cut-off, as many as recordings are decimated to
 
 
 @dataclass(frozen=True)
@@ -56,16 +42,15 @@ class Separation:
 
     delta: float  # Δ in squared standard deviations of the noise
     cosine: float  # between one cause's torque and its best imitation by the other
-    repetitions: (
-        int | None
-    )  # runs until `diagnose` decides; None where `MOST_RUNS` are too few
+    # runs until `diagnose` decides; None where a contest's most runs are too few
+    repetitions: int | None = None
 
     @property
     def enough(self) -> bool:
         """Whether `diagnose` decides, at a stricter level where both still look alike."""
-        return self.delta >= needed(
-            level=_ALIKE_LEVEL if self.cosine > ALIKE else LEVEL
-        )
+        alike = self.cosine > SELECTION.alike
+        level = DISCRIMINATION.alike_level if alike else DISCRIMINATION.level
+        return self.delta >= needed(level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +76,9 @@ class Contest:
     weight: Array  # Λ: 1 / (variance × autocorrelation time) of each joint's noise, shape (nv,)
     cutoff_hz: float = 10.0  # of the filter that torque and columns pass
     recorded: tuple[Segment, ...] = ()  # the recording, which both causes explain
-    tolerance: float = TOLERANCE  # relative standard deviation of the given values
+    tolerance: float = (
+        EVIDENCE.tolerance
+    )  # relative standard deviation of the given values
 
     @cached_property
     def causes(self) -> dict[Effect, slice]:
@@ -131,14 +118,14 @@ class Contest:
     def imitations(self) -> tuple[Array, ...]:
         """Coefficients with which each rival best imitates the cause found in the recording."""
         R, floor = _without_given(self.known, self.precision)
-        found = []
+        coefficients = []
         for pair in self.pairs:
             at = self._indices(pair.found)
             beside = self._beside(pair)
             b = R[:, at] @ np.array(pair.found.values)
             both = [*beside, *self._indices(pair.rival)]
-            found.append(_explaining(R, floor, both, b)[len(beside) :])
-        return tuple(found)
+            coefficients.append(_explaining(R, floor, both, b)[len(beside) :])
+        return tuple(coefficients)
 
     @cached_property
     def _facts(self) -> Sequence[JointFacts]:
@@ -154,13 +141,15 @@ class Contest:
     def rows_hz(self) -> float:
         """Rows per second, of a further motion as of the recording [Hz]."""
         if not self.recorded:
-            return _ROWS * self.cutoff_hz
+            return ROWS_PER_PERIOD * self.cutoff_hz
         t = self.recorded[0].t
         return float(1 / (t[1] - t[0]))
 
     def instants(self, period: float) -> Array:
         """When a motion is judged [s]: evenly, first and last included."""
-        return np.linspace(0.0, period, round(period * _SAMPLES * self.rows_hz) + 1)
+        return np.linspace(
+            0.0, period, round(period * SAMPLES_PER_ROW * self.rows_hz) + 1
+        )
 
     def information(self, motion: Motion) -> Array:
         """Information of a motion, shape (columns, columns)."""
@@ -169,7 +158,7 @@ class Contest:
     def separations(self, information: Array) -> list[Separation]:
         """Separation of every pair by the recording and a motion of this information."""
         R, floor = _without_given(self.known + information, self.precision)
-        found = []
+        separations = []
         for pair, imitation in zip(self.pairs, self.imitations, strict=True):
             beside = self._beside(pair)
             ways = []
@@ -177,16 +166,16 @@ class Contest:
                 ways.append((pair.found, np.array(pair.found.values), pair.rival))
             if pair.rival.name not in pair.found.search.contains and imitation.any():
                 ways.append((pair.rival, imitation, pair.found))
-            each = [self._apart(R, floor, beside, *way) for way in ways]
-            found.append(min(each, key=lambda s: s.delta))
-        return found
+            both_ways = [self._apart(R, floor, beside, *way) for way in ways]
+            separations.append(min(both_ways, key=lambda s: s.delta))
+        return separations
 
     def counted(self, information: Array) -> list[Separation]:
         """Separation of every pair, with its number of runs by repeated evaluation."""
         # the prior cost of wrong given values does not grow with the number of runs
         once = self.separations(information)
         runs: list[int | None] = [None] * len(once)
-        for n in range(MOST_RUNS, 0, -1):
+        for n in range(DISCRIMINATION.most_runs, 0, -1):
             for k, several in enumerate(self.separations(n * information)):
                 if several.enough:
                     runs[k] = n
@@ -203,16 +192,19 @@ class Contest:
     ) -> Separation:
         at = self._indices(true)
         b = R[:, at] @ value
-        whole = float(value @ b[at])
-        whole -= float(b[beside] @ _explaining(R, floor, beside, b)) if beside else 0.0
-        left = whole
-        for shape in self._shapes(other):
-            columns = [*beside, *self._indices(shape)]
-            explained = float(b[columns] @ _explaining(R, floor, columns, b))
-            left = min(left, float(value @ b[at]) - explained)
-        left = float(np.clip(left, 0.0, max(whole, 0.0)))
-        cosine = float(np.sqrt(1 - left / whole)) if whole > 0 else 1.0
-        return Separation(left, cosine, repetitions(left))
+        power = float(value @ b[at])
+
+        def unexplained(columns: list[int]) -> float:
+            return power - float(b[columns] @ _explaining(R, floor, columns, b))
+
+        whole = unexplained(beside) if beside else power
+        imitations = (
+            unexplained([*beside, *self._indices(shape)])
+            for shape in self._shapes(other)
+        )
+        remaining = float(np.clip(min(whole, *imitations), 0.0, max(whole, 0.0)))
+        cosine = float(np.sqrt(1 - remaining / whole)) if whole > 0 else 1.0
+        return Separation(remaining, cosine)
 
     def _shapes(self, effect: Effect) -> list[Effect]:
         joint = self.robot.joint_index(effect.joints[0])
@@ -239,16 +231,16 @@ class Contest:
 
     def _parts(self, segments: Sequence[Segment]) -> Iterator[ActingColumns]:
         links = np.concatenate([self._links(s) for s in segments])
-        understood = Observed(self.model, tuple(segments), links)
-        given = understood.by(self.robot)
+        extended = Observed(self.model, tuple(segments), links)
+        nominal = extended.by(self.robot)
         yield ActingColumns.of(links) @ self._metric
         for effect in self.robot.effects:
             size = np.maximum(np.abs(np.array(effect.values or ())), 1e-9)
-            yield cause_columns(effect, given, understood) @ np.diag(
+            yield cause_columns(effect, nominal, extended) @ np.diag(
                 self.tolerance * size
             )
         for effect in self.causes:
-            yield cause_columns(effect, given, understood)
+            yield cause_columns(effect, nominal, extended)
 
     def _links(self, segment: Segment) -> Array:
         """Regressor at the rows, unfiltered for a motion yet to be run, which is smooth."""
@@ -258,27 +250,22 @@ class Contest:
 
 
 def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Segment:
-    """Segment of an equidistant motion, at four rows per period of the cut-off by default."""
+    """Segment of an equidistant motion, at four of the cut-off by default."""
     step = float(motion.t[1] - motion.t[0])
     still = np.zeros_like(motion.q)
     edge = round(1 / (cutoff_hz * step))
-    stride = max(1, round(1 / ((rows_hz or _ROWS * cutoff_hz) * step)))
+    stride = max(1, round(1 / ((rows_hz or ROWS_PER_PERIOD * cutoff_hz) * step)))
     keep = slice(edge, len(motion) - edge, stride)
     return Segment("motion", motion, still, still, cutoff_hz, keep)
 
 
-def repetitions(delta: float, power: float = POWER, level: float = LEVEL) -> int:
-    """Runs that separate two causes with this power at this level of significance.
+def needed(level: float = DISCRIMINATION.level) -> float:
+    """Δ at which one run separates two causes at this level of significance.
 
-    The difference of the squared errors that they leave (Vuong 1989) has mean N Δ and standard
-    deviation 2 √(N Δ), so N = 4 (z_{level/2} + z_{1−power})² / Δ.
+    The difference of the squared errors that they leave in N runs (Vuong 1989) has mean N Δ and
+    standard deviation 2 √(N Δ), so N Δ = 4 (z_{level/2} + z_{1−power})².
     """
-    return max(1, int(np.ceil(needed(power, level) / max(delta, 1e-9) - 1e-9)))
-
-
-def needed(power: float = POWER, level: float = LEVEL) -> float:
-    """Δ at which one run is enough."""
-    z = -scipy.special.ndtri(level / 2) - scipy.special.ndtri(1 - power)
+    z = scipy.special.ndtri([1 - level / 2, DISCRIMINATION.power]).sum()
     return float(4 * z**2)
 
 
@@ -297,40 +284,5 @@ def _explaining(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Arr
     """Coefficients of columns that best explain a torque of inner products b with all columns."""
     at = list(columns)
     scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
-    A = R[np.ix_(at, at)] / np.outer(scale, scale) + _LOOSE * np.eye(len(at))
+    A = R[np.ix_(at, at)] / np.outer(scale, scale) + FREE * np.eye(len(at))
     return np.asarray(np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float)
-
-
-Key = tuple[str, tuple[str, ...], str, tuple[str, ...]]
-"""Name and joints of the cause found, and of its rival."""
-
-
-@dataclass(frozen=True)
-class Advice:
-    """Experiment that decides between two rivals, with the names of ``result.json``."""
-
-    experiment: str  # what to do, as a sentence
-    # expected, in standard deviations; None for an action
-    separation: float | None = None
-    repetitions: int | None = None  # runs that are needed
-    file: str | None = None  # motion to run
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """Experiments that decide an undecided diagnosis; general actions when empty."""
-
-    experiments: Mapping[Key, Advice] = field(default_factory=dict)
-    motions: tuple[
-        FourierTrajectory, ...
-    ] = ()  # in the order of their files separate-1, …
-
-    def of(self, found: Effect, rival: Effect) -> Advice:
-        """Experiment for a pair; the general action where no motion was looked for."""
-        known = self.experiments.get(key(found, rival))
-        return known or Advice(separating_experiment(found, rival))
-
-
-def key(found: Effect, rival: Effect) -> Key:
-    """Names and joints of a pair."""
-    return found.name, found.joints, rival.name, rival.joints

@@ -10,18 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
+from excitant.analysis.advice import Advice, Plan, key
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.discrimination import (
-    Advice,
-    Contest,
-    Pair,
-    Plan,
-    Separation,
-    key,
-    needed,
-)
+from excitant.analysis.discrimination import Contest, Pair, Separation, needed
 from excitant.analysis.selection import is_plain_friction
+from excitant.analysis.thresholds import DISCRIMINATION
 from excitant.design.constraints import kinematic_limits, position_range, within_limits
 from excitant.design.feasible import random_trajectory, torque_use
 from excitant.design.trajectory import (
@@ -31,6 +25,7 @@ from excitant.design.trajectory import (
 )
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
+from excitant.identify.rows import states
 from excitant.robots.effects import (
     Effect,
     separating_experiment,
@@ -41,26 +36,20 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
-_MATTERS = 0.01  # share of the given model's error that a finding explains, at least
-_DURATION = 20.0  # s of a motion
-_MOST = 3  # motions
-# m: where the recording comes nearer, the collision shapes are too rough
-_NEAREST = 0.01
-HOPELESS = 4.0  # Δ below which no motion is worth running
-_SCREENED = 48  # motions judged
-_REFINED = 48  # at most
-_SCREENING = 0.5  # of the time, at most
-_PLENTY = 6.0  # times the Δ required: more is of no use
-_MUCH_BETTER = 1.5  # times a motion's Δ that another one must promise to be run too
-_TOP_HZ = 2.5  # fastest reversals
-_WAVES = (3, 5, 10, 20)  # harmonics of random motions
-_HELD = 0.5  # probability that a joint of no interest is held
-_SMALLEST = 0.01  # of the limits: smallest movement of a joint of interest
-_SHRINKS = 6
-_DRAWS = 8
-_TORQUE_SHARE = 0.98
-_ROOM = 0.97  # of the limits at the samples
-_POSES = 60  # checked for clearance before it is certified
+DURATION_S = 20.0  # of a motion
+MOST_MOTIONS = 3
+SCREENED = 48  # motions that are judged
+REFINEMENTS = 48  # at most
+SCREENING_SHARE = 0.5  # of the time limit
+TOP_HZ = 2.5  # fastest reversals
+WAVE_HARMONICS = (3, 5, 10, 20)  # of random motions
+HELD_PROBABILITY = 0.5  # of a joint of no interest
+SMALLEST_SHARE = 0.01  # of the limits: smallest movement of a joint of interest
+SHRINKS = 6
+DRAWS = 8
+TORQUE_SHARE = 0.98  # of the limits
+SAMPLED_SHARE = 0.97  # of the limits at the samples
+CHECKED_POSES = 60  # for clearance, before it is certified
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,26 +80,32 @@ def discriminating_motions(
     search earlier, where depends on the machine.
     """
     deadline = time.monotonic() + time_limit
-    series = FourierSeries(_DURATION, max(*_WAVES, round(_TOP_HZ * _DURATION)))
+    series = FourierSeries(DURATION_S, max(*WAVE_HARMONICS, round(TOP_HZ * DURATION_S)))
     robot = _within_recording(
         contest.robot, [segment.motion for segment in contest.recorded]
     )
     search = _Search(contest, robot, series, scene, rng)
-    pool = search.screened(time.monotonic() + _SCREENING * time_limit)
+    pool = search.screened(time.monotonic() + SCREENING_SHARE * time_limit)
     highest = np.max([np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0)
-    open_ = highest > HOPELESS
+    open_ = highest > DISCRIMINATION.hopeless
     motions = list[Discriminating]()
-    while open_.any() and len(motions) < _MOST:
+    while open_.any() and len(motions) < MOST_MOTIONS:
         best = search.best(pool, open_)
-        served = open_ & (best.deltas > HOPELESS) if best is not None else open_ & False
+        served = (
+            open_ & (best.deltas > DISCRIMINATION.hopeless)
+            if best is not None
+            else open_ & False
+        )
         if best is None or not served.any():
             break
-        shares = _MOST - len(motions) if (open_ & ~served).any() else 1
+        shares = MOST_MOTIONS - len(motions) if (open_ & ~served).any() else 1
         left = max(deadline - time.monotonic(), 0.0)
         best = search.improved(best, served, time.monotonic() + left / shares)
         counted = contest.counted(search.information(best.trajectory))
         motions.append(replace(best, separations=tuple(counted)))
-        open_ &= (best.deltas < needed()) & (highest > _MUCH_BETTER * best.deltas)
+        open_ &= (best.deltas < needed()) & (
+            highest > DISCRIMINATION.much_better * best.deltas
+        )
         highest = np.maximum(highest, best.deltas)
     return motions, highest
 
@@ -138,9 +133,11 @@ class _Search:
     def screened(self, until: float) -> list[Discriminating]:
         """Motions of all kinds in turn, judged; those that cannot meet the limits are left out."""
         pool: list[Discriminating] = []
-        for k in range(_SCREENED):
+        for k in range(SCREENED):
             drawn = (
-                self._sweep() if k % 4 else self._random(_WAVES[k // 4 % len(_WAVES)])
+                self._sweep()
+                if k % 4
+                else self._random(WAVE_HARMONICS[k // 4 % len(WAVE_HARMONICS)])
             )
             if drawn is not None:
                 pool.append(self.judged(drawn))
@@ -162,7 +159,7 @@ class _Search:
         for motion in sorted(pool, key=lambda m: -_worth(m.deltas[open_])):
             if (
                 self._clear(motion.trajectory)
-                and self._kept(motion.trajectory) is not None
+                and self._shrunk(motion.trajectory) is not None
             ):
                 return motion
         return None
@@ -173,9 +170,9 @@ class _Search:
         """A motion whose smallest Δ among the pairs it serves is larger, by random changes."""
         step = 0.5
         steps = [motion]
-        for _ in range(_REFINED):
+        for _ in range(REFINEMENTS):
             least = motion.deltas[served].min()
-            if least > _PLENTY * needed() or time.monotonic() > until:
+            if least > DISCRIMINATION.plenty * needed() or time.monotonic() > until:
                 break
             changed = self._changed(motion.trajectory, step)
             other = None if changed is None else self.judged(changed)
@@ -186,18 +183,20 @@ class _Search:
             else:
                 step = max(0.85 * step, 0.05)
         for motion in reversed(steps):
-            if (kept := self._kept(motion.trajectory)) is not None:
-                return motion if kept is motion.trajectory else self.judged(kept)
+            if (feasible := self._shrunk(motion.trajectory)) is not None:
+                return (
+                    motion if feasible is motion.trajectory else self.judged(feasible)
+                )
         return steps[0]
 
-    def _kept(self, trajectory: FourierTrajectory) -> FourierTrajectory | None:
-        kept = within_limits(self.robot, trajectory, self.scene, CLEARANCE)
-        return kept if isinstance(kept, FourierTrajectory) else None
+    def _shrunk(self, trajectory: FourierTrajectory) -> FourierTrajectory | None:
+        shrunk = within_limits(self.robot, trajectory, self.scene, CLEARANCE)
+        return shrunk if isinstance(shrunk, FourierTrajectory) else None
 
     def _clear(self, trajectory: FourierTrajectory) -> bool:
         if self.scene is None:
             return True
-        poses = trajectory(np.linspace(0.0, trajectory.period, _POSES))
+        poses = trajectory(np.linspace(0.0, trajectory.period, CHECKED_POSES))
         return bool(self.scene.distances(poses).min() > CLEARANCE)
 
     def _random(self, harmonics: int) -> FourierTrajectory | None:
@@ -226,19 +225,19 @@ class _Search:
         """Joints of interest reverse within a swelling envelope; the others rest or oscillate."""
         series = self.series
         middle, half = position_range(self.robot.limits)
-        for _ in range(_DRAWS):
+        for _ in range(DRAWS):
             X = np.zeros((series.size, self.robot.nv))
             share = np.zeros(self.robot.nv)
             for j in range(self.robot.nv):
                 if j in self._interest:
                     X[:, j] = _envelope(series, self.rng)
-                    share[j] = np.exp(self.rng.uniform(np.log(_SMALLEST), 0.0))
-                elif self.rng.uniform() > _HELD:
+                    share[j] = np.exp(self.rng.uniform(np.log(SMALLEST_SHARE), 0.0))
+                elif self.rng.uniform() > HELD_PROBABILITY:
                     X[:, j] = _wave(series, self.rng)
                     share[j] = self.rng.uniform(0.3, 1.0)
             pose = middle + self.rng.uniform(-0.8, 0.8, self.robot.nv) * half
-            if (found := self._fitted(X, pose, share)) is not None:
-                return found
+            if (fitted := self._fitted(X, pose, share)) is not None:
+                return fitted
         return None
 
     def _changed(
@@ -276,16 +275,16 @@ class _Search:
         reach = np.array([np.abs(basis @ X).max(axis=0) for basis in bases])
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(reach > 0, bound / reach, np.inf).min(axis=0)
-        room = np.where(np.isfinite(room), _ROOM * room, 0.0)
+        room = np.where(np.isfinite(room), SAMPLED_SHARE * room, 0.0)
         X = X * (np.minimum(room, 1.0) if share is None else share * room)
-        for _ in range(_SHRINKS):
+        for _ in range(SHRINKS):
             whole = X + self.series.constant(pose)
             use = torque_use(
                 self.robot, Motion(t, *(basis @ whole for basis in bases[:3]))
             )
-            if use.max() <= _TORQUE_SHARE:
-                found = from_coefficients(whole, self.series.period)
-                return found if self._clear(found) else None
+            if use.max() <= TORQUE_SHARE:
+                fitted = from_coefficients(whole, self.series.period)
+                return fitted if self._clear(fitted) else None
             X = X * 0.7
         return None
 
@@ -293,7 +292,7 @@ class _Search:
 def _worth(deltas: Array) -> float:
     if not len(deltas):
         return -np.inf
-    return float(np.log(np.clip(deltas, 0.1, _PLENTY * needed())).sum())
+    return float(np.log(np.clip(deltas, 0.1, DISCRIMINATION.plenty * needed())).sum())
 
 
 def _envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
@@ -327,27 +326,27 @@ def _at_rest(series: FourierSeries, x: Array) -> Array:
 
 
 def _within_recording(robot: Robot, recorded: Sequence[Motion]) -> Robot:
-    limits = robot.limits
+    """The arm with the ranges of a recording where it has no limits."""
     if not recorded:
         return robot
-    low, high = (
-        f(np.array([f(m.q, axis=0) for m in recorded]), axis=0)
-        for f in (np.min, np.max)
-    )
-    speed, push = (
-        np.max([np.abs(getattr(m, name)).max(axis=0) for m in recorded], axis=0)
-        for name in ("dq", "ddq")
-    )
+    q = np.concatenate([motion.q for motion in recorded])
+    dq = np.concatenate([motion.dq for motion in recorded])
+    ddq = np.concatenate([motion.ddq for motion in recorded])
+    limits = robot.limits
+    ranges = np.column_stack([q.min(axis=0), q.max(axis=0)])
     bounded = np.isfinite(limits.position).all(axis=1, keepdims=True)
-    known = replace(
-        limits,
-        position=np.where(bounded, limits.position, np.column_stack([low, high])),
-        velocity=np.where(np.isfinite(limits.velocity), limits.velocity, speed),
-        acceleration=np.where(
-            np.isfinite(limits.acceleration), limits.acceleration, push
-        ),
+
+    def known(limit: Array, values: Array) -> Array:
+        return np.where(np.isfinite(limit), limit, np.abs(values).max(axis=0))
+
+    return robot.with_limits(
+        replace(
+            limits,
+            position=np.where(bounded, limits.position, ranges),
+            velocity=known(limits.velocity, dq),
+            acceleration=known(limits.acceleration, ddq),
+        )
     )
-    return robot.with_limits(known)
 
 
 @on_one_thread
@@ -356,31 +355,32 @@ def plan(
 ) -> Plan:
     """Experiments that settle an undecided diagnosis; see `discriminating_motions`."""
     contest = _contest(diagnosis)
-    around = _surroundings(diagnosis)
     if not contest.pairs:
         return Plan()
     motions = list[Discriminating]()
     with suppress(Infeasible):
         motions, _ = discriminating_motions(
-            contest, rng, time_limit=time_limit, scene=around
+            contest, rng, time_limit=time_limit, scene=_surroundings(diagnosis)
         )
-    chosen = [_best(motions, index) for index in range(len(contest.pairs))]
-    used = sorted((m for m in motions if m in chosen), key=lambda m: -chosen.count(m))
-    found = {
-        key(pair.found, pair.rival): _experiment(
-            diagnosis.robot, pair, index, best, used
-        )
-        for index, (pair, best) in enumerate(zip(contest.pairs, chosen, strict=True))
+    best = [_best(motions, index) for index in range(len(contest.pairs))]
+    used = sorted((m for m in motions if m in best), key=lambda m: -best.count(m))
+    experiments = {
+        key(pair.found, pair.rival): _experiment(diagnosis.robot, contest, index, used)
+        for index, pair in enumerate(contest.pairs)
     }
-    return Plan(found, tuple(motion.trajectory for motion in used))
+    return Plan(experiments, tuple(motion.trajectory for motion in used))
 
 
 def _contest(diagnosis: Diagnosis) -> Contest:
     # set-ups that look the same do so for every motion
     rivals = {f: any(r.candidate.size for r in f.rivals) for f in diagnosis.findings}
-    open_ = [f for f in diagnosis.findings if rivals[f] and f.explained >= _MATTERS]
-    counts = diagnosis.held.series.moves
-    error = diagnosis.left * diagnosis.held.gains * counts
+    open_ = [
+        f
+        for f in diagnosis.findings
+        if rivals[f] and f.explained >= DISCRIMINATION.matters
+    ]
+    counts = diagnosis.holdout.series.moves
+    error = diagnosis.error * diagnosis.holdout.gains * counts
     sigma = np.sqrt((error**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
     inflation = np.array([autocorrelation_time(column) for column in error.T])
     return Contest(
@@ -395,14 +395,14 @@ def _contest(diagnosis: Diagnosis) -> Contest:
 
 def _pairs(diagnosis: Diagnosis, finding: Finding) -> list[Pair]:
     robot = diagnosis.robot
-    own = finding.effect
+    effect = finding.effect
     others = [f.effect for f in diagnosis.findings if f is not finding]
-    added = np.array(own.values or ()) - np.array(finding.given)
+    added = np.array(effect.values or ()) - np.array(finding.nominal)
     return [
         Pair(
-            own.with_values(added),
+            effect.with_values(added),
             rival,
-            (*others, *_friction(robot, own, rival, others)),
+            (*others, *_friction(robot, effect, rival, others)),
         )
         for rival in (r.candidate.effect for r in finding.rivals)
     ]
@@ -411,8 +411,8 @@ def _pairs(diagnosis: Diagnosis, finding: Finding) -> list[Pair]:
 def _friction(
     robot: Robot, found: Effect, rival: Effect, others: Sequence[Effect]
 ) -> list[Effect]:
-    known = {(e.name, j) for e in (*robot.effects, *others) for j in e.joints}
-    known |= {(e.name, e.joints[0]) for e in (found, rival)}
+    present = {(e.name, j) for e in (*robot.effects, *others) for j in e.joints}
+    present |= {(e.name, e.joints[0]) for e in (found, rival)}
     joints = {j for e in (found, rival) if e.family == "friction" for j in e.joints}
     return [
         effect
@@ -420,18 +420,19 @@ def _friction(
         for effect in standard_effects((joint,))
         if joint in joints
         and is_plain_friction(effect)
-        and (effect.name, joint) not in known
+        and (effect.name, joint) not in present
     ]
 
 
 def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     """The arm's own bodies, where the recording does not contradict their shapes."""
-    q = diagnosis.states[0]
+    q = states(diagnosis.data.validate)[0]
     found = None
     with suppress(ValueError, RuntimeError):
         found = scene(diagnosis.robot)
     near = (
-        found is None or found.distances(q[:: max(1, len(q) // 100)]).min() <= _NEAREST
+        found is None
+        or found.distances(q[:: max(1, len(q) // 100)]).min() <= DISCRIMINATION.nearest
     )
     return None if near else found
 
@@ -442,30 +443,25 @@ def _best(motions: Sequence[Discriminating], index: int) -> Discriminating | Non
 
 
 def _experiment(
-    robot: Robot,
-    pair: Pair,
-    index: int,
-    best: Discriminating | None,
-    motions: Sequence[Discriminating],
+    robot: Robot, contest: Contest, index: int, motions: Sequence[Discriminating]
 ) -> Advice:
+    """The best motion for one pair of a contest, or an action where there is none."""
+    pair = contest.pairs[index]
     action = separating_experiment(pair.found, pair.rival)
+    best = _best(motions, index)
     if best is None:
         return Advice(
             f"no motion within the limits was found that separates them: {action}"
         )
     runs = best.separations[index].repetitions
-    deviations = np.sqrt(best.deltas[index])
+    deviations = float(np.sqrt(best.deltas[index]))
     file = f"separate-{motions.index(best) + 1}.csv"
-    often = (
-        "one run is enough"
-        if runs == 1
-        else f"{runs} runs are needed, or else: {action}"
-    )
-    does = described(best.trajectory, robot)
-    apart = f"separates by {deviations:.3g} standard deviations"
-    return Advice(
-        f"run {file} ({does}): {apart}; {often}", float(deviations), runs, file
-    )
+    often = "one run is enough"
+    if runs != 1:
+        often = f"{runs} runs are needed, or else: {action}"
+    motion = described(best.trajectory, robot)
+    sentence = f"run {file} ({motion}): separates by {deviations:.3g} standard deviations; {often}"
+    return Advice(sentence, deviations, runs, file)
 
 
 def described(trajectory: FourierTrajectory, robot: Robot) -> str:
@@ -473,17 +469,18 @@ def described(trajectory: FourierTrajectory, robot: Robot) -> str:
     motion = trajectory.motion(100.0)
     speed = np.abs(motion.dq).max(axis=0)
     moving = np.flatnonzero(speed > 1e-3)
-    parts = [f"{trajectory.period:g} s"]
-    if 0 < len(moving) <= 2 < robot.nv:
-        for j in moving:
-            turns = int((np.diff(np.sign(motion.dq[1:-1, j])) != 0).sum())
-            unit = "rad/s" if robot.revolute[j] else "m/s"
-            often = "once" if turns == 1 else f"{turns} times"
-            parts.append(
-                f"{robot.joints[j]} reverses {often} at up to {speed[j]:.2g} {unit}"
-            )
-        return ", ".join([*parts, "the other joints held"])
-    held = ", ".join(joint for j, joint in enumerate(robot.joints) if j not in moving)
-    return (
-        f"{parts[0]}, {f'{held} held, the others move' if held else 'all joints move'}"
-    )
+    duration = f"{trajectory.period:g} s"
+    if not 0 < len(moving) <= 2 < robot.nv:
+        held = [joint for j, joint in enumerate(robot.joints) if j not in moving]
+        which = (
+            f"{', '.join(held)} held, the others move" if held else "all joints move"
+        )
+        return f"{duration}, {which}"
+    parts = [duration]
+    for j in moving:
+        turns = int((np.diff(np.sign(motion.dq[1:-1, j])) != 0).sum())
+        unit = "rad/s" if robot.revolute[j] else "m/s"
+        often = "once" if turns == 1 else f"{turns} times"
+        joint = robot.joints[j]
+        parts.append(f"{joint} reverses {often} at up to {speed[j]:.2g} {unit}")
+    return ", ".join([*parts, "the other joints held"])

@@ -19,11 +19,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import scipy
 
+from excitant.analysis.thresholds import EVIDENCE, SELECTION
 from excitant.identify.least_squares import autocorrelation_time, believed
 from excitant.identify.regression import Index, Mask, Regression
 from excitant.robots.effects import Effect
@@ -34,24 +35,13 @@ from excitant.robots.robot import Robot
 Key = tuple[str, tuple[str, ...]]
 """Effect and joints."""
 
-FALSE_ALARM = 0.05  # probability that any candidate enters when none is present
-_ROUNDS = 3  # of estimating the noise
-_RIDGE = 1e-3  # of a candidate's information that other blocks hold, at least
-_ROUNDING = 1e-12  # of a column, below which it cannot be told from those before
-_LEAST = 0.5  # λ at least, also where correlation of the noise favours a candidate
-# of the prior precision, where only the noise is estimated: bodies are free
-_LOOSE = 1e-6
-_BLOCK_S = 0.5  # s, at least: longer than the correlation time of filtered torque noise
-_BLOCKS = (16, 40)  # at least, at most
-_PARTS = 4  # of the rows, each predicted from the others
-# least ratio of data to prior information in a direction that counts
-_DETERMINED = 25.0
-_FEWEST = 4  # such directions, to judge the tolerance by
-_MANY = 8  # to trust values more
-_MEDIAN = 0.4549  # of χ² with one degree of freedom
-_LEAST_OFF = 0.02
-_MOST_OFF = 8.0  # ends of the tolerance of given values
-_UNKNOWN = 400.0  # tolerances: a link may be twenty times as heavy as a placeholder
+_NOISE_ITERATIONS = 3
+LEAST_LEVERAGE = 1e-3  # of a candidate's information that other blocks hold, at least
+_ROUNDING = (
+    1e-12  # of a column, below which it cannot be distinguished from those before
+)
+_FREE = 1e-6  # times the prior precision: where only the noise is estimated, bodies are free
+CHI2_MEDIAN = 0.4549  # of one degree of freedom
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,17 +106,22 @@ class Evidence:
         """rᵀ Λ r."""
         return float(self.products[-1, -1])
 
-    def solve(self, chosen: Sequence[Candidate]) -> tuple[Array, Array]:
-        """Coordinates of all columns (zero where inactive) and their covariance."""
+    def coordinates(self, chosen: Sequence[Candidate]) -> Array:
+        """Coordinates of all columns with a set of causes, zero where inactive, shape (p,)."""
         active = self.active(chosen)
-        factor = self._root(active), True
         coordinates = np.zeros(len(self.moment))
+        root = self._root(active), True
+        coordinates[active] = scipy.linalg.cho_solve(root, self.moment[active])
+        return coordinates
+
+    def covariance(self, chosen: Sequence[Candidate]) -> Array:
+        """Covariance of these coordinates, shape (p, p)."""
+        active = self.active(chosen)
         covariance = np.zeros_like(self.gram)
-        coordinates[active] = scipy.linalg.cho_solve(factor, self.moment[active])
-        covariance[np.ix_(active, active)] = scipy.linalg.cho_solve(
-            factor, np.eye(len(active))
-        )
-        return coordinates, covariance
+        root = self._root(active), True
+        inverse = scipy.linalg.cho_solve(root, np.eye(len(active)))
+        covariance[np.ix_(active, active)] = inverse
+        return covariance
 
     def cost(self, chosen: Sequence[Candidate]) -> float:
         """J of a set of candidates."""
@@ -134,13 +129,9 @@ class Evidence:
         half = self._halved(active, self.moment[active])
         return self.power - float(half @ half)
 
-    def left(self, chosen: Sequence[Candidate]) -> Array:
+    def residual(self, chosen: Sequence[Candidate]) -> Array:
         """Residual after a set of causes, shape (n, nv) [N·m]."""
-        active = self.active(chosen)
-        coordinates = np.zeros(len(self.moment))
-        root = self._root(active), True
-        coordinates[active] = scipy.linalg.cho_solve(root, self.moment[active])
-        return self.problem.residual(coordinates)
+        return self.problem.residual(self.coordinates(chosen))
 
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
@@ -148,8 +139,8 @@ class Evidence:
         half = self._halved(
             active, np.column_stack([self.gram[active], self.moment[active]])
         )
-        half, own = half[:, :-1], half[:, -1]
-        rest = self.moment - half.T @ own
+        half, projected = half[:, :-1], half[:, -1]
+        rest = self.moment - half.T @ projected
         falls = np.empty(len(self.candidates))
         for of_size, at in self._by_size:
             part = half[:, at].transpose(1, 0, 2)
@@ -172,10 +163,11 @@ class Evidence:
     def threshold(self, candidate: Candidate, beside: int = 0) -> float:
         """Fall of J over λ that a candidate must exceed beside others, the search accounted for."""
         # λ is estimated from the blocks and, to one half, known from theory
-        alarms = FALSE_ALARM * (1 + beside if self.by_share else 1)
+        alarms = EVIDENCE.false_alarm * (1 + beside if self.by_share else 1)
         tail = alarms / (len(self.candidates) * candidate.trials)
         size = candidate.size
-        return size * _fisher_quantile(tail, size, 2 * size * (len(self.blocks) - 1))
+        freedom = 2 * size * (len(self.blocks) - 1)
+        return float(size / scipy.special.fdtri(freedom, size, tail))
 
     def dispersion(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
         """λ of a candidate added to a set: variance of its score over that of white noise.
@@ -192,25 +184,25 @@ class Evidence:
         coordinates[at] = np.eye(len(at))
         coordinates[active] = -B
         S = self.problem.torque(coordinates)
-        e = self.left([*chosen, candidate])
+        e = self.residual([*chosen, candidate])
         weighted = S * self.weight[:, None]
         scores = np.add.reduceat(np.einsum("njk,nj->nk", weighted, e), self.blocks)
         grams = np.add.reduceat(np.einsum("njk,njl->nkl", weighted, S), self.blocks)
         unit = _inverse_root(grams.sum(axis=0))
         if not len(unit):
-            return _LEAST
+            return EVIDENCE.least_dispersion
         share, modes = np.linalg.eigh(unit @ grams @ unit.T)
-        left = 1 / np.sqrt(np.maximum(1 - share, _RIDGE))
-        adjusted = left * np.einsum("bmi,bm->bi", modes, scores @ unit.T)
+        scale = 1 / np.sqrt(np.maximum(1 - share, LEAST_LEVERAGE))
+        adjusted = scale * np.einsum("bmi,bm->bi", modes, scores @ unit.T)
         measured = float((adjusted**2).sum()) / len(unit)
-        return max(_LEAST, (measured + 1) / 2)
+        return max(EVIDENCE.least_dispersion, (measured + 1) / 2)
 
     def cosine(self, one: Candidate, other: Candidate) -> float:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""
         columns = np.r_[one.columns, other.columns]
         cross = self.gram[: self.nuisance, columns]
-        known = scipy.linalg.cho_solve((self._nuisance_root, True), cross)
-        G = self.gram[np.ix_(columns, columns)] - cross.T @ known
+        solved = scipy.linalg.cho_solve((self._nuisance_root, True), cross)
+        G = self.gram[np.ix_(columns, columns)] - cross.T @ solved
         k = one.size
         whiten = [_inverse_root(block) for block in (G[:k, :k], G[k:, k:])]
         cosines = np.linalg.svd(whiten[0] @ G[:k, k:] @ whiten[1].T, compute_uv=False)
@@ -218,7 +210,7 @@ class Evidence:
 
     def block_errors(self, chosen: Sequence[Candidate]) -> Array:
         """Weighted squared error that a set leaves in each block of time, shape (blocks,)."""
-        squares = (self.left(chosen) ** 2 * self.weight).sum(axis=1)
+        squares = (self.residual(chosen) ** 2 * self.weight).sum(axis=1)
         return np.asarray(np.add.reduceat(squares, self.blocks), float)
 
     def separate_joints(
@@ -244,12 +236,11 @@ class Evidence:
             return 0.0, 0
         cross = np.concatenate(crosses, axis=1)
         right = np.column_stack([cross, self.moment[active]])
-        known = scipy.linalg.cho_solve((self._root(active), True), right)
-        left = np.concatenate(moments) - cross.T @ known[:, -1]
-        G = scipy.linalg.block_diag(*grams) - cross.T @ known[:, :-1]
-        return float(left @ np.linalg.lstsq(G, left, rcond=1e-9)[0]), len(left) - len(
-            used
-        )
+        solved = scipy.linalg.cho_solve((self._root(active), True), right)
+        remaining = np.concatenate(moments) - cross.T @ solved[:, -1]
+        G = scipy.linalg.block_diag(*grams) - cross.T @ solved[:, :-1]
+        fall = float(remaining @ np.linalg.lstsq(G, remaining, rcond=1e-9)[0])
+        return fall, len(remaining) - len(used)
 
     def acting(self, cause: Candidate) -> Iterator[tuple[int, Index]]:
         """Joints on which a cause acts, each with the indices of its columns among the joint's."""
@@ -284,11 +275,6 @@ class Evidence:
         )
 
 
-@lru_cache(maxsize=4096)
-def _fisher_quantile(tail: float, size: int, freedom: int) -> float:
-    return float(1 / scipy.special.fdtri(freedom, size, tail))
-
-
 def _root(A: Array) -> Array:
     """L of L Lᵀ = A, positive but for rounding, each column in its own unit."""
     unit = 1 / np.sqrt(np.diag(A))
@@ -321,23 +307,23 @@ def cross_validation(
         np.array(each) for each in zip(*(block.grams for block in blocks), strict=True)
     ]
     whole = np.array([block.gram(evidence.weight) for block in blocks])
-    folds = np.array_split(np.arange(len(blocks)), _PARTS)
+    folds = np.array_split(np.arange(len(blocks)), SELECTION.parts)
     others = [np.delete(whole, fold, axis=0).sum(axis=0) for fold in folds]
 
     def errors(subset: Sequence[Candidate]) -> Array:
         used = place[evidence.active(subset)]
-        found = np.empty((len(blocks), problem.nv))
+        squares = np.empty((len(blocks), problem.nv))
         for fold, total in zip(folds, others, strict=True):
             root = _root(
                 total[np.ix_(used, used)] + np.diag(evidence.precision[active[used]])
             )
-            left = np.zeros(problem.p + 1)
-            left[used] = -scipy.linalg.cho_solve((root, True), total[used, -1])
-            left[-1] = 1.0
+            coefficients = np.zeros(problem.p + 1)
+            coefficients[used] = -scipy.linalg.cho_solve((root, True), total[used, -1])
+            coefficients[-1] = 1.0
             for j, weight in enumerate(evidence.weight):
-                own = left[np.append(problem.index[j], problem.p)]
-                found[fold, j] = weight * (grams[j][fold] @ own) @ own
-        return found
+                of_joint = coefficients[np.append(problem.index[j], problem.p)]
+                squares[fold, j] = weight * (grams[j][fold] @ of_joint) @ of_joint
+        return squares
 
     return errors
 
@@ -354,10 +340,11 @@ def weigh(
 ) -> Evidence:
     """Evidence from the rows that count, a period [s] apart; for the rest see `Evidence`."""
     n = len(problem)
-    count = int(np.clip(n * period / _BLOCK_S, *_BLOCKS))
+    wanted = n * period / EVIDENCE.block_s
+    count = int(np.clip(wanted, EVIDENCE.fewest_blocks, EVIDENCE.most_blocks))
     counted = np.maximum([len(rows) for rows in problem.counted(problem.tau)], 1)
     blocks = np.linspace(0, n, count, endpoint=False).astype(np.intp)
-    noise = _noise(problem.tau, counted)
+    sigma, inflation = _noise(problem.tau, counted)
     first = Evidence(
         problem,
         counted,
@@ -366,7 +353,8 @@ def weigh(
         tuple(candidates),
         blocks,
         by_share,
-        *noise,
+        sigma,
+        inflation,
         gains,
     )
     return reweighed(first, [])
@@ -377,18 +365,16 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
 
     It has every usual cause at once and loose given values, so that no cause is taken for noise.
     """
-    rough = [
-        *chosen,
-        *(c for c in evidence.candidates if c.effect.search.usual and c not in chosen),
+    usual = [
+        c for c in evidence.candidates if c.effect.search.usual and c not in chosen
     ]
-    active = evidence.active(rough)
+    active = evidence.active([*chosen, *usual])
     problem = evidence.problem
-    loose = _LOOSE * np.diag(evidence.precision[active])
+    loose = _FREE * np.diag(evidence.precision[active])
     coordinates = np.zeros(problem.p)
-    for _ in range(_ROUNDS):
-        products = problem.gram(
-            evidence.weight, active
-        )  # of these columns alone, which is quick
+    for _ in range(_NOISE_ITERATIONS):
+        # of these columns alone, which is quick
+        products = problem.gram(evidence.weight, active)
         root = _root(products[:-1, :-1] + loose), True
         coordinates[active] = scipy.linalg.cho_solve(root, products[:-1, -1])
         sigma, inflation = _noise(problem.residual(coordinates), evidence.counted)
@@ -419,7 +405,7 @@ def are_placeholders(robot: Robot) -> bool:
 
 def widened(robot: Robot, tolerance: float = 1.0) -> Array:
     """Tolerance of each link relative to ±10 %, shape (nv,): wide where it holds only a place."""
-    return np.where(placeholder_links(robot), _UNKNOWN, tolerance)
+    return np.where(placeholder_links(robot), EVIDENCE.placeholder, tolerance)
 
 
 def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
@@ -427,7 +413,7 @@ def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     links = 10 * robot.nv
     parts = np.arange(links), np.arange(links, evidence.nuisance - len(evidence.gains))
     bodies, effects = (_typical_deviation(evidence, part, robot) for part in parts)
-    tolerance = (_UNKNOWN if are_placeholders(robot) else bodies, effects)
+    tolerance = (EVIDENCE.placeholder if are_placeholders(robot) else bodies, effects)
     precision = np.array(evidence.precision)
     precision[parts[0]] /= np.repeat(widened(robot, bodies), 10) ** 2
     precision[parts[1]] /= effects**2
@@ -439,14 +425,14 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
 
     The median of squares: a few values may be any. Few directions do not make it smaller than 1.
     """
-    given = {
+    nominal = {
         (effect.name, joint) for effect in robot.effects for joint in effect.joints
     }
     usual = [  # what joints have is left free, but not as what is given twice
         c
         for c in evidence.candidates
         if c.effect.search.usual
-        and not {(c.effect.name, joint) for joint in c.effect.joints} <= given
+        and not {(c.effect.name, joint) for joint in c.effect.joints} <= nominal
     ]
     others = np.setdiff1d(evidence.active(usual), part)
     A = evidence.gram + np.diag(evidence.precision)
@@ -459,11 +445,13 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
         m = m - cross.T @ evidence.moment[others]
     unit = 1 / np.sqrt(evidence.precision[part])
     values, vectors = np.linalg.eigh(unit[:, None] * H * unit)
-    shown = values > _DETERMINED
-    if shown.sum() < _FEWEST:
+    determined = values > EVIDENCE.determined
+    if determined.sum() < EVIDENCE.fewest_directions:
         return 1.0
-    deviation = (vectors[:, shown].T @ (unit * m)) / values[shown]
+    deviation = (vectors[:, determined].T @ (unit * m)) / values[determined]
     # noise alone adds the second term to the median of a squared deviation
-    variance = float(np.median(deviation**2 - _MEDIAN / values[shown])) / _MEDIAN
-    least = _LEAST_OFF if shown.sum() >= _MANY else 1.0
-    return float(np.clip(np.sqrt(max(variance, 0.0)), least, _MOST_OFF))
+    variance = (
+        float(np.median(deviation**2 - CHI2_MEDIAN / values[determined])) / CHI2_MEDIAN
+    )
+    least = EVIDENCE.least_off if determined.sum() >= EVIDENCE.many_directions else 1.0
+    return float(np.clip(np.sqrt(max(variance, 0.0)), least, EVIDENCE.most_off))

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from excitant.analysis.thresholds import RESOLUTION
 from excitant.analysis.uncertainty import (
     PAYLOAD_KG,
-    TORQUE_NOISE,
     MotionInformation,
     known_values,
     motion_information,
@@ -51,12 +51,10 @@ from excitant.robots.torque import observation_columns, torque
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
 
-STEP = 0.2  # perturbation of the prior, relative to a link's inertia in any direction
-_NOTHING = 0.01  # of a parameter's uncertainty: a kind that reaches less is ignored
-_DRAWS = 8  # perturbations in the null space, and random ones
-_RESTS = 0.01  # rad or m: a joint that moves less than this rests
-# of the prior's second moment in some direction: at the limit of consistency
-_FLAT = 1e-3
+_IGNORED_REACH = (
+    0.01  # of a parameter's uncertainty: a kind that reaches less is ignored
+)
+_PERTURBATIONS = 8  # in the null space, and random ones
 
 Response = Callable[[Array], Array]
 """Change of the estimate, shape (p,), when the prior is changed by δ, shape (p,)."""
@@ -105,7 +103,7 @@ class Prior:
         """Links of x, shape (p,), at the limit of physical consistency: almost flat or thin."""
         w = np.asarray(np.linalg.solve(self.L, x - self.mean), float)
         smallest = 1 + self.stretches(w)[:, 0]
-        return tuple(int(k) for k in np.flatnonzero(smallest < _FLAT))
+        return tuple(int(k) for k in np.flatnonzero(smallest < RESOLUTION.flat))
 
 
 def prior_of(
@@ -169,23 +167,31 @@ def prior_influence(
     p = len(prior.mean)
     steps = {  # projected, so that they do not depend on the basis of the null space
         "null space": [
-            rng.normal(size=p) @ null.T @ null for _ in range(_DRAWS) if len(null)
+            rng.normal(size=p) @ null.T @ null
+            for _ in range(_PERTURBATIONS)
+            if len(null)
         ],
         "weakly seen": list(weak),
-        "random": [_random_bodies(prior, rng) for _ in range(_DRAWS)],
+        "random": [_random_bodies(prior, rng) for _ in range(_PERTURBATIONS)],
     }
     ratio, linear, reach = (np.full((len(KINDS), p), np.nan) for _ in range(3))
     base_move = np.zeros(len(regrouping))
     base_std = information.std(np.eye(len(regrouping)))
     for k, kind in enumerate(KINDS):
-        w = np.array([STEP * w / prior.size(w) for w in steps[kind]]).reshape(-1, p)
-        given = w @ prior.L.T
+        w = np.array(
+            [RESOLUTION.prior_step * w / prior.size(w) for w in steps[kind]]
+        ).reshape(-1, p)
+        steps_of_prior = w @ prior.L.T
         free = (w @ Vt.T / (1 + s**2)) @ Vt @ prior.L.T
         moves = (
-            free if response is None else np.array([response(delta) for delta in given])
+            free
+            if response is None
+            else np.array([response(delta) for delta in steps_of_prior])
         )
         moves = moves.reshape(-1, p)
-        ratio[k], linear[k] = (_ratio(each, given, prior) for each in (moves, free))
+        ratio[k], linear[k] = (
+            _ratio(each, steps_of_prior, prior) for each in (moves, free)
+        )
         relative = np.abs(moves @ regrouping.T) / np.where(
             base_std > 0, base_std, np.inf
         )
@@ -193,17 +199,19 @@ def prior_influence(
     reach[:2] = [reached(prior.L, part, x, prior.links) for part in (null, weak)]
     reach[0, silent_columns(information.R)] = 1.0
     reach[2] = np.arange(p) < 10 * prior.links
-    ratio[reach < _NOTHING] = linear[reach < _NOTHING] = np.nan
+    ratio[reach < _IGNORED_REACH] = linear[reach < _IGNORED_REACH] = np.nan
     fits = 0 if response is None else sum(map(len, steps.values()))
     return PriorInfluence(ratio, reach, linear, base_move, fits)
 
 
-def _ratio(moves: Array, given: Array, prior: Prior) -> Array:
+def _ratio(moves: Array, steps: Array, prior: Prior) -> Array:
     """Change of parameters over that of their prior; NaN where that is unchanged, (p,)."""
-    got, size = (np.sqrt((values**2).sum(axis=0)) for values in (moves, given))
+    moved, size = (np.sqrt((values**2).sum(axis=0)) for values in (moves, steps))
     unmoved = np.full(len(size), np.nan)
     std = np.linalg.norm(prior.L, axis=1)
-    return np.asarray(np.divide(got, size, out=unmoved, where=size > 1e-9 * std), float)
+    return np.asarray(
+        np.divide(moved, size, out=unmoved, where=size > 1e-9 * std), float
+    )
 
 
 def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
@@ -223,15 +231,15 @@ def refits(estimate: Estimate, rows: FitRows) -> Response:
     phi = estimate.physical.prior.bodies
     effects = rows.open_prior
     links = phi.size
-    given = estimate.physical.prior
+    body_prior = estimate.physical.prior
 
     def moved(delta: Array) -> Array:
         other = replace(effects, mean=effects.mean + delta[links:])
-        prior = replace(given, bodies=phi + delta[:links].reshape(-1, 10), metric=phi)
-        found = fit_physical(
-            R, z, prior, other, estimate.knowledge, estimate.given.links
+        prior = replace(
+            body_prior, bodies=phi + delta[:links].reshape(-1, 10), metric=phi
         )
-        return np.asarray(found.x - estimate.physical.x, float)
+        fit = fit_physical(R, z, prior, other, estimate.knowledge, estimate.given.links)
+        return np.asarray(fit.x - estimate.physical.x, float)
 
     return moved
 
@@ -261,7 +269,9 @@ class Experiment:
     @property
     def resting(self) -> tuple[int, ...]:
         """Joints that do not move."""
-        return tuple(int(j) for j in np.flatnonzero(np.ptp(self.q, axis=0) < _RESTS))
+        return tuple(
+            int(j) for j in np.flatnonzero(np.ptp(self.q, axis=0) < RESOLUTION.rests)
+        )
 
 
 def planned_experiment(
@@ -275,9 +285,9 @@ def planned_experiment(
     """A motion to judge before it is run, torque measured at the joints of ``rows``."""
     sigma = torque_noise(robot, noise)[rows]
     W = observation_columns(robot, effects, motion)[:, rows]
-    seen = motion_information(base, W, sigma)
-    known = known_values(robot, effects)
-    x = np.array([value or 0.0 for value in known])
+    information = motion_information(base, W, sigma)
+    values = known_values(robot, effects)
+    x = np.array([value or 0.0 for value in values])
     notes: list[str] = []
     prior = None
     influence = None
@@ -288,23 +298,23 @@ def planned_experiment(
         nothing = EffectPrior(np.zeros_like(size), size, np.full_like(size, -np.inf))
         prior = prior_of(prior_parameters(robot), nothing)
         influence = prior_influence(
-            seen, base.regrouping, prior, x, np.random.default_rng(0)
+            information, base.regrouping, prior, x, np.random.default_rng(0)
         )
     except BadRobot as error:
         notes.append(f"the prior is left out: {error.why}")
     how = (
         "as given"
         if noise is not None
-        else f"of {100 * TORQUE_NOISE:g} % of each limit"
+        else f"of {100 * RESOLUTION.torque_noise:g} % of each limit"
     )
     return Experiment(
         sigma=sigma,
-        information=seen,
+        information=information,
         x=x,
-        known=tuple(value is not None for value in known),
+        known=tuple(value is not None for value in values),
         beta=base.regrouping @ x,
         prior=prior,
-        std=None if prior is None else prior.posterior_std(seen.R),
+        std=None if prior is None else prior.posterior_std(information.R),
         influence=influence,
         motion=motion,
         q=motion.q,
@@ -325,14 +335,16 @@ def recorded_experiment(
     rows = cleaned(fit_rows(robot, effects, estimate.base, estimate.data))
     sigma = fit.sigma * np.sqrt(fit.inflation)
     complete = estimate.base.columns == base.columns
-    seen = motion_information(base, rows.W, sigma, fit.covariance if complete else None)
+    information = motion_information(
+        base, rows.W, sigma, fit.covariance if complete else None
+    )
     prior = prior_of(
         estimate.physical.prior.bodies, rows.open_prior, estimate.physical.prior.sigma
     )
     x = estimate.physical.x
     response = None if rng is None else refits(estimate, rows)
     draws = np.random.default_rng(0) if rng is None else rng
-    influence = prior_influence(seen, base.regrouping, prior, x, draws, response)
+    influence = prior_influence(information, base.regrouping, prior, x, draws, response)
     notes = []
     if flat := prior.at_limit(x):
         names = ", ".join(robot.links[k] for k in flat)
@@ -348,7 +360,7 @@ def recorded_experiment(
         )
     return Experiment(
         sigma=sigma,
-        information=seen,
+        information=information,
         x=x,
         known=(True,) * len(base.names),
         beta=fit.beta if complete else base.regrouping @ x,

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from excitant.analysis.dh_frames import distal_frames
+from excitant.analysis.experiment import (
+    Experiment,
+    PriorInfluence,
+    planned_experiment,
+    recorded_experiment,
+)
 from excitant.analysis.structure import Structure, structure
+from excitant.analysis.thresholds import RESOLUTION
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
-    TORQUE_NOISE,
     Direction,
     Practical,
     candidate_experiments,
@@ -24,8 +31,9 @@ from excitant.analysis.uncertainty import (
     weak_directions,
 )
 from excitant.exceptions import BadInput, UnknownName
+from excitant.identify.excitation import Persistency, persistency
+from excitant.identify.prior import base_prior
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.dh import distal_frames
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.parameters import UNITS, moved_parameters
@@ -36,11 +44,9 @@ from excitant.robots.threads import on_one_thread
 if TYPE_CHECKING:
     import pandas as pd
 
-    from excitant.analysis.experiment import Experiment, PriorInfluence
     from excitant.identify.estimate import Estimate
-    from excitant.identify.excitation import Persistency
 
-_NAMED = 8  # parameters listed in a sentence
+LISTED = 8  # parameters listed in a sentence
 
 
 @dataclass(frozen=True)
@@ -219,11 +225,11 @@ class Identifiability(Shown):
 
     def series(self) -> dict[str, Array]:
         """For figures: singular values under a motion (r,), or of the structure with vectors."""
-        found = self.structure
-        if found.frames is not None:
-            values = found.singular_values
-            vectors = found.singular_vectors
-            return {"structural_values": values, "structural_vectors": vectors}
+        if self.structure.frames is not None:
+            return {
+                "structural_values": self.structure.singular_values,
+                "structural_vectors": self.structure.singular_vectors,
+            }
         return {"singular_values": self.motion.singular_values} if self.motion else {}
 
     def to_frame(
@@ -254,13 +260,8 @@ class Identifiability(Shown):
 
     def _table(self) -> Table:
         if self.motion is None:
-            rows = [
-                (name, kind)
-                for name, kind in zip(
-                    self.base.names, self.structure.category, strict=True
-                )
-            ]
-            return ("parameter", "identifiable"), rows
+            rows = zip(self.base.names, self.structure.category, strict=True)
+            return ("parameter", "identifiable"), list(rows)
         shown = [(p.expression, p.value, p.std, p.verdict) for p in self.practical]
         return ("base parameter", "value", "std", "shown by the motion"), shown
 
@@ -300,10 +301,10 @@ def analyze(
             noise that does not fit the arm; or circumstances that contradict each other.
         UnknownName: A joint that the arm does not have.
     """
-    shown = motion is not None or estimate is not None
+    judged = motion is not None or estimate is not None
     refused = {
         "moving: leave it out, a trajectory or recording determines which joints move": (
-            moving is not None and shown
+            moving is not None and judged
         ),
         "measured: leave it out, a recording has the torques of all joints": (
             estimate is not None and measured is not None
@@ -312,9 +313,9 @@ def analyze(
             noise is not None and motion is None
         ),
         "frames: a motion is judged in joint frames; leave one of both out": (
-            frames == "dh" and shown
+            frames == "dh" and judged
         ),
-        "window: give a trajectory or recording too": window is not None and not shown,
+        "window: give a trajectory or recording too": window is not None and not judged,
         "moving: name at least one joint": moving is not None and not moving,
         "measured: name at least one joint": measured is not None and not measured,
     }
@@ -322,43 +323,42 @@ def analyze(
         if wrong:
             raise BadInput(why)
     effects = tuple(effects) if estimate is None else estimate.model.effects
-    places = distal_frames(robot) if frames == "dh" else None
-    found = structure(robot, effects, moving=moving, measured=measured, frames=places)
-    rows = [
-        j for j, name in enumerate(robot.joints) if measured is None or name in measured
+    poses = distal_frames(robot) if frames == "dh" else None
+    structural = structure(
+        robot, effects, moving=moving, measured=measured, frames=poses
+    )
+    base = structural.base
+    joints = list(enumerate(robot.joints))
+    rows = [j for j, name in joints if measured is None or name in measured]
+    rests: Sequence[int] = [
+        j for j, name in joints if moving is not None and name not in moving
     ]
-    given: Experiment | None = None
+    pose = np.zeros(robot.nv)
+    sigma = _default_noise(robot)
+    R = base.regrouping
+    experiment: Experiment | None = None
     if estimate is not None:
-        from excitant.analysis.experiment import recorded_experiment
-
-        given = recorded_experiment(robot, found.base, estimate, rng)
+        experiment = recorded_experiment(robot, base, estimate, rng)
     elif motion is not None:
-        from excitant.analysis.experiment import planned_experiment
-
-        given = planned_experiment(robot, found.base, effects, motion, noise, rows)
-    noise_of_all = _noise_of_all(robot, given, rows)
-    still = [
-        j
-        for j, name in enumerate(robot.joints)
-        if moving is not None and name not in moving
-    ]
-    rests, pose = (
-        (still, np.zeros(robot.nv))
-        if given is None
-        else (given.resting, given.q.mean(axis=0))
+        experiment = planned_experiment(robot, base, effects, motion, noise, rows)
+    if experiment is not None:
+        rests = experiment.resting
+        pose = experiment.q.mean(axis=0)
+        sigma[rows] = experiment.sigma
+        R = experiment.information.R
+    further = candidate_experiments(robot, effects, sigma, rests, pose, rows)
+    entries = _entries(robot, effects, structural, further, experiment)
+    groups = (tuple(base.names[k] for k in group) for group in dependent_groups(R))
+    identifiability = Identifiability(
+        robot, effects, structural, entries, tuple(groups)
     )
-    candidates = candidate_experiments(robot, effects, noise_of_all, rests, pose, rows)
-    table = _entries(robot, effects, found, candidates, given)
-    R = found.base.regrouping if given is None else given.information.R
-    follow = tuple(
-        tuple(found.base.names[k] for k in group) for group in dependent_groups(R)
-    )
-    if given is None:
-        said = [] if places is None else [_contained(robot, found)]
-        return Identifiability(robot, effects, found, table, follow, notes=tuple(said))
-    under = _under_motion(robot, effects, found.base, given, candidates, window)
-    notes = (*_notes(found, under, table), *given.notes)
-    return Identifiability(robot, effects, found, table, follow, under, notes)
+    if experiment is not None:
+        practical = _practical(robot, effects, base, experiment, further, window)
+        notes = (*_notes(structural, practical, entries), *experiment.notes)
+        return replace(identifiability, motion=practical, notes=notes)
+    if poses is not None:
+        return replace(identifiability, notes=(_contained(robot, structural),))
+    return identifiability
 
 
 def _contained(robot: Robot, found: Structure) -> str:
@@ -374,66 +374,53 @@ def _contained(robot: Robot, found: Structure) -> str:
     )
 
 
-def _noise_of_all(robot: Robot, given: Experiment | None, rows: Sequence[int]) -> Array:
-    # of unmeasured joints, and where only rank matters, 1 % of the limit, or 1 N·m
+def _default_noise(robot: Robot) -> Array:
+    """Torque noise (nv,): 1 % of the limit, or 1 N·m where there is none."""
     limits = robot.limits.torque
     usable = np.isfinite(limits) & (limits > 0)
-    sigma = np.asarray(
-        np.where(usable, TORQUE_NOISE * np.where(usable, limits, 0.0), 1.0), float
-    )
-    if given is not None:
-        sigma[list(rows)] = given.sigma
+    sigma = np.ones(robot.nv)
+    sigma[usable] = RESOLUTION.torque_noise * limits[usable]
     return sigma
 
 
-def _under_motion(
+def _practical(
     robot: Robot,
     effects: Sequence[Effect],
     base: BaseParameters,
-    given: Experiment,
-    candidates: Mapping[str, Array],
+    experiment: Experiment,
+    further: Mapping[str, Array],
     window: float | None,
 ) -> PracticalIdentifiability:
-    from excitant.identify.excitation import persistency
-
+    sigma = experiment.sigma
     excitation = None
-    if len(given.sigma) == robot.nv:
-        noise = given.sigma
+    if len(sigma) == robot.nv:
         excitation = persistency(
-            robot, given.motion, effects, sigma=noise, window=window
+            robot, experiment.motion, effects, sigma=sigma, window=window
         )
     columns = list(base.columns)
-    seen = given.information
-    lengths = np.linalg.norm(seen.R[:, columns], axis=0)
-    scaled = seen.R[:, columns] / np.where(lengths > 0, lengths, 1.0)
-    units = [_units(robot, effects)[k] for k in columns]
+    information = experiment.information
+    R = information.R[:, columns]
+    lengths = np.linalg.norm(R, axis=0)
+    scaled = R / np.where(lengths > 0, lengths, 1.0)
+    if experiment.prior is not None:
+        size = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
+    else:  # what makes as much torque as the noise
+        signal = information.signal[columns]
+        size = 1 / np.maximum(signal, 1e-6 * signal.max())
+    units = _units(robot, effects)
     return PracticalIdentifiability(
-        condition_number=seen.condition_number,
+        condition_number=information.condition_number,
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
-        practical=practical(base, given.beta, seen, candidates),
+        practical=practical(base, experiment.beta, information, further),
         directions=weak_directions(
-            base, units, seen, _sizes(robot, effects, base, given)
+            base, [units[k] for k in columns], information, size
         ),
-        influence=given.influence,
-        noise=given.sigma,
-        resting=tuple(robot.joints[j] for j in given.resting),
-        basis=given.basis,
+        influence=experiment.influence,
+        noise=sigma,
+        resting=tuple(robot.joints[j] for j in experiment.resting),
+        basis=experiment.basis,
         persistency=excitation,
     )
-
-
-def _sizes(
-    robot: Robot, effects: Sequence[Effect], base: BaseParameters, given: Experiment
-) -> Array:
-    # scale of each: its prior uncertainty, or else what makes as much torque as the noise
-    if given.prior is not None:
-        from excitant.identify.prior import base_prior
-
-        return np.asarray(
-            np.sqrt(np.diag(base_prior(robot, effects, base).covariance)), float
-        )
-    signal = given.information.signal[list(base.columns)]
-    return np.asarray(1 / np.maximum(signal, 1e-6 * signal.max()), float)
 
 
 def _notes(
@@ -451,16 +438,14 @@ def _notes(
         if parameter.verdict == NOT_SHOWN:
             lost.setdefault(parameter.needed, []).append(base.names[k])
     for what, names in lost.items():
-        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
         notes.append(
-            f"this motion does not show {', '.join(names[:_NAMED])}{more} "
+            f"this motion does not show {', '.join(names[:LISTED])}{more} "
             f"({len(names)} of {len(base)} base parameters); "
             f"shown {'' if what.startswith('never') else 'by '}{what}"
         )
     if (influence := under.influence) is None:
         return tuple(notes)
-    from excitant.analysis.experiment import STEP
-
     named = [entry for entry in table if entry.category != "unidentifiable"]
     prior, physics = (
         sum(e.decided_by == who for e in named) for who in ("prior", "physics")
@@ -470,8 +455,9 @@ def _notes(
         "rather than the data: that two sets of initial values agree proves nothing there"
     )
     if influence.refits:
+        step = 100 * RESOLUTION.prior_step
         notes.append(
-            f"{influence.refits} fits with priors changed by up to {100 * STEP:g} % moved no base "
+            f"{influence.refits} fits with priors changed by up to {step:g} % moved no base "
             f"parameter by more than {influence.base_move.max():.2g} of its standard deviation"
         )
     if physics:
@@ -489,62 +475,70 @@ def _units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
 def _entries(
     robot: Robot,
     effects: Sequence[Effect],
-    found: Structure,
-    candidates: Mapping[str, Array],
-    given: Experiment | None,
+    structural: Structure,
+    further: Mapping[str, Array],
+    experiment: Experiment | None,
 ) -> tuple[ParameterIdentifiability, ...]:
-    base = found.base
+    base = structural.base
     units = _units(robot, effects)
-    unique = np.array(found.category) == "unique"
-    before = known_values(robot, effects)
-    if found.frames is not None:
-        bodies = robot.phi.reshape(-1, 10)
-        before[: 10 * robot.nv] = moved_parameters(
-            bodies, np.linalg.inv(found.frames)
-        ).ravel()
+    nominal = known_values(robot, effects)
+    if structural.frames is not None:
+        to_joints = np.linalg.inv(structural.frames)
+        bodies = moved_parameters(robot.phi.reshape(-1, 10), to_joints)
+        nominal[: 10 * robot.nv] = bodies.ravel()
     R = base.regrouping
     size = np.zeros(len(units))
-    said: dict[str, Sequence[Any]] = {"value": before, "prior": before}
-    if given is not None:
-        R = given.information.R
-        influence = given.influence
-        std = given.information.std(np.eye(len(units))[:, list(base.columns)])
-        std = np.where(unique, std, np.inf)
-        negligible, size = resolution(given.x, std, given.information.signal)
-        x = given.x.tolist()
-        factors = np.ones(len(x))
-        if given.told:
-            factors = np.array([f for f, _ in given.told])
-            units = tuple(u for _, u in given.told)
-        values = (factors * given.x).tolist()
-        said["std_data"] = (factors * std).tolist()
-        said["value"] = [
-            v if known else None for v, known in zip(values, given.known, strict=True)
-        ]
-        said["verdict"] = [
-            verdict(std[k], x[k], bool(negligible[k])) if unique[k] else kind
-            for k, kind in enumerate(found.category)
-        ]
-        if given.prior is not None:
-            bodies = given.prior.mean[: 10 * given.prior.links].tolist()
-            said["prior"] = [*bodies, *before[len(bodies) :]]
-        if given.std is not None:
-            said["std"] = given.std.tolist()
-        if influence is not None:
-            said["influence"] = influence.overall.tolist()
-            said["decided_by"] = influence.decided_by
-    needed = experiments_needed(R, np.eye(len(units)), size, candidates)
+    columns: dict[str, Sequence[Any]] = {"value": nominal, "prior": nominal}
+    if experiment is not None:
+        R = experiment.information.R
+        size, judged = _judged(base, structural.category, experiment)
+        columns |= judged
+        if experiment.told:
+            units = tuple(unit for _, unit in experiment.told)
+        if experiment.prior is not None:
+            links = 10 * experiment.prior.links
+            bodies = experiment.prior.mean[:links].tolist()
+            columns["prior"] = [*bodies, *nominal[links:]]
+    needed = experiments_needed(R, np.eye(len(units)), size, further)
     expressions = np.array(base.expressions, object)
     return tuple(
         ParameterIdentifiability(
             name=name,
             owner=name.rpartition(".")[0],
             unit=units[k],
-            category=found.category[k],
+            category=structural.category[k],
             expressions=tuple(expressions[base.regrouping[:, k] != 0]),
-            margin=float(found.margin[k]),
+            margin=float(structural.margin[k]),
             needed=needed[k],
-            **{key: values[k] for key, values in said.items()},
+            **{key: values[k] for key, values in columns.items()},
         )
         for k, name in enumerate(base.names)
     )
+
+
+def _judged(
+    base: BaseParameters, category: Sequence[str], experiment: Experiment
+) -> tuple[Array, dict[str, Sequence[Any]]]:
+    """Sizes as of `resolution`, and what an experiment says of each parameter, by field."""
+    information = experiment.information
+    x = experiment.x
+    unique = np.array(category) == "unique"
+    std = information.std(np.eye(len(x))[:, list(base.columns)])
+    std = np.where(unique, std, np.inf)
+    negligible, size = resolution(x, std, information.signal)
+    factors = np.array([factor for factor, _ in experiment.told] or np.ones(len(x)))
+    values = zip((factors * x).tolist(), experiment.known, strict=True)
+    columns: dict[str, Sequence[Any]] = {
+        "std_data": (factors * std).tolist(),
+        "value": [value if known else None for value, known in values],
+        "verdict": [
+            verdict(std[k], x[k], bool(negligible[k])) if unique[k] else kind
+            for k, kind in enumerate(category)
+        ],
+    }
+    if experiment.std is not None:
+        columns["std"] = experiment.std.tolist()
+    if experiment.influence is not None:
+        columns["influence"] = experiment.influence.overall.tolist()
+        columns["decided_by"] = experiment.influence.decided_by
+    return size, columns

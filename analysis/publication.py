@@ -33,16 +33,16 @@ def extended_publication(
 ) -> Publication:
     """Publication of the extended model.
 
-    Faults, as `Diagnosis.amended` tells them, or a larger error on the hold-out than that of the
+    Faults, as `with_repairs` tells them, or a larger error on the hold-out than that of the
     given model forbid it unless by ``force``.
     """
-    held = diagnosis.held
+    holdout = diagnosis.holdout
     judged = HoldOut(
         diagnosis.data.validate,
-        held.series,
-        held.gains,
+        holdout.series,
+        holdout.gains,
         diagnosis.extension.predicted,
-        held.simulated,
+        holdout.simulated,
     )
     return published(
         diagnosis.extension.model,

@@ -277,7 +277,7 @@ def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item
     return replace(
         item,
         planted=change.parameters[0][1],
-        recovered=float(lead.effect.values[0] - lead.given[0]),
+        recovered=float(lead.effect.values[0] - lead.nominal[0]),
         std=float(lead.std[0]),
         unit=lead.effect.parameters(found.robot)[0].unit,
     )

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from excitant.analysis.thresholds import STRUCTURED
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import (
     Index,
@@ -40,27 +40,17 @@ QUANTITIES = {
 BANDS = ("slower", "motion", "faster")
 """Below the band of the motion, in it, above it."""
 
-VISIBLE = 2.0  # times the noise floor: from here on an effect can be seen
-_SHARE = 0.1  # of the given model's squared error
-_LITTLE = 0.1  # of the error's power: a quantity with less explains nothing
-# of the error's power: how much more a less simple quantity must explain
-_NEARLY = 0.05
-_BINS = 24
-_TREND = 2  # degree of what changes slowly over time
-_PERIODS = 3.0  # of the motion: in a shorter time, a trend cannot be told from it
-_NO_DIRECTION = 0.005  # of a joint's top speed: slower motion has no direction
-_OUTSIDE = 0.02  # of the power on either side of a motion's band
+BINS = 24
+TREND_DEGREE = 2  # degree of what changes slowly over time
+OUTSIDE_BAND = 0.02  # of the power on either side of a motion's band
 
-_ABOVE = 1.5  # times the cut-off: where nothing of the motion is left
-_PASSED = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
-_NEAR = (0.6, 0.95)  # of the cut-off
-_SEEN = 1.5  # times the cut-off: up to where noise of positions is looked for
-_POSES = 50  # at which inertia is evaluated
-_LONGEST = 512  # samples of a periodogram's stretch
-_FORGETS = 0.1  # s: residuals with a shorter correlation time look like noise
-# of the error: noise below this comes from a filter, not from a sensor
-_MEASURABLE = 1e-3
-_SAID = 100.0  # times the noise: larger ratios are not quoted
+ABOVE_MOTION = 1.5  # times the cut-off: where nothing of the motion is left
+PASSED_NOISE = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
+NEAR_CUTOFF = (0.6, 0.95)  # of the cut-off
+HIGHEST_BAND = 1.5  # times the cut-off: up to where noise of positions is looked for
+POSES = 50  # at which inertia is evaluated
+PERIODOGRAM = 512  # samples of a periodogram's stretch
+LARGEST_RATIO = 100.0  # of error to noise; larger ones are not quoted
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +70,7 @@ class Explanatory:
 
 def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
     """Explanatory variables at the rows of segments, beside a load (n, nv)."""
-    slowest = _NO_DIRECTION * top_speed(segments)
+    slowest = STRUCTURED.least_direction * top_speed(segments)
     since = [since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments]
     motions = [s.motion[s.keep] for s in segments]
     return Explanatory(
@@ -98,8 +88,8 @@ def since_reversal(q: Array, dq: Array, slowest: Array) -> Array:
     """Signed distance from where each joint last turned back, or from the start, shape (n, nv)."""
     way = np.where(np.abs(dq) > slowest, np.sign(dq), 0.0)
     at = np.arange(len(q))[:, None]
-    known = np.maximum.accumulate(np.where(way != 0, at, 0), axis=0)
-    way = np.take_along_axis(way, known, axis=0)
+    last_moved = np.maximum.accumulate(np.where(way != 0, at, 0), axis=0)
+    way = np.take_along_axis(way, last_moved, axis=0)
     turned = np.vstack([np.ones((1, q.shape[1]), bool), way[1:] != way[:-1]])
     last = np.maximum.accumulate(np.where(turned, at, 0), axis=0)
     signed: Array = way * np.abs(q - np.take_along_axis(q, last, axis=0))
@@ -117,7 +107,7 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
     load = by.load[rows, j]
     constant = float(e.mean())
     total = max(float((e**2).sum()), 1e-300)
-    found = {"constant": _explained(e, constant, 1) / total}
+    explained = {"constant": _explained(e, constant, 1) / total}
     rest = e - constant
     forward = (dq > 0).astype(np.intp)
 
@@ -129,26 +119,26 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
     near = np.searchsorted(np.quantile(distance, 0.5 ** np.arange(7, 0, -1)), distance)
     bins = {
         "direction": forward,
-        "velocity": even(dq, _BINS),
-        "position": even(by.position[rows, j], _BINS),
-        "load": 2 * even(load, _BINS // 2) + forward,
+        "velocity": even(dq, BINS),
+        "position": even(by.position[rows, j], BINS),
+        "load": 2 * even(load, BINS // 2) + forward,
         "reversal": 2 * near + forward,
     }
-    for name, each in bins.items():
-        means = (np.bincount(each, rest) / np.maximum(np.bincount(each), 1))[each]
-        found[name] = _explained(rest, means, len(np.unique(each)) - 1) / total
-    if by.bands[j, 0] * np.dot(by.lengths, by.steps) >= _PERIODS:
-        trend = np.polynomial.Polynomial.fit(time, rest, _TREND)(time)
-        found["time"] = _explained(rest, trend, _TREND) / total
-    return {name: float(np.clip(share, 0.0, 1.0)) for name, share in found.items()}
+    for name, bin_of in bins.items():
+        means = (np.bincount(bin_of, rest) / np.maximum(np.bincount(bin_of), 1))[bin_of]
+        explained[name] = _explained(rest, means, len(np.unique(bin_of)) - 1) / total
+    if by.bands[j, 0] * np.dot(by.lengths, by.steps) >= STRUCTURED.trend_periods:
+        trend = np.polynomial.Polynomial.fit(time, rest, TREND_DEGREE)(time)
+        explained["time"] = _explained(rest, trend, TREND_DEGREE) / total
+    return {name: float(np.clip(share, 0.0, 1.0)) for name, share in explained.items()}
 
 
 def _explained(e: Array, fitted: Array | float, freedom: int) -> float:
     """Power of an error that a fit with some coefficients removes, less that by chance."""
     rest = e - fitted
-    left = float((rest**2).sum())
+    remaining = float((rest**2).sum())
     independent = max(len(e) / autocorrelation_time(rest), 1.0)
-    return float((e**2).sum()) - left - left * freedom / independent
+    return float((e**2).sum()) - remaining - remaining * freedom / independent
 
 
 def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
@@ -172,7 +162,7 @@ def _motion_bands(segments: Sequence[Segment]) -> Array:
     f, positions = _spectrum(longest.motion.q - longest.motion.q.mean(axis=0), step)
     _, velocities = _spectrum(longest.motion.dq, step)
     edges = []
-    for power, share in ((positions, _OUTSIDE), (velocities, 1 - _OUTSIDE)):
+    for power, share in ((positions, OUTSIDE_BAND), (velocities, 1 - OUTSIDE_BAND)):
         reached = np.cumsum(power, axis=0) >= share * power.sum(axis=0)
         edges.append(f[np.argmax(reached, axis=0)])
     return np.column_stack([np.minimum(*edges), edges[1]])
@@ -205,14 +195,18 @@ class Residual:
     def visible(self) -> bool:
         """Whether it is slow, well above the noise, and a material share of the given error."""
         share = self.structured**2 / max(self.given**2, 1e-300)
-        slow = self.correlation_s > _FORGETS / 2
-        return slow and self.structured > VISIBLE * self.floor and share > _SHARE
+        slow = self.correlation_s > STRUCTURED.correlation_s / 2
+        return (
+            slow
+            and self.structured > STRUCTURED.visible * self.floor
+            and share > STRUCTURED.share
+        )
 
     @property
     def dominant(self) -> str:
         """Simplest quantity that explains nearly as much as the best; empty if none does."""
-        enough = max(self.shares.values()) - _NEARLY
-        if enough < _LITTLE - _NEARLY:
+        enough = max(self.shares.values()) - STRUCTURED.nearly
+        if enough < STRUCTURED.explains - STRUCTURED.nearly:
             return ""
         return next(
             name for name in QUANTITIES if self.shares.get(name, -1.0) >= enough
@@ -221,7 +215,7 @@ class Residual:
     @property
     def structure(self) -> str:
         """The residual in words."""
-        if not self.visible and self.correlation_s < _FORGETS:
+        if not self.visible and self.correlation_s < STRUCTURED.correlation_s:
             return "noise-like"
         words = f"structured: stays correlated over {self.correlation_s:.2g} s"
         if not self.dominant:
@@ -232,38 +226,19 @@ class Residual:
     @property
     def against_noise(self) -> str:
         """Ratio of error to noise in words; else the reason why the noise is not known."""
-        if self.floor <= _MEASURABLE * max(self.rms, 1e-300):
+        if self.floor <= STRUCTURED.measurable * max(self.rms, 1e-300):
             return "no noise is seen in the recorded torque, which was smoothed or computed"
         ratio = self.rms / self.floor
-        if ratio > _SAID:
-            return f"over {_SAID:.0f} times the noise"
+        if ratio > LARGEST_RATIO:
+            return f"over {LARGEST_RATIO:.0f} times the noise"
         return f"{ratio:.{0 if ratio >= 10 else 1}f} times the noise"
-
-    def shown(self) -> dict[str, Any]:
-        """Its size and distribution, for result.json."""
-        return {
-            "rms": self.rms,
-            "shares": dict(self.shares),
-            "bands": dict(self.bands),
-            "telling": self.dominant,
-        }
-
-    def unexplained(self) -> dict[str, Any]:
-        """Its part beyond noise, for result.json."""
-        return {
-            "rms": self.rms,
-            "noise_floor": self.floor,
-            "against_noise": self.against_noise,
-            "structure": self.structure,
-            "shows": dict(self.shares),
-        }
 
 
 def residuals(
     joints: Sequence[str],
     segments: Sequence[Segment],
     error: Array,
-    given: Array,
+    nominal_error: Array,
     load: Array,
 ) -> tuple[Residual, ...]:
     """Residual torque of each joint where it moves.
@@ -274,24 +249,24 @@ def residuals(
     moves = away_from_rest(segments)
     step = by.steps[0]
     cutoff = segments[0].cutoff_hz
-    found = []
+    of_joints = []
     for j, joint in enumerate(joints):
         at = moves[:, j] if moves[:, j].any() else ~moves[:, j]
         e = error[at, j]
-        found.append(
+        of_joints.append(
             Residual(
                 joint,
                 rms=float(np.sqrt((e**2).mean())),
                 floor=max(
                     noise_floor(segments, j), _fast(error[:, j], 1 / step, cutoff)
                 ),
-                given=float(np.sqrt((given[at, j] ** 2).mean())),
+                given=float(np.sqrt((nominal_error[at, j] ** 2).mean())),
                 correlation_s=float(autocorrelation_time(e) * step),
                 shares=shares(error[:, j], by, j, at),
                 bands=band_shares(error[:, j], by, j),
             )
         )
-    return tuple(found)
+    return tuple(of_joints)
 
 
 def noise_floor(segments: Sequence[Segment], j: int) -> float:
@@ -300,10 +275,10 @@ def noise_floor(segments: Sequence[Segment], j: int) -> float:
     weight = 0
     for s in segments:
         n = len(s.tau_raw)
-        f, density = power_density(s.tau_raw[:, j], s.rate_hz, _LONGEST)
-        above = density[f > _ABOVE * s.cutoff_hz]
+        f, density = power_density(s.tau_raw[:, j], s.rate_hz, PERIODOGRAM)
+        above = density[f > ABOVE_MOTION * s.cutoff_hz]
         if len(above):
-            power += n * float(np.median(above)) * _PASSED * s.cutoff_hz
+            power += n * float(np.median(above)) * PASSED_NOISE * s.cutoff_hz
             weight += n
     return float(np.sqrt(power / weight)) if weight else 0.0
 
@@ -318,8 +293,8 @@ def position_noise(segments: Sequence[Segment]) -> Array:
     weight = 0
     for s in segments:
         n = len(s.motion)
-        band = slice(s.cutoff_hz, min(_SEEN * s.cutoff_hz, 0.45 * s.rate_hz))
-        f, density = power_density(s.motion.ddq, s.rate_hz, _LONGEST)
+        band = slice(s.cutoff_hz, min(HIGHEST_BAND * s.cutoff_hz, 0.45 * s.rate_hz))
+        f, density = power_density(s.motion.ddq, s.rate_hz, PERIODOGRAM)
         within = (f > band.start) & (f < band.stop)
         if within.any():
             power += n * np.median(
@@ -340,9 +315,9 @@ def motion_noise(robot: Robot, segments: Sequence[Segment]) -> Array:
     white = position_noise(segments)
     power = np.zeros(robot.nv)
     for s in segments:
-        f = np.linspace(0.0, s.rate_hz / 2, _LONGEST)
+        f = np.linspace(0.0, s.rate_hz / 2, PERIODOGRAM)
         passed = np.trapezoid(_slope(s, f) / (1 + (f / s.cutoff_hz) ** 8) ** 2, f)
-        few = s.motion[:: max(1, len(s.motion) // _POSES)]
+        few = s.motion[:: max(1, len(s.motion) // POSES)]
         inertia = torque_derivatives(robot, few)[2]
         power += len(s.motion) * passed * ((inertia**2).mean(axis=0) @ white)
     return np.asarray(np.sqrt(power / sum(len(s.motion) for s in segments)), float)
@@ -350,6 +325,8 @@ def motion_noise(robot: Robot, segments: Sequence[Segment]) -> Array:
 
 def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:
     """Rms of an error if its density near the cut-off held at all frequencies below it."""
-    f, density = power_density(e, rate_hz, _LONGEST // 4)
-    near = density[(f > _NEAR[0] * cutoff_hz) & (f < _NEAR[1] * cutoff_hz)]
-    return float(np.sqrt(np.median(near) * _PASSED * cutoff_hz)) if len(near) else 0.0
+    f, density = power_density(e, rate_hz, PERIODOGRAM // 4)
+    near = density[(f > NEAR_CUTOFF[0] * cutoff_hz) & (f < NEAR_CUTOFF[1] * cutoff_hz)]
+    return (
+        float(np.sqrt(np.median(near) * PASSED_NOISE * cutoff_hz)) if len(near) else 0.0
+    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -15,23 +14,10 @@ from excitant.analysis.evidence import (
     Key,
     reweighed,
 )
+from excitant.analysis.thresholds import SELECTION
 from excitant.robots.effects import Effect, plausible
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
-
-_LARGEST_SET = 60
-_TYPICAL = 0.1  # tail probability of the chance level used to rank causes
-_IDENTICAL = 0.9999  # |cos| of two causes that are identical on this motion
-_FADED = 0.5  # of a cause's fall of J when last tested: below this it is tested again
-# times the squared error on its joints: a cause that others must cancel
-_CANCELLED = 4.0
-_SHARE = 0.05  # of what a cause explains: more by separate joints is a contradiction
-_BY_CHANCE = 1e-3  # probability of that when all joints agree
-_TIE = 2.0  # standard errors within which two causes explain the data equally well
-_TIE_ALIKE = 3.3  # the same where their signatures are alike
-ALIKE = 0.9  # |cos| of such signatures
-_SAME = 0.999  # |cos| of a cause that is part of another
-_HALF = 0.5  # of what a cause explains: a rival must explain more
 
 
 def select(
@@ -72,7 +58,7 @@ def _grown(
 ) -> tuple[Evidence, list[Candidate]]:
     seen = set[frozenset[Candidate]]()
     falls = dict[Candidate, float]()
-    while len(chosen) < _LARGEST_SET:
+    while len(chosen) < SELECTION.largest_set:
         evidence = reweighed(evidence, chosen)
         best = _best_addition(evidence, robot, chosen, allowed)
         if best is None:
@@ -92,7 +78,7 @@ def _best_addition(
 ) -> Candidate | None:
     falls = evidence.additions(chosen)
     taken = {c.key for c in chosen}
-    scores = falls - [_chance(c.trials, c.size) for c in evidence.candidates]
+    scores = falls - [_chance(c) for c in evidence.candidates]
     for k in np.argsort(-scores, kind="stable"):
         candidate: Candidate = evidence.candidates[k]
         if scores[k] <= 0:
@@ -116,66 +102,64 @@ def _repeats(robot: Robot, chosen: Sequence[Candidate], candidate: Candidate) ->
 
 
 def _simplest(
-    evidence: Evidence, chosen: Sequence[Candidate], found: Candidate
+    evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate
 ) -> Candidate:
-    """The best special case of the cause found where it is no more than all of them, else itself.
+    """The best special case of a cause where it is no more than all of them, else itself.
 
-    Plain friction is a special case of all finer friction of its joint.
+    Plain friction is a special case of all finer friction of its joint, and a cause without shape
+    one of a shape that this motion does not show.
     """
-    # so is a shape that this motion does not show: play that is never crossed is an offset
-    if found.effect.search.shapes:
+    effect = cause.effect
+    if effect.search.shapes:  # play that is never crossed is an offset
         for other in evidence.candidates:
-            same = other.size == found.size and {*other.effect.joints} == {
-                *found.effect.joints
-            }
-            if (
-                same
-                and not other.effect.search.shapes
-                and evidence.cosine(other, found) > _IDENTICAL
-            ):
+            same = {*other.effect.joints} == {*effect.joints}
+            shaped = other.effect.search.shapes or other.size != cause.size
+            if not same or shaped:
+                continue
+            if evidence.cosine(other, cause) > SELECTION.identical:
                 return other
-    finer = found.effect.family == "friction"
+    finer = effect.family == "friction"
     special = [
         c
         for c in evidence.candidates
-        if (
-            c.effect.name in found.effect.search.contains
+        if c.effect.joints == effect.joints
+        and (
+            c.effect.name in effect.search.contains
             or (finer and is_plain_friction(c.effect))
         )
-        and c.effect.joints == found.effect.joints
-        and c not in (*chosen, found)
+        and c not in (*chosen, cause)
     ]
     if not special:
-        return found
+        return cause
     beside = [*chosen, *special]
-    fall = evidence.cost(beside) - evidence.cost([*beside, found])
-    if _significant(evidence, beside, found, fall):
-        return found
+    fall = evidence.cost(beside) - evidence.cost([*beside, cause])
+    if _significant(evidence, beside, cause, fall):
+        return cause
     return min(special, key=lambda c: evidence.cost([*chosen, c]))
 
 
 def idle(evidence: Evidence, chosen: Sequence[Candidate]) -> set[Effect]:
     """Causes that explain no more than chance, whichever of a set is left out."""
-    chance = np.array([_chance(c.trials, c.size) for c in evidence.candidates])
+    chance = [_chance(c) for c in evidence.candidates]
     sets = [[*chosen], *([c for c in chosen if c is not out] for out in chosen)]
-    falls = np.max([evidence.additions(each) for each in sets], axis=0)
+    falls = np.max([evidence.additions(causes) for causes in sets], axis=0)
     return {
-        each
-        for c, low in zip(evidence.candidates, falls < chance, strict=True)
-        if low and c not in chosen
-        for each in c.effect.singles()
+        single
+        for c, by_chance in zip(evidence.candidates, falls < chance, strict=True)
+        if by_chance and c not in chosen
+        for single in c.effect.singles()
     }
 
 
 def _beyond_chance(evidence: Evidence, chosen: Sequence[Candidate]) -> float:
     """J of a set, and what each of its causes would explain by chance."""
-    return evidence.cost(chosen) + sum(_chance(c.trials, c.size) for c in chosen)
+    return evidence.cost(chosen) + sum(_chance(c) for c in chosen)
 
 
-@lru_cache(maxsize=4096)
-def _chance(trials: int, size: int) -> float:
-    """Fall of J that the best of so many shapes with so many coefficients reaches by chance."""
-    return float(scipy.special.chdtri(size, _TYPICAL / trials))
+def _chance(candidate: Candidate) -> float:
+    """Fall of J that the best shape of an absent cause reaches by chance."""
+    tail = SELECTION.chance_tail / candidate.trials
+    return float(scipy.special.chdtri(candidate.size, tail))
 
 
 def _significant(
@@ -193,19 +177,19 @@ def _pruned(
 ) -> list[Candidate]:
     """The set without causes whose removal costs no more than chance explains."""
     # ``falls`` is the fall of J by each when last tested; tested again when it has halved since
-    kept = list(chosen)
+    pruned = list(chosen)
     for candidate in chosen:
-        rest = [c for c in kept if c is not candidate]
+        rest = [c for c in pruned if c is not candidate]
         if underlies(robot, rest, candidate):
             continue
-        fall = evidence.cost(rest) - evidence.cost(kept)
-        if fall > _FADED * falls.get(candidate, np.inf):
+        fall = evidence.cost(rest) - evidence.cost(pruned)
+        if fall > SELECTION.faded * falls.get(candidate, np.inf):
             continue
         if _significant(evidence, rest, candidate, fall):
             falls[candidate] = fall
         else:
-            kept = rest
-    return kept
+            pruned = rest
+    return pruned
 
 
 def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> bool:
@@ -236,12 +220,14 @@ def _plausible(
     # a cause that is common to all joints must have the same coefficients at all
     if candidate.effect.is_common(robot) and not _agrees(evidence, chosen, candidate):
         return False
-    coordinates, covariance = evidence.solve(chosen)
+    coordinates = evidence.coordinates(chosen)
     if any(_cancelled(evidence, cause, coordinates) for cause in chosen):
         return False
-    value = candidate.scale @ coordinates[candidate.columns]
-    block = covariance[candidate.columns, candidate.columns]
-    std = np.sqrt(np.diag(candidate.scale @ block @ candidate.scale.T))
+    at = candidate.columns
+    scale = candidate.scale
+    block = evidence.covariance(chosen)[at, at]
+    std = np.sqrt(np.diag(scale @ block @ scale.T))
+    value = scale @ coordinates[at]
     return plausible(candidate.effect, robot, value, std)
 
 
@@ -253,9 +239,9 @@ def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -
         return True
     explained = evidence.cost(rest) - evidence.cost([*rest, cause])
     chance = evidence.dispersion(rest, cause) * scipy.special.chdtri(
-        freedom, _BY_CHANCE
+        freedom, SELECTION.common_chance
     )
-    return bool(more < max(chance, _SHARE * explained))
+    return bool(more < max(chance, SELECTION.common_share * explained))
 
 
 def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
@@ -266,7 +252,7 @@ def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool
         G = evidence.problem.grams[j]
         made += float(evidence.weight[j] * (x @ G[np.ix_(here, here)] @ x))
         there += float(evidence.weight[j] * G[-1, -1])
-    return made > _CANCELLED * there
+    return made > SELECTION.cancelled * there
 
 
 def frictionless(robot: Robot) -> set[str]:
@@ -286,60 +272,57 @@ class Rival:
 
 
 def rivals(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], found: Candidate
+    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], cause: Candidate
 ) -> list[Rival]:
-    """Causes that could replace one that was found, by the residual of each (Vuong 1989).
+    """Causes that could replace a chosen one, by the residual of each (Vuong 1989).
 
-    A rival explains at least half of what the found cause explains, and leaves it less than half
-    to explain. On joints without given friction, the standard model's may be added to it.
+    A rival explains at least half of what the cause explains, and leaves it less than half to
+    explain. On joints without nominal friction, the standard model's may be added to it.
     """
-    rest = [c for c in chosen if c is not found]
-    taken = {c.key for c in chosen}
-    bare = frictionless(robot)
+    rest = [c for c in chosen if c is not cause]
+    keys = {c.key for c in chosen}
+    without_friction = frictionless(robot)
     falls = evidence.additions(rest)
-    own = falls[evidence.candidates.index(found)]
+    least = SELECTION.rival_share * falls[evidence.candidates.index(cause)]
     errors = evidence.block_errors(chosen)
     standard = [
         c for c in evidence.candidates if is_plain_friction(c.effect) and c not in rest
     ]
     best: dict[Key, Rival] = {}
-    for k, other in enumerate(evidence.candidates):
-        if other.key in taken or _only_more(evidence, found, other):
+    for fall, other in zip(falls, evidence.candidates, strict=True):
+        if other.key in keys or _only_more(evidence, cause, other):
             continue
         # standard friction at the joint of a friction cause, as far as it is missing
-        missing = other.effect.family == "friction" and {*other.effect.joints} <= bare
-        added = [
-            c for c in standard if missing and c.effect.joints == other.effect.joints
-        ]
-        if falls[k] <= _HALF * own and not added:
+        joints = other.effect.joints
+        missing = other.effect.family == "friction" and {*joints} <= without_friction
+        added = [c for c in standard if missing and c.effect.joints == joints]
+        if fall <= least and not added:
             continue
-        instead = [
-            *rest,
-            other,
-            *(c for c in added if c is not other and c is not found),
-        ]
-        left = evidence.cost(instead) - evidence.cost([*instead, found])
-        if left > _HALF * own:
+        instead = [*rest, other, *(c for c in added if c not in (other, cause))]
+        if evidence.cost(instead) - evidence.cost([*instead, cause]) > least:
             continue
-        difference = evidence.block_errors(instead) - errors
-        z = float(
-            difference.sum()
-            / max(np.sqrt(len(difference)) * difference.std(ddof=1), 1e-12)
-        )
-        cosine = evidence.cosine(found, other)
-        if z >= (_TIE_ALIKE if cosine > ALIKE else _TIE):
+        deviations = float(in_deviations(evidence.block_errors(instead) - errors))
+        cosine = evidence.cosine(cause, other)
+        alike = cosine > SELECTION.alike
+        if deviations >= (SELECTION.tie_alike if alike else SELECTION.tie):
             continue
-        known = best.get(other.key)
-        if (known is None or z < known.deviations) and _plausible(
-            evidence, robot, instead, other
-        ):
-            best[other.key] = Rival(other, z, cosine)
+        if other.key in best and deviations >= best[other.key].deviations:
+            continue
+        if _plausible(evidence, robot, instead, other):
+            best[other.key] = Rival(other, deviations, cosine)
     return sorted(best.values(), key=lambda rival: rival.deviations)
 
 
-def _only_more(evidence: Evidence, found: Candidate, other: Candidate) -> bool:
-    special = (
-        found.effect.name in other.effect.search.contains and other.size > found.size
-    )
-    real = found.effect.name in other.effect.search.imitates
-    return special and not real and evidence.cosine(found, other) > _SAME
+def in_deviations(differences: Array) -> Array:
+    """Differences summed over blocks, in standard errors of that sum, (blocks, ...) → (...)."""
+    spread = np.sqrt(len(differences)) * differences.std(axis=0, ddof=1)
+    return np.asarray(differences.sum(axis=0) / np.maximum(spread, 1e-12), float)
+
+
+def _only_more(evidence: Evidence, cause: Candidate, other: Candidate) -> bool:
+    """Whether another cause contains one, and imitates it with what it has more."""
+    name = cause.effect.name
+    special = name in other.effect.search.contains and other.size > cause.size
+    if not special or name in other.effect.search.imitates:
+        return False
+    return evidence.cosine(cause, other) > SELECTION.contained

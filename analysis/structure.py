@@ -30,8 +30,8 @@ Held = Mapping[str, float] | Literal["any"]
 """Positions of joints that do not move [rad or m], or ``"any"``: at rest in many positions."""
 
 MARGIN = 1e3  # factor on the tolerance that must not change a category
-_STEPS = 6  # half decades to there
-_LISTED = 6  # members of a vector that are spelt out
+HALF_DECADES = 6  # to there
+LISTED = 6  # members of a vector that are spelt out
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,28 +99,37 @@ def structure(
     )
     motion = _circumstantial(robot, moving, {} if held is None else held)
     rows = None if measured is None else np.isin(robot.joints, measured)
-    seen = observe(robot, effects, motion, rows, frames)
-    base = regroup(seen)
+    observation = observe(robot, effects, motion, rows, frames)
+    base = regroup(observation)
     category = categories(base)
-    flips_at = _flips(seen, category)
+    flips_at = _flips(observation, category)
     margin = np.nan_to_num(
         np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=MARGIN
     )
     close = tuple(np.array(base.names)[np.isfinite(flips_at)].tolist())
-    circumstances = _circumstances(robot, moving, measured, held)
-    found = base, category, margin, circumstances, close, flips_at
-    return Structure(*found, *_decomposed(seen.R, category), frames)
+    singular_values, singular_vectors = _decomposed(observation.R, category)
+    return Structure(
+        base,
+        category,
+        margin,
+        _circumstances(robot, moving, measured, held),
+        close,
+        flips_at,
+        singular_values,
+        singular_vectors,
+        frames,
+    )
 
 
 def _decomposed(R: Array, category: Sequence[str]) -> tuple[Array, Array]:
     """Singular values (p,) and right singular vectors (p, p), those of absent columns last."""
-    shown = np.array(category) != "unidentifiable"
-    _, s, Vt = np.linalg.svd(R[:, shown], full_matrices=True)
-    values = np.zeros(len(shown))
-    vectors = np.zeros((len(shown), len(shown)))
+    nonzero = np.array(category) != "unidentifiable"
+    _, s, Vt = np.linalg.svd(R[:, nonzero], full_matrices=True)
+    values = np.zeros(len(nonzero))
+    vectors = np.zeros((len(nonzero), len(nonzero)))
     values[: len(s)] = s
-    vectors[: len(Vt), shown] = Vt
-    vectors[len(Vt) :, ~shown] = np.eye(int((~shown).sum()))
+    vectors[: len(Vt), nonzero] = Vt
+    vectors[len(Vt) :, ~nonzero] = np.eye(int((~nonzero).sum()))
     return values, vectors
 
 
@@ -130,11 +139,11 @@ def _members(vector: Array, names: Sequence[str]) -> str:
     count = int(np.searchsorted(np.cumsum(vector[order] ** 2), 0.9)) + 1
     text = ""
     first = vector[order[0]]
-    for k in order[: min(count, _LISTED)]:
+    for k in order[: min(count, LISTED)]:
         sign = (" − " if vector[k] * first < 0 else " + ") if text else ""
         size = f"{abs(vector[k]):.2g}"
         text += sign + ("" if size == "1" else f"{size}·") + names[k]
-    return text + " + …" * (count > _LISTED)
+    return text + " + …" * (count > LISTED)
 
 
 def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> Motion:
@@ -149,13 +158,15 @@ def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> M
     return replace(motion, q=q, dq=dq, ddq=ddq)
 
 
-def _flips(seen: Observation, category: tuple[str, ...]) -> Array:
+def _flips(observation: Observation, category: tuple[str, ...]) -> Array:
     """Tolerance nearest to the one in use at which each category changes, shape (p,)."""
     # in the middle of the half decade in which it does; nan if none within a factor of `MARGIN`
     flips_at = np.full(len(category), np.nan)
-    for step in range(_STEPS, 0, -1):  # the nearest is written last
+    for step in range(HALF_DECADES, 0, -1):  # the nearest is written last
         for sign in (1, -1):
-            other = categories(regroup(seen, TOLERANCE * 10 ** (sign * step / 2)))
+            other = categories(
+                regroup(observation, TOLERANCE * 10 ** (sign * step / 2))
+            )
             changed = np.array(other) != np.array(category)
             flips_at[changed] = TOLERANCE * 10 ** (sign * (step - 0.5) / 2)
     return flips_at
@@ -167,23 +178,23 @@ def _circumstances(
     measured: Sequence[str] | None,
     held: Held | None,
 ) -> tuple[str, ...]:
-    found = ["the base is fixed", _gravity_sentence(robot.gravity)]
+    circumstances = ["the base is fixed", _gravity_sentence(robot.gravity)]
     if robot.locked:
-        found.append(f"{_joints(_positions(dict(robot.locked)))} locked")
+        circumstances.append(f"{_joints(_positions(dict(robot.locked)))} locked")
     still = [name for name in robot.joints if moving is not None and name not in moving]
     if still and held == "any":
-        found.append(f"{_joints(still)} at rest in many positions")
+        circumstances.append(f"{_joints(still)} at rest in many positions")
     elif still:
         at = held if isinstance(held, Mapping) else {}
-        found.append(
+        circumstances.append(
             f"{_joints(_positions({name: at.get(name, 0.0) for name in still}))} held"
         )
     missing = [
         name for name in robot.joints if measured is not None and name not in measured
     ]
     if missing:
-        found.append(f"torque of {_joints(missing)} not measured")
-    return tuple(found)
+        circumstances.append(f"torque of {_joints(missing)} not measured")
+    return tuple(circumstances)
 
 
 def _positions(positions: Mapping[str, float]) -> list[str]:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from excitant.analysis.thresholds import RESOLUTION
 from excitant.exceptions import BadInput
 from excitant.identify.prior import reference_motion, silent_columns
 from excitant.robots.base_parameters import (
@@ -32,34 +33,28 @@ from excitant.robots.torque import effect_values, observation_columns
 
 Mask = npt.NDArray[np.bool_]
 
-TORQUE_NOISE = 0.01  # of each joint's torque limit, where no recording gives the noise
-WELL = 0.1
-ROUGHLY = 0.3  # relative standard deviation
 NOT_SHOWN = "not_shown"
-_MEMBER = 0.3  # coefficient of a unit vector from which on a parameter is named
-_SEEN = 1e-9  # smallest singular value of normalised columns, relative; below it is rounding
-_TOUCHES = 1e-6  # part of a unit vector in unseen directions from which on it counts
+ROUNDING = 1e-9  # smallest singular value of normalised columns, relative
+UNSEEN_PART = 1e-6  # of a unit vector: from here on it has a part in unseen directions
 
-_DURATION = 10.0
-_RATE_HZ = 20.0  # of a further experiment
-_REPEATS = 10.0  # longest recording worth proposing, in lengths of the given one
+DURATION_S = 10.0  # of a further experiment
+RATE_HZ = 20.0
 PAYLOAD_KG = 1.0  # known payload that is tried, at the last joint's frame
-_SENSOR_NOISE = 0.01  # of the largest force and torque that the base sensor sees
 _NEVER = "never by joint torques"
 APART = f"{_NEVER} or base forces: weigh or swing the link apart from the arm"
 
 
-def torque_noise(robot: Robot, given: Sequence[float] | None = None) -> Array:
+def torque_noise(robot: Robot, noise: Sequence[float] | None = None) -> Array:
     """Standard deviation of each joint's torque noise, 1 % of its limit by default, (nv,) [N·m]."""
-    if given is not None:
-        sigma = np.asarray(given, float)
+    if noise is not None:
+        sigma = np.asarray(noise, float)
         if sigma.shape != (robot.nv,) or not (np.isfinite(sigma) & (sigma > 0)).all():
             raise BadInput(
                 f"noise {', '.join(f'{s:g}' for s in sigma)}: give one positive number [N·m] for "
                 f"each of the {robot.nv} joints of {robot.name}"
             )
         return sigma
-    sigma = TORQUE_NOISE * robot.limits.torque
+    sigma = RESOLUTION.torque_noise * robot.limits.torque
     if not np.isfinite(sigma).all():
         joint = robot.joints[int(np.argmin(np.isfinite(sigma)))]
         raise BadInput(
@@ -81,7 +76,7 @@ def deviations(R: Array, A: Array) -> Array:
     scale, s, V, seen = _decomposed(R)
     parts = (A / scale) @ V
     size = np.linalg.norm(parts, axis=1)
-    hidden = np.linalg.norm(parts[:, ~seen], axis=1) > _TOUCHES * size
+    hidden = np.linalg.norm(parts[:, ~seen], axis=1) > UNSEEN_PART * size
     std = np.sqrt(((parts[:, seen] / s[seen]) ** 2).sum(axis=1))
     return np.asarray(np.where(hidden, np.inf, std), float)
 
@@ -91,9 +86,9 @@ def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
     _, _, V, seen = _decomposed(R)
     N = V[:, ~seen]
     size = np.linalg.norm(N, axis=1)
-    hidden = np.flatnonzero(size > _TOUCHES)
+    hidden = np.flatnonzero(size > UNSEEN_PART)
     directions = N[hidden] / size[hidden, None]
-    parallel = np.abs(directions @ directions.T) > 1 - _TOUCHES**1.5
+    parallel = np.abs(directions @ directions.T) > 1 - UNSEEN_PART**1.5
     groups = dict.fromkeys(tuple(int(k) for k in hidden[row]) for row in parallel)
     return tuple(group for group in groups if len(group) > 1)
 
@@ -107,11 +102,11 @@ def without_rounding(W: Array) -> Array:
 def _unit_columns(R: Array) -> tuple[Array, Array]:
     """Lengths of the columns, and the columns scaled to length one, or to zero where negligible."""
     norms = np.linalg.norm(R, axis=0)
-    shown = ~silent_columns(R)
+    nonzero = ~silent_columns(R)
     scale = np.where(
-        shown, norms, norms[shown].min(initial=np.inf) if shown.any() else 1.0
+        nonzero, norms, norms[nonzero].min(initial=np.inf) if nonzero.any() else 1.0
     )
-    return scale, np.where(shown, R / scale, 0.0)
+    return scale, np.where(nonzero, R / scale, 0.0)
 
 
 def _decomposed(R: Array) -> tuple[Array, Array, Array, Mask]:
@@ -119,7 +114,7 @@ def _decomposed(R: Array) -> tuple[Array, Array, Array, Mask]:
     scale, unit = _unit_columns(R)
     _, s, Vt = np.linalg.svd(unit, full_matrices=True)
     s = np.pad(s, (0, len(Vt) - len(s)))
-    return scale, s, Vt.T, s > _SEEN * max(float(s.max(initial=0.0)), 1e-300)
+    return scale, s, Vt.T, s > ROUNDING * max(float(s.max(initial=0.0)), 1e-300)
 
 
 def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
@@ -127,7 +122,7 @@ def shown_base(names: tuple[str, ...], W: Array) -> BaseParameters:
     R = triangle(W, np.ones(W.shape[1]))
     norms, unit = _unit_columns(R)
     return regroup(
-        Observation(names, unit, np.where(unit.any(axis=0), norms, 0.0)), _SEEN
+        Observation(names, unit, np.where(unit.any(axis=0), norms, 0.0)), ROUNDING
     )
 
 
@@ -151,7 +146,7 @@ class MotionInformation:
             np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0)
         )
         length = np.linalg.norm(self.unseen, axis=1, keepdims=True)
-        hidden = (np.abs(C @ (self.unseen / length).T) > _TOUCHES).any(axis=1)
+        hidden = (np.abs(C @ (self.unseen / length).T) > UNSEEN_PART).any(axis=1)
         return np.asarray(np.where(hidden, np.inf, values), float)
 
 
@@ -175,16 +170,16 @@ def motion_information(
 def unseen_directions(R: Array) -> Array:
     """Null space of R by sparse vectors, one per column that depends on earlier ones, (d, r)."""
     scale, unit = _unit_columns(R)
-    own, _ = independent_columns(unit, _SEEN)
-    rest = [k for k in range(R.shape[1]) if k not in own]
-    found = np.zeros((len(rest), R.shape[1]))
-    found[:, list(own)] = -np.linalg.lstsq(
-        unit[:, list(own)], unit[:, rest], rcond=None
+    independent, _ = independent_columns(unit, ROUNDING)
+    rest = [k for k in range(R.shape[1]) if k not in independent]
+    directions = np.zeros((len(rest), R.shape[1]))
+    directions[:, list(independent)] = -np.linalg.lstsq(
+        unit[:, list(independent)], unit[:, rest], rcond=None
     )[0].T
-    found[np.abs(found) < _TOUCHES] = 0.0
-    found[range(len(rest)), rest] = 1.0
-    found /= scale
-    return np.asarray(found / found[range(len(rest)), rest][:, None], float)
+    directions[np.abs(directions) < UNSEEN_PART] = 0.0
+    directions[range(len(rest)), rest] = 1.0
+    directions /= scale
+    return np.asarray(directions / directions[range(len(rest)), rest][:, None], float)
 
 
 @dataclass(frozen=True)
@@ -221,8 +216,8 @@ def verdict(std: float, value: float, negligible: bool) -> str:
     """In a word, how well something of this value is determined."""
     if not np.isfinite(std):
         return NOT_SHOWN
-    if value and std <= ROUGHLY * abs(value):
-        return "well" if std <= WELL * abs(value) else "roughly"
+    if value and std <= RESOLUTION.roughly * abs(value):
+        return "well" if std <= RESOLUTION.well * abs(value) else "roughly"
     return "negligible" if negligible else "hardly"
 
 
@@ -234,7 +229,7 @@ def resolution(value: Array, std: Array, signal: Array) -> tuple[Mask, Array]:
     """
     signal = np.maximum(signal, 1e-300)
     negligible = (np.abs(value) + 2 * std) * signal < 1
-    size = np.where(value == 0, 0.5 / ROUGHLY / signal, np.abs(value))
+    size = np.where(value == 0, 0.5 / RESOLUTION.roughly / signal, np.abs(value))
     return negligible, np.where(negligible | ~np.isfinite(std), 0.0, size)
 
 
@@ -299,8 +294,13 @@ class Direction:
         members = [
             dict(zip(("name", "change", "unit"), m, strict=True)) for m in self.members
         ]
-        said = {key: getattr(self, key) for key in ("expression", "meaning", "share")}
-        return {**said, "rel_std": self.std, "members": members}
+        return {
+            "expression": self.expression,
+            "meaning": self.meaning,
+            "share": self.share,
+            "rel_std": self.std,
+            "members": members,
+        }
 
 
 def listed(words: Sequence[str]) -> str:
@@ -311,7 +311,7 @@ def listed(words: Sequence[str]) -> str:
 def weak_directions(
     base: BaseParameters,
     units: Sequence[str],
-    seen: MotionInformation,
+    information: MotionInformation,
     size: Array,
     count: int = 5,
 ) -> tuple[Direction, ...]:
@@ -321,15 +321,17 @@ def weak_directions(
     a change D u √λ of the base parameters is one standard deviation.
     """
     names = [base.names[k] for k in base.columns]
-    found = [_direction(row, row, np.inf, names, units, size) for row in seen.unseen]
-    values, U = np.linalg.eigh(seen.covariance / np.outer(size, size))
+    directions = [
+        _direction(row, row, np.inf, names, units, size) for row in information.unseen
+    ]
+    values, U = np.linalg.eigh(information.covariance / np.outer(size, size))
     for k in np.argsort(-values, kind="stable")[:count]:
         std = float(np.sqrt(max(float(values[k]), 0.0)))
         if std > 0:
-            found.append(
+            directions.append(
                 _direction(U[:, k], U[:, k] * std * size, std, names, units, size)
             )
-    return tuple(found)
+    return tuple(directions)
 
 
 def _direction(
@@ -343,12 +345,12 @@ def _direction(
     weight = row if np.isfinite(std) else row / size
     weight = weight / np.linalg.norm(weight)
     order = [int(k) for k in np.argsort(-np.abs(weight), kind="stable")]
-    kept = [k for k in order if abs(weight[k]) >= _MEMBER] or order[:1]
+    members = [k for k in order if abs(weight[k]) >= RESOLUTION.member] or order[:1]
     if not np.isfinite(std):
-        kept = [k for k in order if abs(weight[k]) > 1e-3]
-        change = change / change[kept[0]]
-    members = tuple((names[k], float(change[k]), units[k]) for k in kept)
-    return Direction(members, std, float((weight[kept] ** 2).sum()))
+        members = [k for k in order if abs(weight[k]) > 1e-3]
+        change = change / change[members[0]]
+    terms = tuple((names[k], float(change[k]), units[k]) for k in members)
+    return Direction(terms, std, float((weight[members] ** 2).sum()))
 
 
 def candidate_experiments(
@@ -363,7 +365,7 @@ def candidate_experiments(
 
     Joints ``rests`` rested so far, at a pose (nv,); sigma (nv,) is the torque noise [N·m].
     """
-    every_joint = reference_motion(robot, _DURATION, _RATE_HZ)
+    every_joint = reference_motion(robot, DURATION_S, RATE_HZ)
 
     def factor(
         arm: Robot, motion: Motion = every_joint, others: Sequence[int] = ()
@@ -371,39 +373,41 @@ def candidate_experiments(
         rows = [*measured, *others]
         return triangle(observation_columns(arm, effects, motion)[:, rows], sigma[rows])
 
-    found = {}
+    experiments = {}
     for j in rests:
-        held = _holding(every_joint, [k for k in rests if k != j], pose)
-        found[f"moving {robot.joints[j]}, which rests"] = factor(robot, held)
+        partly_resting = _holding(every_joint, [k for k in rests if k != j], pose)
+        experiments[f"moving {robot.joints[j]}, which rests"] = factor(
+            robot, partly_resting
+        )
     if len(rests) > 1:
-        found[f"moving {listed([robot.joints[j] for j in rests])} together"] = factor(
-            robot
+        experiments[f"moving {listed([robot.joints[j] for j in rests])} together"] = (
+            factor(robot)
         )
     elif not rests:
-        found["a wider and faster motion of all joints"] = factor(robot)
+        experiments["a wider and faster motion of all joints"] = factor(robot)
     for j, name in enumerate(robot.joints):
         if j not in measured:
-            found[f"measuring the torque of {name}"] = factor(robot, others=[j])
+            experiments[f"measuring the torque of {name}"] = factor(robot, others=[j])
     sensor = f"{_NEVER}; by a force and torque sensor under the base"
     tilts = _tilts(robot)
     others = sum(len(effect.parameters(robot)) for effect in effects)
-    found |= {f"the base {how}": factor(arm) for how, arm in tilts.items()}
+    experiments |= {f"the base {how}": factor(arm) for how, arm in tilts.items()}
     for how, arm in {"": robot, **tilts}.items():
-        found[f"{sensor}, {how}".removesuffix(", ")] = _base_sensor(
+        experiments[f"{sensor}, {how}".removesuffix(", ")] = _base_sensor(
             arm, every_joint, others
         )
-    return found
+    return experiments
 
 
 def _tilts(robot: Robot) -> dict[str, Robot]:
     """The arm with its base tilted by 90° about each of its axes that changes gravity."""
     g = robot.gravity
-    found = {}
+    tilts = {}
     for name, axis in zip("xyz", np.eye(3), strict=True):
         turned = np.cross(axis, g) + axis * (axis @ g)
         if np.linalg.norm(turned - g) > 1e-6:
-            found[f"tilted by 90° about its {name} axis"] = robot.with_gravity(turned)
-    return found
+            tilts[f"tilted by 90° about its {name} axis"] = robot.with_gravity(turned)
+    return tilts
 
 
 def _holding(motion: Motion, rests: Sequence[int], pose: Array) -> Motion:
@@ -434,7 +438,9 @@ def base_wrench_columns(robot: Robot, motion: Motion) -> Array:
 def _base_sensor(robot: Robot, motion: Motion, others: int) -> Array:
     W = base_wrench_columns(robot, motion)
     largest = np.abs(W @ robot.phi).max(axis=0)
-    sigma = _SENSOR_NOISE * np.maximum(largest, 1e-3 * max(float(largest.max()), 1e-3))
+    sigma = RESOLUTION.sensor_noise * np.maximum(
+        largest, 1e-3 * max(float(largest.max()), 1e-3)
+    )
     return triangle(np.pad(W, ((0, 0), (0, 0), (0, others))), sigma)
 
 
@@ -446,7 +452,7 @@ def experiments_needed(
     More of the motion, else the first candidate that shows it to 30 % of its size (m,), else, or
     where that is 0, the first that shows it at all.
     """
-    enough = np.where(size == 0, np.inf, ROUGHLY * np.abs(size))
+    enough = np.where(size == 0, np.inf, RESOLUTION.roughly * np.abs(size))
     now = deviations(R, A)
     tried = {
         what: deviations(np.vstack([R, more]), A) for what, more in candidates.items()
@@ -458,7 +464,7 @@ def experiments_needed(
         times = (std / limit) ** 2 if np.isfinite(std) else np.inf
         if np.isfinite(std) and std <= limit:
             answers.append("")
-        elif times <= _REPEATS:
+        elif times <= RESOLUTION.repeats:
             answers.append(
                 f"about {int(np.ceil(times))} times the length of this motion"
             )
@@ -473,10 +479,10 @@ def experiments_needed(
 
 def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
     """Values of all parameters as the robot is given; None where not known."""
-    known = effect_values(robot)
+    values = effect_values(robot)
     return [
         *robot.phi.tolist(),
-        *(known.get(p.name) for e in effects for p in e.parameters(robot)),
+        *(values.get(p.name) for e in effects for p in e.parameters(robot)),
     ]
 
 
@@ -485,7 +491,7 @@ def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> fl
 
     Of readings i, a change δκ is seen as W δφ − i δκ; without a payload, δφ = φ δκ hides it.
     """
-    motion = reference_motion(robot, _DURATION, _RATE_HZ)
+    motion = reference_motion(robot, DURATION_S, RATE_HZ)
     W = observation_columns(robot, effects, motion)
     load = np.zeros(W.shape[2])
     load[10 * robot.nv - 10] = PAYLOAD_KG

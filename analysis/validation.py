@@ -12,16 +12,16 @@ tolerance of given values, that explains as much.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
 
-from excitant.analysis.candidates import TOLERANCE, Observed
-from excitant.analysis.confirmation import HeldOut
+from excitant.analysis.candidates import Observed
+from excitant.analysis.confirmation import Holdout
+from excitant.analysis.thresholds import EVIDENCE, PLAUSIBILITY
 from excitant.exceptions import BadInput
 from excitant.identify.least_squares import SMALLEST, autocorrelation_time
 from excitant.identify.physical import fit_physical
@@ -35,25 +35,19 @@ from excitant.identify.prior import (
 )
 from excitant.identify.regression import Regression, dense
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import Effect, plain
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.simulation import LOOP_HZ, Diverged, forward_error, forward_model
+from excitant.robots.simulation import Diverged, forward_error, forward_model
 
-# times the tolerance's standard deviation: beyond it, given values are wrong
-LIKELY = 3.0
-_ROUNDS = 4  # of fitting with the noise of the fit before
-_FREE = 30.0  # relative size of changes that only consistency restricts
-_WEAK = 1.0  # relative size of changes in the search for the smallest one
-# of the largest singular value: directions that the motion does not show
-_DEPENDENT = 1e-6
-_CERTAIN = 0.99  # probability that physically consistent values lie nearer
-_HARDLY = 0.1  # of the squared error: less explains nothing
+NOISE_ITERATIONS = 4  # of fitting with the noise of the fit before
+FREE_BODIES = 30.0  # relative std of bodies that only consistency restricts
+WEAK_BODIES = 1.0  # relative std in the search for the smallest change
 
-_WINDOW = 0.6  # s: fifteen time constants of the stabilising loop
-_WINDOWS = 4  # at least, spread over the hold-out, where it is long enough
-_COARSE = 2e-3  # s: longest step of integration, a twentieth of that time constant
+WINDOW_S = 0.6  # fifteen time constants of the stabilising loop
+WINDOWS = 4  # at least, spread over the hold-out, where it is long enough
+LONGEST_STEP = 2e-3  # s: longest step of integration, a twentieth of that time constant
 
 
 @dataclass(frozen=True)
@@ -72,26 +66,6 @@ class Move:
     def most(self) -> float:
         """The largest of the deviations."""
         return max(self.deviations.values())
-
-    @property
-    def sentence(self) -> str:
-        """The change that deviates most."""
-        would = f"of {self.link} would have to"
-        return {
-            "mass": f"the mass {would} change by {self.mass:+.2g} kg",
-            "centre": f"the centre of mass {would} move {1e3 * self.centre:.0f} mm",
-            "inertia": f"the inertia {would} change by {100 * np.expm1(self.inertia):+.0f} %",
-        }[max(self.deviations, key=self.deviations.__getitem__)]
-
-    def result(self) -> dict[str, Any]:
-        """Entry of result.json."""
-        return {
-            "link": self.link,
-            "mass_kg": self.mass,
-            "centre_mm": 1e3 * self.centre,
-            "inertia": self.inertia,
-            "deviations": self.deviations,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,101 +94,44 @@ class Refit:
     @property
     def gain(self) -> float:
         """Share of the squared error that free inertias remove, joints relative to torque."""
-        sizes = {
-            name: (e / np.maximum(self.spread, 1e-12))
-            for name, e in self.errors.items()
-        }
-        left, given = (
-            float((sizes[name] ** 2).sum()) for name in ("inertias", "given")
+        inertias, nominal = (
+            float(((self.errors[model] / np.maximum(self.spread, 1e-12)) ** 2).sum())
+            for model in ("inertias", "given")
         )
-        return 1 - left / max(given, 1e-300)
-
-    def sentence(
-        self,
-        joints: Sequence[str],
-        unit: str,
-        findings: bool,
-        wrong_links: Collection[str],
-    ) -> str:
-        """Refit of the inertias alone, and its plausibility."""
-        worst = int(np.argmax(self.errors["given"] / np.maximum(self.spread, 1e-12)))
-        given, free, extended = (
-            f"{self.errors[name][worst]:.3g}"
-            for name in ("given", "inertias", "extended")
-        )
-        quoted = f"{joints[worst]} from {given} to {free} {unit}"
-        if findings:
-            quoted += f"; with the findings {extended}"
-        if self.gain < _HARDLY:
-            what = "would not help" if self.gain < 0 else "would hardly help"
-            return (
-                f"Re-fitting the inertias alone {what} on the hold-out "
-                f"({quoted}): the cause is not in their values."
-            )
-        said = (
-            f"Re-fitting the inertias alone would remove {100 * self.gain:.0f} % of the squared "
-            f"error on the hold-out ({quoted})"
-        )
-        if not self.possible:
-            impossible = "only physically inconsistent inertias would achieve this"
-            return f"{said}, but {impossible}: the cause is elsewhere."
-        move = self.most_moved
-        if move.most <= LIKELY:
-            return f"{said}, within the tolerance of the given values."
-        far = f"{said}, but {move.sentence} ({move.most:.0f} standard deviations of a given value)"
-        if move.link in wrong_links:
-            return f"{far}: that link is among the findings."
-        return f"{far}: unless that link is that far off, the cause is elsewhere."
-
-    def result(self, joints: Sequence[str]) -> dict[str, Any]:
-        """Entries of result.json."""
-        return {
-            "joints": [
-                {
-                    "name": joint,
-                    **{key: float(each[j]) for key, each in self.errors.items()},
-                }
-                for j, joint in enumerate(joints)
-            ],
-            "possible": self.possible,
-            "distance": self.distance,
-            "most_moved": self.most_moved.link,
-            "links": [
-                move.result()
-                for move in sorted(self.moves, key=lambda move: -move.most)
-            ],
-        }
+        return 1 - inertias / max(nominal, 1e-300)
 
 
-def refit(train: Observed, tau: Array, held: HeldOut, extended: Array) -> Refit:
+def refit(train: Observed, tau: Array, holdout: Holdout, extended: Array) -> Refit:
     """Fit the inertias alone to torque tau [N·m], and judge them beside the extended model."""
     robot = train.robot
-    Y = train.links
-    Yv = held.observed.links
     base = base_parameters(robot)
     prior = prior_parameters(robot)
     B = base.regrouping
-    rest = tau - (train.torque() - Y @ robot.phi)
-    W = Y[:, :, base.columns]
-    problem = dense(W, rest, base.expressions)
+    Y = train.links
+    without_links = tau - (train.torque() - Y @ robot.phi)
+    problem = dense(Y[:, :, base.columns], without_links, base.expressions)
     root, beta, rank = _least_squares(problem, away_from_rest(train.segments))
-    nothing = EffectPrior(*(np.zeros(0),) * 3)
+    none = np.zeros(0)
     free, least = (
-        fit_physical(root @ B, root @ beta, BodyPrior(prior, sigma), nothing).x
-        for sigma in (_FREE, _WEAK)
+        fit_physical(
+            root @ B, root @ beta, BodyPrior(prior, std), EffectPrior(none, none, none)
+        ).x
+        for std in (FREE_BODIES, WEAK_BODIES)
     )
     distance = float(((root @ (B @ free - beta)) ** 2).sum())
-    allowed = float(scipy.special.chdtri(rank, 1 - _CERTAIN))
-    left = held.given + Yv @ robot.phi / held.gains
+    allowed = float(scipy.special.chdtri(rank, 1 - PLAUSIBILITY.certain))
+    Y = holdout.observed.links
+    of_links = holdout.error + Y @ robot.phi / holdout.gains
+    measured = holdout.series.measured
     errors = {
-        "given": held.given,
-        "inertias": left - Yv[:, :, base.columns] @ beta / held.gains,
-        "bodies": left - Yv @ least / held.gains,
-        "extended": held.series.measured - extended,
+        "given": holdout.error,
+        "inertias": of_links - Y[:, :, base.columns] @ beta / holdout.gains,
+        "bodies": of_links - Y @ least / holdout.gains,
+        "extended": measured - extended,
     }
     return Refit(
-        {name: held.series.rms(error) for name, error in errors.items()},
-        spread=held.series.measured.std(axis=0, where=held.series.counts),
+        {model: holdout.series.rms(error) for model, error in errors.items()},
+        spread=measured.std(axis=0, where=holdout.series.counts),
         possible=distance <= allowed,
         distance=distance / allowed,
         moves=_moves(robot, prior, least.reshape(-1, 10)),
@@ -229,19 +146,19 @@ def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int
     scale = np.linalg.norm(problem.factor(np.ones(problem.nv))[0], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     sigma = problem.tau.std(axis=0)
-    for _ in range(_ROUNDS):
+    for _ in range(NOISE_ITERATIONS):
         R, z = problem.factor(1 / np.maximum(sigma, SMALLEST))
-        beta, _, rank, _ = np.linalg.lstsq(R / scale, z, rcond=_DEPENDENT)
+        beta, _, rank, _ = np.linalg.lstsq(R / scale, z, rcond=PLAUSIBILITY.dependent)
         error = problem.residual(beta / scale)
         slow = np.array([autocorrelation_time(column) for column in error.T])
         sigma = np.sqrt((error**2).sum(axis=0) / counted * slow)
     return R, np.asarray(beta / scale, float), int(rank)
 
 
-def _moves(robot: Robot, prior: Array, found: Array) -> tuple[Move, ...]:
+def _moves(robot: Robot, prior: Array, fitted: Array) -> tuple[Move, ...]:
     moves = []
-    for link, before, after in zip(robot.links, prior, found, strict=True):
-        spread = link_coordinates(before[None]) / link_weights(1, TOLERANCE)
+    for link, before, after in zip(robot.links, prior, fitted, strict=True):
+        spread = link_coordinates(before[None]) / link_weights(1, EVIDENCE.tolerance)
         root = _slopes(before) @ spread
         covariance = root @ root.T
         change = _figures(after) - _figures(before)
@@ -251,11 +168,11 @@ def _moves(robot: Robot, prior: Array, found: Array) -> tuple[Move, ...]:
             [covariance[0, 0], way @ covariance[1:4, 1:4] @ way, covariance[4, 4]]
         )
         size = {"mass": float(change[0]), "centre": shift, "inertia": float(change[4])}
-        far = {
+        deviations = {
             name: abs(x) / max(float(s), 1e-300)
             for (name, x), s in zip(size.items(), stds, strict=True)
         }
-        moves.append(Move(link, **size, deviations=far))
+        moves.append(Move(link, **size, deviations=deviations))
     return tuple(moves)
 
 
@@ -296,96 +213,63 @@ class Simulated:
 class Forward:
     """The given and the extended model, simulated alike."""
 
-    given: Simulated
-    extended: Simulated
+    models: Mapping[str, Simulated]  # ``given`` and ``extended``
     windows: int  # number of windows
     seconds: float  # length of each [s]
 
-    def result(self, robot: Robot) -> dict[str, Any]:
-        """Entries of result.json."""
-        units = ["rad" if turns else "m" for turns in robot.revolute]
-        models = {"given": self.given, "extended": self.extended}
-        notes = []
-        for name, model in models.items():
-            if model.diverged:
-                notes.append(
-                    f"Simulation of the {name} model was stopped: {model.diverged}."
-                )
-            elif model.along:
-                along = ", ".join(map(plain, model.along))
-                notes.append(
-                    f"In the {name} model, torque of {along} was evaluated on the recorded motion."
-                )
-        rows = []
-        for j, (joint, unit) in enumerate(zip(robot.joints, units, strict=True)):
-            far, fast = (
-                {name: float(getattr(model, what)[j]) for name, model in models.items()}
-                for what in ("position", "velocity")
-            )
-            velocity = {**fast, "unit": f"{unit}/s"}
-            rows.append({"name": joint, **far, "unit": unit, "velocity": velocity})
-        return {
-            "joints": rows,
-            "windows": self.windows,
-            "window_s": self.seconds,
-            "bandwidth_hz": LOOP_HZ,
-            "notes": notes,
-        }
-
 
 def forward(
-    given: Robot, extended: Robot, segments: Sequence[Segment], gains: Array
+    nominal: Robot, extended: Robot, segments: Sequence[Segment], gains: Array
 ) -> Forward:
     """Simulate two models forward over short windows of the hold-out; gains are (nv,)."""
-    found = windows(segments)
+    stretches = windows(segments)
+    models = {"given": nominal, "extended": extended}
     return Forward(
-        _simulated(given, gains, found),
-        _simulated(extended, gains, found),
-        windows=len(found),
-        seconds=float(np.mean([motion.t[-1] - motion.t[0] for motion, _ in found])),
+        {name: _simulated(model, gains, stretches) for name, model in models.items()},
+        windows=len(stretches),
+        seconds=float(np.mean([motion.t[-1] - motion.t[0] for motion, _ in stretches])),
     )
 
 
 def windows(segments: Sequence[Segment]) -> list[tuple[Motion, Array]]:
     """Motion and torque of short stretches spread over segments, the filter's edges left out."""
-    longest = sorted(segments, key=lambda s: -len(s.motion))[:_WINDOWS]
-    each = -(-_WINDOWS // len(longest))
-    found = []
+    longest = sorted(segments, key=lambda s: -len(s.motion))[:WINDOWS]
+    wanted = -(-WINDOWS // len(longest))
+    stretches = []
     for s in longest:
         first, stop, _ = s.keep.indices(len(s.motion))
-        size = min(round(_WINDOW * s.rate_hz) + 1, stop - first)
-        count = max(1, min(each, (stop - first) // size))
+        size = min(round(WINDOW_S * s.rate_hz) + 1, stop - first)
+        count = max(1, min(wanted, (stop - first) // size))
         for start in np.linspace(first, stop - size, count).astype(int):
             part = slice(int(start), int(start) + size)
-            found.append((s.motion[part], s.tau[part]))
-    return found
+            stretches.append((s.motion[part], s.tau[part]))
+    return stretches
 
 
 def _simulated(
-    robot: Robot, gains: Array, found: list[tuple[Motion, Array]]
+    robot: Robot, gains: Array, stretches: list[tuple[Motion, Array]]
 ) -> Simulated:
-    kept = [effect for effect in robot.effects if _simulable(robot, effect)]
-    along = [effect for effect in robot.effects if effect not in kept]
-    model = robot.with_effects(kept)
+    simulable = [effect for effect in robot.effects if _simulable(robot, effect)]
+    along = [effect for effect in robot.effects if effect not in simulable]
+    model = robot.with_effects(simulable)
     names = tuple(dict.fromkeys(e.name for e in along))
-    nothing = np.full(robot.nv, np.nan)
     errors = []
-    for motion, reading in found:
-        tau = reading * gains - sum(e.torque(robot, motion) for e in along)
+    for motion, measured in stretches:
+        tau = measured * gains - sum(e.torque(robot, motion) for e in along)
         try:
-            moved = forward_error(model, motion, tau, step=_COARSE)
+            moved = forward_error(model, motion, tau, step=LONGEST_STEP)
         except Diverged as error:
-            return Simulated(nothing, nothing, f"{error.joint} diverges", names)
+            nan = np.full(robot.nv, np.nan)
+            return Simulated(nan, nan, f"{error.joint} diverges", names)
         errors.append(np.stack([moved.error, motion.dq - moved.motion.dq]))
-    rms = np.sqrt((np.concatenate(errors, axis=1) ** 2).mean(axis=1))
-    return Simulated(rms[0], rms[1], "", names)
+    position, velocity = np.sqrt((np.concatenate(errors, axis=1) ** 2).mean(axis=1))
+    return Simulated(position, velocity, "", names)
 
 
 def _simulable(robot: Robot, effect: Effect) -> bool:
     """Whether forward simulation supports an effect."""
+    if not effect.physics.of_state:
+        return False
     with suppress(BadInput):
-        return (
-            effect.physics.of_state
-            and forward_model(robot.with_effects([effect])) is not None
-        )
+        return forward_model(robot.with_effects([effect])) is not None
     return False

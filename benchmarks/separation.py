@@ -13,8 +13,8 @@ from diagnosis import DURATION, HARMONICS, TOLERANCE, brief, rate, recorded
 from hidden_effects import KINDS, draw_effect
 from threadpoolctl import threadpool_limits
 
+from excitant.analysis.advice import Plan, key
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.discrimination import Plan, key
 from excitant.analysis.discrimination_plan import plan
 from excitant.design import Trajectory, random_trajectory
 from excitant.exceptions import ExcitantError

@@ -452,7 +452,8 @@ def diagnose(
     import numpy as np
 
     from excitant import api
-    from excitant.analysis.discrimination import Plan
+    from excitant.analysis.advice import Plan
+    from excitant.analysis.diagnosis_result import with_repairs
     from excitant.analysis.publication import extended_publication
     from excitant.design.export import trajectory_csv, trajectory_json
 
@@ -469,7 +470,7 @@ def diagnose(
 
         limit = np.inf if experiment_time is None else experiment_time
         plan = planned(found, np.random.default_rng(0), time_limit=limit)
-    entries["faults"] = found.amended(entries["faults"])
+    entries["faults"] = with_repairs(found, entries["faults"])
     model = extended_publication(found, entries["faults"], force=force)
     files = dict(model.files)
     result = found.result(plan) | entries

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
-from excitant.analysis.confirmation import Asked, Finding, held_out
+from excitant.analysis.confirmation import Finding, HoldoutScale, holdout_of
 from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import are_placeholders, placeholder_links
-from excitant.analysis.explanation import at_rest, headline, reason_to_downgrade
+from excitant.analysis.explanation import at_rest, headline
 from excitant.analysis.residuals import BANDS, QUANTITIES, Residual
-from excitant.analysis.validation import LIKELY, refit, windows
+from excitant.analysis.thresholds import PLAUSIBILITY
+from excitant.analysis.validation import refit, windows
 from excitant.identify import model_files
 from excitant.identify.accuracy import series
 from excitant.identify.preprocessing import away_from_rest
@@ -37,7 +39,7 @@ FAST = ("coulomb_friction", "payload")
 CLEAN = 2  # of each arm
 Pair = tuple[float, float]
 FLOOR = 0.1
-AS_FITTED = Asked(1.0, 0.0, 1.0)  # unseen data show as much of a cause
+AS_FITTED = HoldoutScale(1.0, 0.0, 1.0)  # unseen data show as much of a cause
 PLANTED = (
     hidden("gravity_direction", roll=0.1, pitch=-0.05),
     hidden("asymmetric_friction", ELBOW, Fc_plus=10.0, Fc_minus=2.0, Fv_plus=5.0, Fv_minus=0.0),
@@ -85,7 +87,7 @@ def test_what_is_hidden_is_found(kind: str, case: Case) -> None:
     value, true = (lead.effect.values or ())[0], effect.parameters[0][1]
     if kind in SCALAR:
         # the truth's own friction is off its nominal value by up to 5 %
-        given = lead.given[0]
+        given = lead.nominal[0]
         assert abs(value - given - true) <= 4 * lead.std[0] + 0.05 * given + 0.1 * abs(true)
     if kind == "payload":
         assert value == pytest.approx(dict(effect.parameters)["m"], rel=0.3)
@@ -182,7 +184,7 @@ def test_gains_are_those_of_the_written_model(coulomb: Diagnosis, tmp_path: Path
 
 def test_an_error_is_the_same_wherever_it_is_told(coulomb: Diagnosis) -> None:
     """Over rows at which the joint moves, after one filter: findings, tables, steps, headline."""
-    assert not coulomb.held.series.moves.all()
+    assert not coulomb.holdout.series.moves.all()
     result, lead = coulomb.result(), coulomb.findings[0]
     for model, key in (("simulation", "given"), ("extended", "extended")):
         rms = [row["rms"] for row in result[model]["joints"]]
@@ -201,7 +203,7 @@ def test_a_finding_is_the_extended_model_without_it(coulomb: Diagnosis) -> None:
     for effect in model.effects:
         values = list(effect.values or ())
         if effect.name == lead.effect.name:
-            values[effect.joints.index(lead.effect.joints[0])] = lead.given[0]
+            values[effect.joints.index(lead.effect.joints[0])] = lead.nominal[0]
         without.append(effect.with_values(values))
     error = errors(coulomb, model.with_effects(without))
     j = model.joint_index(lead.effect.joints[0])
@@ -237,7 +239,7 @@ def test_the_result_has_the_agreed_keys(kind: str, case: Case) -> None:
     assert result["refit"]["most_moved"] == diagnosis.refit.most_moved.link
     assert {row["unit"] for row in result["forward"]["joints"]} == {"rad"}
     rows = {len(values) for values in diagnosis.series().values()}
-    assert rows == {len(diagnosis.held.series.t)}
+    assert rows == {len(diagnosis.holdout.series.t)}
 
 
 def test_inertias_alone_explain_a_payload(payload: Diagnosis) -> None:
@@ -245,12 +247,12 @@ def test_inertias_alone_explain_a_payload(payload: Diagnosis) -> None:
     assert found.gain > 0.95
     assert found.possible
     assert found.most_moved.link == last
-    assert found.most_moved.most > LIKELY
+    assert found.most_moved.most > PLAUSIBILITY.likely
     assert found.most_moved.mass > 0
     said = payload.result()["refit"]["sentence"]
     assert last in said
     assert "among the findings" in said
-    given = np.sqrt((payload.held.given**2).mean(axis=0))
+    given = np.sqrt((payload.holdout.error**2).mean(axis=0))
     assert found.errors["given"] == pytest.approx(given, rel=0.05)
 
 
@@ -267,13 +269,13 @@ def test_bodies_explain_no_more_than_free_parameters_where_they_are_fitted(
 ) -> None:
     """On the data that were fitted, the unconstrained minimum is the smallest of all."""
     tau = series(payload.data.train).measured
-    on_train = held_out(payload.robot, payload.data.train, payload.held.gains)
+    on_train = holdout_of(payload.robot, payload.data.train, payload.holdout.gains)
     errors = refit(payload.train, tau, on_train, on_train.simulated).errors
     assert ((errors["bodies"] / errors["inertias"]) ** 2).mean() >= 1 / (1 + 1e-3)
 
 
 def test_the_extended_model_stays_closer_to_the_motion(payload: Diagnosis) -> None:
-    given, extended = payload.forward.given, payload.forward.extended
+    given, extended = payload.forward.models.values()
     assert not given.diverged
     assert not extended.diverged
     assert (extended.position < given.position).all()
@@ -307,7 +309,7 @@ def test_a_finding_lowers_the_error_while_joints_move(coulomb: Diagnosis) -> Non
     [
         # more left than explained at its joint
         ((0.0, 1.0), (0.0, 0.9), 0.5, ("joint2", 0.0), ""),
-        ((0.0, 1.0), (0.0, 1.1), 0.5, ("joint2", 0.0), "more is left"),
+        ((0.0, 1.0), (0.0, 1.1), 0.5, ("joint2", 0.0), "more remains"),
         ((0.0, 1.0), (1.1, 0.0), 0.5, ("joint2", 0.0), ""),
         # at several joints, it has to explain them all
         ((1.0, 1.0), (0.0, 0.2), 0.5, ("joint2", 0.0), ""),
@@ -324,7 +326,7 @@ def test_why_a_cause_that_pays_is_not_decided(
 ) -> None:
     """Torque and slow structure left of this rms at each of two joints; what causes explain."""
     viscous, beside = ViscousFriction(("joint2",)), StribeckFriction((rough[0],))
-    same = {"torque": np.ones((10, 1)) * rms, "share": 1.0, "asked": AS_FITTED}
+    same = {"torque": np.ones((10, 1)) * rms, "share": 1.0, "scale": AS_FITTED}
     found, *others = (
         cast(Finding, SimpleNamespace(**same, effect=effect, explained=x))
         for effect, x in ((viscous, own), (viscous, 0.6), (beside, rough[1]))
@@ -345,7 +347,7 @@ def test_why_a_cause_that_pays_is_not_decided(
         (0.1, 0.6, "joint1", "friction curve"),
         (0.6, 0.05, "joint1", ""),
         (0.6, 0.1, "joint2", ""),
-        (0.0024, 0.0, "joint2", "hardly known to 5 %"),  # the misfit of larger causes
+        (0.0024, 0.0, "joint2", "smaller than the 5 % uncertainty"),  # the misfit of larger causes
         (0.0026, 0.0, "joint2", ""),
     ],
 )
@@ -353,7 +355,7 @@ def test_what_shares_a_curve_or_is_faint_is_not_decided(
     own: float, beside: float, joint: str, said: str
 ) -> None:
     kinds = EFFECTS["nonlinear_viscous_friction"](("joint1",)), StribeckFriction((joint,))
-    same = {"torque": np.ones((10, 1)) * (1.0, 0.0), "share": 1.0, "asked": AS_FITTED}
+    same = {"torque": np.ones((10, 1)) * (1.0, 0.0), "share": 1.0, "scale": AS_FITTED}
     found, other = (
         cast(Finding, SimpleNamespace(**same, effect=effect, explained=x))
         for effect, x in zip(kinds, (own, beside), strict=True)
@@ -375,7 +377,7 @@ def test_a_slow_ripple_beside_a_spring_is_not_decided(order: float, joint: str, 
         "torque": np.ones((10, 1)) * (1.0, 0.0),
         "share": 1.0,
         "explained": 0.5,
-        "asked": AS_FITTED,
+        "scale": AS_FITTED,
     }
     ripple, spring = (
         cast(Finding, SimpleNamespace(**same, effect=effect))
@@ -392,7 +394,7 @@ def test_a_slow_ripple_beside_a_spring_is_not_decided(order: float, joint: str, 
 @pytest.mark.parametrize(
     ("factor", "joint", "said"),
     [
-        (-0.9, "joint1", "take each other back"),
+        (-0.9, "joint1", "mostly cancel"),
         (-0.4, "joint1", ""),
         (1.0, "joint1", ""),
         (-0.9, "joint2", ""),
@@ -403,7 +405,7 @@ def test_causes_that_take_each_other_back_are_not_decided(
 ) -> None:
     """A spring, and a torque gain that makes some of its torque, backward or forward."""
     torque = np.sin(np.arange(100.0))[:, None] * (1.0, 0.0)
-    same = {"share": 1.0, "explained": 2.0, "asked": AS_FITTED}
+    same = {"share": 1.0, "explained": 2.0, "scale": AS_FITTED}
     found, other = (
         cast(Finding, SimpleNamespace(**same, effect=effect, torque=x))
         for effect, x in (
@@ -421,7 +423,7 @@ def test_causes_that_take_each_other_back_are_not_decided(
 def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, open_: bool) -> None:
     robot = load_robot("planar_2r")
     gain = TorqueGain(robot.joints).with_values([size])
-    shown = {"torque": np.ones((10, 2)), "share": 1.0, "explained": 0.5, "asked": AS_FITTED}
+    shown = {"torque": np.ones((10, 2)), "share": 1.0, "explained": 0.5, "scale": AS_FITTED}
     found = cast(Finding, SimpleNamespace(effect=gain, **shown))
     left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
     assert bool(reason_to_downgrade(robot, found, [found], left, 0.1)) == open_
@@ -430,7 +432,7 @@ def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, ope
 @pytest.mark.parametrize(
     ("kind", "size", "error", "said"),
     [
-        ("time_delay", 0.9, 0.04, "unseen data show 0.90 ± 0.04 times as much of it"),
+        ("time_delay", 0.9, 0.04, "on the hold-out its size is 0.90 ± 0.04 of the fitted one"),
         ("time_delay", 0.9, 0.06, ""),
         ("time_delay", 0.96, 0.01, ""),  # as good as models are
         ("time_delay", 1.4, 0.01, ""),
@@ -441,7 +443,12 @@ def test_what_unseen_data_take_back_is_not_decided(
     kind: str, size: float, error: float, said: str
 ) -> None:
     torque = np.ones((10, 1)) * (1.0, 0.0)
-    shown = {"torque": torque, "share": 1.0, "explained": 0.5, "asked": Asked(size, error, 1.0)}
+    shown = {
+        "torque": torque,
+        "share": 1.0,
+        "explained": 0.5,
+        "scale": HoldoutScale(size, error, 1.0),
+    }
     found = cast(Finding, SimpleNamespace(effect=EFFECTS[kind](("joint1",)), **shown))
     robot = load_robot("planar_2r")
     left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
@@ -462,8 +469,8 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     moves[300:500] = False
     stand_in = SimpleNamespace(
         unit=lambda joint: "N·m",
-        held=SimpleNamespace(series=SimpleNamespace(moves=moves)),
-        left=np.where(moves, in_motion, resting),
+        holdout=SimpleNamespace(series=SimpleNamespace(moves=moves)),
+        error=np.where(moves, in_motion, resting),
         residuals=(SimpleNamespace(joint="elbow", floor=FLOOR),),
         ordered=[],
     )

@@ -10,18 +10,17 @@ import pytest
 from planted import Diagnosed, drawn
 from separation import run_case
 
+from excitant.analysis.advice import Plan, key
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.discrimination import (
     Contest,
     Pair,
-    Plan,
     Separation,
     along,
-    key,
     needed,
-    repetitions,
 )
-from excitant.analysis.discrimination_plan import HOPELESS, described, discriminating_motions, plan
+from excitant.analysis.discrimination_plan import described, discriminating_motions, plan
+from excitant.analysis.thresholds import DISCRIMINATION
 from excitant.design import FourierTrajectory, check
 from excitant.robots import Motion, Robot
 from excitant.robots import effects as kinds
@@ -121,15 +120,13 @@ def test_runs_decide_with_the_power_that_is_promised() -> None:
     """The difference of squared errors, over its standard deviation, exceeds two-sided 5 %."""
     rng = np.random.default_rng(0)
     for delta in (3.0, 12.0, needed()):
-        runs = repetitions(delta)
+        runs = np.ceil(needed() / delta)
         s = rng.normal(size=200)
         s *= np.sqrt(runs * delta) / np.linalg.norm(s)
         y = s + rng.normal(size=(4000, 200))
         difference = (y**2).sum(axis=1) - ((y - s) ** 2).sum(axis=1)
         decided = difference / (2 * np.linalg.norm(s)) > 1.96
         assert decided.mean() > 0.88
-    assert repetitions(needed()) == 1
-    assert repetitions(needed() / 2.5) == 3
 
 
 @pytest.mark.parametrize(
@@ -147,7 +144,7 @@ def test_the_motion_separates_what_a_poor_one_does_not(
     motions, highest = discriminating_motions(pair, np.random.default_rng(0))
     [best] = motions
     again = separation(pair, poor).delta
-    assert best.deltas[0] > max(2 * again, HOPELESS)
+    assert best.deltas[0] > max(2 * again, DISCRIMINATION.hopeless)
     assert highest[0] >= best.deltas[0]
     report = check(planar, best.trajectory)
     assert report.hold, report.worst
@@ -167,7 +164,7 @@ def test_no_motion_separates_what_is_the_same(planar: Robot, found: Effect, riva
     pair = contest(planar, found, rival, swing(planar))
     motions, highest = discriminating_motions(pair, np.random.default_rng(0))
     assert motions == []
-    assert highest[0] < HOPELESS
+    assert highest[0] < DISCRIMINATION.hopeless
 
 
 def test_unstated_limits_are_those_of_the_recording(planar: Robot) -> None:

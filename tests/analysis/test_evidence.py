@@ -10,15 +10,15 @@ import pytest
 import scipy.signal
 import scipy.stats
 
+from excitant.analysis.effect_choice import _predictive
 from excitant.analysis.evidence import (
-    FALSE_ALARM,
     Candidate,
     Evidence,
     cross_validation,
     reweighed,
     weigh,
 )
-from excitant.analysis.selection import _predictive
+from excitant.analysis.thresholds import EVIDENCE
 from excitant.identify.regression import dense
 from excitant.robots.effects import StribeckFriction, TorqueOffset
 
@@ -79,7 +79,7 @@ def called_for(e: Evidence) -> list[Candidate]:
 def test_nothing_at_work_rarely_calls_for_anything(rho: float, n: int) -> None:
     draws = 100
     count = sum(bool(called_for(evidence(seed, rho, n=n))) for seed in range(draws))
-    assert count <= scipy.stats.binom.isf(1e-3, draws, FALSE_ALARM)
+    assert count <= scipy.stats.binom.isf(1e-3, draws, EVIDENCE.false_alarm)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.7])
@@ -89,7 +89,7 @@ def test_something_at_work_is_called_for(rho: float) -> None:
         found = e.candidates[int(np.argmax(e.additions([])[:12]))]  # of one coefficient
         assert found is e.candidates[2]
         assert found in called_for(e)
-        coordinates, covariance = e.solve([found])
+        coordinates, covariance = e.coordinates([found]), e.covariance([found])
         at = found.columns.start
         assert abs(coordinates[at] - 0.3) <= 4 * np.sqrt(covariance[at, at])
 
@@ -121,13 +121,13 @@ def test_cost_is_the_minimum_that_it_is_defined_as(chosen: tuple[int, ...]) -> N
     target = np.concatenate([(r * weight).ravel(), np.zeros(len(active))])
     solution = np.linalg.lstsq(stacked, target, rcond=None)[0]
     brute = float(((stacked @ solution - target) ** 2).sum())
-    coordinates, covariance = e.solve(picked)
+    coordinates, covariance = e.coordinates(picked), e.covariance(picked)
     assert e.cost(picked) == pytest.approx(brute, rel=1e-8)
     np.testing.assert_allclose(coordinates[active], solution, rtol=1e-6, atol=1e-9)
     expected = np.linalg.inv(stacked.T @ stacked)
     np.testing.assert_allclose(covariance[np.ix_(active, active)], expected, rtol=1e-6, atol=1e-12)
     left = (r - X[:, :, active] @ solution) * counts
-    np.testing.assert_allclose(e.left(picked), left, rtol=0, atol=1e-8 * np.abs(r).max())
+    np.testing.assert_allclose(e.residual(picked), left, rtol=0, atol=1e-8 * np.abs(r).max())
     # more causes never explain less, and additions are differences of cost
     falls = e.additions(picked)
     for k in set(range(len(SIZES))) - {*chosen}:
@@ -147,7 +147,7 @@ def test_threshold_asks_more_of_more_coefficients_shapes_and_fewer_blocks() -> N
     assert shared.threshold(one) == e.threshold(one)
     assert shared.threshold(one, 5) < shared.threshold(one, 1) < e.threshold(one, 5)
     # with blocks without end, F is χ² over its degrees of freedom
-    assert e.threshold(ten) > scipy.stats.chi2.isf(FALSE_ALARM / len(e.candidates), 10)
+    assert e.threshold(ten) > scipy.stats.chi2.isf(EVIDENCE.false_alarm / len(e.candidates), 10)
 
 
 def test_a_cause_that_matters_does_not_stay_in_the_noise() -> None:

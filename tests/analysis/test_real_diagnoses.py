@@ -31,7 +31,7 @@ def better(diagnosis: Diagnosis, factor: float) -> Diagnosis:
     """Better on every joint, by a factor over all of them, and with bodies that can be."""
     given, extended = diagnosis.simulation.rms, diagnosis.extended.rms
     assert (extended < SAME * given).all(), extended / given
-    size = diagnosis.held.series.measured.std(axis=0)
+    size = diagnosis.holdout.series.measured.std(axis=0)
     total = [float(np.sqrt(((e / size) ** 2).sum())) for e in (given, extended)]
     assert total[1] * factor < total[0], total
     model = diagnosis.extension.model

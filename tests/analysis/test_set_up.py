@@ -80,7 +80,7 @@ def test_torques_exchanged_between_two_recordings_are_put_back(planar: Robot) ->
     found, as_recorded = (
         diagnose(bare(planar), [one], validate=[other]) for one, other in (mixed, (fitted, held))
     )
-    assert found.ordered[0][0].effect.name == "swapped_recordings"
+    assert found.ordered[0].findings[0].effect.name == "swapped_recordings"
     np.testing.assert_allclose(found.extended.rms, as_recorded.extended.rms, rtol=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: R
     gravity = TURNED
     fitted, held = recorded(bare(ur10), 1, gravity)
     diagnosis = diagnose(bare(ur10), [fitted], validate=[held])
-    first = diagnosis.ordered[0][0]
+    first = diagnosis.ordered[0].findings[0]
     assert first.effect.name == "gravity_direction"
     error = diagnosis.set_up.robot.gravity - gravity
     assert np.linalg.norm(error) < 4 * np.linalg.norm(first.std) + 0.02 * 9.81
@@ -123,8 +123,8 @@ def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(
     fitted, held = with_zero_off(bare(ur10), 1, np.pi / 2)
     first = diagnose(bare(ur10), [fitted], validate=[held]).findings[0]
     assert (first.effect.name, first.verdict) == ("encoder_offset", "undecided")
-    assert "half of its size" in first.downgrade
-    assert not replace(first, covariance=np.array([[0.49]])).near_given
+    assert "not known to better than half" in first.downgrade
+    assert not replace(first, covariance=np.array([[0.49]])).is_nominal
 
 
 @pytest.mark.parametrize(
@@ -288,7 +288,7 @@ def test_without_friction_of_all_joints_the_error_is_the_given_models(
 
 def test_nothing_within_two_standard_deviations_is_a_finding(frictionless: Diagnosis) -> None:
     for f in frictionless.findings:
-        size = np.abs(np.array(f.effect.values) - f.given)
+        size = np.abs(np.array(f.effect.values) - f.nominal)
         assert (size > 2 * np.array(f.std)).any()
 
 
@@ -342,9 +342,9 @@ def test_given_friction_that_is_off_is_told_and_is_no_finer_friction(
     assert {f.effect.family for f in diagnosis.findings} == {"friction"}
     assert all(f.verdict == "named" for f in diagnosis.findings)
     # what is off by less than the models' own error is not told: 2 % of a joint's torque
-    off_torque = diagnosis.held.given - np.sum([f.torque for f in diagnosis.findings], axis=0)
-    rms = diagnosis.held.series.rms
-    assert (rms(off_torque) / rms(diagnosis.held.series.measured)).max() < 3 * 0.02
+    off_torque = diagnosis.holdout.error - np.sum([f.torque for f in diagnosis.findings], axis=0)
+    rms = diagnosis.holdout.series.rms
+    assert (rms(off_torque) / rms(diagnosis.holdout.series.measured)).max() < 3 * 0.02
 
 
 def test_a_clock_is_not_blamed_for_what_two_joints_do(ur10: Robot) -> None:

@@ -18,6 +18,7 @@ from khosla import dh_from_robot
 from second_opinion import grouping, largest_count, parameter_nullspace
 
 from excitant.analysis import analyze
+from excitant.analysis.dh_frames import distal_frames
 from excitant.analysis.structure import MARGIN, Structure, structure
 from excitant.exceptions import BadInput
 from excitant.identify.prior import reference_motion
@@ -31,7 +32,7 @@ from excitant.robots import (
 )
 from excitant.robots.base_parameters import LENGTH_POWERS, TOLERANCE, arm_length
 from excitant.robots.chains import RobotSpec
-from excitant.robots.dh import distal_frames, joint_frames
+from excitant.robots.dh import joint_frames
 from excitant.robots.effects import standard_effects
 from excitant.robots.urdf import robot_from_urdf
 

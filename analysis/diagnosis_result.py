@@ -1,0 +1,321 @@
+"""Contents of ``result.json`` of a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from excitant.analysis.advice import Plan
+from excitant.analysis.confirmation import Finding
+from excitant.analysis.evidence_figure import curve_of
+from excitant.analysis.explanation import (
+    at_rest,
+    placeholders,
+    refit_sentence,
+    sentence,
+    shared_friction,
+    sizes,
+    too_slight,
+    unexplained,
+)
+from excitant.analysis.grouping import Item, explained_by, share_of
+from excitant.analysis.residuals import Residual
+from excitant.analysis.selection import Rival
+from excitant.analysis.thresholds import VERDICT
+from excitant.analysis.validation import Forward, Move, Refit
+from excitant.exceptions import ExcitantError
+from excitant.identify.accuracy import Accuracy
+from excitant.identify.rows import told
+from excitant.robots.effects import Effect, plain
+from excitant.robots.robot import Robot
+from excitant.robots.simulation import LOOP_HZ
+
+if TYPE_CHECKING:
+    from excitant.analysis.diagnosis import Diagnosis
+
+Entry = dict[str, Any]
+
+
+def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
+    """All contents, with a plan's experiments or else general actions."""
+    drive = diagnosis.drive
+    notes = [
+        *diagnosis.notes,
+        placeholders(diagnosis),
+        at_rest(diagnosis),
+        shared_friction(diagnosis),
+        too_slight(diagnosis),
+    ]
+    residuals = zip(diagnosis.nominal_residuals, diagnosis.residuals, strict=True)
+    return {
+        "verb": "diagnose",
+        "robot": diagnosis.robot.name,
+        "headline": diagnosis.headline,
+        "unit": diagnosis.unit(),
+        "cutoff_hz": diagnosis.data.cutoff_hz,
+        **({"drive_gain_Nm_per_A": None} if drive is None else drive.result()),
+        "holdout": diagnosis.data.holdout,
+        "simulation": {"joints": _joints(diagnosis, diagnosis.simulation)},
+        "faults": [],
+        "findings": [
+            entry | {"figure": _figure(diagnosis, item)}
+            for item, entry in zip(
+                diagnosis.ordered, findings_of(diagnosis, plan), strict=True
+            )
+        ],
+        "unexplained": [
+            {"joint": residual.joint, "share": float(np.clip(1 - r2, 0, 1))}
+            | _beyond_noise(residual)
+            for residual, r2 in zip(
+                diagnosis.residuals, diagnosis.extended.r2, strict=True
+            )
+        ],
+        "extended": {"joints": _joints(diagnosis, diagnosis.extended)},
+        "error": {
+            "joints": [
+                {"name": nominal.joint}
+                | _distribution(nominal)
+                | {"left": _distribution(extended)}
+                for nominal, extended in residuals
+            ]
+        },
+        "refit": _refit(diagnosis),
+        "forward": _forward(diagnosis),
+        "waterfall": [
+            {"label": label, "rms": rms} for label, rms in diagnosis.waterfall
+        ],
+        "notes": [note for note in notes if note],
+    }
+
+
+def with_repairs(
+    diagnosis: Diagnosis, faults: Sequence[Mapping[str, Any]]
+) -> list[Entry]:
+    """Faults of the recordings as `Checked.entries` tells them, with what is repaired here."""
+    set_up = diagnosis.set_up
+    return [
+        {**f, "repaired": f["repaired"] or (set_up is not None and set_up.amends(f))}
+        for f in faults
+    ]
+
+
+def findings_of(diagnosis: Diagnosis, plan: Plan) -> list[Entry]:
+    """Findings in order of importance."""
+    return [
+        _cause(diagnosis, item.findings, plan)
+        if item.findings
+        else _unknown(diagnosis, item.residuals)
+        for item in diagnosis.ordered
+    ]
+
+
+def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
+    """One cause at some joints; friction of several kinds with each kind as a part."""
+    kinds = list(dict.fromkeys(f.effect.name for f in group))
+    several = len(kinds) > 1
+    before, after = diagnosis.before_and_after(group)
+    explained = explained_by(group)
+    least = several * VERDICT.minor_kind * explained
+    rivals = {
+        rival.candidate.key: (f.effect, rival)
+        for f in group
+        if f.explained > least
+        for rival in f.rivals
+        if not several or rival.candidate.effect.family != "friction"
+    }
+    named = all(f.verdict == "named" for f in group) or (several and not rivals)
+    reasons = dict.fromkeys(f.downgrade for f in group if f.downgrade)
+    entry: Entry = {
+        "effect": "friction" if several else kinds[0],
+        "joints": list(
+            dict.fromkeys(joint for f in group for joint in f.effect.joints)
+        ),
+        "sentence": sentence(group, diagnosis),
+        "parameters": [p for f in group for p in _parameters(f, diagnosis)],
+        "sizes": [
+            {"name": s.name, "value": s.value, "std": s.std, "unit": s.unit}
+            for f in group
+            for s in sizes(f, diagnosis)
+        ],
+        "explained": explained,
+        "holdout": {"rms_before": before, "rms_after": after},
+        "unit": diagnosis.unit(group[0].joint),
+        "verdict": "named" if named else "undecided",
+        "doubt": "" if named else "; ".join(reasons),
+        "rivals": [_rival(effect, rival, plan) for effect, rival in rivals.values()],
+    }
+    if several:
+        parts: dict[tuple[str, str], list[Finding]] = {}
+        for f in group:
+            parts.setdefault((f.effect.name, f.verdict), []).append(f)
+        entry["parts"] = [_cause(diagnosis, part, plan) for part in parts.values()]
+    return entry
+
+
+def _rival(effect: Effect, rival: Rival, plan: Plan) -> Entry:
+    other = rival.candidate.effect
+    return {
+        "effect": other.name,
+        "joints": list(other.joints),
+        "why": f"explains this motion equally well (to {max(rival.deviations, 0.0):.1f} "
+        f"standard errors; |cos| between the signatures is {rival.cosine:.2f})",
+        **asdict(plan.of(effect, other)),
+    }
+
+
+def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
+    effect = finding.effect
+    robot = diagnosis.robot
+    drive = diagnosis.drive
+    rows = zip(
+        effect.parameters(robot),
+        effect.values or (),
+        finding.nominal,
+        finding.std.tolist(),
+        np.sqrt(np.diag(finding.covariance)).tolist(),
+        strict=True,
+    )
+    for p, value, nominal, std, std_by_fit in rows:
+        factor, unit = told(p, robot, drive)
+        yield {
+            "name": p.name,
+            "value": factor * value,
+            "given": factor * nominal,
+            "unit": unit,
+            # amperes do not depend on the gain
+            "std": std if factor == 1 else factor * std_by_fit,
+        }
+    for s in effect.search.shapes:
+        if s.positive and not s.trial:
+            yield {
+                "name": f"{effect.joints[0]}.{s.name}",
+                "value": getattr(effect, s.name),
+                "std": None,
+                "unit": effect.shape_unit(robot, s),
+            }
+
+
+def _unknown(diagnosis: Diagnosis, residuals: Sequence[Residual]) -> Entry:
+    """What no cause explains, of all joints at once."""
+    rms = float(np.sqrt(np.mean([residual.rms**2 for residual in residuals])))
+    joint = diagnosis.robot.joint_index(residuals[0].joint)
+    return {
+        "effect": "unknown",
+        "joints": [residual.joint for residual in residuals],
+        "sentence": unexplained(residuals, diagnosis),
+        "parameters": [],
+        "explained": 0.0,
+        "share": sum(share_of(diagnosis, residual) for residual in residuals),
+        "holdout": {"rms_before": rms, "rms_after": rms},
+        "unit": diagnosis.unit(joint),
+        "verdict": "unknown",
+        "structure": "; ".join(dict.fromkeys(r.structure for r in residuals)),
+        "rivals": [],
+    }
+
+
+def _figure(diagnosis: Diagnosis, item: Item) -> Entry:
+    curve = curve_of(diagnosis, item)
+    return {
+        "x_label": curve.x_label,
+        "y_label": f"torque [{diagnosis.unit(curve.joint)}]",
+        "joint": diagnosis.robot.joints[curve.joint],
+    }
+
+
+def _joints(diagnosis: Diagnosis, accuracy: Accuracy) -> list[Entry]:
+    joints = enumerate(diagnosis.robot.joints)
+    return [{"name": joint, **accuracy.entry(j)} for j, joint in joints]
+
+
+def _distribution(residual: Residual) -> Entry:
+    return {
+        "rms": residual.rms,
+        "shares": dict(residual.shares),
+        "bands": dict(residual.bands),
+        "telling": residual.dominant,
+    }
+
+
+def _beyond_noise(residual: Residual) -> Entry:
+    return {
+        "rms": residual.rms,
+        "noise_floor": residual.floor,
+        "against_noise": residual.against_noise,
+        "structure": residual.structure,
+        "shows": dict(residual.shares),
+    }
+
+
+def _refit(diagnosis: Diagnosis) -> Entry:
+    try:
+        refit: Refit = diagnosis.refit
+    except ExcitantError as error:
+        return {"sentence": f"Re-fitting the inertias alone failed: {error}"}
+    joints = enumerate(diagnosis.robot.joints)
+    moves = sorted(refit.moves, key=lambda move: -move.most)
+    return {
+        "sentence": refit_sentence(refit, diagnosis),
+        "joints": [
+            {"name": joint}
+            | {model: float(rms[j]) for model, rms in refit.errors.items()}
+            for j, joint in joints
+        ],
+        "possible": refit.possible,
+        "distance": refit.distance,
+        "most_moved": refit.most_moved.link,
+        "links": [_move(move) for move in moves],
+    }
+
+
+def _move(move: Move) -> Entry:
+    return {
+        "link": move.link,
+        "mass_kg": move.mass,
+        "centre_mm": 1e3 * move.centre,
+        "inertia": move.inertia,
+        "deviations": move.deviations,
+    }
+
+
+def _forward(diagnosis: Diagnosis) -> Entry:
+    try:
+        forward: Forward = diagnosis.forward
+    except ExcitantError as error:
+        return {"joints": [], "notes": [f"Forward simulation failed: {error}"]}
+    notes = []
+    for name, model in forward.models.items():
+        if model.diverged:
+            notes.append(
+                f"Simulation of the {name} model was stopped: {model.diverged}."
+            )
+        elif model.along:
+            along = ", ".join(map(plain, model.along))
+            notes.append(
+                f"In the {name} model, torque of {along} was evaluated on the recorded motion."
+            )
+    return {
+        "joints": _forward_joints(forward, diagnosis.robot),
+        "windows": forward.windows,
+        "window_s": forward.seconds,
+        "bandwidth_hz": LOOP_HZ,
+        "notes": notes,
+    }
+
+
+def _forward_joints(forward: Forward, robot: Robot) -> list[Entry]:
+    rows = []
+    for j, joint in enumerate(robot.joints):
+        unit = "rad" if robot.revolute[j] else "m"
+        models = forward.models.items()
+        position = {name: float(model.position[j]) for name, model in models}
+        velocity = {name: float(model.velocity[j]) for name, model in models}
+        rows.append(
+            {"name": joint}
+            | position
+            | {"unit": unit, "velocity": {**velocity, "unit": f"{unit}/s"}}
+        )
+    return rows

@@ -1,0 +1,116 @@
+"""Reasons to call a confirmed cause undecided although it has no rival."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from excitant.analysis.confirmation import Finding
+from excitant.analysis.residuals import Residual
+from excitant.analysis.selection import is_plain_friction
+from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, VERDICT
+from excitant.robots.effects import plain
+from excitant.robots.robot import Robot
+
+
+def reason_to_downgrade(
+    robot: Robot,
+    finding: Finding,
+    findings: Sequence[Finding],
+    residuals: Sequence[Residual],
+    body_std: float,
+) -> str:
+    """Reason to downgrade a confirmed cause without rivals to undecided; half a sentence.
+
+    The nominal bodies have a relative standard deviation ``body_std``.
+    """
+    effect = finding.effect
+    if _like_wrong_masses(robot, finding, findings, body_std):
+        return "given masses that are all off by one factor would look the same"
+    if finding.share < CONFIRMATION.ideal:
+        size = f"{100 * finding.share:.1f} % of the total"
+        return f"its torque is {size}, below the accuracy of models"
+    # noise of positions makes such torque too, which is smaller on unseen data
+    scale = finding.scale
+    missing = 1 - scale.size
+    if effect.physics.on_model and missing > max(
+        EVIDENCE.tolerance, CONFIRMATION.deviations * scale.std
+    ):
+        ratio = f"{scale.size:.2f} ± {scale.std:.2g}"
+        return f"on the hold-out its size is {ratio} of the fitted one"
+    if reason := _below_residual(finding, residuals):
+        return reason
+    if finding.explained < EVIDENCE.tolerance**2 and not is_plain_friction(effect):
+        uncertainty = f"{100 * EVIDENCE.tolerance:.0f} % uncertainty"
+        return f"it is smaller than the {uncertainty} of the larger causes"
+    others = [other for other in findings if other is not finding]
+    return next(filter(None, (_confused(finding, other) for other in others)), "")
+
+
+def _like_wrong_masses(
+    robot: Robot, finding: Finding, findings: Sequence[Finding], body_std: float
+) -> bool:
+    """Whether it is a gain that most joints have, small as the error of nominal masses."""
+    effect = finding.effect
+    if not effect.physics.on_given_torque:
+        return False
+    gains = {
+        joint
+        for f in (finding, *findings)
+        if f.effect.physics.on_given_torque
+        for joint in f.effect.joints
+    }
+    largest = np.abs(effect.values or 0.0).max()
+    small = largest < VERDICT.common_masses * body_std
+    return bool(2 * len(gains) > robot.nv and small)
+
+
+def _below_residual(finding: Finding, residuals: Sequence[Residual]) -> str:
+    """Reason if the structured residual on its joints is larger than a cause, in noise units."""
+    noise = np.array([residual.floor for residual in residuals])
+    if not (noise > 0).all():
+        return ""
+    # a cause on several joints has to explain them all, so a smaller residual counts
+    several = finding.torque.any(axis=0).sum() > 1
+    unknown = np.array([r.structured if r.visible else 0.0 for r in residuals]) / noise
+    size = np.sqrt((finding.torque**2).mean(axis=0)) / noise
+    main = size > (0.0 if several else VERDICT.main_joint * size.max())
+    share = VERDICT.residual_share if several else 1.0
+    if (unknown[main] ** 2).sum() <= share * (size[main] ** 2).sum():
+        return ""
+    if several:
+        return (
+            "it acts on several joints at once, and the residual on some is not small"
+        )
+    return "more remains unexplained on its joints than it explains"
+
+
+def _confused(finding: Finding, other: Finding) -> str:
+    """Reason if the torque of one cause may belong to the other."""
+    name = plain(other.effect.name)
+    if _cancelling(finding, other):
+        return f"it and {name} mostly cancel"
+    effect = finding.effect
+    if not {*effect.joints} <= {*other.effect.joints}:
+        return ""
+    minor = VERDICT.minor
+    if other.effect.search.shapes and finding.explained < minor * other.explained:
+        return f"it is small compared with {name}, whose shape is only roughly known"
+    if minor * finding.explained < other.explained:
+        if effect.curve == other.effect.curve == "velocity":
+            return f"it shares the friction curve of the joint with {name}"
+        if effect.curve == other.effect.curve == "position":
+            return f"it shares the position curve of the joint with {name}"
+    return ""
+
+
+def _cancelling(one: Finding, other: Finding) -> bool:
+    """Whether two causes together make much less torque than either; bodies may well do so."""
+    if not {*one.effect.joints} & {*other.effect.joints}:
+        return False
+    if "torque" not in (one.effect.role, other.effect.role):
+        return False
+    both = ((one.torque + other.torque) ** 2).sum()
+    least = min((one.torque**2).sum(), (other.torque**2).sum())
+    return bool(both < VERDICT.cancelling * least)
