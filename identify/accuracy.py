@@ -17,14 +17,14 @@ from excitant.identify.least_squares import (
 )
 from excitant.identify.preprocessing import Mask, Segment, away_from_rest
 from excitant.identify.smoother import noise
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, freeze, read_only
 
 LEVEL = 0.95  # share of readings that an interval is to hold
-_BLOCKS = 10  # of time, whose means are as good as independent
-_FEWEST = 3.0  # degrees of freedom, below which no noise is known
-_MOST = 0.5  # of the residual's variance that is given back
-_FAR = 0.02
-_CERTAIN = 2.0  # share of samples and standard deviations that chance is allowed
+BLOCKS = 10  # of time, whose means are as good as independent
+FEWEST_FREEDOM = 3.0  # degrees of freedom of the noise that are taken at least
+LARGEST_SHARE = 0.5  # of the residual's variance that a fit is taken to have explained
+COVERAGE_MARGIN = 0.02  # of the readings outside that are no shortcoming of the model
+COVERAGE_STDS = 2.0  # standard deviations that chance is allowed beyond that
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,9 @@ class Accuracy:
     rms_raw: Array
     nrmse: Array
     r2: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "rms", "rms_raw", "nrmse", "r2")
 
     def entry(self, joint: int) -> dict[str, Any]:
         """Figures of one joint under their JSON names."""
@@ -86,28 +89,32 @@ class Series:
     def accuracy(self, predicted: Array) -> Accuracy:
         """Accuracy of a prediction at these rows, shape (n, nv)."""
         rms = self.rms(self.measured - predicted)
-        raw = self.rms(self.raw - predicted)
-        spread = self.measured.std(axis=0, where=self.counts)
-        nrmse = np.divide(rms, spread, out=np.full_like(rms, np.nan), where=spread > 0)
-        return Accuracy(*map(read_only, (rms, raw, nrmse, 1 - nrmse**2)))
+        rms_raw = self.rms(self.raw - predicted)
+        std = self.std
+        nrmse = np.divide(rms, std, out=np.full_like(rms, np.nan), where=std > 0)
+        return Accuracy(rms, rms_raw, nrmse, 1 - nrmse**2)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of the measured torque where it counts, shape (nv,)."""
+        return np.asarray(self.measured.std(axis=0, where=self.counts), float)
 
     @cached_property
     def judged(self) -> Mask:
         """Joints that move here and whose torque varies by more than its noise, shape (nv,)."""
-        spread = self.measured.std(axis=0, where=self.counts)
-        return np.asarray(
-            self.moves.any(axis=0) & (spread > [noise(x) for x in self.raw.T])
-        )
+        varies = self.std > [noise(x) for x in self.raw.T]
+        return np.asarray(self.moves.any(axis=0) & varies)
 
     def losses(self, predicted: Array, instead: Array) -> Array:
         """How much larger the squared error of one prediction is than that of another, (n, nv).
 
         Relative to the variance of the torque; 0 where an error does not count.
         """
-        spread = self.measured.std(axis=0, where=self.counts)
-        scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
-        first, second = ((self.measured - x) * scale for x in (predicted, instead))
-        return np.asarray(np.where(self.counts, first**2 - second**2, 0.0))
+        std = self.std
+        scale = np.divide(1.0, std, out=np.zeros_like(std), where=std > 0)
+        error = (self.measured - predicted) * scale
+        other = (self.measured - instead) * scale
+        return np.asarray(np.where(self.counts, error**2 - other**2, 0.0))
 
 
 def chance_of_loss(losses: Array) -> float:
@@ -115,13 +122,13 @@ def chance_of_loss(losses: Array) -> float:
 
     Student's t of the means of ten blocks of time, in which errors that go on stay together.
     """
-    means = np.array(
-        [block.mean() for block in np.array_split(losses, _BLOCKS) if len(block)]
-    )
-    error = means.std(ddof=1) / np.sqrt(len(means)) if len(means) == _BLOCKS else 0.0
+    if len(losses) < BLOCKS:
+        return 1.0
+    means = np.array([block.mean() for block in np.array_split(losses, BLOCKS)])
+    error = means.std(ddof=1) / np.sqrt(BLOCKS)
     if not error > 0:
         return 1.0
-    return float(scipy.special.stdtr(len(means) - 1, -means.mean() / error))
+    return float(scipy.special.stdtr(BLOCKS - 1, -means.mean() / error))
 
 
 def series(segments: Sequence[Segment]) -> Series:
@@ -131,9 +138,14 @@ def series(segments: Sequence[Segment]) -> Series:
     for segment in segments:
         times.append(segment.t - segment.t[0] + start)
         start = times[-1][-1] + (segment.t[1] - segment.t[0])
-    torques = ([s.tau[s.keep] for s in segments], [s.tau_raw[s.keep] for s in segments])
-    t, measured, raw = (read_only(np.concatenate(parts)) for parts in (times, *torques))
-    return Series(t, measured, raw, away_from_rest(segments))
+    measured = np.concatenate([s.tau[s.keep] for s in segments])
+    raw = np.concatenate([s.tau_raw[s.keep] for s in segments])
+    return Series(
+        read_only(np.concatenate(times)),
+        read_only(measured),
+        read_only(raw),
+        away_from_rest(segments),
+    )
 
 
 class PredictionInterval(NamedTuple):
@@ -175,7 +187,8 @@ class Coverage(NamedTuple):
     @property
     def too_few(self) -> Array:
         """Joints with more readings outside than by chance, shape (nv,) of bool."""
-        return np.asarray(self.share < LEVEL - _FAR - _CERTAIN * self.std, bool)
+        least = LEVEL - COVERAGE_MARGIN - COVERAGE_STDS * self.std
+        return np.asarray(self.share < least, bool)
 
 
 def torque_std(W: Array, covariance: Array) -> Array:
@@ -196,14 +209,16 @@ def prediction_interval(
     The residual of each joint, (m_j,), is measured less predicted torque at its fitted rows. The
     covariance is that of the fit, or of what W has columns of.
     """
-    size = sum(map(len, residuals))
-    left = 1 - np.minimum(fit.inflation * len(fit.beta) / size, _MOST)
-    noise = np.sqrt(np.array([(e**2).mean() for e in residuals]) / left)
-    freedom = np.array([independent_squares(e) for e in residuals]) * left
-    parameters = (
-        torque_std(W, fit.covariance if covariance is None else covariance) / gains
+    rows = sum(map(len, residuals))
+    explained = np.minimum(fit.inflation * len(fit.beta) / rows, LARGEST_SHARE)
+    remaining = 1 - explained
+    noise_std = np.sqrt(np.array([(e**2).mean() for e in residuals]) / remaining)
+    freedom = np.array([independent_squares(e) for e in residuals]) * remaining
+    covariance = fit.covariance if covariance is None else covariance
+    parameters = torque_std(W, covariance) / gains
+    return PredictionInterval(
+        parameters, noise_std, np.maximum(freedom, FEWEST_FREEDOM)
     )
-    return PredictionInterval(parameters, noise, np.maximum(freedom, _FEWEST))
 
 
 def independent_squares(residual: Array) -> float:
@@ -220,7 +235,7 @@ def independent_squares(residual: Array) -> float:
 
 def coverage(inside: Sequence[Mask]) -> Coverage:
     """Share of readings within their intervals: whether each of a joint's is, one (n,) a joint."""
-    hits = [each.astype(float) for each in inside]
-    independent = np.array([len(each) / autocorrelation_time(each) for each in hits])
-    share = np.array([each.mean() for each in hits])
+    hits = [joint.astype(float) for joint in inside]
+    independent = np.array([len(hit) / autocorrelation_time(hit) for hit in hits])
+    share = np.array([hit.mean() for hit in hits])
     return Coverage(share, np.sqrt(LEVEL * (1 - LEVEL) / independent))

@@ -48,19 +48,17 @@ from excitant.robots.base_parameters import BaseParameters, independent_columns
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 
-_SPREAD = 0.5  # relative, of drives of one arm: decides only what data leave open
-_REWEIGHTINGS = 4  # of the noise of each joint
-_ALTERNATIONS = 200
-_CONVERGED = 1e-6
-_LINKS = 0.3
-_PLACEHOLDERS = 3.0  # relative uncertainty of given links
-# share of a joint's rows with another joint moving, from which rows compare
-_TOGETHER = 0.5
-# relative uncertainty of the common scale, from which the payload is refused
-_HARDLY = 0.2
-_ROUNDS = 30
-_SETTLED = 1e-8
-_DEPENDENT = 1e-7  # part of a unit column that is outside the others
+GAIN_STD = 0.5  # relative, of drives of one arm: decides only what data leave open
+NOISE_ROUNDS = 4  # of re-estimating the noise of each joint
+MOST_ALTERNATIONS = 200  # between gains and parameters
+CONVERGED = 1e-6  # change of the logarithm of a gain that ends them
+BODY_STD = 0.3  # relative std assumed for given bodies
+PLACEHOLDER_STD = 3.0  # the same where all links weigh the same
+MOVING_TOGETHER = 0.5  # of a joint's rows with another one moving: rows then compare
+LARGEST_SCALE_STD = 0.2  # of the common scale, above which a payload is refused
+PAYLOAD_ROUNDS = 30  # of re-weighting with a known payload, at most
+SETTLED = 1e-8  # change of gains and noise that ends them
+DEPENDENT = 1e-7  # part of a unit column that is outside the others
 _IN_AMPERES = (
     ("(N·m)", "A"),
     ("N·m", "A"),
@@ -68,7 +66,7 @@ _IN_AMPERES = (
     ("kg", "A·s²/m"),
     ("N", "A"),
 )
-_SHOWN = 4.0  # a current's residual over that of the best combination, from which its gain is shown
+SHOWN_RATIO = 4.0  # of a current's residual to the least one: its gain is shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +100,7 @@ class DriveGains:
         pairs = ", ".join(
             f"{k:.4g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True)
         )
-        said = f"torque was recorded as current; drive gains ({pairs} N·m/A)"
+        start = f"torque was recorded as current; drive gains ({pairs} N·m/A)"
         scale = self.scale_std
         if self.shown:
             hidden = [
@@ -112,26 +110,26 @@ class DriveGains:
             ]
             rest = f"; that of {', '.join(hidden)} is not shown and was taken from the other joints"
             return (
-                f"{said} follow from the known payload, their common scale to ±{100 * scale:.2g} %"
+                f"{start} follow from the known payload, their common scale to ±{100 * scale:.2g} %"
                 f"{rest if hidden else ''}"
             )
         known = "a known payload determines it (--payload-recording)"
         if not self.fixed:
             return (
-                f"{said} are relative to each other, for nothing fixes their common scale (the "
+                f"{start} are relative to each other, for nothing fixes their common scale (the "
                 f"given masses, to ±{100 * scale:.0f} %): friction is told in amperes, and masses, "
                 f"inertias and base parameters hold up to that factor; {known}"
             )
         if not self.compared:
-            said += (
+            start += (
                 " follow from the given masses joint by joint, and from each other where masses "
                 "hardly load the joint, for joints that move one at a time do not show them "
                 "relative to each other"
             )
         else:
-            said += " were estimated from what joints have in common"
+            start += " were estimated from what joints have in common"
         return (
-            f"{said}; their common scale, which currents do not determine, follows from the given "
+            f"{start}; their common scale, which currents do not determine, follows from the given "
             f"masses to ±{100 * scale:.0f} %, and with it all masses, inertias and friction, whose "
             f"± contains it; {known}"
         )
@@ -177,14 +175,14 @@ def current_gains(
     """
     links = 10 * robot.nv
     # links that all weigh the same are placeholders
-    sigma = _LINKS if np.ptp(robot.phi[::10]) > 0 else _PLACEHOLDERS
+    sigma = BODY_STD if np.ptp(robot.phi[::10]) > 0 else PLACEHOLDER_STD
     spread = link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, sigma)
     if moves is not None:
         several = moves.sum(axis=1) > 1
         share = (moves & several[:, None]).sum(axis=0) / np.maximum(
             moves.sum(axis=0), 1
         )
-        if (share < _TOGETHER).any():
+        if (share < MOVING_TOGETHER).any():
             return _each_alone(robot, W, current, moves, spread)
         W = W * moves[:, :, None]
         current = current * moves
@@ -217,7 +215,7 @@ def _compared(
     sigma = np.maximum(current.std(axis=0), 1e-12)
     independent = np.ones(nv)
     beta = np.zeros(len(shown))
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(NOISE_ROUNDS):
         gains, beta = _alternate(gram, moment, independent / sigma**2, gains)
         residual = current - W @ beta / gains
         sigma = np.maximum(residual.std(axis=0), 1e-12)
@@ -236,7 +234,7 @@ def _compared(
     contrasts = scipy.linalg.null_space(np.ones((1, nv)))
     reduced = scipy.linalg.block_diag(contrasts, np.eye(len(shown)))
     information = reduced.T @ information @ reduced
-    information[: nv - 1, : nv - 1] += np.eye(nv - 1) / _SPREAD**2
+    information[: nv - 1, : nv - 1] += np.eye(nv - 1) / GAIN_STD**2
     apart = np.linalg.pinv(information, hermitian=True)[: nv - 1, : nv - 1]
     # the common scale, by the uncertainty of the given links
     pull = np.einsum("nj,njp->p", model / gains / sigma**2, Y, optimize=True) @ spread
@@ -248,7 +246,7 @@ def _compared(
 def _stand_in(F: Array, given: Array) -> int | None:
     """The largest of the effects that together make all the torque of the given links, if any."""
     x = np.linalg.lstsq(F, given, rcond=None)[0]
-    if np.linalg.norm(given - F @ x) > _DEPENDENT * np.linalg.norm(given):
+    if np.linalg.norm(given - F @ x) > DEPENDENT * np.linalg.norm(given):
         return None
     return int(np.argmax(np.abs(x) * np.linalg.norm(F, axis=0)))
 
@@ -256,8 +254,8 @@ def _stand_in(F: Array, given: Array) -> int | None:
 def _alternate(
     gram: Array, moment: Array, weight: Array, gains: Array
 ) -> tuple[Array, Array]:
-    prior = 1 / _SPREAD**2  # of 1/k around the geometric mean, which is kept at 1
-    for _ in range(_ALTERNATIONS):
+    prior = 1 / GAIN_STD**2  # of 1/k around the geometric mean, which is kept at 1
+    for _ in range(MOST_ALTERNATIONS):
         A = np.einsum("j,jrs->rs", weight / gains**2, gram)
         beta = np.linalg.lstsq(A, (weight / gains) @ moment, rcond=1e-12)[0]
         information = weight * np.einsum("r,jrs,s->j", beta, gram, beta)
@@ -266,7 +264,7 @@ def _alternate(
         updated /= np.exp(np.log(updated).mean())
         change = np.abs(np.log(updated / gains)).max()
         gains = updated
-        if change < _CONVERGED:
+        if change < CONVERGED:
             break
     return gains, beta
 
@@ -285,12 +283,12 @@ def _each_alone(
     ]
     own, variance = np.array(pairs).T
     if not np.isfinite(variance).any():
-        return DriveGains(np.ones(nv), np.full((nv, nv), _SPREAD**2), _SPREAD, False)
-    weight = 1 / (variance + _SPREAD**2)
+        return DriveGains(np.ones(nv), np.full((nv, nv), GAIN_STD**2), GAIN_STD, False)
+    weight = 1 / (variance + GAIN_STD**2)
     common = float(weight @ own / weight.sum())
-    gains = np.exp(common + _SPREAD**2 * weight * (own - common))
+    gains = np.exp(common + GAIN_STD**2 * weight * (own - common))
     unsure = 1 / float(weight.sum())
-    covariance = np.diag(_SPREAD**2 * (1 - _SPREAD**2 * weight)) + unsure
+    covariance = np.diag(GAIN_STD**2 * (1 - GAIN_STD**2 * weight)) + unsure
     return DriveGains(
         np.asarray(gains, float), covariance, float(np.sqrt(unsure)), False
     )
@@ -374,7 +372,7 @@ def payload_gains(
     # all that is known of the payload, and with it every gain, grows in proportion to its mass
     weighed = np.log1p(payload.mass_std / payload.mass) ** 2
     scale = float(np.sqrt(mean @ log_cov @ mean + weighed))
-    if scale > _HARDLY:
+    if scale > LARGEST_SCALE_STD:
         raise BadInput(
             f"{hardly}: they fix the common scale of the drive gains to ±{100 * scale:.0f} % only"
         )
@@ -391,7 +389,7 @@ def _exact_columns(free: Array, loaded: Array, own: Array, hardly: str) -> Array
     flat = exact.reshape(-1, r + added)
     norms = np.linalg.norm(flat, axis=0)
     R = np.linalg.qr(flat / np.where(norms > 0, norms, 1.0), mode="r")
-    found, _ = independent_columns(np.asarray(R, float), _DEPENDENT)
+    found, _ = independent_columns(np.asarray(R, float), DEPENDENT)
     if r + added - 1 not in found:
         raise BadInput(f"{hardly}: no torque of it differs from the arm's own")
     if not set(range(r)) <= set(found):
@@ -411,23 +409,23 @@ def _solved(exact: Array, current: Array) -> tuple[Array, Array, Mask]:
     ]
     k = np.ones(nv)
     sigma = np.maximum(current.std(axis=0), 1e-12)
-    for _ in range(_ROUNDS):
+    for _ in range(PAYLOAD_ROUNDS):
         weight = 1 / (k * sigma)
-        found, theta, shown = _eliminated(triangles, weight, n * (weight * sigma) ** 2)
+        gains, theta, shown = _eliminated(triangles, weight, n * (weight * sigma) ** 2)
         rest = [
-            np.linalg.norm(found[j] * T[:, -1] - T[:, :-1] @ theta)
+            np.linalg.norm(gains[j] * T[:, -1] - T[:, :-1] @ theta)
             for j, T in enumerate(triangles)
         ]
-        ahead = np.maximum(np.array(rest) / np.sqrt(n) / np.abs(found), 1e-12)
+        ahead = np.maximum(np.array(rest) / np.sqrt(n) / np.abs(gains), 1e-12)
         change = (
-            np.abs(found / k / np.mean(found / k) - 1).max()
+            np.abs(gains / k / np.mean(gains / k) - 1).max()
             + np.abs(ahead / sigma - 1).max()
         )
-        k = np.abs(found)
+        k = np.abs(gains)
         sigma = ahead
-        if change < _SETTLED:
+        if change < SETTLED:
             break
-    return found / theta[-1], theta / theta[-1], shown
+    return gains / theta[-1], theta / theta[-1], shown
 
 
 def _eliminated(
@@ -439,16 +437,16 @@ def _eliminated(
     currents = scipy.linalg.block_diag(*(T[:, -1:] for T in rows))
     norms = np.linalg.norm(X, axis=0)
     Q, R = np.linalg.qr(X / norms)
-    left = currents - Q @ (Q.T @ currents)
+    remaining = currents - Q @ (Q.T @ currents)
     # a gain is shown whose current alone leaves more than noise beside the exact columns
-    scaled = left / np.sqrt(noise)
+    scaled = remaining / np.sqrt(noise)
     best = float(np.linalg.svd(scaled, compute_uv=False)[-1] ** 2)
-    shown = (scaled**2).sum(axis=0) > _SHOWN * max(best, 1e-300)
+    shown = (scaled**2).sum(axis=0) > SHOWN_RATIO * max(best, 1e-300)
     if not shown.any():
         shown[:] = True
     tie = np.eye(len(weight))[:, shown]
     tie[~shown] = 1 / shown.sum()
-    _, _, Vt = np.linalg.svd(left @ tie / np.sqrt(noise[shown]))
+    _, _, Vt = np.linalg.svd(remaining @ tie / np.sqrt(noise[shown]))
     k = tie @ (Vt[-1] / np.sqrt(noise[shown]))
     theta = scipy.linalg.solve_triangular(R, Q.T @ (currents @ k)) / norms
     sign = 1.0 if k.sum() >= 0 else -1.0
@@ -469,7 +467,7 @@ def _covariance(
     names = tuple(f"column {c}" for c in range(columns.shape[2]))
     factor = factorised(dense(columns, residual, names), sigma)
     fit = with_covariance(factor, np.zeros(columns.shape[2]), residual, sigma)
-    covariance = _SPREAD**2 * np.eye(len(k))
+    covariance = GAIN_STD**2 * np.eye(len(k))
     count = int(shown.sum())
     covariance[np.ix_(shown, shown)] = fit.covariance[:count, :count]
     return covariance

@@ -55,9 +55,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-# standard errors by which columns at a lower rate may move a base parameter
-_MOVED = 0.01
-_ROUNDS = 2  # until the torque that columns hold is that of the identified arm
+LARGEST_RATE_ERROR = 0.01
+"""Standard errors by which columns at a lower rate may move a base parameter."""
+TORQUE_ROUNDS = 2
+"""Fits until the torque that columns hold is that of the identified arm."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,8 +149,8 @@ class Estimate(Shown):
     @cached_property
     def holdout_columns(self) -> Array:
         """Columns of the base parameters at the rows of the hold-out, shape (n, nv, r)."""
-        found = regression_of(self.model, self.model.effects, self.data.validate)
-        return read_only(found.select(self.base.columns).W)
+        regression = regression_of(self.model, self.model.effects, self.data.validate)
+        return read_only(regression.select(self.base.columns).W)
 
     @cached_property
     def interval(self) -> PredictionInterval:
@@ -181,16 +182,16 @@ class Estimate(Shown):
         ends say little. NaN where samples are too few to be filtered.
         """
         (run,) = self._alike(recording)
-        found = np.full(run.tau.shape, np.nan)
+        predicted = np.full(run.tau.shape, np.nan)
         for s in prepare(run, self.data.cutoff_hz):
             tau = torque(self.model, s.motion) / self.gains
             t = s.motion.t
             tau = s.filtered(tau) if filtered else tau
-            at = (run.t >= t[0]) & (run.t < t[-1] + 1 / s.rate_hz)
-            found[at] = np.column_stack(
-                [np.interp(run.t[at], t, column) for column in tau.T]
+            inside = (run.t >= t[0]) & (run.t < t[-1] + 1 / s.rate_hz)
+            predicted[inside] = np.column_stack(
+                [np.interp(run.t[inside], t, column) for column in tau.T]
             )
-        return read_only(found)
+        return read_only(predicted)
 
     def score(self, recordings: Recordings) -> list[dict[str, Any]]:
         """Accuracy of the model on recordings joint by joint, as ``result.json`` has it.
@@ -199,11 +200,15 @@ class Estimate(Shown):
         cut-off of this estimate.
         """
         cutoff_hz = self.data.cutoff_hz
-        rows = [s for each in self._alike(recordings) for s in prepare(each, cutoff_hz)]
-        found = series(rows).accuracy(predicted_torque(self.model, rows) / self.gains)
-        return [
-            {"name": name, **found.entry(j)} for j, name in enumerate(self.given.joints)
+        rows = [
+            s
+            for recording in self._alike(recordings)
+            for s in prepare(recording, cutoff_hz)
         ]
+        predicted = predicted_torque(self.model, rows) / self.gains
+        accuracy = series(rows).accuracy(predicted)
+        joints = enumerate(self.given.joints)
+        return [{"name": name, **accuracy.entry(j)} for j, name in joints]
 
     def _alike(self, recordings: Recordings) -> list[Recording]:
         found = recordings_of(recordings, self.given)
@@ -315,39 +320,41 @@ def identify_robot(
         if shapes is not None:
             rows = shapes.rows(rows) if shapes.better else rows
             notes += (shapes.sentence,)
-        fit, name, said = estimated(rows, fitted(recordings, validate), estimator)
+        fit, name, remarks = estimated(rows, fitted(recordings, validate), estimator)
         R, z = rows.regression.factor(fit.weight)
         if name != "wls":
             z = R[:, rows.base.columns] @ fit.beta
         physical = fit_physical(
             R, z, prior, rows.open_prior, knowledge=known, links=robot.links
         )
-        lengths = (
-            length_errors(rows, fit, physical, unsure) if unsure[1:].any() else None
-        )
-        if lengths is not None:
+        lengths = None
+        if unsure[1:].any():
+            lengths = length_errors(rows, fit, physical, unsure)
             fit, physical = lengths.widened(fit, physical)
-            said += (lengths.sentence,)
+            remarks += (lengths.sentence,)
         if shapes is not None and shapes.better:
             fit, physical = shapes.widened(fit, physical, rows.base)
-        found = judged(robot, rows, fit, physical, (*notes, *said))
-        found = replace(found, estimator=ESTIMATORS[name], knowledge=known)
-        return replace(found, shapes=shapes, lengths=lengths), _moved_by_rate(
-            rows, fit, physical.x
+        estimate = replace(
+            judged(robot, rows, fit, physical, (*notes, *remarks)),
+            estimator=ESTIMATORS[name],
+            knowledge=known,
+            shapes=shapes,
+            lengths=lengths,
         )
+        return estimate, _moved_by_rate(rows, fit, physical.x)
 
-    found, moved = fitted_to(data)
-    if moved > _MOVED:
-        found, _ = fitted_to(data.whole)
-        return found
+    estimate, moved = fitted_to(data)
+    if moved > LARGEST_RATE_ERROR:
+        estimate, _ = fitted_to(data.whole)
+        return estimate
     rates = {f"{s.thin.rate_hz:.4g}" for s in data.train if s.thin is not s}
     if not rates:
-        return found
-    said = (
+        return estimate
+    note = (
         f"smooth columns are evaluated at {' and '.join(sorted(rates))} Hz, which moves no base "
         f"parameter by more than {max(moved, 1e-4):.1g} of its standard error"
     )
-    return replace(found, notes=(*found.notes, said))
+    return replace(estimate, notes=(*estimate.notes, note))
 
 
 def _moved_by_rate(rows: FitRows, fit: LeastSquares, x: Array) -> float:
@@ -400,9 +407,17 @@ def judged(
         )
     notes += () if drive is None else (drive.sentence(robot.joints),)
     notes += (physical.note,) if physical.note else ()
-    stds = std, np.sqrt(np.diag(widened))
     return Estimate(
-        robot, model, rows.base, fit, physical, *stds, rows.data, notes, drive=drive
+        given=robot,
+        model=model,
+        base=rows.base,
+        least_squares=fit,
+        physical=physical,
+        std=std,
+        base_std=np.sqrt(np.diag(widened)),
+        data=rows.data,
+        notes=notes,
+        drive=drive,
     )
 
 
@@ -414,16 +429,15 @@ def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:
         notes.append(rows.data.sensors.sentence(robot.joints))
     if rows.rests:
         notes.append(rows.rests)
-    moved = [
+    nominal = robot.phi.reshape(-1, 10)
+    impossible = [
         link
-        for link, given, used in zip(
-            robot.links, robot.phi.reshape(-1, 10), prior, strict=True
-        )
-        if not np.allclose(given, used)
+        for link, phi, used in zip(robot.links, nominal, prior, strict=True)
+        if not np.allclose(phi, used)
     ]
-    if moved:
+    if impossible:
         notes.append(
-            f"the given inertia of {', '.join(moved)} is one no body can have; "
+            f"the given inertia of {', '.join(impossible)} is one no body can have; "
             "the nearest possible one serves as prior"
         )
     return tuple(notes)
@@ -438,24 +452,29 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
     """
     robot = rows.robot
     effects = rows.effects
-    apart = tuple(e for e in effects if not e.physics.on_model)
-    if len(apart) == len(effects):
+    alone = tuple(e for e in effects if not e.physics.on_model)
+    if len(alone) == len(effects):
         return rows
-    counts = [len(e.parameters(robot)) for e in effects]
-    links, *places = np.split(
-        range(rows.regression.p), np.cumsum([10 * robot.nv, *counts])[:-1]
+    columns = list(range(10 * robot.nv))
+    end = len(columns)
+    for effect in effects:
+        start = end
+        end += len(effect.parameters(robot))
+        if not effect.physics.on_model:
+            columns += range(start, end)
+    current = replace(
+        rows,
+        effects=alone,
+        base=base_parameters(robot, alone),
+        regression=rows.regression.select(columns),
     )
-    own = [at for e, at in zip(effects, places, strict=True) if not e.physics.on_model]
-    regression = rows.regression.select(np.concatenate([links, *own]).tolist())
-    known = replace(
-        rows, effects=apart, base=base_parameters(robot, apart), regression=regression
-    )
-    for _ in range(_ROUNDS):
-        R, z = known.regression.factor(weighted_least_squares(known.reduced).weight)
-        found = fit_physical(
-            R, z, prior, known.open_prior, knowledge=knowledge, links=robot.links
+    for _ in range(TORQUE_ROUNDS):
+        weight = weighted_least_squares(current.reduced).weight
+        R, z = current.regression.factor(weight)
+        fit = fit_physical(
+            R, z, prior, current.open_prior, knowledge=knowledge, links=robot.links
         )
-        reference = identified_robot(robot, known.effects, found.x)
-        columns = regression_of(reference, effects, rows.data.train)
-        known = replace(rows, robot=reference, regression=rows.fitting(columns))
-    return known
+        reference = identified_robot(robot, current.effects, fit.x)
+        regression = regression_of(reference, effects, rows.data.train)
+        current = replace(rows, robot=reference, regression=rows.fitting(regression))
+    return current

@@ -132,29 +132,29 @@ class ExcitationJudge:
         """Evenly spread states of one window and their whitened rows, (n, nv, r)."""
         J = _information(motion, rows)
         levels, V = np.linalg.eigh(J[self.hidden :, self.hidden :])
-        found = WindowExcitation(
+        window = WindowExcitation(
             float(motion.t[0]),
             float(motion.t[-1]),
             np.maximum(levels, 0),
             shown=int((np.linalg.eigvalsh(J) >= _ENOUGH).sum()),
             combinations=len(self.base),
         )
-        if found.enough:
-            return found
+        if window.enough:
+            return window
         robot = self.robot
-        weak = V[:, : found.missing]
+        weak = V[:, : window.missing]
         helpers = list[tuple[str, ...]]()
         for help_of in self._levels_if_livelier(motion, weak).T:  # of each joint
             order = np.argsort(-help_of)
             best = (j for j in order if help_of[j] >= 0.5 * help_of.max())
             helpers.append(tuple(robot.joints[j] for j in best))
-        listed = zip(weak.T, found.levels.tolist(), helpers, strict=False)
+        weakest = zip(weak.T, window.levels.tolist(), helpers, strict=False)
         directions = tuple(
-            WeakDirection(self._leading(v), *rest) for v, *rest in listed
+            WeakDirection(self._leading(v), *rest) for v, *rest in weakest
         )
         count = Counter(name for names in helpers for name in names)
         joints = sorted(filter(count.get, robot.joints), key=lambda name: -count[name])
-        return replace(found, weak=directions[:_LISTED], joints=tuple(joints))
+        return replace(window, weak=directions[:_LISTED], joints=tuple(joints))
 
     def _levels_if_livelier(self, motion: Motion, V: Array) -> Array:
         """Level of each weak direction if one joint moved as in the reference, (nv, weak)."""
@@ -308,18 +308,19 @@ def persistency(
     )
     rows = judge.rows(thin)
     if window is not None:
-        each = list(_windows(judge, thin, rows, window))
-        weakest = min(each, key=lambda found: (found.enough, found.shown, found.level))
-        return Persistency(**vars(weakest), windows=len(each))
-    found = judge.judge(thin, rows)
+        windows = list(_windows(judge, thin, rows, window))
+        weakest = min(windows, key=lambda part: (part.enough, part.shown, part.level))
+        return Persistency(**vars(weakest), windows=len(windows))
+    whole = judge.judge(thin, rows)
     shortest = None
     for length in duration / 2.0 ** np.arange(
         max(1, int(np.log2(len(thin) / _SHORTEST)))
     ):
-        if not all(each.enough for each in _windows(judge, thin, rows, float(length))):
+        parts = _windows(judge, thin, rows, float(length))
+        if not all(part.enough for part in parts):
             break
         shortest = float(length)
-    return Persistency(**vars(found), shortest=shortest)
+    return Persistency(**vars(whole), shortest=shortest)
 
 
 def _windows(

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import warnings
 import xml.etree.ElementTree as ET
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,17 +37,27 @@ if TYPE_CHECKING:
 
 USUAL = ("urdf", "mjcf", "sdf")
 FORMATS = (*USUAL, "ros2_control")
+JOINT_PROPERTIES = ("viscous", "coulomb", "offset", "rotor")
 _SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "sdf": ".sdf"}
 MODEL_SUFFIXES = (*_SUFFIXES.values(), ".yaml")
-_COMMON_GRAVITY = (0.0, 0.0, -9.81)
-_THIN = 1e-3  # m: shorter distances between joints are not drawn
+DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
+SHORTEST_LINE = (
+    1e-3  # distance of joints [m], below which no line is drawn between them
+)
 _ROS2_REMARKS = (
     "gains: read by joint_trajectory_controller with an effort interface, [N·m·s/rad]",
     "friction [N·m·s/rad, N·m, N·m, kg·m²], links [kg, m in the frame of the joint], gravity:",
     "names of excitant's own, for controllers that declare them",
 )
-_NAMED = 3  # effects that are listed in a sentence
-_CHANCE = 0.01  # that a model as good as the given one is taken for a worse one
+_MJCF_NAMES = {"damping": "viscous", "frictionloss": "coulomb", "armature": "rotor"}
+_STIFF_FRICTION = {  # with its default, a slow joint has half of its dry friction
+    "solreffriction": (0.004, 1.0),
+    "solimpfriction": (0.999, 0.999),
+}
+LISTED_EFFECTS = 3  # in a sentence on files that are not written
+CHANCE_OF_LOSS = (
+    0.01  # of a model as good as the given one that is taken for a worse one
+)
 
 
 def model_files(
@@ -73,7 +82,7 @@ def model_files(
         BadInput: An effect without values.
     """
     UnknownName.refuse("format", formats, FORMATS)
-    arm, drives = folded(model)
+    arm = folded(model)
     description = f"{stem}.urdf" if urdf else f"{stem}.links"
     table = f"{yaml_name.removesuffix('.yaml')}-estimate.csv"
     beside = {} if model.estimate is None else {"estimate": table}
@@ -84,29 +93,32 @@ def model_files(
     if model.estimate is not None:  # the same with or without bodies folded into links
         files[table] = model.estimate.csv()
     if "mjcf" in formats:
-        files[f"{stem}.xml"] = _mjcf(arm, drives, yaml_name, gains)
+        files[f"{stem}.xml"] = _mjcf(arm, yaml_name, gains)
     if "sdf" in formats:
-        files[f"{stem}.sdf"] = _sdf(arm, drives, yaml_name)
+        files[f"{stem}.sdf"] = _sdf(arm, yaml_name)
     if "ros2_control" in formats:
-        files[f"{stem}_ros2_control.yaml"] = _ros2_control(arm, drives, yaml_name)
+        files[f"{stem}_ros2_control.yaml"] = _ros2_control(arm, yaml_name)
     return files
 
 
-def folded(robot: Robot) -> tuple[Robot, Mapping[str, Array]]:
-    """The robot with bodies among its effects in its links; its drives by joint property, (nv,)."""
-    drives: Mapping[str, Array] = defaultdict(lambda: np.zeros(robot.nv))
-    given = robot
-    for effect in given.effects:
+def folded(robot: Robot) -> Robot:
+    """The robot with bodies among its effects in its links.
+
+    Raises:
+        BadInput: An effect without values.
+    """
+    arm = robot
+    torques = []
+    for effect in robot.effects:
         if effect.values is None:
             raise BadInput(
                 f"{robot.name}: effect {effect.name} has no values; identify it first"
             )
-        if effect.role != "torque":
-            robot = effect.applied(robot)
-        elif effect.export.joint_property:
-            drives[effect.export.joint_property][effect.rows(robot)] += effect.values
-    kept = [effect for effect in given.effects if effect.role == "torque"]
-    return (robot if robot is given else robot.with_effects(kept)), drives
+        if effect.role == "torque":
+            torques.append(effect)
+        else:
+            arm = effect.applied(arm)
+    return arm.with_effects(torques)
 
 
 def lacking(arm: Robot, file_format: str) -> list[str]:
@@ -129,20 +141,37 @@ def lacking(arm: Robot, file_format: str) -> list[str]:
     return missing
 
 
-def held_by(model: Robot, file_format: str) -> Robot:
-    """The model that a program reads from a file, of which gravity is that of the arm.
+def held_by(arm: Robot, file_format: str) -> Robot:
+    """What a format holds of a `folded` arm: what its file says, with one effect a property.
 
-    Effects of one joint property add up there, and are written down to their lowest value.
+    Values of a joint property add up, and are cut off at the lowest that it may have.
     """
-    arm, drives = folded(model)
     effects: dict[str, Effect] = {}
     for effect in arm.effects:
-        if file_format in effect.export.formats:
-            whole = replace(effect, joints=arm.joints, values=None)
-            lowest = [p.lower for p in whole.parameters(arm)]
-            values = np.maximum(drives[effect.export.joint_property], lowest)
-            effects[effect.export.joint_property] = whole.with_values(values)
-    return arm.with_effects(list(effects.values()))
+        if file_format not in effect.export.formats:
+            continue
+        whole = replace(effect, joints=arm.joints)
+        values = np.zeros(arm.nv)
+        if before := effects.get(effect.export.joint_property):
+            values += before.values or ()
+        values[effect.rows(arm)] += effect.values or ()
+        effects[effect.export.joint_property] = whole.with_values(values)
+    lowest = {
+        name: [p.lower for p in effect.parameters(arm)]
+        for name, effect in effects.items()
+    }
+    return arm.with_effects(
+        [
+            effect.with_values(np.maximum(effect.values or (), lowest[name]))
+            for name, effect in effects.items()
+        ]
+    )
+
+
+def _drives(held: Robot) -> Mapping[str, Array]:
+    """Values of the joint properties that a format holds, each of shape (nv,)."""
+    drives = dict.fromkeys(JOINT_PROPERTIES, np.zeros(held.nv))
+    return drives | {e.export.joint_property: np.array(e.values) for e in held.effects}
 
 
 def comment(robot: Robot, file_format: str, complete: str) -> str:
@@ -153,7 +182,7 @@ def comment(robot: Robot, file_format: str, complete: str) -> str:
         for effect in robot.effects
         if (note := effect.export.formats.get(file_format)) and any(effect.values or ())
     ]
-    if file_format == "sdf" and not np.allclose(robot.gravity, _COMMON_GRAVITY):
+    if file_format == "sdf" and not np.allclose(robot.gravity, DEFAULT_GRAVITY):
         own.append("gravity is that of the world, which Drake wants to be told in code")
     missing = [f"not in this file: {name}" for name in left_out]
     last = [f"{complete} holds everything"] if left_out else []
@@ -168,7 +197,7 @@ def _commented(lines: Sequence[str]) -> str:
 
 
 def _urdf(arm: Robot, complete: str, *, alone: bool) -> str:
-    root = ET.fromstring(current_urdf(arm))
+    root = ET.fromstring(current_urdf(held_by(arm, "urdf")))
     remark = comment(arm, "urdf", complete)
     if not alone:
         remark = _commented(
@@ -194,13 +223,11 @@ def _yaml(arm: Robot, beside: Mapping[str, str], gains: Array | None) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
-def _ros2_control(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
+def _ros2_control(arm: Robot, complete: str) -> str:
     """Parameters of ROS 2 for any node, which are doubles throughout, in SI units."""
+    drives = _drives(held_by(arm, "ros2_control"))
     friction = {
-        joint: {
-            name: float(drives[name][j])
-            for name in ("viscous", "coulomb", "offset", "rotor")
-        }
+        joint: {name: float(drives[name][j]) for name in JOINT_PROPERTIES}
         for j, joint in enumerate(arm.joints)
     }
     bodies = map(inertia, arm.phi.reshape(-1, 10))
@@ -209,8 +236,7 @@ def _ros2_control(arm: Robot, drives: Mapping[str, Array], complete: str) -> str
         for link, body in zip(arm.links, bodies, strict=True)
     }
     gains = {
-        joint: {"ff_velocity_scale": max(x["viscous"], 0.0)}
-        for joint, x in friction.items()
+        joint: {"ff_velocity_scale": own["viscous"]} for joint, own in friction.items()
     }
     parameters = {"gains": gains, "friction": friction, "links": links}
     parameters |= {"gravity": arm.gravity.tolist()}
@@ -220,10 +246,9 @@ def _ros2_control(arm: Robot, drives: Mapping[str, Array], complete: str) -> str
     return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
-def _mjcf(
-    arm: Robot, drives: Mapping[str, Array], complete: str, gains: Array | None
-) -> str:
+def _mjcf(arm: Robot, complete: str, gains: Array | None) -> str:
     """MJCF text; a control is a torque [N·m], or a current [A] where drive gains are given."""
+    drives = _drives(held_by(arm, "mjcf"))
     root = ET.Element("mujoco", model=arm.name)
     root.append(ET.Comment(comment(arm, "mjcf", complete)))
     _add(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
@@ -236,7 +261,9 @@ def _mjcf(
         place = arm.model.jointPlacements[j + 1]
         parent = elements[arm.model.parents[j + 1]]
         length = float(np.linalg.norm(place.translation))
-        if parent is not elements[0] and length > _THIN:  # a line to look at, no more
+        if (
+            parent is not elements[0] and length > SHORTEST_LINE
+        ):  # a line to look at, no more
             line = f"0 0 0 {_written(place.translation)}"
             _add(
                 parent, "geom", type="capsule", size=0.1 * min(length, 0.5), fromto=line
@@ -252,16 +279,13 @@ def _mjcf(
         _add(body, "inertial", **frame, mass=mass, diaginertia=moments)
         kind = "hinge" if arm.revolute[j] else "slide"
         limits = arm.limits.position[j]
-        known = {"range": limits} if np.isfinite(limits).all() else {}
-        names = {"damping": "viscous", "frictionloss": "coulomb", "armature": "rotor"}
-        known |= {
-            key: drives[own][j] for key, own in names.items() if drives[own][j] > 0
-        }
-        if (
-            "frictionloss" in known
-        ):  # the default is so soft that a slow joint has half of it
-            known |= {"solreffriction": (0.004, 1.0), "solimpfriction": (0.999, 0.999)}
-        _add(body, "joint", name=joint, type=kind, axis=_axis(arm, j), **known)
+        properties = {"range": limits} if np.isfinite(limits).all() else {}
+        for key, drive in _MJCF_NAMES.items():
+            if drives[drive][j]:
+                properties[key] = drives[drive][j]
+        if "frictionloss" in properties:
+            properties |= _STIFF_FRICTION
+        _add(body, "joint", name=joint, type=kind, axis=_axis(arm, j), **properties)
         _sites(body, arm, j + 1)
         # force = gear (control + bias), the bias against the offset that the model needs
         gain = 1.0 if gains is None else float(gains[j])
@@ -280,8 +304,9 @@ def _sites(parent: ET.Element, arm: Robot, joint: int) -> None:
         _add(parent, "site", name=name, **_pose(place))
 
 
-def _sdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
+def _sdf(arm: Robot, complete: str) -> str:
     """SDF text of an arm, fixed in a world; links, joints and frames share one list of names."""
+    drives = _drives(held_by(arm, "sdf"))
     root = ET.Element("sdf", {"version": "1.9", "xmlns:drake": "drake.mit.edu"})
     root.append(ET.Comment(comment(arm, "sdf", complete)))
     world = _add(root, "world", name="default")
@@ -322,8 +347,8 @@ def _sdf(arm: Robot, drives: Mapping[str, Array], complete: str) -> str:
             if np.isfinite(value):
                 _add(limit, key, value)
         dynamics = _add(axis, "dynamics")
-        _add(dynamics, "damping", max(drives["viscous"][j], 0.0))
-        _add(dynamics, "friction", max(drives["coulomb"][j], 0.0))
+        _add(dynamics, "damping", drives["viscous"][j])
+        _add(dynamics, "friction", drives["coulomb"][j])
         if drives["rotor"][j] > 0:
             _add(element, "drake:rotor_inertia", drives["rotor"][j])
         _sdf_frames(model, arm, j + 1, link, taken)
@@ -595,11 +620,9 @@ def published(
     where = (
         [f"worst at {'; '.join(worse)}"] if whole and worse and len(why) == 1 else []
     )
-    said = "; ".join([*why, *where])
+    reasons = "; ".join([*why, *where])
     if why and not force:
-        note = (
-            f"the {kind} model is not published: {said}; {advice[0]}, or give --force"
-        )
+        note = f"the {kind} model is not published: {reasons}; {advice[0]}, or give --force"
         return Publication({}, False, note)
     exported = exported_files(model, kind, yaml_name, judged, formats)
     if force:
@@ -608,7 +631,7 @@ def published(
     files = model_files(
         model, kind, yaml_name, formats, gains, urdf=f"{kind}.urdf" not in refused
     )
-    notes = [f"published because it was forced: {said}"] if why else []
+    notes = [f"published because it was forced: {reasons}"] if why else []
     if worse and not why:
         notes.append(
             f"the model as given predicts the hold-out better at {'; '.join(worse)}"
@@ -627,7 +650,7 @@ def exported_files(
     One that lacks something is refused where it predicts the hold-out worse than no model at a
     joint, as a model is, or worse than the nominal one by the nrmse summed over the joints.
     """
-    arm, _ = folded(model)
+    arm = folded(model)
     complete = judged.rows.accuracy(judged.predicted)
     nominal = float(np.nansum(judged.rows.accuracy(judged.nominal).nrmse))
     exported = [ExportedFile(yaml_name, complete, ())]
@@ -638,7 +661,7 @@ def exported_files(
         lacks = tuple(lacking(arm, file_format))
         file = ExportedFile(f"{stem}{suffix}", complete, lacks)
         if lacks:
-            held = held_by(model, file_format)
+            held = held_by(arm, file_format)
             if held.effects not in predictions:
                 tau = predicted_torque(held, judged.segments) / judged.gains
                 predictions[held.effects] = tau
@@ -667,7 +690,7 @@ def _unwritten(files: Sequence[ExportedFile], complete: str) -> str:
 def _shortcoming(files: Sequence[ExportedFile]) -> str:
     """What files lack that predict the hold-out worse than something else."""
     common = [x for x in files[0].lacks if all(x in file.lacks for file in files)]
-    few = [*common[:_NAMED], *["and more"] * (len(common) > _NAMED)]
+    few = [*common[:LISTED_EFFECTS], *["and more"] * (len(common) > LISTED_EFFECTS)]
     without = f"without {', '.join(few)}" if few else "without what its format lacks"
     return f"{without}, the hold-out is predicted worse than by {files[0].refused}"
 
@@ -677,21 +700,25 @@ def _against(
 ) -> tuple[list[str], list[str], str]:
     """Joints of no use and joints that got worse, with figures; all joints if these got worse."""
     rows = judged.rows
-    found = rows.accuracy(judged.predicted)
-    before = rows.accuracy(judged.nominal)
+    model = rows.accuracy(judged.predicted)
+    nominal = rows.accuracy(judged.nominal)
     losses = rows.losses(judged.predicted, judged.nominal)
     useless = [
         f"{joint} (r² = {r2:.3g})"
-        for joint, r2, judged in zip(joints, found.r2, rows.judged, strict=True)
+        for joint, r2, judged in zip(joints, model.r2, rows.judged, strict=True)
         if judged and r2 < 0
     ]
     worse = [
         f"{joint} (nrmse {first:.3g} → {then:.3g})"
         for j, (joint, first, then) in enumerate(
-            zip(joints, before.nrmse, found.nrmse, strict=True)
+            zip(joints, nominal.nrmse, model.nrmse, strict=True)
         )
-        if chance_of_loss(losses[rows.counts[:, j], j]) < _CHANCE / len(joints)
+        if chance_of_loss(losses[rows.counts[:, j], j]) < CHANCE_OF_LOSS / len(joints)
     ]
-    first, then = (float(np.nansum(x.nrmse)) for x in (before, found))
+    first, then = (float(np.nansum(x.nrmse)) for x in (nominal, model))
     whole = f"nrmse summed over the joints {first:.4g} → {then:.4g}"
-    return useless, worse, whole if chance_of_loss(losses.sum(axis=1)) < _CHANCE else ""
+    return (
+        useless,
+        worse,
+        whole if chance_of_loss(losses.sum(axis=1)) < CHANCE_OF_LOSS else "",
+    )

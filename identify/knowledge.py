@@ -124,7 +124,7 @@ class Knowledge:
     def sentence(self) -> str:
         """Description of the knowledge used beside the given bodies; empty where there is none."""
         masses = self.masses
-        said = (
+        parts = (
             [f"total mass {masses['total_mass']} kg"] if "total_mass" in masses else []
         )
         for name, link in self.links.items():
@@ -133,8 +133,10 @@ class Knowledge:
                 if link.mass is not None
                 else []
             )
-            said.append(f"{name}: {', '.join([*mass, *link.regions])}")
-        return f"taken for known from {self.source}: {'; '.join(said)}" if said else ""
+            parts.append(f"{name}: {', '.join([*mass, *link.regions])}")
+        return (
+            f"taken for known from {self.source}: {'; '.join(parts)}" if parts else ""
+        )
 
     def entry(self) -> dict[str, Any]:
         """As in the file, without what is not known."""
@@ -152,16 +154,16 @@ def load_knowledge(path: str | Path, links: Sequence[str]) -> Knowledge:
     Raises:
         BadInput: Unreadable, unknown entries or links, or values that nothing can have.
     """
-    found = read_yaml(path, _File, "what is known of the bodies")
-    about = found.links or {}
-    for name in about:
+    record = read_yaml(path, _File, "what is known of the bodies")
+    entries = record.links or {}
+    for name in entries:
         if name not in links:
             raise BadInput(f"{path}: links: {UnknownName('link', name, links)}")
     known = {
         name: convert(content, LinkKnowledge, path, f"links.{name}")
-        for name, content in about.items()
+        for name, content in entries.items()
     }
-    return Knowledge(found.total_mass, known, str(path))
+    return Knowledge(record.total_mass, known, str(path))
 
 
 def known_rows(

@@ -91,14 +91,16 @@ class LengthErrors:
     @property
     def sentence(self) -> str:
         """Summary in words."""
-        each = sorted(set((1e3 * self.std[1:]).round(6).tolist()))
-        size = " to ".join(f"{x:g}" for x in dict.fromkeys((each[0], each[-1])))
-        middle, most = (f"{f(self.widening):.2g}" for f in (np.median, np.max))
+        std_mm = (1e3 * self.std[1:]).round(6).tolist()
+        ends = dict.fromkeys((min(std_mm), max(std_mm)))
+        size = " to ".join(f"{x:g}" for x in ends)
+        median = float(np.median(self.widening))
+        largest = float(self.widening.max())
         return (
             f"lengths are assumed: joints may sit elsewhere in their links by ± {size} mm along "
             "each axis (standard deviation). That multiplies standard deviations of base "
-            f"parameters by {middle} in the median, {most} at most, and widens the intervals of "
-            "torque; values stay those that predict best with the lengths of the model"
+            f"parameters by {median:.2g} in the median, {largest:.2g} at most, and widens the "
+            "intervals of torque; values stay those that predict best with the lengths of the model"
         )
 
     def entry(self) -> dict[str, Any]:
@@ -155,8 +157,9 @@ def length_errors(
     p = rows.regression.p
     R, _ = wide.factor(fit.weight)
     full = physical.covariance @ (R[:, :p].T @ R[:, p:])
-    left = tuple(problem.counted(residual))
-    return LengthErrors(std, model, base, full, noise.covariance, left)
+    return LengthErrors(
+        std, model, base, full, noise.covariance, tuple(problem.counted(residual))
+    )
 
 
 def _columns(robot: Robot, std: Array, segments: Sequence[Segment]) -> Array:

@@ -76,20 +76,17 @@ class SideBySide:
     def result(self) -> dict[str, Any]:
         """Its entry in ``result.json``; ``differs`` from excitant's torque by share of its std."""
         rows = self.estimate.holdout
-        own = self.estimate.predicted
-        spread = rows.measured.std(axis=0, where=rows.counts)
-        differs = rows.rms(self.identified - own) / np.where(spread > 0, spread, np.nan)
-        found = rows.accuracy(self.identified)
-        given = None
-        if self.given is not None:
-            given = rows.accuracy(self.given)
+        std = np.where(rows.std > 0, rows.std, np.nan)
+        differs = rows.rms(self.identified - self.estimate.predicted) / std
+        identified = rows.accuracy(self.identified)
+        given = None if self.given is None else rows.accuracy(self.given)
         return {
             "version": version("mujoco-core"),
             "joints": [
                 {
                     "name": joint,
                     "given": None if given is None else given.entry(j),
-                    "identified": found.entry(j),
+                    "identified": identified.entry(j),
                     "differs": float(differs[j]),
                 }
                 for j, joint in enumerate(self.estimate.given.joints)
@@ -106,11 +103,11 @@ class SideBySide:
 def side_by_side(estimate: Estimate) -> SideBySide:
     """Both models of an identification in MuJoCo, on its hold-out; BadInput as `mujoco_torque`."""
     gains = estimate.gains if estimate.data.unit == "A" else None
-    held = estimate.data.validate
+    segments = estimate.data.validate
     notes = list[str]()
-    identified = mujoco_torque(estimate.model, held, gains)
+    identified = mujoco_torque(estimate.model, segments, gains)
     try:
-        given: Array | None = mujoco_torque(estimate.given, held, gains)
+        given: Array | None = mujoco_torque(estimate.given, segments, gains)
     except BadInput as error:
         given = None
         notes.append(str(error))

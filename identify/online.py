@@ -21,6 +21,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRecording
+from excitant.identify.accuracy import torque_std
 from excitant.identify.differentiators import (
     LocalPolynomial,
     causal_polynomial,
@@ -58,22 +59,21 @@ from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 
-_WINDOW_S = 0.03  # half width of the differentiator that serves when none is given
-_BLOCK_S = 0.01  # block over which rows are averaged when none is given
-_RECENT = 10.0  # s of rows kept to judge residuals and excitation
-_CERTAIN = 3.0  # standard deviations of a step above which its sign is known
-_CORNERS = 5  # positions under the window between which a joint must go one way
-_ROUNDING = 1e-12  # rad: positions are never better than this
-_ROUNDS = 4  # of re-estimating the noise of each joint
-_PAUSE = 2.5  # samples: after a longer step the window fills anew
-_BETWEEN = 1.0  # s set between recordings that follow each other
-_FEWEST = 5  # samples without a gap
-_STATES = 100  # random ones, for the structure of the columns
-_LOOKED_AT = 8.0  # s of motion that the monitor looks at
-PERIOD = 0.5  # s between two looks
-_KEPT = 100  # looks written to result.json
-# s of reference motion over which the uncertainty of the torque is taken
-_REFERENCE = 10.0
+HALF_WINDOW_S = 0.03  # of the differentiator that serves when none is given
+BLOCK_S = 0.01  # over which rows are averaged when no block is given
+RECENT_S = 10.0  # of rows that are kept to judge residuals and excitation
+STEP_STDS = 3.0  # of position noise, above which the sign of a step is certain
+CORNERS = 5  # positions within the window between which a joint must go one way
+POSITION_ROUNDING = 1e-12  # least noise of positions [rad]
+NOISE_ROUNDS = 4  # of re-estimating the noise of each joint
+LONGEST_STEP = 2.5  # samples, after which the window fills anew
+PAUSE_S = 1.0  # between recordings that follow each other
+FEWEST_SAMPLES = 5  # without a gap, of a part that is used
+RANDOM_STATES = 100  # that show which columns act on which joint
+MONITOR_WINDOW_S = 8.0  # of motion that the monitor judges
+PERIOD = 0.5  # between two looks of the monitor [s]
+SAVED_LOOKS = 100  # in result.json, at most
+REFERENCE_S = 10.0  # of reference motion, over which the uncertainty of torque is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +131,9 @@ class OnlineEstimator:
             standard_effects(robot.joints) if effects is None else tuple(effects)
         )
         self.base = base_parameters(robot, self.effects) if base is None else base
-        half = max(2, round(_WINDOW_S * rate_hz))
+        half = max(2, round(HALF_WINDOW_S * rate_hz))
         self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half))
-        self.block = max(1, round(_BLOCK_S * rate_hz)) if block is None else block
+        self.block = max(1, round(BLOCK_S * rate_hz)) if block is None else block
         if self.block < 1:
             raise BadInput(
                 f"on-line estimation: a block of {self.block} samples; give at least 1"
@@ -151,8 +151,10 @@ class OnlineEstimator:
         self._fade = (
             1.0 if forgetting is None else float(np.exp(-self.row_period / forgetting))
         )
-        noise = np.broadcast_to(np.maximum(position_noise, _ROUNDING), (robot.nv,))
-        self._still = _CERTAIN * np.sqrt(2) * noise
+        noise = np.broadcast_to(
+            np.maximum(position_noise, POSITION_ROUNDING), (robot.nv,)
+        )
+        self._still = STEP_STDS * np.sqrt(2) * noise
         self._dry = dry_joints(self.effects, robot.joints)
         acting = _acting_columns(robot, self.effects, self.base)
         self._filters = [
@@ -167,21 +169,24 @@ class OnlineEstimator:
         )  # samples that a row depends on
         self._samples = np.zeros((self.span, 2 * robot.nv))
         self._filled = 0
-        self._corners = np.linspace(-self.span, -1, _CORNERS).astype(int)
-        self._clock, self._turn, self._data = -np.inf, 0, robot.model.createData()
+        self._corners = np.linspace(-self.span, -1, CORNERS).astype(int)
+        self._clock = -np.inf
+        self._turn = 0
+        self._data = robot.model.createData()
         # of the instants of a block so far: how many, states, sums of columns and torque
         self._count = 0
         self._start = 0.0
         self._states = np.zeros((self.block, 3, robot.nv))
         self._sort_effects()
-        most = max(64, round(_RECENT / self.row_period))
+        most = max(64, round(RECENT_S / self.row_period))
         self._recent: deque[tuple[float, Array, Array, Mask]] = deque(maxlen=most)
 
     def _sort_effects(self) -> None:
         """Sort effects by what they depend on: a joint's own state at an instant, or more."""
         places = list[Array]()
         end = 10 * self.robot.nv
-        self._laws, self._others = list[tuple[Law, Any]](), list[tuple[Effect, slice]]()
+        self._laws = list[tuple[Law, Any]]()
+        self._others = list[tuple[Effect, slice]]()
         for effect in self.effects:
             own = np.arange(end, end := end + len(effect.parameters(self.robot)))
             if effect.law is None:
@@ -196,10 +201,8 @@ class OnlineEstimator:
                 places += [np.array([rows, k]) for k in of_joints.T]
         self._picked = np.array([*self.base.columns, end])
         self._row = np.zeros((self.robot.nv, end + 1))
-        self._Y, self._tau = (
-            np.zeros((self.robot.nv, 10 * self.robot.nv)),
-            np.zeros(self.robot.nv),
-        )
+        self._Y = np.zeros((self.robot.nv, 10 * self.robot.nv))
+        self._tau = np.zeros(self.robot.nv)
         self._places = (
             np.concatenate(places, axis=1) if places else np.zeros((2, 0), int)
         )
@@ -228,7 +231,7 @@ class OnlineEstimator:
             raise BadInput(
                 f"on-line estimation: time {t:g} s after {self._clock:g} s goes back"
             )
-        if (t - self._clock) * self.rate_hz > _PAUSE:
+        if (t - self._clock) * self.rate_hz > LONGEST_STEP:
             self._filled = 0
             self._count = 0
         self._clock = t
@@ -277,7 +280,8 @@ class OnlineEstimator:
         row = self._row
         motion = None
         self._count = 0
-        row[:, : 10 * self.robot.nv], row[:, -1] = self._Y, self._tau
+        row[:, : 10 * self.robot.nv] = self._Y
+        row[:, -1] = self._tau
         row[*self._places] = self._terms
         for effect, own in self._others:
             t = self._start + np.arange(self.block) / self.rate_hz
@@ -310,16 +314,15 @@ class OnlineEstimator:
         """Rows of the last ten seconds; refuses when there are none yet."""
         if not self._recent:
             raise BadInput("on-line estimation: no row yet; push more samples")
-        t, middles, rows, used = (
-            np.array(each) for each in zip(*self._recent, strict=True)
-        )
+        columns = zip(*self._recent, strict=True)
+        t, middles, rows, used = (np.array(column) for column in columns)
         motion = Motion(t, *middles.transpose(1, 0, 2))
         return RecentRows(motion, rows[:, :, :-1], rows[:, :, -1], used)
 
     def estimate(self) -> OnlineEstimate:
         """Current estimate; refuses before the first row."""
         rows = self.recent()
-        parts = [each.information() for each in self._filters]
+        parts = [joint.information() for joint in self._filters]
         sigma, beta = self._noise(parts)
         residual = rows.tau - rows.W @ beta
         counted = [e[used] for e, used in zip(residual.T, rows.used.T, strict=True)]
@@ -327,8 +330,9 @@ class OnlineEstimator:
             [autocorrelation_time(e) if len(e) > 20 else 1.0 for e in counted]
         )
         data, total = self._total(parts, sigma * np.sqrt(inflation))
-        known = np.abs(np.diag(total.R)).min() > 0
-        covariance = total.covariance() if known else np.full(total.R.shape, np.inf)
+        covariance = np.full(total.R.shape, np.inf)
+        if np.abs(np.diag(total.R)).min() > 0:
+            covariance = total.covariance()
         t = float(rows.motion.t[-1])
         return OnlineEstimate(total.solve(), covariance, sigma, inflation, t, data)
 
@@ -355,7 +359,7 @@ class OnlineEstimator:
         floor = 1e-9 * torque + 1e-12  # data without noise
         rest = np.array([part.rest for part in parts])
         sigma = np.sqrt(rest / count) if self._last_sigma is None else self._last_sigma
-        for _ in range(_ROUNDS):
+        for _ in range(NOISE_ROUNDS):
             sigma = np.maximum(sigma, floor)
             total = self._total(parts, sigma)[1]
             beta = total.solve()
@@ -364,9 +368,9 @@ class OnlineEstimator:
             taken = (
                 np.array([np.sum((part.R @ half) ** 2) for part in parts]) / sigma**2
             )
-            left = count - taken
+            freedom = count - taken
             sigma = np.where(
-                left >= 1, np.sqrt(squares / np.maximum(left, 1.0)), torque
+                freedom >= 1, np.sqrt(squares / np.maximum(freedom, 1.0)), torque
             )
         sigma = np.maximum(sigma, floor)
         self._last_sigma = sigma
@@ -378,9 +382,9 @@ def _acting_columns(
 ) -> list[npt.NDArray[np.intp]]:
     """Base columns that can act on each joint; refuses effects that depend on the past."""
     rng = np.random.default_rng(1)
-    t = np.arange(float(_STATES))
-    states = robot.random_motion(rng, _STATES)
-    order = rng.permutation(_STATES)
+    t = np.arange(float(RANDOM_STATES))
+    states = robot.random_motion(rng, RANDOM_STATES)
+    order = rng.permutation(RANDOM_STATES)
     motion = Motion(t, *states)
     shuffled = Motion(t, *(x[order] for x in states))
     for effect in effects:
@@ -416,13 +420,13 @@ def replayable(
     end = float(recordings[0].t[0])
     for each in recordings:
         times.append(each.t - each.t[0] + end)
-        end = float(times[-1][-1]) + _BETWEEN
+        end = float(times[-1][-1]) + PAUSE_S
     file = recordings[0].file
     q, tau = (
         np.concatenate([getattr(r, name) for r in recordings]) for name in ("q", "tau")
     )
     recording = Recording(file, file, np.concatenate(times), q, tau)
-    parts = [part for part in uninterrupted(recording.t) if len(part) >= _FEWEST]
+    parts = [part for part in uninterrupted(recording.t) if len(part) >= FEWEST_SAMPLES]
     if not parts:
         raise BadRecording(file, "no five samples without a gap", column="t")
     pieces = zip(*(resampled(recording, part)[:3] for part in parts), strict=True)
@@ -471,7 +475,10 @@ class Monitor:
     """
 
     def __init__(
-        self, estimator: OnlineEstimator, prior: BasePrior, window: float = _LOOKED_AT
+        self,
+        estimator: OnlineEstimator,
+        prior: BasePrior,
+        window: float = MONITOR_WINDOW_S,
     ) -> None:
         self.estimator = estimator
         self.prior = prior
@@ -481,7 +488,7 @@ class Monitor:
         ] = []  # what changed from look to look, time [s]
         self._enough = True
         self._converged = False
-        motion = reference_motion(estimator.robot, _REFERENCE, ROWS_PER_SECOND)
+        motion = reference_motion(estimator.robot, REFERENCE_S, ROWS_PER_SECOND)
         columns = observation_columns(estimator.robot, estimator.effects, motion)
         self._reference: Array = columns[:, :, estimator.base.columns]
 
@@ -489,24 +496,26 @@ class Monitor:
         """Look now, and say what has changed; refuses before the first row."""
         estimate = self.estimator.estimate()
         uncertainty = self._uncertainty(estimate.covariance)
-        found = Look(estimate, self._excitation(estimate), uncertainty)
-        if found.converged != self._converged:
-            self._converged = found.converged
-            words = "converged: the estimate is surer of the torque than a row of data"
-            text = words if found.converged else "no longer converged"
+        excitation = self._excitation(estimate)
+        look = Look(estimate, excitation, uncertainty)
+        if look.converged != self._converged:
+            self._converged = look.converged
+            text = "no longer converged"
+            if look.converged:
+                text = (
+                    "converged: the estimate is surer of the torque than a row of data"
+                )
             self.messages.append((estimate.t, text))
-        seen = found.excitation
-        if seen is not None and seen.enough != self._enough:
-            self._enough = seen.enough
-            self.messages.append((estimate.t, seen.sentence))
-        return found
+        if excitation is not None and excitation.enough != self._enough:
+            self._enough = excitation.enough
+            self.messages.append((estimate.t, excitation.sentence))
+        return look
 
     def _uncertainty(self, P: Array) -> Array:
         if not np.isfinite(P).all():
             return np.full(self.estimator.robot.nv, np.inf)
-        W = self._reference
-        variance = np.einsum("njr,rs,njs->nj", W, P, W, optimize=True).mean(axis=0)
-        return np.asarray(np.sqrt(np.maximum(variance, 0)), float)
+        std = torque_std(self._reference, P)
+        return np.asarray(np.sqrt((std**2).mean(axis=0)), float)
 
     def _excitation(self, estimate: OnlineEstimate) -> WindowExcitation | None:
         e = self.estimator
@@ -542,7 +551,7 @@ class OnlineIdentification:
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result: that of `identify`, and the way there under ``online``."""
-        looks = list(self.looks[:: -(-len(self.looks) // _KEPT)])
+        looks = list(self.looks[:: -(-len(self.looks) // SAVED_LOOKS)])
         last = self.looks[-1]
         looks += [last] if looks[-1] is not last else []
         return self.estimate.result() | {
@@ -568,14 +577,11 @@ class OnlineIdentification:
 
     def series(self) -> dict[str, Array]:
         """For figures: estimates over time, ``online_t`` (k,), values and std (k, r)."""
-        looks = [
-            (each.estimate.t, each.estimate.beta, each.estimate.std)
-            for each in self.looks
-        ]
-        keys = ("online_t", "online_value", "online_std")
+        estimates = [look.estimate for look in self.looks]
         return {
-            key: np.array(x)
-            for key, x in zip(keys, zip(*looks, strict=True), strict=True)
+            "online_t": np.array([estimate.t for estimate in estimates]),
+            "online_value": np.array([estimate.beta for estimate in estimates]),
+            "online_std": np.array([estimate.std for estimate in estimates]),
         }
 
 

@@ -39,15 +39,14 @@ from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 
-_SHARE = 0.05  # of the arm's mass: the payload expected
-_RADIUS = 0.1  # m: its radius of gyration about each axis
-_OPEN = 100.0  # relative uncertainty of that expectation: nothing is known
-_MASS_GOAL = 0.02  # relative
-_CENTRE_GOAL = 0.003  # m
-_SEEN = 3.0  # standard deviations: a body that is possible only with mass is some above zero
-_CERTAIN = 2.0  # standard deviations
-# of a given model, where neither recording nor estimate says better
-_MODEL_ERROR = 0.01
+EXPECTED_SHARE = 0.05  # of the arm's mass: mass of the payload expected
+EXPECTED_RADIUS = 0.1  # of gyration about each axis, of the payload expected [m]
+OPEN_STD = 100.0  # relative std of that expectation: nothing is known of it
+MASS_GOAL = 0.02  # relative uncertainty of the mass that suffices
+CENTRE_GOAL = 0.003  # uncertainty of the centre of mass that suffices [m]
+SEEN_STDS = 3.0  # of the mass: some is always found, for no body has less than none
+CONFIDENCE_STDS = 2.0  # of an uncertainty as it is reported
+MODEL_ERROR = 0.01  # relative std of a given model that says nothing of its own
 _CURRENT = (
     "torque was recorded as current: a gain that is wrong by 1 % makes mass, first moments and "
     "inertia wrong by 1 %, which no current shows; weigh one load to fix it (the centre of mass "
@@ -97,30 +96,31 @@ class PayloadEstimate:
     @property
     def shortcomings(self) -> tuple[str, ...]:
         """Reason for uncertainty above 2 % or 3 mm at 95 % confidence; empty below."""
-        spread = _CERTAIN * float(self.std[0])
-        centre = _CERTAIN * self.centre_std
-        if self.mass < _SEEN * float(self.std[0]):
+        interval = CONFIDENCE_STDS * float(self.std[0])
+        centre = CONFIDENCE_STDS * self.centre_std
+        if self.mass < SEEN_STDS * float(self.std[0]):
             return (
-                f"no payload is seen: {self.mass:.2g} kg, give or take {spread:.2g} kg",
+                f"no payload is seen: {self.mass:.2g} kg, give or take {interval:.2g} kg",
             )
-        found = []
-        if spread > _MASS_GOAL * self.mass:
-            found.append(
-                f"mass {self.mass:.4g} kg is known to ±{spread:.2g} kg only: "
+        reasons = []
+        if interval > MASS_GOAL * self.mass:
+            reasons.append(
+                f"mass {self.mass:.4g} kg is known to ±{interval:.2g} kg only: "
                 + (
                     "weigh one load, from which the drive gains follow (--payload-recording)"
-                    if 2 * (_CERTAIN * self.scale_std * self.mass) ** 2 > spread**2
+                    if 2 * (CONFIDENCE_STDS * self.scale_std * self.mass) ** 2
+                    > interval**2
                     else "lift it through more poses, move slower or longer"
                 )
             )
-        if centre.max() > _CENTRE_GOAL:
+        if centre.max() > CENTRE_GOAL:
             worst = int(np.argmax(centre))
             off = float(f"{1e3 * centre.max():.2g}")
-            found.append(
+            reasons.append(
                 f"centre of mass along {'xyz'[worst]} is known to ±{off:g} mm only: turn the last "
                 "joints through more orientations"
             )
-        return tuple(found)
+        return tuple(reasons)
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
@@ -212,9 +212,9 @@ def _given_arm(
             "the given model stands for the unloaded arm, as sure as its covariance says"
         )
     prior = base_prior(robot, effects, base)
-    return gaussian(prior.mean, _MODEL_ERROR**2 * prior.covariance), (
+    return gaussian(prior.mean, MODEL_ERROR**2 * prior.covariance), (
         f"the given model stands for the unloaded arm, taken to be right to "
-        f"{100 * _MODEL_ERROR:g} %; record the arm without load (--unloaded), or give an "
+        f"{100 * MODEL_ERROR:g} %; record the arm without load (--unloaded), or give an "
         "identified model.yaml, which keeps its estimate, to know better"
     )
 
@@ -300,13 +300,13 @@ def estimate_payload(
     """
     about = payload_information(robot, base, loaded, arm)
     # a ball at the flange with a twentieth of the arm's mass
-    mass = _SHARE * float(prior_parameters(robot)[:, 0].sum())
+    mass = EXPECTED_SHARE * float(prior_parameters(robot)[:, 0].sum())
     tip = list(robot.model.frames)[robot.tip].placement.translation
     ball = pin.Inertia(
-        mass, tip, 2 * mass * _RADIUS**2 * np.eye(3)
+        mass, tip, 2 * mass * EXPECTED_RADIUS**2 * np.eye(3)
     ).toDynamicParameters()
     nothing = EffectPrior(np.zeros(0), np.zeros(0), np.zeros(0))
-    fit = fit_physical(about.R, about.z, BodyPrior(ball[None], _OPEN), nothing)
+    fit = fit_physical(about.R, about.z, BodyPrior(ball[None], OPEN_STD), nothing)
     return PayloadEstimate(robot.links[-1], fit)
 
 
@@ -358,9 +358,9 @@ def identify_drive_gains(
     effects = standard_effects(robot.joints) if effects is None else tuple(effects)
     base = base_parameters(robot, effects)
     free = split(recordings, validate, cutoff_hz)
-    held = split(loaded, loaded, free.cutoff_hz)
-    without, with_it = (
+    carrying = split(loaded, loaded, free.cutoff_hz)
+    unloaded, with_payload = (
         regression_of(robot, effects, data.train).select(base.columns)
-        for data in (free, held)
+        for data in (free, carrying)
     )
-    return payload_gains(without, with_it, payload, _body(robot, base))
+    return payload_gains(unloaded, with_payload, payload, _body(robot, base))

@@ -29,8 +29,8 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
-_TOLD = 0.05  # of a joint's rows left out: from there on it is told
-_PRODUCTS = 2.0  # times the highest harmonic of a motion: that of centrifugal torque
+NAMED_SHARE = 0.05  # of a joint's rows that is left out, from which on it is reported
+HARMONICS_FACTOR = 2.0  # centrifugal torque has twice the highest harmonic of a motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,9 @@ class Data:
     @property
     def sensors(self) -> SensorNoise | None:
         """Noise of positions and speeds of the fitted recordings, rms over time."""
-        known = [s.sensors for s in self.train if s.sensors is not None]
-        return mean_noise(known, [len(s.motion) for s in self.train]) if known else None
+        sensors = [s.sensors for s in self.train if s.sensors is not None]
+        samples = [len(s.motion) for s in self.train]
+        return mean_noise(sensors, samples) if sensors else None
 
 
 def split(
@@ -86,7 +87,6 @@ def split(
     if not recordings:
         raise BadInput("no recording given; give at least one")
     first = recordings[0]
-    why = "as given"
     for recording in (*recordings, *validate):
         if recording.unit != first.unit:
             raise BadRecording(
@@ -94,27 +94,40 @@ def split(
                 f"torque is in {recording.unit}, but in {first.unit} in {first.file}; "
                 "use recordings of one unit",
             )
+    why = "as given"
     if cutoff_hz is None:
-        wanted = max(CUTOFF_HZ, _PRODUCTS * (harmonics_hz or 0.0))
-        highest = min(
-            default_cutoff(r) for group in _parts(recordings, validate) for r in group
-        )
-        cutoff_hz = min(wanted, highest)
-        why = (
-            "a fifth of the lowest sampling rate, so that positions are still filtered at twice it"
-            if highest < wanted
-            else "twice the highest harmonic of the motion, for torque holds products of two speeds"
-            if wanted > CUTOFF_HZ
-            else "above the motion of arms and below their structural resonances"
-        )
-    train, held = (
+        parts = _parts(recordings, validate)
+        highest = min(default_cutoff(r) for group in parts for r in group)
+        cutoff_hz, why = _cutoff(harmonics_hz or 0.0, highest)
+    train, holdout = (
         tuple(s for r in group for s in prepare(r, cutoff_hz))
         for group in _parts(recordings, validate)
     )
     names = ", ".join(r.name for r in validate)
-    said = f"held out: {names or 'the last 30 % of each recording (no hold-out was named)'}"
-    reason = f"cut-off: {cutoff_hz:.3g} Hz ({why})"
-    return Data(train, held, first.unit, cutoff_hz, said, reason, first.drive)
+    unseen = names or "the last 30 % of each recording (no hold-out was named)"
+    return Data(
+        train,
+        holdout,
+        first.unit,
+        cutoff_hz,
+        holdout=f"held out: {unseen}",
+        cutoff_why=f"cut-off: {cutoff_hz:.3g} Hz ({why})",
+        drive=first.drive,
+    )
+
+
+def _cutoff(harmonics_hz: float, highest: float) -> tuple[float, str]:
+    """Cut-off that passes the motion, at most the highest that sampling allows [Hz], and why."""
+    wanted = max(CUTOFF_HZ, HARMONICS_FACTOR * harmonics_hz)
+    why = "above the motion of arms and below their structural resonances"
+    if wanted > CUTOFF_HZ:
+        why = "twice the highest harmonic of the motion, for torque holds products of two speeds"
+    if highest < wanted:
+        why = (
+            "a fifth of the lowest sampling rate, so that positions are still filtered at "
+            "twice it"
+        )
+    return min(wanted, highest), why
 
 
 def fitted(
@@ -139,10 +152,11 @@ def _parts(
 def states(segments: Sequence[Segment]) -> tuple[Array, Array, Array]:
     """Positions, velocities and accelerations of the joints at the rows, each (n, nv)."""
     motions = [s.motion[s.keep] for s in segments]
-    q, dq, ddq = (
-        np.concatenate([getattr(m, x) for m in motions]) for x in ("q", "dq", "ddq")
+    return (
+        np.concatenate([motion.q for motion in motions]),
+        np.concatenate([motion.dq for motion in motions]),
+        np.concatenate([motion.ddq for motion in motions]),
     )
-    return q, dq, ddq
 
 
 def predicted_torque(robot: Robot, segments: Sequence[Segment]) -> Array:
@@ -182,14 +196,16 @@ class FitRows:
     def rests(self) -> str:
         """Joints with rows that are left out, as a sentence; empty where there are few."""
         shares = zip(self.robot.joints, (~self.used).mean(axis=0), strict=True)
-        said = ", ".join(
-            f"{joint} {100 * share:.0f} %" for joint, share in shares if share >= _TOLD
+        listed = ", ".join(
+            f"{joint} {100 * share:.0f} %"
+            for joint, share in shares
+            if share >= NAMED_SHARE
         )
-        if not said:
+        if not listed:
             return ""
         return (
             "left out of the fit: rows at which a joint rests, where dry friction holds any torque "
-            f"near that of motion, or its sensors show no direction ({said})"
+            f"near that of motion, or its sensors show no direction ({listed})"
         )
 
     @property
@@ -276,10 +292,10 @@ def units_of(
 def implausible_size(columns: Array, tau: Array) -> Array:
     """A hundred times the coefficient of columns, (n, nv, e), that explains all torque, (e,)."""
     size = np.sqrt((columns**2).mean(axis=(0, 1)))
-    most = np.sqrt((tau**2).mean())
-    return np.asarray(
-        np.where(size > 0, 100 * most / np.where(size > 0, size, 1.0), 1e3)
-    )
+    largest = 100 * np.sqrt((tau**2).mean())
+    std: Array = np.full(len(size), 1e3)
+    np.divide(largest, size, out=std, where=size > 0)
+    return std
 
 
 def identified_robot(robot: Robot, effects: Sequence[Effect], x: Array) -> Robot:

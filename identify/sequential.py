@@ -55,20 +55,17 @@ from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 
-_SURER = 2.0  # times surer than the given robot: then the recordings decide
-# share of a leading parameter outside those before it
-_CLEAR = (0.3, 0.1, 1e-2, 1e-4, 1e-7)
-_NOTHING = 1e-6  # coefficient, in units of the parameters' scale
-# of the clearest direction: less than rounding and interpolation leave
-_ROUNDING = 1e-8
-# standard deviations of a combination: terms that matter less are not written
-_NEGLIGIBLE = 0.05
-# of the time that a joint moves: what happens more rarely is not mentioned
-_SOMETIMES = 0.1
-_STATES = 40  # at which a motion is tried, beyond the parameters sought
-_VISIBLE = 1e-6  # of the largest singular value
-_PAIRS = 10  # joints up to which pairs of them are tried
-_POSE = 0.1  # rad or m: positions that differ less are one pose
+SURER_THAN_PRIOR = 2.0  # times, from which on the recordings decide a direction
+INDEPENDENCE = (0.3, 0.1, 1e-2, 1e-4, 1e-7)
+"""Shares of a leading parameter outside those before it, which are tried in turn."""
+NEGLIGIBLE_COEFFICIENT = 1e-6  # in units of the parameters' scale
+ROUNDING = 1e-8  # of the clearest direction: what rounding and interpolation leave
+NEGLIGIBLE_STDS = 0.05  # of a combination: terms that matter less are not written
+RARE = 0.1  # of the time that a joint moves: what happens more rarely is not mentioned
+TRIED_STATES = 40  # of a motion that is tried, beyond the parameters sought
+VISIBLE = 1e-6  # of the largest singular value
+MOST_JOINTS_FOR_PAIRS = 10  # up to which pairs of them are tried
+SAME_POSE = 0.1  # rad or m: positions that differ less are one pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +89,9 @@ class Cascade:
     @property
     def covariance(self) -> Array:
         """Their covariance; that of the given robot in directions not shown, shape (r, r)."""
-        left = np.eye(len(self.mean)) - self.D @ self.D.T
+        open_directions = np.eye(len(self.mean)) - self.D @ self.D.T
         return np.asarray(
-            self.L @ (self.D @ self.P @ self.D.T + left) @ self.L.T, float
+            self.L @ (self.D @ self.P @ self.D.T + open_directions) @ self.L.T, float
         )
 
     @property
@@ -131,17 +128,17 @@ def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float
     size = float(np.linalg.norm(A))
     U, s, Vt = _directions(A - outer @ D.T, size)
     scores, sigma, inflation = _noise(_directions(A, size)[0], U, target)
-    shown = s >= _SURER * np.sqrt(np.diag(scores))
-    if not shown.any():
+    visible = s >= SURER_THAN_PRIOR * np.sqrt(np.diag(scores))
+    if not visible.any():
         return known, sigma, inflation
-    U = U[:, shown]
-    s = s[shown]
-    V = Vt[shown].T
-    own = scores[np.ix_(shown, shown)] / np.outer(s, s)
+    U = U[:, visible]
+    s = s[visible]
+    V = Vt[visible].T
+    variance = scores[np.ix_(visible, visible)] / np.outer(s, s)
     H = U.T / s[:, None]
     G = H @ outer
     cross = -G @ known.P
-    P = np.block([[known.P, cross.T], [cross, own - cross @ G.T]])
+    P = np.block([[known.P, cross.T], [cross, variance - cross @ G.T]])
     V = V - D @ (D.T @ V)  # once more, against rounding
     V /= np.linalg.norm(V, axis=0)
     c = np.concatenate([known.c, H @ target])
@@ -151,7 +148,7 @@ def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float
 def _directions(A: Array, size: float) -> tuple[Array, Array, Array]:
     """Singular vectors and values of A above rounding."""
     U, s, Vt = scipy.linalg.svd(A, full_matrices=False)
-    keep = s > _ROUNDING * size
+    keep = s > ROUNDING * size
     return U[:, keep], s[keep], Vt[keep]
 
 
@@ -184,7 +181,7 @@ def _led_combinations(
     order = [k for k in dict.fromkeys((*preferred, *range(len(scale)))) if k not in led]
     added = _clearly_independent(Q, order)
     new = np.linalg.solve(Q[:, added], Q)
-    new[np.abs(new) < _NOTHING] = 0.0
+    new[np.abs(new) < NEGLIGIBLE_COEFFICIENT] = 0.0
     new[:, added] = np.eye(len(added))
     return np.vstack([F, new * scale[added, None] / scale]), led + added
 
@@ -192,7 +189,7 @@ def _led_combinations(
 def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
     chosen: list[int] = []
     basis = np.zeros((len(Q), 0))
-    for clear in _CLEAR:
+    for clear in INDEPENDENCE:
         for k in order:
             rest = Q[:, k] - basis @ (basis.T @ Q[:, k])
             size = float(np.linalg.norm(rest))
@@ -242,18 +239,16 @@ class LinkRows(FitRows):
         own = each[:, joint]
         share = np.delete(each.sum(axis=0) / own.sum(), joint)
         others = [k for k in range(self.robot.nv) if k != joint]
-        moved = [
-            k for k, often in zip(others, share > _SOMETIMES, strict=True) if often
-        ]
+        moved = [k for k, often in zip(others, share > RARE, strict=True) if often]
         if moved:
             if joint and set(range(joint)) <= set(moved):
                 return "moves with all joints before it"
             return "moves with " + ", ".join(self.robot.joints[k] for k in moved)
-        spread = np.ptp(np.array(poses)[own > _SOMETIMES * own.sum()], axis=0).max(
+        spread = np.ptp(np.array(poses)[own > RARE * own.sum()], axis=0).max(
             initial=0.0
         )
         briefly = " but for moments" if share.max(initial=0.0) > 0 else ""
-        several = "several poses" if spread > _POSE else "one pose"
+        several = "several poses" if spread > SAME_POSE else "one pose"
         return f"moves alone{briefly}, the others in {several}"
 
 
@@ -404,22 +399,22 @@ def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
     W = rows.W[:, :, rows.base.columns]
     tau = rows.tau
     base = rows.base
-    known = beginning(base_prior(rows.robot, rows.effects, base))
+    cascade = beginning(base_prior(rows.robot, rows.effects, base))
     F = np.zeros((0, len(base)))
     leading = list[int]()
     stages = []
     for j in reversed(range(rows.robot.nv)):
         before = len(leading)
         counted = rows.used[:, j]
-        known, noise, inflation = further(known, W[counted, j], tau[counted, j])
+        cascade, noise, inflation = further(cascade, W[counted, j], tau[counted, j])
         own = np.flatnonzero(rows.last == j).tolist()
         F, leading = _led_combinations(
-            F, leading, known.functionals[before:], rows.scale, own
+            F, leading, cascade.functionals[before:], rows.scale, own
         )
-        found = _determined(rows, known, F[before:], leading[before:])
-        of = rows.recordings(j), rows.mode(j), found
+        determined = _determined(rows, cascade, F[before:], leading[before:])
+        of = rows.recordings(j), rows.mode(j), determined
         stages.append(Stage(j, int(counted.sum()), noise, inflation, *of))
-    return known, tuple(_completed(rows, F, leading, stage) for stage in stages)
+    return cascade, tuple(_completed(rows, F, leading, stage) for stage in stages)
 
 
 def _determined(
@@ -427,14 +422,14 @@ def _determined(
 ) -> tuple[Determined, ...]:
     base = rows.base
     J = F @ known.L @ known.D
-    found = []
+    entries = []
     spread = np.sqrt(np.diag(J @ known.P @ J.T))
     for row, lead, value, s in zip(F, leading, F @ known.beta, spread, strict=True):
-        kept = np.where(np.abs(row) * rows.scale > _NEGLIGIBLE * s, row, 0.0)
-        kept[lead] = 1.0
-        text = expression(kept @ base.regrouping, base.names, base.columns[lead])
-        found.append(Determined(text, float(value), float(s)))
-    return tuple(found)
+        terms = np.where(np.abs(row) * rows.scale > NEGLIGIBLE_STDS * s, row, 0.0)
+        terms[lead] = 1.0
+        text = expression(terms @ base.regrouping, base.names, base.columns[lead])
+        entries.append(Determined(text, float(value), float(s)))
+    return tuple(entries)
 
 
 def _completed(rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage) -> Stage:
@@ -457,7 +452,7 @@ def _needed_motion(
     robot = rows.robot
     scale = rows.scale[own]
     columns = [rows.base.columns[k] for k in own]
-    count = len(own) + _STATES
+    count = len(own) + TRIED_STATES
     name = robot.joints[joint]
     pose = rows.pose(joint)
     for moved, turned in _changes(robot.nv, joint):
@@ -474,7 +469,7 @@ def _needed_motion(
             for A in (W * scale, shown * scale)
         ]
         s = np.linalg.svd(np.vstack(parts), compute_uv=False)
-        if len(s) == len(own) and s[-1] > _VISIBLE * s[0]:
+        if len(s) == len(own) and s[-1] > VISIBLE * s[0]:
             listed = " and ".join(robot.joints[k] for k in (*moved, *turned))
             if turned:
                 return f"move {name} alone at several positions of {listed}"
@@ -488,7 +483,7 @@ def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, 
     """Joints that move too and those at several positions."""
     yield (), ()
     others = [k for k in range(nv) if k != joint]
-    for size in (1, 2) if nv <= _PAIRS else (1,):
+    for size in (1, 2) if nv <= MOST_JOINTS_FOR_PAIRS else (1,):
         yield from (((), chosen) for chosen in combinations(others, size))
         yield from ((chosen, ()) for chosen in combinations(others, size))
     yield tuple(range(joint)), ()
@@ -499,5 +494,5 @@ def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, 
     r = len(rows.base)
     rest = "" if count == r else "; the rest stays at the given robot"
     notes = notes_on(rows, prior)
-    said = f"link by link, these recordings determine {count} of {r} base combinations{rest}"
-    return (notes[0], said, *notes[1:])
+    determined = f"link by link, these recordings determine {count} of {r} base combinations{rest}"
+    return (notes[0], determined, *notes[1:])

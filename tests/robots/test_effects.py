@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from excitant.exceptions import BadInput
-from excitant.identify.export import comment, folded
+from excitant.identify.export import comment, folded, held_by
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots import effects as fx
 from excitant.robots.effects import EFFECTS, Effect
@@ -256,13 +256,16 @@ def test_a_file_of_the_model_holds_it_or_says_that_it_does_not(
     planar: Robot, kind: type[Effect], file_format: str
 ) -> None:
     effect = valued(planar, kind, 4)
-    arm, drives = folded(planar.with_effects((effect,)))
+    arm = folded(planar.with_effects((effect,)))
     said = "not in this file" in comment(arm, file_format, "model.yaml")
     in_links = kind.role != "torque"
     assert said != (in_links or file_format in kind.export.formats)
     assert bool(kind.export.formats) == bool(kind.export.joint_property)
-    if kind.export.joint_property:
-        np.testing.assert_allclose(drives[kind.export.joint_property], effect.values)
+    held = held_by(arm, file_format).effects
+    assert len(held) == (file_format in kind.export.formats)
+    for kept in held:
+        lowest = [p.lower for p in effect.parameters(planar)]
+        np.testing.assert_allclose(kept.values, np.maximum(effect.values, lowest))
 
 
 def test_parameter_names_are_unique(ur10: Robot) -> None:
