@@ -268,11 +268,11 @@ def _first_run(
     found: Design, play: Play
 ) -> tuple[Motion | None, dict[str, float], str]:
     """The slow motion, None beyond a limit; its entry, and a note on it."""
-    from excitant.design.constraints import check as check_limits
+    import excitant.design as designs
 
     assert play.speed is not None
     slow = found.trajectory.slowed(play.speed)
-    used = check_limits(found.robot, slow).worst
+    used = designs.check(found.robot, slow).worst
     entry = {"speed": play.speed, "duration": slow.duration, "limit": used.ratio}
     note = (
         f"the same path in {slow.duration:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "

@@ -10,13 +10,9 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager, nullcontext
 from functools import cache, partial
-from multiprocessing import resource_tracker
 from typing import Any, ParamSpec, TypeVar
-
-import joblib
 
 from excitant.exceptions import BadInput, WorkerDied
 
@@ -70,6 +66,10 @@ def unordered(
     Raises:
         WorkerDied: A process ended; tasks without a result may have been done or not.
     """
+    from concurrent.futures import BrokenExecutor
+
+    import joblib
+
     if not tasks:
         return
     options: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1}
@@ -96,6 +96,8 @@ def unordered(
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
     """Processes that start within the block never hear Ctrl-C; here it waits for its end."""
+    from multiprocessing import resource_tracker
+
     resource_tracker.ensure_running()  # unblocks signals when it starts, in Python 3.11
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
