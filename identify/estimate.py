@@ -40,11 +40,10 @@ from excitant.identify.rows import (
     units_of,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
-from excitant.robots.base_estimate import BaseEstimate, is_covariance
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.motion import Array, read_only
-from excitant.robots.parameters import violations
+from excitant.robots.parameters import BaseEstimate, is_covariance, violations
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame, share

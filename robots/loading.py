@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from excitant.exceptions import BadRobot, UnknownName
 from excitant.robots.angles import Angles
-from excitant.robots.base_estimate import base_estimate_from_csv
 from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import chain_from_record, urdf_of_chain
 from excitant.robots.effects import (
@@ -29,6 +28,7 @@ from excitant.robots.effects import (
 from excitant.robots.files import is_exposed, read_description, real_path, within
 from excitant.robots.limits_file import merge_limits
 from excitant.robots.mjcf import Description, description_from_mjcf
+from excitant.robots.parameters import base_estimate_from_csv
 from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
 from excitant.robots.urdf import number, robot_from_urdf

@@ -12,10 +12,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import UnknownName
-from excitant.robots.base_estimate import BaseEstimate
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
-from excitant.robots.parameters import STANDARD, inertia
+from excitant.robots.parameters import STANDARD, BaseEstimate, inertia
 from excitant.robots.shown import Shown, Table, data_frame
 
 if TYPE_CHECKING:

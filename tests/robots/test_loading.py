@@ -22,9 +22,9 @@ from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design_trajectory
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Limits, Motion, Robot, load_limits, load_robot, rigid_body_torque
-from excitant.robots.base_estimate import BaseEstimate
 from excitant.robots.chains import RobotSpec
 from excitant.robots.limits import require_limits
+from excitant.robots.parameters import BaseEstimate
 from excitant.robots.torque import torque
 
 Command = Callable[..., Any]
