@@ -183,7 +183,8 @@ def _panel(k: int, row: Result, series: Series) -> Panel | None:
         Points(days, x, fig.MEASURED, "data set"),
         Line(ends, np.array([before, after]), fig.FITTED, "line through all"),
     )
-    dates = [(day, str(np.datetime64(0, "D") + round(day))) for day in ends.tolist()]
+    ticks = np.linspace(ends[0], ends[1], 3).tolist()
+    dates = [(day, str(np.datetime64(0, "D") + round(day))) for day in ticks]
     axes = Axes(
         marks,
         Axis(ticks=tuple(dates)),

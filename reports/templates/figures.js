@@ -267,7 +267,7 @@
     };
     const plot = new uPlot({
       width: panel.width(), height: panel.height(spec),
-      padding: [8, 10, spec.framed && spec.x.label ? 0 : 4, spec.framed ? 0 : 10],
+      padding: [8, spec.x.ticks.length ? 38 : 15, spec.framed && spec.x.label ? 0 : 4, spec.framed ? 0 : 10],
       legend: { show: false },
       series: [{}],
       scales: { x: scale(spec.x), y: scale(spec.y) },
