@@ -23,13 +23,10 @@ from excitant.robots.robot import Robot
 
 _ANGLES = 0.4 * np.pi * np.arange(1, 5)
 _CIRCLE = [(x, 0.5 * (-1) ** k / np.sin(x / 2)) for k, x in enumerate(_ANGLES)]
-_LINE = [
-    (1.0, 0.5),
-    (-1.0, -0.5),
-]  # steps of a derivative by position, and their weights
+_LINE = [(1.0, 0.5), (-1.0, -0.5)]  # steps of a derivative by position, weights
 
-_ROUNDING = 1e-12  # of the largest torque of a motion, up to which there is none
-_KEPT = 8  # motions at a time: the segments of one diagnosis, fitted and held out
+ROUNDING = 1e-12  # of the largest torque of a motion, up to which there is none
+CACHED_MOTIONS = 8  # the segments of one diagnosis, fitted and held out
 
 
 def regressor(robot: Robot, motion: Motion) -> Array:
@@ -76,9 +73,9 @@ def regressor_derivatives(robot: Robot, motion: Motion) -> RegressorDerivatives:
     by_ddq = np.empty(shape)
     for j, unit in enumerate(np.eye(robot.nv)):
         by_ddq[j] = _evaluate(robot, q, dq, ddq + unit) - Y
-        by_dq[j] = (
-            _evaluate(robot, q, dq + unit, ddq) - _evaluate(robot, q, dq - unit, ddq)
-        ) / 2
+        ahead = _evaluate(robot, q, dq + unit, ddq)
+        behind = _evaluate(robot, q, dq - unit, ddq)
+        by_dq[j] = (ahead - behind) / 2
         for step, weight in _CIRCLE if robot.revolute[j] else _LINE:
             by_q[j] += weight * _evaluate(robot, q + step * unit, dq, ddq)
     return RegressorDerivatives(Y, by_q, by_dq, by_ddq)
@@ -88,12 +85,11 @@ def rigid_body_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of the rigid bodies alone by recursive Newton-Euler, shape (n, nv) [N·m]."""
     moved = (np.asarray(x, float).T for x in (motion.q, motion.dq, motion.ddq))
     tau = pin.rneaInParallel(1, pin.ModelPool(robot.model, 1), *moved)
-    return np.reshape(
-        tau.T, motion.q.shape
-    )  # of one joint it comes without its dimension
+    # that of one joint comes without its dimension
+    return np.reshape(tau.T, motion.q.shape)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=CACHED_MOTIONS)
 def rigid_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of the rigid bodies, kept for the next effect that asks, shape (n, nv) [N·m]."""
     return _without_rounding(rigid_body_torque(robot, motion))
@@ -102,11 +98,11 @@ def rigid_torque(robot: Robot, motion: Motion) -> Array:
 def _without_rounding(values: Array) -> Array:
     """Values just made, of which those that are only what rounding leaves of zero become zero."""
     size = np.abs(values)
-    values[size <= _ROUNDING * size.max(initial=0.0)] = 0.0
+    values[size <= ROUNDING * size.max(initial=0.0)] = 0.0
     return frozen(values)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=CACHED_MOTIONS)
 def carried_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of the bodies and of all effects that do not depend on it, shape (n, nv) [N·m]."""
     total = np.array(rigid_torque(robot, motion))
@@ -116,7 +112,7 @@ def carried_torque(robot: Robot, motion: Motion) -> Array:
     return read_only(total)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=CACHED_MOTIONS)
 def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Array]:
     """Derivatives of the rigid-body torque by q, q̇ and q̈, each of shape (n, nv, nv).
 
@@ -124,10 +120,9 @@ def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Arra
     """
     model = robot.model
     data = robot.model.createData()
-    held = np.empty(
-        (3, robot.nv, len(motion), robot.nv)
-    )  # what one joint does lies together
-    parts = held.transpose(0, 2, 3, 1)
+    # what one joint does lies together
+    by_joint = np.empty((3, robot.nv, len(motion), robot.nv))
+    parts = by_joint.transpose(0, 2, 3, 1)
     for k in range(len(motion)):
         parts[:, k] = pin.computeRNEADerivatives(
             model, data, motion.q[k], motion.dq[k], motion.ddq[k]

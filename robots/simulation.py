@@ -30,19 +30,19 @@ from excitant.robots.torque import torque
 
 REST = 1e-3  # rad/s or m/s: v₀
 STEP = 1e-3  # s: a twenty-fifth of the time constant of the default controller
-# Hz: holds a model on a recorded motion, slower than the arm's own controller
-LOOP_HZ = 4.0
-_PLAIN = ("rotor", "viscous", "coulomb", "offset")  # one number per joint
-_PROBES = 6  # states at which an effect is asked how it depends on acceleration and on the past
-_SAME = 1e-9  # of the largest torque: rounding
-_NEAR = 4.0  # steps from where a joint turns back
-_FINER = 8  # and how much finer they are there
-_LONGER = 2.0  # times as many steps in all, at most
-_GAMMA = 1 + np.sqrt(
-    0.5
-)  # of the two that make ROS2 L-stable, the one that does not overshoot
-_ASTRAY = 2 * np.pi  # rad or m beyond the range of the commanded motion: diverged
-_LOOK = 16  # steps between two looks at that
+LOOP_HZ = (
+    4.0  # holds a model on a recorded motion, slower than the arm's own controller
+)
+ROUNDING = 1e-9  # of the largest torque
+PROBES = (
+    6  # states in which an effect is evaluated by acceleration and in another order
+)
+REVERSAL_STEPS = 4.0  # steps within which a reversal is near
+REFINEMENT = 8  # most parts of a step near a reversal
+MOST_STEPS = 2.0  # in all, relative to those without refinement
+GAMMA = 1 + np.sqrt(0.5)  # of the two that make ROS2 L-stable, that without overshoot
+DIVERGED = 2 * np.pi  # rad or m beyond the range of the commanded motion
+DIVERGENCE_STEPS = 16  # between two checks for divergence
 
 Torque = Callable[[float, Array, Array, Array], Array]
 
@@ -71,8 +71,8 @@ class StateTorque:
     viscous: Array  # shape (nv,) [N·m·s/rad]
     coulomb: Array  # shape (nv,) [N·m]
     offset: Array  # shape (nv,) [N·m]
-    others: tuple[Torque, ...]  # of everything else
-    steppers: tuple[Stepper, ...]  # those of them that have a state of their own
+    others: tuple[Torque, ...]  # torque of all other effects
+    steppers: tuple[Stepper, ...]  # effects among these that have a state of their own
 
     def __post_init__(self) -> None:
         freeze(self, "viscous", "coulomb", "offset")
@@ -93,12 +93,12 @@ class StateTorque:
         speed = np.maximum(np.abs(dq), REST)
         slope: Array = self.viscous + self.coulomb / speed
         if self.others:
-            slope += (self._rest(t, q, speed, ddq) - self._rest(t, q, -speed, ddq)) / (
-                2 * speed
-            )
+            ahead = self._others(t, q, speed, ddq)
+            back = self._others(t, q, -speed, ddq)
+            slope += (ahead - back) / (2 * speed)
         return np.maximum(slope, 0.0)
 
-    def _rest(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
+    def _others(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
         tau = np.zeros_like(q)
         for effect in self.others:
             tau += effect(t, q, dq, ddq)
@@ -109,12 +109,12 @@ class StateTorque:
     ) -> Array:
         slow = np.abs(dq) < REST
         if not slow.any():
-            return self._rest(t, q, dq, ddq)
-        ahead = np.where(slow, REST, dq)
-        back = np.where(slow, -REST, dq)
+            return self._others(t, q, dq, ddq)
         share = np.where(slow, (1 + sign) / 2, 1.0)
-        tau: Array = share * self._rest(t, q, ahead, ddq)
-        return tau + (1 - share) * self._rest(t, q, back, ddq)
+        ahead = self._others(t, q, np.where(slow, REST, dq), ddq)
+        back = self._others(t, q, np.where(slow, -REST, dq), ddq)
+        tau: Array = share * ahead + (1 - share) * back
+        return tau
 
 
 def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
@@ -127,8 +127,10 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
     Raises:
         BadInput: An effect without values, or one that depends on the past but has no stepper.
     """
-    plain = {kind: np.zeros(robot.nv) for kind in _PLAIN}
-    carrying = robot
+    drives = {
+        name: np.zeros(robot.nv) for name in ("rotor", "viscous", "coulomb", "offset")
+    }
+    loaded = robot
     inertia = np.zeros((robot.nv, robot.nv))
     others: list[Torque] = []
     steppers: list[Stepper] = []
@@ -137,22 +139,23 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
             raise BadInput(
                 f"{robot.name}: effect {effect.name} has no values; give them"
             )
-        carrying, before = effect.applied(carrying), carrying
-        if effect.physics.on_torque or carrying is not before:
+        changed = effect.applied(loaded)
+        if changed is not loaded:
+            loaded = changed
+        elif effect.physics.on_torque:
             continue
-        if effect.export.joint_property:
-            plain[effect.export.joint_property][effect.rows(robot)] += effect.values
+        elif effect.export.joint_property:
+            drives[effect.export.joint_property][effect.rows(robot)] += effect.values
         elif (stepper := effect.stepper(robot)) is not None:
             steppers.append(stepper)
             others.append(stepper)
         else:
-            own = _inertia(robot, effect)
-            inertia += own
-            others.append(_by_law(robot, effect) or _at_an_instant(robot, effect, own))
-    inertia += np.diag(plain["rotor"])
-    viscous, coulomb, offset = (plain[kind] for kind in _PLAIN[1:])
-    state = StateTorque(viscous, coulomb, offset, tuple(others), tuple(steppers))
-    return carrying.model, inertia, state
+            part = _inertia(robot, effect)
+            inertia += part
+            others.append(_by_law(robot, effect) or _at_an_instant(robot, effect, part))
+    inertia += np.diag(drives.pop("rotor"))
+    state = StateTorque(**drives, others=tuple(others), steppers=tuple(steppers))
+    return loaded.model, inertia, state
 
 
 def _by_law(robot: Robot, effect: Effect) -> Torque | None:
@@ -189,35 +192,31 @@ def _inertia(robot: Robot, effect: Effect) -> Array:
     """Torque per acceleration where that is constant, else zeros, shape (nv, nv)."""
     rng = np.random.default_rng(0)
     unit = np.eye(robot.nv)
-    natural = np.arange(_PROBES)
-    q, dq, _ = robot.random_motion(rng, _PROBES)
+    natural = np.arange(PROBES)
+    q, dq, _ = robot.random_motion(rng, PROBES)
 
-    def asked(ddq: Array, order: npt.NDArray[np.intp] = natural) -> Array:
+    def probed(ddq: Array, order: npt.NDArray[np.intp] = natural) -> Array:
         """Torque in the probed states, whose times are in some order."""
-        motion = Motion(
-            0.01 * np.asarray(order, float),
-            q[order],
-            dq[order],
-            np.tile(ddq, (_PROBES, 1)),
-        )
+        t = 0.01 * np.asarray(order, float)
+        accelerations = np.tile(ddq, (PROBES, 1))
+        motion = Motion(t, q[order], dq[order], accelerations)
         return effect.torque(robot, motion)
 
-    base = asked(0 * unit[0])
-    order = rng.permutation(_PROBES)
+    base = probed(0 * unit[0])
+    order = rng.permutation(PROBES)
     largest = float(np.abs(base).max())
-    if np.abs(asked(0 * unit[0], order) - base[order]).max() > _SAME * largest:
+    if np.abs(probed(0 * unit[0], order) - base[order]).max() > ROUNDING * largest:
         raise BadInput(
             f"{robot.name}: effect {effect.name} depends on the past, which a simulation from "
             "state to state does not know; simulate without it"
         )
-    once, back = (
-        np.array([asked(size * e) - base for e in unit]) for size in (1.0, -2.0)
-    )
-    rounding = _SAME * (largest + float(max(np.abs(once).max(), np.abs(back).max())))
-    constant = (
-        max(np.abs(once - once[:, :1]).max(), np.abs(back + 2 * once).max()) <= rounding
-    )
-    return np.asarray(once[:, 0].T if constant else np.zeros_like(unit), float)
+    once = np.array([probed(e) - base for e in unit])
+    twice = np.array([probed(-2.0 * e) - base for e in unit])
+    rounding = ROUNDING * (largest + max(np.abs(once).max(), np.abs(twice).max()))
+    varies = np.abs(once - once[:, :1]).max() > rounding
+    if varies or np.abs(twice + 2 * once).max() > rounding:
+        return np.zeros_like(unit)
+    return np.asarray(once[:, 0].T, float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,15 +295,13 @@ def simulate(
     else:
         forward = torque(controller.believed or robot, inner)
     gains = None if controller is None else controller.gains(robot, inner.q)
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # a diverging simulation is refused
+    # a diverging simulation is refused
+    with np.errstate(over="ignore", invalid="ignore"):
         q, dq, tau = _integrated(robot, inner, forward, gains)
     ddq = np.gradient(dq, inner.t, axis=0)
-    keep = np.concatenate([[0], np.cumsum(counts)])
-    return Simulation(
-        command, Motion(command.t, q[keep], dq[keep], ddq[keep]), tau[keep]
-    )
+    at = np.append(0, np.cumsum(counts))
+    motion = Motion(command.t, q[at], dq[at], ddq[at])
+    return Simulation(command, motion, tau[at])
 
 
 def forward_error(
@@ -351,24 +348,23 @@ def _steps(command: Motion, step: float) -> npt.NDArray[np.intp]:
     """Steps between each two instants, more where a joint turns back: dry friction jumps there."""
     dt = np.diff(command.t)
     counts = np.maximum(1, np.ceil(dt / step - 1e-9)).astype(np.intp)
-    reach = _NEAR * (dt / counts)[:, None] * np.abs(command.ddq)[1:]
+    reach = REVERSAL_STEPS * (dt / counts)[:, None] * np.abs(command.ddq)[1:]
     turns = (np.abs(command.dq[1:]) < reach) | (command.dq[1:] * command.dq[:-1] < 0)
     near = scipy.ndimage.maximum_filter1d(turns.any(axis=1), 3)
-    finer = np.clip(_LONGER / max(float(near.mean()), 1e-9), 1, _FINER)
+    finer = np.clip(MOST_STEPS / max(float(near.mean()), 1e-9), 1, REFINEMENT)
     return np.where(near, counts * int(finer), counts)
 
 
 def _between(motion: Motion, counts: npt.NDArray[np.intp]) -> Motion:
-    """The motion with instants put in between its own, so that steps are as many as said."""
+    """The motion with each of its steps divided into as many as counted."""
     if (counts == 1).all():
         return motion
     at = np.repeat(np.arange(len(counts)), counts)
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     share = (np.arange(len(at)) - first[at]) / counts[at]
     t = np.append(motion.t[at] + share * np.diff(motion.t)[at], motion.t[-1])
-    path = BPoly.from_derivatives(
-        motion.t, np.stack([motion.q, motion.dq, motion.ddq], axis=1)
-    )
+    derivatives = np.stack([motion.q, motion.dq, motion.ddq], axis=1)
+    path = BPoly.from_derivatives(motion.t, derivatives)
     return Motion(t, *(path(t, nu=order) for order in range(3)))
 
 
@@ -380,13 +376,15 @@ def _integrated(
     data = model.createData()
     n = len(command)
     nv = robot.nv
-    K, C = (np.zeros((1, nv, nv)),) * 2 if gains is None else gains
-    stay = 0 if gains is None else 1
+    zero = np.zeros((n, nv, nv))
+    K, C = (zero, zero) if gains is None else gains
     t = command.t.tolist()
     target = command.q
     speed = command.dq
-    allowed = np.inf if gains is None else _ASTRAY + np.ptp(target, axis=0)
-    kept_q, kept_v, tau = (np.empty((n, nv)) for _ in range(3))
+    allowed = np.inf if gains is None else DIVERGED + np.ptp(target, axis=0)
+    positions = np.empty((n, nv))
+    velocities = np.empty((n, nv))
+    tau = np.empty((n, nv))
     q = target[0].copy()
     v = speed[0].copy()
     a = np.zeros(nv)
@@ -396,18 +394,18 @@ def _integrated(
     bias = pin.nonLinearEffects
     diagonal = np.arange(nv) * (nv + 1)
     for k in range(n):
-        Kk = K[k * stay]
-        Ck = C[k * stay]
+        Kk = K[k]
+        Ck = C[k]
         u = forward[k] + Kk @ (target[k] - q) + Ck @ (speed[k] - v)
-        kept_q[k] = q
-        kept_v[k] = v
+        positions[k] = q
+        velocities[k] = v
         tau[k] = u
-        if k % _LOOK == 0 or k == n - 1:
-            _look(robot, t[k], target[k] - q, v, allowed)
+        if k % DIVERGENCE_STEPS == 0 or k == n - 1:
+            _refuse_divergence(robot, t[k], target[k] - q, v, allowed)
         if k == n - 1:
             break
         h = t[k + 1] - t[k]
-        gh = _GAMMA * h
+        gh = GAMMA * h
         damping = gh * Ck + (gh * gh) * Kk
         damping.flat[diagonal] += gh * effects.slope(t[k], q, v, a)
         ahead = gh * (Kk @ speed[k] + Ck @ command.ddq[k])
@@ -417,9 +415,8 @@ def _integrated(
         v1 = v + gh * a1
         end = q + h * v1
         fast = v + h * a1
-        Kn = K[(k + 1) * stay]
-        Cn = C[(k + 1) * stay]
-        u = forward[k + 1] + Kn @ (target[k + 1] - end) + Cn @ (speed[k + 1] - fast)
+        u = forward[k + 1] + K[k + 1] @ (target[k + 1] - end)
+        u += C[k + 1] @ (speed[k + 1] - fast)
         M = crba(model, data, end) + rotors
         F = u - bias(model, data, end, fast) - effects(t[k + 1], end, fast, a)
         rest = fast - 2 * v1
@@ -429,10 +426,10 @@ def _integrated(
         v = v + h * a
         for stepper in effects.steppers:
             stepper.advance(q)
-    return kept_q, kept_v, tau
+    return positions, velocities, tau
 
 
-def _look(
+def _refuse_divergence(
     robot: Robot, t: float, error: Array, v: Array, allowed: Array | float
 ) -> None:
     wrong = ~(np.abs(error) <= allowed) | ~np.isfinite(v)

@@ -45,8 +45,10 @@ __all__ = [
     "virtual_arm",
 ]
 
-_FRICTION_TOLERANCE = 0.05
-_SHOWS = 4.0  # times the noise of a torque: an effect of this size is seen
+FRICTION_TOLERANCE = 0.05  # largest relative deviation of friction and rotor inertia
+VISIBLE_NOISE = (
+    4.0  # least torque of a drawn effect, in standard deviations of its noise
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +70,14 @@ class VirtualArm:
     ) -> Run:
         """True run of a trajectory; see `record`."""
         nominal = nominal_truth(self.nominal)
-        truth = self.truth.drawn(rng, duration)
-        believed = Believed(nominal.model, nominal.drives)
-        rate = self.sensors.rate_hz
         return simulate(
-            self.nominal, believed, truth, trajectory, duration, rate, progress
+            self.nominal,
+            Believed(nominal.model, nominal.drives),
+            self.truth.drawn(rng, duration),
+            trajectory,
+            duration,
+            self.sensors.rate_hz,
+            progress,
         )
 
     def follow(
@@ -104,13 +109,20 @@ class VirtualArm:
         gain = truth.recorder.gain
         offset = truth.drives.offset
 
-        def given(t: Array) -> Array:
+        def motor_torque(t: Array) -> Array:
             return np.asarray(np.linalg.solve(gain, (torque(t) - offset).T).T, float)
 
-        believed = Believed(nominal.model, nominal.drives, given)
-        noise = ReadingNoise(sensors.position_resolution, sensors.velocity_noise, rng)
-        common = self.nominal, believed, truth, trajectory, duration, sensors.rate_hz
-        return simulate(*common, noise=noise)
+        return simulate(
+            self.nominal,
+            Believed(nominal.model, nominal.drives, motor_torque),
+            truth,
+            trajectory,
+            duration,
+            sensors.rate_hz,
+            noise=ReadingNoise(
+                sensors.position_resolution, sensors.velocity_noise, rng
+            ),
+        )
 
     def record(
         self,
@@ -164,7 +176,7 @@ def virtual_arm(
     drives = truth.drives
     for j in range(1, robot.nv + 1):
         model.inertias[j] = _perturbed(model.inertias[j], rng, tolerance)
-    spread = _FRICTION_TOLERANCE if tolerance > 0 else 0.0
+    spread = FRICTION_TOLERANCE if tolerance > 0 else 0.0
     nearby = {
         name: getattr(drives, name) * (1 + spread * rng.uniform(-1, 1, robot.nv))
         for name in ("viscous", "coulomb", "stribeck", "rotor")
@@ -204,14 +216,20 @@ def nominal_truth(robot: Robot) -> Truth:
         BadRobot: An effect without values.
         UnknownName: An effect that the virtual arm does not have.
     """
-    known = [hidden for effect in robot.effects for hidden in _described(robot, effect)]
-    zeros = np.zeros(robot.nv)
-    still = Drives(zeros, zeros, zeros, np.full(robot.nv, 0.1), zeros, zeros)
     n = robot.nv
-    ones = np.ones(robot.nv)
-    honest = Encoder(ones, zeros), Recorder(np.eye(n), zeros)
-    rigid = Truth(robot.model.copy(), still, np.zeros((n, n)), *honest, robot.tip)
-    return plant(rigid, robot.joints, known)
+    zeros = np.zeros(n)
+    rigid = Truth(
+        robot.model.copy(),
+        Drives(zeros, zeros, zeros, np.full(n, 0.1), zeros, zeros),
+        np.zeros((n, n)),
+        Encoder(np.ones(n), zeros),
+        Recorder(np.eye(n), zeros),
+        robot.tip,
+    )
+    nominal = [
+        hidden for effect in robot.effects for hidden in _described(robot, effect)
+    ]
+    return plant(rigid, robot.joints, nominal)
 
 
 def industrial_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
@@ -229,11 +247,15 @@ def ideal_sensors(robot: Robot, rate_hz: float = 250.0) -> Sensors:
 def typical_torque(robot: Robot) -> Array:
     """Root mean square torque at moderate speeds, shape (nv,) [N·m]."""
     truth = nominal_truth(robot)
-    (q, dq, ddq) = typical_motion(robot)
-    data = truth.model.createData()
-    states = zip(q, dq, ddq, strict=True)
-    tau = truth.drives.friction(dq) + [pin.rnea(truth.model, data, *x) for x in states]
+    motion = typical_motion(robot)
+    tau = truth.drives.friction(motion[1]) + _rigid_torque(truth.model, motion)
     return read_only(np.sqrt(np.mean(tau**2, axis=0)))
+
+
+def _rigid_torque(model: pin.Model, motion: tuple[Array, Array, Array]) -> Array:
+    data = model.createData()
+    states = zip(*motion, strict=True)
+    return np.array([pin.rnea(model, data, *state) for state in states])
 
 
 def typical_motion(robot: Robot) -> tuple[Array, Array, Array]:
@@ -261,24 +283,22 @@ def _spring(x: Numbers) -> dict[str, float]:
     return {"stiffness": x["k"], "rest": -x["moment"] / x["k"] if x["k"] else 0.0}
 
 
-_ALIKE = (  # whose parameters have the same names and meaning in the plant
-    *(
-        "viscous_friction",
-        "coulomb_friction",
-        "stribeck_friction",
-        "asymmetric_friction",
-    ),
-    *("nonlinear_viscous_friction", "load_dependent_friction", "presliding_hysteresis"),
-    *(
-        "rotor_inertia",
-        "torque_offset",
-        "friction_coupling",
-        "inertia_coupling",
-        "time_delay",
-    ),
+_SAME_PARAMETERS = (  # have the same names and meaning in the plant
+    "viscous_friction",
+    "coulomb_friction",
+    "stribeck_friction",
+    "asymmetric_friction",
+    "nonlinear_viscous_friction",
+    "load_dependent_friction",
+    "presliding_hysteresis",
+    "rotor_inertia",
+    "torque_offset",
+    "friction_coupling",
+    "inertia_coupling",
+    "time_delay",
 )
 _TRANSLATION: dict[str, Callable[[Numbers], Numbers]] = {
-    **dict.fromkeys(_ALIKE, lambda x: x),
+    **dict.fromkeys(_SAME_PARAMETERS, lambda x: x),
     "thermal_friction_drift": lambda x: {
         "Fv": x["Fv_cold"],
         "Fc": x["Fc_cold"],
@@ -290,27 +310,29 @@ _TRANSLATION: dict[str, Callable[[Numbers], Numbers]] = {
     "payload": lambda x: {name: x[f"payload_{name}"] for name in STANDARD},
     "inertial_parameters": lambda x: {name: x[f"delta_{name}"] for name in STANDARD},
 }
-_TOGETHER = ("friction_coupling", "inertia_coupling", "torque_gain", "time_delay")
+_COMMON = ("friction_coupling", "inertia_coupling", "torque_gain", "time_delay")
 _SHAPES = ("velocity", "exponent", "distance", "time", "order", "ratio")
 
 
-def _described(robot: Robot, known: Any) -> list[HiddenEffect]:
+def _described(robot: Robot, effect: Any) -> list[HiddenEffect]:
     """One effect of a nominal arm, joint by joint where it acts on each alone."""
-    UnknownName.refuse("effect of a nominal virtual arm", [known.name], _TRANSLATION)
-    if known.values is None:
-        raise BadRobot(robot.source, f"effect {known.name} has no values; give them")
-    symbols = [p.name.rsplit(".", 1)[-1] for p in known.parameters(robot)]
-    shape = {name: getattr(known, name) for name in _SHAPES if hasattr(known, name)}
-    together = known.name in _TOGETHER
-    groups = [known.joints] if together else [(joint,) for joint in known.joints]
-    rows = np.reshape(known.values, (len(groups), -1)).tolist()
-    found = []
+    name = effect.name
+    UnknownName.refuse("effect of a nominal virtual arm", [name], _TRANSLATION)
+    if effect.values is None:
+        raise BadRobot(robot.source, f"effect {name} has no values; give them")
+    symbols = [p.name.rsplit(".", 1)[-1] for p in effect.parameters(robot)]
+    shape = {key: getattr(effect, key) for key in _SHAPES if hasattr(effect, key)}
+    groups = [(joint,) for joint in effect.joints]
+    if name in _COMMON:
+        groups = [effect.joints]
+    rows = np.reshape(effect.values, (len(groups), -1)).tolist()
+    hidden = []
     for joints, row in zip(groups, rows, strict=True):
         numbers = dict(zip(symbols, row, strict=False)) | shape
-        parameters = tuple(_TRANSLATION[known.name](numbers).items())
+        parameters = tuple(_TRANSLATION[name](numbers).items())
         several = joints if len(joints) > 1 else ()
-        found.append(HiddenEffect(known.name, joints[0], parameters, several))
-    return found
+        hidden.append(HiddenEffect(name, joints[0], parameters, several))
+    return hidden
 
 
 def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
@@ -327,19 +349,20 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
         "coulomb_friction",
         "stribeck_friction",
         "torque_offset",
+        "payload",
     ]
     separable = separable_rotors(robot)
-    kind = str(
-        rng.choice([*kinds, "payload", *(["rotor_inertia"] if separable else [])])
-    )
+    if separable:
+        kinds.append("rotor_inertia")
+    kind = str(rng.choice(kinds))
     if kind == "payload":
         payload = draw_payload(robot, rng)
         load = _load(robot, np.array([value for _, value in payload.parameters]))
-        felt = load >= _SHOWS * industrial_sensors(robot).torque_noise
+        felt = load >= VISIBLE_NOISE * industrial_sensors(robot).torque_noise
         return payload if felt.any() else draw_hidden_effect(robot, rng)
     joint = str(rng.choice(separable if kind == "rotor_inertia" else robot.joints))
     j = robot.joint_index(joint)
-    floor = _SHOWS * float(industrial_sensors(robot).torque_noise[j])
+    floor = VISIBLE_NOISE * float(industrial_sensors(robot).torque_noise[j])
     torque = max(float(rng.uniform(0.08, 0.2) * typical_torque(robot)[j]), floor)
     _, dq, ddq = (np.sqrt(np.mean(x[:, j] ** 2)) for x in typical_motion(robot))
     fast = min(float(robot.limits.velocity[j]), 3.0)
@@ -390,13 +413,9 @@ def _load(robot: Robot, payload: Array) -> Array:
     loaded = robot.model.copy()
     phi = loaded.inertias[robot.nv].toDynamicParameters() + payload
     loaded.inertias[robot.nv] = pin.Inertia.FromDynamicParameters(phi)
-    one = robot.model.createData()
-    other = loaded.createData()
-    added = [
-        pin.rnea(loaded, other, *x) - pin.rnea(robot.model, one, *x)
-        for x in zip(*typical_motion(robot), strict=True)
-    ]
-    return read_only(np.sqrt(np.mean(np.square(added), axis=0)))
+    motion = typical_motion(robot)
+    added = _rigid_torque(loaded, motion) - _rigid_torque(robot.model, motion)
+    return read_only(np.sqrt(np.mean(added**2, axis=0)))
 
 
 def _bearable(robot: Robot, payload: Array) -> float:
@@ -409,7 +428,7 @@ def _bearable(robot: Robot, payload: Array) -> float:
 def separable_rotors(robot: Robot) -> list[str]:
     """Joints whose rotor inertia makes a torque that no link inertia can make."""
     data = robot.model.createData()
-    (q, dq, ddq) = typical_motion(robot)
+    q, dq, ddq = typical_motion(robot)
     states = zip(q, dq, ddq, strict=True)
     Y = np.array(
         [pin.computeJointTorqueRegressor(robot.model, data, *x) for x in states]

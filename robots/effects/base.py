@@ -52,6 +52,11 @@ class Acts(Enum):
     PAIR = "2 joints"
     COMMON = "all joints that it is given"
 
+    @property
+    def count(self) -> int:
+        """Number of joints; 0: as many as it is given."""
+        return {Acts.ONE: 1, Acts.PAIR: 2}.get(self, 0)
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -249,8 +254,7 @@ class Effect(ABC):
 
     def __post_init__(self) -> None:
         count = len(self.joints)
-        wanted = {Acts.ONE: 1, Acts.PAIR: 2}.get(self.acts_on, count)
-        if count != wanted:
+        if count != (self.acts_on.count or count):
             raise BadInput(
                 f"effect {self.name} acts on {self.acts_on.value}, not on {count}; name it or them"
             )

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -36,9 +37,9 @@ Progress = Callable[[float], None]
 """Told from time to time which fraction is done."""
 
 BANDWIDTH = 40.0  # of the closed position loop [rad/s]
-_STEP = 5e-4  # s: a hundredth of the controller's time constant
-_CHUNK = 2000  # integration steps between two reports of progress
-_STILL = 1e-3  # rad/s: what still counts as starting at rest
+LONGEST_STEP = 5e-4  # s: a fiftieth of the controller's time constant
+REPORT_STEPS = 2000  # integration steps between two reports of progress
+REST_SPEED = 1e-3  # rad/s: the fastest start that counts as at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +57,11 @@ class Controller:
 
     def __call__(self, k: int, q: Array, dq: Array) -> Array:
         """Torque at instant k in a state, shape (nv,)."""
-        held: Array = np.minimum(
-            np.maximum(self.wanted(k, q, dq), -self.limit), self.limit
-        )
-        return held
+        demand = self.demand(k, q, dq)
+        torque: Array = np.minimum(np.maximum(demand, -self.limit), self.limit)
+        return torque
 
-    def wanted(self, k: int, q: Array, dq: Array) -> Array:
+    def demand(self, k: int, q: Array, dq: Array) -> Array:
         """Torque at instant k in a state before saturation, shape (nv,)."""
         position = self.position[k] - q
         velocity = self.velocity[k] - dq
@@ -89,18 +89,15 @@ class Believed:
 class ReadingNoise:
     """Noise of what the controller reads, white from step to step."""
 
-    position: (
-        float  # width of an even distribution, that of the encoder's step [rad or m]
-    )
+    position: float  # width of an even distribution: the encoder's step [rad or m]
     velocity: float  # standard deviation [rad/s or m/s]
     rng: np.random.Generator
 
     def of(self, values: Array, width: float, std: float) -> Array:
         """Values with noise, of any shape."""
         even = width * self.rng.uniform(-0.5, 0.5, values.shape)
-        return np.asarray(
-            values + even + std * self.rng.standard_normal(values.shape), float
-        )
+        normal = std * self.rng.standard_normal(values.shape)
+        return np.asarray(values + even + normal, float)
 
 
 def tracking_controller(
@@ -165,33 +162,32 @@ def simulate(
         BadInput: The trajectory starts in motion, or the arm could not follow it at all.
         BadRobot: A joint moves nothing that has mass.
     """
-    start, speed = (
-        np.array(trajectory(np.zeros(1), order)[0], float) for order in (0, 1)
-    )
-    if np.abs(speed).max() > _STILL:
+    start = np.array(trajectory(np.zeros(1), 0)[0], float)
+    speed = np.array(trajectory(np.zeros(1), 1)[0], float)
+    if np.abs(speed).max() > REST_SPEED:
         j = int(np.argmax(np.abs(speed)))
         raise BadInput(
             f"trajectory: joint {robot.joints[j]} starts at {speed[j]:.3g} rad/s; "
             "a virtual arm starts at rest, so lead in from rest"
         )
-    substeps = int(np.ceil(1 / (rate_hz * _STEP) - 1e-9))
+    substeps = int(np.ceil(1 / (rate_hz * LONGEST_STEP) - 1e-9))
     steps = substeps * int(np.floor(duration * rate_hz + 1e-6))
     if not steps:
         raise BadInput(f"virtual arm: {duration:g} s is shorter than one sample")
     h = 1 / (rate_hz * substeps)
     every = 1 if truth.recorder.delay.any() else substeps
     arm = Arm(truth, h)
-    kept = []
+    samples = []
     x = arm.at_rest(start)
     _require_mass(robot, arm.inertia(x))
     state = (x, np.zeros(len(x)), np.zeros(len(x)))
-    for first in range(0, steps, _CHUNK):
-        count = min(_CHUNK, steps - first)
+    for first in range(0, steps, REPORT_STEPS):
+        count = min(REPORT_STEPS, steps - first)
         t = np.minimum((first + np.arange(2 * count + 1) / 2) * h, duration)
         control = tracking_controller(robot, believed, trajectory, t, noise)
         for k in range(count):
             if (first + k) % every == 0:
-                kept.append(arm.seen(state, control, 2 * k))
+                samples.append(arm.seen(state, control, 2 * k))
             state = arm.step(*state, control, 2 * k + 1, (first + k + 0.5) * h)
         if not np.isfinite(state[0]).all():
             raise BadInput(
@@ -200,11 +196,11 @@ def simulate(
             )
         if progress is not None:
             progress((first + count) / steps)
-    kept.append(arm.seen(state, control, 2 * count))
+    samples.append(arm.seen(state, control, 2 * count))
     channels = (
-        np.array(values).reshape(-1, robot.nv) for values in zip(*kept, strict=True)
+        np.array(values).reshape(-1, robot.nv) for values in zip(*samples, strict=True)
     )
-    return Run(np.arange(len(kept)) / rate_hz * every / substeps, *channels)
+    return Run(np.arange(len(samples)) / rate_hz * every / substeps, *channels)
 
 
 def _require_mass(robot: Robot, M: Array) -> None:
@@ -234,14 +230,11 @@ class Arm:
             self.motor[gear.joint] = i
             rotors[i] = truth.drives.rotor[gear.joint] + gear.inertia
             armature[gear.joint] = 0.0
-        self.driven = (
-            self.motor if truth.gears else slice(n)
-        )  # as an index: slices are faster
-        self.grid = (
-            np.ix_(self.motor, self.motor)
-            if truth.gears
-            else (self.driven, self.driven)
-        )
+        # as an index: slices are faster
+        self.driven = self.motor if truth.gears else slice(n)
+        self.grid: Any = (self.driven, self.driven)
+        if truth.gears:
+            self.grid = np.ix_(self.motor, self.motor)
         self.model = truth.model.copy()
         self.model.armature = self.armature = armature
         self.data = self.model.createData()
@@ -295,7 +288,7 @@ class Arm:
         h = self.h
         middle = x + (h / 2) * v
         speed = v + (h / 2) * a
-        wanted = control.wanted(k, *self.read(middle, v))
+        demand = control.demand(k, *self.read(middle, v))
         K, passive, load = self._resistance(middle, speed, v, a, t)
         reaction: Array = (BANDWIDTH + h / 4 * BANDWIDTH**2) * control.gain[k]
         reaction *= self.truth.encoder.scale
@@ -306,15 +299,15 @@ class Arm:
             mass = K.copy()
             impulse = -passive
             mass[self.grid] += h * reaction
-            impulse[self.driven] += wanted
+            impulse[self.driven] += demand
             return velocity_change(mass, h * impulse, v, *bounds, self.G)
 
         dv = solved()
-        torque: Array = wanted - reaction @ dv[self.driven]
+        torque: Array = demand - reaction @ dv[self.driven]
         saturated = np.abs(torque) > control.limit
         if np.count_nonzero(saturated):
             reaction[saturated] = 0.0
-            wanted[saturated] = np.copysign(control.limit, torque)[saturated]
+            demand[saturated] = np.copysign(control.limit, torque)[saturated]
             dv = solved()
         for i, contact in enumerate(self.truth.presliding):
             moved = h * (v + dv / 2)[self.motor[contact.joint]]
@@ -405,15 +398,11 @@ def velocity_change(
     K: Array, impulse: Array, v: Array, forward: Array, backward: Array, G: Array
 ) -> Array:
     """Solution of K δ = impulse − Gᵀλ, at once where nothing stops; see `stick_or_slip`."""
-    shafts = len(G) > len(v)
-    w = G @ v if shafts else v
+    w = G @ v
     sign = np.sign(w)
-    dry = sign * np.where(w < 0, backward, forward)
-    _, _, delta, _ = dgesv(
-        K, impulse - (dry @ G if shafts else dry)
-    )  # without NumPy's overhead
-    stops = (w + (G @ delta if shafts else delta)) * sign <= 0
-    if np.count_nonzero(stops):
+    friction = sign * np.where(w < 0, backward, forward)
+    delta = dgesv(K, impulse - friction @ G)[2]  # without NumPy's overhead
+    if np.count_nonzero((w + G @ delta) * sign <= 0):
         return stick_or_slip(K, impulse, v, forward, backward, G)
     return np.asarray(delta)
 
@@ -448,9 +437,8 @@ def stick_or_slip(
         friction[stuck] = 0.0
         if stuck.any():
             free = GA @ (impulse - friction @ G)
-            among = S[
-                np.ix_(stuck, stuck)
-            ]  # redundant with shafts: the smallest impulses then
+            among = S[np.ix_(stuck, stuck)]
+            # redundant with shafts: the smallest impulses then
             solve = np.linalg.solve if len(w) == len(v) else _smallest
             friction[stuck] = solve(among, (free + w)[stuck])
         delta: Array = A @ (impulse - friction @ G)
@@ -465,7 +453,8 @@ def stick_or_slip(
         )
         worst = int(np.argmax(excess))
         if excess[worst] > 1e-12 * (1.0 + max(forward[worst], backward[worst])):
-            stuck[worst], slip[worst] = False, np.sign(friction[worst])
+            stuck[worst] = False
+            slip[worst] = np.sign(friction[worst])
             continue
         reversed_ = ~stuck & dry & ((w + G @ delta) * slip < 0)
         if not reversed_.any():

@@ -12,7 +12,7 @@ import numpy as np
 from excitant.robots.motion import Array, freeze
 from excitant.robots.plant.sensors import Encoder, Recorder
 
-_STILL = 1e-12  # rad/s or m/s: a planned velocity is 0 but for rounding, which has no direction
+ROUNDED_SPEED = 1e-12  # rad/s or m/s: a planned velocity is 0 but for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Drives:
 
     def friction(self, dq: Array) -> Array:
         """Torque of sliding friction at some velocities, shape (n, nv) [N·m]; none at rest."""
-        direction = np.where(np.abs(dq) > _STILL, np.sign(dq), 0.0)
+        direction = np.where(np.abs(dq) > ROUNDED_SPEED, np.sign(dq), 0.0)
         return self.viscous * dq + self.level(dq) * direction
 
     def level(self, dq: Array) -> Array:

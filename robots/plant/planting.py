@@ -33,17 +33,21 @@ _PAIRS = ("friction_coupling", "inertia_coupling", "sensor_crosstalk")
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """Something the true arm has and the nominal one has not."""
+    """Something the true arm has and the nominal one has not.
 
-    effect: str  # its name
-    joint: (
-        str  # it acts on, or whose link holds it; empty for an effect of the whole arm
-    )
-    parameters: tuple[
-        tuple[str, float], ...
-    ]  # as `parameters_of` names them, in SI units
-    joints: tuple[str, ...] = ()  # all that it acts on, where there are several
-    structure: str = ""  # which one, of an ``unknown`` effect
+    Attributes:
+        effect: Its name.
+        joint: Joint it acts on, or whose link holds it; empty for an effect of the whole arm.
+        parameters: Names, as in `parameters_of`, and values in SI units.
+        joints: All that it acts on, where there are several.
+        structure: Which one, of an ``unknown`` effect.
+    """
+
+    effect: str
+    joint: str
+    parameters: tuple[tuple[str, float], ...]
+    joints: tuple[str, ...] = ()
+    structure: str = ""
 
     @property
     def kind(self) -> str:
@@ -86,24 +90,22 @@ def plant(
     """
     for effect in effects:
         kind = effect.kind
-        given = dict(effect.parameters)
+        stated = dict(effect.parameters)
         UnknownName.refuse("effect of a virtual arm", [kind], KINDS)
         UnknownName.refuse("joint", effect.acts_on, joints)
         if kind in _PAIRS and len(effect.acts_on) != 2:
             raise BadInput(f"virtual arm: {kind} acts on two joints; give both")
         usual = parameters_of(kind)
-        UnknownName.refuse(f"parameter of {kind}", given, usual)
-        numbers = {**usual, **given}
+        UnknownName.refuse(f"parameter of {kind}", stated, usual)
+        numbers = {**usual, **stated}
         missing = [
             name for name, x in numbers.items() if x is None or not np.isfinite(x)
         ]
         if missing:
             raise BadInput(f"virtual arm: {kind} lacks {', '.join(missing)}")
-        index = [joints.index(joint) for joint in effect.acts_on] or list(
-            range(len(joints))
-        )
+        index = [joints.index(joint) for joint in effect.acts_on or joints]
         if kind in NUMBERS:
-            truth = _changed(truth, kind, index, given)
+            truth = _changed(truth, kind, index, stated)
         elif kind in LAWS:
             part, law = LAWS[kind]
             truth = _with(truth, part, *(law(j, **numbers) for j in index))
@@ -135,9 +137,9 @@ NUMBERS: dict[str, dict[str, tuple[str, str, Callable[[Array, float], Array]]]] 
 
 
 def _changed(
-    truth: Truth, kind: str, joints: list[int], given: dict[str, float]
+    truth: Truth, kind: str, joints: list[int], stated: dict[str, float]
 ) -> Truth:
-    for name, value in given.items():
+    for name, value in stated.items():
         part, field, change = NUMBERS[kind][name]
         numbers = np.array(getattr(getattr(truth, part), field))
         numbers[joints] = change(numbers[joints], value)

@@ -40,7 +40,6 @@ from excitant.robots import (
 )
 from excitant.robots.effects import (
     EFFECTS,
-    Acts,
     AddedInertia,
     AsymmetricFriction,
     CoulombFriction,
@@ -74,8 +73,7 @@ def states(robot: Robot, n: int, seed: int = 0) -> Motion:
 def valued(robot: Robot, kind: type[Effect], rng: np.random.Generator) -> Effect:
     if issubclass(kind, AddedInertia):
         return kind(robot.joints[-1:]).with_values(BODY)
-    count = {Acts.ONE: 1, Acts.PAIR: 2}.get(kind.acts_on, 0)
-    effect = kind(robot.joints[-count:])
+    effect = kind(robot.joints[-kind.acts_on.count :])
     return effect.with_values(rng.uniform(0.1, 1.0, len(effect.parameters(robot))))
 
 

@@ -33,7 +33,7 @@ def kind(request: pytest.FixtureRequest) -> type[Effect]:
 
 
 def on(robot: Robot, kind: type[Effect]) -> Effect:
-    return kind(robot.joints[-{fx.Acts.ONE: 1, fx.Acts.PAIR: 2}.get(kind.acts_on, 0) :])
+    return kind(robot.joints[-kind.acts_on.count :])
 
 
 def test_units_follow_the_joint() -> None:

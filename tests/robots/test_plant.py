@@ -28,7 +28,7 @@ from planted import hidden
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
 from excitant.robots import Motion, Robot, base_parameters, torque
-from excitant.robots.effects import EFFECTS, Acts, RotorInertia
+from excitant.robots.effects import EFFECTS, RotorInertia
 from excitant.robots.parameters import violations
 from excitant.robots.plant import arm as plant_arm
 from excitant.robots.plant.physics import Gear
@@ -73,7 +73,7 @@ def test_half_the_step_leaves_a_quarter_of_the_error(
 ) -> None:
     bare, errors = ur10.with_effects(()), []
     for step in (5e-4, 2.5e-4):
-        monkeypatch.setattr(plant_arm, "_STEP", step)
+        monkeypatch.setattr(plant_arm, "LONGEST_STEP", step)
         errors.append(mujoco_error(bare))
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
 
@@ -169,8 +169,8 @@ def test_a_known_effect_is_the_one_that_is_fitted(
     planar: Robot, name: str, shape: dict[str, float], values: list[float]
 ) -> None:
     """The plant and the effect that will be fitted are written apart and must agree."""
-    count = 2 if EFFECTS[name].acts_on is Acts.PAIR else 1
-    effect = EFFECTS[name](planar.joints[:count], **shape).with_values(values)
+    kind = EFFECTS[name]
+    effect = kind(planar.joints[: kind.acts_on.count or 1], **shape).with_values(values)
     known = planar.with_effects((*planar.effects, effect))
     run = Recorded(known)
     run.robot, dq = planar, run.motion.dq
