@@ -199,11 +199,9 @@ class Obstacle:
 
     def plain(self) -> dict[str, Any]:
         """Name, shape and values for JSON, with the keys of an obstacle file."""
-        return {
-            "name": self.name,
-            "shape": self.shape,
-            **msgspec.to_builtins(self.values),
-        }
+        values = msgspec.to_builtins(self.values)
+        lists = {k: list(x) if isinstance(x, tuple) else x for k, x in values.items()}
+        return {"name": self.name, "shape": self.shape, **lists}
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,7 @@ def test_numbers_of_processes_and_threads_do_not_change_a_digit(planar: Robot) -
 )
 def test_time_limit_returns_the_best_so_far(arm: Robot, limit: float, options: Any) -> None:
     began = time.time()
-    result = design_trajectory(arm, jobs=1, time_limit=limit, **options)
+    result = design_trajectory(arm, jobs=1, time_limit=limit, scene=(), **options)
     assert time.time() - began < 5.0
     assert_limits_hold(result)
     gain = result.condition_initial / result.condition_final
