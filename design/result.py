@@ -190,7 +190,7 @@ class Design(Shown):
                 * self.interrupted,
                 *[_TIMED] * any(start.status == "time limit" for start in self.starts),
             ],
-            "files": {},
+            "files": [],
         }
 
     def series(self) -> dict[str, Array]:

@@ -138,7 +138,7 @@ class LinkByLinkDesign:
                 f"{_stem(list(self.motions)[worst])}, the worst",
             ],
             "link_by_link": {"stages": stages},
-            "files": {},
+            "files": [],
         }
 
     def series(self) -> dict[str, Array]:

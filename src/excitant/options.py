@@ -238,10 +238,13 @@ class Run:
         Of several paths those of files ``shown`` are printed, where not all are.
         """
         from excitant.reports import brief, load_run, save_run
+        from excitant.reports.run import as_saved
+        from excitant.results import record_of
 
         check()
         folder = folder or self.folder(result)
         result["files"] = [str(folder / file) for file in files or ()]
+        record_of(as_saved(result, {})[0])
         paths, page = save_run(folder, result, series, files or {})
         try:
             if self.json:

@@ -1,0 +1,79 @@
+"""Every verb writes the record of its name, and nothing beside it."""
+
+from __future__ import annotations
+
+import typing
+from typing import Any
+
+import msgspec
+import pytest
+
+from excitant import results
+from excitant.results import Record, Result, record_of
+
+SIMULATE: dict[str, Any] = {
+    "verb": "simulate",
+    "robot": "arm",
+    "samples": 3,
+    "duration": 0.2,
+    "hidden": [],
+    "files": ["a.csv"],
+}
+RECORDS = [
+    kind for kind in vars(results).values() if isinstance(kind, type) and issubclass(kind, Record)
+]
+
+
+def test_a_record_is_told_by_its_verb_and_survives_the_way_back() -> None:
+    record = record_of(SIMULATE)
+    assert isinstance(record, results.Simulate)
+    assert msgspec.to_builtins(record) == SIMULATE
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"verb": "dance"}, "dance"),
+        ({"samples": "three"}, r"\$.samples"),
+        ({"sample": 3}, "sample"),
+    ],
+)
+def test_what_is_no_record_is_refused_by_its_path(change: dict[str, Any], names: str) -> None:
+    with pytest.raises(msgspec.ValidationError, match=names):
+        record_of(SIMULATE | change)
+
+
+def test_a_missing_field_is_refused_by_name() -> None:
+    with pytest.raises(msgspec.ValidationError, match="samples"):
+        record_of({key: value for key, value in SIMULATE.items() if key != "samples"})
+
+
+def test_every_command_has_a_record(commands: set[str]) -> None:
+    verbs = {kind.__struct_config__.tag for kind in typing.get_args(Result)}
+    without = {"show", "completion", "report"}  # a page, a script, and the run that it renders
+    assert commands - without <= verbs
+    assert verbs - commands == {"compare"}
+
+
+@pytest.fixture
+def commands() -> set[str]:
+    from excitant.cli import app
+
+    return {name for name in app if not name.startswith("-")}
+
+
+@pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
+def test_every_field_is_documented(kind: type[Record]) -> None:
+    """The reference of result.json is made of the strings below the fields."""
+    import ast
+    import inspect
+    import textwrap
+
+    [body] = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(body, ast.ClassDef)
+    fields = [k for k, node in enumerate(body.body) if isinstance(node, ast.AnnAssign)]
+    for k in fields:
+        text = body.body[k + 1 : k + 2]
+        assert text, ast.unparse(body.body[k])
+        assert isinstance(text[0], ast.Expr), ast.unparse(body.body[k])
+        assert isinstance(text[0].value, ast.Constant)
