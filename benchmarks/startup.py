@@ -32,7 +32,7 @@ COMMANDS = {
 LIBRARIES = (
     "import numpy, scipy.linalg, scipy.optimize, scipy.special, scipy.fft, scipy.interpolate",
     "import scipy.ndimage, pinocchio, pandas, pyarrow.parquet, clarabel, cyclopts, msgspec, yaml",
-    "import jinja2, matplotlib.figure, matplotlib.backends.backend_svg",
+    "import jinja2",
 )  # that identify needs
 LOG = """
 import sys, pathlib, numpy
