@@ -445,7 +445,8 @@ def _five_points(recording: Recording) -> Segment:
     """Measured velocity, and acceleration of it by five samples (Khosla 1987, section 5.1)."""
     [segment] = prepare(recording)
     inner = slice(2, -2)
-    ddq = LocalPolynomial(2, 2)(recording.t, recording.dq).dq
+    five = LocalPolynomial(2, 2).kernel(1) * segment.rate_hz
+    ddq = np.lib.stride_tricks.sliding_window_view(recording.dq, 5, axis=0) @ five
     motion = Motion(recording.t[inner], recording.q[inner], recording.dq[inner], ddq)
     keep = slice(segment.keep.start, segment.keep.stop - 4, segment.keep.step)
     tau, raw = segment.tau[inner], segment.tau_raw[inner]

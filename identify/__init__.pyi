@@ -1,5 +1,5 @@
 from .dataset import Dataset, load_dataset, read_recordings
-from .differentiators import Differentiator, LocalPolynomial, ZeroPhaseButterworth
+from .differentiators import LocalPolynomial
 from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .excitation import Persistency, persistency
@@ -35,7 +35,6 @@ __all__ = [
     "ColumnMap",
     "Data",
     "Dataset",
-    "Differentiator",
     "DriveGains",
     "Estimate",
     "Knowledge",
@@ -52,7 +51,6 @@ __all__ = [
     "Publication",
     "Recording",
     "Regression",
-    "ZeroPhaseButterworth",
     "estimate_payload",
     "identify_drive_gains",
     "identify_link_by_link",

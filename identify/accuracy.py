@@ -16,7 +16,7 @@ from excitant.identify.least_squares import (
     autocorrelation_time,
 )
 from excitant.identify.preprocessing import Mask, Segment, away_from_rest
-from excitant.identify.smoother import noise
+from excitant.identify.signals import noise
 from excitant.robots.motion import Array, freeze, read_only
 
 LEVEL = 0.95  # share of readings that an interval is to hold

@@ -43,7 +43,7 @@ from excitant.identify.preprocessing import Mask
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, dense
-from excitant.identify.spectra import live
+from excitant.identify.signals import live
 from excitant.robots.base_parameters import BaseParameters, independent_columns
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot

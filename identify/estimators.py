@@ -21,7 +21,6 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
-from excitant.identify.differentiators import ZeroPhaseButterworth
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -49,7 +48,7 @@ from excitant.identify.regression import (
     triangle,
 )
 from excitant.identify.rows import FitRows, identified_robot
-from excitant.identify.spectra import detrended, low_pass
+from excitant.identify.signals import detrended, low_pass
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.simulation import Controller, Diverged, simulate
@@ -341,8 +340,8 @@ def half_regressions(
                     f"motion up to the cut-off of {cutoff_hz:g} Hz; choose one up to "
                     f"{highest:.3g} Hz"
                 )
-            inner = ZeroPhaseButterworth(min(POSITION_RATIO * cutoff_hz, highest))
-            segments += prepare(every_second(recording, first), cutoff_hz, inner)
+            band_hz = min(POSITION_RATIO * cutoff_hz, highest)
+            segments += prepare(every_second(recording, first), cutoff_hz, band_hz)
         whole = rows.data.train[0].whole
         segments = [replace(segment, whole=whole) for segment in segments]
         half = rows.fitting(regression_of(rows.robot, rows.effects, segments))

@@ -1,6 +1,6 @@
 """From a recording to rows of the identification problem.
 
-Positions, refined by measured speeds (`smoother`), pass a zero-phase Butterworth filter and are
+Positions, refined by measured speeds (`signals`), pass a zero-phase Butterworth filter and are
 differentiated through a quintic spline. Every column of the regressor and the torque then pass one
 and the same zero-phase filter ("parallel filtering", Gautier 1997), friction columns too, and are
 decimated.
@@ -19,39 +19,78 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.differentiators import Differentiator, ZeroPhaseButterworth
+from excitant.exceptions import BadRecording
 from excitant.identify.recording import MINIMUM_DURATION, Recording
-from excitant.identify.smoother import SensorNoise, smoothed
-from excitant.identify.spectra import low_pass
+from excitant.identify.signals import (
+    MEMORY_PERIODS,
+    SensorNoise,
+    differentiated,
+    low_pass,
+    smoothed,
+)
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.robot import Robot
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
-_NYQUIST_SHARE = 0.8
-# instants whose columns are evaluated together, of a segment thrice as long
-_AT_ONCE = 10_000
-_HELD = 8.0  # times the cut-off: sampling rate at which positions and their products are held
-_REMEMBERED = 6.0  # periods of its cut-off, after which a filter has forgotten
-_MOST_ROWS = 15_000  # of a recording: evenly taken of a longer one
-_TIE = 1e-6  # of a stride: 1 kHz and 10 Hz give 25 whatever the rounding of time
-_SAME = 1e-5  # of a step: samples at regular time
-_GAP_STEPS = 3.0  # a gap is longer than both [median steps
-_GAP_TIME = 0.05  # s]
-_BURSTS = 10.0  # times the median step: a mean step beyond it has no regular rate
-_TINY = 1e-12  # rad/s: either side of standstill
-# of a joint's fastest motion in all recordings, below which it stands still
-_SHARE = 0.02
-# of its velocity limit, likewise: what a controller lets a held joint creep
-_LEAST = 2e-3
-_TRAVEL = 1e-2  # rad or m, over a segment, likewise
-_FREE_SPEED = 3.0  # rad/s, where there is no limit
-_SLOW = 0.015  # of a joint's top speed: slower is at rest
-_RESTS_S = 0.04  # s, at least; a reversal without a rest is quicker
-# of the period of the filter's cut-off: how far a rest affects filtered torque
-_REACH = 0.5
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How recordings become rows.
+
+    Attributes:
+        nyquist_share: Highest cut-off of positions over half the sampling rate.
+        chunk: Instants evaluated together, of a segment thrice as long.
+        smooth_rate: Least sampling rate over the cut-off that keeps the position band, and
+            products of positions, free of aliasing.
+        largest_rows: Rows of a recording; a longer one gives every second, third, ...
+        rounding: Share of a stride that rounding of time may lack: 1 kHz and 10 Hz give 25.
+        regular: Samples at most this share of a step from regular time are taken as they are.
+        gap_steps: A gap is longer than so many median steps, and than
+        gap_s: so many seconds.
+        burst_steps: A mean step of more median steps than this has no regular rate.
+    """
+
+    nyquist_share: float = 0.8
+    chunk: int = 10_000
+    smooth_rate: float = 8.0
+    largest_rows: int = 15_000
+    rounding: float = 1e-6
+    regular: float = 1e-5
+    gap_steps: float = 3.0
+    gap_s: float = 0.05
+    burst_steps: float = 10.0
+
+
+SAMPLING = Sampling()
+
+
+@dataclass(frozen=True)
+class Rest:
+    """When a joint rests, and when it takes part in a motion.
+
+    Attributes:
+        speed_share: At rest a joint is slower than this share of its top speed,
+        duration_s: for so long; a reversal without a rest is quicker.
+        reach: Reach of a rest in filtered torque, in periods of the filter's cut-off.
+        moving_share: A moving joint is faster than this share of its top speed,
+        creep_share: than this share of its velocity limit (controllers let held joints creep),
+        free_speed: which is this where there is none [rad/s],
+        travel: and travels farther than this over a segment [rad or m].
+    """
+
+    speed_share: float = 0.015
+    duration_s: float = 0.04
+    reach: float = 0.5
+    moving_share: float = 0.02
+    creep_share: float = 2e-3
+    free_speed: float = 3.0
+    travel: float = 1e-2
+
+
+REST = Rest()
 
 Mask = npt.NDArray[np.bool_]
 Index = npt.NDArray[np.intp]
@@ -103,14 +142,19 @@ class Segment:
         start = self.keep.start
         stop = self.keep.stop
         step = self.keep.step or 1
-        every = _every(self.rate_hz, self.cutoff_hz)
-        if every == 1 or step % every or self.whole:
+        factor = _decimation(self.rate_hz, self.cutoff_hz)
+        if factor == 1 or step % factor or self.whole:
             return self
-        part = slice(start % every, None, every)
-        first = start // every
-        keep = slice(first, first + -(-(stop - start) // every), step // every)
-        known = (self.motion[part], self.tau[part], self.tau_raw[part])
-        return Segment(self.name, *known, self.cutoff_hz, keep, self.sensors)
+        part = slice(start % factor, None, factor)
+        first = start // factor
+        keep = slice(first, first + -(-(stop - start) // factor), step // factor)
+        return replace(
+            self,
+            motion=self.motion[part],
+            tau=self.tau[part],
+            tau_raw=self.tau_raw[part],
+            keep=keep,
+        )
 
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
         """Filtered and decimated columns of the motion, shape (rows, ...).
@@ -120,20 +164,22 @@ class Segment:
         start = self.keep.start
         stop = self.keep.stop
         step = self.keep.step or 1
-        reach = int(_REMEMBERED * self.rate_hz / self.cutoff_hz)
-        own = -(-_AT_ONCE // step) * step
-        if len(self.motion) <= 3 * own + 2 * reach:
+        reach = int(MEMORY_PERIODS * self.rate_hz / self.cutoff_hz)
+        size = -(-SAMPLING.chunk // step) * step
+        if len(self.motion) <= 3 * size + 2 * reach:
             return self.filtered(columns(self.motion), self.keep)
-        found = []
-        for first in range(start, stop, own):
-            part = slice(max(0, first - reach), first + own + reach)
-            kept = slice(first - part.start, min(first + own, stop) - part.start, step)
-            found.append(self.filtered(columns(self.motion[part]), kept))
-        return np.concatenate(found)
+        chunks = []
+        for first in range(start, stop, size):
+            part = slice(max(0, first - reach), first + size + reach)
+            inner = slice(
+                first - part.start, min(first + size, stop) - part.start, step
+            )
+            chunks.append(self.filtered(columns(self.motion[part]), inner))
+        return np.concatenate(chunks)
 
-    def filtered(self, values: Array, kept: slice = slice(None)) -> Array:
+    def filtered(self, values: Array, rows: slice = slice(None)) -> Array:
         """Columns, shape (n, ...), through the torque filter at some instants."""
-        return low_pass(values, self.cutoff_hz, self.rate_hz, kept)
+        return low_pass(values, self.cutoff_hz, self.rate_hz, rows)
 
     @property
     def t(self) -> Array:
@@ -141,15 +187,14 @@ class Segment:
         return self.motion.t[self.keep]
 
 
-def _every(rate_hz: float, cutoff_hz: float) -> int:
-    """Of how many samples one suffices for what positions pass and its products."""
-    return max(1, int(rate_hz / (_HELD * cutoff_hz) + _TIE))
+def _decimation(rate_hz: float, cutoff_hz: float) -> int:
+    """Decimation factor that keeps the position band and its products free of aliasing."""
+    most = rate_hz / (SAMPLING.smooth_rate * cutoff_hz)
+    return max(1, int(most + SAMPLING.rounding))
 
 
 def prepare(
-    recording: Recording,
-    cutoff_hz: float | None = None,
-    differentiator: Differentiator | None = None,
+    recording: Recording, cutoff_hz: float | None = None, band_hz: float | None = None
 ) -> list[Segment]:
     """Segments of a recording, split at gaps, filtered and differentiated.
 
@@ -157,7 +202,7 @@ def prepare(
         recording: What was logged.
         cutoff_hz: Cut-off of the torque filter; 10 Hz, or 0.2 times the sampling rate when that
             is lower, so that the filter of positions, twice as high, still filters.
-        differentiator: In place of the Butterworth filter with a quintic spline; without delay.
+        band_hz: Cut-off of the filter of positions; see `position_cutoff`.
 
     Raises:
         BadRecording: The cut-off is not below half the sampling rate, or no uninterrupted
@@ -167,18 +212,17 @@ def prepare(
     step = _step(recording)
     if cutoff_hz is None:
         cutoff_hz = min(CUTOFF_HZ, default_cutoff(recording))
-    highest = 0.5 * _NYQUIST_SHARE / step
+    highest = 0.5 * SAMPLING.nyquist_share / step
     if not 0 < cutoff_hz <= highest * (1 + 1e-9):
         raise BadRecording(
             recording.file,
             f"cut-off {cutoff_hz:g} Hz does not fit its rate of {1 / step:.4g} Hz; "
             f"choose one up to {highest:.3g} Hz",
         )
-    band = position_cutoff(cutoff_hz, 1 / step)
-    differentiator = differentiator or ZeroPhaseButterworth(band)
+    band_hz = band_hz or position_cutoff(cutoff_hz, 1 / step)
     parts = uninterrupted(t)
     segments = [
-        _segment(recording, part, step, cutoff_hz, band, differentiator)
+        _segment(recording, part, step, cutoff_hz, band_hz)
         for part in parts
         if len(part) > 20 and t[part[-1]] - t[part[0]] >= MINIMUM_DURATION
     ]
@@ -196,38 +240,37 @@ def prepare(
 
 def position_cutoff(cutoff_hz: float, rate_hz: float) -> float:
     """Cut-off of the filter of positions beside that of torque, at a sampling rate [Hz]."""
-    return min(POSITION_RATIO * cutoff_hz, 0.5 * _NYQUIST_SHARE * rate_hz)
+    return min(POSITION_RATIO * cutoff_hz, 0.5 * SAMPLING.nyquist_share * rate_hz)
 
 
 def _segment(
-    recording: Recording,
-    part: Index,
-    step: float,
-    cutoff_hz: float,
-    band_hz: float,
-    differentiator: Differentiator,
+    recording: Recording, part: Index, step: float, cutoff_hz: float, band_hz: float
 ) -> Segment:
-    grid, q, tau, dq = resampled(recording, part)
-    q, sensors = smoothed(grid, q, dq, band_hz)
-    motion = differentiator(grid, q)
-    if len(motion) < len(grid):
-        raise BadInput("a causal differentiator is for loops; give one without delay")
+    grid, measured, tau, dq = resampled(recording, part)
+    own_band = position_cutoff(cutoff_hz, 1 / step)
+    q, sensors = smoothed(grid, measured, dq, own_band)
+    motion = differentiated(grid, q, band_hz)
     edge = round(1 / (cutoff_hz * step))
-    stride = max(
-        int(1 / (4 * cutoff_hz * step) + _TIE), -(-len(recording) // _MOST_ROWS), 1
-    )
-    stride -= stride % _every(1 / step, cutoff_hz)
-    keep = slice(edge, len(grid) - edge, stride)
-    passed = low_pass(tau, cutoff_hz, 1 / step)
-    segment = Segment(recording.name, motion, passed, tau, cutoff_hz, keep, sensors)
+    rows_apart = int(1 / (4 * cutoff_hz * step) + SAMPLING.rounding)
+    stride = max(rows_apart, -(-len(recording) // SAMPLING.largest_rows), 1)
+    stride -= stride % _decimation(1 / step, cutoff_hz)
     inner = slice(edge, len(grid) - edge)
+    segment = Segment(
+        name=recording.name,
+        motion=motion,
+        tau=low_pass(tau, cutoff_hz, 1 / step),
+        tau_raw=tau,
+        cutoff_hz=cutoff_hz,
+        keep=slice(inner.start, inner.stop, stride),
+        sensors=sensors,
+    )
     fast = (np.abs(motion.dq[inner]) > segment.least_speed).any(axis=0)
     return stilled(segment, fast | (np.ptp(q, axis=0) > sensors.span))
 
 
 def default_cutoff(recording: Recording) -> float:
     """Highest cut-off of torque at which positions, at twice that, are still filtered [Hz]."""
-    return 0.5 * _NYQUIST_SHARE / (POSITION_RATIO * _step(recording))
+    return 0.5 * SAMPLING.nyquist_share / (POSITION_RATIO * _step(recording))
 
 
 def _step(recording: Recording) -> float:
@@ -248,86 +291,80 @@ def uninterrupted(t: Array) -> list[Index]:
 
 def longest_step(step: float) -> float:
     """Longest time between two samples that is no gap, given the usual one [s]."""
-    return max(_GAP_STEPS * step, _GAP_TIME)
+    return max(SAMPLING.gap_steps * step, SAMPLING.gap_s)
 
 
 def resampled(
     recording: Recording, part: Index
 ) -> tuple[Array, Array, Array, Array | None]:
-    """Time, positions, torque and speeds of a part at a regular rate, that of the median step."""
+    """Time, positions, torque and speeds of a part at a regular rate, that of the median step.
+
+    Positions and speeds by a cubic spline, torque linearly.
+
+    Raises:
+        BadRecording: Samples in bursts, which have no regular rate.
+    """
     rows = slice(int(part[0]), int(part[-1]) + 1)  # no copy of a long recording
     t = recording.t[rows]
+    q = recording.q[rows]
+    tau = recording.tau[rows]
+    dq = None if recording.dq is None else recording.dq[rows]
     step = float(np.median(np.diff(recording.t)))
-    refuse_bursts(t, step, recording.file)
-    grid = np.arange(t[0], t[-1] + _SAME * step, step)
-    q, tau = at_instants(t, recording.q[rows], recording.tau[rows], grid)
-    if recording.dq is None:
-        return grid, q, tau, None
-    dq, _ = at_instants(t, recording.dq[rows], recording.tau[rows], grid)
-    return grid, q, tau, dq
-
-
-def refuse_bursts(t: Array, step: float, file: str) -> None:
-    """Refuse times, shape (n,) [s], that are much farther apart than a rate of this step says."""
     mean = float(t[-1] - t[0]) / len(t)
-    if mean > _BURSTS * step:
+    if mean > SAMPLING.burst_steps * step:
         why = (
             f"samples come in bursts: half of them are at most {step:.3g} s apart, in the mean "
             f"{mean:.3g} s; log the time of measurement, not that of arrival"
         )
-        raise BadRecording(file, why, column="t")
+        raise BadRecording(recording.file, why, column="t")
+    tolerance = SAMPLING.regular * step
+    grid = np.arange(t[0], t[-1] + tolerance, step)
+    if len(t) == len(grid) and np.abs(t - grid).max() <= tolerance:
+        return grid, q, tau, dq
+    linear = np.column_stack([np.interp(grid, t, column) for column in tau.T])
 
+    def cubic(values: Array) -> Array:
+        return np.asarray(scipy.interpolate.make_interp_spline(t, values, k=3)(grid))
 
-def at_instants(t: Array, q: Array, tau: Array, grid: Array) -> tuple[Array, Array]:
-    """Positions (cubic spline) and torque (linear) of samples at instants, shape (m,) [s].
-
-    Samples at these very instants, to a hundred-thousandth of a step, are left as they are.
-    """
-    if len(t) == len(grid) and np.abs(t - grid).max() <= _SAME * (grid[1] - grid[0]):
-        return q, tau
-    q = scipy.interpolate.make_interp_spline(t, q, k=3)(grid)
-    return q, np.column_stack([np.interp(grid, t, column) for column in tau.T])
+    return grid, cubic(q), linear, None if dq is None else cubic(dq)
 
 
 def dry_joints(effects: Sequence[Effect], joints: Sequence[str]) -> Mask:
     """Joints on which some effect jumps where the velocity changes sign, shape (nv,)."""
     dry = set[str]()
-    zero = np.zeros(1)
+    still = np.zeros(1)
+    barely = np.full(1, 1e-12)  # rad/s
     for effect in effects:
-        if effect.law is not None:
-            ahead, behind = (effect.law(zero, zero + v, zero) for v in (_TINY, -_TINY))
-            if any(abs(a[0] - b[0]) > 1e-6 for a, b in zip(ahead, behind, strict=True)):
-                dry |= set(effect.joints)
+        if effect.law is None:
+            continue
+        ahead = effect.law(still, barely, still)
+        behind = effect.law(still, -barely, still)
+        if any(abs(a[0] - b[0]) > 1e-6 for a, b in zip(ahead, behind, strict=True)):
+            dry |= set(effect.joints)
     return np.array([joint in dry for joint in joints])
 
 
 def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
-    """Instants at which each joint moves, one mask of shape (n, nv) per segment.
+    """Instants at which each joint moves, one mask of shape (n, nv) per segment (`Rest`).
 
-    A joint moves where, within half a period of the filter's cut-off, it is faster than 2 % of
-    its fastest and than 0.2 % of its velocity limit, in segments in which it travels at all.
+    Within half a period of the filter's cut-off the joint exceeds its least speed.
     """
-    speeds = [np.abs(segment.motion.dq) for segment in segments]
-    fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
     limit = robot.limits.velocity
-    slow = np.maximum(
-        _SHARE * fastest, _LEAST * np.where(limit < 1e3, limit, _FREE_SPEED)
-    )
+    limit = np.where(limit < 1e3, limit, REST.free_speed)
+    slow = np.maximum(REST.moving_share * top_speed(segments), REST.creep_share * limit)
     masks = []
-    for segment, speed in zip(segments, speeds, strict=True):
+    for segment in segments:
         width = 2 * round(segment.rate_hz / (2 * segment.cutoff_hz)) + 1
+        speed = np.abs(segment.motion.dq)
         near = scipy.ndimage.maximum_filter1d(speed, width, axis=0)
-        travels = np.ptp(segment.motion.q, axis=0) > _TRAVEL
-        shown = near > np.maximum(slow, segment.least_speed)
-        masks.append(np.asarray(shown & travels, bool))
+        travels = np.ptp(segment.motion.q, axis=0) > REST.travel
+        masks.append((near > np.maximum(slow, segment.least_speed)) & travels)
     return masks
 
 
 def top_speed(segments: Sequence[Segment]) -> Array:
     """Highest speed of each joint, shape (nv,) [rad/s or m/s]."""
-    return np.asarray(
-        np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0), float
-    )
+    return np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
 
 
 def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
@@ -340,17 +377,21 @@ def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) ->
     fastest = np.maximum(fastest, top_speed(segments))
     masks = []
     for s in segments:
-        slow = np.abs(s.motion.dq) <= np.maximum(_SLOW * fastest, s.least_speed)
-        least = max(1, round(_RESTS_S * s.rate_hz))
-        reach = max(1, round(_REACH * s.rate_hz / s.cutoff_hz))
+        least = np.maximum(REST.speed_share * fastest, s.least_speed)
+        slow = np.abs(s.motion.dq) <= least
+        size = max(1, round(REST.duration_s * s.rate_hz))
+        reach = max(1, round(REST.reach * s.rate_hz / s.cutoff_hz))
         # a rest is the union of windows of its least length in which a joint is slow throughout
-        whole = scipy.ndimage.minimum_filter1d(
-            slow, least, axis=0, mode="constant", cval=0
+        begins = scipy.ndimage.minimum_filter1d(
+            slow, size, axis=0, mode="constant", cval=0
         )
-        size = least + 2 * reach
-        middle = -(1 - least % 2)
         near = scipy.ndimage.maximum_filter1d(
-            whole, size, axis=0, mode="constant", cval=0, origin=middle
+            begins,
+            size + 2 * reach,
+            axis=0,
+            mode="constant",
+            cval=0,
+            origin=-(1 - size % 2),
         )
         masks.append(~near[s.keep])
     return np.concatenate(masks)
@@ -373,7 +414,8 @@ def stilled(segment: Segment, moves: Mask) -> Segment:
     still = ~moves
     if not still.any():
         return segment
-    q, dq, ddq = (np.array(values) for values in (motion.q, motion.dq, motion.ddq))
+    q = np.array(motion.q)
     q[:, still] = q[:, still].mean(axis=0)
-    dq[:, still] = ddq[:, still] = 0.0
+    dq = np.where(still, 0.0, motion.dq)
+    ddq = np.where(still, 0.0, motion.ddq)
     return replace(segment, motion=Motion(motion.t, q, dq, ddq))

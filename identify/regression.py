@@ -22,7 +22,7 @@ import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment
-from excitant.identify.spectra import live
+from excitant.identify.signals import live
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, frozen, read_only
 from excitant.robots.regressor import regressor

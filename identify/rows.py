@@ -20,7 +20,7 @@ from excitant.identify.preprocessing import (
 from excitant.identify.prior import EffectPrior
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
-from excitant.identify.smoother import SensorNoise, mean_noise
+from excitant.identify.signals import SensorNoise, mean_noise
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect, Parameter
 from excitant.robots.motion import Array

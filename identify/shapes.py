@@ -34,7 +34,7 @@ from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import FitRows
-from excitant.identify.spectra import live
+from excitant.identify.signals import live
 from excitant.robots.base_parameters import BaseParameters, base_parameters
 from excitant.robots.effects import Effect, joint_facts
 from excitant.robots.motion import Array, read_only

@@ -22,7 +22,7 @@ from excitant.identify.faults.fault import (
     unwrap,
 )
 from excitant.identify.faults.time import hidden_gaps
-from excitant.identify.smoother import noise, quantum
+from excitant.identify.signals import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 

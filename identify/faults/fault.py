@@ -13,7 +13,7 @@ import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.recording import Recording
-from excitant.identify.smoother import noise, quantum
+from excitant.identify.signals import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 

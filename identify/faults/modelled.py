@@ -18,7 +18,7 @@ from excitant.exceptions import ExcitantError
 from excitant.identify.excitation import persistency
 from excitant.identify.faults.fault import ALARM, Fault, Log
 from excitant.identify.faults.physics import Smooth, TorqueFit, scaled_least_squares
-from excitant.identify.smoother import quantum
+from excitant.identify.signals import quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 

@@ -23,7 +23,7 @@ from excitant.identify.faults.velocity import RATES, slow_clock
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.regression import Index
-from excitant.identify.spectra import low_pass
+from excitant.identify.signals import low_pass
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot

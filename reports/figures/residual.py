@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from excitant.identify.spectra import power_density
+from excitant.identify.signals import power_density
 from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points

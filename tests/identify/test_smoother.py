@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import scipy
 
-from excitant.identify.differentiators import ZeroPhaseButterworth
-from excitant.identify.smoother import resolution, smoothed
+from excitant.identify.signals import differentiated, resolution, smoothed
 
 RATE, BAND = 500.0, 20.0
 T = np.arange(0, 20, 1 / RATE)
@@ -30,7 +29,7 @@ Q, DQ, DDQ = motion()
 
 def error(q: np.ndarray) -> np.ndarray:
     """Rms error of acceleration, shape (nv,)."""
-    return np.sqrt(((ZeroPhaseButterworth(BAND)(T, q).ddq - DDQ)[INNER] ** 2).mean(axis=0))
+    return np.sqrt(((differentiated(T, q, BAND).ddq - DDQ)[INNER] ** 2).mean(axis=0))
 
 
 @pytest.mark.parametrize(("bits", "speed"), [(10, 0.02), (12, 0.01), (14, 0.01), (16, 0.001)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from excitant.identify.spectra import detrended, live, low_pass, power_density
+from excitant.identify.signals import detrended, live, low_pass, power_density
 
 RATE = 250.0
 SIZES = [64, 65, 1000, 5003]
