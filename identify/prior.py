@@ -57,9 +57,6 @@ SYMMETRIC = np.zeros((10, 4, 4))  # Q = Σ_k y_k · SYMMETRIC[k]
 for _k, (_i, _j) in enumerate(zip(*UPPER, strict=True)):
     SYMMETRIC[_k, _i, _j] = SYMMETRIC[_k, _j, _i] = 1.0
 
-_BELOW = np.tril_indices(4, -1)
-_HALF = np.tril(np.ones((4, 4))) - np.eye(4) / 2
-_NEAR_ONE = 1e-6  # logarithm of a factor, below which its series is exact
 # of the largest torque, and of its own limit: what a joint without load needs
 _IDLE = 1e-2
 _HARMONICS = 5
@@ -122,14 +119,6 @@ def matrices(y: Array, links: int) -> Array:
     return np.tensordot(y[: 10 * links].reshape(links, 10), SYMMETRIC, 1)
 
 
-def _diagonal(G: Array) -> tuple[Array, Array]:
-    """±√(g² − 2 log g − 1) of the diagonals of matrices, and its slopes, both (links, 4)."""
-    u = np.log(np.diagonal(G, axis1=1, axis2=2))
-    near = np.abs(u) < _NEAR_ONE
-    s = np.where(near, np.sqrt(2) * u, np.sign(u) * np.sqrt(np.expm1(2 * u) - 2 * u))
-    return s, np.where(near, np.sqrt(2), 2 * np.sinh(u) / np.where(near, 1.0, s))
-
-
 def relative_rows(phi: Array) -> Array:
     """Rows R_k of bodies relative to consistent ones φ, shape (links, 10, 10).
 
@@ -174,40 +163,17 @@ class BodyPrior:
     def _roots(self) -> Array:
         return np.linalg.inv(np.linalg.cholesky(pseudo_inertia(self.bodies)))
 
-    def residual(self, phi: Array) -> Array:
-        """Values whose squares sum up to −2 log p at consistent φ, shape (20 links,).
-
-        With Q = G Gᵀ relative to the given body, G lower triangular, 2 KL(Q ‖ 1) is
-        Σ_(i>j) G_ij² + Σ_i (G_ii² − 2 log G_ii − 1).
-        """
-        G = self._relative(phi)
-        entropic = np.sqrt(self.draws)[:, None] * np.hstack(
-            [_diagonal(G)[0], G[:, *_BELOW]]
-        )
+    def surprise(self, phi: Array) -> float:
+        """−2 log p at consistent φ, shape (10 links,)."""
         distance = self._distance @ (phi - self.bodies.ravel())
-        return np.concatenate([distance, entropic.ravel()])
-
-    def slopes(self, phi: Array) -> Array:
-        """Jacobian of the residual, shape (20 links, 10 links)."""
-        G = self._relative(phi)
-        inverse = np.linalg.solve(G, self._roots)[:, None]
-        # G changes by G Φ(G⁻¹ dQ G⁻ᵀ), Φ the lower triangle with half of the diagonal
-        change = inverse @ PSEUDO_INERTIA_BASIS @ inverse.swapaxes(2, 3)
-        dG = G[:, None] @ (change * _HALF)
-        diagonal = _diagonal(G)[1][:, None] * np.diagonal(dG, axis1=2, axis2=3)
-        rows = np.concatenate([diagonal, dG[..., *_BELOW]], axis=2).swapaxes(1, 2)
-        blocks = scipy.linalg.block_diag(*(np.sqrt(self.draws)[:, None, None] * rows))
-        return np.vstack([self._distance, blocks])
-
-    def _relative(self, phi: Array) -> Array:
-        """Cholesky factors G of the bodies relative to the given ones, shape (links, 4, 4)."""
         P = pseudo_inertia(phi.reshape(-1, 10))
-        return np.asarray(
-            np.linalg.cholesky(self._roots @ P @ self._roots.swapaxes(1, 2)), float
-        )
+        roots = np.linalg.cholesky(self._roots @ P @ self._roots.swapaxes(1, 2))
+        trace = (roots**2).sum(axis=(1, 2))
+        log_det = 2 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
+        return float(distance @ distance + self.draws @ (trace - log_det - 4))
 
     def quadratic(self, phi: Array, barrier: float = 0.0) -> tuple[Array, Array]:
-        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order; as `slopes`.
+        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order.
 
         A barrier adds so many times −log det P of every link.
         """
