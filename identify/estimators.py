@@ -154,12 +154,12 @@ def irls(problem: Regression) -> LeastSquares:
 
 def _huber(u: Array) -> Array:
     """ψ(u) / u of a residual of u standard deviations."""
-    return np.asarray(np.minimum(1.0, _HUBER / np.maximum(np.abs(u), SMALLEST)), float)
+    return np.minimum(1.0, _HUBER / np.maximum(np.abs(u), SMALLEST))
 
 
 def _student(u: Array) -> Array:
     """ψ(u) / u of a residual of u standard deviations."""
-    return np.asarray((_STUDENT + 1) / (_STUDENT + u**2), float)
+    return (_STUDENT + 1) / (_STUDENT + u**2)
 
 
 def _scale(residuals: Sequence[Array], r: int) -> Array:
@@ -515,12 +515,12 @@ def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
     along = 2 * np.pi * np.arange(len(q)) / (len(q) - 1)
     window = np.cos(np.outer(along, np.arange(4))) @ _BLACKMAN_HARRIS
     spectrum = np.fft.rfft(window[:, None] * detrended(q), axis=0)
-    f = np.asarray(np.fft.rfftfreq(len(q), 1 / rate_hz), float)
+    f = np.fft.rfftfreq(len(q), 1 / rate_hz)
     power = np.abs(spectrum) ** 2
     upper = (f >= _FLOOR[0] * rate_hz / 2) & (f <= _FLOOR[1] * rate_hz / 2)
     noise = np.median(power[upper], axis=0) / np.log(2)
     cost = np.cumsum(f[:, None] ** 4 * (2 * _CAUTION * noise - power), axis=0)
-    return np.asarray(f[np.argmin(cost, axis=0)], float)
+    return f[np.argmin(cost, axis=0)]
 
 
 def _completion(rows: FitRows) -> Callable[[Array, float], Robot]:

@@ -31,21 +31,30 @@ from excitant.exceptions import RankDeficient
 from excitant.identify.regression import Regression, triangle
 from excitant.robots.motion import Array, freeze
 
-# of re-estimating the noise of each joint; the weights settle in two or three
-_ROUNDS = 4
 SMALLEST = 1e-12  # torque noise taken for none
-_FINEST = 1e-6  # of the largest noise: finer rows would leave no digits to those of other joints
-_UNDETERMINED = (
-    "this motion does not determine these parameters (move the joints that show them, "
-    "or design an excitation)"
-)
-# rounds of giving back what the fit took; each leaves the share that it takes
-_GIVEN_BACK = 4
-_FEWEST = 3.0  # degrees of freedom, below which no noise is known
-_STABLE = 0.9999  # largest reflection coefficient of an autoregression
-# probability by chance, of all dropped ones, below which elimination stops
-_TOGETHER = 0.05
-_ALONE = 0.01  # of one of them
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """How noise is estimated.
+
+    Attributes:
+        rounds: Re-estimations of the noise of each joint; weights settle in two or three.
+        finest: Noise relative to the largest, below which rows would leave no digits to others.
+        returned: Rounds of returning the autocovariance that the fit took; each leaves the share
+            that the fit takes.
+        freedom: Least degrees of freedom of a noise level.
+        reflection: Largest reflection coefficient of a stable autoregression.
+    """
+
+    rounds: int = 4
+    finest: float = 1e-6
+    returned: int = 4
+    freedom: float = 3.0
+    reflection: float = 0.9999
+
+
+NOISE = NoiseSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +84,7 @@ class LeastSquares:
     @property
     def weight(self) -> Array:
         """Weights of joints' rows with which squares are −2 log-likelihood, shape (nv,)."""
-        return np.asarray(1 / (self.sigma * np.sqrt(self.inflation)), float)
+        return 1 / (self.sigma * np.sqrt(self.inflation))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +102,12 @@ class Factor:
 
     def solve(self) -> Array:
         """β of least squares, shape (r,)."""
-        return np.asarray(
-            scipy.linalg.solve_triangular(self.R, self.z) / self.norms, float
-        )
+        return scipy.linalg.solve_triangular(self.R, self.z) / self.norms
 
     @property
     def inverse(self) -> Array:
         """R⁻¹, shape (r, r)."""
-        return np.asarray(
-            scipy.linalg.solve_triangular(self.R, np.eye(len(self.R))), float
-        )
+        return scipy.linalg.solve_triangular(self.R, np.eye(len(self.R)))
 
 
 def factorised(problem: Regression, weight: Array) -> Factor:
@@ -114,7 +119,11 @@ def factorised(problem: Regression, weight: Array) -> Factor:
     r = problem.p
     names = problem.names
     if problem.undetermined:
-        raise RankDeficient([names[k] for k in problem.undetermined], _UNDETERMINED)
+        raise RankDeficient(
+            [names[k] for k in problem.undetermined],
+            "this motion does not determine these parameters (move the joints that show them, "
+            "or design an excitation)",
+        )
     rows = problem.stacked(1 / weight)
     norms = np.linalg.norm(rows[:, :r], axis=0)
     R = triangle(rows / np.append(norms, 1.0))
@@ -133,7 +142,7 @@ def weighted_least_squares(problem: Regression) -> LeastSquares:
         RankDeficient: The motion does not show some columns.
     """
     sigma = believed(problem.tau.std(axis=0))
-    for _ in range(_ROUNDS):
+    for _ in range(NOISE.rounds):
         factor = factorised(problem, sigma)
         beta = factor.solve()
         residual = problem.residual(beta)
@@ -147,18 +156,15 @@ def noise_of(residuals: Sequence[Array], r: int) -> Array:
     A joint without rows has the largest noise of all.
     """
     rows = np.array([len(e) for e in residuals])
-    squares = np.array([e @ e for e in residuals]) / np.maximum(rows, 1)
-    variance = np.where(rows > 0, squares, squares.max()) * (
-        rows.sum() / max(rows.sum() - r, 1)
-    )
-    return believed(np.sqrt(variance))
+    variance = np.array([e @ e for e in residuals]) / np.maximum(rows, 1)
+    variance = np.where(rows > 0, variance, variance.max())
+    freedom = max(rows.sum() - r, 1) / rows.sum()
+    return believed(np.sqrt(variance / freedom))
 
 
 def believed(sigma: Array) -> Array:
-    """Noise of joints, none so fine beside the others that their rows vanish, shape (nv,)."""
-    return np.asarray(
-        np.maximum(sigma, max(SMALLEST, _FINEST * float(sigma.max()))), float
-    )
+    """Noise levels, floored so that no joint's weight dominates numerically, shape (nv,)."""
+    return np.maximum(sigma, max(SMALLEST, NOISE.finest * float(sigma.max())))
 
 
 def with_covariance(
@@ -177,42 +183,36 @@ def with_covariance(
     norms = factor.norms
     scaled = error / factor.weight
     size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
-    joints = list(
-        zip(
-            problem.index,
-            problem.columns,
-            problem.triangles,
-            factor.weight,
-            strict=True,
-        )
-    )
-    rows = [
-        JointRows(index, columns[problem.rows(j)] / w / norms[index])
-        for j, (index, columns, _, w) in enumerate(joints)
-    ]
-    counted = problem.counted(scaled / size)
-    scores, freedom = score_covariances(rows, counted, inverse @ inverse.T)
-    inner = size**2 * np.array([inverse.T @ each @ inverse for each in scores])
+    rows = []
+    plain = []  # tr(A⁻¹ A_j), noise included
+    for j, index in enumerate(problem.index):
+        W = problem.columns[j][problem.rows(j)] / factor.weight[j]
+        rows.append(JointRows(index, W / norms[index]))
+        R = problem.triangles[j][:, :-1] / norms[index]
+        share = np.sum((R @ inverse[index]) ** 2)
+        plain.append(share * (sigma[j] / factor.weight[j] ** 2) ** 2)
+    residuals = problem.counted(scaled / size)
+    scores, freedom = score_covariances(rows, residuals, inverse @ inverse.T)
+    inner = size**2 * (inverse.T @ scores @ inverse)
     root = inverse / norms[:, None]
     parts = root @ inner @ root.T
     # Student's t of the sum of all joints' variances (Satterthwaite 1946)
     variances = np.diagonal(parts, axis1=1, axis2=2)
-    total = variances.sum(axis=0)
+    squares = variances.sum(axis=0) ** 2
     spread = (variances**2 / freedom[:, None]).sum(axis=0)
-    nu = np.divide(total**2, spread, out=np.full(len(total), np.inf), where=spread > 0)
-    covariance = parts.sum(axis=0) * np.outer(student_width(nu), student_width(nu))
-    alone = [np.sum((R[:, :-1] / norms[k] @ inverse[k]) ** 2) for k, _, R, _ in joints]
-    plain = np.array(alone) * (sigma / factor.weight**2) ** 2
+    endless = np.full(len(squares), np.inf)
+    nu = np.divide(squares, spread, out=endless, where=spread > 0)
+    width = student_width(nu)
+    covariance = parts.sum(axis=0) * np.outer(width, width)
     effect = np.trace(inner, axis1=1, axis2=2)
-    inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=plain > 0)
+    seen = np.array(plain) > 0
+    inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=seen)
     return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
 
 
 def student_width(freedom: Array | float) -> Array:
     """Student's over normal 97.5 % quantile, for degrees of freedom of any shape."""
-    return np.asarray(
-        scipy.special.stdtrit(freedom, 0.975) / scipy.special.ndtri(0.975), float
-    )
+    return scipy.special.stdtrit(freedom, 0.975) / scipy.special.ndtri(0.975)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +230,10 @@ class JointRows:
     @cached_property
     def spectrum(self) -> npt.NDArray[np.complex128]:
         """Fourier transform of the columns, shape (u, size / 2 + 1)."""
-        columns = np.ascontiguousarray(self.W.T)
-        return np.asarray(scipy.fft.rfft(columns, self.size), np.complex128)
+        return self._transform(np.ascontiguousarray(self.W.T))
+
+    def _transform(self, values: Array) -> npt.NDArray[np.complex128]:
+        return np.asarray(scipy.fft.rfft(values, self.size))
 
     def coloured(self, gamma: Array) -> Array:
         """W_jᵀ Γ_j, shape (u, n), Γ_j that of the autoregression behind γ."""
@@ -239,23 +241,18 @@ class JointRows:
             return self.W.T
         n = len(self.W)
         a, variance = autoregression(gamma, n)
-        power = variance / np.abs(scipy.fft.rfft(a, self.size)) ** 2
-        return np.asarray(
-            scipy.fft.irfft(power * self.spectrum, self.size)[:, :n], float
-        )
+        power = variance / np.abs(self._transform(a)) ** 2
+        return scipy.fft.irfft(power * self.spectrum, self.size)[:, :n]
 
     def taken(self, G: Array, inverse: Array, both: Array, lags: int) -> Array:
         """Autocovariance that the fit took, with G = W_jᵀ Γ_j, A⁻¹ and A⁻¹ Ω A⁻¹, (lags + 1,)."""
-        block = np.ix_(self.used, self.used)
-        H = inverse[block] @ G - both[block] @ self.W.T / 2
         if not len(self.W):
             return np.zeros(lags + 1)
-        cross = np.einsum(
-            "uf,uf->f", self.spectrum.conj(), scipy.fft.rfft(H, self.size)
-        ).real
-        return np.asarray(
-            scipy.fft.irfft(2 * cross, self.size)[: lags + 1] / len(self.W)
-        )
+        block = np.ix_(self.used, self.used)
+        H = inverse[block] @ G - both[block] @ self.W.T / 2
+        product = np.einsum("uf,uf->f", self.spectrum.conj(), self._transform(H))
+        cross = scipy.fft.irfft(2 * product.real, self.size)
+        return cross[: lags + 1] / len(self.W)
 
 
 def score_covariances(
@@ -269,8 +266,8 @@ def score_covariances(
     counts = [len(e) for e in residuals]
     lags = [min(n // 4, int(10 * np.log10(max(n, 1)))) for n in counts]
     observed = [autocovariance(e, k) for e, k in zip(residuals, lags, strict=True)]
-    gammas = observed.copy()
-    for left in range(_GIVEN_BACK, -1, -1):
+    gammas = observed
+    for remaining in range(NOISE.returned, -1, -1):
         parts = [
             joint.coloured(gamma) for joint, gamma in zip(rows, gammas, strict=True)
         ]
@@ -278,10 +275,13 @@ def score_covariances(
         for score, joint, G in zip(scores, rows, parts, strict=True):
             S = G @ joint.W
             score[np.ix_(joint.used, joint.used)] = (S + S.T) / 2
-        if left:
+        if remaining:
             both = inverse @ scores.sum(axis=0) @ inverse
-            for j, joint in enumerate(rows):
-                gammas[j] = observed[j] + joint.taken(parts[j], inverse, both, lags[j])
+            joints = zip(observed, rows, parts, lags, strict=True)
+            gammas = [
+                gamma + joint.taken(G, inverse, both, k)
+                for gamma, joint, G, k in joints
+            ]
     pairs = zip(gammas, counts, strict=True)
     return scores, np.array([_degrees_of_freedom(gamma, n) for gamma, n in pairs])
 
@@ -293,15 +293,15 @@ def _degrees_of_freedom(gamma: Array, n: int) -> float:
     σ² Γ_p⁻¹ / n, and σ² the relative variance 2 / n.
     """
     if gamma[0] <= 0:
-        return float(max(n, _FEWEST))
+        return float(max(n, NOISE.freedom))
     a, variance = autoregression(gamma, n)
     p = len(a) - 1
     relative = 2 / n
     if p:
         ones = np.ones(p)
-        spread = variance / n * ones @ scipy.linalg.solve_toeplitz(gamma[:p], ones)
-        relative += 4 * float(spread) / float(a.sum()) ** 2
-    return float(np.clip(2 / relative, _FEWEST, n))
+        inverse_sum = float(ones @ scipy.linalg.solve_toeplitz(gamma[:p], ones))
+        relative += 4 * variance / n * inverse_sum / float(a.sum()) ** 2
+    return float(np.clip(2 / relative, NOISE.freedom, n))
 
 
 def autocovariance(values: Array, lags: int) -> Array:
@@ -322,9 +322,10 @@ def autoregression(gamma: Array, n: int) -> tuple[Array, float]:
     best = (n * np.log(variance), a, variance)
     for p in range(1, len(gamma)):
         reflection = -float(a @ gamma[p:0:-1]) / variance
-        if abs(reflection) > _STABLE:
+        if abs(reflection) > NOISE.reflection:
             break
-        a = np.append(a, 0.0) + reflection * np.append(a, 0.0)[::-1]
+        longer = np.append(a, 0.0)
+        a = longer + reflection * longer[::-1]
         variance *= 1 - reflection**2
         criterion = n * np.log(variance) + 2 * p
         if criterion < best[0]:
@@ -338,10 +339,10 @@ def autocorrelation(values: Array) -> Array:
     n = len(values)
     size = scipy.fft.next_fast_len(2 * n, True)
     spectrum = np.abs(scipy.fft.rfft(centred, size)) ** 2
-    correlation = np.asarray(scipy.fft.irfft(spectrum, size)[: max(n // 3, 1)], float)
+    correlation = scipy.fft.irfft(spectrum, size)[: max(n // 3, 1)]
     if correlation[0] <= 0:
-        return np.asarray(np.eye(len(correlation))[0], float)
-    return np.asarray(correlation / correlation[0], float)
+        return np.eye(len(correlation))[0]
+    return correlation / correlation[0]
 
 
 def autocorrelation_time(residual: Array) -> float:
@@ -384,26 +385,25 @@ def essential_parameters(beta: Array, covariance: Array) -> Essential:
     statistic = 0.0
     p_value = 1.0
     while kept:
-        variance = np.maximum(np.diag(S)[kept], 0.0)
-        squares = np.divide(
-            b[kept] ** 2,
-            variance,
-            out=np.full(len(kept), np.inf),
-            where=variance > 1e-12,
-        )
+        variance = np.diag(S)[kept]
+        certain = np.full(len(kept), np.inf)
+        squares = np.divide(b[kept] ** 2, variance, certain, where=variance > 1e-12)
         k = kept[int(squares.argmin())]
         square = float(squares.min())
         together = float(scipy.special.chdtrc(len(dropped) + 1, statistic + square))
-        if together < _TOGETHER or scipy.special.chdtrc(1, square) < _ALONE:
+        alone = float(scipy.special.chdtrc(1, square))
+        # probabilities by chance: of all that is dropped, and of this one
+        if together < 0.05 or alone < 0.01:
             break
-        b = b - S[:, k] * b[k] / S[k, k]
-        S = S - np.outer(S[:, k], S[k]) / S[k, k]
-        statistic = statistic + square
+        column = S[:, k] / S[k, k]
+        b = b - column * b[k]
+        S = S - np.outer(column, S[k])
+        statistic += square
         p_value = together
         kept.remove(k)
         dropped.append(k)
-    b[dropped] = S[dropped] = 0.0
+    b[dropped] = 0.0
+    S[dropped] = 0.0
     S[:, dropped] = 0.0
-    return Essential(
-        tuple(kept), tuple(dropped), b * unit, S * np.outer(unit, unit), p_value
-    )
+    covariance = S * np.outer(unit, unit)
+    return Essential(tuple(kept), tuple(dropped), b * unit, covariance, p_value)

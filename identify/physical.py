@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy
@@ -38,19 +37,37 @@ from excitant.identify.semidefinite import (
     possible,
     solve,
 )
+from excitant.identify.signals import grid_minimum
 from excitant.robots.motion import Array, freeze, read_only
 
-SIGMAS = 0.05, 10.0
-"""Least and largest relative uncertainty of given bodies; ±100 kg for 10 kg is as good as none."""
-_GRID = 40  # values of σ, evenly spread by logarithm
-_ALTERNATIONS = 3  # between the σ of links that have their own and that of the others
-_CHANCE = 0.05
-_MARGIN = 1e-4  # least part of a given body in any direction
-_ROUNDING = 1e-10  # of a parameter's unit, up to which it is known exactly
 _UNSETTLED = (
     "the physically consistent fit ends {:.2g} standard deviations from its optimum, for the data "
     "fit only bodies far from any that can exist: look for wrong units or signs of torque"
 )
+_ROUNDING = 1e-10  # of a parameter's unit, up to which it is known exactly
+_MARGIN = 1e-4  # least share of a nominal body in any direction, for contradictions
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Settings of the relative uncertainty σ of nominal bodies.
+
+    Attributes:
+        least: Least σ: no description is right to better than that.
+        largest: Largest σ; ±100 kg for 10 kg is as good as none.
+        grid: Values of σ tried, evenly spread by logarithm.
+        alternations: Rounds between the σ of links that have their own and that of the others.
+        false_alarm: Probability that a link has its own σ by chance, among all links.
+    """
+
+    least: float = 0.05
+    largest: float = 10.0
+    grid: int = 40
+    alternations: int = 3
+    false_alarm: float = 0.05
+
+
+AGREEMENT = Agreement()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +101,7 @@ class PhysicalFit:
         after = np.diag(self.covariance)
         before = (self.root**2).sum(axis=1)
         ratio = np.divide(after, before, out=np.ones_like(before), where=before > 0)
-        return np.asarray(np.sqrt(np.clip(ratio, 0.0, 1.0)), float)
+        return np.sqrt(np.clip(ratio, 0.0, 1.0))
 
     @cached_property
     def influence(self) -> Array:
@@ -127,26 +144,32 @@ def fit_physical(
     knowledge = knowledge or Knowledge()
     if not isinstance(prior, BodyPrior):
         prior = BodyPrior(prior, agreement(R, z, prior))
-    given = prior.bodies.ravel()
+    nominal = prior.bodies.ravel()
     names = links or [f"link {k + 1}" for k in range(len(prior.bodies))]
     # units of the effect coefficients that make their columns alike
-    units = np.sqrt(
-        len(R) / ((R[:, len(given) :] ** 2).sum(axis=0) + effects.std**-2.0)
-    )
+    squares = (R[:, len(nominal) :] ** 2).sum(axis=0)
+    units = np.sqrt(len(R) / (squares + effects.std**-2.0))
     scale = scipy.linalg.block_diag(prior.T, np.diag(units))
-    centre = np.concatenate([np.linalg.solve(prior.T, given), effects.mean / units])
-    known, about, restrictions = _known(
-        knowledge, names, prior, effects.lower / units, centre
+    centre = np.concatenate([np.linalg.solve(prior.T, nominal), effects.mean / units])
+    C, d, restrictions = _known(knowledge, names, prior, effects.lower / units, centre)
+    program = Program(
+        A=R @ scale,
+        z=z,
+        C=scipy.linalg.block_diag(C, np.diag(units / effects.std)),
+        d=np.concatenate([d, effects.mean / effects.std]),
+        bodies=prior,
+        restrictions=restrictions,
     )
-    weight = units / effects.std
-    C = scipy.linalg.block_diag(known, np.diag(weight))
-    d = np.concatenate([about, effects.mean / effects.std])
-    program = Program(R @ scale, z, C, d, prior, restrictions)
-    found = solve(program, centre)
-    covariance, root = _uncertainty(program, found.y, scale)
-    note = "" if found.settled else _UNSETTLED.format(found.error)
+    solution = solve(program, centre)
+    covariance, root = _uncertainty(program, solution.y, scale)
     return PhysicalFit(
-        scale @ found.y, covariance, found.kkt(program), R, root, prior, note
+        x=scale @ solution.y,
+        covariance=covariance,
+        kkt=solution.kkt(program),
+        R=R,
+        root=root,
+        prior=prior,
+        note="" if solution.settled else _UNSETTLED.format(solution.error),
     )
 
 
@@ -159,75 +182,77 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     where the data see them. All links have one σ, but for those that are significantly further
     off: the last, which carries tools that descriptions lack, and others, one by one, counted
     against chance among as many links. No description is taken to be right to better than
-    `SIGMAS[0]`. Shapes as in `fit_physical`.
+    `Agreement.least`. Shapes as in `fit_physical`.
     """
-    p = R.shape[1]
-    T = link_coordinates(prior)
     links = len(prior)
-    both = np.asarray(np.linalg.qr(np.column_stack([R, z]), mode="r"), float)[:p]
-    free = scipy.linalg.null_space(both[:, len(T) : p].T).T
-    columns = free @ both[:, : len(T)] @ T / link_weights(links, 1.0)
-    left = free @ (both[:, p] - both[:, : len(T)] @ prior.ravel())
-    seen, size, _ = np.linalg.svd(columns, full_matrices=False)
-    seen = seen[
-        :, size > _ROUNDING * max(size[:1], default=1.0)
-    ]  # σ is of no account elsewhere
-    columns = seen.T @ columns
-    left = seen.T @ left
+    blocks, residual = _deviations(R, z, prior)
 
     def most_likely(block: Array, others: Array) -> tuple[float, float]:
         """σ of a block of columns beside others of unit variance, and −2 log likelihood."""
-        both = np.vstack([np.eye(len(left)), others.T])
-        root = np.asarray(np.linalg.qr(both, mode="r"), float).T
-        U, s, _ = np.linalg.svd(scipy.linalg.solve_triangular(root, block, lower=True))
+        both = np.vstack([np.eye(len(residual)), others.T])
+        root = np.linalg.qr(both, mode="r").T
+        whitened = scipy.linalg.solve_triangular(root, block, lower=True)
+        U, s, _ = np.linalg.svd(whitened)
         power = np.pad(s, (0, len(U) - len(s)))
-        seen = (U.T @ scipy.linalg.solve_triangular(root, left, lower=True)) ** 2
+        seen = (U.T @ scipy.linalg.solve_triangular(root, residual, lower=True)) ** 2
 
-        def surprise(log_sigma: Any) -> Any:
-            variance = 1 + np.multiply.outer(np.exp(log_sigma), power) ** 2
-            return (np.log(variance) + seen / variance).sum(axis=-1)
+        def surprise(log_sigma: float) -> float:
+            variance = 1 + (np.exp(log_sigma) * power) ** 2
+            return float((np.log(variance) + seen / variance).sum())
 
-        grid = np.log(np.geomspace(*SIGMAS, _GRID))
-        k = int(np.argmin(surprise(grid)))
-        ends = grid[max(k - 1, 0)], grid[min(k + 1, _GRID - 1)]
-        found = scipy.optimize.minimize_scalar(surprise, bounds=ends, method="bounded")
-        return float(np.exp(found.x)), float(found.fun) + 2 * float(
-            np.log(np.abs(np.diag(root))).sum()
-        )
-
-    blocks = columns.reshape(len(left), links, 10).swapaxes(0, 1)
+        grid = np.log(np.geomspace(AGREEMENT.least, AGREEMENT.largest, AGREEMENT.grid))
+        log_sigma, least = grid_minimum(surprise, grid)
+        log_det = float(np.log(np.abs(np.diag(root))).sum())
+        return float(np.exp(log_sigma)), least + 2 * log_det
 
     def with_own(own: Sequence[int], sigma: Array) -> tuple[float, Array]:
         """The surprise, and σ of every link: those of some, and that of all others."""
-        others = [k for k in range(links) if k not in own]
+        common = [k for k in range(links) if k not in own]
+        groups = [*([k] for k in reversed(own)), common]
         sigma = sigma.copy()
         least = np.inf
-        for group in [*([k] for k in reversed(own)), others] * (
-            _ALTERNATIONS if own else 1
-        ):
+        for group in groups * (AGREEMENT.alternations if own else 1):
             sigma[group] = 0.0
-            joined = np.concatenate(blocks[group], axis=1)
             beside = np.concatenate(blocks * sigma[:, None, None], axis=1)
-            sigma[group], least = most_likely(joined, beside)
+            block = np.concatenate(blocks[group], axis=1)
+            sigma[group], least = most_likely(block, beside)
         return least, sigma
 
+    chance = np.full(links, AGREEMENT.false_alarm / links)
+    chance[-1] = AGREEMENT.false_alarm
     own = list[int]()
-    chance = np.append(np.full(links - 1, _CHANCE / links), _CHANCE)
     least, sigma = with_own(own, np.zeros(links))
     while len(own) < links - 1:
-        others = [k for k in range(links) if k not in own]
-        trials = [(*with_own([*own, k], sigma), k) for k in others]
-        further = [
-            (value, trial, k)
-            for value, trial, k in trials
-            if least - value > scipy.special.chdtri(1, chance[k])
-            and trial[k] > trial[[j for j in others if j != k]].max()
-        ]
-        if not further:
+        common = [k for k in range(links) if k not in own]
+        better = []
+        for k in common:
+            value, trial = with_own([*own, k], sigma)
+            significant = least - value > scipy.special.chdtri(1, chance[k])
+            if significant and trial[k] > trial[[j for j in common if j != k]].max():
+                better.append((value, k, trial))
+        if not better:
             break
-        least, sigma, k = min(further, key=lambda trial: trial[0])
+        least, k, sigma = min(better, key=lambda candidate: candidate[0])
         own.append(k)
     return sigma
+
+
+def _deviations(R: Array, z: Array, prior: Array) -> tuple[Array, Array]:
+    """Columns of the links' coordinates and residual of nominal bodies, beyond all effects.
+
+    Shapes (links, rows, 10) and (rows,); without rows that no body moves, which tell no σ.
+    """
+    p = R.shape[1]
+    T = link_coordinates(prior)
+    size = len(T)
+    factor = np.linalg.qr(np.column_stack([R, z]), mode="r")[:p]
+    free = scipy.linalg.null_space(factor[:, size:p].T).T
+    columns = free @ factor[:, :size] @ T / link_weights(len(prior), 1.0)
+    residual = free @ (factor[:, p] - factor[:, :size] @ prior.ravel())
+    U, s, _ = np.linalg.svd(columns, full_matrices=False)
+    U = U[:, s > _ROUNDING * max(s[:1], default=1.0)]
+    blocks = (U.T @ columns).reshape(U.shape[1], len(prior), 10)
+    return blocks.swapaxes(0, 1), U.T @ residual
 
 
 def _known(
@@ -246,19 +271,22 @@ def _known(
     if bounded.any():
         signs = np.eye(p)[len(T) :][bounded]
         restrictions.insert(0, Restriction("nonnegative", signs, lower[bounded]))
-    names: tuple[str, ...] = ()
-    if known and any(each.violation(centre) > 0 for each in restrictions):
+    if known and any(r.violation(centre) > 0 for r in restrictions):
         names = contradiction((*possible(prior, p, _MARGIN), *restrictions))
-    if names:
-        what = " and ".join(
-            [", ".join(names[:-1]), names[-1]] if len(names) > 1 else names
-        )
-        together = "contradict each other" if len(names) > 1 else "cannot be"
-        raise BadInput(
-            f"{knowledge.source}: {what} {together}: no body near the given one fulfils "
-            f"{'them together; correct one of them' if len(names) > 1 else 'it; correct it'}"
-        )
+        if names:
+            raise BadInput(f"{knowledge.source}: {_contradictory(names)}")
     return C @ T, d, tuple(restrictions)
+
+
+def _contradictory(names: Sequence[str]) -> str:
+    """What is wrong with these restrictions, and what to do."""
+    *most, last = names
+    if not most:
+        return f"{last} cannot be: no body near the given one fulfils it; correct it"
+    return (
+        f"{', '.join(most)} and {last} contradict each other: no body near the given one "
+        "fulfils them together; correct one of them"
+    )
 
 
 def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
@@ -282,7 +310,6 @@ def _uncertainty(program: Program, y: Array, scale: Array) -> tuple[Array, Array
     both = np.vstack([program.A, prior])
     factors = (np.linalg.qr(rows @ N, mode="r") for rows in (both, prior))
     after, root = (scipy.linalg.solve_triangular(F, S.T, trans=1).T for F in factors)
-    root[np.linalg.norm(root, axis=1) <= _ROUNDING * np.linalg.norm(scale, axis=1)] = (
-        0.0
-    )
+    exactly = _ROUNDING * np.linalg.norm(scale, axis=1)
+    root[np.linalg.norm(root, axis=1) <= exactly] = 0.0
     return after @ after.T, root

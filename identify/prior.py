@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -47,24 +47,39 @@ from excitant.robots.parameters import (
 from excitant.robots.robot import Robot
 from excitant.robots.torque import effect_values, observation_columns, torque
 
-_NO_MASS = 1e-3  # kg a link: an arm so light has no masses
-_BALL = 0.1  # m: radius of gyration about each axis of a link of which nothing is known
-# links are known to about ±100 %; decides only what the data leave open
-PRIOR_SIGMA = 1.0
+PRIOR_SIGMA = (
+    1.0  # relative std of nominal bodies; decides only what the data leave open
+)
 UPPER = np.triu_indices(4)  # of Q: its coordinates
 NORMS = np.where(UPPER[0] == UPPER[1], 1.0, np.sqrt(2.0))  # Σ (norm · y)² = ‖Q‖_F²
 SYMMETRIC = np.zeros((10, 4, 4))  # Q = Σ_k y_k · SYMMETRIC[k]
 for _k, (_i, _j) in enumerate(zip(*UPPER, strict=True)):
     SYMMETRIC[_k, _i, _j] = SYMMETRIC[_k, _j, _i] = 1.0
 
-# of the largest torque, and of its own limit: what a joint without load needs
-_IDLE = 1e-2
-_HARMONICS = 5
-# share of the limits on speed and acceleration that a reference motion uses
-_LIMIT_SHARE = 0.5
-_FREE_SPEED = 3.0  # rad/s
-_FREE_ACCELERATION = 10.0  # rad/s² where there is no limit
-_RANGE = 0.9  # share of the position limits
+
+@dataclass(frozen=True)
+class ReferenceMotion:
+    """What an arm is assumed to move like where no motion is given.
+
+    Attributes:
+        harmonics: Sines in the position of each joint.
+        limit_share: Share of the limits on speed and acceleration that is used,
+        range_share: and of the position limits.
+        free_speed: Speed limit where the model has none [rad/s].
+        free_acceleration: Acceleration limit where the model has none [rad/s²].
+        idle: Torque of a joint without load, as a share of the largest torque needed and of its
+            own limit.
+    """
+
+    harmonics: int = 5
+    limit_share: float = 0.5
+    range_share: float = 0.9
+    free_speed: float = 3.0
+    free_acceleration: float = 10.0
+    idle: float = 1e-2
+
+
+REFERENCE = ReferenceMotion()
 
 KINDS = ("null space", "weakly seen", "random")
 DOMINATED = 0.5  # influence from which an entry counts as the prior's
@@ -74,7 +89,6 @@ WEAKEST = 4  # directions seen worst, of all seen
 UNSEEN = 1e-9
 # of an entry's uncertainty: less means a move of less than 5 % of the entry
 _MATERIAL = 0.25
-_SILENT = 1e-11  # norm of a column relative to the largest; below it is rounding
 
 
 def prior_parameters(robot: Robot) -> Array:
@@ -87,31 +101,34 @@ def prior_parameters(robot: Robot) -> Array:
         BadRobot: A link of negative mass.
     """
     phi = np.array(robot.phi.reshape(robot.nv, 10))
-    for link, values in zip(robot.links, phi, strict=True):
-        if values[0] < 0:
+    mass = phi[:, 0].copy()
+    for link, value in zip(robot.links, mass, strict=True):
+        if value < 0:
             raise BadRobot(
-                robot.source, f"link '{link}' has mass {values[0]:g} kg; correct it"
+                robot.source, f"link '{link}' has mass {value:g} kg; correct it"
             )
-    mass = phi[:, 0]
-    total = float(phi[:, 0].sum())
-    least = PLACEHOLDER * total if total > _NO_MASS * robot.nv else 1.0
-    phi[mass == 0] = from_pseudo_inertia(least * np.diag([*(_BALL**2,) * 3, 1.0]))
-    phi *= np.maximum(1.0, least / mass)[:, None]
-    return np.array([nearest_consistent(values) for values in phi])
+    total = float(mass.sum())
+    described = total > 1e-3 * robot.nv  # kg
+    least = PLACEHOLDER * total if described else 1.0
+    ball = np.diag(
+        [0.1**2, 0.1**2, 0.1**2, 1.0]
+    )  # radius of gyration about an axis [m]
+    phi[mass == 0] = from_pseudo_inertia(least * ball)
+    phi *= np.maximum(1.0, least / phi[:, 0])[:, None]
+    return np.array([nearest_consistent(body) for body in phi])
 
 
 def link_weights(links: int, sigma: float | Array) -> Array:
     """Square roots of the precision 1/σ² of the coordinates y, shape (10 links,)."""
-    return np.outer(1 / np.broadcast_to(np.asarray(sigma, float), links), NORMS).ravel()
+    return np.outer(1 / np.broadcast_to(sigma, links), NORMS).ravel()
 
 
 def link_coordinates(reference: Array) -> Array:
     """Map T, φ = T y, to standard parameters; y is relative to consistent ones, (links, 10)."""
-    roots = np.linalg.cholesky(
-        [pseudo_inertia(isotropic(values)) for values in reference]
-    )
+    bodies = [pseudo_inertia(isotropic(body)) for body in reference]
+    roots = np.linalg.cholesky(bodies)
     blocks = (from_pseudo_inertia(L @ SYMMETRIC @ L.T).T for L in roots)
-    return np.asarray(scipy.linalg.block_diag(*blocks), float)
+    return scipy.linalg.block_diag(*blocks)
 
 
 def matrices(y: Array, links: int) -> Array:
@@ -124,9 +141,11 @@ def relative_rows(phi: Array) -> Array:
 
     R_k φ_k is the upper triangle of C⁻¹ P C⁻ᵀ times `NORMS`, where C Cᵀ is of link k of φ.
     """
-    C = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10))))[:, None]
-    relative = (C @ PSEUDO_INERTIA_BASIS @ C.swapaxes(2, 3))[..., *UPPER]
-    return np.asarray(NORMS[:, None] * relative.swapaxes(1, 2), float)
+    C = np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
+    inverse = np.linalg.inv(C)[:, None]
+    basis = inverse @ PSEUDO_INERTIA_BASIS @ inverse.swapaxes(2, 3)
+    relative = basis[..., *UPPER]
+    return NORMS[:, None] * relative.swapaxes(1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,13 +170,13 @@ class BodyPrior:
     @cached_property
     def draws(self) -> Array:
         """Weight n of the entropic distance, shape (links,)."""
-        sigma = np.broadcast_to(np.asarray(self.sigma, float), (len(self.bodies),))
+        sigma = np.broadcast_to(self.sigma, len(self.bodies))
         return np.minimum(1.0, sigma**-2.0)
 
     @cached_property
     def _distance(self) -> Array:
         weights = link_weights(len(self.bodies), self.sigma)
-        return np.asarray(weights[:, None] * np.linalg.inv(self.T), float)
+        return weights[:, None] * np.linalg.inv(self.T)
 
     @cached_property
     def _roots(self) -> Array:
@@ -177,16 +196,17 @@ class BodyPrior:
 
         A barrier adds so many times −log det P of every link.
         """
-        weight = (self.draws + barrier)[:, None]
+        draws = self.draws[:, None]
+        weight = draws + barrier
         scale = np.sqrt(weight / 2)
-        relative = self._roots @ np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
-        Q = (relative.swapaxes(1, 2) @ relative)[:, *UPPER]
-        values = scale * NORMS * (self.draws[:, None] / weight * Q - np.eye(4)[UPPER])
-        blocks = scipy.linalg.block_diag(*(scale[:, :, None] * relative_rows(phi)))
+        roots = self._roots @ np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
+        # the nominal body relative to φ
+        Q = (roots.swapaxes(1, 2) @ roots)[:, *UPPER]
+        entropic = scale * NORMS * (draws / weight * Q - np.eye(4)[UPPER])
+        J = scipy.linalg.block_diag(*(scale[:, :, None] * relative_rows(phi)))
         distance = self._distance @ (phi - self.bodies.ravel())
-        return np.concatenate([distance, values.ravel()]), np.vstack(
-            [self._distance, blocks]
-        )
+        residual = np.concatenate([distance, entropic.ravel()])
+        return residual, np.vstack([self._distance, J])
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,11 +250,11 @@ def base_prior(
     phi = prior_parameters(robot)
     T = link_coordinates(phi)
     links = T @ np.diag(link_weights(robot.nv, sigma) ** -2.0) @ T.T
-    known = effect_values(robot)
+    nominal = effect_values(robot)
     names = base.names[10 * robot.nv :]
-    mean = np.concatenate([phi.ravel(), [known.get(name, 0.0) for name in names]])
-    spread = _effect_sizes(robot, effects)
-    covariance = scipy.linalg.block_diag(links, np.diag(spread**2))
+    mean = np.concatenate([phi.ravel(), [nominal.get(name, 0.0) for name in names]])
+    variances = _effect_sizes(robot, effects) ** 2
+    covariance = scipy.linalg.block_diag(links, np.diag(variances))
     B = base.regrouping
     total = B @ covariance @ B.T
     return BasePrior(B @ mean, (total + total.T) / 2)
@@ -251,7 +271,7 @@ def needed_torque(robot: Robot, motion: Motion) -> Array:
     limit = robot.limits.torque
     needed = np.sqrt((tau**2).mean(axis=0))
     strong = np.maximum(needed.max(), np.where(np.isfinite(limit), limit, 0.0))
-    return np.asarray(np.maximum(needed, _IDLE * strong), float)
+    return np.maximum(needed, REFERENCE.idle * strong)
 
 
 def _effect_sizes(robot: Robot, effects: Sequence[Effect]) -> Array:
@@ -259,11 +279,11 @@ def _effect_sizes(robot: Robot, effects: Sequence[Effect]) -> Array:
     motion = reference_motion(robot, 10.0, 20.0)
     columns = observation_columns(robot, effects, motion)[:, :, 10 * robot.nv :]
     size = np.sqrt((columns**2).mean(axis=0))
-    needed = needed_torque(robot, motion)
-    each = np.full_like(size, np.inf)
-    np.divide(needed[:, None], size, out=each, where=size > 0)
-    smallest = each.min(axis=0, initial=np.inf)
-    return np.asarray(np.where(np.isfinite(smallest), smallest, 1.0), float)
+    needed = needed_torque(robot, motion)[:, None]
+    coefficients = np.full_like(size, np.inf)
+    np.divide(needed, size, out=coefficients, where=size > 0)
+    smallest = coefficients.min(axis=0, initial=np.inf)
+    return np.where(np.isfinite(smallest), smallest, 1.0)
 
 
 def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
@@ -273,30 +293,30 @@ def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
     """
     rng = np.random.default_rng(0)
     t = np.arange(0, duration, 1 / rate_hz)
-    omega = 2 * np.pi / duration * np.arange(1, _HARMONICS + 1)
-    phase = rng.uniform(0, 2 * np.pi, (_HARMONICS, robot.nv))
-    size = rng.uniform(0.5, 1.0, phase.shape) / omega[:, None]
-    angle = omega[:, None] * t[:, None, None] + phase
-    orders = [
-        (size * omega[:, None] ** k * np.sin(angle + k * np.pi / 2)).sum(axis=1)
-        for k in range(3)
-    ]
-    low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
-    speed = np.where(robot.limits.velocity < 1e3, robot.limits.velocity, _FREE_SPEED)
-    limit = robot.limits.acceleration
-    acceleration = np.where(limit < 1e4, limit, _FREE_ACCELERATION)
-    ends = (
-        _RANGE * (high - low) / 2,
-        _LIMIT_SHARE * speed,
-        _LIMIT_SHARE * acceleration,
+    harmonics = np.arange(1, REFERENCE.harmonics + 1)
+    omega = (2 * np.pi / duration * harmonics)[:, None]
+    phase = rng.uniform(0, 2 * np.pi, (len(omega), robot.nv))
+    size = rng.uniform(0.5, 1.0, phase.shape) / omega
+    angle = omega * t[:, None, None] + phase
+    q, dq, ddq = (
+        (size * omega**k * np.sin(angle + k * np.pi / 2)).sum(axis=1) for k in range(3)
     )
-    largest = [np.abs(values).max(axis=0) for values in orders]
+    limits = robot.limits
+    low, high = np.clip(limits.position, -np.pi, np.pi).T
+    # limits so high are those of models without any
+    speed = np.where(limits.velocity < 1e3, limits.velocity, REFERENCE.free_speed)
+    acceleration = np.where(
+        limits.acceleration < 1e4, limits.acceleration, REFERENCE.free_acceleration
+    )
     scale = np.min(
-        [end / size for end, size in zip(ends, largest, strict=True)], axis=0
+        [
+            REFERENCE.range_share * (high - low) / 2 / np.abs(q).max(axis=0),
+            REFERENCE.limit_share * speed / np.abs(dq).max(axis=0),
+            REFERENCE.limit_share * acceleration / np.abs(ddq).max(axis=0),
+        ],
+        axis=0,
     )
-    return Motion(
-        t, (low + high) / 2 + scale * orders[0], scale * orders[1], scale * orders[2]
-    )
+    return Motion(t, (low + high) / 2 + scale * q, scale * dq, scale * ddq)
 
 
 def follows(ratio: Array, reach: Array) -> Array:
@@ -306,14 +326,14 @@ def follows(ratio: Array, reach: Array) -> Array:
     is the share of its uncertainty that a kind reaches. Both have shape (kinds, p).
     """
     counted = np.where((reach >= _MATERIAL) & np.isfinite(ratio), ratio, 0.0)
-    return np.asarray(np.clip(counted.max(axis=0), 0.0, 1.0), float)
+    return np.clip(counted.max(axis=0), 0.0, 1.0)
 
 
 def decided_by(influence: Array) -> tuple[str, ...]:
     """Who decided entries that follow the prior by 0 to 1: data, prior, or both together, (p,)."""
     return tuple(
-        "prior" if each > DOMINATED else "both" if each > SHARED else "data"
-        for each in influence
+        "prior" if value > DOMINATED else "both" if value > SHARED else "data"
+        for value in influence
     )
 
 
@@ -333,7 +353,7 @@ def reached(L: Array, directions: Array, x: Array, links: int) -> Array:
 def silent_columns(R: Array) -> npt.NDArray[np.bool_]:
     """Columns that make no torque, shape (p,)."""
     norms = np.linalg.norm(R, axis=0)
-    return np.asarray(norms <= _SILENT * norms.max(initial=0.0))
+    return norms <= 1e-11 * norms.max(initial=0.0)  # rounding
 
 
 def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
@@ -345,23 +365,19 @@ def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
     _, s, Vt = np.linalg.svd(R @ L)
     s = np.pad(s, (0, len(Vt) - len(s)))
     seen = s > UNSEEN * s.max(initial=0.0)
-    moves = L @ Vt.T / (1 + s**2)
-    sizes = np.linalg.norm(L, axis=1)
+    directions = L @ Vt.T
+    moves = directions / (1 + s**2)
     weak = np.flatnonzero(seen)[-WEAKEST:]
+    unseen = reached(L, Vt[~seen], x, links)
+    unseen[silent_columns(R)] = 1.0
     random = np.arange(len(x)) < 10 * links
-    reach = np.array(
-        [reached(L, Vt[~seen], x, links), reached(L, Vt[weak], x, links), random]
-    )
-    reach[0, silent_columns(R)] = 1.0
-    along = np.linalg.norm((L @ Vt.T)[:, weak], axis=1)
-    weakly = _share(np.linalg.norm(moves[:, weak], axis=1), along)
-    ratio = np.array(
-        [np.ones(len(x)), weakly, _share(np.linalg.norm(moves, axis=1), sizes)]
-    )
-    return np.asarray(np.where(sizes > 0, follows(ratio, reach), 1.0), float)
+    reach = np.array([unseen, reached(L, Vt[weak], x, links), random])
+    norm = partial(np.linalg.norm, axis=1)
+    sizes = norm(L)
+    weakly = _share(norm(moves[:, weak]), norm(directions[:, weak]))
+    ratio = np.array([np.ones(len(x)), weakly, _share(norm(moves), sizes)])
+    return np.where(sizes > 0, follows(ratio, reach), 1.0)
 
 
 def _share(part: Array, whole: Array) -> Array:
-    return np.asarray(
-        np.divide(part, whole, out=np.zeros_like(part), where=whole > 0), float
-    )
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)

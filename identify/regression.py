@@ -134,7 +134,7 @@ class Regression:
 
     def residual(self, x: Array) -> Array:
         """τ − W x, shape (n, nv)."""
-        return np.asarray(self.tau - self.torque(x), float)
+        return self.tau - self.torque(x)
 
     def select(
         self, columns: Sequence[int], names: Sequence[str] | None = None
@@ -246,7 +246,7 @@ class Regression:
 
 def triangle(A: Array) -> Array:
     """R of A = Q R, without rows of zeros below, shape (min(n, m), m)."""
-    return np.asarray(scipy.linalg.qr(A, mode="r")[0][: A.shape[1]], float)
+    return scipy.linalg.qr(A, mode="r")[0][: A.shape[1]]
 
 
 def dense(

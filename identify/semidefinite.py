@@ -33,18 +33,41 @@ _CONES = {
     "second_order": clarabel.SecondOrderConeT,
     "semidefinite": lambda _: clarabel.PSDTriangleConeT(4),
 }
-_SOLVED = ("Solved", "AlmostSolved")  # states of the conic solver with a solution
-_MARGINS = (1e-2, 1e-4, 1e-6)  # of a point inside all restrictions, in their units
-_LEAST = 1e-10  # μ at the end: within 1e-4 standard deviations of the minimum
-_FALL = 0.1  # of μ
-# of μ: the decrement λ² from which Newton's method converges quadratically
-_CENTRED = 0.1
-_SETTLED = 1e-6  # decrement λ at the end, in standard deviations; the error is about its square
-_STEPS = 60  # of Newton's method for one μ
-_PRECISE = 1e-2  # posterior standard deviations from the minimum, or
-_NEAR = 1e-4  # this part of the way from the start
-_BORDER = 1e-9  # of the way to where a body or a slack vanishes
-_ROUNDING = 1e-10  # of the largest force of a restriction
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """Settings of the central path, whose barriers have the weight μ.
+
+    Attributes:
+        margins: Slacks of an interior point that are tried, in the units of restrictions.
+        least: μ at the end: within 1e-4 standard deviations of the minimum.
+        fall: Factor by which μ falls.
+        centred: Newton's method ends where its squared decrement λ² is at most this times μ, from
+            where it converges quadratically;
+        settled: at the least μ where λ is at most this, in standard deviations; the error is about
+            its square.
+        steps: Largest number of Newton steps for one μ.
+        precise: Error of a settled solution, in posterior standard deviations, or
+        near: as a share of the way from the start.
+        border: Share of the way to a vanishing body or slack that a step leaves.
+        rounding: Singular value of the forces of restrictions, relative to the largest, below which
+            they are dependent.
+    """
+
+    margins: tuple[float, ...] = (1e-2, 1e-4, 1e-6)
+    least: float = 1e-10
+    fall: float = 0.1
+    centred: float = 0.1
+    settled: float = 1e-6
+    steps: int = 60
+    precise: float = 1e-2
+    near: float = 1e-4
+    border: float = 1e-9
+    rounding: float = 1e-10
+
+
+PATH = PathSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,30 +85,30 @@ class Restriction:
 
     def slack(self, y: Array) -> Array:
         """G y − h, shape (m,)."""
-        return np.asarray(self.G @ y - self.h)
+        return self.G @ y - self.h
 
     def violation(self, y: Array) -> float:
-        """By how much it is missed, in its own units; negative where there is room."""
+        """Constraint violation in the units of h; negative if slack."""
         slack = self.slack(y)
         if self.cone == "semidefinite":
-            y = np.empty(10)
-            y[_COLUMNS] = slack
-            return -float(np.linalg.eigvalsh(matrices(y / NORMS, 1))[0, 0])
+            triangle = np.empty(10)
+            triangle[_COLUMNS] = slack
+            return -float(np.linalg.eigvalsh(matrices(triangle / NORMS, 1))[0, 0])
         if self.cone == "second_order":
             return float(np.linalg.norm(slack[1:]) - slack[0])
         return float(np.abs(slack).max() if self.cone == "zero" else -slack.min())
 
 
 def possible(bodies: BodyPrior, p: int, margin: float) -> tuple[Restriction, ...]:
-    """No link is less than a part of what is given, in any direction; y has p coordinates."""
-    h = margin * np.eye(4)[UPPER]
-    T = bodies.T
-    rows = np.zeros((len(bodies.bodies), 10, p))
-    for k, own in enumerate(relative_rows(bodies.bodies)):
-        rows[k, :, : len(T)] = own @ T[10 * k : 10 * k + 10]
-    return tuple(
-        Restriction("semidefinite", each[_COLUMNS], h[_COLUMNS]) for each in rows
-    )
+    """No link is less than a share of the nominal one, in any direction; y has p coordinates."""
+    h = (margin * np.eye(4)[UPPER])[_COLUMNS]
+    restrictions = []
+    for k, rows in enumerate(relative_rows(bodies.bodies)):
+        link = slice(10 * k, 10 * k + 10)
+        G = np.zeros((10, p))
+        G[:, link] = (rows @ bodies.T[link, link])[_COLUMNS]
+        restrictions.append(Restriction("semidefinite", G, h))
+    return tuple(restrictions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,16 +134,13 @@ class Program:
         T = self.bodies.T
         residual, J = self.bodies.quadratic(T @ y[: len(T)], barrier)
         rows = np.pad(J @ T, ((0, 0), (0, len(y) - len(T))))
-        return np.vstack([rows, self.C]), np.concatenate(
-            [residual, self.C @ y - self.d]
-        )
+        deviation = self.C @ y - self.d
+        return np.vstack([rows, self.C]), np.concatenate([residual, deviation])
 
     def gradient(self, y: Array) -> Array:
         """Gradient of the objective, shape (p,)."""
         J, residual = self.prior(y)
-        return np.asarray(
-            2 * (self.A.T @ (self.A @ y - self.z) + J.T @ residual), float
-        )
+        return 2 * (self.A.T @ (self.A @ y - self.z) + J.T @ residual)
 
 
 @dataclass(frozen=True)
@@ -147,15 +167,16 @@ class Solution:
 
     def kkt(self, program: Program) -> KktResiduals:
         """Residuals of the optimality conditions."""
-        pairs = list(zip(program.restrictions, self.multipliers, strict=True))
-        pull = sum((r.G.T @ push for r, push in pairs), np.zeros_like(self.y))
-        slackness = sum(abs(float(push @ r.slack(self.y))) for r, push in pairs)
+        gradient = program.gradient(self.y)
+        slackness = 0.0
+        primal = 0.0
+        for r, force in zip(program.restrictions, self.multipliers, strict=True):
+            gradient = gradient - r.G.T @ force
+            slackness += abs(float(force @ r.slack(self.y)))
+            primal = max(primal, r.violation(self.y))
         size = float(np.linalg.norm(2 * program.A.T @ program.z)) + 1.0
-        return KktResiduals(
-            float(np.linalg.norm(program.gradient(self.y) - pull)) / size,
-            slackness / size,
-            max([0.0, *(r.violation(self.y) for r in program.restrictions)]),
-        )
+        stationarity = float(np.linalg.norm(gradient))
+        return KktResiduals(stationarity / size, slackness / size, primal)
 
 
 def solve(program: Program, centre: Array) -> Solution:
@@ -167,27 +188,26 @@ def solve(program: Program, centre: Array) -> Solution:
     Raises:
         Infeasible: Restrictions that leave no room.
     """
-    y = start = interior(program, centre)
+    start = interior(program, centre)
     path = _CentralPath(program, start)
-    barrier = max(1.0, path.squares(y) / path.logarithms)
-    reached = y
-    least = barrier
+    barrier = max(1.0, path.squares(start) / path.logarithms)
+    y = start
+    solution = start
     error = np.inf
     while True:
         y, decrement = path.centred(y, barrier)
-        if decrement <= np.sqrt(barrier) or not np.isfinite(error):
-            reached = y
-            least = barrier
-            error = decrement + np.sqrt(path.logarithms * barrier)
-        else:
+        if decrement > np.sqrt(barrier) and np.isfinite(error):
             break
-        if barrier <= _LEAST:
+        solution = y
+        least = barrier
+        error = float(decrement + np.sqrt(path.logarithms * barrier))
+        if barrier <= PATH.least:
             break
-        barrier = max(_FALL * barrier, _LEAST)
-    unexplained = np.sqrt(max(1.0, path.squares(reached) / len(reached)))
-    way = float(np.linalg.norm(path.U @ (reached - start)))
-    settled = bool(error <= max(_PRECISE * unexplained, _NEAR * way))
-    return Solution(reached, path.multipliers(reached, least), float(error), settled)
+        barrier = max(PATH.fall * barrier, PATH.least)
+    unexplained = np.sqrt(max(1.0, path.squares(solution) / len(solution)))
+    way = float(np.linalg.norm(path.U @ (solution - start)))
+    settled = error <= max(PATH.precise * unexplained, PATH.near * way)
+    return Solution(solution, path.multipliers(solution, least), error, bool(settled))
 
 
 class _CentralPath:
@@ -202,18 +222,15 @@ class _CentralPath:
         self.orders = [2 if r.cone == "second_order" else len(r.h) for r in self.cones]
         self.logarithms = 4 * self.links + sum(self.orders)
         J, residual = program.prior(start)
-        fixed = np.r_[
-            : 10 * self.links, 20 * self.links : len(J)
-        ]  # rows that do not change
-        rows = np.vstack([program.A, J[fixed]])
-        goal = np.concatenate([program.z, J[fixed] @ start - residual[fixed]])
-        both = np.asarray(np.linalg.qr(np.column_stack([rows, goal]), mode="r"), float)
-        self.U, self.t = both[: len(start), :-1], both[: len(start), -1]
-        self.N = (
-            scipy.linalg.null_space(self.exact)
-            if len(self.exact)
-            else np.eye(len(start))
-        )
+        # rows of the quadratic part, which do not change
+        fixed = np.r_[: 10 * self.links, 20 * self.links : len(J)]
+        A = np.vstack([program.A, J[fixed]])
+        z = np.concatenate([program.z, J[fixed] @ start - residual[fixed]])
+        R = np.linalg.qr(np.column_stack([A, z]), mode="r")[: len(start)]
+        self.U = R[:, :-1]
+        self.t = R[:, -1]
+        some = len(self.exact)
+        self.N = scipy.linalg.null_space(self.exact) if some else np.eye(len(start))
         self.Q, self.R = np.linalg.qr(self.U @ self.N)
 
     def squares(self, y: Array) -> float:
@@ -222,46 +239,47 @@ class _CentralPath:
 
     def centred(self, y: Array, barrier: float) -> tuple[Array, float]:
         """Minimiser of the objective with barriers, from inside, and the last decrement λ."""
-        enough = np.sqrt(_CENTRED * barrier)
-        decrement = np.inf
-        for _ in range(_STEPS):
+        enough = np.sqrt(PATH.centred * barrier)
+        if barrier <= PATH.least:
+            enough = PATH.settled
+        for _ in range(PATH.steps):
             step, decrement, length = self._newton(y, barrier)
             while not self._inside(y + length * step):  # for rounding
                 length /= 2
             y = y + length * step
-            if decrement <= (_SETTLED if barrier <= _LEAST else enough):
+            if decrement <= enough:
                 break
         exact = _equal(y, self.program.restrictions)
         return exact if self._inside(exact) else y, decrement
 
     def multipliers(self, y: Array, barrier: float) -> tuple[Array, ...]:
         """Forces of the restrictions: along the slopes of the logarithms, in equilibrium."""
-        pushes = [barrier * _logarithm(r, y)[2] for r in self.cones]
-        # a slack as small as rounding has the right direction and a rough size
-        parts = [
-            np.diag(push) if r.cone == "nonnegative" else push[:, None]
-            for r, push in zip(self.cones, pushes, strict=True)
-        ]
-        forces = [r.G.T @ part for r, part in zip(self.cones, parts, strict=True)]
-        both = np.hstack([self.exact.T, *forces])
-        left = self.program.gradient(y) - sum(force.sum(axis=1) for force in forces)
-        size = np.linalg.lstsq(both, left, rcond=_ROUNDING)[0]
-        exact = size[: len(self.exact)]
-        size = 1 + size[len(self.exact) :]
-        found = dict[int, Array]()
-        for r, part in zip(self.cones, parts, strict=True):
-            found[id(r)] = part @ size[: part.shape[1]]
-            size = size[part.shape[1] :]
+        directions = []  # of forces, shape (m, 1) or, where every slack has its own, (m, m)
+        usual = []  # their sizes on the central path: a small slack is known to rounding only
         for r in self.program.restrictions:
             if r.cone == "zero":
-                found[id(r)], exact = exact[: len(r.h)], exact[len(r.h) :]
-        return tuple(found[id(r)] for r in self.program.restrictions)
+                directions.append(np.eye(len(r.h)))
+                usual.append(np.zeros(len(r.h)))
+                continue
+            push = barrier * _logarithm(r, y)[2]
+            own = r.cone == "nonnegative"
+            directions.append(np.diag(push) if own else push[:, None])
+            usual.append(np.ones(len(push) if own else 1))
+        if not directions:
+            return ()
+        pairs = zip(self.program.restrictions, directions, strict=True)
+        forces = np.hstack([r.G.T @ direction for r, direction in pairs])
+        sizes = np.concatenate(usual)
+        missing = self.program.gradient(y) - forces @ sizes
+        sizes += np.linalg.lstsq(forces, missing, rcond=PATH.rounding)[0]
+        ends = np.cumsum([len(part) for part in usual])[:-1]
+        parts = zip(directions, np.split(sizes, ends), strict=True)
+        return tuple(direction @ size for direction, size in parts)
 
     def _inside(self, y: Array) -> bool:
+        phi = self.bodies.T @ y[: 10 * self.links]
         try:
-            np.linalg.cholesky(
-                pseudo_inertia((self.bodies.T @ y[: 10 * self.links]).reshape(-1, 10))
-            )
+            np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
         except np.linalg.LinAlgError:
             return False
         return all(r.violation(y) < 0 for r in self.cones)
@@ -274,32 +292,19 @@ class _CentralPath:
         scale = np.sqrt(barrier / 2)
         rows = np.vstack([J, *(scale * B for B, _, _ in logarithms)])
         goal = np.concatenate([-residual, *(scale * g for _, g, _ in logarithms)])
-        step = self.N @ _least_squares(
-            self.R, self.Q.T @ (self.t - self.U @ y), rows @ self.N, goal
-        )
+        A = np.vstack([self.R, rows @ self.N])
+        z = np.concatenate([self.Q.T @ (self.t - self.U @ y), goal])
+        factor = np.linalg.qr(np.column_stack([A, z]), mode="r")
+        p = len(self.R)
+        step = self.N @ scipy.linalg.solve_triangular(factor[:p, :p], factor[:p, p])
         weight = self.bodies.draws + barrier
-        S = matrices(
-            (J @ step).reshape(-1, 10) / NORMS / np.sqrt(weight / 2)[:, None],
-            self.links,
-        )
-        rates = [
-            np.linalg.eigvalsh(S).ravel(),
-            *(_rates(r, y, step) for r in self.cones),
-        ]
-        weights = np.repeat(
-            [*weight, *[barrier] * len(self.cones)], [*[4] * self.links, *self.orders]
-        )
+        unit = NORMS * np.sqrt(weight / 2)[:, None]
+        change = matrices((J @ step).reshape(-1, 10) / unit, self.links)
+        rates = [np.linalg.eigvalsh(change).ravel()]
+        rates += [_rates(r, y, step) for r in self.cones]
+        weights = [np.repeat(weight, 4), np.full(sum(self.orders), barrier)]
         square = 2 * float(np.sum((self.U @ step) ** 2))
-        return step, *_length(square, weights, np.concatenate(rates))
-
-
-def _least_squares(R: Array, goal: Array, rows: Array, further: Array) -> Array:
-    """Minimiser of ‖R d − goal‖² + ‖rows d − further‖²."""
-    p = len(R)
-    both = np.vstack([np.column_stack([R, goal]), np.column_stack([rows, further])])
-    factor = np.asarray(np.linalg.qr(both, mode="r"), float)
-    found: Array = scipy.linalg.solve_triangular(factor[:p, :p], factor[:p, p])
-    return found
+        return step, *_length(square, np.concatenate(weights), np.concatenate(rates))
 
 
 def _length(square: float, weights: Array, rates: Array) -> tuple[float, float]:
@@ -314,7 +319,7 @@ def _length(square: float, weights: Array, rates: Array) -> tuple[float, float]:
     def rise(a: float) -> float:
         return a * (square + float((curvature / (1 + a * rates)).sum())) - slope
 
-    end = -(1 - _BORDER) / min(float(rates.min()), -1e-9)
+    end = -(1 - PATH.border) / min(float(rates.min()), -1e-9)
     if slope > 0 and rise(end) > 0:
         end = scipy.optimize.brentq(rise, 0.0, end, rtol=1e-6)
     return float(np.sqrt(slope)), float(end)
@@ -346,11 +351,12 @@ def _rates(restriction: Restriction, y: Array, step: Array) -> Array:
     slack = restriction.slack(y)
     change = restriction.G @ step
     if restriction.cone == "nonnegative":
-        return np.asarray(change / slack, float)
-    w = slack / _size(slack)
-    root = change / _size(slack)
-    half = w[0] * root[0] - float(w[1:] @ root[1:])
-    product = root[0] ** 2 - float(root[1:] @ root[1:])
+        return change / slack
+    size = _size(slack)
+    w = slack / size
+    relative = change / size
+    half = w[0] * relative[0] - float(w[1:] @ relative[1:])
+    product = relative[0] ** 2 - float(relative[1:] @ relative[1:])
     spread = np.sqrt(max(half**2 - product, 0.0))
     return np.array([half - spread, half + spread])
 
@@ -363,19 +369,17 @@ def interior(program: Program, centre: Array) -> Array:
     """
     p = len(centre)
     restrictions = program.restrictions
-    for margin in (0.0, *_MARGINS):
+    for margin in (0.0, *PATH.margins):
         bodies = possible(program.bodies, p, margin)
-        y = centre
+        near: Array | None = centre
         if margin:
             near = _nearest([*bodies, *_narrowed(restrictions, margin)], centre)
-            if near is None:
-                continue
-            y = near
-        y = _equal(y, restrictions)
-        if all(
-            r.violation(y) < 0 for r in (*bodies, *restrictions) if r.cone != "zero"
-        ):
-            return np.asarray(y, float)
+        if near is None:
+            continue
+        y = _equal(near, restrictions)
+        open_cones = [r for r in (*bodies, *restrictions) if r.cone != "zero"]
+        if all(r.violation(y) < 0 for r in open_cones):
+            return y
     raise Infeasible(
         "physically consistent fit",
         "what is known of the bodies leaves no room; widen it",
@@ -384,14 +388,13 @@ def interior(program: Program, centre: Array) -> Array:
 
 def _narrowed(restrictions: Sequence[Restriction], margin: float) -> list[Restriction]:
     """The restrictions with slacks of at least a margin."""
-    found = []
+    narrowed = []
     for r in restrictions:
         least = np.zeros_like(r.h)
-        least[: 1 if r.cone == "second_order" else None] = (
-            0.0 if r.cone == "zero" else margin
-        )
-        found.append(replace(r, h=r.h + least))
-    return found
+        if r.cone != "zero":
+            least[: 1 if r.cone == "second_order" else None] = margin
+        narrowed.append(replace(r, h=r.h + least))
+    return narrowed
 
 
 def _equalities(restrictions: Sequence[Restriction], p: int) -> Array:
@@ -405,7 +408,7 @@ def _equal(y: Array, restrictions: Sequence[Restriction]) -> Array:
     """The nearest point at which what holds exactly does, shape (p,)."""
     G = _equalities(restrictions, len(y))
     h = np.concatenate([np.zeros(0), *(r.h for r in restrictions if r.cone == "zero")])
-    return np.asarray(y - np.linalg.pinv(G) @ (G @ y - h), float)
+    return y - np.linalg.pinv(G) @ (G @ y - h)
 
 
 def _nearest(restrictions: Sequence[Restriction], centre: Array) -> Array | None:
@@ -416,10 +419,10 @@ def _nearest(restrictions: Sequence[Restriction], centre: Array) -> Array | None
     cones = [_CONES[r.cone](len(r.h)) for r in restrictions]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    found = clarabel.DefaultSolver(
-        P, np.zeros(len(centre)), A, b, cones, settings
-    ).solve()
-    return centre + np.array(found.x) if str(found.status) in _SOLVED else None
+    start = np.zeros(len(centre))
+    solution = clarabel.DefaultSolver(P, start, A, b, cones, settings).solve()
+    solved = str(solution.status) in ("Solved", "AlmostSolved")
+    return centre + np.array(solution.x) if solved else None
 
 
 def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:
@@ -427,12 +430,12 @@ def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:
 
     Those without a name always stay.
     """
-    kept = list(restrictions)
-    nowhere = np.zeros(restrictions[0].G.shape[1])
-    if _nearest(kept, nowhere) is not None:
+    needed = list(restrictions)
+    origin = np.zeros(restrictions[0].G.shape[1])
+    if _nearest(needed, origin) is not None:
         return ()
-    for each in restrictions:
-        rest = [r for r in kept if r is not each]
-        if each.name and _nearest(rest, nowhere) is None:
-            kept = rest
-    return tuple(r.name for r in kept if r.name)
+    for restriction in restrictions:
+        rest = [r for r in needed if r is not restriction]
+        if restriction.name and _nearest(rest, origin) is None:
+            needed = rest
+    return tuple(r.name for r in needed if r.name)
