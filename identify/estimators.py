@@ -13,7 +13,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -64,31 +64,67 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 )
 """Name and description of every estimator."""
 
-_CERTAIN = 0.01  # chance of a false alarm of the test for errors in the motion
-_ROUNDS = 200  # of reweighting
-_SETTLED = 1e-7  # change of the fitted torque, rms, of the noise
-_ROUNDING = 1e-13  # of the largest torque: what rounding leaves of an exact fit
-_FLATTEST = 0.05  # mean slope of an influence; less is no minimum
-_NORMAL = 0.6744897501960817  # median magnitude of a standard normal variable
-_HUBER = 1.345  # 95 % efficient for normal noise (Huber and Ronchetti 2009)
-_STUDENT = 4.0  # degrees of freedom (Lange, Little, Taylor 1989)
-_STAGES = 3  # of re-estimating the noise of each joint with instruments
-_SAME = 1e-6  # of a column's length: smaller errors are those of interpolation
-_RATE_SHARE = 0.2  # of the rate of all samples: 0.8 of what every second one can show
-_SIMULATIONS = 15  # at most; two to four do
-_STILL = 1e-2  # of a standard deviation
-_UNCHANGED = 1e-6  # of the rms torque
-_WIDER = 2.5  # than the motion: cut-off of the reference, which leaves the motion alone to 1e-3
-_HIGHEST = 0.4  # of the sampling rate
-_SHARES = (1.0, 0.5, 0.25, 0.1)  # of the way from the given arm to an estimate
-_MASS_MOVES = 1e-3  # as easily as other parameters where β leaves a choice
-_CAUTION = 2.0  # times the noise, lest the largest of many frequencies pass for motion
-_BLACKMAN_HARRIS = np.array(
-    [0.35875, -0.48829, 0.14128, -0.01168]
-)  # of cosines of 0 to 3 turns
-_QUINTIC = 5  # degree of a spline
-# of half the rate: where positions show nothing but the noise of encoders
-_FLOOR = (0.5, 0.9)
+FALSE_ALARM = 0.01  # of the test for errors in the motion
+NORMAL_MEDIAN = 0.6744897501960817  # median magnitude of a standard normal variable
+MOTION_ERROR = 1e-6  # of a column's length: smaller errors are those of interpolation
+RATE_SHARE = (
+    0.2  # highest cut-off over the rate: 0.8 of what every second sample can show
+)
+
+
+@dataclass(frozen=True)
+class Robust:
+    """Settings of robust regression.
+
+    Attributes:
+        huber: Residual in standard deviations from which Huber's influence is constant; 95 %
+            efficient for normal noise (Huber and Ronchetti 2009).
+        student: Degrees of freedom (Lange, Little, Taylor 1989).
+        rounds: Largest number of reweightings.
+        settled: Change of the fitted torque, rms, over the noise at which they end.
+        rounding: Noise of an exact fit over the largest torque.
+        flattest: Least mean slope of the influence; less is no minimum.
+    """
+
+    huber: float = 1.345
+    student: float = 4.0
+    rounds: int = 200
+    settled: float = 1e-7
+    rounding: float = 1e-13
+    flattest: float = 0.05
+
+
+ROBUST = Robust()
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Settings of output error.
+
+    Attributes:
+        rounds: Largest number of simulations; two to four do.
+        still: Largest step of a settled parameter in standard deviations, or
+        unchanged: of the torque, rms relative to the measured.
+        wider: Cut-off of the reference over the bandwidth of the motion, which passes to 1e-3.
+        highest: Largest cut-off of the reference over the sampling rate.
+        shares: Ways from the nominal arm to an estimate, the first of which moves is simulated.
+        mass_moves: Change of masses over that of other parameters where β leaves a choice.
+        caution: Factor of the noise, lest the largest of many frequencies pass for motion.
+        noise_band: Frequencies over half the rate at which positions show noise of encoders only.
+    """
+
+    rounds: int = 15
+    still: float = 1e-2
+    unchanged: float = 1e-6
+    wider: float = 2.5
+    highest: float = 0.4
+    shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
+    mass_moves: float = 1e-3
+    caution: float = 2.0
+    noise_band: tuple[float, float] = (0.5, 0.9)
+
+
+SIMULATION = Simulation()
 
 
 def estimated(
@@ -104,23 +140,25 @@ def estimated(
         Infeasible: Robust regression or output error that does not converge.
     """
     problem = rows.reduced
-    said = f"base parameters by {ESTIMATORS[name]}"
+    note = f"base parameters by {ESTIMATORS[name]}"
     if name == "wls":
         return weighted_least_squares(problem), name, ()
     if name == "irls":
-        return irls(problem), name, (said,)
-    if name == "iv":
-        even, odd = half_regressions(rows, recordings)
-        try:
-            fit = iv(even, odd)
-            return fit, name, (said, _tested(even, odd, fit))
-        except (np.linalg.LinAlgError, RankDeficient) as error:
-            why = f"{ESTIMATORS[name]} left out ({error}): positions are too coarse or the motion"
-            note = f"{why} too poor in every second sample; {ESTIMATORS['wls']} instead"
-            return weighted_least_squares(problem), "wls", (note,)
-    loop = closed_loop(rows, recordings)
-    found = output_error(loop.problem, loop.simulated)
-    return found.fit, name, (said, found.sentence(loop.bandwidth_hz))
+        return irls(problem), name, (note,)
+    if name == "oe":
+        loop = closed_loop(rows, recordings)
+        simulated = output_error(loop.problem, loop.simulated)
+        return simulated.fit, name, (note, simulated.sentence(loop.bandwidth_hz))
+    even, odd = half_regressions(rows, recordings)
+    try:
+        fit = iv(even, odd)
+        return fit, name, (note, _tested(even, odd, fit))
+    except (np.linalg.LinAlgError, RankDeficient) as error:
+        instead = (
+            f"{ESTIMATORS[name]} left out ({error}): positions are too coarse or the motion "
+            f"too poor in every second sample; {ESTIMATORS['wls']} instead"
+        )
+        return weighted_least_squares(problem), "wls", (instead,)
 
 
 def irls(problem: Regression) -> LeastSquares:
@@ -146,41 +184,42 @@ def irls(problem: Regression) -> LeastSquares:
     residual = problem.residual(beta)
     sigma = _scale(problem.counted(residual), problem.p)
     u = residual / sigma
-    slope = (_STUDENT + 1) * (_STUDENT - u**2) / (_STUDENT + u**2) ** 2
-    flat = np.maximum([each.mean() for each in problem.counted(slope)], _FLATTEST)
+    nu = ROBUST.student
+    slope = (nu + 1) * (nu - u**2) / (nu + u**2) ** 2
+    means = [values.mean() for values in problem.counted(slope)]
+    flat = np.maximum(means, ROBUST.flattest)
     factor = factorised(problem, sigma / np.sqrt(flat))
     return with_covariance(factor, beta, sigma * u * _student(u) / flat, sigma)
 
 
 def _huber(u: Array) -> Array:
     """ψ(u) / u of a residual of u standard deviations."""
-    return np.minimum(1.0, _HUBER / np.maximum(np.abs(u), SMALLEST))
+    return np.minimum(1.0, ROBUST.huber / np.maximum(np.abs(u), SMALLEST))
 
 
 def _student(u: Array) -> Array:
     """ψ(u) / u of a residual of u standard deviations."""
-    return (_STUDENT + 1) / (_STUDENT + u**2)
+    return (ROBUST.student + 1) / (ROBUST.student + u**2)
 
 
 def _scale(residuals: Sequence[Array], r: int) -> Array:
     """Standard deviation of the normal noise with these median magnitudes, shape (nv,)."""
     rows = sum(map(len, residuals))
     freedom = np.sqrt(rows / max(rows - r, 1))
-    size = np.array([np.median(np.abs(e)) for e in residuals]) / _NORMAL * freedom
+    medians = np.array([np.median(np.abs(e)) for e in residuals])
     least = 1e-9 * noise_of(residuals, r)  # most rows fit exactly
-    return believed(np.maximum(size, least))
+    return believed(np.maximum(medians / NORMAL_MEDIAN * freedom, least))
 
 
 def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) -> Array:
     """β at which reweighting rests; steps are taken in the orthonormal columns of the start."""
     problem = start.problem
     inverse = start.inverse / start.norms[:, None]
-    parts = enumerate(zip(problem.index, problem.columns, strict=True))
-    Q = np.stack(
-        [X @ inverse[index] / start.weight[j] for j, (index, X) in parts], axis=1
-    )
+    parts = zip(problem.index, problem.columns, start.weight, strict=True)
+    Q = np.stack([X @ inverse[index] / w for index, X, w in parts], axis=1)
     flat = Q.reshape(-1, problem.p)
-    for _ in range(_ROUNDS):
+    rounding = ROBUST.rounding * np.abs(problem.tau).max(axis=0)
+    for _ in range(ROBUST.rounds):
         residual = problem.residual(beta)
         sigma = _scale(problem.counted(residual), problem.p)
         weight = influence(residual / sigma) * (start.weight / sigma) ** 2
@@ -197,13 +236,12 @@ def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) ->
                 "record more",
             ) from None
         beta = beta + inverse @ step
-        moved = Q @ step * start.weight
-        rounding = _ROUNDING * np.abs(problem.tau).max(axis=0)
-        if float(((moved / (sigma + rounding / _SETTLED)) ** 2).mean()) <= _SETTLED**2:
+        change = Q @ step * start.weight / (sigma + rounding / ROBUST.settled)
+        if float((change**2).mean()) <= ROBUST.settled**2:
             return beta
     raise Infeasible(
         "robust regression",
-        f"weights did not settle in {_ROUNDS} rounds; use another estimator, or record more",
+        f"weights did not settle in {ROBUST.rounds} rounds; use another estimator, or record more",
     )
 
 
@@ -221,7 +259,7 @@ def iv(problem: Regression, instruments: Regression) -> LeastSquares:
         RankDeficient: Columns, or instruments, that the motion does not show.
     """
     sigma = weighted_least_squares(problem).sigma
-    for _ in range(_STAGES):
+    for _ in range(3):  # noise of each joint with instruments
         factor = factorised(_projected(problem, instruments, sigma), sigma)
         beta = factor.solve()
         residual = problem.residual(beta)
@@ -235,10 +273,11 @@ def _projected(
     """The problem with the part of its columns that instruments explain."""
     k = instruments.p
     r = problem.p
-    stage = factorised(instruments, sigma)
+    norms = factorised(instruments, sigma).norms
     both = instruments.with_columns(problem.W, problem.names)
-    R = triangle(both.stacked(1 / sigma)[:, :-1] / np.append(stage.norms, np.ones(r)))
-    C = scipy.linalg.solve_triangular(R[:k, :k], R[:k, k:]) / stage.norms[:, None]
+    scale = np.append(norms, np.ones(r))
+    R = triangle(both.stacked(1 / sigma)[:, :-1] / scale)
+    C = scipy.linalg.solve_triangular(R[:k, :k], R[:k, k:]) / norms[:, None]
     pairs = zip(instruments.index, instruments.columns, strict=True)
     explained = np.stack([Z @ C[index] for index, Z in pairs], axis=1)
     return dense(explained, problem.tau, problem.names, problem.used)
@@ -264,16 +303,17 @@ def errors_in_variables(
     r = problem.p
     W = problem.W
     sigma = weighted_least_squares(problem).sigma
-    left = (W - _projected(problem, instruments, sigma).W) / sigma[:, None]
+    unexplained = (W - _projected(problem, instruments, sigma).W) / sigma[:, None]
     lengths = np.linalg.norm(W / sigma[:, None], axis=(0, 1))
-    U, s, _ = scipy.linalg.svd((left / lengths).reshape(-1, r), full_matrices=False)
-    keep = s > _SAME
-    if not keep.any():
+    errors = (unexplained / lengths).reshape(-1, r)
+    U, s, _ = scipy.linalg.svd(errors, full_matrices=False)
+    significant = s > MOTION_ERROR
+    if not significant.any():
         raise BadInput(
             "the instruments explain the columns entirely, so nothing is left to test; "
             "give instruments with errors of their own"
         )
-    V = U[:, keep].reshape(*W.shape[:2], -1) * sigma[:, None]
+    V = U[:, significant].reshape(*W.shape[:2], -1) * sigma[:, None]
     added = tuple(f"error {k + 1}" for k in range(V.shape[2]))
     fit = weighted_least_squares(problem.with_columns(V, added))
     gamma = fit.beta[r:]
@@ -289,9 +329,9 @@ def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> 
     except BadInput:
         return "even and odd samples show one and the same motion: no errors of it to be tested"
     moved = np.abs(weighted_least_squares(problem).beta - fit.beta) / fit.std
-    found = "are seen" if p < _CERTAIN else "are not seen"
+    seen = "are seen" if p < FALSE_ALARM else "are not seen"
     return (
-        f"errors of the motion that bias least squares {found} (Durbin-Wu-Hausman: "
+        f"errors of the motion that bias least squares {seen} (Durbin-Wu-Hausman: "
         f"{statistic:.4g}, p = {p:.2g}); instruments move its base parameters by up to "
         f"{moved.max():.2g} standard deviations"
     )
@@ -300,19 +340,18 @@ def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> 
 def every_second(recording: Recording, first: int) -> Recording:
     """The motion as its even samples (0) show it, or its odd ones (1), at all instants."""
     t = recording.t
+    parts = [part for part in uninterrupted(t) if len(part[first::2]) > 5]
 
-    def shown(channel: Array) -> Array:
+    def interpolated(channel: Array) -> Array:
         values = np.array(channel)
-        for part in uninterrupted(t):
-            if len(seen := part[first::2]) > _QUINTIC:
-                spline = scipy.interpolate.make_interp_spline(
-                    t[seen], values[seen], k=_QUINTIC
-                )
-                values[part] = spline(t[part])
+        for part in parts:
+            half = part[first::2]
+            spline = scipy.interpolate.make_interp_spline(t[half], values[half], k=5)
+            values[part] = spline(t[part])
         return values
 
-    dq = None if recording.dq is None else shown(recording.dq)
-    return replace(recording, q=shown(recording.q), dq=dq)
+    dq = None if recording.dq is None else interpolated(recording.dq)
+    return replace(recording, q=interpolated(recording.q), dq=dq)
 
 
 def half_regressions(
@@ -333,7 +372,7 @@ def half_regressions(
         segments = []
         for recording in recordings:
             rate_hz = 1 / float(np.median(np.diff(recording.t)))
-            highest = _RATE_SHARE * rate_hz
+            highest = RATE_SHARE * rate_hz
             if cutoff_hz > highest * (1 + 1e-6):
                 raise BadInput(
                     f"{recording.name}: every second sample at {rate_hz:.4g} Hz does not show "
@@ -387,27 +426,29 @@ def output_error(
         Infeasible: It does not converge.
         RankDeficient: The motion does not show some columns.
     """
-    start = fit = weighted_least_squares(problem)
-    scale = np.maximum(np.sqrt((problem.tau**2).mean(axis=0)), np.finfo(float).tiny)
-    for done in range(1, _SIMULATIONS + 1):
+    start = weighted_least_squares(problem)
+    fit = start
+    rms = np.sqrt((problem.tau**2).mean(axis=0))
+    scale = np.maximum(rms, np.finfo(float).tiny)
+    for done in range(SIMULATION.rounds):
         try:
-            now = simulated(fit.beta)
+            current = simulated(fit.beta)
         except Diverged as error:
             raise Infeasible(
                 "output error",
-                f"no motion of the model after {done - 1} iterations ({error}); "
+                f"no motion of the model after {done} iterations ({error}); "
                 "use wls or iv, or a recording that shows all parameters",
             ) from error
-        found = weighted_least_squares(now)
-        moved = found.beta - fit.beta
-        change = float((np.abs(moved) / found.std).max())
-        torque = float(np.sqrt(((now.torque(moved) / scale) ** 2).mean()))
-        fit = found
-        if change < _STILL or torque < _UNCHANGED:
-            return OutputError(fit, start, done)
+        last = fit
+        fit = weighted_least_squares(current)
+        step = fit.beta - last.beta
+        change = float((np.abs(step) / fit.std).max())
+        torque = float(np.sqrt(((current.torque(step) / scale) ** 2).mean()))
+        if change < SIMULATION.still or torque < SIMULATION.unchanged:
+            return OutputError(fit, start, done + 1)
     raise Infeasible(
         "output error",
-        f"parameters still move by {change:.2g} standard deviations after {_SIMULATIONS} "
+        f"parameters still move by {change:.2g} standard deviations after {SIMULATION.rounds} "
         "simulations; use wls or iv",
     )
 
@@ -434,49 +475,50 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
     """
     pairs = _with_recordings(rows.data.train, recordings)
     loops = [_reference(segment, recording) for segment, recording in pairs]
-    used = certain_rows(
-        rows.effects, rows.robot.joints, [segment for segment, *_ in loops]
-    )
+    segments = [segment for segment, _, _ in loops]
     commands = [command for _, command, _ in loops]
+    used = certain_rows(rows.effects, rows.robot.joints, segments)
     model_of = _completion(rows)
 
     def regression(motions: Sequence[Motion]) -> Regression:
         parts = []
-        for (segment, _, _), motion in zip(loops, motions, strict=True):
+        for segment, motion in zip(segments, motions, strict=True):
             columns = observation_columns(rows.robot, rows.effects, motion)
             W = segment.filtered(columns[:, :, rows.base.columns], segment.keep)
-            parts.append(
-                dense(W, segment.tau[segment.keep] * rows.gains, rows.base.expressions)
-            )
+            tau = segment.tau[segment.keep] * rows.gains
+            parts.append(dense(W, tau, rows.base.expressions))
         return joined(parts).counting(used)
 
-    def simulated_at(beta: Array, share: float) -> Regression:
-        model = model_of(beta, share)
-        return regression([simulate(model, c, Controller()).motion for c in commands])
-
     def simulated(beta: Array) -> Regression:
-        for share in _SHARES:
+        for share in SIMULATION.shares:
             with suppress(Diverged):
                 return simulated_at(beta, share)
         return simulated_at(beta, 0.0)
 
-    return ClosedLoop(
-        regression(commands), simulated, np.array([width for *_, width in loops])
-    )
+    def simulated_at(beta: Array, share: float) -> Regression:
+        model = model_of(beta, share)
+        motions = [simulate(model, c, Controller()).motion for c in commands]
+        return regression(motions)
+
+    bandwidth_hz = np.array([width for _, _, width in loops])
+    return ClosedLoop(regression(commands), simulated, bandwidth_hz)
 
 
 def _with_recordings(
     segments: Sequence[Segment], recordings: Sequence[Recording]
 ) -> list[tuple[Segment, Recording]]:
     """Every segment with the recording that it is a part of, both in order."""
-    found = []
-    left = list(segments)
+    pairs = []
+    remaining = list(segments)
     for recording in recordings:
-        last = -np.inf
-        while left and left[0].name == recording.name and left[0].motion.t[0] > last:
-            last = float(left[0].motion.t[-1])
-            found.append((left.pop(0), recording))
-    return found
+        end = -np.inf
+        while remaining:
+            t = remaining[0].motion.t
+            if remaining[0].name != recording.name or t[0] <= end:
+                break
+            end = float(t[-1])
+            pairs.append((remaining.pop(0), recording))
+    return pairs
 
 
 def _reference(segment: Segment, recording: Recording) -> tuple[Segment, Motion, Array]:
@@ -484,25 +526,21 @@ def _reference(segment: Segment, recording: Recording) -> tuple[Segment, Motion,
     rate = segment.rate_hz
     t = segment.motion.t
     part = (recording.t >= t[0] - 1e-9) & (recording.t <= t[-1] + 1e-6 + 1 / rate)
-    q = scipy.interpolate.make_interp_spline(recording.t[part], recording.q[part], k=3)(
-        t
-    )
-    width = np.clip(
-        _WIDER * _motion_bandwidth(q, rate), 4 * rate / len(q), _HIGHEST * rate
-    )
-    smooth = np.column_stack(
-        [low_pass(q[:, j], float(hz), rate) for j, hz in enumerate(width)]
-    )
+    samples = recording.t[part], recording.q[part]
+    q = scipy.interpolate.make_interp_spline(*samples, k=3)(t)
+    widest = SIMULATION.highest * rate
+    wider = SIMULATION.wider * _motion_bandwidth(q, rate)
+    width = np.clip(wider, 4 * rate / len(q), widest)
+    pairs = zip(q.T, width.tolist(), strict=True)
+    smooth = np.column_stack([low_pass(channel, hz, rate) for channel, hz in pairs])
     spline = scipy.interpolate.make_interp_spline(t, smooth, k=5)
     keep = segment.keep
     edge = max(keep.start, round(rate / float(width.min())))
-    first = keep.start + keep.step * int(np.ceil((edge - keep.start) / keep.step))
+    skipped = -(-(edge - keep.start) // keep.step)
+    first = keep.start + keep.step * skipped
     inner = slice(first, min(keep.stop, len(t) - edge), keep.step)
-    return (
-        replace(segment, keep=inner),
-        Motion(t, *(spline(t, k) for k in range(3))),
-        width,
-    )
+    motion = Motion(t, spline(t), spline(t, 1), spline(t, 2))
+    return replace(segment, keep=inner), motion, width
 
 
 def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
@@ -512,15 +550,14 @@ def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
     (signal lost, noise kept), is smallest where Σ_{f ≤ f_b} f⁴ (2N − P) is. Noise N of encoders is
     taken from the upper part of the spectrum P, its median there being ln 2 of its mean.
     """
-    along = 2 * np.pi * np.arange(len(q)) / (len(q) - 1)
-    window = np.cos(np.outer(along, np.arange(4))) @ _BLACKMAN_HARRIS
+    window = scipy.signal.windows.blackmanharris(len(q))
     spectrum = np.fft.rfft(window[:, None] * detrended(q), axis=0)
     f = np.fft.rfftfreq(len(q), 1 / rate_hz)
     power = np.abs(spectrum) ** 2
-    upper = (f >= _FLOOR[0] * rate_hz / 2) & (f <= _FLOOR[1] * rate_hz / 2)
-    noise = np.median(power[upper], axis=0) / np.log(2)
-    cost = np.cumsum(f[:, None] ** 4 * (2 * _CAUTION * noise - power), axis=0)
-    return f[np.argmin(cost, axis=0)]
+    low, high = np.array(SIMULATION.noise_band) * rate_hz / 2
+    noise = np.median(power[(f >= low) & (f <= high)], axis=0) / np.log(2)
+    balance = f[:, None] ** 4 * (2 * SIMULATION.caution * noise - power)
+    return f[np.argmin(np.cumsum(balance, axis=0), axis=0)]
 
 
 def _completion(rows: FitRows) -> Callable[[Array, float], Robot]:
@@ -530,15 +567,15 @@ def _completion(rows: FitRows) -> Callable[[Array, float], Robot]:
     """
     B = rows.base.regrouping
     links = 10 * rows.robot.nv
-    given = np.zeros(B.shape[1])
-    given[:links] = prior_parameters(rows.robot).ravel()
+    nominal = np.zeros(B.shape[1])
+    nominal[:links] = prior_parameters(rows.robot).ravel()
     size = np.sqrt((rows.W**2).mean(axis=(0, 1)))
     scale = 1 / np.where(size > 1e-9 * size.max(), size, size.max())
-    scale[:links:10] *= _MASS_MOVES
+    scale[:links:10] *= SIMULATION.mass_moves
     G = scale[:, None] * np.linalg.pinv(B * scale)
 
     def model(beta: Array, share: float) -> Robot:
-        x = given + share * (G @ (beta - B @ given))
+        x = nominal + share * (G @ (beta - B @ nominal))
         return identified_robot(rows.robot, rows.effects, x)
 
     return model

@@ -29,6 +29,7 @@ from excitant.identify.prior import (
     link_coordinates,
     link_weights,
 )
+from excitant.identify.regression import triangle
 from excitant.identify.semidefinite import (
     KktResiduals,
     Program,
@@ -190,7 +191,7 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     def most_likely(block: Array, others: Array) -> tuple[float, float]:
         """σ of a block of columns beside others of unit variance, and −2 log likelihood."""
         both = np.vstack([np.eye(len(residual)), others.T])
-        root = np.linalg.qr(both, mode="r").T
+        root = triangle(both).T
         whitened = scipy.linalg.solve_triangular(root, block, lower=True)
         U, s, _ = np.linalg.svd(whitened)
         power = np.pad(s, (0, len(U) - len(s)))
@@ -245,7 +246,7 @@ def _deviations(R: Array, z: Array, prior: Array) -> tuple[Array, Array]:
     p = R.shape[1]
     T = link_coordinates(prior)
     size = len(T)
-    factor = np.linalg.qr(np.column_stack([R, z]), mode="r")[:p]
+    factor = triangle(np.column_stack([R, z]))[:p]
     free = scipy.linalg.null_space(factor[:, size:p].T).T
     columns = free @ factor[:, :size] @ T / link_weights(len(prior), 1.0)
     residual = free @ (factor[:, p] - factor[:, :size] @ prior.ravel())
@@ -308,7 +309,7 @@ def _uncertainty(program: Program, y: Array, scale: Array) -> tuple[Array, Array
     S = scale @ N
     prior, _ = program.prior(y)
     both = np.vstack([program.A, prior])
-    factors = (np.linalg.qr(rows @ N, mode="r") for rows in (both, prior))
+    factors = (triangle(rows @ N) for rows in (both, prior))
     after, root = (scipy.linalg.solve_triangular(F, S.T, trans=1).T for F in factors)
     exactly = _ROUNDING * np.linalg.norm(scale, axis=1)
     root[np.linalg.norm(root, axis=1) <= exactly] = 0.0

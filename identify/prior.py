@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -372,10 +372,11 @@ def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
     unseen[silent_columns(R)] = 1.0
     random = np.arange(len(x)) < 10 * links
     reach = np.array([unseen, reached(L, Vt[weak], x, links), random])
-    norm = partial(np.linalg.norm, axis=1)
-    sizes = norm(L)
-    weakly = _share(norm(moves[:, weak]), norm(directions[:, weak]))
-    ratio = np.array([np.ones(len(x)), weakly, _share(norm(moves), sizes)])
+    sizes = np.linalg.norm(L, axis=1)
+    total = _share(np.linalg.norm(moves, axis=1), sizes)
+    weak_sizes = np.linalg.norm(directions[:, weak], axis=1)
+    weakly = _share(np.linalg.norm(moves[:, weak], axis=1), weak_sizes)
+    ratio = np.array([np.ones(len(x)), weakly, total])
     return np.where(sizes > 0, follows(ratio, reach), 1.0)
 
 

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from excitant.exceptions import BadInput
 from excitant.identify.preprocessing import Segment
@@ -29,9 +28,9 @@ from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names
 
-_SILENT = 1e-10  # of the longest column
-_DEPENDENT = 1e-9  # of the largest singular value, columns of unit length
-_MEMBER = 0.1  # of a dependence: its columns with at least this part
+SILENT = 1e-10  # length of a column over the longest
+DEPENDENT = 1e-9  # singular value over the largest, columns of unit length
+MEMBER = 0.1  # least part of a column that is a member of a dependence
 
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
@@ -47,11 +46,9 @@ class ActingColumns(NamedTuple):
     def of(cls, columns: Array, joints: Sequence[int] | None = None) -> ActingColumns:
         """Columns of all joints or some, shape (n, m, k)."""
         acts = live(columns).any(axis=1)
-        known = np.arange(columns.shape[1])
-        return cls(
-            (known if joints is None else np.array(joints))[acts],
-            columns if acts.all() else frozen(columns[:, acts]),
-        )
+        names = np.arange(columns.shape[1]) if joints is None else np.array(joints)
+        acting = columns if acts.all() else frozen(columns[:, acts])
+        return cls(names[acts], acting)
 
     def __matmul__(self, x: Array) -> ActingColumns:
         """Their combinations by x, shape (k, l)."""
@@ -60,9 +57,9 @@ class ActingColumns(NamedTuple):
     def on(self, nv: int) -> Array:
         """The columns with zeros where they do not act, shape (n, nv, k)."""
         n, _, k = self.values.shape
-        found: Array = np.zeros((n, nv, k))
-        found[:, self.joints] = self.values
-        return found
+        columns = np.zeros((n, nv, k))
+        columns[:, self.joints] = self.values
+        return columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +103,10 @@ class Regression:
     @property
     def W(self) -> Array:
         """All columns, zeros too, shape (n, nv, p)."""
-        found: Array = np.zeros((len(self), self.nv, self.p))
-        for j, (index, columns) in enumerate(
-            zip(self.index, self.columns, strict=True)
-        ):
-            found[:, j, index] = columns
-        return found
+        W = np.zeros((len(self), self.nv, self.p))
+        for j, index in enumerate(self.index):
+            W[:, j, index] = self.columns[j]
+        return W
 
     def rows(self, joint: int) -> Mask | slice:
         """Rows of a joint that count."""
@@ -123,14 +118,13 @@ class Regression:
 
     def torque(self, x: Array) -> Array:
         """W x, shape (p,) or (p, k) → (n, nv) or (n, nv, k)."""
-        found = []
+        tau = []
         for index, columns in zip(self.index, self.columns, strict=True):
             own = x[index]
-            some = np.flatnonzero(
-                own.any(axis=tuple(range(1, own.ndim)))
-            )  # few of all candidates
-            found.append(columns[:, some] @ own[some])
-        return np.stack(found, axis=1)
+            # few of all candidates
+            nonzero = own.any(axis=tuple(range(1, own.ndim)))
+            tau.append(columns[:, nonzero] @ own[nonzero])
+        return np.stack(tau, axis=1)
 
     def residual(self, x: Array) -> Array:
         """τ − W x, shape (n, nv)."""
@@ -143,31 +137,31 @@ class Regression:
         place = np.full(self.p, -1)
         place[list(columns)] = np.arange(len(columns))
         index = []
-        kept = []
-        for own, values in zip(self.index, self.columns, strict=True):
-            here = np.flatnonzero(place[own] >= 0)
-            here = here[np.argsort(place[own[here]])]
-            index.append(place[own[here]])
-            kept.append(frozen(values[:, here]))
-        named = (
-            tuple(names) if names is not None else tuple(self.names[k] for k in columns)
+        selected = []
+        for acting, values in zip(self.index, self.columns, strict=True):
+            target = place[acting]
+            order = np.argsort(target)
+            order = order[target[order] >= 0]
+            index.append(target[order])
+            selected.append(frozen(values[:, order]))
+        names = [self.names[k] for k in columns] if names is None else names
+        return replace(
+            self, names=tuple(names), index=tuple(index), columns=tuple(selected)
         )
-        return replace(self, names=named, index=tuple(index), columns=tuple(kept))
 
     def with_columns(self, more: Array, names: Sequence[str]) -> Regression:
         """The problem with further columns, shape (n, nv, k)."""
         index = []
         wider = []
-        more = more if self.used is None else more * self.used[:, :, None]
-        for j, (own, values) in enumerate(zip(self.index, self.columns, strict=True)):
+        if self.used is not None:
+            more = more * self.used[:, :, None]
+        for j, values in enumerate(self.columns):
             acting = np.flatnonzero(live(more[:, j]))
-            index.append(np.concatenate([own, self.p + acting]))
-            wider.append(
-                frozen(np.asfortranarray(np.hstack([values, more[:, j, acting]])))
-            )
-        return replace(
-            self, names=(*self.names, *names), index=tuple(index), columns=tuple(wider)
-        )
+            index.append(np.concatenate([self.index[j], self.p + acting]))
+            both = np.hstack([values, more[:, j, acting]])
+            wider.append(frozen(np.asfortranarray(both)))
+        names = (*self.names, *names)
+        return replace(self, names=names, index=tuple(index), columns=tuple(wider))
 
     def counting(self, rows: Mask) -> Regression:
         """The problem with rows of joints that do not count set to zero, shape (n, nv)."""
@@ -189,29 +183,28 @@ class Regression:
     @cached_property
     def grams(self) -> tuple[Array, ...]:
         """Of each joint [W τ]ᵀ[W τ], shape (u + 1, u + 1)."""
-        found = []
-        for X, tau in zip(self.columns, self.tau.T, strict=True):
-            b = X.T @ tau
-            found.append(frozen(np.block([[X.T @ X, b[:, None]], [b, tau @ tau]])))
-        return tuple(found)
+        pairs = zip(self.columns, self.tau.T, strict=True)
+        joints = [np.column_stack([X, tau]) for X, tau in pairs]
+        return tuple(frozen(both.T @ both) for both in joints)
 
     def gram(self, weight: Array, columns: Index | None = None) -> Array:
         """[W τ]ᵀ[W τ] of all p or some columns, joints weighted, shape (p + 1, p + 1)."""
         columns = np.arange(self.p) if columns is None else columns
+        size = len(columns) + 1
         place = np.full(self.p + 1, -1)
-        place[columns], place[-1] = np.arange(len(columns)), len(columns)
-        total = np.zeros((len(columns) + 1, len(columns) + 1))
-        for w, index, own in zip(weight, self.index, self.grams, strict=True):
-            at = place[np.append(index, self.p)]
-            here = np.flatnonzero(at >= 0)
-            total[np.ix_(at[here], at[here])] += w * own[np.ix_(here, here)]
+        place[np.append(columns, self.p)] = np.arange(size)
+        total = np.zeros((size, size))
+        for w, index, gram in zip(weight, self.index, self.grams, strict=True):
+            target = place[np.append(index, self.p)]
+            here = np.flatnonzero(target >= 0)
+            total[np.ix_(target[here], target[here])] += w * gram[np.ix_(here, here)]
         return total
 
     @cached_property
     def triangles(self) -> tuple[Array, ...]:
         """Of each joint the triangle of [W τ], which keeps all digits, shape (≤ u + 1, u + 1)."""
-        pairs = enumerate(self.columns)
-        return tuple(triangle(np.column_stack([X, self.tau[:, j]])) for j, X in pairs)
+        pairs = zip(self.columns, self.tau.T, strict=True)
+        return tuple(triangle(np.column_stack([X, tau])) for X, tau in pairs)
 
     @cached_property
     def undetermined(self) -> tuple[int, ...]:
@@ -221,13 +214,13 @@ class Regression:
         """
         rows = self.stacked(np.ones(self.nv))[:, :-1]
         norms = np.linalg.norm(rows, axis=0)
-        silent = norms <= _SILENT * norms.max(initial=0.0)
+        silent = norms <= SILENT * norms.max(initial=0.0)
         if silent.any():
             return tuple(np.flatnonzero(silent).tolist())
         _, s, Vt = np.linalg.svd(triangle(rows / norms))
-        if len(s) == self.p and (not len(s) or s[-1] >= _DEPENDENT * s[0]):
+        if len(s) == self.p and (not len(s) or s[-1] >= DEPENDENT * s[0]):
             return ()
-        return tuple(np.flatnonzero(np.abs(Vt[-1]) > _MEMBER).tolist())
+        return tuple(np.flatnonzero(np.abs(Vt[-1]) > MEMBER).tolist())
 
     def factor(self, weight: Array) -> tuple[Array, Array]:
         """R and z with ‖R x − z‖² = Σ_j (w_j ‖τ_j − W_j x‖)²."""
@@ -237,16 +230,16 @@ class Regression:
     def stacked(self, weight: Array) -> Array:
         """The weighted triangles of all joints over each other, shape (rows, p + 1)."""
         parts = []
-        for w, index, own in zip(weight, self.index, self.triangles, strict=True):
-            part = np.zeros((len(own), self.p + 1))
-            part[:, np.append(index, self.p)] = w * own
+        for w, index, R in zip(weight, self.index, self.triangles, strict=True):
+            part = np.zeros((len(R), self.p + 1))
+            part[:, np.append(index, self.p)] = w * R
             parts.append(part)
         return np.concatenate(parts)
 
 
 def triangle(A: Array) -> Array:
     """R of A = Q R, without rows of zeros below, shape (min(n, m), m)."""
-    return scipy.linalg.qr(A, mode="r")[0][: A.shape[1]]
+    return np.asarray(np.linalg.qr(A, mode="r"), float)
 
 
 def dense(
@@ -263,11 +256,8 @@ def dense(
     parts = [ActingColumns(np.arange(nv), W)] if isinstance(W, np.ndarray) else W
     shapes = [part.values.shape for part in parts]
     p = sum(shape[-1] for shape in shapes)
-    fitting = [
-        (n, len(part.joints), shape[-1])
-        for part, shape in zip(parts, shapes, strict=True)
-    ]
-    if shapes != fitting or len(names) != p:
+    expected = [(n, len(part.joints), part.values.shape[-1]) for part in parts]
+    if shapes != expected or len(names) != p:
         raise BadInput(
             f"regression: columns of shape {' + '.join(map(str, shapes))} with "
             f"torque of shape {tau.shape} and {len(names)} names; give (n, nv, p), (n, nv) and p"
@@ -275,19 +265,25 @@ def dense(
     index: list[list[Index]] = [[np.zeros(0, np.intp)] for _ in range(nv)]
     rows: list[list[Array]] = [[np.zeros((0, n))] for _ in range(nv)]
     start = 0
-    for part, shape in zip(parts, shapes, strict=True):
-        for j, own in zip(part.joints, part.values.transpose(1, 2, 0), strict=True):
-            acts = np.flatnonzero(live(own.T))
-            index[j].append(start + acts)
-            rows[j].append(own if len(acts) == len(own) else own[acts])
-        start += shape[-1]
-    columns = [np.concatenate(own) for own in rows]
+    for part in parts:
+        of_joints = part.values.transpose(1, 2, 0)
+        for j, values in zip(part.joints, of_joints, strict=True):
+            acts = live(values.T)
+            index[j].append(start + np.flatnonzero(acts))
+            rows[j].append(values if acts.all() else values[acts])
+        start += part.values.shape[-1]
+    columns = [np.concatenate(blocks) for blocks in rows]
     if used is not None:
         tau = tau * used
-        for own, counts in zip(columns, used.T, strict=True):
-            own *= counts
-    found = tuple(frozen(own.T) for own in columns)
-    return Regression(tuple(names), tuple(map(np.concatenate, index)), found, tau, used)
+        for values, counts in zip(columns, used.T, strict=True):
+            values *= counts
+    return Regression(
+        names=tuple(names),
+        index=tuple(map(np.concatenate, index)),
+        columns=tuple(frozen(values.T) for values in columns),
+        tau=tau,
+        used=used,
+    )
 
 
 def regression_of(
@@ -326,13 +322,13 @@ def joined(parts: Sequence[Regression]) -> Regression:
     columns = []
     for j in range(parts[0].nv):
         acting = np.unique(np.concatenate([part.index[j] for part in parts]))
-        found = np.zeros((sum(map(len, parts)), len(acting)), order="F")
+        stacked = np.zeros((sum(map(len, parts)), len(acting)), order="F")
         begin = 0
         for part in parts:
             rows = slice(begin, begin + len(part))
-            found[rows, np.searchsorted(acting, part.index[j])] = part.columns[j]
+            stacked[rows, np.searchsorted(acting, part.index[j])] = part.columns[j]
             begin += len(part)
         index.append(acting)
-        columns.append(frozen(found))
+        columns.append(frozen(stacked))
     tau = np.concatenate([part.tau for part in parts])
     return Regression(parts[0].names, tuple(index), tuple(columns), tau)

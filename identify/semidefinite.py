@@ -23,6 +23,7 @@ import scipy
 
 from excitant.exceptions import Infeasible
 from excitant.identify.prior import NORMS, UPPER, BodyPrior, matrices, relative_rows
+from excitant.identify.regression import triangle
 from excitant.robots.motion import Array
 from excitant.robots.parameters import pseudo_inertia
 
@@ -226,7 +227,7 @@ class _CentralPath:
         fixed = np.r_[: 10 * self.links, 20 * self.links : len(J)]
         A = np.vstack([program.A, J[fixed]])
         z = np.concatenate([program.z, J[fixed] @ start - residual[fixed]])
-        R = np.linalg.qr(np.column_stack([A, z]), mode="r")[: len(start)]
+        R = triangle(np.column_stack([A, z]))[: len(start)]
         self.U = R[:, :-1]
         self.t = R[:, -1]
         some = len(self.exact)
@@ -294,7 +295,7 @@ class _CentralPath:
         goal = np.concatenate([-residual, *(scale * g for _, g, _ in logarithms)])
         A = np.vstack([self.R, rows @ self.N])
         z = np.concatenate([self.Q.T @ (self.t - self.U @ y), goal])
-        factor = np.linalg.qr(np.column_stack([A, z]), mode="r")
+        factor = triangle(np.column_stack([A, z]))
         p = len(self.R)
         step = self.N @ scipy.linalg.solve_triangular(factor[:p, :p], factor[:p, p])
         weight = self.bodies.draws + barrier
