@@ -1,258 +1,355 @@
-"""Hide effects in virtual arms, diagnose the recordings, count what was named; see README.md."""
+"""Diagnosis of arms of MuJoCo that hide effects, in worlds of more or less error; see README.md."""
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import itertools
 import json
-import sys
 import time
+import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
-import joblib
+import common
 import numpy as np
-from hidden_effects import KINDS, draw_effect
+import scipy
+from common import wilson
+from cyclopts import Parameter
 from threadpoolctl import threadpool_limits
-from worlds import apart, campaign
+from worlds_plant import (
+    BODIES,
+    DURATION,
+    FRICTION,
+    KINDS,
+    SET_UPS,
+    STRUCTURES,
+    Drawing,
+    Hidden,
+    Plant,
+    Rng,
+    Trajectory,
+    drawn_arm,
+    given_and_true,
+)
 
 from excitant.analysis.diagnosis import diagnose
 from excitant.design import random_trajectory
-from excitant.exceptions import ExcitantError
-from excitant.identify import Recording, recording_from_table
-from excitant.processes import owned
-from excitant.robots import Robot, load_robot
-from excitant.robots.plant.arm import Trajectory
-from excitant.robots.torque import effect_values
-from excitant.robots.virtual_arm import HiddenEffect, VirtualArm, virtual_arm
+from excitant.exceptions import Infeasible
+from excitant.identify.recording import Recording
+from excitant.robots import Robot
+from excitant.robots.motion import Array
 
-ARMS = ("ur10", "panda", "puma560", "planar_2r")
-DURATION, HARMONICS = 15.0, 5  # of each motion [s]
-TOLERANCE = 0.03  # of the given inertias
-_WIDER = 8.0  # a wrong body must show beyond what the tolerance of all bodies does
-_CLEARLY = 3.0  # times the noise floor
-_SIZES = (2.0, 3.0, 5.0, 8.0, 13.0, 30.0)
-_BODIES = ("inertial_parameters", "payload")
-SPEED_OVER = (60.0, 114.0)  # s of motion
-SPEED_WITH = ("stribeck_friction", "torque_ripple", "payload")
-_PAIRED = (
-    "payload", "gravity_direction", "coulomb_friction", "viscous_friction", "stribeck_friction",
-    "torque_ripple", "time_delay", "encoder_offset", "torque_gain", "torque_offset", "spring",
-    "presliding_hysteresis", "load_dependent_friction",
-)  # fmt: skip
+OFF = {"exact": 0.0, "off 10 %": 0.1, "off 30 %": 0.3}  # inertias and friction of the given model
+READINGS = ("white", "coloured", "jitter", "current")
+WORLDS = tuple(itertools.product(OFF, READINGS))
+CATEGORIES = {"effects": 0.55, "set-up": 0.15, "outside": 0.1, "nothing": 0.2}
+COUNTS = (0.6, 0.25, 0.15)  # shares of one, two and three effects
+HARMONICS = 5  # of each motion
+NOISE, ENCODER = 0.01, 2e-5  # of torque, of its standard deviation; of positions [rad]
+CORRELATION, BITS, HEADROOM = 0.02, 12, 1.5  # of coloured noise [s]; of torque, times its peak
+JITTER = 0.1  # of the period
+GAINS = (2.0, 30.0)  # of the drives [N·m/A]
+BINS = (0.0, 0.03, 0.05, 0.1, 0.2, 0.4, np.inf)
 
-
-@dataclass(frozen=True)
-class Case:
-    """One virtual arm with what it hides."""
-
-    number: int  # its seed, beside that of the suite
-    seed: int
-    arm: str
-    kinds: tuple[str, ...]  # what is hidden; empty for a clean arm
+SAME = {  # exactly the same torque
+    "asymmetric_friction": ("coulomb_friction", "torque_offset"),  # their sum
+    "payload": ("inertial_parameters",),  # of the last link
+    "inertial_parameters": ("payload",),
+    "rotor_inertia at the first joint": ("inertial_parameters",),
+}
+NEAR = {  # as near as the vocabulary comes; neither right nor wrong
+    "hose": ("spring", "presliding_hysteresis"),
+    "bumper": ("spring",),
+    "swaying table": ("joint_elasticity",),
+}
 
 
-def cases(args: argparse.Namespace) -> list[Case]:
-    rng = np.random.default_rng(0)
-    single = [(kind,) for kind in args.kinds.split(",")]
-    pairs = [tuple(map(str, rng.choice(_PAIRED, 2, replace=False))) for _ in range(args.pairs)]
-    groups = [*([kinds] * args.draws for kinds in single), [()] * args.clean, pairs]
-    hidden = [
-        (arm, kinds)
-        for group in groups
-        for arm, kinds in zip(itertools.cycle(args.arms.split(",")), group, strict=False)
-    ]
-    return [Case(k, args.seed, *each) for k, each in enumerate(hidden, start=1)]
-
-
-def recorded(
-    arm: VirtualArm, motion: Trajectory, duration: float, rng: np.random.Generator, name: str
+def record(
+    plant: Plant, motion: Trajectory, reading: str, gains: Array, rng: Rng, name: str
 ) -> Recording:
-    table = arm.record(motion, duration, rng)
-    return recording_from_table(table, arm.nominal.nv, file=name, name=name)
+    """What the sensors of a world read of a motion."""
+    rate = 100.0 if reading == "jitter" else 125.0
+    t = np.arange(0.0, DURATION, 1 / rate)
+    if reading == "jitter":
+        t[1:] += rng.uniform(-JITTER, JITTER, len(t) - 1) / rate
+    q, tau = motion(t, 0), plant.torque(motion, t)
+    noise = rng.normal(size=tau.shape)
+    if reading == "coloured":
+        a = np.exp(-1 / (rate * CORRELATION))
+        noise = scipy.signal.lfilter([np.sqrt(1 - a**2)], [1, -a], noise, axis=0)
+    tau = tau + NOISE * tau.std(axis=0) * noise
+    if reading == "coloured":
+        step = 2 * HEADROOM * np.abs(tau).max(axis=0) / 2**BITS
+        tau = step * np.round(tau / step)
+    q = q + ENCODER * rng.normal(size=q.shape)
+    for edit in plant.edits:
+        q, tau = edit(q, tau)
+    if reading == "current":
+        return Recording(name, name, t, q, tau / gains, "A")
+    return Recording(name, name, t, q, tau)
 
 
-def run(case: Case) -> dict[str, Any]:
+def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording], list[Hidden]]:
+    """A case: its description, the given model, two recordings, and what is hidden."""
+    rng, (off, reading) = np.random.default_rng([seed, number]), WORLDS[number % len(WORLDS)]
+    category = str(rng.choice(list(CATEGORIES), p=list(CATEGORIES.values())))
+    robot, given, bare, motions = moving_arm(rng, OFF[off])
+    drawing, plant, hidden = Drawing(bare, given, motions, rng), bare, list[Hidden]()
+    if category == "set-up":
+        plant, found = drawing.set_up(plant, str(rng.choice(SET_UPS)))
+        hidden.append(found)
+    elif category != "nothing":
+        kinds, count = STRUCTURES, 1
+        if category == "effects":  # a current does not show the gain of its drive
+            kinds = tuple(k for k in KINDS if (k, reading) != ("torque_gain", "current"))
+            count = 1 + int(rng.choice(3, p=COUNTS))
+        taken = set[int]()
+        for kind in rng.choice(kinds, count, replace=False):
+            plant, found = drawing.hide(plant, str(kind), taken)
+            hidden.append(found)
+    gains = np.exp(rng.uniform(*np.log(GAINS), robot.nv))
+    both = zip(motions, ("fitted", "held"), strict=True)
+    recordings = [record(plant, motion, reading, gains, rng, name) for motion, name in both]
+    case = {"case": number, "seed": seed, "arm": robot.name, "world": f"{off}, {reading}"}
+    return case | {"category": category, "off": OFF[off]}, robot, recordings, hidden
+
+
+def moving_arm(rng: Rng, off: float) -> tuple[Robot, Plant, Plant, tuple[Trajectory, ...]]:
+    """An arm whose drives can hold it, as `given_and_true`, and two motions."""
+    while True:
+        robot, given, bare = given_and_true(drawn_arm(rng), rng, off)
+        with contextlib.suppress(Infeasible):
+            motions = [random_trajectory(robot, rng, DURATION, HARMONICS) for _ in range(2)]
+            return robot, given, bare, tuple(motions)
+
+
+def run(seed: int, number: int, tell: bool = False) -> dict[str, Any]:
+    """Draw a case, diagnose it and score what is said; ``tell`` prints all of it."""
     threadpool_limits(1)
-    rng = np.random.default_rng([case.seed, case.number])
-    robot, hidden, size = load_robot(case.arm), [], float("nan")
+    warnings.simplefilter("ignore")
+    case, robot, (fitted, holdout), hidden = drawn(seed, number)
+    case["hidden"] = [plain(vars(h)) for h in hidden]
     begun = time.perf_counter()
     try:
-        for kind in case.kinds:
-            size = float(np.exp(rng.uniform(np.log(_SIZES[0]), np.log(_SIZES[-1]))))
-            shown = size * (_WIDER if kind in _BODIES else 1.0)
-            hidden.append(draw_effect(robot, rng, kind, shown))
-        arm = virtual_arm(robot, rng, hidden=hidden, tolerance=TOLERANCE)
-        train, held = (
-            recorded(arm, random_trajectory(robot, rng, DURATION, HARMONICS), DURATION, rng, name)
-            for name in ("excitation", "holdout")
-        )
-    except ExcitantError as error:
-        return {"case": vars(case), "not_drawn": str(error)}
-    drawn = time.perf_counter()
-    result = diagnose(robot, [train], validate=[held]).result()
-    findings = apart(result["findings"])
-    found = [brief(finding) for finding in findings]
-    return {
-        "case": vars(case),
-        "hidden": [[h.effect, list(h.acts_on), h.kind, dict(h.parameters)] for h in hidden],
-        "size": size,
-        "found": found,
-        "score": score(robot, hidden, findings),
-        "seconds": [drawn - begun, time.perf_counter() - drawn],
-    }
+        diagnosis = diagnose(robot, [fitted], validate=[holdout])
+        findings = apart(diagnosis.result()["findings"])
+    except Exception as error:
+        if tell:
+            raise
+        case["no_result"] = f"{type(error).__name__}: {error}"
+        return case | {"seconds": time.perf_counter() - begun}
+    case["seconds"] = time.perf_counter() - begun
+    case["found"] = [brief(finding) for finding in findings]
+    case["score"] = score(case, robot, hidden, findings)
+    if tell:
+        print(json.dumps(case, indent=1))
+        for label, accuracy in (("given", diagnosis.simulation), ("extended", diagnosis.extended)):
+            print(f"nrmse on the hold-out, {label} model: {np.round(accuracy.nrmse, 3)}")
+        print("\n".join([diagnosis.headline, *diagnosis.notes]))
+    return case
 
 
-def brief(finding: dict[str, Any]) -> list[Any]:
-    rivals = [f"{r['effect']}@{'+'.join(r['joints'][:2])}" for r in finding["rivals"]]
-    share = round(finding.get("share", finding["explained"]), 3)
-    return [finding["effect"], finding["joints"][:2], finding["verdict"], share, rivals]
+def plain(value: Any) -> Any:
+    """A value as JSON has it, numbers to four digits."""
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [plain(v) for v in value]
+    number = isinstance(value, float | np.floating)
+    return float(f"{value:.4g}") if number and np.isfinite(value) else None if number else value
+
+
+def brief(finding: dict[str, Any]) -> dict[str, Any]:
+    share = round(finding.get("share", finding["explained"]), 4)
+    rivals = [[r["effect"], r["joints"]] for r in finding["rivals"]]
+    named = {key: finding[key] for key in ("effect", "joints", "verdict")}
+    values = {p["name"]: [p["value"], p["std"]] for p in finding["parameters"]}
+    few = plain(values) if finding["effect"] not in BODIES else {}
+    return named | {"share": share, "rivals": rivals, "parameters": few}
 
 
 def score(
-    robot: Robot, hidden: Sequence[HiddenEffect], findings: Sequence[dict[str, Any]]
+    case: dict[str, Any], robot: Robot, hidden: Sequence[Hidden], findings: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """How many hidden effects were named, or in an undecided set too; named ones not hidden."""
-    right = named = 0
-    for effect in hidden:
-        if any(_is(f, effect) and f["verdict"] in ("named", "unknown") for f in findings):
-            named, right = named + 1, right + 1
-        elif any(_among(f, effect) for f in findings if f["verdict"] == "undecided"):
-            right += 1
+    """Of each hidden effect, whether it is named and found; what is named and not there."""
+    sure = [f for f in findings if f["verdict"] in ("named", "unknown")]
+    named = [any(is_it(f, h, robot) for f in sure) for h in hidden]
+    found = [
+        name or any(is_it(each, h, robot) for f in findings for each in (f, *f["rivals"]))
+        for name, h in zip(named, hidden, strict=True)
+    ]
+    settled = [
+        name or any(_only_names(f, h, robot) for f in findings)
+        for name, h in zip(named, hidden, strict=True)
+    ]
     wrong = [
-        f["effect"]
+        f"{f['effect']}@{'+'.join(f['joints'][:2])}"
         for f in findings
         if f["verdict"] == "named"
-        and not any(_is(f, effect) or _more_friction(robot, f, effect) for effect in hidden)
+        and not of_the_world(f["effect"], case["off"], hidden)
+        and not any(is_it(f, h, robot) or f["effect"] in NEAR.get(h.kind, ()) for h in hidden)
     ]
-    return {"right": right, "named": named, "wrong": wrong}
+    own = [
+        f
+        for f in findings
+        if any(is_it(f, h, robot) for h in hidden) or not of_the_world(f["effect"], case["off"], ())
+    ]
+    lead = [*findings[:1], *(findings[0]["rivals"] if findings else ())]
+    first = bool(hidden) and any(is_it(each, hidden[0], robot) for each in lead)
+    silent = not any(  # beyond what is true of the world
+        f["verdict"] in ("named", "undecided")
+        and not any(of_the_world(each["effect"], case["off"], ()) for each in (f, *f["rivals"]))
+        for f in findings
+    )
+    near = [f["effect"] for f in sure for h in hidden if f["effect"] in NEAR.get(h.kind, ())]
+    word = said_first(own[0], hidden, robot) if own else "nothing"
+    judged = {"named": named, "settled": settled, "found": found, "wrong": wrong, "first": first}
+    return judged | {"silent": silent, "near": near, "word": word}
 
 
-def _is(finding: dict[str, Any], effect: HiddenEffect) -> bool:
-    if finding["effect"] != effect.effect:
-        return False
-    where = set(effect.acts_on)
-    return effect.effect == "unknown" or not where or bool(where & set(finding["joints"]))
+def apart(findings: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Findings, with those of several kinds of friction one by one."""
+    return [part for finding in findings for part in finding.get("parts", [finding])]
 
 
-def _more_friction(robot: Robot, finding: dict[str, Any], effect: HiddenEffect) -> bool:
-    """Whether bristles that were hidden carry more than the joint's given Coulomb friction."""
-    if (effect.effect, finding["effect"]) != ("presliding_hysteresis", "coulomb_friction"):
-        return False
-    joint, given = finding["joints"][0], effect_values(robot)
-    return joint in effect.acts_on and dict(effect.parameters)["Fh"] > given.get(f"{joint}.Fc", 0.0)
+def is_it(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:
+    """Whether a finding, or a rival of one, is what is hidden, at one of its joints."""
+    first = " at the first joint" if hidden.joints == robot.joints[:1] else ""
+    names = (hidden.effect, *SAME.get(hidden.effect, ()), *SAME.get(hidden.effect + first, ()))
+    return finding["effect"] in names and bool(set(finding["joints"]) & set(hidden.joints))
 
 
-def _among(finding: dict[str, Any], effect: HiddenEffect) -> bool:
-    return _is(finding, effect) or any(_is(rival, effect) for rival in finding["rivals"])
+def _only_names(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:
+    """Whether a finding is what is hidden, and its rivals are other names of the same torque."""
+
+    def same(each: dict[str, Any]) -> bool:
+        there = bool(set(each["joints"]) & set(hidden.joints))
+        wider = there and hidden.effect in SAME.get(each["effect"], ())
+        return wider or is_it(each, hidden, robot)
+
+    rivals = finding["rivals"]
+    return bool(rivals) and all(map(same, (finding, *rivals)))
 
 
-def summary(results: Sequence[dict[str, Any]]) -> str:
+def of_the_world(effect: str, off: float, hidden: Sequence[Hidden]) -> bool:
+    """Whether a cause is true whatever is hidden: the given bodies and friction are off."""
+    if effect in BODIES:
+        return off > 0 or any(h.effect in BODIES for h in hidden)
+    return effect in FRICTION and off > 0
+
+
+def said_first(finding: dict[str, Any], hidden: Sequence[Hidden], robot: Robot) -> str:
+    there = not hidden or finding["effect"] != hidden[0].effect or is_it(finding, hidden[0], robot)
+    doubt = " ?" if finding["verdict"] == "undecided" else ""
+    return finding["effect"] + ("" if there else " elsewhere") + doubt
+
+
+def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
+    yield from _worlds(results)
     done = [r for r in results if "score" in r]
-    singles = [r for r in done if len(r["hidden"]) == 1]
-    known = [r for r in singles if r["hidden"][0][0] != "unknown"]
-    clear = [r["score"] for r in known if r["size"] >= _CLEARLY]
-    unknown = [r["score"] for r in singles if r["hidden"][0][0] == "unknown"]
-    clean = [r["score"] for r in done if not r["hidden"]]
-    pairs = [r["score"] for r in done if len(r["hidden"]) == 2]
-    lines = [
-        rate("right, effects of at least 3 x the floor", [s["right"] for s in clear]),
-        rate("  of these named", [s["named"] for s in clear]),
-        rate("a wrong name given", [s["wrong"] for s in clear]),
-        rate("right, all sizes", [r["score"]["right"] for r in known]),
-        rate("unknown said of unknown", [s["right"] for s in unknown]),
-        rate("a name given to unknown", [s["wrong"] for s in unknown]),
-        rate("clean, nothing named", [not s["wrong"] for s in clean]),
-        rate("both of two found", [s["right"] == 2 for s in pairs]),
-        rate("a wrong name beside two", [s["wrong"] for s in pairs]),
-        f"not drawn (the arm cannot show it): {len(results) - len(done)}",
-        "",
-        "size     right",
+    groups = {c: [r["score"] for r in done if r["category"] == c] for c in CATEGORIES}
+    outside, clean = groups["outside"], groups["nothing"]
+    shown = [r for r in done if r["category"] == "set-up" and r["hidden"][0]["size"] >= BINS[1]]
+    set_up = [r["score"] for r in shown]
+    effects = [
+        (h, r["score"]["named"][k], r["score"]["found"][k], r, r["score"]["settled"][k])
+        for r in done
+        if r["category"] == "effects"
+        for k, h in enumerate(r["hidden"])
     ]
-    for low, high in itertools.pairwise(_SIZES):
-        at = [r["score"]["right"] for r in known if low <= r["size"] < high]
-        lines.append(f"{low:3g}-{high:<3g}  " + rate("", at))
-    return "\n".join([*lines, "", *_confusion(singles)])
+    large = [e for e in effects if e[0]["size"] >= BINS[2]]
+    rows = (
+        ("effects of at least 5 %: named", [e[1] for e in large]),
+        ("  or only the name of that torque is open", [e[4] for e in large]),
+        ("effects of at least 5 %: named or undecided", [e[2] for e in large]),
+        ("cases with a wrong name", [r["score"]["wrong"] for r in done]),
+        ("set-up: the right name first", [s["first"] for s in set_up]),
+        ("set-up: a wrong name beside", [s["wrong"] for s in set_up]),
+        ("outside the vocabulary: unknown said there", [s["named"][0] for s in outside]),
+        ("outside: the nearest name", [s["near"] for s in outside]),
+        ("outside: a wrong name", [s["wrong"] for s in outside]),
+        ("nothing hidden: no wrong name", [not s["wrong"] for s in clean]),
+        ("nothing hidden: nothing open but the world's own", [s["silent"] for s in clean]),
+        ("effects: a wrong name beside", [s["wrong"] for s in groups["effects"]]),
+    )
+    yield ""
+    yield from (f"{label:44s} {wilson(hits):>12s} % of {len(hits)}" for label, hits in rows)
+    yield "\nsize [%]      effects     named [%]     found [%]"
+    for low, high in itertools.pairwise(BINS):
+        within = [e for e in effects if low <= e[0]["size"] < high]
+        named, found = wilson([e[1] for e in within]), wilson([e[2] for e in within])
+        yield f"{100 * low:3.0f} to {100 * high:3.0f} {len(within):10d} {named:>13s} {found:>13s}"
+    yield from _confusion(done)
+    missed = [e for e in effects if not e[2]]
+    if missed:
+        h, _, _, r, _ = max(missed, key=lambda e: e[0]["size"])
+        where = f"{h['effect']} at {', '.join(h['joints'])} of {r['arm']} ({r['world']})"
+        yield f"\nlargest missed: case {r['case']}, {where}, {100 * h['size']:.0f} %"
+    for r in done:
+        if wrong := r["score"]["wrong"]:
+            what = ", ".join(h["kind"] for h in r["hidden"]) or "nothing"
+            yield f"wrong: case {r['case']}, {what} in {r['world']}: {', '.join(wrong)}"
+    failed = Counter(r["no_result"].splitlines()[0] for r in results if "no_result" in r)
+    yield from (f"no result, {n} times: {why}" for why, n in failed.most_common())
 
 
-def rate(label: str, hits: Sequence[Any]) -> str:
-    share = f"{100 * np.mean([bool(h) for h in hits]):5.1f} %" if hits else "    -  "
-    return f"{share} of {len(hits):3d}  {label}"
-
-
-def _confusion(singles: Sequence[dict[str, Any]]) -> Iterator[str]:
-    rows: dict[str, Counter[str]] = defaultdict(Counter)
-    for r in singles:
-        truth, found = r["hidden"][0], r["found"]
-        word = "nothing" if not found else str(found[0][0])
-        if found and word == truth[0] and truth[1] and not set(found[0][1]) & set(truth[1]):
-            word += " elsewhere"
-        rows[truth[0]][word + (" ?" if found and found[0][2] == "undecided" else "")] += 1
-    yield "hidden: what came first (? undecided)"
-    for kind, counts in sorted(rows.items()):
-        yield f"  {kind:27s} " + ", ".join(f"{n} {word}" for word, n in counts.most_common())
-
-
-def speed(seed: int) -> None:
-    """Processor time of `diagnose` over the length of a recording."""
-    print("panda, 250 Hz, three effects hidden, given bodies off by 10 %, hold-out of 20 s")
-    for duration in SPEED_OVER:
-        rng, robot = np.random.default_rng(seed), load_robot("panda")
-        hidden = [draw_effect(robot, rng, kind, 10.0) for kind in SPEED_WITH]
-        arm = virtual_arm(robot, rng, hidden=hidden, tolerance=0.1)
-        fit, held = (
-            recorded(arm, random_trajectory(robot, rng, 20.0, HARMONICS), length, rng, "run")
-            for length in (duration, 20.0)
+def _worlds(results: Sequence[dict[str, Any]]) -> Iterator[str]:
+    heads = (*("named [%]", "found [%]", "wrong [%]", "silent [%]", "no result"), "median s")
+    yield f"{'world':20s} cases " + " ".join(f"{head:>12s}" for head in heads)
+    for world in [*(", ".join(world) for world in WORLDS), "all"]:
+        here = [r for r in results if world in ("all", r["world"])]
+        scores = [r["score"] for r in here if "score" in r]
+        hiding = [s for s in scores if s["named"]]
+        shares = (
+            [hit for s in scores for hit in s["named"]],
+            [hit for s in scores for hit in s["found"]],
+            [s["wrong"] for s in scores],
+            [s["silent"] for s in hiding],
         )
-        with threadpool_limits(1):
-            begun = time.process_time()
-            diagnose(robot, [fit], validate=[held])
-            took = time.process_time() - begun
-        print(f"{len(fit)} samples, {fit.duration:.0f} s x {robot.nv} joints: {took:.1f} s")
+        cells = [*map(wilson, shares), str(len(here) - len(scores))]
+        cells.append(f"{np.median([r['seconds'] for r in here]):.1f}" if here else "-")
+        yield f"{world:20s} {len(here):5d} " + " ".join(f"{cell:>12s}" for cell in cells)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--draws", type=int, default=8, help="of each kind of effect")
-    parser.add_argument("--clean", type=int, default=60)
-    parser.add_argument("--pairs", type=int, default=40)
-    parser.add_argument("--kinds", default=",".join(KINDS))
-    parser.add_argument("--arms", default=",".join(ARMS), help="built-in arms, in turn")
-    parser.add_argument("--seed", type=int, help="default 2026; with --worlds a new one")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--log", help="write every case as a line of JSON")
-    worlds = parser.add_argument_group("arms of MuJoCo, see worlds.py")
-    worlds.add_argument("--worlds", action="store_true", help="run these instead")
-    worlds.add_argument("--count", type=int, default=300, help="of cases")
-    worlds.add_argument("--case", type=int, help="tell all of one case of a seed")
-    worlds.add_argument("-o", "--output", help="write every case as a line of JSON")
-    parser.add_argument("--speed", action="store_true", help="time a diagnosis instead")
-    args = parser.parse_args()
-    if args.speed:
-        speed(args.seed or 0)
+def _confusion(done: Sequence[dict[str, Any]]) -> Iterator[str]:
+    rows: dict[str, Counter[str]] = defaultdict(Counter)
+    for r in done:
+        if len(r["hidden"]) < 2:
+            kind = r["hidden"][0]["kind"] if r["hidden"] else "nothing"
+            rows[f"{r['category']}: {kind}" if kind != "nothing" else kind][r["score"]["word"]] += 1
+    yield "\nhidden alone: what came first, the world's own errors apart (? undecided)"
+    for kind, words in sorted(rows.items()):
+        yield f"  {kind:36s} " + ", ".join(f"{n} {word}" for word, n in words.most_common())
+
+
+def main(
+    *,
+    count: int = 300,
+    seed: int | None = None,
+    case: int | None = None,
+    jobs: int = 2,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+) -> None:
+    """Draw and diagnose arms.
+
+    Args:
+        count: Number of cases.
+        seed: Of all cases; a new one by default.
+        case: Tell all of this case alone.
+        jobs: Number of processes.
+        output: File to which every case is appended as a line of JSON.
+    """
+    seed = common.printed_seed(seed)
+    if case is not None:
+        run(seed, case, tell=True)
         return
-    if args.worlds:
-        campaign(args.count, args.seed, args.case, args.jobs, args.output)
-        return
-    args.seed = 2026 if args.seed is None else args.seed
-    todo = cases(args)
-    begun, results = time.perf_counter(), []
-    work = joblib.Parallel(args.jobs, return_as="generator_unordered")
-    for k, result in enumerate(work(joblib.delayed(owned(run))(case) for case in todo)):
-        results.append(result)
-        if args.log:
-            with open(args.log, "a", encoding="utf-8") as log:
-                log.write(json.dumps(result) + "\n")
-        if sys.stderr.isatty():
-            print(f"\r{k + 1} of {len(todo)}", end="", file=sys.stderr, flush=True)
-    seconds = np.array([r["seconds"] for r in results if "seconds" in r])
-    print(summary(results))
-    minutes = (time.perf_counter() - begun) / 60
-    print(f"\n{len(todo)} cases in {minutes:.1f} min; mean s to draw and record, to diagnose: "
-          f"{seconds.mean(axis=0).round(1)}")  # fmt: skip
+    begun = time.perf_counter()
+    results = common.answers(run, [(seed, k) for k in range(1, count + 1)], jobs, output)
+    print("\n".join(report(results)))
+    print(f"\n{count} cases in {(time.perf_counter() - begun) / 60:.1f} min")
 
 
 if __name__ == "__main__":
-    main()
+    common.run(main)

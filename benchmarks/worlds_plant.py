@@ -37,6 +37,8 @@ KINDS = (
     *(*FRICTION, "stribeck_friction", "asymmetric_friction", "load_dependent_friction"),
     *("torque_offset", "spring", "torque_ripple", "rotor_inertia", "friction_coupling"),
     *("torque_gain", "time_delay", "encoder_offset", "gravity_direction", *BODIES),
+    *("nonlinear_viscous_friction", "presliding_hysteresis", "thermal_friction_drift"),
+    *("inertia_coupling", "joint_elasticity", "encoder_scale"),
 )
 SET_UPS = ("mounting", "torque sign", "joint sign", "swapped", "zero position", "degrees")
 STRUCTURES = ("hose", "bumper", "swaying table")
@@ -59,7 +61,7 @@ class State:
 
 
 Shape = Callable[[State], Array]
-"""Torque of one joint, (n,), up to a factor."""
+"""Torque of one joint, (n,), or of all, (n, nv), up to a factor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,7 @@ class Plant:
     gain: Array | float = 1.0  # of the readings of torque
     delay: Array | float = 0.0  # of these [s]
     offset: Array | float = 0.0  # true position less reading [rad]
+    scale: Array | float = 1.0  # true motion over reading
     edits: tuple[Edit, ...] = ()  # of what was recorded: q, tau
 
     @cached_property
@@ -100,7 +103,8 @@ class Plant:
 
     def state(self, motion: Trajectory, t: Array) -> State:
         """The true motion, and what torque its rigid bodies need by MuJoCo."""
-        q, dq, ddq = motion(t, 0) + self.offset, motion(t, 1), motion(t, 2)
+        q, dq, ddq = (self.scale * motion(t, order) for order in range(3))
+        q = q + self.offset
         rigid, data = np.empty_like(q), mujoco.MjData(self.model)
         for k in range(len(t)):
             data.qpos, data.qvel, data.qacc = q[k], dq[k], ddq[k]
@@ -113,7 +117,7 @@ class Plant:
         s = self.state(motion, t)
         tau = s.rigid + self.viscous * s.dq + self.coulomb * sign(s.dq)
         for shape, factors in self.laws:
-            tau = tau + shape(s)[:, None] * factors
+            tau = tau + np.atleast_2d(shape(s).T).T * factors
         return tau
 
     def torque(self, motion: Trajectory, t: Array) -> Array:
@@ -159,6 +163,15 @@ def joint_law(kind: str, rng: Rng, q: Array, dq: Array, j: int) -> tuple[Shape, 
         case "asymmetric_friction":
             p["side"] = side = float(rng.choice([-1, 1]))
             return lambda s: sign(s.dq[:, j]) * (side * s.dq[:, j] > 0), p
+        case "nonlinear_viscous_friction":
+            p["exponent"] = a = rng.choice([rng.uniform(0.3, 0.6), rng.uniform(1.6, 2.0)])
+            return lambda s: sign(s.dq[:, j]) * np.abs(s.dq[:, j]) ** a, p
+        case "presliding_hysteresis":  # of the known dry friction, which builds up
+            p["reach"] = reach = rng.uniform(0.01, 0.05) * float(np.ptp(q[:, j]))
+            return lambda s: drag(s.q[:, j], reach) - sign(s.dq[:, j]), p
+        case "thermal_friction_drift":
+            p["time"] = time = rng.uniform(4.0, 10.0)
+            return lambda s: (sign(s.dq[:, j]) + s.dq[:, j]) * np.exp(-s.t / time), p
         case "load_dependent_friction":
             return lambda s: np.abs(s.rigid[:, j]) * sign(s.dq[:, j]), p
         case "torque_offset":
@@ -182,7 +195,7 @@ def joint_law(kind: str, rng: Rng, q: Array, dq: Array, j: int) -> tuple[Shape, 
             return lambda s: np.maximum(s.q[:, j] - edge, 0.0), p
         case "swaying table":
             p["Hz"], p["damping"] = rng.uniform(3.0, 6.0), rng.uniform(0.03, 0.1)
-            return lambda s: sway(s, j, p["Hz"], p["damping"]), p
+            return lambda s: resonance(s, j, p["Hz"], p["damping"], [1, 0, 0]), p
     raise ValueError(f"no law of {kind}")
 
 
@@ -195,12 +208,17 @@ def drag(q: Array, reach: float) -> Array:
     return z
 
 
-def sway(s: State, j: int, hertz: float, damping: float) -> Array:
-    """Acceleration of a base on springs that a joint's torque drives, from rest, (n,)."""
+def resonance(s: State, j: int, hertz: float, damping: float, above: Sequence[float]) -> Array:
+    """Rigid torque r of a joint through (a s² + b s + c) ω² / (s² + 2 D ω s + ω²), from rest, (n,).
+
+    ``above``: (1, 0, 0) is the acceleration of a base on springs, times ω²; (0, 0, 1) the torque
+    of a spring behind a motor that keeps its path.
+    """
     fine = np.arange(min(s.t[0], 0.0), s.t[-1] + 4e-3, 2e-3)
-    force, w = s.at(fine).rigid[:, j], 2 * np.pi * hertz
-    b, a = scipy.signal.bilinear([w**2, 0, 0], [1, 2 * damping * w, w**2], 500.0)
-    return np.interp(s.t, fine, scipy.signal.lfilter(b, a, force - force[0]))
+    force = s.at(fine).rigid[:, j]
+    w = 2 * np.pi * hertz
+    b, a = scipy.signal.bilinear(w**2 * np.array(above), [1, 2 * damping * w, w**2], 500.0)
+    return np.interp(s.t, fine, force[0] * above[-1] + scipy.signal.lfilter(b, a, force - force[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +256,10 @@ class Drawing:
     def law(self, kind: str, joints: Sequence[int], size: float) -> tuple[Any, dict[str, Any]]:
         """The law of an effect with its factors, scaled to show so much, and its parameters."""
         q, dq = (np.concatenate([getattr(s, x) for s in self.states]) for x in ("q", "dq"))
-        unit = np.eye(len(self.usual))[joints].sum(axis=0)
+        identity = np.eye(len(self.usual))
+        unit = identity[joints].sum(axis=0)
+        if kind == "joint_elasticity":
+            return self.elasticity(joints[0], size)
         if kind == "friction_coupling":
             (j, k), share = joints, self.rng.uniform()
             ratio = float(self.rng.choice([-1, 1]))
@@ -250,6 +271,12 @@ class Drawing:
                 return share * sign(v) + (1 - share) * v / typical
 
             found: dict[str, Any] = {"ratio": ratio, "dry": share}
+        elif kind == "inertia_coupling":
+
+            def shape(s: State) -> Array:
+                return s.ddq[:, joints[::-1]] @ identity[joints]
+
+            found = {}
         else:
             shape, found = joint_law(kind, self.rng, q, dq, joints[-1])
         factor = size / self.size(replace(self.plant, laws=((shape, unit),)))
@@ -257,11 +284,23 @@ class Drawing:
             factor *= float(self.rng.choice([-1, 1]))
         return (shape, factor * unit), found | {"factor": factor}
 
+    def elasticity(self, j: int, size: float) -> tuple[Any, dict[str, Any]]:
+        """The law of a gear as soft as to show so much, but not below 3 Hz."""
+        damping = self.rng.uniform(0.03, 0.1)
+        unit = np.eye(len(self.usual))[j]
+
+        def law(hertz: float) -> tuple[Shape, Array]:
+            return lambda s: resonance(s, j, hertz, damping, [0, 0, 1]) - s.rigid[:, j], unit
+
+        shown = self.size(replace(self.plant, laws=(law(8.0),)))
+        hertz = max(8.0 * np.sqrt(shown / size), 3.0)
+        return law(hertz), {"Hz": hertz, "damping": damping}
+
     def joints_of(self, kind: str, taken: set[int]) -> list[int]:
         """Where an effect of a kind may be; at joints that no other effect has yet, if it can."""
         rng, nv = self.rng, len(self.usual)
         match kind:
-            case "friction_coupling":  # of the wrist
+            case "friction_coupling" | "inertia_coupling":  # of the wrist
                 return [nv - 2, nv - 1] if rng.random() < 0.5 else [nv - 3, nv - 2]
             case "swaying table":
                 return [0, 1]
@@ -291,6 +330,8 @@ class Drawing:
                 changed = found = {"delay": min(delay, LONGEST) * unit}
             case "encoder_offset":
                 changed = found = {"offset": way * rng.uniform(0.02, 0.1) * unit}
+            case "encoder_scale":
+                changed = found = {"scale": 1 + way * rng.uniform(0.02, 0.1) * unit}
             case "gravity_direction":
                 changed = {"robot": tilted(robot, rng, rng.uniform(0.05, 0.3))}
                 found = {"gravity": changed["robot"].gravity}
