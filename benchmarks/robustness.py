@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
-import collections
 import contextlib
 import json
-import multiprocessing
 import os
 import resource
 import shutil
@@ -19,15 +16,19 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from multiprocessing.connection import Connection, wait
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from queue import Queue
+from typing import Annotated, Any, Literal
 
+import common
 import numpy as np
 import pandas as pd
 import pinocchio as pin
 import psutil
 import yaml
+from common import wilson
+from cyclopts import Parameter
 from robustness_inputs import (
     ExtremeArm,
     damaged_bytes,
@@ -40,14 +41,14 @@ from robustness_inputs import (
     simulated,
     write_corpus,
 )
-from worlds import wilson
 
 Rng = np.random.Generator
 Array = np.ndarray
 Files = dict[str, bytes]  # contents by name
 Case = Iterator[tuple[str, str, str]]  # what was tried, its verdict, what was said
 
-HANG = {"fuzz": 60.0, "arms": 600.0, "limits": 120.0, "kills": 600.0}  # s of processor time
+COUNTS = {"fuzz": 10_000, "arms": 200, "limits": 300, "kills": 100}  # of cases
+HANG = {"fuzz": 60, "arms": 600, "limits": 120, "kills": 600}  # s of processor time
 VERBS = 0.08  # share of commands among the damaged inputs; the others only read
 WRONG, CLAIMED = 0.1, 3.0  # nrmse on an unseen motion, and times the one that was reported
 MEMORY = 2.5  # GB of a process that runs cases; an idle one has 0.34, damaged inputs are small
@@ -544,113 +545,80 @@ PARTS: dict[str, Callable[[Rng, Path, Path], Case]] = {
 }  # fmt: skip
 
 
-def serve(todo: Connection, part: str, seed: int, corpus: Path, keep: Path | None) -> None:
-    """Run the cases of a part that are asked for, in a process of its own."""
-    os.environ |= {"OMP_NUM_THREADS": "1"}
+def serve(part: str, seed: str, corpus: str, keep: str) -> None:
+    """Run the cases of a part whose numbers stand on standard input, and print their answers.
+
+    A case that takes too long, by processor time or by the clock, ends the process.
+    """
+    todo, answers = os.fdopen(os.dup(0)), os.fdopen(os.dup(1), "w")
     with tempfile.TemporaryDirectory() as home:
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         for stream in (1, 2):
             with (Path(home) / str(stream)).open("w+") as file:
                 os.dup2(file.fileno(), stream)
-        while (k := todo.recv()) is not None:
-            folder = keep or Path(home) / "case"
+        for number in todo:
+            usage = resource.getrusage(resource.RUSAGE_SELF)
+            spent = int(usage.ru_utime + usage.ru_stime) + 1
+            resource.setrlimit(resource.RLIMIT_CPU, (spent + HANG[part], resource.RLIM_INFINITY))
+            signal.alarm(10 * HANG[part])
+            folder = Path(keep or Path(home) / "case")
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
             os.chdir(folder)
-            rng = np.random.default_rng([seed, [*PARTS].index(part), k])
-            for what, found, said in PARTS[part](rng, folder, corpus):
+            rng = np.random.default_rng([int(seed), [*PARTS].index(part), int(number)])
+            for answer in PARTS[part](rng, folder, Path(corpus)):
                 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-                todo.send((what, found, said, peak))
-            todo.send(None)
+                print(json.dumps([*answer, peak]), file=answers, flush=True)
+            print("null", file=answers, flush=True)
             os.chdir(home)
-    todo.send(None)
 
 
-class Worker:
-    """A process that runs cases; when it hangs or dies, another takes its place."""
-
-    def __init__(self, *about: Any) -> None:
-        self.about, self.case, self.last = about, 0, ""
-        self.begin()
-
-    def begin(self) -> None:
-        """Start the process."""
-        context = multiprocessing.get_context("spawn")
-        self.pipe, child = context.Pipe()
-        self.process = context.Process(target=serve, args=(child, *self.about), daemon=False)
-        self.process.start()
-        child.close()
-
-    def give(self, case: int | None) -> None:
-        """Ask for a case; None ends the process."""
-        self.case = case or 0
-        self.heard("")
-        with contextlib.suppress(OSError):
-            self.pipe.send(case)
-
-    def heard(self, what: str) -> None:
-        """Note what was answered last, and when."""
-        self.last, self.since, self.at = what, self.seconds(), time.monotonic()
-
-    def hung(self, most: float) -> bool:
-        """Whether the next answer takes too long, by processor time or by the clock."""
-        waited = time.monotonic() - self.at
-        return self.seconds() - self.since > most or waited > 10 * most
-
-    def seconds(self) -> float:
-        """Processor time so far, that of its ended children included [s]."""
-        with contextlib.suppress(psutil.Error):
-            return sum(psutil.Process(self.process.pid).cpu_times()[:4])
-        return 0.0
+def attend(about: Sequence[object], queue: Queue[int | None], note: Callable[..., None]) -> None:
+    """Have a process run cases of a queue; when it hangs or dies, another takes its place."""
+    process = None
+    for case in iter(queue.get, None):
+        process = process or subprocess.Popen(
+            [sys.executable, __file__, "serve", *map(str, about)], text=True, bufsize=1,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        last = ""
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(f"{case}\n")
+        for line in iter(process.stdout.readline, "null\n"):
+            if not line:
+                code = process.wait()
+                hung = -code in (signal.SIGXCPU, signal.SIGALRM)
+                note(case, "the worker", "hang" if hung else "crash", f"after '{last}': {code}")
+                process = None
+                break
+            answer = json.loads(line)
+            note(case, *answer)
+            last = answer[0]
+    if process:
+        process.communicate()
 
 
 def campaign(
-    part: str, cases: Sequence[int], seed: int, args: argparse.Namespace, corpus: Path
+    part: str, cases: Sequence[int], about: Sequence[object], jobs: int, output: Path | None
 ) -> list[dict[str, Any]]:
     """All cases of a part, each with its verdict."""
-    jobs, keep = args.jobs, args.keep and args.keep.resolve()
-    queue, results = collections.deque(cases), list[dict[str, Any]]()
-    workers = [Worker(part, seed, corpus, keep) for _ in range(min(jobs, len(cases)))]
-    for worker in workers:
-        worker.give(queue.popleft())
+    queue, results = Queue[int | None](), list[dict[str, Any]]()
+    for case in (*cases, *[None] * jobs):
+        queue.put(case)
 
-    def note(worker: Worker, what: str, found: str, said: str, peak: float = 0.0) -> None:
+    def note(case: int, what: str, found: str, said: str, peak: float = 0.0) -> None:
         found = "memory" if found in GOOD and peak > MEMORY else found
-        entry = {"part": part, "case": worker.case, "what": what, "found": found, "said": said}
+        entry = {"part": part, "case": case, "what": what, "found": found, "said": said}
         results.append(entry | {"peak": peak})
-        if args.output:
-            with args.output.open("a", encoding="utf-8") as lines:
+        if output:
+            with output.open("a", encoding="utf-8") as lines:
                 lines.write(json.dumps(results[-1]) + "\n")
         if sys.stderr.isatty():
-            print(f"\r{part}: {len(results)}, {len(queue)} to go ", end="", file=sys.stderr)
+            print(f"\r{part}: {len(results)}, {queue.qsize()} to go ", end="", file=sys.stderr)
 
-    while workers:
-        ready = wait([worker.pipe for worker in workers], timeout=5.0)
-        for worker in [*workers]:
-            hung = worker.hung(HANG[part])
-            try:
-                if worker.pipe in ready:
-                    heard = worker.pipe.recv()
-                    if heard is not None:
-                        note(worker, *heard)
-                        worker.heard(heard[0])
-                        continue
-                elif not hung:
-                    continue
-                else:
-                    raise EOFError
-            except (EOFError, OSError):
-                worker.process.kill()
-                worker.process.join()
-                why = "hang" if hung else "crash"
-                said = f"after '{worker.last}'; exit code {worker.process.exitcode}"
-                note(worker, "the worker", why, said)
-                worker.begin()
-            if queue:
-                worker.give(queue.popleft())
-            else:
-                worker.give(None)
-                worker.process.join()
-                workers.remove(worker)
+    with ThreadPoolExecutor(jobs) as pool:
+        for worker in [pool.submit(attend, (part, *about), queue, note) for _ in range(jobs)]:
+            worker.result()
     return results
 
 
@@ -666,35 +634,41 @@ def report(part: str, results: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield f"  peak memory {max((each['peak'] for each in results), default=0.0):.2f} GB"
     for each in results:
         if each["found"] not in GOOD:
-            yield f"  --{part} --case {each['case']}: {each['what']}: {each['found'].upper()}"
+            yield f"  {part} --case {each['case']}: {each['what']}: {each['found'].upper()}"
             yield "    " + "\n    ".join(each["said"].strip().splitlines()[-6:])
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    full = {"fuzz": 10_000, "arms": 200, "limits": 300, "kills": 100}
-    for part, count in full.items():
-        parser.add_argument(f"--{part}", type=int, nargs="?", const=count, help=f"of {count}")
-    parser.add_argument("--seed", type=int, help="default: a new one, which is printed")
-    parser.add_argument("--case", type=int, help="only this one of the parts that are named")
-    parser.add_argument("--keep", type=Path, help="folder in which the files of a case are left")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("-o", "--output", type=Path, help="every answer as a line of JSON")
-    args = parser.parse_args()
-    asked = {part: getattr(args, part) for part in full if getattr(args, part)} or full
-    seed = args.seed
-    if seed is None:
-        seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print(f"seed {seed}", flush=True)
+def main(
+    *parts: Literal["fuzz", "arms", "limits", "kills"],
+    count: int | None = None,
+    seed: int | None = None,
+    case: int | None = None,
+    keep: Path | None = None,
+    jobs: int = 2,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+) -> int:
+    """Try promises at random; exit status 1 where one is broken.
+
+    Args:
+        parts: What to try; all by default.
+        count: Number of cases of each part; by default 10 000, 200, 300 and 100.
+        seed: Of all cases; a new one by default.
+        case: Only this case of the parts that are named.
+        keep: Folder in which the files of a case are left.
+        jobs: Number of processes.
+        output: File to which every answer is appended as a line of JSON.
+    """
+    seed = common.printed_seed(seed)
     every = list[dict[str, Any]]()
     with tempfile.TemporaryDirectory() as home:
         corpus = Path(home) / "corpus"
         with contextlib.redirect_stdout(None):
             write_corpus(corpus)
-        for part, count in asked.items():
+        for part in parts or PARTS:
             begun = time.perf_counter()
-            cases = range(1, count + 1) if args.case is None else [args.case]
-            results = campaign(part, cases, seed, args, corpus)
+            cases = range(1, (count or COUNTS[part]) + 1) if case is None else [case]
+            about = (seed, corpus, keep.resolve() if keep else "")
+            results = campaign(part, cases, about, jobs, output)
             print(*report(part, results), sep="\n")
             print(f"  {(time.perf_counter() - begun) / 60:.1f} min", flush=True)
             every += results
@@ -702,4 +676,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    if sys.argv[1:2] == ["serve"]:
+        serve(*sys.argv[2:])
+    else:
+        common.run(main)
