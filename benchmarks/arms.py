@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import site
-import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import common
 import numpy as np
 
 from excitant.analysis.identifiability import analyze
@@ -155,25 +155,31 @@ def designed(robot: Robot, time_limit: float) -> tuple[str, str]:
     return figures, "a limit is exceeded" if not held else "not all shown" if unseen else "ok"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--data", help="folder of example-robot-data's robots")
-    parser.add_argument(
-        "--also", nargs="*", default=[], metavar="FILE[@[BASE:]TIP]", help="other arms"
-    )
-    parser.add_argument("--only", nargs="*", default=[], help="parts of names")
-    parser.add_argument("--time-limit", type=float, default=5.0, help="for each design [s]")
-    given = parser.parse_args()
-    folder = data_folder(given.data)
+def main(
+    *,
+    data: str | None = None,
+    also: Sequence[str] = (),
+    only: Sequence[str] = (),
+    time_limit: float = 5.0,
+) -> int:
+    """Load, design, check and analyze every arm.
+
+    Args:
+        data: Folder of example-robot-data's robots.
+        also: Other arms, each FILE or FILE@TIP or FILE@BASE:TIP.
+        only: Parts of names.
+        time_limit: Of each design [s].
+    """
+    folder = data_folder(data)
     if folder is None:
         print("no example-robot-data: install it, or name its folder with --data")
     chosen = [replace(arm, path=folder / arm.path) for arm in ARMS] if folder else []
-    chosen = [a for a in chosen if not given.only or any(w in name_of(a) for w in given.only)]
-    chosen += [chain(file, ends) for file, _, ends in (w.partition("@") for w in given.also)]
+    chosen = [arm for arm in chosen if not only or any(word in name_of(arm) for word in only)]
+    chosen += [chain(file, ends) for file, _, ends in (word.partition("@") for word in also)]
     print(f"{'arm':46} {'joints':10} load s        κ base thin unseen  verdict")
     verdicts = []
     for arm in chosen:
-        figures, verdict = attempt(arm, given.time_limit)
+        figures, verdict = attempt(arm, time_limit)
         verdicts.append(verdict)
         print(f"{name_of(arm)[:46]:46} {figures}  {verdict}", flush=True)
     good = verdicts.count("ok")
@@ -182,4 +188,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    common.run(main)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+import common
 import numpy as np
 import pandas as pd
 
 from excitant.design import random_trajectory
-from excitant.identify import Recording, identify_robot
+from excitant.identify import identify_robot, recording_from_table
 from excitant.identify.regression import regression_of
 from excitant.robots import Robot, load_robot
+from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.virtual_arm import typical_torque, virtual_arm
 
@@ -47,8 +48,6 @@ def distance(phi: Array, truth: Array) -> Array:
 
 def known_friction(robot: Robot) -> Robot:
     """The arm without effects but with viscous and Coulomb friction in proportion to its torque."""
-    from excitant.robots.effects import CoulombFriction, ViscousFriction
-
     size = FRICTION * typical_torque(robot)
     return robot.with_effects(
         [kind(robot.joints, values=tuple(size)) for kind in (ViscousFriction, CoulombFriction)]
@@ -62,9 +61,8 @@ def case(name: str, seed: int) -> Case:
     runs = []
     for k in range(2):
         motion = random_trajectory(robot, rng, DURATION, HARMONICS)
-        table = arm.record(motion, DURATION, rng)
-        q, tau = (table[[f"{x}{j + 1}" for j in range(robot.nv)]].to_numpy() for x in ("q", "tau"))
-        runs.append(Recording(f"run{k}", "simulated", table["t"].to_numpy(), q, tau))
+        log = arm.record(motion, DURATION, rng)
+        runs.append(replace(recording_from_table(log, robot.nv, file="x", name=f"run{k}"), dq=None))
     found = identify_robot(robot.with_effects(()), runs[:1], validate=runs[1:])
     bodies = list(arm.truth.model.inertias)[1:]
     truth = np.concatenate([body.toDynamicParameters() for body in bodies])
@@ -97,18 +95,22 @@ def table(name: str, draws: int) -> pd.DataFrame:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--arms", default="ur10,panda,ur5e,iiwa14,gen3")
-    parser.add_argument("--draws", type=int, default=20)
-    options = parser.parse_args()
-    for name in options.arms.split(","):
-        found = table(name, options.draws)
-        print(f"\n{Path(name).stem}, {options.draws} arms off by {OFF:.0%}")
+def main(
+    *, arms: Sequence[str] = ("ur10", "panda", "ur5e", "iiwa14", "gen3"), draws: int = 20
+) -> None:
+    """Identify arms whose links are off by 30 %.
+
+    Args:
+        arms: Built-in arms.
+        draws: Number of each.
+    """
+    for name in arms:
+        found = table(name, draws)
+        print(f"\n{name}, {draws} arms off by {OFF:.0%}")
         print(found.round(3).to_string())
         torque = (f"{kind} {100 * value:.2f} %" for kind, value in found.attrs.items())
         print("torque not fitted, nrmse:", ", ".join(torque))
 
 
 if __name__ == "__main__":
-    main()
+    common.run(main)

@@ -7,18 +7,18 @@ along the null space of the regressor the torque stays as it is and the entries 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
+import common
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import scipy.linalg
 from estimators import TrueArm
 from seed import TableEntry, dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
-from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
@@ -190,7 +190,7 @@ class TwoByTwo(NamedTuple):
         return np.asarray(across) / np.abs(truth)
 
 
-def two_by_two(seconds: float = 20.0, seed: int = 0) -> TwoByTwo:
+def two_by_two_runs(seconds: float = 20.0, seed: int = 0) -> TwoByTwo:
     """The paper's proof: each of two motions identified from two sets of initial values.
 
     The first set is that of the tables, the second the same bodies at half their density.
@@ -229,7 +229,7 @@ def two_by_two_lines(found: TwoByTwo) -> Iterator[str]:
     )
 
 
-def draw_two_by_two(found: TwoByTwo, path: str) -> None:
+def draw_two_by_two(found: TwoByTwo, path: Path) -> None:
     """Difference between motions against difference between initial values, entry by entry."""
     figure, axes = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
     names = [entry.name for entry in dd_arm_tables()]
@@ -464,29 +464,37 @@ def velocity_lines(found: Iterator[Velocity]) -> Iterator[str]:
         yield f"   velocity above [Hz] {cells}".replace("   velocity", "velocity", 1)
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=60.0, help="recorded, 10 s a run")
-    parser.add_argument("--as-read", action="store_true", help="doubtful digits as the print shows")
-    parser.add_argument("--two-by-two", metavar="PNG", help="two motions, two sets of values")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--velocity", action="store_true", help="measured velocity alone")
-    parser.add_argument("--tacho", type=float, default=TACHO, help="its noise, of the top speed")
-    args = parser.parse_args(words)
-    with threadpool_limits(1):
-        if args.two_by_two:
-            both = two_by_two(args.seconds, args.seed)
-            draw_two_by_two(both, args.two_by_two)
-            print("\n".join(two_by_two_lines(both)))
-            return
-        if args.velocity:
-            print("\n".join(velocity_lines(velocities(args.seed, args.tacho))))
-            return
-        print("\n".join(count_lines(np.random.default_rng(args.seed))), end="\n\n")
-        print("\n".join(body_lines()), end="\n\n")
-        found = recovery(args.seconds, likely=not args.as_read, seed=args.seed)
-        print("\n".join(table_lines(found)))
+def main(
+    *,
+    seconds: float = 60.0,
+    as_read: bool = False,
+    two_by_two: Path | None = None,
+    seed: int = 0,
+    velocity: bool = False,
+    tacho: float = TACHO,
+) -> None:
+    """Recover the tables.
+
+    Args:
+        seconds: Duration of what is recorded, 10 s a run.
+        as_read: Take doubtful digits as the print shows them.
+        two_by_two: File of a figure: two motions, two sets of initial values instead.
+        seed: Of motions and noise.
+        velocity: Compare uses of measured velocity instead.
+        tacho: Noise of measured velocity, as a share of each joint's top speed.
+    """
+    if two_by_two:
+        both = two_by_two_runs(seconds, seed)
+        draw_two_by_two(both, two_by_two)
+        print("\n".join(two_by_two_lines(both)))
+        return
+    if velocity:
+        print("\n".join(velocity_lines(velocities(seed, tacho))))
+        return
+    print("\n".join(count_lines(np.random.default_rng(seed))), end="\n\n")
+    print("\n".join(body_lines()), end="\n\n")
+    print("\n".join(table_lines(recovery(seconds, likely=not as_read, seed=seed))))
 
 
 if __name__ == "__main__":
-    main()
+    common.run(main)

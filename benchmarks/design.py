@@ -159,55 +159,25 @@ def judged(problem: Problem, row: Row, file: Path) -> Row:
     )
 
 
-def reference(row: Row, rows: Sequence[Row]) -> Row | None:
-    """Our row of as many harmonics; for FIGAROH the best no harder accelerated, or gentlest."""
-    if row.method != "figaroh":
-        same = (r for r in rows if r.method == "excitant" and r.setting == row.setting)
-        return next((r for r in same if r.samples), None)
-    ours = [r for r in rows if r.method not in ("l-bfgs", "random", "figaroh") and r.samples]
-    gentle = [r for r in ours if r.peak_ddq <= row.peak_ddq]
-    if gentle:
-        return min(gentle, key=lambda r: r.left)
-    return min(ours, key=lambda r: r.peak_ddq, default=None)
-
-
 def conditioning_table(rows: Sequence[Row]) -> str:
-    """Figures of every row, and κ, wall and CPU time over ours."""
     lines = {}
     for row in rows:
         figures = {"κ left": row.left, "κ proj": row.proj, "worst limit": row.worst}
         figures |= {"rest": "yes" if row.at_rest else "no", "ddq": row.peak_ddq}
-        figures |= {"wall s": row.wall_s, "CPU s": row.cpu_s}
-        ours, note = reference(row, rows), f"{row.note}; closest: {row.worst_where}"
-        if ours is not None and row.method != "excitant" and row.samples:
-            ratios = row.left / ours.left, row.wall_s / ours.wall_s, row.cpu_s / ours.cpu_s
-            figures |= dict(zip(("κ : ours", "wall", "CPU"), ratios, strict=True))
-            figures["ours"] = ours.label
-        lines[row.label] = figures | {"note": note if row.samples else f"no motion; {row.note}"}
+        note = f"{row.note}; closest: {row.worst_where}" if row.samples else f"none; {row.note}"
+        lines[row.label] = figures | {"wall s": row.wall_s, "CPU s": row.cpu_s, "note": note}
     return _table(lines)
 
 
 def noise_table(rows: Sequence[Row], kind: str) -> str:
-    """The three errors of every row under a kind of noise, and ours over them."""
-    lines, names = {}, ("scaled", "predicted", "worst")
-    for row in (r for r in rows if r.errors is not None):
-        figures, ours = _figures(row, kind), reference(row, rows)
-        lines[row.label] = dict(zip(names, figures, strict=True))
-        if ours is not None and row.method != "excitant":
-            ratios = np.divide(_figures(ours, kind), figures)
-            lines[row.label] |= {f"ours : {k}": r for k, r in zip(names, ratios, strict=True)}
-            lines[row.label]["ours"] = ours.label
-    return _table(lines)
+    """The three errors of every row under a kind of noise."""
+    errors = {row.label: vars(row.errors[kind]) for row in rows if row.errors is not None}
+    return _table(errors)
 
 
 def _table(lines: dict[str, dict[str, Any]]) -> str:
     frame = pd.DataFrame.from_dict(lines, orient="index")
     return frame.to_string(float_format="{:.4g}".format, na_rep="")
-
-
-def _figures(row: Row, kind: str) -> tuple[float, float, float]:
-    error = (row.errors or {})[kind]
-    return error.scaled, error.predicted, error.worst
 
 
 def result(problem: Problem, rows: Sequence[Row]) -> dict[str, Any]:

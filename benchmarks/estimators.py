@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+import common
 import numpy as np
 import pandas as pd
 import pinocchio as pin
 import scipy.signal
-from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
@@ -167,22 +166,30 @@ def cells(
             yield f"{kind}, {filtering}", figures, float(np.median([p for _, p in runs]))
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robot", default="ur10")
-    parser.add_argument("--draws", type=int, default=2, help="recordings per kind of noise")
-    parser.add_argument("--seconds", type=float, default=30.0, help="of one recording")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, help="of noise")
-    args = parser.parse_args(words)
+def main(
+    *,
+    robot: str = "ur10",
+    draws: int = 2,
+    seconds: float = 30.0,
+    seed: int = 0,
+    kinds: Sequence[str] = KINDS,
+) -> None:
+    """Fit recordings of an arm whose parameters are known.
+
+    Args:
+        robot: Built-in arm.
+        draws: Number of recordings of each kind of noise.
+        seconds: Duration of a recording.
+        seed: Of noise and motions.
+        kinds: Kinds of noise.
+    """
     table = pd.DataFrame(index=[*METHODS, "test, p"])
-    with threadpool_limits(1):
-        for name, figures, p in cells(args.robot, args.draws, args.seconds, args.seed, args.kinds):
-            table[name, "N·m"] = pd.Series({m: f for m, (f, _) in figures.items()} | {"test, p": p})
-            table[name, "%"] = pd.Series({m: 100 * nrmse for m, (_, nrmse) in figures.items()})
+    for name, figures, p in cells(robot, draws, seconds, seed, kinds):
+        table[name, "N·m"] = pd.Series({m: f for m, (f, _) in figures.items()} | {"test, p": p})
+        table[name, "%"] = pd.Series({m: 100 * nrmse for m, (_, nrmse) in figures.items()})
     table.columns = pd.MultiIndex.from_tuples(table.columns)
     print(table.T.to_string(float_format="{:.3g}".format, na_rep=""))
 
 
 if __name__ == "__main__":
-    main()
+    common.run(main)

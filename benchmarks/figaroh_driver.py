@@ -37,47 +37,44 @@ def inner_hz(given: SimpleNamespace) -> int:
     raise SystemExit(f"no sampling rate meets {given.moves} moves in {given.segment_s} s")
 
 
+def settings(joints: list[str], rate_hz: float, cutoff_hz: float, drives: bool) -> dict[str, Any]:
+    """FIGAROH's unified configuration, rigid bodies only or with what drives add."""
+    zeros = [0.0] * len(joints)
+    parts = dict.fromkeys(("friction", "joint_offset", "actuator_inertia"), drives)
+    return yaml.safe_load(f"""
+        robot:
+          name: arm
+          properties:
+            joints: {{active_joints: {joints}}}
+            mechanics: {{reduction_ratios: {[1.0] * len(joints)}, actuator_inertias: {zeros},
+              joint_offsets: {zeros}, friction_coefficients: {{viscous: {zeros}, static: {zeros}}}}}
+        tasks:
+          identification:
+            problem: {{include_external_forces: false, use_joint_torques: true, model_components:
+              {json.dumps(parts | {"static_regressor": True, "inertia_regressor": True})}}}
+            signal_processing: {{sampling_frequency: {rate_hz}, cutoff_frequency: {cutoff_hz}}}
+        """)
+
+
 def configuration(given: SimpleNamespace, joints: list[str]) -> dict[str, Any]:
-    """FIGAROH's unified configuration: rigid bodies only, no margin inside the limits."""
-    mechanics = {
-        "reduction_ratios": [1.0] * len(joints),
-        "friction_coefficients": {k: [0.0] * len(joints) for k in ("viscous", "static")},
-        "actuator_inertias": [0.0] * len(joints),
-        "joint_offsets": [0.0] * len(joints),
-    }
-    components = {
-        **dict.fromkeys(("friction", "joint_offset", "actuator_inertia"), False),
-        **dict.fromkeys(("static_regressor", "inertia_regressor"), True),
-    }
-    identification = {
-        "problem": {
-            "include_external_forces": False,
-            "use_joint_torques": True,
-            "model_components": components,
-        },
-        "signal_processing": {
-            "sampling_frequency": given.rate_hz,
-            "cutoff_frequency": 0.1 * given.rate_hz,
-        },
-    }
-    optimal = {
-        "problem": {
-            "soft_lim": 0.0,
-            "max_attempts": 500,
-            "max_iterations": given.iterations,
-            "segment_attempts": given.attempts,
-        },
-        "trajectory": {
-            "waypoints": given.moves + 1,
-            "frequency": inner_hz(given),
-            "segment_duration": given.segment_s / given.moves,
-        },
-    }
-    properties = {"joints": {"active_joints": joints}, "mechanics": mechanics}
-    return {
-        "robot": {"name": "arm", "properties": properties},
-        "tasks": {"identification": identification, "optimal_trajectory": optimal},
-    }
+    """Settings of a problem, without a margin inside its limits."""
+    content = settings(joints, given.rate_hz, 0.1 * given.rate_hz, drives=False)
+    content["tasks"]["optimal_trajectory"] = yaml.safe_load(f"""
+        problem: {{soft_lim: 0.0, max_attempts: 500, max_iterations: {given.iterations},
+          segment_attempts: {given.attempts}}}
+        trajectory: {{waypoints: {given.moves + 1}, frequency: {inner_hz(given)},
+          segment_duration: {given.segment_s / given.moves}}}
+        """)
+    return content
+
+
+def activate(task: Any, robot: Any, joints: list[str]) -> None:
+    """Tell a task of FIGAROH, and set it up for, the joints that move."""
+    ids = [robot.model.getJointId(name) for name in joints]
+    bodies = [robot.model.joints[k] for k in ids]
+    task.identif_config |= {"active_joints": joints, "act_Jid": ids, "act_J": bodies}
+    task.identif_config |= {f"act_idx{k}": [getattr(b, f"idx_{k}") for b in bodies] for k in "qv"}
+    task.initialize()
 
 
 class RecordingProblem(BaseTrajectoryIPOPTProblem):
@@ -118,15 +115,7 @@ def prepared(given: SimpleNamespace) -> RecordingTrajectory:
         yaml.safe_dump(configuration(given, joints), file)
         file.flush()
         optimiser = RecordingTrajectory(robot, joints, file.name)
-    bodies = [robot.model.joints[robot.model.getJointId(name)] for name in joints]
-    optimiser.identif_config |= {
-        "active_joints": joints,
-        "act_Jid": [robot.model.getJointId(name) for name in joints],
-        "act_J": bodies,
-        "act_idxq": [body.idx_q for body in bodies],
-        "act_idxv": [body.idx_v for body in bodies],
-    }
-    optimiser.initialize()
+    activate(optimiser, robot, joints)
     return optimiser
 
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
+import common
 import joblib
 import numpy as np
 import pandas as pd
@@ -39,14 +38,6 @@ def scaled(column: str, factor: float) -> Faulty:
     return lambda table, _: table.assign(**{column: table[column] * factor})
 
 
-def swapped(one: str, other: str) -> Faulty:
-    return lambda table, _: table.assign(**{one: table[other], other: table[one]})
-
-
-def in_degrees(table: pd.DataFrame, _: Path) -> pd.DataFrame:
-    return table.assign(**{name: np.rad2deg(table[name]) for name in table if name[0] in "qd"})
-
-
 def with_holes(table: pd.DataFrame, _: Path) -> pd.DataFrame:
     return table.assign(q2=table.q2.mask((table.index > 300) & (table.index < 330)))
 
@@ -68,9 +59,6 @@ FAULTS: dict[str, Faulty] = {
     "no recording": lambda table, folder: None,
     "dead torque": scaled("tau2", 0.0),
     "torque of the other sign": scaled("tau3", -1.0),
-    "position of the other sign": scaled("q2", -1.0),
-    "torques swapped": swapped("tau2", "tau3"),
-    "degrees": in_degrees,
     "holes": with_holes,
     "time goes back": lambda table, _: table.assign(t=table.t.where(table.index != 700, 1.0)),
     "column missing": lambda table, _: table.drop(columns="tau4"),
@@ -129,37 +117,6 @@ def command(folder: Path, out: Path, jobs: int) -> list[str]:
     return [*words, "-o", str(out), "--jobs", str(jobs)]
 
 
-def done(out: Path) -> dict[Path, int]:
-    return {path: path.stat().st_mtime_ns for path in out.rglob("input.json")}
-
-
-def killed_on_the_way(words: list[str], out: Path, sets: int) -> tuple[int, int]:
-    """Kill a worker after a fifth and the head after two fifths; data sets done twice and lost."""
-    process = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    kept: dict[Path, int] = {}
-    for share, worker in ((0.2, True), (0.4, False)):
-        while len(done(out)) < share * sets and process.poll() is None:
-            time.sleep(0.2)
-        if worker:
-            listed = subprocess.run(
-                ["ps", "-o", "pid=,args=", "--ppid", str(process.pid)],
-                capture_output=True, text=True, check=True,
-            ).stdout.splitlines()  # fmt: skip
-            pids = [int(line.split()[0]) for line in listed if "loky" in line]
-            kept = done(out)
-            os.kill(pids[-1], signal.SIGKILL)
-        else:
-            kept = done(out)
-            process.kill()
-        print(f"killed {'a worker' if worker else 'the head'} after {len(kept)} data sets")
-    process.wait()
-    time.sleep(2.0)
-    before = done(out)
-    subprocess.run(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=False)
-    after = done(out)
-    return sum(after[path] != at for path, at in before.items()), sets - len(after)
-
-
 def judged(result: dict[str, Any], faulty: dict[str, str]) -> None:
     """Print what was found of what was planted, and what else was said."""
     sets = {each["name"]: each for each in result["data_sets"]}
@@ -202,48 +159,29 @@ def head_memory(folder: Path, out: Path, times: int, here: Path) -> tuple[float,
     return peaks[0], peaks[1]
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--arms", type=int, default=40, help=f"each at {DATES} dates")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--seed", type=int, help="default: a new one, which is printed")
-    parser.add_argument("--scaling", type=int, default=0, help="data sets timed with 1 and 2 jobs")
-    args = parser.parse_args(words)
-    seed = int(np.random.SeedSequence().entropy) % 2**32 if args.seed is None else args.seed
-    print(f"seed {seed}")
+def main(*, arms: int = 40, jobs: int = 2, seed: int | None = None) -> None:
+    """Write a fleet, examine it and judge what is told.
+
+    Args:
+        arms: Number of arms.
+        jobs: Number of processes.
+        seed: Of all arms; a new one by default.
+    """
+    seed = common.printed_seed(seed)
     with tempfile.TemporaryDirectory() as temporary:
         here = Path(temporary)
         folder, out = here / "arms", here / "out"
+        faulty, sets = write_fleet(folder, arms, seed, jobs), arms * DATES
         begun = time.monotonic()
-        faulty, sets = write_fleet(folder, args.arms, seed, args.jobs), args.arms * DATES
-        print(f"{sets} data sets of {args.arms} arms written in {time.monotonic() - begun:.0f} s")
-        begun = time.monotonic()
-        twice, lost = killed_on_the_way(command(folder, out, args.jobs), out, sets)
+        subprocess.run(command(folder, out, jobs), stdout=subprocess.DEVNULL, check=False)
         took = time.monotonic() - begun
-        print(f"done in {took:.0f} s, {took * args.jobs / sets:.2f} s of a process each")
-        print(f"after the kills              {twice} done twice, {lost} lost")
-        result = json.loads((out / "result.json").read_text())
-        judged(result, faulty)
+        print(f"{sets} data sets in {took:.0f} s, {took * jobs / sets:.2f} s of a process each")
+        judged(json.loads((out / "result.json").read_text()), faulty)
         size = sum(path.stat().st_size for path in (out / "arms").rglob("*") if path.is_file())
         print(f"results                      {size / sets / 1e6:.2f} MB a data set")
         once, more = head_memory(folder, out, MEMORY, here)
-        print(
-            f"peak memory of the head      {once:.0f} MB; of {MEMORY} times the arms {more:.0f} MB"
-        )
-        if args.scaling:
-            some = here / "some"
-            names = sorted(path.parent for path in folder.rglob("robot.urdf"))
-            for data_set in names[: args.scaling]:
-                shutil.copytree(data_set, some / data_set.relative_to(folder))
-            for jobs in (1, 2):
-                begun = time.monotonic()
-                line = command(some, here / f"by{jobs}", jobs)
-                subprocess.run(
-                    line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False
-                )
-                took = time.monotonic() - begun
-                print(f"{jobs} process(es)               {args.scaling / took * 60:.1f} a minute")
+        print(f"peak memory of the head      {once:.0f} MB; {MEMORY} times the arms {more:.0f} MB")
 
 
 if __name__ == "__main__":
-    main()
+    common.run(main)

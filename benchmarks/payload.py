@@ -9,19 +9,18 @@ replay it does not in another: a sample costs the least processor time of severa
 
 from __future__ import annotations
 
-import argparse
 import gc
 import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import common
 import numpy as np
 import pandas as pd
 import pinocchio as pin
 from dd_arm import STEP_S, fitted, simulated
 from scipy.stats import binom
 from seed import dd_arm
-from threadpoolctl import threadpool_limits
 
 from excitant.identify import OnlineEstimator, PayloadEstimate, PayloadEstimator, Recording
 from excitant.identify.differentiators import causal_polynomial, position_spectrum
@@ -136,28 +135,29 @@ def table(runs: Sequence[Run]) -> pd.DataFrame:
     return pd.DataFrame(columns, index=pd.Index(ASKED, name="load [s]"))
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--replays", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args(words)
-    with threadpool_limits(1):
-        truth = dd_arm("estimated", likely=True)
-        [recording] = simulated(truth, np.random.default_rng(args.seed), 10.0)
-        spent = cost(recording, args.replays)
-        print(
-            f"cost per sample, {spent.parameters} parameters at {1 / STEP_S:.0f} Hz: "
-            f"mean {spent.samples.mean():.0f} µs, median {np.median(spent.samples):.0f} µs, "
-            f"worst {spent.samples.max():.0f} µs (of any replay {spent.worst_of_any:.0f} µs)"
-        )
-        runs = [run(1000 * args.seed + k) for k in range(args.runs)]
+def main(*, runs: int = 200, replays: int = 20, seed: int = 0) -> None:
+    """Time samples, and draw payloads.
+
+    Args:
+        runs: Number of payloads.
+        replays: Of the recording that is timed.
+        seed: Of both.
+    """
+    truth = dd_arm("estimated", likely=True)
+    [recording] = simulated(truth, np.random.default_rng(seed), 10.0)
+    spent = cost(recording, replays)
+    print(
+        f"cost per sample, {spent.parameters} parameters at {1 / STEP_S:.0f} Hz: "
+        f"mean {spent.samples.mean():.0f} µs, median {np.median(spent.samples):.0f} µs, "
+        f"worst {spent.samples.max():.0f} µs (of any replay {spent.worst_of_any:.0f} µs)"
+    )
     if runs:
-        low, high = binom.interval(0.95, len(runs), 0.95)
-        print(f"{len(runs)} payloads of {MASS[0]} to {MASS[1]} kg; by chance, 95 % intervals hold")
-        print(f"{100 * low / len(runs):.1f} to {100 * high / len(runs):.1f} % of them")
-        print(table(runs).to_string(float_format="{:.2f}".format))
+        low, high = 100 * np.array(binom.interval(0.95, runs, 0.95)) / runs
+        print(f"{runs} payloads of {MASS[0]} to {MASS[1]} kg; by chance, 95 % intervals hold")
+        print(f"{low:.1f} to {high:.1f} % of them")
+        drawn = table([run(1000 * seed + k) for k in range(runs)])
+        print(drawn.to_string(float_format="{:.2f}".format))
 
 
 if __name__ == "__main__":
-    main()
+    common.run(main)

@@ -12,7 +12,6 @@ held out; ``ur10``, the recording of a real arm (``EXCITANT_DATA``, else ``../sh
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 import time
@@ -57,18 +56,17 @@ def derived(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def make(folder: Path) -> None:
     """Write the tasks, and run what needs no environment of its own."""
     import pandas as pd
+    from common import DATA
 
     import excitant as ex
     from excitant.identify.export import model_files
 
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    data = Path(os.environ.get("EXCITANT_DATA", beside))
     planar, rng = ex.load_robot("planar_2r"), np.random.default_rng(5)
     arm = ex.virtual_arm(planar, rng, hidden=(), tolerance=0.03)
     logs = [arm.record(ex.random_trajectory(planar, rng, 10.0, 5), 10.0, rng) for _ in range(2)]
     tasks = {"planar": (planar, [ex.recording_from_table(x, 2, file="x", name="x") for x in logs])}
-    if (data / "ur10").is_dir():
-        ur10 = ex.load_dataset(data / "ur10")
+    if (DATA / "ur10").is_dir():
+        ur10 = ex.load_dataset(DATA / "ur10")
         [whole] = ur10.recordings([])
         parts = [whole.between(0, 0.7, "first"), whole.between(0.7, 1, "last")]
         tasks["ur10"] = (ur10.robot, parts)
@@ -116,24 +114,10 @@ def figaroh(folder: Path, task: str) -> None:
     import yaml
     from figaroh.identification.base_identification import BaseIdentification
     from figaroh.tools.robot import load_robot
+    from figaroh_driver import activate, settings
 
     joints, tables = read(folder, task)
-    nv, rate = len(joints), float(1 / np.median(np.diff(tables[0]["t"])))
-    mechanics = {"reduction_ratios": [1.0] * nv, "actuator_inertias": [0.0] * nv}
-    mechanics |= {"joint_offsets": [0.0] * nv}
-    mechanics |= {"friction_coefficients": {k: [0.0] * nv for k in ("viscous", "static")}}
-    parts = (
-        "friction",
-        "joint_offset",
-        "actuator_inertia",
-        "static_regressor",
-        "inertia_regressor",
-    )
-    problem = {"include_external_forces": False, "use_joint_torques": True}
-    problem |= {"model_components": dict.fromkeys(parts, True)}
-    filters = {"sampling_frequency": rate, "cutoff_frequency": CUTOFF_HZ}
-    properties = {"joints": {"active_joints": joints}, "mechanics": mechanics}
-    tasks = {"identification": {"problem": problem, "signal_processing": filters}}
+    rate = float(1 / np.median(np.diff(tables[0]["t"])))
 
     class Identification(BaseIdentification):  # type: ignore[misc]
         def load_trajectory_data(self, data_source: str | None = None) -> dict[str, Any]:
@@ -142,16 +126,12 @@ def figaroh(folder: Path, task: str) -> None:
             return named | {"velocities": None, "accelerations": None}
 
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
-        yaml.safe_dump({"robot": {"name": task, "properties": properties}, "tasks": tasks}, file)
+        yaml.safe_dump(settings(joints, rate, CUTOFF_HZ, drives=True), file)
         file.flush()
         begin = time.perf_counter()
         robot = load_robot(str(folder / f"{task}.urdf"), load_by_urdf=True)
         found = Identification(robot, file.name)
-    ids = [robot.model.getJointId(joint) for joint in joints]
-    bodies = [robot.model.joints[k] for k in ids]
-    found.identif_config |= {"active_joints": joints, "act_Jid": ids, "act_J": bodies}
-    found.identif_config |= {f"act_idx{k}": [getattr(b, f"idx_{k}") for b in bodies] for k in "qv"}
-    found.initialize()
+    activate(found, robot, joints)
     found._load_validation_data("held")
     found.solve(plotting=False, wls=True)
     judged = found.result["validation_metrics"]["per_joint"].values()

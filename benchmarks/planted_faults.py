@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import common
 import numpy as np
 import pandas as pd
 import pinocchio as pin
 import scipy.interpolate
 import scipy.signal
-from threadpoolctl import threadpool_limits
 
 from excitant.design import random_trajectory
 from excitant.identify.faults import Log, find_faults
@@ -205,35 +204,36 @@ PLANTS = {how: (fault, plant) for fault, plants in FAULTS.items() for how, plant
 RATES_HZ = (100.0, 125.0, 250.0, 500.0)
 
 
-def report(robots: Sequence[str], count: int, clean_only: bool) -> None:
+def main(
+    *,
+    robots: Sequence[str] = ("planar_2r", "ur10", "panda"),
+    recordings: int = 20,
+    clean_only: bool = False,
+) -> None:
+    """Look for faults in faultless recordings and in those with a planted one.
+
+    Args:
+        robots: Built-in arms.
+        recordings: Number of recordings of each arm.
+        clean_only: Count false alarms only.
+    """
     logs = [
         (robot, recorded(robot, seed, RATES_HZ[seed % len(RATES_HZ)]))
         for robot in map(load_robot, robots)
-        for seed in range(count)
+        for seed in range(recordings)
     ]
-    faultless = [{fault.fault for fault in find_faults(*each)} for each in logs]
-    accused = dict(Counter(name for found in faultless for name in found))
-    alarms = sum(map(bool, faultless))
-    print(f"faultless: {alarms} of {len(logs)} accused {accused}", flush=True)
+    faultless = [{fault.fault for fault in find_faults(*log)} for log in logs]
+    accused = dict(Counter(name for names in faultless for name in names))
+    print(f"faultless: {sum(map(bool, faultless))} of {len(logs)} accused {accused}", flush=True)
     for how, (name, plant) in PLANTS.items() if not clean_only else ():
         hits, beside = 0, Counter[str]()
         for seed, (robot, log) in enumerate(logs):
             planted = plant(robot, log, np.random.default_rng(seed))
-            found = {fault.fault for fault in find_faults(robot, planted)}
-            hits += name in found
-            beside.update(found - {name})
+            names = {fault.fault for fault in find_faults(robot, planted)}
+            hits += name in names
+            beside.update(names - {name})
         print(f"{name:<18} {how:<28} {hits:>3} of {len(logs)}  beside {dict(beside)}", flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robots", nargs="+", default=["planar_2r", "ur10", "panda"])
-    parser.add_argument("--recordings", type=int, default=20, help="of each arm")
-    parser.add_argument("--clean-only", action="store_true", help="false alarms only")
-    args = parser.parse_args()
-    with threadpool_limits(1):
-        report(args.robots, args.recordings, args.clean_only)
-
-
 if __name__ == "__main__":
-    main()
+    common.run(main)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
+import common
 import numpy as np
-from threadpoolctl import threadpool_limits
+from common import DATA
 
 from excitant.analysis.effect_choice import choose_effects, described
 from excitant.exceptions import ExcitantError
@@ -68,8 +66,8 @@ SPLITS = (
 )  # fmt: skip
 
 
-def loaded(split: Split, folder: Path) -> tuple[Robot, list[Recording], list[Recording]]:
-    dataset = load_dataset(folder / split.dataset)
+def loaded(split: Split) -> tuple[Robot, list[Recording], list[Recording]]:
+    dataset = load_dataset(DATA / split.dataset)
     robot, fit = dataset.robot, dataset.recordings(list(split.fit))
     if split.share is None:
         return robot, fit, dataset.recordings(list(split.judge))
@@ -86,9 +84,9 @@ def unconstrained(estimate: Estimate) -> Accuracy:
     return series(data.validate).accuracy(predicted / estimate.gains)
 
 
-def report(split: Split, folder: Path, chosen: bool) -> None:
+def report(split: Split, chosen: bool) -> None:
     try:
-        robot, fit, judge = loaded(split, folder)
+        robot, fit, judge = loaded(split)
     except ExcitantError as error:
         print(f"\n{split.dataset}: left out, {error}")
         return
@@ -143,19 +141,17 @@ def _line(row: str, r2: np.ndarray, nrmse: float, readme: Row, extra: str) -> No
     print(f"  {row:<9}{cells}  Σ nrmse {nrmse:.3f}{extra}", flush=True)
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    parser.add_argument("--data", type=Path, default=Path(os.environ.get("EXCITANT_DATA", beside)))
-    parser.add_argument("--sets", nargs="+", help="data sets (default: all)")
-    parser.add_argument("--standard-only", action="store_true", help="choose no effects")
-    args = parser.parse_args(words)
-    with threadpool_limits(1):
-        for split in SPLITS:
-            if args.sets and split.dataset not in args.sets:
-                continue
-            report(split, args.data, not args.standard_only)
+def main(*, sets: Sequence[str] = (), standard_only: bool = False) -> None:
+    """Identify every set and judge it on unseen data.
+
+    Args:
+        sets: Data sets; all by default.
+        standard_only: Choose no effects.
+    """
+    for split in SPLITS:
+        if not sets or split.dataset in sets:
+            report(split, not standard_only)
 
 
 if __name__ == "__main__":
-    main()
+    common.run(main)

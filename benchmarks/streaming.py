@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-import subprocess
-import sys
+import resource
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
+import common
 import numpy as np
 import pinocchio as pin
 import pyarrow as pa
@@ -51,51 +48,34 @@ def write(path: Path, robot: Robot, samples: int, rng: np.random.Generator) -> M
 
 def bare_loop(robot: Robot, motion: Motion) -> float:
     """Regressors of a motion per second of processor time."""
-    data, compute = robot.model.createData(), pin.computeJointTorqueRegressor
-    states = list(zip(motion.q, motion.dq, motion.ddq, strict=True))
-    with threadpool_limits(1):
-        start = time.process_time()
-        for q, dq, ddq in states:
-            compute(robot.model, data, q, dq, ddq)
-        return len(states) / (time.process_time() - start)
+    data = robot.model.createData()
+    start = time.process_time()
+    for state in zip(motion.q, motion.dq, motion.ddq, strict=True):
+        pin.computeJointTorqueRegressor(robot.model, data, *state)
+    return len(motion) / (time.process_time() - start)
 
 
-def identified(path: Path) -> dict[str, float]:
+def main(*, samples: int = 10_000_000) -> None:
+    """Write, read and identify a log of a panda at 1 kHz.
+
+    Args:
+        samples: Number of samples of the log.
+    """
     robot = load_robot("panda")
-    with threadpool_limits(1):
-        start = time.process_time()
-        found = identify_robot(robot, read_recordings([path], robot)).validate
-        seconds = time.process_time() - start
-    status = Path("/proc/self/status").read_text().splitlines()
-    peak = int(next(line.split()[1] for line in status if "VmHWM" in line)) / 1024
-    worst = {"rms": float(found.rms.max()), "nrmse": float(found.nrmse.max())}
-    return worst | {"seconds": seconds, "peak_MB": peak}
-
-
-def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--samples", type=int, default=10_000_000)
-    parser.add_argument("--identify", type=Path, help=argparse.SUPPRESS)
-    args = parser.parse_args(words)
-    if args.identify:
-        print(json.dumps(identified(args.identify)))
-        return
-    robot = load_robot("panda")
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         path = Path(folder) / "log.parquet"
-        motion = write(path, robot, args.samples, np.random.default_rng(0))
-        command = [sys.executable, __file__, "--identify", str(path)]
-        before = bare_loop(robot, motion)
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        motion = write(path, robot, samples, np.random.default_rng(0))
+        start = time.process_time()
+        accuracy = identify_robot(robot, read_recordings([path], robot)).validate
+        speed = samples / (time.process_time() - start)
         size = path.stat().st_size / 1e6
-    found = json.loads(done.stdout.splitlines()[-1])
-    alone, speed = max(before, bare_loop(robot, motion)), args.samples / found["seconds"]
-    print(f"log             {args.samples} samples of {robot.nv} joints, {size:.0f} MB")
-    print(f"identify        {found['seconds']:.1f} s, {speed:.0f} samples/s")
-    print(f"peak memory     {found['peak_MB']:.0f} MB")
-    print(f"bare regressor  {alone:.0f} samples/s: ratio {speed / alone:.2f}")
-    print(f"hold-out        rms {found['rms']:.3g} N·m, nrmse {found['nrmse']:.3g}")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"log             {samples} samples of {robot.nv} joints, {size:.0f} MB")
+    print(f"identify        {samples / speed:.1f} s, {speed:.0f} samples/s")
+    print(f"bare regressor  ratio {speed / bare_loop(robot, motion):.2f}")
+    print(f"peak memory     {peak:.0f} MB")
+    print(f"hold-out        rms {accuracy.rms.max():.3g} N·m, nrmse {accuracy.nrmse.max():.3g}")
 
 
 if __name__ == "__main__":
-    main()
+    common.run(main)

@@ -121,7 +121,7 @@ def test_the_truth_as_read_cannot_be_followed() -> None:
 @pytest.mark.slow
 def test_two_motions_agree_on_what_the_prior_decides() -> None:
     """So agreement proves nothing of an entry; base parameters agree by the data alone."""
-    both = benchmark.two_by_two(10.0)
+    both = benchmark.two_by_two_runs(10.0)
     motions, initial = both.spreads()
     assert ((motions < 0.05) & (initial > 0.1)).sum() > 5
     motions, initial = both.spreads(of_base=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
@@ -15,7 +14,6 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-import tracking
 import yaml
 from estimators import TrueArm
 from hypothesis import given
@@ -641,12 +639,3 @@ def test_negative_friction_is_left_out_and_said_so(planar: Robot) -> None:
     loaded = mujoco.MjModel.from_xml_string(files["arm.xml"])
     np.testing.assert_array_equal(loaded.dof_frictionloss, [0.0, 0.5])
     np.testing.assert_array_equal(loaded.dof_armature, [0.0, 0.1])
-
-
-@pytest.mark.slow
-def test_identified_mjcf_follows_the_recording_better(capsys: pytest.CaptureFixture[str]) -> None:
-    """Under the same commands, feed-forward and position loop, in MuJoCo."""
-    tracking.main(["--robots", "planar_2r", "--sets", "--bandwidth", "5", "20"])
-    ratios = [float(x) for x in re.findall(r"ratio\s+([\d.]+);", capsys.readouterr().out)]
-    assert len(ratios) == 2
-    assert min(ratios) > 2
