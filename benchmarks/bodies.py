@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import common
 import numpy as np
@@ -21,18 +21,6 @@ OFF = 0.3  # of masses, of central inertias, and of centres of mass in radii of 
 FRICTION = 0.1  # of a joint's typical torque, viscous and Coulomb
 DURATION, HARMONICS = 20.0, 5
 Array = np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """Errors of links given and identified, shape (nv,), and of torque, medians over joints."""
-
-    given: Array
-    identified: Array
-    given_mass: Array  # relative
-    mass: Array
-    torque: float  # nrmse on a motion not fitted, of the physically consistent model
-    free: float  # of least squares on base parameters
 
 
 def distance(phi: Array, truth: Array) -> Array:
@@ -54,8 +42,11 @@ def known_friction(robot: Robot) -> Robot:
     )
 
 
-def case(name: str, seed: int) -> Case:
-    """A virtual arm near an arm as given, recorded on two motions, identified from the first."""
+def case(name: str, seed: int) -> tuple[pd.DataFrame, dict[str, float]]:
+    """A virtual arm near an arm as given, recorded on two motions, identified from the first.
+
+    Errors of its links, and nrmse of the motion not fitted, the median over joints.
+    """
     robot, rng = known_friction(load_robot(name).with_effects(())), np.random.default_rng(seed)
     arm = virtual_arm(robot, rng, hidden=(), tolerance=OFF)
     runs = []
@@ -63,36 +54,27 @@ def case(name: str, seed: int) -> Case:
         motion = random_trajectory(robot, rng, DURATION, HARMONICS)
         log = arm.record(motion, DURATION, rng)
         runs.append(replace(recording_from_table(log, robot.nv, file="x", name=f"run{k}"), dq=None))
-    found = identify_robot(robot.with_effects(()), runs[:1], validate=runs[1:])
+    estimate = identify_robot(robot.with_effects(()), runs[:1], validate=runs[1:])
     bodies = list(arm.truth.model.inertias)[1:]
     truth = np.concatenate([body.toDynamicParameters() for body in bodies])
-    W = regression_of(found.model, found.model.effects, found.data.validate).W
-    free = W[:, :, found.base.columns] @ found.least_squares.beta
-    return Case(
-        distance(robot.phi, truth),
-        distance(found.phi, truth),
-        np.abs(robot.phi[::10] / truth[::10] - 1),
-        np.abs(found.phi[::10] / truth[::10] - 1),
-        float(np.median(found.validate.nrmse)),
-        float(np.median(found.holdout.accuracy(free).nrmse)),
-    )
+    W = regression_of(estimate.model, estimate.model.effects, estimate.data.validate).W
+    free = W[:, :, estimate.base.columns] @ estimate.least_squares.beta
+    models = {"given": robot.phi, "identified": estimate.phi}
+    links = {model: distance(phi, truth) for model, phi in models.items()}
+    links |= {f"mass {model}": phi[::10] / truth[::10] - 1 for model, phi in models.items()}
+    fits = {"torque": estimate.validate, "free": estimate.holdout.accuracy(free)}
+    torque = {kind: float(np.median(accuracy.nrmse)) for kind, accuracy in fits.items()}
+    return pd.DataFrame(links, index=robot.links), torque
 
 
 def table(name: str, draws: int) -> pd.DataFrame:
-    """Root mean squares over draws, link by link."""
-    cases = [case(name, seed) for seed in range(draws)]
-
-    def rms(key: str) -> Array:
-        return np.sqrt(np.mean([getattr(c, key) ** 2 for c in cases], axis=0))
-
-    nearer = np.mean([c.identified < c.given for c in cases], axis=0)
-    columns = {"given": rms("given"), "identified": rms("identified"), "nearer": nearer}
-    columns |= {"mass given": rms("given_mass"), "mass identified": rms("mass")}
-    found = pd.DataFrame(columns, index=load_robot(name).links)
-    found.attrs = {
-        key: float(np.mean([getattr(c, key) for c in cases])) for key in ("torque", "free")
-    }
-    return found
+    """Root mean squares over draws, link by link; means of the torque's errors as attributes."""
+    links, torques = zip(*(case(name, seed) for seed in range(draws)), strict=True)
+    rms = np.sqrt(sum(errors**2 for errors in links) / draws)
+    nearer = [errors["identified"] < errors["given"] for errors in links]
+    rms.insert(2, "nearer", sum(nearer) / draws)
+    rms.attrs = dict(pd.DataFrame(torques).mean())
+    return rms
 
 
 def main(
@@ -101,7 +83,6 @@ def main(
     """Identify arms whose links are off by 30 %.
 
     Args:
-        arms: Built-in arms.
         draws: Number of each.
     """
     for name in arms:

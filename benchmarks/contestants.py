@@ -21,12 +21,10 @@ from typing import Any
 import joblib
 import numpy as np
 import pinocchio as pin
-import scipy
 from joblib.externals.loky import get_reusable_executor
-from judge import States, each, left_columns, observation, random_states
+from judge import States, left_columns, observation, random_states
 
 from excitant.design import (
-    check,
     design_trajectory,
     from_coefficients,
     random_trajectory,
@@ -34,7 +32,6 @@ from excitant.design import (
     trajectory_json,
 )
 from excitant.design.options import Search
-from excitant.design.trajectory import FourierTrajectory
 from excitant.exceptions import BadInput, BadRobot
 from excitant.processes import owned
 from excitant.robots import Robot, builtin_robots, load_limits, load_robot
@@ -42,9 +39,7 @@ from excitant.robots import Robot, builtin_robots, load_limits, load_robot
 HERE = Path(__file__).resolve().parent
 _FIGAROH_TIMEOUT = 1800.0  # s
 _ATTEMPTS = 3  # initial guesses of FIGAROH per segment
-_PER_HARMONIC = 16  # samples by which random search and L-BFGS judge
-_PENALTY = 100.0  # on squares of what exceeds a limit, in units of log κ
-_SHRINK, _SHRINKS = 0.99, 100
+_PER_HARMONIC = 16  # samples by which random search judges
 _LIMITS = ("position", "velocity", "acceleration", "torque")
 
 
@@ -168,92 +163,33 @@ def excitant(
     return found.condition_final, found.trajectory, len(found.starts)
 
 
-Condition = Callable[[FourierTrajectory], float]
-Attempt = Callable[[Problem, FourierTrajectory, Condition, float], FourierTrajectory]
+def random_search(problem: Problem, settings: Settings) -> Found:
+    """The best of random series, drawn in each process until the deadline."""
+    task, file = joblib.delayed(owned(_drawn)), problem.folder / "problem.json"
+    drawn = joblib.Parallel(settings.jobs)(task(file, settings, k) for k in range(settings.jobs))
+    condition, trajectory, _ = min(drawn, key=lambda best: best[0])
+    return condition, trajectory, sum(runs for _, _, runs in drawn)
 
 
-def on_all_processes(attempt: Attempt, problem: Problem, settings: Settings) -> Found:
-    """The best of attempts from random series, made in each process until the deadline."""
-    task, file = joblib.delayed(owned(_attempts)), problem.folder / "problem.json"
-    found = joblib.Parallel(settings.jobs)(
-        task(attempt, file, settings, k) for k in range(settings.jobs)
-    )
-    condition, trajectory, _ = min(found, key=lambda f: f[0])
-    return condition, trajectory, sum(runs for _, _, runs in found)
-
-
-def _attempts(attempt: Attempt, file: Path, settings: Settings, job: int) -> Found:
+def _drawn(file: Path, settings: Settings, job: int) -> Found:
     """The best of one process, which reads the problem anew: models are not sent."""
     problem = load_problem(file, harmonics=settings.harmonics)
     model, rng = pin.buildModelFromUrdf(str(problem.urdf)), np.random.default_rng(0)
     columns = left_columns(observation(model, random_states(problem.limits, rng)))
-
-    def condition(series: FourierTrajectory) -> float:
-        return float(np.linalg.cond(observation(model, _states(series, problem))[:, columns]))
-
     rng = np.random.default_rng([settings.seed, job])
     least, best, runs = np.inf, None, 0
     most = max(1, int(Search.max_frequency * problem.duration / problem.harmonics))
     while not runs or time.time() < settings.deadline:
         periods = int(rng.integers(1, most, endpoint=True))
         period = problem.duration / periods
-        drawn = random_trajectory(problem.robot, rng, period, problem.harmonics)
-        found = attempt(problem, drawn, condition, settings.deadline)
-        reached = condition(found)
+        series = random_trajectory(problem.robot, rng, period, problem.harmonics)
+        motion = series.sample(_PER_HARMONIC * problem.harmonics + 1)
+        states = States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1])
+        reached = float(np.linalg.cond(observation(model, states)[:, columns]))
         if reached < least:
-            least, best = reached, from_coefficients(found.coefficients, period, periods)
+            least, best = reached, from_coefficients(series.coefficients, period, periods)
         runs += 1
     return least, best, runs
-
-
-def _states(series: FourierTrajectory, problem: Problem) -> States:
-    motion = series.sample(_PER_HARMONIC * problem.harmonics + 1)
-    return States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1])
-
-
-def as_drawn(
-    problem: Problem, drawn: FourierTrajectory, condition: Condition, deadline: float
-) -> FourierTrajectory:
-    return drawn
-
-
-def descended(
-    problem: Problem, drawn: FourierTrajectory, condition: Condition, deadline: float
-) -> FourierTrajectory:
-    """The end of L-BFGS from a series, as scripts for identification do it.
-
-    Forward differences, squares of what exceeds a limit as penalty, at rest by the choice of
-    unknowns; what comes out shrinks until it keeps the limits.
-    """
-    model, period = pin.buildModelFromUrdf(str(problem.urdf)), drawn.period
-    low, high = np.asarray(problem.limits["position"], float).T
-    limits = problem.limits | {"position": 1.0}  # of the range's half, about its middle
-    order = np.arange(1.0, problem.harmonics + 1)
-    still = scipy.linalg.block_diag(order**2, order)  # no acceleration, no velocity at the ends
-    basis = scipy.linalg.block_diag(np.eye(1), scipy.linalg.null_space(still))
-
-    def penalised(x: Any) -> float:
-        series = from_coefficients(basis @ x.reshape(basis.shape[1], -1), period)
-        motion = _states(series, problem)
-        used = {"position": 2 * (motion.q - low) / (high - low) - 1, "velocity": motion.dq}
-        used |= {"acceleration": motion.ddq, "torque": np.array(each(pin.rnea, model, motion))}
-        beyond = (np.abs(used[name]) / np.asarray(most, float) - 1 for name, most in limits.items())
-        penalty = sum(float((np.maximum(excess, 0) ** 2).sum()) for excess in beyond)
-        return float(np.log(condition(series))) + _PENALTY * penalty
-
-    def late(_: Any) -> None:
-        if time.time() > deadline:
-            raise StopIteration
-
-    start = (basis.T @ drawn.coefficients).ravel()
-    end = scipy.optimize.minimize(penalised, start, method="L-BFGS-B", callback=late).x
-    found = basis @ end.reshape(basis.shape[1], -1)
-    for _ in range(_SHRINKS):
-        series = from_coefficients(found, period)
-        if check(problem.robot, series).worst.ratio <= 1:
-            return series
-        found[1:] *= _SHRINK
-    return drawn
 
 
 CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
@@ -261,8 +197,7 @@ CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
     "a-optimal": partial(excitant, criterion="a"),
     "searched": partial(excitant, searched=True),
     "spline": partial(excitant, series="spline", searched=True),
-    "l-bfgs": partial(on_all_processes, descended),
-    "random": partial(on_all_processes, as_drawn),
+    "random": random_search,
 }
 
 

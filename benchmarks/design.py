@@ -1,4 +1,4 @@
-"""excitant's design beside FIGAROH, L-BFGS and random search, on one problem in one run.
+"""excitant's design beside FIGAROH and random search, on one problem in one run.
 
 Every contestant gets the same arm, limits and duration, runs in processes of its own, and is
 judged by the same code, which is none of theirs: see README.md for what each column means.

@@ -7,7 +7,7 @@ import itertools
 import json
 import time
 import warnings
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -191,11 +191,6 @@ def score(
         and not of_the_world(f["effect"], case["off"], hidden)
         and not any(is_it(f, h, robot) or f["effect"] in NEAR.get(h.kind, ()) for h in hidden)
     ]
-    own = [
-        f
-        for f in findings
-        if any(is_it(f, h, robot) for h in hidden) or not of_the_world(f["effect"], case["off"], ())
-    ]
     lead = [*findings[:1], *(findings[0]["rivals"] if findings else ())]
     first = bool(hidden) and any(is_it(each, hidden[0], robot) for each in lead)
     silent = not any(  # beyond what is true of the world
@@ -204,9 +199,8 @@ def score(
         for f in findings
     )
     near = [f["effect"] for f in sure for h in hidden if f["effect"] in NEAR.get(h.kind, ())]
-    word = said_first(own[0], hidden, robot) if own else "nothing"
     judged = {"named": named, "settled": settled, "found": found, "wrong": wrong, "first": first}
-    return judged | {"silent": silent, "near": near, "word": word}
+    return judged | {"silent": silent, "near": near}
 
 
 def apart(findings: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -238,12 +232,6 @@ def of_the_world(effect: str, off: float, hidden: Sequence[Hidden]) -> bool:
     if effect in BODIES:
         return off > 0 or any(h.effect in BODIES for h in hidden)
     return effect in FRICTION and off > 0
-
-
-def said_first(finding: dict[str, Any], hidden: Sequence[Hidden], robot: Robot) -> str:
-    there = not hidden or finding["effect"] != hidden[0].effect or is_it(finding, hidden[0], robot)
-    doubt = " ?" if finding["verdict"] == "undecided" else ""
-    return finding["effect"] + ("" if there else " elsewhere") + doubt
 
 
 def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
@@ -281,7 +269,6 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
         within = [e for e in effects if low <= e[0]["size"] < high]
         named, found = wilson([e[1] for e in within]), wilson([e[2] for e in within])
         yield f"{100 * low:3.0f} to {100 * high:3.0f} {len(within):10d} {named:>13s} {found:>13s}"
-    yield from _confusion(done)
     missed = [e for e in effects if not e[2]]
     if missed:
         h, _, _, r, _ = max(missed, key=lambda e: e[0]["size"])
@@ -313,17 +300,6 @@ def _worlds(results: Sequence[dict[str, Any]]) -> Iterator[str]:
         yield f"{world:20s} {len(here):5d} " + " ".join(f"{cell:>12s}" for cell in cells)
 
 
-def _confusion(done: Sequence[dict[str, Any]]) -> Iterator[str]:
-    rows: dict[str, Counter[str]] = defaultdict(Counter)
-    for r in done:
-        if len(r["hidden"]) < 2:
-            kind = r["hidden"][0]["kind"] if r["hidden"] else "nothing"
-            rows[f"{r['category']}: {kind}" if kind != "nothing" else kind][r["score"]["word"]] += 1
-    yield "\nhidden alone: what came first, the world's own errors apart (? undecided)"
-    for kind, words in sorted(rows.items()):
-        yield f"  {kind:36s} " + ", ".join(f"{n} {word}" for word, n in words.most_common())
-
-
 def main(
     *,
     count: int = 300,
@@ -336,9 +312,7 @@ def main(
 
     Args:
         count: Number of cases.
-        seed: Of all cases; a new one by default.
         case: Tell all of this case alone.
-        jobs: Number of processes.
         output: File to which every case is appended as a line of JSON.
     """
     seed = common.printed_seed(seed)

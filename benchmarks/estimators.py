@@ -177,11 +177,7 @@ def main(
     """Fit recordings of an arm whose parameters are known.
 
     Args:
-        robot: Built-in arm.
         draws: Number of recordings of each kind of noise.
-        seconds: Duration of a recording.
-        seed: Of noise and motions.
-        kinds: Kinds of noise.
     """
     table = pd.DataFrame(index=[*METHODS, "test, p"])
     for name, figures, p in cells(robot, draws, seconds, seed, kinds):

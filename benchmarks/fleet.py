@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -29,7 +28,6 @@ ODD, RISING = 6, 3  # arms
 SHARE = 0.1  # of a joint's typical torque: what odd and changing arms have more of friction
 PAYLOAD = 1.5  # kg, 0.1 m before the flange's frame
 START = date(2026, 1, 5)
-MEMORY = 10  # times the fleet, of which the head's memory is measured
 
 Faulty = Callable[[pd.DataFrame, Path], pd.DataFrame | None]
 
@@ -141,31 +139,11 @@ def judged(result: dict[str, Any], faulty: dict[str, str]) -> None:
                 print(f"  {each['arm']}: {each['parameter']}")
 
 
-def head_memory(folder: Path, out: Path, times: int, here: Path) -> tuple[float, float]:
-    """Peak memory [MB] of the head that gathers a fleet, once and so many times as large."""
-    peaks = []
-    for count in (1, times):
-        inputs, results = here / f"in{count}", here / f"out{count}"
-        for k in range(count):
-            for data_set in sorted(path.parent for path in folder.rglob("robot.urdf")):
-                name = data_set.relative_to(folder)
-                to = name if not k else Path(f"{name.parent}x{k}") / name.name
-                shutil.copytree(data_set, inputs / to, copy_function=os.link)
-                if (out / "arms" / name).is_dir():
-                    shutil.copytree(out / "arms" / name, results / "arms" / to)
-        process = subprocess.Popen(command(inputs, results, 1), stdout=subprocess.DEVNULL)
-        _, _, usage = os.wait4(process.pid, 0)
-        peaks.append(usage.ru_maxrss / 1024)
-    return peaks[0], peaks[1]
-
-
 def main(*, arms: int = 40, jobs: int = 2, seed: int | None = None) -> None:
     """Write a fleet, examine it and judge what is told.
 
     Args:
         arms: Number of arms.
-        jobs: Number of processes.
-        seed: Of all arms; a new one by default.
     """
     seed = common.printed_seed(seed)
     with tempfile.TemporaryDirectory() as temporary:
@@ -173,14 +151,14 @@ def main(*, arms: int = 40, jobs: int = 2, seed: int | None = None) -> None:
         folder, out = here / "arms", here / "out"
         faulty, sets = write_fleet(folder, arms, seed, jobs), arms * DATES
         begun = time.monotonic()
-        subprocess.run(command(folder, out, jobs), stdout=subprocess.DEVNULL, check=False)
+        process = subprocess.Popen(command(folder, out, jobs), stdout=subprocess.DEVNULL)
+        _, _, usage = os.wait4(process.pid, 0)  # of the head; the workers are its children
         took = time.monotonic() - begun
         print(f"{sets} data sets in {took:.0f} s, {took * jobs / sets:.2f} s of a process each")
         judged(json.loads((out / "result.json").read_text()), faulty)
         size = sum(path.stat().st_size for path in (out / "arms").rglob("*") if path.is_file())
         print(f"results                      {size / sets / 1e6:.2f} MB a data set")
-        once, more = head_memory(folder, out, MEMORY, here)
-        print(f"peak memory of the head      {once:.0f} MB; {MEMORY} times the arms {more:.0f} MB")
+        print(f"peak memory of one process   {usage.ru_maxrss / 1024:.0f} MB")
 
 
 if __name__ == "__main__":

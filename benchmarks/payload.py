@@ -141,7 +141,6 @@ def main(*, runs: int = 200, replays: int = 20, seed: int = 0) -> None:
     Args:
         runs: Number of payloads.
         replays: Of the recording that is timed.
-        seed: Of both.
     """
     truth = dd_arm("estimated", likely=True)
     [recording] = simulated(truth, np.random.default_rng(seed), 10.0)

@@ -213,7 +213,6 @@ def main(
     """Look for faults in faultless recordings and in those with a planted one.
 
     Args:
-        robots: Built-in arms.
         recordings: Number of recordings of each arm.
         clean_only: Count false alarms only.
     """

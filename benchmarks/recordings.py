@@ -13,8 +13,6 @@ from common import DATA
 from excitant.analysis.effect_choice import choose_effects, described
 from excitant.exceptions import ExcitantError
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset
-from excitant.identify.accuracy import Accuracy, series
-from excitant.identify.regression import regression_of
 from excitant.robots import Robot
 from excitant.robots.parameters import violations
 
@@ -76,14 +74,6 @@ def loaded(split: Split) -> tuple[Robot, list[Recording], list[Recording]]:
     return robot, parts, [r.between(split.share, 1, rest) for r in fit]
 
 
-def unconstrained(estimate: Estimate) -> Accuracy:
-    """Accuracy of the base parameters of weighted least squares, nothing constrained."""
-    data = estimate.data
-    W = regression_of(estimate.model, estimate.model.effects, data.validate).W
-    predicted = W[:, :, list(estimate.base.columns)] @ estimate.least_squares.beta
-    return series(data.validate).accuracy(predicted / estimate.gains)
-
-
 def report(split: Split, chosen: bool) -> None:
     try:
         robot, fit, judge = loaded(split)
@@ -94,7 +84,6 @@ def report(split: Split, chosen: bool) -> None:
     standard = identify_robot(robot, fit, validate=judge, cutoff_hz=split.cutoff_hz)
     rows = {
         "given": (standard.baseline, ""),
-        "ols": (unconstrained(standard), ""),
         "standard": (standard.validate, _said(standard, start)),
     }
     cutoff_hz, unit = standard.data.cutoff_hz, standard.data.unit

@@ -17,6 +17,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from queue import Queue
 from typing import Annotated, Any, Literal
@@ -42,6 +43,14 @@ from robustness_inputs import (
     write_corpus,
 )
 
+from excitant.cli import main as excitant
+from excitant.design import load_trajectory
+from excitant.exceptions import ExcitantError, FaultWarning
+from excitant.identify import load_column_map, load_dataset, load_knowledge, load_recording
+from excitant.reports import load_run, page_of
+from excitant.robots import Motion, load_limits, load_robot, torque
+from excitant.robots.obstacles_file import load_obstacles
+
 Rng = np.random.Generator
 Array = np.ndarray
 Files = dict[str, bytes]  # contents by name
@@ -63,14 +72,12 @@ RUN = {"result.json", "series.npz", "summary.txt", "report.html"}
 
 def command(words: str) -> tuple[int | str, str, str]:
     """Status (or traceback) of a command run in this process, and what it and its libraries say."""
-    from excitant.cli import main
-
     for stream in (1, 2):
         os.ftruncate(stream, 0)
         os.lseek(stream, 0, os.SEEK_SET)
     status: int | str
     try:
-        status = main(words.split())
+        status = excitant(words.split())
     except SystemExit as end:
         status = int(end.code or 0)
     except Exception:
@@ -116,8 +123,6 @@ def half_written(folder: Path) -> str:
 
 def off(robot: Any, states: tuple[Array, ...], truth: Array) -> Array:
     """Error of a model's torque relative to the standard deviation of the true one, per joint."""
-    from excitant.robots import Motion, torque
-
     found = torque(robot, Motion(np.arange(len(truth), dtype=float), *states))
     spread = np.maximum(truth.std(axis=0), 1e-3 * truth.std(axis=0).max())
     return np.sqrt(np.mean((found - truth) ** 2, axis=0)) / spread
@@ -125,8 +130,6 @@ def off(robot: Any, states: tuple[Array, ...], truth: Array) -> Array:
 
 def wrong_model(folder: Path, states: tuple[Array, ...], truth: Array) -> str:
     """How wrong a published model is on a motion that it never saw, if nothing was said of it."""
-    from excitant.robots import load_robot
-
     result = json.loads((folder / "result.json").read_text())
     if not result["published"] or result["faults"] or result["notes"]:
         return ""
@@ -144,81 +147,46 @@ def wrong_model(folder: Path, states: tuple[Array, ...], truth: Array) -> str:
 # Damaged inputs
 
 
-def _recording(name: str) -> Callable[[Path], object]:
-    def read(folder: Path) -> object:
-        from excitant.identify import load_recording
-        from excitant.robots import load_robot
-
-        return load_recording(folder / name, load_robot("planar_2r"))
-
-    return read
+def _recording(folder: Path, name: str) -> object:
+    return load_recording(folder / name, load_robot("planar_2r"))
 
 
-def _mapped(folder: Path) -> object:
-    from excitant.identify import load_column_map, load_recording
-    from excitant.robots import load_robot
-
+def _mapped(folder: Path, _: str) -> object:
     columns = load_column_map(folder / "columns.yaml")
     return load_recording(folder / "ms.csv", load_robot("planar_2r"), mapping=columns)
 
 
-def _robot(name: str, tip: str | None = None) -> Callable[[Path], object]:
-    def read(folder: Path) -> object:
-        from excitant.robots import load_robot
-
-        return load_robot(folder / name, tip=tip)
-
-    return read
+def _robot(folder: Path, name: str) -> object:
+    if name == "data/bars/parts/links.xacro":  # is included by this
+        name = "data/bars/arm/bars.urdf.xacro"
+    tip = {"data/twins.urdf": "left_hand", "data/gripper.xml": "left"}.get(name)
+    return load_robot(folder / name, tip=tip)
 
 
-def _beside_arm(module: str, function: str, name: str) -> Callable[[Path], object]:
-    def read(folder: Path) -> object:
-        from importlib import import_module
-
-        from excitant.robots import load_robot
-
-        arm = load_robot("planar_2r")
-        more = {"load_obstacles": (), "load_knowledge": (arm.links,)}.get(function, (arm,))
-        return getattr(import_module(module), function)(folder / name, *more)
-
-    return read
+def _trajectory(folder: Path, name: str) -> object:
+    return load_trajectory(folder / name, load_robot("planar_2r"))
 
 
-def _dataset(folder: Path) -> object:
-    from excitant.identify import load_dataset
-
-    return load_dataset(folder / "set").recordings(["run1.csv"])
-
-
-def _saved(folder: Path) -> object:
-    from excitant.reports import load_run, page_of
-
+def _saved(folder: Path, _: str) -> object:
     return page_of(*load_run(folder / "model"))
 
 
-READERS: dict[str, Callable[[Path], object]] = {
-    **{name: _recording(name) for name in ("log.csv", "log.parquet", "log.npz", "log.mat")},
-    **{name: _recording(name) for name in ("log.csv.gz", "log.jsonl")},
-    **{name: _recording(name) for name in ("log.bag", "ros/ros.mcap", "sql/sql.db3")},
-    **{name: _robot(name) for name in ("planar.urdf", "arm.yaml", "model/model.yaml")},
-    **{name: _robot(name) for name in ("data/gantry.urdf", "data/tree.urdf", "data/full.xml")},
-    **{name: _robot(name) for name in ("data/slider.yaml", "data/slider.xml", "data/drill.yaml")},
-    "data/twins.urdf": _robot("data/twins.urdf", tip="left_hand"),
-    "data/gripper.xml": _robot("data/gripper.xml", tip="left"),
-    "data/pan_tilt.urdf.xacro": _robot("data/pan_tilt.urdf.xacro"),
-    "data/bars/arm/bars.urdf.xacro": _robot("data/bars/arm/bars.urdf.xacro"),
-    "data/bars/parts/links.xacro": _robot("data/bars/arm/bars.urdf.xacro"),
-    "columns.yaml": _mapped,
-    "ms.csv": _mapped,
-    "limits.yaml": _beside_arm("excitant.robots", "load_limits", "limits.yaml"),
-    "cell.yaml": _beside_arm("excitant.robots.obstacles_file", "load_obstacles", "cell.yaml"),
-    "known.yaml": _beside_arm("excitant.identify", "load_knowledge", "known.yaml"),
-    "trajectory.csv": _beside_arm("excitant.design", "load_trajectory", "trajectory.csv"),
-    "trajectory.json": _beside_arm("excitant.design", "load_trajectory", "trajectory.json"),
-    "set/dataset.json": _dataset,
-    "model/result.json": _saved,
-    "model/series.npz": _saved,
-}  # fmt: skip
+READERS: dict[str, Callable[[Path, str], object]] = {
+    **dict.fromkeys(("log.csv", "log.parquet", "log.npz", "log.mat", "log.csv.gz"), _recording),
+    **dict.fromkeys(("log.jsonl", "log.bag", "ros/ros.mcap", "sql/sql.db3"), _recording),
+    **dict.fromkeys(("planar.urdf", "arm.yaml", "model/model.yaml", "data/twins.urdf"), _robot),
+    **dict.fromkeys(("data/gantry.urdf", "data/tree.urdf", "data/full.xml"), _robot),
+    **dict.fromkeys(("data/slider.yaml", "data/slider.xml", "data/drill.yaml"), _robot),
+    **dict.fromkeys(("data/gripper.xml", "data/pan_tilt.urdf.xacro"), _robot),
+    **dict.fromkeys(("data/bars/arm/bars.urdf.xacro", "data/bars/parts/links.xacro"), _robot),
+    **dict.fromkeys(("columns.yaml", "ms.csv"), _mapped),
+    **dict.fromkeys(("trajectory.csv", "trajectory.json"), _trajectory),
+    **dict.fromkeys(("model/result.json", "model/series.npz"), _saved),
+    "limits.yaml": lambda folder, name: load_limits(folder / name, load_robot("planar_2r")),
+    "cell.yaml": lambda folder, name: load_obstacles(folder / name),
+    "known.yaml": lambda folder, name: load_knowledge(folder / name, load_robot("planar_2r").links),
+    "set/dataset.json": lambda folder, _: load_dataset(folder / "set").recordings(["run1.csv"]),
+}
 """Files, and what reads them."""
 
 _RUNS, _MOVE = "planar_2r run1.csv --validate run2.csv", "planar_2r trajectory.json"
@@ -262,7 +230,7 @@ def fuzz(rng: Rng, folder: Path, corpus: Path) -> Case:
         if recorded and found == "result" and (wrong := _wrong_planar(rng, folder / "out")):
             found, said = "wrong in silence", wrong
     else:
-        found, said = attempt(READERS[name], folder)
+        found, said = attempt(partial(READERS[name], folder, name))
     new = {path.name for path in {*folder.rglob("*")} - before if "out" not in str(path)}
     if "ran" in new:
         found = "code was run"
@@ -283,16 +251,14 @@ def damage(rng: Rng, path: Path) -> str:
     return "bytes" if binary else "words"
 
 
-def attempt(read: Callable[[Path], object], folder: Path) -> tuple[str, str]:
+def attempt(read: Callable[[], object]) -> tuple[str, str]:
     """Whether a reader gives a result or refuses in one line, without another word."""
-    from excitant.exceptions import ExcitantError, FaultWarning
-
     os.ftruncate(2, 0)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             warnings.simplefilter("ignore", FaultWarning)
-            read(folder)
+            read()
     except ExcitantError as error:
         return ("several lines" if "\n" in str(error) else "refused"), str(error)
     except Exception:
@@ -303,8 +269,6 @@ def attempt(read: Callable[[Path], object], folder: Path) -> tuple[str, str]:
 
 
 def _wrong_planar(rng: Rng, folder: Path) -> str:
-    from excitant.robots import load_robot
-
     model = pin.buildModelFromXML(load_robot("planar_2r").urdf)
     states = motion(rng, np.arange(0, 8, 0.01), np.ones(2))
     truth = simulated(heavier(model, 1.08), states) + rubbing(states[1], np.array([2.0, 1.0]))
@@ -372,8 +336,6 @@ BUILT_IN = ("planar_2r", "ur10", "panda", "puma560", "scara")
 
 def limits(rng: Rng, folder: Path, _: Path) -> Case:
     """A design within drawn limits, judged at 10 kHz by its file, differences and Pinocchio."""
-    from excitant.robots import load_robot
-
     arm = load_robot(name := str(rng.choice(BUILT_IN)))
     low, high = np.clip(arm.limits.position, -3, 3).T
     middle, half = (low + high) / 2, (high - low) / 2 * rng.uniform(0.05, 1, arm.nv)
@@ -411,8 +373,6 @@ def violations(arm: Any, given: dict[str, Array], file: Path) -> str:
     t, (q, dq, ddq) = table[:, 0], np.split(table[:, 1:], 3, axis=1)
     step = t[1] - t[0]
     rnea = simulated(arm.model, (q, dq, ddq))
-    from excitant.robots import Motion
-
     tau = rnea + sum(e.torque(arm, Motion(t, q, dq, ddq)) for e in arm.effects)
     low, high = given["position"].T
     used = {
@@ -652,10 +612,8 @@ def main(
     Args:
         parts: What to try; all by default.
         count: Number of cases of each part; by default 10 000, 200, 300 and 100.
-        seed: Of all cases; a new one by default.
         case: Only this case of the parts that are named.
         keep: Folder in which the files of a case are left.
-        jobs: Number of processes.
         output: File to which every answer is appended as a line of JSON.
     """
     seed = common.printed_seed(seed)

@@ -179,11 +179,8 @@ def main(
     """Hide effects, propose motions, run them.
 
     Args:
-        arms: Built-in arms.
-        kinds: Kinds of effects.
         draws: Number of each kind and arm.
         time_limit: Of the search for a motion [s].
-        jobs: Number of processes.
         output: File to which every case is appended as a line of JSON.
     """
     cases = itertools.product(arms, kinds, range(draws), [time_limit])

@@ -98,12 +98,7 @@ def controlled(name: str, seed: int) -> None:
 
 
 def main(*, robots: Sequence[str] = ("planar_2r", "ur10", "panda"), seed: int = 0) -> None:
-    """Identify virtual arms, change and diagnose them, and follow another motion.
-
-    Args:
-        robots: Built-in arms.
-        seed: Of arms and motions.
-    """
+    """Identify virtual arms, change and diagnose them, and follow another motion."""
     for name in robots:
         controlled(name, seed)
 
