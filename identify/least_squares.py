@@ -212,8 +212,8 @@ def with_covariance(
 
 def student_width(freedom: Array | float) -> Array:
     """Student's over normal 97.5 % quantile, for degrees of freedom of any shape."""
-    student = np.asarray(scipy.special.stdtrit(freedom, 0.975))
-    return student / float(scipy.special.ndtri(0.975))
+    student = scipy.special.stdtrit(freedom, 0.975)
+    return np.asarray(student / scipy.special.ndtri(0.975), float)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from excitant.analysis import residuals
-from excitant.identify.differentiators import low_pass
 from excitant.identify.preprocessing import Segment, away_from_rest
+from excitant.identify.signals import low_pass
 from excitant.robots import Motion
 
 RATE, CUTOFF = 200.0, 10.0
