@@ -1097,7 +1097,7 @@ class Rival(Record):
     "File of the motion."
 
 
-class Part(Record):
+class Part(Record, kw_only=True):
     """One kind of a cause that has several."""
 
     effect: str
@@ -1108,8 +1108,6 @@ class Part(Record):
     "Cause and size in words."
     parameters: list[FoundParameter]
     "Coefficients."
-    sizes: list[Quantity]
-    "Sizes that do not depend on the phase, such as an amplitude."
     explained: Number
     "Share of the nominal model's squared error that it removes."
     holdout: RmsChange
@@ -1118,10 +1116,12 @@ class Part(Record):
     "Unit of these."
     verdict: Literal["named", "undecided", "unknown"]
     "Whether it is named as a cause; ``unknown`` where no cause explains what is left."
-    doubt: str
+    doubt: str = ""
     "Why it is undecided."
     rivals: list[Rival]
     "Other causes that the recordings do not exclude."
+    sizes: list[Quantity] = []
+    "Sizes that do not depend on the phase, such as an amplitude."
 
 
 class Axes(Record):
@@ -1135,7 +1135,7 @@ class Axes(Record):
     "Joint."
 
 
-class Finding(Part):
+class Finding(Part, kw_only=True):
     """A cause of the mismatch, in order of importance."""
 
     parts: list[Part] = []
