@@ -866,6 +866,8 @@ class Identify(Record, tag_field="verb", tag="identify", rename={"imported": "im
     "Standard deviations of the drive gains."
     drive_gain_scale_rel_std: Number = None
     "Relative standard deviation of the scale that all gains share."
+    drive_gain_shown: list[bool] | None = None
+    "Whether the motion shows each gain; null where all are shown."
     shapes: Shapes | None = None
     "Shapes of effects that were refined."
     lengths: Lengths | None = None
@@ -1340,6 +1342,8 @@ class Diagnose(Record, tag_field="verb", tag="diagnose", rename={"imported": "im
     "Standard deviations of the drive gains."
     drive_gain_scale_rel_std: Number = None
     "Relative standard deviation of the scale that all gains share."
+    drive_gain_shown: list[bool] | None = None
+    "Whether the motion shows each gain; null where all are shown."
     imported: dict[str, list[str]] = {}
     "What was assumed in reading each recording."
     published: bool | None = None
