@@ -21,6 +21,7 @@ from typing import Any
 import joblib
 import numpy as np
 import pinocchio as pin
+from common import PROBLEMS
 from joblib.externals.loky import get_reusable_executor
 from judge import States, left_columns, observation, random_states
 
@@ -38,6 +39,7 @@ from excitant.robots import Robot, builtin_robots, load_limits, load_robot
 
 HERE = Path(__file__).resolve().parent
 _FIGAROH_TIMEOUT = 1800.0  # s
+_ITERATIONS = 100  # of IPOPT per segment, as in its example
 _ATTEMPTS = 3  # initial guesses of FIGAROH per segment
 _PER_HARMONIC = 16  # samples by which random search judges
 _LIMITS = ("position", "velocity", "acceleration", "torque")
@@ -84,13 +86,12 @@ def problem_file(name: str) -> Path:
     Raises:
         BadInput: There is none; lists those there are.
     """
-    shared = Path(os.environ.get("EXCITANT_PROBLEMS", HERE.parents[1] / "shared" / "problems"))
-    folders = (shared, HERE / "problems")
+    folders = (PROBLEMS, HERE / "problems")
     for file in (Path(name), *(folder / f"{Path(name).stem}.json" for folder in folders)):
         if file.is_file():
             return file
     known = sorted(path.stem for folder in folders for path in folder.glob("*.json"))
-    missing = "" if shared.is_dir() else f"; no shared problems in {shared}"
+    missing = "" if PROBLEMS.is_dir() else f"; no shared problems in {PROBLEMS}"
     raise BadInput(
         f"problem '{name}' is no file and none of {', '.join(known)}{missing}; give a file or set "
         "EXCITANT_PROBLEMS"
@@ -229,7 +230,7 @@ def run_contestant(
 
 
 def run_figaroh(
-    problem: Problem, python: Path, moves: int, segments: int, iterations: int, seed: int
+    problem: Problem, python: Path, moves: int, segments: int, seed: int
 ) -> tuple[tuple[Path, ...], str]:
     stem = problem.folder / f"figaroh-{moves}-{seed}"
     specification = {
@@ -240,7 +241,7 @@ def run_figaroh(
         "moves": moves,  # from rest to rest per segment
         "rate_hz": problem.rate_hz,  # of the trajectory written
         "frequency_hz": 20,  # lowest rate of regressor and constraints inside the optimiser
-        "iterations": iterations,  # of IPOPT per segment, at most
+        "iterations": _ITERATIONS,  # of IPOPT per segment, at most
         "attempts": _ATTEMPTS,
         "seed": seed,  # of NumPy's global generator, which FIGAROH draws from
         "csv": str(stem.with_suffix(".csv").resolve()),

@@ -41,6 +41,7 @@ from excitant.exceptions import ExcitantError
 METHODS = (*CONTESTANTS, "figaroh")
 SEARCHED = ("searched", "spline")  # they choose how many harmonics or pieces
 _REST = 1e-9
+FIGAROH_SEGMENTS = 2  # as in its UR10 example
 NOISE = {"equal": "1 N·m on every joint", "limit": "1% of each joint's torque limit"}
 
 
@@ -56,9 +57,7 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     add("--seed", type=int, default=0)
     add("--figaroh-python", type=Path, help="Python that has figaroh and cyipopt installed")
     add("--figaroh-seeds", type=int, default=2, help="runs of FIGAROH, of which the best counts")
-    add("--figaroh-segments", type=int, default=2, help="as in its UR10 example")
     add("--figaroh-moves", type=int, nargs="+", help="moves per segment; as long as 2 s by default")
-    add("--figaroh-iterations", type=int, default=100, help="of IPOPT per segment")
     add("-o", "--output", type=Path, help="folder of trajectories and result.json")
     return parser.parse_args(words)
 
@@ -94,7 +93,7 @@ def compete(problem: Problem, given: argparse.Namespace) -> list[Row]:
     for method in (m for m in METHODS if m in given.methods):
         settings = given.harmonics or [problem.harmonics]
         if method == "figaroh":
-            two_seconds = max(2, round(problem.duration / given.figaroh_segments / 2.0))
+            two_seconds = max(2, round(problem.duration / FIGAROH_SEGMENTS / 2.0))
             settings = given.figaroh_moves or [two_seconds]
         elif method in SEARCHED:
             settings = settings[:1]
@@ -119,14 +118,13 @@ def run(
         settings = Settings(time.time() + given.time_limit, given.jobs, given.seed, setting)
         tries = [run_contestant(problem, method, settings)]
     else:
-        label, python = f"{given.figaroh_segments}x{setting}", given.figaroh_python
+        label, python = f"{FIGAROH_SEGMENTS}x{setting}", given.figaroh_python
         if python is None and importlib.util.find_spec("figaroh") is None:
             return Row(method, label, 0.0, 0.0, "not installed; give --figaroh-python"), ()
-        common = (python or Path(sys.executable), setting, given.figaroh_segments)
+        common = (python or Path(sys.executable), setting, FIGAROH_SEGMENTS)
         seeds = range(given.seed, given.seed + given.figaroh_seeds)
         with ThreadPoolExecutor(given.jobs) as pool:
-            work = partial(run_figaroh, problem, *common, given.figaroh_iterations)
-            tries = list(pool.map(work, seeds))
+            tries = list(pool.map(partial(run_figaroh, problem, *common), seeds))
     times = time.perf_counter() - wall, _children() - cpu
     files = tuple(file for found, _ in tries for file in found)
     return Row(method, label, *times, "; ".join(note for _, note in tries)), files

@@ -67,11 +67,17 @@ NEAR = {  # as near as the vocabulary comes; neither right nor wrong
 
 
 def record(
-    plant: Plant, motion: Trajectory, reading: str, gains: Array, rng: Rng, name: str
+    plant: Plant,
+    motion: Trajectory,
+    reading: str,
+    gains: Array | float,
+    rng: Rng,
+    name: str,
+    duration: float = DURATION,
 ) -> Recording:
     """What the sensors of a world read of a motion."""
     rate = 100.0 if reading == "jitter" else 125.0
-    t = np.arange(0.0, DURATION, 1 / rate)
+    t = np.arange(0.0, duration, 1 / rate)
     if reading == "jitter":
         t[1:] += rng.uniform(-JITTER, JITTER, len(t) - 1) / rate
     q, tau = motion(t, 0), plant.torque(motion, t)

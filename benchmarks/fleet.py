@@ -32,14 +32,6 @@ START = date(2026, 1, 5)
 Faulty = Callable[[pd.DataFrame, Path], pd.DataFrame | None]
 
 
-def scaled(column: str, factor: float) -> Faulty:
-    return lambda table, _: table.assign(**{column: table[column] * factor})
-
-
-def with_holes(table: pd.DataFrame, _: Path) -> pd.DataFrame:
-    return table.assign(q2=table.q2.mask((table.index > 300) & (table.index < 330)))
-
-
 def broken_robot(table: pd.DataFrame, folder: Path) -> pd.DataFrame:
     (folder / "robot.urdf").write_text("<robot name='lost'>")
     return table
@@ -55,9 +47,9 @@ FAULTS: dict[str, Faulty] = {
     "broken URDF": broken_robot,
     "file cut in half": cut_file,
     "no recording": lambda table, folder: None,
-    "dead torque": scaled("tau2", 0.0),
-    "torque of the other sign": scaled("tau3", -1.0),
-    "holes": with_holes,
+    "dead torque": lambda table, _: table.assign(tau2=0.0),
+    "torque of the other sign": lambda table, _: table.assign(tau3=-table.tau3),
+    "holes": lambda table, _: table.assign(q2=table.q2.mask(table.index // 30 == 11)),
     "time goes back": lambda table, _: table.assign(t=table.t.where(table.index != 700, 1.0)),
     "column missing": lambda table, _: table.drop(columns="tau4"),
     "no rows": lambda table, _: table[:0],

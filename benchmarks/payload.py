@@ -22,7 +22,7 @@ from dd_arm import STEP_S, fitted, simulated
 from scipy.stats import binom
 from seed import dd_arm
 
-from excitant.identify import OnlineEstimator, PayloadEstimate, PayloadEstimator, Recording
+from excitant.identify import OnlineEstimator, PayloadEstimator, Recording
 from excitant.identify.differentiators import causal_polynomial, position_spectrum
 from excitant.identify.estimate import judged
 from excitant.identify.least_squares import weighted_least_squares
@@ -48,9 +48,9 @@ class Run(NamedTuple):
     """A payload and its estimates after each of `ASKED`, shape (4,) and (4, 3) for the centre."""
 
     mass: float
+    centre: np.ndarray
     found: np.ndarray
     std: np.ndarray
-    centre: np.ndarray
     found_centre: np.ndarray
     centre_std: np.ndarray
 
@@ -101,20 +101,14 @@ def run(seed: int) -> Run:
         differentiator=causal_polynomial(positions).differentiator,
         position_noise=positions.noise,
     )
-    due, found = list(ASKED), list[PayloadEstimate]()
+    due, seen = list(ASKED), []
     for t, q, tau in zip(recording.t, recording.q, recording.tau, strict=True):
         payload.push(float(t), q, tau)
         if due and t >= due[0] - 1.5 * STEP_S:
-            found.append(payload.estimate())
+            last = payload.estimate()
+            seen.append((last.mass, last.std[0], last.centre, last.centre_std))
             del due[0]
-    return Run(
-        mass,
-        np.array([each.mass for each in found]),
-        np.array([each.std[0] for each in found]),
-        centre,
-        np.array([each.centre for each in found]),
-        np.array([each.centre_std for each in found]),
-    )
+    return Run(mass, centre, *map(np.array, zip(*seen, strict=True)))
 
 
 def table(runs: Sequence[Run]) -> pd.DataFrame:

@@ -229,6 +229,7 @@ class Drawing:
     given: Plant  # with the friction that the given model has
     motions: tuple[Trajectory, ...]
     rng: Rng
+    sizes: tuple[float, float] = SIZES
 
     @cached_property
     def t(self) -> Array:
@@ -310,7 +311,9 @@ class Drawing:
                 return list(range(nv))
             case "time_delay" if rng.random() < 0.5:
                 return list(range(nv))
-        inner = kind == "encoder_offset"  # those of the first and last joint may not show
+        inner = (
+            kind == "encoder_offset" and nv > 2
+        )  # those of the first and last joint may not show
         some = range(inner, nv - inner)
         return [int(rng.choice([j for j in some if j not in taken] or some))]
 
@@ -318,7 +321,7 @@ class Drawing:
         """What an effect changes of the plant without any, and its parameters."""
         rng, alone = self.rng, self.plant
         robot = alone.robot
-        size, way = float(np.exp(rng.uniform(*np.log(SIZES)))), float(rng.choice([-1, 1]))
+        size, way = float(np.exp(rng.uniform(*np.log(self.sizes)))), float(rng.choice([-1, 1]))
         unit = np.eye(robot.nv)[joints].sum(axis=0)
         found: dict[str, Any] = {}
         changed: dict[str, Any] = {}
@@ -354,7 +357,7 @@ class Drawing:
             joints = self.joints_of(kind, taken)
             changed, found = self.change(kind, joints)
             shown = self.size(replace(self.plant, **changed))
-            if shown > 0.99 * SIZES[0]:
+            if shown > 0.99 * self.sizes[0]:
                 break
         if kind in FRICTION:  # what is hidden is all by which the given friction is off there
             known = kind.removesuffix("_friction")
@@ -376,7 +379,7 @@ class Drawing:
         """A plant set up, or recorded, otherwise than the model has it, which clearly shows."""
         for _ in range(DRAWS):
             other, found = self._otherwise(plant, kind)
-            if found.size > SIZES[1]:
+            if found.size > self.sizes[1]:
                 break
         return other, found
 
