@@ -275,11 +275,6 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
         within = [e for e in effects if low <= e[0]["size"] < high]
         named, found = wilson([e[1] for e in within]), wilson([e[2] for e in within])
         yield f"{100 * low:3.0f} to {100 * high:3.0f} {len(within):10d} {named:>13s} {found:>13s}"
-    missed = [e for e in effects if not e[2]]
-    if missed:
-        h, _, _, r, _ = max(missed, key=lambda e: e[0]["size"])
-        where = f"{h['effect']} at {', '.join(h['joints'])} of {r['arm']} ({r['world']})"
-        yield f"\nlargest missed: case {r['case']}, {where}, {100 * h['size']:.0f} %"
     for r in done:
         if wrong := r["score"]["wrong"]:
             what = ", ".join(h["kind"] for h in r["hidden"]) or "nothing"

@@ -38,7 +38,7 @@ KINDS = (
     *("torque_offset", "spring", "torque_ripple", "rotor_inertia", "friction_coupling"),
     *("torque_gain", "time_delay", "encoder_offset", "gravity_direction", *BODIES),
     *("nonlinear_viscous_friction", "presliding_hysteresis", "thermal_friction_drift"),
-    *("inertia_coupling", "joint_elasticity", "encoder_scale"),
+    *("inertia_coupling", "encoder_scale", "kinematic_error"),
 )
 SET_UPS = ("mounting", "torque sign", "joint sign", "swapped", "zero position", "degrees")
 STRUCTURES = ("hose", "bumper", "swaying table")
@@ -195,7 +195,7 @@ def joint_law(kind: str, rng: Rng, q: Array, dq: Array, j: int) -> tuple[Shape, 
             return lambda s: np.maximum(s.q[:, j] - edge, 0.0), p
         case "swaying table":
             p["Hz"], p["damping"] = rng.uniform(3.0, 6.0), rng.uniform(0.03, 0.1)
-            return lambda s: resonance(s, j, p["Hz"], p["damping"], [1, 0, 0]), p
+            return lambda s: sway(s, j, p["Hz"], p["damping"]), p
     raise ValueError(f"no law of {kind}")
 
 
@@ -208,17 +208,12 @@ def drag(q: Array, reach: float) -> Array:
     return z
 
 
-def resonance(s: State, j: int, hertz: float, damping: float, above: Sequence[float]) -> Array:
-    """Rigid torque r of a joint through (a s² + b s + c) ω² / (s² + 2 D ω s + ω²), from rest, (n,).
-
-    ``above``: (1, 0, 0) is the acceleration of a base on springs, times ω²; (0, 0, 1) the torque
-    of a spring behind a motor that keeps its path.
-    """
+def sway(s: State, j: int, hertz: float, damping: float) -> Array:
+    """Acceleration of a base on springs that a joint's torque drives, from rest, (n,)."""
     fine = np.arange(min(s.t[0], 0.0), s.t[-1] + 4e-3, 2e-3)
-    force = s.at(fine).rigid[:, j]
-    w = 2 * np.pi * hertz
-    b, a = scipy.signal.bilinear(w**2 * np.array(above), [1, 2 * damping * w, w**2], 500.0)
-    return np.interp(s.t, fine, force[0] * above[-1] + scipy.signal.lfilter(b, a, force - force[0]))
+    force, w = s.at(fine).rigid[:, j], 2 * np.pi * hertz
+    b, a = scipy.signal.bilinear([w**2, 0, 0], [1, 2 * damping * w, w**2], 500.0)
+    return np.interp(s.t, fine, scipy.signal.lfilter(b, a, force - force[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,8 +254,6 @@ class Drawing:
         q, dq = (np.concatenate([getattr(s, x) for s in self.states]) for x in ("q", "dq"))
         identity = np.eye(len(self.usual))
         unit = identity[joints].sum(axis=0)
-        if kind == "joint_elasticity":
-            return self.elasticity(joints[0], size)
         if kind == "friction_coupling":
             (j, k), share = joints, self.rng.uniform()
             ratio = float(self.rng.choice([-1, 1]))
@@ -284,18 +277,6 @@ class Drawing:
         if kind in ("torque_offset", "torque_ripple"):
             factor *= float(self.rng.choice([-1, 1]))
         return (shape, factor * unit), found | {"factor": factor}
-
-    def elasticity(self, j: int, size: float) -> tuple[Any, dict[str, Any]]:
-        """The law of a gear as soft as to show so much, but not below 3 Hz."""
-        damping = self.rng.uniform(0.03, 0.1)
-        unit = np.eye(len(self.usual))[j]
-
-        def law(hertz: float) -> tuple[Shape, Array]:
-            return lambda s: resonance(s, j, hertz, damping, [0, 0, 1]) - s.rigid[:, j], unit
-
-        shown = self.size(replace(self.plant, laws=(law(8.0),)))
-        hertz = max(8.0 * np.sqrt(shown / size), 3.0)
-        return law(hertz), {"Hz": hertz, "damping": damping}
 
     def joints_of(self, kind: str, taken: set[int]) -> list[int]:
         """Where an effect of a kind may be; at joints that no other effect has yet, if it can."""
@@ -338,6 +319,13 @@ class Drawing:
             case "gravity_direction":
                 changed = {"robot": tilted(robot, rng, rng.uniform(0.05, 0.3))}
                 found = {"gravity": changed["robot"].gravity}
+            case "kinematic_error":
+                model, step = robot.model.copy(), rng.normal(size=3)
+                step *= rng.uniform(0.01, 0.05) / np.linalg.norm(step)
+                place = model.jointPlacements[joints[0] + 1]
+                place = pin.SE3(place.rotation, place.translation + step)
+                model.jointPlacements[joints[0] + 1] = place
+                changed, found = {"robot": replace(robot, model=model)}, {"moved": step}
             case "payload":
                 phi = payload(robot, rng)
                 phi *= size / self.size(replace(alone, robot=heavier(robot, joints[0], phi)))
@@ -369,7 +357,8 @@ class Drawing:
         if "robot" in changed:  # bodies add up, and gravity stays turned
             phi = plant.robot.phi + changed["robot"].phi - robot.phi
             tilt = changed["robot"] if kind == "gravity_direction" else plant.robot
-            changed["robot"] = plant.robot.with_parameters(phi).with_gravity(tilt.gravity)
+            frames = changed["robot"] if kind == "kinematic_error" else plant.robot
+            changed["robot"] = frames.with_parameters(phi).with_gravity(tilt.gravity)
         taken.update(joints if len(joints) < robot.nv else [])
         effect = "unknown" if kind in STRUCTURES else kind
         names = tuple(robot.joints[j] for j in joints)
