@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from operator import attrgetter
 from typing import Any
 
 from excitant.reports import values as v
 from excitant.reports.figure import Bars, Figure, Key
-from excitant.reports.values import NONE, Result
+from excitant.reports.values import NONE
 
 GOOD = "good"
 FAIR = "fair"
@@ -218,12 +219,11 @@ def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
 
 
 Write = Callable[[Any], str]
-Source = str | Callable[[Result], Cell | str]
-Column = tuple[str, Source] | tuple[str, Source, Write]
+Column = tuple[str, str | Callable[[Any], Cell | str]] | tuple[str, str, Write]
 
 
 def table(
-    rows: Sequence[Result],
+    rows: Sequence[Any],
     columns: Sequence[Column | None],
     caption: str = "",
     folded: str = "",
@@ -232,58 +232,64 @@ def table(
 ) -> Table | None:
     """A table of records, one a row; None without any.
 
-    A column is its heading as ``kind:heading``, then where the cell comes from: a path of keys with
-    dots, or a function of the record; a third item writes what the path leads to. Columns that are
-    None are left out.
+    A column is its heading as ``kind:heading``, then where the cell comes from: a field, dots for
+    one of a field, or a function of the record; a third item writes the value of the field.
+    Columns that are None are left out.
     """
     if not rows:
         return None
-    kept = [column for column in columns if column is not None]
+    present = [column for column in columns if column is not None]
     heads = tuple(
-        (column[0].partition(":")[2], column[0].partition(":")[0]) for column in kept
+        (column[0].partition(":")[2], column[0].partition(":")[0]) for column in present
     )
-    cells = tuple(tuple(_cell(row, *column) for column in kept) for row in rows)
+    cells = tuple(tuple(_cell(row, *column) for column in present) for row in rows)
     return Table(heads, cells, caption, folded, brief)
 
 
-def _cell(row: Result, head: str, source: Source, write: Write | None = None) -> Cell:
+def _cell(
+    row: Any,
+    head: str,
+    source: str | Callable[[Any], Cell | str],
+    write: Write | None = None,
+) -> Cell:
     if not isinstance(source, str):
-        found = source(row)
-        return found if isinstance(found, Cell) else Cell(found)
-    keys = source.split(".")
-    value = v.at(row, *keys)
-    if write is None and head.startswith("number:"):
-        write = v.number
-    written = (
-        write(value) if write else v.listing(v.words(row, *keys), v.text(row, *keys))
-    )
-    return Cell(written or NONE, PLAIN, v.real(value))
+        cell = source(row)
+        return cell if isinstance(cell, Cell) else Cell(cell)
+    value = attrgetter(source)(row)
+    if write is None:
+        write = v.number if head.startswith("number:") else _words
+    return Cell(write(value) or NONE, PLAIN, v.real(value))
+
+
+def _words(value: str | list[str] | None) -> str:
+    return ", ".join(value) if isinstance(value, list) else value or ""
 
 
 def estimates(
-    value: str = "number:Value", std: str = "number:± std", *within: str
+    value: str = "number:Value",
+    std: str = "number:± std",
+    of: Callable[[Any], Any] = lambda row: row,
 ) -> tuple[Column, Column]:
     """Columns of a value and its standard deviation, both to the digits that the latter allows.
 
-    They are those of the record, or of the one within it under a key.
+    They are those of the record, or of what is picked ``of`` it: None for an empty cell.
     """
 
-    def written(row: Result, which: int) -> Cell:
-        pair = (v.at(row, *within, "value"), v.at(row, *within, "std"))
+    def written(row: Any, which: int) -> Cell:
+        estimate = of(row)
+        if estimate is None:
+            return Cell(NONE)
+        pair = (estimate.value, estimate.std)
         return Cell(v.value_and_std(*pair)[which], PLAIN, v.real(pair[which]))
 
     return (value, lambda row: written(row, 0)), (std, lambda row: written(row, 1))
 
 
-def milli(*keys: str, none: str = NONE) -> Callable[[Result], Cell]:
-    """Cells of a number in thousandths of its unit."""
-
-    def cell(row: Result) -> Cell:
-        x = v.real(row, *keys)
-        x = None if x is None else 1e3 * x
-        return Cell(none if x is None else v.number(x), PLAIN, x)
-
-    return cell
+def milli(x: float | None, none: str = NONE) -> Cell:
+    """A number in thousandths of its unit."""
+    if x is None:
+        return Cell(none)
+    return Cell(v.number(1e3 * x), PLAIN, 1e3 * x)
 
 
 _DECIDED = {
@@ -294,16 +300,16 @@ _DECIDED = {
 }
 
 
-def decided(who: str) -> Cell:
+def decided(who: str | None) -> Cell:
     """Who decided an estimate."""
-    return _DECIDED.get(who, Cell(v.NONE))
+    return _DECIDED.get(who or "", Cell(NONE))
 
 
-def relative(row: Result) -> Cell:
+def relative(row: Any) -> Cell:
     """Relative standard deviation of an estimate, with its tone."""
-    rel, value, std = (v.real(row, key) for key in ("rel_std", "value", "std"))
-    if rel is None and std is not None and value:
-        rel = abs(std / value)
+    rel = getattr(row, "rel_std", None)
+    if rel is None and row.std is not None and row.value:
+        rel = abs(row.std / row.value)
     return Cell(v.percent(rel), quality(rel), rel)
 
 
@@ -312,11 +318,6 @@ def quality(rel_std: float | None) -> str:
     if rel_std is None:
         return PLAIN
     return GOOD if abs(rel_std) < 0.05 else FAIR if abs(rel_std) < 0.3 else POOR
-
-
-def numbered(rows: Sequence[Result]) -> list[Result]:
-    """Records with their number, from 1, under the key ``k``."""
-    return [{**row, "k": str(k)} for k, row in enumerate(rows, start=1)]
 
 
 def folded(title: str, count: int, most: int = LONG) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from excitant.exceptions import BadInput
@@ -28,9 +29,25 @@ from excitant.reports.sections.examination import examination_page
 from excitant.reports.sections.fleet import fleet_section
 from excitant.reports.sections.identify import identify_section
 from excitant.reports.sections.robot import robot_section
-from excitant.reports.values import NONE, Result, Series
+from excitant.reports.values import NONE, Series
+from excitant.results import (
+    Analyze,
+    Compare,
+    ComparedFigure,
+    ComparedSection,
+    ComparedTable,
+    Demo,
+    Fleet,
+    Go,
+    Result,
+    Robots,
+    Simulate,
+    plain_of,
+    record_of,
+    verb_of,
+)
 
-_SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
+_SECTIONS: dict[str, Callable[[Any, Series], Section]] = {
     "robots": robot_section,
     "design": design_section,
     "check": check_section,
@@ -41,9 +58,6 @@ _SECTIONS: dict[str, Callable[[Result, Series], Section]] = {
     "rehearse": rehearse_section,
     "fleet": fleet_section,
 }
-COMPARE = "compare"
-_WHOLE = ("go", "demo")  # pages with a section of each command
-_VERBS = (*_SECTIONS, *_WHOLE, COMPARE)
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _APART = 2.0  # standard deviations of a difference from which on estimates disagree
 _STD = "± std"  # in the heading of a column that belongs to the one before
@@ -60,56 +74,64 @@ _REMARKS = {
 }
 
 
-def page_of(result: Result, series: Series) -> Page:
-    """The page of ``result.json`` and ``series.npz``; BadInput for an unknown verb."""
-    result = _shown(result)
-    verb = v.text(result, "verb")
-    if verb not in _VERBS:
-        raise BadInput(
-            f"result.json: verb '{verb}' has no report; known: {', '.join(_VERBS)}"
-        )
-    if verb in _WHOLE:
-        page = _examination_page(result, series)
-    elif verb == COMPARE:
-        page = _comparison_page(result)
-    else:
-        only = _SECTIONS[verb](result, series)
-        page = Page(_title(only.title, result), only.lead, (), (only,))
-    return replace(page, files=tuple(v.words(result, "files")))
+def page_of(result: Mapping[str, Any] | Result, series: Series) -> Page:
+    """The page of a result, as plain values or as a record, and of ``series.npz``.
+
+    Raises:
+        BadInput: The result is no record of a verb that has a page.
+    """
+    plain = result if isinstance(result, Mapping) else plain_of(result)
+    try:
+        record = record_of(_shown(plain))
+    except msgspec.ValidationError as error:
+        raise BadInput(f"result.json: {error}") from None
+    return replace(_page(record, series), files=tuple(record.files))
+
+
+def _page(record: Result, series: Series) -> Page:
+    match record:
+        case Go() | Demo():
+            return _examination_page(record, series)
+        case Compare():
+            return _comparison_page(record)
+        case Simulate():
+            raise BadInput("result.json: verb 'simulate' has no report")
+    section = _SECTIONS[verb_of(record)](record, series)
+    title = section.title
+    if not isinstance(record, Fleet):
+        title = f"{title}: {record.robot}"
+    return Page(title, section.lead, (), (section,))
 
 
 def _shown(value: Any) -> Any:
-    """A result whose texts a page can show."""
+    """Plain values whose texts a page can show."""
     if isinstance(value, str):
         return printable(value.replace("\n", " "))
     if isinstance(value, dict):
         return {_shown(key): _shown(item) for key, item in value.items()}
-    return (
-        [_shown(item) for item in value] if isinstance(value, list | tuple) else value
-    )
+    if isinstance(value, list | tuple):
+        return [_shown(item) for item in value]
+    return value
 
 
-def _title(name: str, result: Result) -> str:
-    robot = v.text(result, "robot")
-    return f"{name}: {robot}" if robot else name
-
-
-def _examination_page(result: Result, series: Series) -> Page:
+def _examination_page(result: Go | Demo, series: Series) -> Page:
     sections = {}
     for verb, build in _SECTIONS.items():
-        if isinstance(found := v.at(result, verb), dict):
-            own = {
-                k.removeprefix(f"{verb}/"): x
-                for k, x in series.items()
-                if f"{verb}/" in k
-            }
-            section = build({"robot": v.text(result, "robot"), **found}, own)
-            section = links_folded(section, found)
-            if verb == "robots":  # the verdict comes first, and what it rests on
-                section = replace(
-                    section, parts=tuple(replace(x, closed=True) for x in section.parts)
-                )
-            sections[verb] = section
+        record = getattr(result, verb, None)
+        if record is None:
+            continue
+        arrays = {
+            key.removeprefix(f"{verb}/"): values
+            for key, values in series.items()
+            if key.startswith(f"{verb}/")
+        }
+        section = build(record, arrays)
+        if isinstance(record, Analyze):
+            section = links_folded(section, record)
+        if isinstance(record, Robots):  # the verdict comes first, and what it rests on
+            parts = tuple(replace(part, closed=True) for part in section.parts)
+            section = replace(section, parts=parts)
+        sections[verb] = section
     return examination_page(result, sections)
 
 
@@ -131,16 +153,16 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
         BadInput: Fewer than two runs, more than there are letters, or runs of different commands.
     """
     first = runs[0]
-    verb = v.text(first.result, "verb")
+    verb = verb_of(first.result)
     if not 2 <= len(runs) <= len(_LETTERS):
         raise BadInput(f"{first.folder}: name 2 to {len(_LETTERS)} runs to compare")
     for run in runs[1:]:
-        if (other := v.text(run.result, "verb")) != verb:
+        if (other := verb_of(run.result)) != verb:
             raise BadInput(
                 f"{run.folder}: a run of '{other}', but {first.folder} is one of '{verb}'; "
                 "compare runs of one command"
             )
-    if verb == COMPARE:
+    if isinstance(first.result, Compare):
         raise BadInput(
             f"{first.folder}: a comparison already; name the runs themselves"
         )
@@ -148,12 +170,11 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
     remarks = _remarks(runs)
     judged = not any("error" in remark for remark in remarks)
     names = [PurePath(run.folder).name for run in runs]
+    robots = [getattr(run.result, "robot", "") for run in runs]
     return {
-        "verb": COMPARE,
+        "verb": "compare",
         "of": verb,
-        "robot": v.listing(
-            list(dict.fromkeys(v.text(run.result, "robot") for run in runs))
-        ),
+        "robot": v.listing(list(dict.fromkeys(robots))),
         "runs": [
             {
                 "name": run.folder if names.count(name) > 1 else name,
@@ -168,25 +189,20 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
 
 
 def _remarks(runs: Sequence[SavedRun]) -> list[str]:
-    found = []
-    for key, said in _REMARKS.items():
-        for part in (
-            (),
-            ("design",),
-            ("identify",),
-            ("analyze",),
-            ("diagnose",),
-        ):  # of a demo
-            values = [v.at(run.result, *part, key) for run in runs]
-            written = [v.text(x) if v.real(x) is None else v.number4(x) for x in values]
-            if len(set(filter(None, written))) > 1:
-                found.append(said.format(" and ".join(dict.fromkeys(written))))
+    remarks = []
+    for field, remark in _REMARKS.items():
+        for verb in ("", "design", "identify", "analyze", "diagnose"):  # of a demo
+            parts = [getattr(run.result, verb, run.result) for run in runs]
+            values = [getattr(part, field, None) for part in parts]
+            texts = [x if isinstance(x, str) else v.number4(x) for x in values if x]
+            if len(set(texts)) > 1:
+                remarks.append(remark.format(" and ".join(dict.fromkeys(texts))))
                 break
     if not _same_rows([run.series for run in runs]):
-        found.append(
+        remarks.append(
             "The runs were judged on different samples: a difference of errors may come from them."
         )
-    return found
+    return remarks
 
 
 def _same_rows(series: Sequence[Series]) -> bool:
@@ -273,96 +289,87 @@ def deviations(
     return abs(b - a) / math.hypot(std_a, std_b)
 
 
-def _comparison_page(result: Result) -> Page:
-    runs = v.records(result, "runs")
-    remarks = v.words(result, "remarks")
+def _comparison_page(result: Compare) -> Page:
+    runs = result.runs
     letters = list(_LETTERS[: len(runs)])
     legend = [
-        f"{letter}: {v.text(run, 'name')}. {' '.join(v.words(run, 'leads'))}"
+        f"{letter}: {run.name}. {' '.join(run.leads)}"
         for letter, run in zip(letters, runs, strict=True)
     ]
     sections = []
-    for each in v.records(result, "sections"):
+    for section in result.sections:
         parts: dict[str, p.Blocks] = {}
-        for found in v.records(each, "tables"):
-            parts.setdefault(v.text(found, "part"), []).append(_table(found, letters))
+        for table in section.tables:
+            parts.setdefault(table.part, []).append(_table(table, letters))
         order = list(parts.items())
-        title = v.text(each, "title")
-        count = _count(each)
-        sections.append(
-            p.section(title, count, order[:1], ((title, count),), order[1:])
-        )
-    blocks = (p.notes(legend), p.notes([v.sentence(r) for r in remarks], p.POOR))
+        count = _count(section)
+        brief = ((section.title, count),)
+        sections.append(p.section(section.title, count, order[:1], brief, order[1:]))
+    blocks = (
+        p.notes(legend),
+        p.notes([v.sentence(remark) for remark in result.remarks], p.POOR),
+    )
+    title = "Comparison of runs"
     return Page(
-        _title("Comparison of runs", result),
-        f"{len(runs)} runs of excitant {v.text(result, 'of')}, compared with A; ○ marks estimates "
+        f"{title}: {result.robot}" if result.robot else title,
+        f"{len(runs)} runs of excitant {result.of}, compared with A; ○ marks estimates "
         f"that lie apart. {sections[0].lead if len(sections) == 1 else ''}",
         tuple(block for block in blocks if block is not None),
         tuple(sections),
-        tuple(("note", remark) for remark in remarks),
+        tuple(("note", remark) for remark in result.remarks),
     )
 
 
-def _count(each: Result) -> str:
-    rows = [
-        row for part in v.records(each, "tables") for row in v.records(part, "rows")
-    ]
-    differ = sum(len(set(v.words(row, "written"))) > 1 for row in rows)
-    apart = [
-        x
-        for row in rows
-        for x in v.at(row, "deviations") or ()
-        if v.real(x) is not None
-    ]
-    said = f"{differ} of {len(rows)} figures differ."
+def _count(section: ComparedSection) -> str:
+    rows = [row for table in section.tables for row in table.rows]
+    differ = sum(len(set(row.written)) > 1 for row in rows)
+    apart = [x for row in rows for x in row.deviations or () if x is not None]
+    sentence = f"{differ} of {len(rows)} figures differ."
     if apart:
         far = sum(x > _APART for x in apart)
-        said += (
+        sentence += (
             f" {far} of {len(apart)} estimates lie more than two standard deviations of their "
             f"difference apart; of independent data, about {0.0455 * len(apart):.0f} would."
         )
-    return said
+    return sentence
 
 
-def _table(found: Result, letters: Sequence[str]) -> p.Table | None:
-    rows = v.records(found, "rows")
+def _table(table: ComparedTable, letters: Sequence[str]) -> p.Table | None:
+    rows = table.rows
 
-    def value(row: Result, key: str, k: int) -> float | None:
-        return v.real(dict(enumerate(v.at(row, key) or ())).get(k))
+    def value(row: ComparedFigure, key: str, k: int) -> float | None:
+        values: list[float | None] | None = getattr(row, key)
+        return None if values is None else values[k]
 
     def column(key: str, k: int, letter: str) -> p.Column | None:
-        def cell(row: Result) -> Cell:
+        def cell(row: ComparedFigure) -> Cell:
             x = value(row, key, k)
             far = key == "deviations" and (x or 0.0) > _APART
-            share = key == "difference" and any(
-                w[-1:] == "%" for w in v.words(row, "written")
-            )
-            return Cell(
-                (v.percent if share else v.number)(x), p.POOR if far else p.PLAIN, x
-            )
+            share = key == "difference" and any(w[-1:] == "%" for w in row.written)
+            text = (v.percent if share else v.number)(x)
+            return Cell(text, p.POOR if far else p.PLAIN, x)
 
         known = any(value(row, key, k) is not None for row in rows)
         return (f"number:{_HEADINGS[key].format(letter)}", cell) if known else None
 
-    def written(k: int) -> Callable[[Result], Cell]:
-        def cell(row: Result) -> Cell:
+    def written(k: int) -> Callable[[ComparedFigure], Cell]:
+        def cell(row: ComparedFigure) -> Cell:
             far = k > 0 and (value(row, "deviations", k - 1) or 0.0) > _APART
-            words = dict(enumerate(v.words(row, "written"))).get(k, NONE)
-            return Cell(words, p.POOR if far else p.PLAIN)
+            return Cell(row.written[k], p.POOR if far else p.PLAIN)
 
         return cell
 
     def kind(k: int) -> str:
-        known = any(value(row, "values", k) is not None for row in rows)
+        known = any(row.values[k] is not None for row in rows)
         return "number" if known else "text"
 
     pairs = list(enumerate(letters[1:])) if len(letters) <= _PAIRED else []
-    some = any(v.text(row, "figure") for row in rows)
+    some = any(row.figure for row in rows)
     return p.table(
         rows,
         [
-            (f"name:{v.text(found, 'of')}", lambda row: v.text(row, "name")),
-            ("name:Quantity", lambda row: v.text(row, "figure")) if some else None,
+            (f"name:{table.of}", "name"),
+            ("name:Quantity", "figure") if some else None,
             *((f"{kind(k)}:{letter}", written(k)) for k, letter in enumerate(letters)),
             *(column(key, k, x) for k, x in pairs for key in _HEADINGS),
         ],

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Mapping
 from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -14,7 +14,8 @@ from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.figure import Key
 from excitant.reports.page import Moment, Player
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import Motion
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
 
 FULL = 1 + 1e-9  # share of a limit that holds, up to rounding
@@ -27,19 +28,18 @@ _CAPTION = (
 )
 
 
-def player(result: Result, series: Series) -> Player | None:
+def player(result: Motion, series: Series) -> Player | None:
     """The motion to play; None of results that have none."""
-    names = v.joint_names(result)
-    look = v.at(result, "appearance")
+    names = result.joints
+    look = result.appearance
     frames = _frames(series, len(names))
-    joints = v.records(look, "joints")
-    if frames is None or len(joints) != len(names):
+    if frames is None:
         return None
-    units = ["m" if v.at(row, "slides") is True else "rad" for row in joints]
+    units = ["m" if joint.slides else "rad" for joint in look.joints]
     shapes = [
-        {**row, **_mesh(series, k)} for k, row in enumerate(v.records(look, "shapes"))
+        msgspec.to_builtins(shape) | _mesh(series, k)
+        for k, shape in enumerate(look.shapes)
     ]
-    obstacles = v.records(result, "obstacles")
     legend = [
         Key("box", fig.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
         Key("box", fig.GIVEN, "limit exceeded"),
@@ -47,15 +47,15 @@ def player(result: Result, series: Series) -> Player | None:
         * ("distance" in frames),
         Key("line", fig.FITTED, "path of the tool"),
         *[Key("box", fig.PURPLE, "obstacle, workspace")]
-        * any(v.text(each, "name") != "floor" for each in obstacles),
+        * any(obstacle.name != "floor" for obstacle in result.obstacles),
     ]
     return Player(
         data={
-            "joints": joints,
-            "tool": v.at(look, "tool"),
+            "joints": msgspec.to_builtins(look.joints),
+            "tool": msgspec.to_builtins(look.tool),
             "shapes": shapes,
-            "bodies": v.at(result, "bodies"),
-            "obstacles": obstacles,
+            "bodies": result.bodies,
+            "obstacles": msgspec.to_builtins(result.obstacles),
             "frames": {name: _packed(values) for name, values in frames.items()},
             "touched": TOUCHED / _SHARE,
             "share": _SHARE,
@@ -63,31 +63,30 @@ def player(result: Result, series: Series) -> Player | None:
         joints=tuple(zip(names, units, strict=True)),
         quantities=_QUANTITIES,
         moments=tuple(moments(result)),
-        caption=" ".join([_CAPTION, *map(v.sentence, v.words(look, "notes"))]),
+        caption=" ".join([_CAPTION, *map(v.sentence, look.notes)]),
         legend=tuple(legend),
     )
 
 
-def moments(result: Result) -> list[Moment]:
+def moments(result: Motion) -> list[Moment]:
     """The instants at which limits are touched, and that of the least distance, in their order."""
-    found = []
-    certified = v.at(result, "certified")
-    for quantity, rows in certified.items() if isinstance(certified, Mapping) else ():
-        for joint, row in zip(v.joint_names(result), rows or (), strict=False):
-            ratio = v.real(row, "ratio")
-            t = v.real(row, "t")
-            if ratio is not None and t is not None and ratio >= TOUCHED:
-                words = f"{joint}: {v.percent(ratio, 4)} of its {quantity} limit"
-                found.append(Moment(t, words, p.FAIR if ratio <= FULL else p.POOR))
-    t, distance = (v.real(result, "closest", key) for key in ("t", "distance_m"))
-    if t is not None and distance is not None:
-        bodies = " and ".join(v.words(result, "closest", "bodies"))
-        size = v.quantity(1e3 * abs(distance), "mm")
+    instants = []
+    for quantity, rows in (result.certified or {}).items():
+        for joint, row in zip(result.joints, rows, strict=True):
+            if row is not None and row.ratio >= TOUCHED:
+                words = f"{joint}: {v.percent(row.ratio, 4)} of its {quantity} limit"
+                tone = p.FAIR if row.ratio <= FULL else p.POOR
+                instants.append(Moment(row.t, words, tone))
+    if (closest := result.closest) is not None:
+        bodies = " and ".join(closest.bodies)
+        size = v.quantity(1e3 * abs(closest.distance_m), "mm")
         words = f"{bodies} are nearest, {size} apart"
-        if distance < 0:
+        tone = p.PLAIN
+        if closest.distance_m < 0:
             words = f"{bodies} overlap by {size}"
-        found.append(Moment(t, words, p.PLAIN if distance >= 0 else p.POOR))
-    return sorted(found, key=lambda moment: moment.t)
+            tone = p.POOR
+        instants.append(Moment(closest.t, words, tone))
+    return sorted(instants, key=lambda moment: moment.t)
 
 
 def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:

@@ -10,22 +10,23 @@ or ``ax`` is one axes for several drawings.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.reports import values as v
 from excitant.reports.figure import Figure
 from excitant.reports.figures.estimate import forest_figure, friction_figure
-from excitant.reports.figures.motion import motion_figure
+from excitant.reports.figures.motion import Limits, motion_figure
 from excitant.reports.figures.residual import residual_figure
 from excitant.reports.figures.torque import torque_figure
 from excitant.reports.pyplot import draw, draw_onto
 from excitant.reports.run import Reportable, as_saved
 from excitant.reports.sections.identify import CURVES
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import Certified, Identify, Parameter
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -47,9 +48,9 @@ _SAMPLES = 1000  # of a period
 def torque(estimate: Estimate, joints: Names = None) -> list[Axes]:
     """Measured and predicted torque over the hold-out, below it the residual: two axes a joint."""
     result, series = _of_joints(estimate, joints)
-    names = v.joint_names(result)
-    unit = v.text(result, "unit")
-    return _drawn(torque_figure(names, series, unit, CURVES))
+    record = msgspec.convert(result, Identify)
+    names = [row.name for row in record.joints]
+    return _drawn(torque_figure(names, series, record.unit, CURVES))
 
 
 def friction(
@@ -57,13 +58,13 @@ def friction(
 ) -> list[Axes]:
     """Friction over velocity with its 95 % interval, and the readings of the hold-out."""
     result, series = _of_joints(estimate, joints)
-    return _drawn(friction_figure(result, series), ax)
+    return _drawn(friction_figure(msgspec.convert(result, Identify).joints, series), ax)
 
 
 def residuals(estimate: Estimate, joints: Names = None) -> list[Axes]:
     """Residual over position, velocity and load, and its spectrum: four axes a joint."""
     result, series = _of_joints(estimate, joints)
-    return _drawn(residual_figure(result, series, v.text(result, "unit")))
+    return _drawn(residual_figure(msgspec.convert(result, Identify), series))
 
 
 def parameters(
@@ -82,7 +83,7 @@ def parameters(
         for row, names in zip(rows, aliases, strict=True)
         if not wanted or names & wanted
     ]
-    return _drawn(forest_figure({"parameters": chosen}), ax)
+    return _drawn(forest_figure(msgspec.convert(chosen, list[Parameter])), ax)
 
 
 def motion(
@@ -108,17 +109,24 @@ def motion(
             entries |= check(robot, motion).entries(robot.limits)
         curves = {name: getattr(samples, name) for name in ("t", "q", "dq", "ddq")}
         result, series = _chosen(entries, curves, joints)
-    return _drawn(motion_figure(v.joint_names(result), result, series))
+    limits = Limits(
+        result.get("limit_values"),
+        msgspec.convert(
+            result.get("certified"), dict[str, list[Certified | None]] | None
+        ),
+        result.get("revolute", ()),
+    )
+    return _drawn(motion_figure(result["joints"], limits, series))
 
 
 def _of_joints(noun: Reportable, joints: Names) -> _Drawn:
     return _chosen(noun.result(), noun.series(), joints)
 
 
-def _chosen(result: Result, series: Series, joints: Names) -> _Drawn:
+def _chosen(result: Mapping[str, Any], series: Series, joints: Names) -> _Drawn:
     """Result and series of some joints, in the order in which they are named."""
     result = as_saved(result, {})[0]
-    names = v.joint_names(result)
+    names = [row["name"] if isinstance(row, dict) else row for row in result["joints"]]
     wanted = (
         names
         if joints is None

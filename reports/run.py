@@ -13,6 +13,7 @@ from os.path import isdir, isfile
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, runtime_checkable
 
+import msgspec
 import numpy as np
 
 from excitant.exceptions import BadInput
@@ -23,6 +24,7 @@ from excitant.identify.reading.arrays import read_arrays
 from excitant.reports.page import Page
 from excitant.reports.pages import page_of
 from excitant.reports.render import html, summary
+from excitant.results import Result, plain_of, record_of
 from excitant.robots.motion import Array
 from excitant.robots.schema import finite, parsed_json
 
@@ -39,7 +41,7 @@ _HEIGHT = 640  # pixels of a report's frame in a notebook
 
 def save_run(
     directory: str | Path,
-    result: Mapping[str, Any],
+    result: Mapping[str, Any] | Result,
     series: Mapping[str, Array],
     files: Mapping[str, str | bytes] | None = None,
 ) -> tuple[list[Path], Page]:
@@ -49,7 +51,8 @@ def save_run(
 
     Args:
         directory: Made when missing; on failure it is as it was.
-        result: JSON-like; NumPy numbers and arrays are converted, NaN and infinity become null.
+        result: A record, or JSON-like: NumPy numbers and arrays are converted, NaN and infinity
+            become null.
         series: Numeric arrays by key.
         files: Further artefacts, content by name relative to the directory.
 
@@ -63,18 +66,20 @@ def save_run(
     contents = dict(files or {})
     for name in contents:
         _refuse_name(name)
-    encoded = _dump(result)
+    encoded = _dump(result if isinstance(result, Mapping) else plain_of(result))
     packed = _pack(series)
     read = json.loads(encoded)
     arrays = _unpack(packed)
     contents[SERIES] = packed
-    old = (_beside(directory, parts, contents) for parts in _parts(read))
+    paths = map(_parts, read.get("files", []))
+    old = (_beside(directory, parts, contents) for parts in paths)
     beside = dict.fromkeys([*filter(None, old), *contents, SUMMARY, RESULT])
     page = page_of(read | {"files": list(beside)}, arrays)
     contents[SUMMARY] = summary(page)
     contents[REPORT] = html(page)
     contents[RESULT] = encoded
-    return write_folder(directory, contents, _files_of(directory) - _names(read)), page
+    gone = _files_of(directory) - _names(read.get("files", []))
+    return write_folder(directory, contents, gone), page
 
 
 def _beside(
@@ -90,23 +95,19 @@ def _beside(
 def _files_of(directory: Path) -> set[str]:
     """Names of the artefacts of the run in a directory; none where there is no run."""
     try:
-        return _names(_result(directory))
+        return _names(_result(directory).files)
     except BadInput:
         return set()
 
 
-def _names(result: Mapping[str, Any]) -> set[str]:
+def _names(files: list[str]) -> set[str]:
     """Names of artefacts relative to the directory, from their paths, however it is called."""
-    return {"/".join(each[k:]) for each in _parts(result) for k in range(len(each))}
+    parts = map(_parts, files)
+    return {"/".join(names[k:]) for names in parts for k in range(len(names))}
 
 
-def _parts(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    files = result.get("files")
-    return (
-        [PurePosixPath(str(file)).parts for file in files]
-        if isinstance(files, list)
-        else []
-    )
+def _parts(file: str) -> tuple[str, ...]:
+    return PurePosixPath(file).parts
 
 
 def as_saved(
@@ -116,7 +117,7 @@ def as_saved(
     return json.loads(_dump(result)), _unpack(_pack(series))
 
 
-def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
+def load_run(directory: str | Path) -> tuple[Result, dict[str, Array]]:
     """Result and series of a run directory; BadInput when a file is missing or corrupt."""
     directory = Path(directory)
     if not isdir(directory):
@@ -134,18 +135,14 @@ def load_run(directory: str | Path) -> tuple[dict[str, Any], dict[str, Array]]:
     return result, series
 
 
-def _result(directory: Path) -> dict[str, Any]:
+def _result(directory: Path) -> Result:
+    path = directory / RESULT
     try:
-        result = parsed_json(_content(directory / RESULT), finite)
+        return record_of(parsed_json(_content(path), finite))
+    except msgspec.ValidationError as error:
+        raise BadInput(f"{path}: not a result of excitant: {error}") from None
     except (ValueError, RecursionError) as error:
-        raise BadInput(
-            f"{directory / RESULT}: not JSON ({error}); run the command again"
-        ) from None
-    if not isinstance(result, dict) or not isinstance(result.get("verb"), str):
-        raise BadInput(
-            f"{directory / RESULT}: not a result of excitant: 'verb' is missing"
-        )
-    return result
+        raise BadInput(f"{path}: not JSON ({error}); run the command again") from None
 
 
 def _content(path: Path) -> bytes:

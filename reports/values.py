@@ -1,10 +1,10 @@
-"""Values of saved results: how they are read, any of them absent or null, and how written."""
+"""How numbers, units, names and sentences are written, and series of a run picked."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ import numpy as np
 from excitant.robots.effects import plain as plain
 from excitant.robots.motion import Array
 
-Result = Mapping[str, Any]
 Series = Mapping[str, Array]
 
 NONE = "–"
@@ -20,76 +19,22 @@ _BEYOND = 1e200  # no quantity is as large: what is made of it would overflow
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def at(value: Any, *keys: str) -> Any:
-    """The value under nested keys, or None as soon as one is missing."""
-    for key in keys:
-        if not isinstance(value, Mapping):
-            return None
-        value = value.get(key)
-    return value
-
-
-def items(value: Any, *keys: str) -> list[Any]:
-    """The list under nested keys, without its nulls; empty when there is none."""
-    found = at(value, *keys)
-    return (
-        [item for item in found if item is not None]
-        if isinstance(found, list | tuple)
-        else []
-    )
-
-
-def records(value: Any, *keys: str) -> list[Result]:
-    """The objects of the list under nested keys."""
-    return [item for item in items(value, *keys) if isinstance(item, Mapping)]
-
-
-def words(value: Any, *keys: str) -> list[str]:
-    """The list under nested keys as texts; one text alone counts as a list of one."""
-    found = at(value, *keys)
-    return (
-        [found]
-        if isinstance(found, str)
-        else [str(item) for item in items(value, *keys)]
-    )
-
-
-def text(value: Any, *keys: str) -> str:
-    """The value under nested keys as text, empty when there is none."""
-    found = at(value, *keys)
-    return "" if found is None else str(found)
-
-
-def real(value: Any, *keys: str) -> float | None:
-    """The finite number under nested keys, or None; what is beyond all quantities is no number."""
-    found = at(value, *keys)
-    if isinstance(found, bool) or not isinstance(found, int | float | np.number):
+def real(value: object) -> float | None:
+    """A finite number, or None; what is beyond all quantities is no number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return None
-    return float(found) if -_BEYOND < found < _BEYOND else None
+    return float(value) if -_BEYOND < value < _BEYOND else None
 
 
-def reals(value: Any, *keys: str) -> Array:
-    """The list of numbers under nested keys; nulls become NaN."""
-    found = at(value, *keys)
-    if not isinstance(found, list | tuple):
-        return np.empty(0)
-    return np.array(
-        [math.nan if (x := real(item)) is None else x for item in found], dtype=float
-    )
+def reals(values: Sequence[float | None]) -> Array:
+    """Numbers as an array; nulls become NaN."""
+    return np.array(values, dtype=float)
 
 
-def median(rows: Sequence[Result], *keys: str) -> float | None:
-    """Median of a number over records, e.g. of an error over joints; None when none has it."""
-    found = [x for row in rows if (x := real(row, *keys)) is not None]
-    return float(np.median(found)) if found else None
-
-
-def joint_names(result: Result) -> list[str]:
-    """Names of ``joints``, which may be records."""
-    return [
-        text(x, "name") if isinstance(x, Mapping) else str(x)
-        for x in items(result, "joints")
-    ]
+def median(values: Iterable[float | None]) -> float | None:
+    """Median of the numbers that are known, e.g. of an error over joints; None without any."""
+    known = [x for x in values if x is not None]
+    return float(np.median(known)) if known else None
 
 
 def array(series: Series, key: str, *shape: int | None) -> Array | None:

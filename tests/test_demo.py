@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,6 @@ import pytest
 
 from excitant.cli import main
 from excitant.demo import run_demo, truth_of
-from excitant.reports import load_run
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import HiddenEffect
 
@@ -20,7 +20,7 @@ SEED = 2
 def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("demo") / "out"
     assert main(["demo", "--robot", "planar_2r", "--seed", str(SEED), "-o", str(folder)]) == 0
-    return {"folder": folder, **load_run(folder)[0]}
+    return {"folder": folder, **json.loads((folder / "result.json").read_text())}
 
 
 def test_the_hidden_effect_is_named_on_its_joint(result: dict[str, Any]) -> None:

@@ -55,13 +55,13 @@ def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(
     assert any(line.startswith("joint2 ") and line.endswith("Coulomb friction") for line in lines)
     assert lines[-3:] == ["out/extended.urdf", "out/extended.yaml", "out/report.html"]
     result, _ = load_run(here / "out")
-    verdict = result["verdict"]
-    assert (verdict["effect"], verdict["joints"]) == ("coulomb_friction", ["joint2"])
-    assert (verdict["use"], verdict["refused"], verdict["next"]) == ("extended", [], "")
-    [friction] = result["diagnose"]["findings"][0]["parameters"]
-    assert friction["value"] - friction["given"] == pytest.approx(1.0, rel=0.1)
-    assert {Path(f).name for f in result["files"]} >= {"identified.urdf", "model.yaml"}
-    assert all(Path(f).is_file() for f in result["files"])
+    verdict = result.verdict
+    assert (verdict.effect, verdict.joints) == ("coulomb_friction", ["joint2"])
+    assert (verdict.use, verdict.refused, verdict.next) == ("extended", [], "")
+    [friction] = result.diagnose.findings[0].parameters
+    assert friction.value - friction.given == pytest.approx(1.0, rel=0.1)
+    assert {Path(f).name for f in result.files} >= {"identified.urdf", "model.yaml"}
+    assert all(Path(f).is_file() for f in result.files)
     page = (here / "out" / "report.html").read_text(encoding="utf-8")
     assert all(f">{title}</h2>" in page for title in SECTIONS)
     assert excitant("robots", here / "out" / verdict["files"][0]).status == 0
@@ -84,7 +84,7 @@ def test_a_model_that_is_right_is_kept(here: Path, excitant: Callable[..., Any])
     ran = excitant("go planar_2r exact-one.csv --validate exact-two.csv -o out")
     assert ran.status == 0
     assert "Keep the given model: no other is better." in ran.out
-    assert load_run(here / "out")[0]["verdict"]["use"] == "given"
+    assert load_run(here / "out")[0].verdict.use == "given"
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_wrong_data_are_refused_first_until_they_are_repaired(
     assert not [*(here / "out").glob("*.urdf")]
     ran = excitant(f"{words} --repair")
     assert (ran.status, "(repaired)" in ran.out) == (0, True)
-    assert load_run(here / "out")[0]["verdict"]["effect"] == "coulomb_friction"
+    assert load_run(here / "out")[0].verdict.effect == "coulomb_friction"
 
 
 def test_a_hold_out_that_nothing_predicts_is_no_ground_for_a_model(
@@ -117,7 +117,7 @@ def test_a_hold_out_that_nothing_predicts_is_no_ground_for_a_model(
     assert ran.status == 1
     assert ran.out.startswith("use no model of these recordings: the ")
     assert "Use none of them." in ran.out
-    assert load_run(here / "out")[0]["verdict"]["use"] is None
+    assert load_run(here / "out")[0].verdict.use is None
 
 
 def test_a_folder_stands_for_its_robot_and_recordings(

@@ -10,7 +10,7 @@ from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import Bar, Bars, Key
 from excitant.reports.figures.torque import GIVEN_MODEL
-from excitant.reports.values import Result
+from excitant.results import Accuracy, Diagnose
 
 _SHARE = "rms of residual, share of the measured torque's std"
 _STEPS = 12  # of the waterfall that are drawn one by one
@@ -18,8 +18,8 @@ _TALLEST = 4.0  # times the median error, or 1.5: bars beyond are cut
 
 
 def error_bars(
-    records: Sequence[Result],
-    models: Sequence[str],
+    joints: Sequence[str],
+    models: Sequence[Sequence[Accuracy]],
     unit: str,
     identified: str,
     what: str,
@@ -27,15 +27,14 @@ def error_bars(
     """Errors per joint as bars as long as nrmse, or else rms, which stands beside.
 
     Args:
-        records: Errors of a joint each, by model.
-        models: Keys of the given model and of the ``identified`` one, which is named so.
+        joints: Names of the joints.
+        models: Errors by joint of the given model and of the ``identified`` one, named so.
         unit: Of the errors.
         identified: Name of the second model.
         what: The words that begin the caption.
     """
     errors = [
-        [(v.real(row, m, "rms"), v.real(row, m, "nrmse")) for m in models]
-        for row in records
+        [(row.rms, row.nrmse) for row in rows] for rows in zip(*models, strict=True)
     ]
     count = 1 + any(rms is not None for pairs in errors for rms, _ in pairs[1:])
     looks = ((GIVEN_MODEL, fig.GIVEN), (identified, fig.FITTED))[:count]
@@ -47,10 +46,9 @@ def error_bars(
     top = max(lengths)
     if shares:  # one useless model must not make all other bars invisible
         top = min(top, max(1.5, _TALLEST * float(np.median(lengths))))
-    names = [v.text(row, "name") for row in records]
     rows = []
     remarks = []
-    for joint, pairs in zip(names, errors, strict=True):
+    for joint, pairs in zip(joints, errors, strict=True):
         bars = []
         for pair, (label, colour) in zip(pairs, looks, strict=False):
             length = pair[shares]
@@ -74,12 +72,12 @@ def error_bars(
     )
 
 
-def waterfall_figure(result: Result) -> Bars | None:
+def waterfall_figure(result: Diagnose) -> Bars | None:
     """Hold-out error, relative to the given model, after each effect; small ones as one."""
     steps = []
-    for row in v.records(result, "waterfall"):
-        effect, where, joints = v.text(row, "label").partition(" at ")
-        if (rms := v.real(row, "rms")) is not None:
+    for row in result.waterfall:
+        effect, where, joints = row.label.partition(" at ")
+        if (rms := row.rms) is not None:
             steps.append((v.plain(effect) + where + joints, rms))
     small = len(steps) - _STEPS
     if small > 1:

@@ -20,7 +20,8 @@ from excitant.reports.figure import (
     Points,
 )
 from excitant.reports.figures.residual import MEDIANS, cloud
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import IdentifiedJoint, Parameter
 from excitant.robots.effects import EFFECTS
 from excitant.robots.parameters import STANDARD
 
@@ -30,11 +31,9 @@ _ROW = 17  # px of a parameter in the forest
 _LONG = 20  # letters of a name there
 
 
-def friction_figure(result: Result, series: Series) -> Figure | None:
+def friction_figure(joints: Sequence[IdentifiedJoint], series: Series) -> Figure | None:
     """Friction of every joint over its velocity, with the readings of the hold-out."""
-    panels = [
-        _friction(k, row, series) for k, row in enumerate(v.records(result, "joints"))
-    ]
+    panels = [_friction(k, row, series) for k, row in enumerate(joints)]
     caption = (
         "Friction as identified, and what the rest of the model leaves of the measured torque on "
         "the hold-out: where medians bend away from the curve, friction has another law."
@@ -48,9 +47,9 @@ def friction_figure(result: Result, series: Series) -> Figure | None:
     return fig.figure(panels, caption, legend)
 
 
-def _friction(k: int, row: Result, series: Series) -> Panel | None:
+def _friction(k: int, row: IdentifiedJoint, series: Series) -> Panel | None:
     """Points are what the rest of the model leaves of the torque; None where none was estimated."""
-    law = v.at(row, "friction")
+    law = row.friction
     keys = ("velocity", "torque", "half_width")
     speed, torque, half = v.curves(series, k, *(f"friction_{key}" for key in keys))
     if law is None or speed is None or torque is None or half is None:
@@ -58,7 +57,7 @@ def _friction(k: int, row: Result, series: Series) -> Panel | None:
     marks: list[Mark] = []
     at, measured, model = v.curves(series, k, "velocity", "measured", "identified")
     if at is not None and measured is not None and model is not None:
-        scale = v.real(law, "per_reading") or 1.0
+        scale = law.per_reading or 1.0
         seen = np.isfinite(speed)
         friction = np.interp(at, speed[seen], torque[seen])
         marks += cloud(at, scale * (measured - model) + friction, "hold-out")
@@ -68,26 +67,33 @@ def _friction(k: int, row: Result, series: Series) -> Panel | None:
         width = half[side]
         marks.insert(0, Band(x, y - width, y + width))
         marks.append(Line(x, y, fig.FITTED, "identified friction", 1.8))
-    abscissa = Axis(f"velocity [{v.text(law, 'velocity_unit')}]")
-    ordinate = Axis(f"friction [{v.text(law, 'unit')}]")
-    joint = v.text(row, "name")
+    abscissa = Axis(f"velocity [{law.velocity_unit}]")
+    ordinate = Axis(f"friction [{law.unit}]")
+    joint = row.name
     label = (
         f"{joint}: friction over velocity, hold-out readings and the identified curve"
     )
     return Panel((Axes(tuple(marks), abscissa, ordinate, 210),), label, joint)
 
 
-def forest_groups(result: Result) -> dict[str, list[Result]]:
-    """Records of identified parameters of one kind and unit each, under its name."""
-    groups: dict[str, list[Result]] = {}
-    for row in v.records(result, "parameters"):
-        owner, _, symbol = v.text(row, "name").rpartition(".")
-        if v.real(row, "value") is not None:
-            name = f"{_kind(symbol)} [{v.text(row, 'unit')}]"
-            groups.setdefault(name, []).append(
-                {**row, "owner": owner, "symbol": symbol}
-            )
+def forest_groups(parameters: Sequence[Parameter]) -> dict[str, list[Parameter]]:
+    """Identified parameters of one kind and unit each, under its name."""
+    groups: dict[str, list[Parameter]] = {}
+    for row in parameters:
+        if row.value is not None:
+            name = f"{_kind(symbol_of(row))} [{row.unit}]"
+            groups.setdefault(name, []).append(row)
     return groups
+
+
+def owner_of(row: Parameter) -> str:
+    """Link or joint in the name of a parameter."""
+    return row.name.rpartition(".")[0]
+
+
+def symbol_of(row: Parameter) -> str:
+    """Symbol in the name of a parameter."""
+    return row.name.rpartition(".")[2]
 
 
 def _kind(symbol: str) -> str:
@@ -99,9 +105,9 @@ def _kind(symbol: str) -> str:
     return next(kinds, symbol)
 
 
-def forest_figure(result: Result) -> Figure | None:
+def forest_figure(parameters: Sequence[Parameter]) -> Figure | None:
     """Every identified parameter with its interval beside the given value, by kind."""
-    panels = [_forest(name, rows) for name, rows in forest_groups(result).items()]
+    panels = [_forest(name, rows) for name, rows in forest_groups(parameters).items()]
     caption = (
         "Identified parameters with their 95\u00a0% intervals beside the given values; a "
         "value that the prior decides says nothing that was not given."
@@ -114,24 +120,23 @@ def forest_figure(result: Result) -> Figure | None:
     return fig.figure(panels, caption, legend)
 
 
-def _forest(name: str, rows: Sequence[Result]) -> Panel:
+def _forest(name: str, rows: Sequence[Parameter]) -> Panel:
     """Given and identified values of parameters in one unit, a row each from above."""
-    symbols = [v.text(row, "symbol") for row in rows]
+    symbols = [symbol_of(row) for row in rows]
     several = len(set(symbols)) > 1
     names = []
     for row, symbol in zip(rows, symbols, strict=True):
-        owner = v.shorten(v.text(row, "owner"), _LONG - 4 * several)
+        owner = v.shorten(owner_of(row), _LONG - 4 * several)
         names.append(f"{owner} {symbol}" if several else owner)
     y = -np.arange(len(rows), dtype=float)
-    value, std, given = (
-        np.array([v.real(row, key) for row in rows], float)
-        for key in ("value", "std", "given")
-    )
+    value = v.reals([row.value for row in rows])
+    std = v.reals([row.std for row in rows])
+    given = v.reals([row.given for row in rows])
     half = _DEVIATIONS * np.nan_to_num(std)
     apart = np.full(len(rows), np.nan)
     interval = np.column_stack([value - half, value + half, apart]).ravel()
     heights = np.column_stack([y, y, apart]).ravel()
-    prior = np.array([v.text(row, "decided_by") == "prior" for row in rows])
+    prior = np.array([row.decided_by == "prior" for row in rows])
     marks = (
         fig.Rule(0.0, along="x"),
         Line(interval, heights, fig.FITTED, "", 1.4),
@@ -141,7 +146,7 @@ def _forest(name: str, rows: Sequence[Result]) -> Panel:
     )
     ticks = tuple(zip(y.tolist(), names, strict=True))
     ordinate = Axis("", 0.4 - len(rows), 0.6, ticks=ticks)
-    abscissa = Axis(f"[{v.text(rows[0], 'unit')}]")
+    abscissa = Axis(f"[{rows[0].unit}]")
     axes = Axes(marks, abscissa, ordinate, _ROW * len(rows) + 60)
     label = f"{name}: {len(rows)} parameters, given and identified"
     return Panel((axes,), label, name)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from excitant.reports.figure import (
     Points,
     Timeline,
 )
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import Certified
 from excitant.robots.motion import Array
 
 
@@ -57,35 +59,37 @@ _SAMPLED = (
 )
 
 
-def envelope_of(
-    result: Result, name: str, joint: int
-) -> tuple[float, float, float, float] | None:
-    """Proven bounds of a joint's quantity: least, greatest, ratio to limit, when."""
-    rows = v.at(result, "certified", name)
-    row = rows[joint] if isinstance(rows, list) and joint < len(rows) else None
-    low, high, ratio, t = (v.real(row, key) for key in ("low", "high", "ratio", "t"))
-    if low is None or high is None or ratio is None or t is None:
-        return None
-    return low, high, ratio, t
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a motion's joints by quantity, what is certified of it, and which joints turn."""
+
+    values: Mapping[str, list[Any] | None] | None = None
+    certified: Mapping[str, Sequence[Certified | None]] | None = None
+    revolute: Sequence[bool] = ()
+
+    def of(self, name: str, joint: int) -> tuple[float, float] | None:
+        """Lower and upper limit of a joint's quantity, if it has both."""
+        values = (self.values or {}).get(name)
+        value = None if values is None else values[joint]
+        if value is None:
+            return None
+        low, high = value if isinstance(value, list) else (-value, value)
+        return None if low is None or high is None or low >= high else (low, high)
+
+    def envelope(self, name: str, joint: int) -> Certified | None:
+        """Proven bounds of a joint's quantity."""
+        rows = (self.certified or {}).get(name)
+        return rows[joint] if rows else None
 
 
-def _limit_of(result: Result, name: str, joint: int) -> tuple[float, float] | None:
-    values = v.at(result, "limit_values", name)
-    value = values[joint] if isinstance(values, list) and joint < len(values) else None
-    low, high = value if isinstance(value, list) and len(value) == 2 else (None, value)
-    upper = v.real(high)
-    lower = v.real(low) if isinstance(value, list) or upper is None else -upper
-    return None if lower is None or upper is None or lower >= upper else (lower, upper)
-
-
-def share_of_limit(ratio: object) -> str:
+def share_of_limit(ratio: float | None) -> str:
     """A share of a limit as a percentage, near the limit to a hundredth."""
-    near = abs((v.real(ratio) or 0.0) - 1) <= 5e-3
+    near = abs((ratio or 0.0) - 1) <= 5e-3
     return v.percent(ratio, 4 if near else 3)
 
 
 def motion_figure(
-    joints: Sequence[str], result: Result, series: Series
+    joints: Sequence[str], limits: Limits, series: Series
 ) -> Figure | None:
     """Position, velocity, acceleration, jerk and torque of each joint against their limits."""
     t = v.times(series)
@@ -94,17 +98,17 @@ def motion_figure(
     curves = [_curves_of(k, series, len(t)) for k in range(len(joints))]
     rows = [row for row in _QUANTITIES if any(row.name in joint for joint in curves)]
     panels = [
-        _panel(k, joint, rows, curves[k], t, result)
+        _panel(k, joint, rows, curves[k], t, limits)
         for k, joint in enumerate(joints)
         if curves[k]
     ]
     every = [(row.name, k) for row in rows for k in range(len(joints))]
-    if not any(_limit_of(result, name, k) for name, k in every):
+    if not any(limits.of(name, k) for name, k in every):
         caption = "The motion of every joint; the arm has no limits to compare it with."
         return fig.figure(panels, caption)
     legend = [Key("dash", fig.MEASURED, "limit")]
     caption = _SAMPLED
-    if v.at(result, "certified"):
+    if limits.certified:
         caption = _CERTIFIED
         legend.append(Key("box", fig.BAND, "certified envelope"))
         legend.append(Key("ring", fig.MEASURED, "where it is touched"))
@@ -122,11 +126,10 @@ def _panel(
     rows: Sequence[_Quantity],
     curves: dict[str, Array],
     t: Array,
-    result: Result,
+    limits: Limits,
 ) -> Panel:
     timeline = Timeline.of(t)
-    turns = v.items(result, "revolute")
-    slides = k < len(turns) and turns[k] is False
+    slides = bool(limits.revolute) and not limits.revolute[k]
     stack = []
     remarks = []
     for row in rows:
@@ -136,7 +139,7 @@ def _panel(
         if row.name in curves:
             y = curves[row.name]
             curve = Line(timeline.t, timeline.broken(y), row.colour, row.name)
-            context, remark = _context(timeline, t, y, row, result, k)
+            context, remark = _context(timeline, t, y, row, limits, k)
             marks = [*context, curve]
             remarks.append(f"{row.name} {remark}")
         last = row is rows[-1]
@@ -153,38 +156,41 @@ def _context(
     t: Array,
     y: Array,
     quantity: _Quantity,
-    result: Result,
+    limits: Limits,
     joint: int,
 ) -> tuple[list[Mark], str]:
     """Envelope and limits of a curve, and in words how near it comes to its limit."""
-    limits = _limit_of(result, quantity.name, joint)
-    envelope = envelope_of(result, quantity.name, joint)
+    ends = limits.of(quantity.name, joint)
+    envelope = limits.envelope(quantity.name, joint)
     lowest = float(np.nanmin(y))
     highest = float(np.nanmax(y))
     marks: list[Mark] = []
     ratio = None
     if envelope is not None:
-        low, high, ratio, when = envelope
+        low = envelope.low
+        high = envelope.high
+        ratio = envelope.ratio
         marks.append(fig.Span(low, high, quantity.colour))
         lowest = min(lowest, low)
         highest = max(highest, high)
-        near = int(np.abs(t - when).argmin())
+        near = int(np.abs(t - envelope.t).argmin())
         touched = low if abs(y[near] - low) < abs(y[near] - high) else high
-        at = np.array([when + timeline.t[0] - t[0]])
+        at = np.array([envelope.t + timeline.t[0] - t[0]])
         edge = np.array([touched])
         marks.append(Points(at, edge, quantity.colour, "envelope touched", 5.5, "ring"))
-    if limits is None:
+    if ends is None:
         return marks, "no limit" if ratio is None else _of_limit(ratio)
-    lower, upper = limits
+    lower, upper = ends
     centre = (lower + upper) / 2
     half = (upper - lower) / 2
     if ratio is None:
         ratio = float(np.nanmax(np.abs(y - centre))) / half
     if max(abs(lowest - centre), abs(highest - centre)) < _NEAR * half:
-        ends = f"{v.number(lower)} to {v.number(upper)}"
-        far = f" ±{v.number(upper)}" if lower == -upper else f" {ends}"
+        far = f" {v.number(lower)} to {v.number(upper)}"
+        if lower == -upper:
+            far = f" ±{v.number(upper)}"
         return marks, _of_limit(ratio) + far
-    marks += [fig.Rule(limit, fig.MEASURED, dashed=True) for limit in limits]
+    marks += [fig.Rule(limit, fig.MEASURED, dashed=True) for limit in ends]
     return marks, _of_limit(ratio)
 
 

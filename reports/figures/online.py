@@ -11,7 +11,8 @@ import numpy.typing as npt
 from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import Identify, Online, Payload
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD
 
@@ -25,19 +26,15 @@ _LEGEND = (
 _FEW = 4  # stretches of too little excitation that are written out
 
 
-def excitation_levels(result: Result) -> tuple[Array, Array]:
+def excitation_levels(online: Online) -> tuple[Array, Array]:
     """Times and excitation levels of the looks; NaN before a whole window."""
-    t, level = (
-        v.reals(result, "online", "history", key) for key in ("t", "excitation_level")
-    )
-    complete = len(t) == len(level) and bool(np.isfinite(t).all())
-    return (t, level) if complete else (np.empty(0), np.empty(0))
+    return v.reals(online.history.t), v.reals(online.history.excitation_level)
 
 
-def estimates_figure(result: Result, series: Series) -> Figure | None:
+def estimates_figure(result: Identify, series: Series) -> Figure | None:
     """Estimate and band over time of the parameters that the data determined most."""
     t = v.curve(series, "online_t")
-    rows = v.records(result, "base_parameters")
+    rows = result.base_parameters
     if t is None or len(t) < 2:
         return None
     value, std = (
@@ -45,11 +42,8 @@ def estimates_figure(result: Result, series: Series) -> Figure | None:
     )
     if value is None or std is None:
         return None
-    units = {
-        v.text(row, "name"): v.text(row, "unit")
-        for row in v.records(result, "parameters")
-    }
-    names = [_first_parameter(v.text(row, "expression"), units) for row in rows]
+    units = {row.name: row.unit for row in result.parameters}
+    names = [_first_parameter(row.expression, units) for row in rows]
     panels = [
         _estimate_panel(t, value[:, k], std[:, k], names[k], units.get(names[k], ""))
         for k in _most_informed(value, std, names)
@@ -67,20 +61,19 @@ def _first_parameter(expression: str, names: dict[str, str]) -> str:
     return next((part for part in parts if part in names), expression)
 
 
-def payload_figure(payload: Result | None) -> Figure | None:
+def payload_figure(payload: Payload) -> Figure | None:
     """Mass and centre of mass of a payload over time, each with its band."""
-    history = v.at(payload, "history")
-    t, mass, std = (v.reals(history, key) for key in ("t", "mass", "mass_std"))
-    if len(t) < 2 or not len(t) == len(mass) == len(std):
+    history = payload.history
+    if history is None or len(history.t) < 2:
         return None
-    panels = [_estimate_panel(t, mass, std, "mass", "kg")]
-    centre, spread = (
-        np.array(v.items(history, key)) for key in ("centre", "centre_std")
-    )
-    if centre.shape == spread.shape == (len(t), 3):
-        for k, axis in enumerate("xyz"):
-            name = f"centre of mass, {axis}"
-            panels.append(_estimate_panel(t, centre[:, k], spread[:, k], name, "m"))
+    t = v.reals(history.t)
+    mass = v.reals(history.mass)
+    panels = [_estimate_panel(t, mass, v.reals(history.mass_std), "mass", "kg")]
+    centre = np.array(history.centre, float)
+    std = np.array(history.centre_std, float)
+    for k, axis in enumerate("xyz"):
+        name = f"centre of mass, {axis}"
+        panels.append(_estimate_panel(t, centre[:, k], std[:, k], name, "m"))
     caption = "The payload as it was known at each instant; the band holds it 95 times out of 100."
     return fig.figure(panels, caption, _LEGEND)
 
@@ -115,9 +108,9 @@ def _estimate_panel(t: Array, value: Array, std: Array, name: str, unit: str) ->
     return Panel((axes,), label, v.shorten(name, 44))
 
 
-def excitation_figure(result: Result) -> Figure | None:
+def excitation_figure(online: Online) -> Figure | None:
     """Excitation of the last seconds at each look, and where it was too little."""
-    t, level = excitation_levels(result)
+    t, level = excitation_levels(online)
     seen = np.isfinite(level) & (level > 0)
     if seen.sum() < 2:
         return None

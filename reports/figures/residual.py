@@ -12,7 +12,8 @@ from excitant.identify.signals import power_density
 from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import Finding, IdentifiedJoint, Identify
 from excitant.robots.motion import Array
 
 _CLOUD = 1000  # points drawn of a cloud
@@ -67,7 +68,7 @@ def _medians(
 
 
 def evidence_figure(
-    index: int, finding: Result, series: Series, unit: str
+    index: int, finding: Finding, series: Series, unit: str
 ) -> Figure | None:
     """Residual before an effect was added, over the quantity that shows it, and the fit."""
     x, residual, fit, rival = (
@@ -84,11 +85,12 @@ def evidence_figure(
         y[order] if y is not None and len(y) == len(x) else None for y in (fit, rival)
     )
     x = x[order]
-    effect = v.plain(v.text(finding, "effect"))
-    quantity = v.text(finding, "figure", "x_label") or "quantity that shows it"
-    joints = v.listing(v.words(finding, "joints"), "all joints")
-    joint = v.text(finding, "figure", "joint") or joints
-    rivals = [v.plain(v.text(row, "effect")) for row in v.records(finding, "rivals")]
+    effect = v.plain(finding.effect)
+    figure = finding.figure
+    quantity = figure.x_label if figure else "quantity that shows it"
+    joints = v.listing(finding.joints, "all joints")
+    joint = (figure and figure.joint) or joints
+    rivals = [v.plain(row.effect) for row in finding.rivals]
     marks = cloud(x, residual[order], "residual before")
     legend = [Key("dot", fig.CLOUD, "residual before")]
     legend += [MEDIANS] * (len(marks) > 1)
@@ -110,7 +112,7 @@ def evidence_figure(
         legend.append(Key("dash", fig.PURPLE, words))
         if fit is not None:
             caption += f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
-    ordinate = Axis(v.text(finding, "figure", "y_label") or f"residual [{unit}]")
+    ordinate = Axis((figure and figure.y_label) or f"residual [{unit}]")
     axes = Axes(tuple(marks), Axis(quantity), ordinate, 210)
     label = f"{joint}: residual against {quantity}, with the fitted {effect}"
     return Figure((Panel((axes,), label, joint),), caption, tuple(legend))
@@ -125,12 +127,11 @@ def _curve(
     return Line(along, np.insert(height, gaps, np.nan), colour, name, width, dashed)
 
 
-def agreement_figure(result: Result, series: Series, unit: str) -> Figure | None:
+def agreement_figure(
+    joints: Sequence[IdentifiedJoint], series: Series, unit: str
+) -> Figure | None:
     """Measured torque over what each model predicts, per joint."""
-    panels = [
-        _agreement(k, row, series, unit)
-        for k, row in enumerate(v.records(result, "joints"))
-    ]
+    panels = [_agreement(k, row, series, unit) for k, row in enumerate(joints)]
     caption = (
         "Measured over predicted torque while the joint moves on the hold-out: a good model's "
         "points lie on the diagonal; a slope tells of a wrong gain or mass, a step of friction."
@@ -139,7 +140,7 @@ def agreement_figure(result: Result, series: Series, unit: str) -> Figure | None
     return fig.figure(panels, caption, [*keys, Key("dash", fig.MEASURED, "equal")])
 
 
-def _agreement(k: int, row: Result, series: Series, unit: str) -> Panel | None:
+def _agreement(k: int, row: IdentifiedJoint, series: Series, unit: str) -> Panel | None:
     keys = ("measured", "given", "identified", "velocity")
     measured, given, identified, dq = v.curves(series, k, *keys)
     if measured is None or identified is None:
@@ -156,18 +157,18 @@ def _agreement(k: int, row: Result, series: Series, unit: str) -> Panel | None:
     axes = Axes(
         tuple(marks), Axis(f"predicted [{unit}]"), Axis(f"measured [{unit}]"), 220
     )
-    share = v.at(row, "validate", "r2")
+    share = row.validate.r2
     remark = f", identified r² {v.number4(share)}" if share is not None else ""
-    joint = v.text(row, "name")
+    joint = row.name
     label = f"{joint}: measured over predicted torque{remark}"
     return Panel((axes,), label, f"{joint}{remark}")
 
 
-def residual_figure(result: Result, series: Series, unit: str) -> Figure | None:
+def residual_figure(result: Identify, series: Series) -> Figure | None:
     """Residual of the identified model over position, velocity, load and frequency, per joint."""
-    cutoff = v.real(result, "cutoff_hz")
-    rows = enumerate(v.records(result, "joints"))
-    panels = [_residual(k, row, series, unit, cutoff) for k, row in rows]
+    cutoff = result.cutoff_hz
+    rows = enumerate(result.joints)
+    panels = [_residual(k, row, series, result.unit, cutoff) for k, row in rows]
     caption = (
         "What the identified model leaves while the joint moves on the hold-out. Medians that bend "
         "away from zero over position tell of springs or ripple, over velocity of friction, over "
@@ -187,7 +188,7 @@ def residual_figure(result: Result, series: Series, unit: str) -> Figure | None:
 
 
 def _residual(
-    k: int, row: Result, series: Series, unit: str, cutoff: float | None
+    k: int, row: IdentifiedJoint, series: Series, unit: str, cutoff: float | None
 ) -> Panel | None:
     t = v.times(series)
     keys = ("measured", "given", "identified", "position", "velocity")
@@ -196,7 +197,7 @@ def _residual(
         return None
     if len(measured) != len(t):
         return None
-    speed = v.text(row, "friction", "velocity_unit")
+    speed = row.friction.velocity_unit if row.friction else ""
     abscissae = (
         ("position", q, speed.removesuffix("/s")),
         ("velocity", dq, speed),
@@ -215,7 +216,7 @@ def _residual(
             lines.append((residual, colour, name))
     rate = 1.0 / float(np.median(np.diff(fig.Timeline.of(t).t)))
     stack.append(_spectra(rate, lines, cutoff, unit))
-    joint = v.text(row, "name")
+    joint = row.name
     label = f"{joint}: residual over position, velocity and load, and its spectrum"
     return Panel(tuple(stack), label, joint, shared=False)
 

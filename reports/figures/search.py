@@ -7,7 +7,8 @@ import numpy as np
 from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import Design
 from excitant.robots.motion import Array
 
 _ENDS = (
@@ -62,16 +63,13 @@ def _positive(series: Series, key: str) -> Array:
     return np.empty(0) if values is None else np.sort(values[values > 0])[::-1]
 
 
-def convergence_figure(result: Result) -> Figure | None:
+def convergence_figure(result: Design) -> Figure | None:
     """Condition number over the iterations of each start; the best start stands out."""
-    starts = [(row, v.reals(row, "history")) for row in v.records(result, "starts")]
+    starts = [(row, v.reals(row.history)) for row in result.starts]
     starts = [(row, h) for row, h in starts if np.isfinite(h).any() and len(h) > 1]
     if not starts:
         return None
-    ends = [
-        v.real(row, "condition_number") or float(h[np.isfinite(h)][-1])
-        for row, h in starts
-    ]
+    ends = [row.condition_number or float(h[np.isfinite(h)][-1]) for row, h in starts]
     best = int(np.argmin(ends))
     marks: list[Mark] = []
     for k, (_, history) in sorted(enumerate(starts), key=lambda pair: pair[0] == best):
@@ -84,7 +82,7 @@ def convergence_figure(result: Result) -> Figure | None:
         marks.append(Points(iteration[last], history[last], colour, name, 3.0))
     legend = [Key("line", fig.FITTED, "best start")]
     legend += [Key("line", fig.LIGHT, "other starts")] * (len(starts) > 1)
-    bound = v.real(result, "condition_number", "lower_bound")
+    bound = result.condition_number.lower_bound
     if bound is not None and bound > 0:
         marks.append(fig.Rule(bound, fig.AMBER, dashed=True))
         legend.append(Key("dash", fig.AMBER, "proven lower bound"))
@@ -94,7 +92,7 @@ def convergence_figure(result: Result) -> Figure | None:
     axes = Axes(tuple(marks), Axis("iteration", 0.0, whole=True), ordinate, 180)
     caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
     caption += "value suggest that a much better motion does not exist."
-    states = [v.text(row, "status") for row, _ in starts]
+    states = [row.status for row, _ in starts]
     if cut := sum(status in ("time_limit", "time limit") for status in states):
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
     label = (

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,8 @@ from excitant.reports.figures.arm import (
     line,
     words,
 )
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import Box, HalfSpace, Motion, Obstacle, Sphere, Workspace
 from excitant.robots.motion import Array
 
 _FACES_OF_BLOCK = np.array(
@@ -47,7 +47,7 @@ class Solid:
     inside: bool = False
 
 
-def space_figure(result: Result, series: Series) -> Figure | None:
+def space_figure(result: Motion, series: Series) -> Figure | None:
     """The tool's path with poses of the arm, obliquely and from the sides not seen on edge."""
     tool = v.array(series, "tool", None, 3)
     arm = v.array(series, "arm", None, None, 3)
@@ -59,15 +59,15 @@ def space_figure(result: Result, series: Series) -> Figure | None:
     box = _box([*paths, arm.reshape(-1, 3), np.zeros((1, 3))])
     centre = box.mean(axis=0)
     reach = _MARGIN * float(np.linalg.norm(box[1] - box[0])) / 2
-    obstacles = v.records(result, "obstacles")
+    obstacles = result.obstacles
     # half-spaces have no end of their own: they are drawn beside all the rest
-    bounded = [o for o in obstacles if v.text(o, "shape") != "half_space"]
+    bounded = [o for o in obstacles if not isinstance(o, HalfSpace)]
     for drawn in (bounded, obstacles):
         within = [solid_of(obstacle, centre, reach, *box) for obstacle in drawn]
         solids = [solid for solid in within if solid is not None]
         box = _box([box, *(edge for solid in solids for edge in solid.edges)])
     nearest = _nearest_pose(result, series, len(arm))
-    names = [v.text(obstacle, "name") for obstacle in obstacles]
+    names = [obstacle.name for obstacle in obstacles]
     visible = [n for n, solid in zip(names, within, strict=True) if solid is not None]
     hidden = [n for n, solid in zip(names, within, strict=True) if solid is None]
     label = f"path of the tool with {len(arm)} poses of the arm"
@@ -99,13 +99,12 @@ def space_figure(result: Result, series: Series) -> Figure | None:
     return Figure(tuple(panels), _caption(result, paths, hidden), tuple(legend))
 
 
-def _nearest_pose(result: Result, series: Series, poses: int) -> int | None:
+def _nearest_pose(result: Motion, series: Series, poses: int) -> int | None:
     """The pose drawn at the instant of least clearance, if there is one."""
-    when = v.real(result, "closest", "t")
     t = v.array(series, "arm_t", poses)
-    if when is None or t is None:
+    if result.closest is None or t is None:
         return None
-    apart = np.abs(t - when)
+    apart = np.abs(t - result.closest.t)
     return int(apart.argmin()) if apart.min() < _NEAR else None
 
 
@@ -156,19 +155,18 @@ def _base(view: View, length: float) -> list[Mark]:
     return marks
 
 
-def _caption(result: Result, paths: Sequence[Array], hidden: list[str]) -> str:
+def _caption(result: Motion, paths: Sequence[Array], hidden: list[str]) -> str:
     span = " and ".join(
         " × ".join(f"{x:.2f}" for x in np.ptp(path, axis=0)) for path in paths
     )
     tools = "tool" if len(paths) == 1 else "tools"
     sentence = f"One period of the {tools} in the base frame, a space of {span}\u00a0m"
-    distance = v.real(result, "closest", "distance_m")
-    bodies = v.words(result, "closest", "bodies")
-    if distance is not None and len(bodies) == 2:
+    if result.closest is not None:
+        first, second = result.closest.bodies
         sentence += (
-            f"; the closest bodies are {bodies[0]} and {bodies[1]}, "
-            f"{v.quantity(1000 * distance, 'mm')} apart "
-            f"in the sampled pose at {v.quantity(v.at(result, 'closest', 't'), 's')}"
+            f"; the closest bodies are {first} and {second}, "
+            f"{v.quantity(1000 * result.closest.distance_m, 'mm')} apart "
+            f"in the sampled pose at {v.quantity(result.closest.t, 's')}"
         )
     outside = (
         f" Not in the picture, farther away: {v.listing(hidden)}." if hidden else ""
@@ -177,42 +175,37 @@ def _caption(result: Result, paths: Sequence[Array], hidden: list[str]) -> str:
 
 
 def solid_of(
-    obstacle: Result, centre: Array, reach: float, low: Array, high: Array
+    obstacle: Obstacle, centre: Array, reach: float, low: Array, high: Array
 ) -> Solid | None:
     """Drawn part of an obstacle within reach; a half-space ends beside low to high."""
     import pinocchio as pin
 
-    def vector(key: str, default: Any = None) -> Array | None:
-        values = v.reals(obstacle, key)
-        return values if values.shape == (3,) and np.isfinite(values).all() else default
-
-    position = vector("position")
-    radius = v.real(obstacle, "radius")
-    match v.text(obstacle, "shape"):
-        case "box" if (size := vector("size")) is not None and position is not None:
-            R = pin.rpy.rpyToMatrix(vector("rpy", np.zeros(3)))
+    match obstacle:
+        case Box():
+            R = pin.rpy.rpyToMatrix(np.array(obstacle.rpy))
+            position = np.array(obstacle.position)
+            half = np.array(obstacle.size) / 2
             middle = R.T @ (centre - position)
-            first = np.maximum(-size / 2, middle - reach)
-            last = np.minimum(size / 2, middle + reach)
+            first = np.maximum(-half, middle - reach)
+            last = np.minimum(half, middle + reach)
             return None if (first >= last).any() else _block(first, last, R, position)
-        case "workspace" if (first := vector("low")) is not None and (
-            last := vector("high")
-        ) is not None:
-            ends = np.maximum(first, centre - reach), np.minimum(last, centre + reach)
-            return Solid((), _block(*ends, np.eye(3), np.zeros(3)).edges, inside=True)
-        case "sphere" if radius is not None and position is not None:
-            if (
-                radius > reach
-                or float(np.linalg.norm(position - centre)) > reach + radius
-            ):
+        case Workspace():
+            first = np.maximum(obstacle.low, centre - reach)
+            last = np.minimum(obstacle.high, centre + reach)
+            cell = _block(first, last, np.eye(3), np.zeros(3))
+            return Solid((), cell.edges, inside=True)
+        case Sphere():
+            position = np.array(obstacle.position)
+            radius = obstacle.radius
+            distance = float(np.linalg.norm(position - centre))
+            if radius > reach or distance > reach + radius:
                 return None
             circles = tuple(
                 position + radius * np.roll(CIRCLE, k, axis=1) for k in range(3)
             )
             return Solid(circles, circles)
-        case "half_space" if (normal := vector("normal")) is not None and normal.any():
-            return _plane(normal, v.real(obstacle, "offset"), low, high, reach)
-    return None
+        case HalfSpace():
+            return _plane(np.array(obstacle.normal), obstacle.offset, low, high, reach)
 
 
 def _block(low: Array, high: Array, R: Array, origin: Array) -> Solid:
@@ -221,10 +214,8 @@ def _block(low: Array, high: Array, R: Array, origin: Array) -> Solid:
 
 
 def _plane(
-    normal: Array, offset: float | None, low: Array, high: Array, reach: float
+    normal: Array, offset: float, low: Array, high: Array, reach: float
 ) -> Solid | None:
-    if offset is None:
-        return None
     n = normal / np.linalg.norm(normal)
     d = offset / float(np.linalg.norm(normal))
     corners = np.array(list(product(*zip(low, high, strict=True))))

@@ -20,7 +20,8 @@ from excitant.reports.figure import (
     Panel,
     Timeline,
 )
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import Tracking
 
 INTERVAL = "95\u00a0% interval of a reading"
 _INTERVAL_CAPTION = (
@@ -116,18 +117,15 @@ def _torque_panel(
     return Panel((above, below), label, joint)
 
 
-def tracking_figure(
-    joints: Sequence[str], result: Result, series: Series
-) -> Figure | None:
+def tracking_figure(tracking: Tracking, series: Series) -> Figure | None:
     """Tracking error of each joint over time by model, before and after the arm changed."""
     t = series.get("tracking_t")
-    units = v.records(result, "tracking", "before")
-    if t is None or len(units) != len(joints):
+    if t is None:
         return None
     timeline = Timeline.of(np.asarray(t, float))
     panels = []
-    for k, joint in enumerate(joints):
-        unit = f"m{v.text(units[k], 'unit')}"
+    for k, row in enumerate(tracking.before):
+        unit = f"m{row.unit}"
         remarks = []
         stack = []
         for when, title, models in _FOLLOWED:
@@ -144,8 +142,8 @@ def tracking_figure(
             abscissa = timeline.axis("time [s]" if when == "after" else "")
             ordinate = Axis(f"error [{unit}]")
             stack.append(Axes(tuple(marks), abscissa, ordinate, 130, title))
-        label = f"{joint}: tracking error over time; {'; '.join(remarks)}"
-        panels.append(Panel(tuple(stack), label, joint))
+        label = f"{row.name}: tracking error over time; {'; '.join(remarks)}"
+        panels.append(Panel(tuple(stack), label, row.name))
     caption = (
         "Desired less true position while each model gives the torque, in one and the same loop: "
         "torque that a model gets wrong, the loop makes up for by an error of position."

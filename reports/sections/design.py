@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-
-import numpy as np
-
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.figures.motion import (
-    envelope_of,
+    Limits,
     motion_figure,
     share_of_limit,
 )
@@ -17,7 +13,20 @@ from excitant.reports.figures.search import convergence_figure, spectrum_figure
 from excitant.reports.figures.space import space_figure
 from excitant.reports.figures.torque import tracking_figure
 from excitant.reports.player import FULL, moments, player
-from excitant.reports.values import NONE, Result, Series
+from excitant.reports.values import NONE, Series
+from excitant.results import (
+    Check,
+    Design,
+    Determined,
+    HalfSpace,
+    Motion,
+    Pair,
+    Persistency,
+    Rehearse,
+    Requirement,
+    Show,
+    TrackingJoint,
+)
 
 _CRITERIA = {
     "condition": (
@@ -34,13 +43,14 @@ _COLUMNS = {
 }
 
 
-def design_section(result: Result, series: Series) -> p.Section:
+def design_section(result: Design, series: Series) -> p.Section:
     """The designed motion: how well it excites, within which limits, and how it was found."""
-    kappa, scaled = (v.change(*_ends(result, key)) for key in ("", "_scaled"))
+    kappa = _change(result.condition_number)
+    scaled = _change(result.condition_number_scaled)
     worst = _worst_ratio(result)
-    weak = [v.text(row, "name") for row in v.records(result, "weakest")[:3]]
-    said = f"with columns scaled {scaled}; excited least: {v.listing(weak)}"
-    notes = [v.sentence(each) for each in v.words(result, "notes")]
+    weak = [row.name for row in result.weakest[:3]]
+    least = f"with columns scaled {scaled}; excited least: {v.listing(weak)}"
+    notes = [v.sentence(note) for note in result.notes]
     return p.section(
         "Excitation design",
         _lead(result),
@@ -55,7 +65,7 @@ def design_section(result: Result, series: Series) -> p.Section:
                 f"condition number {kappa}, limits used up to {v.percent(worst, 4)}"
                 f"{_unchecked(result)}",
             ),
-            *[("", said)] * bool(weak),
+            *[("", least)] * bool(weak),
         ),
         [
             *_motion(result, series),
@@ -65,121 +75,102 @@ def design_section(result: Result, series: Series) -> p.Section:
     )
 
 
-def excitation_sentence(result: Result) -> list[str]:
+def excitation_sentence(persistency: Persistency | None) -> list[str]:
     """How many of all combinations a motion shows, as a sentence; none where not judged."""
-    said = v.text(result, "persistency", "sentence")
-    if isinstance(v.at(result, "persistency", "persistent"), bool):
-        said = f"this motion is {said}"
-    return [v.sentence(said)] * bool(said)
+    if persistency is None:
+        return []
+    return [v.sentence(f"this motion is {persistency.sentence}")]
 
 
-def check_section(result: Result, series: Series) -> p.Section:
+def check_section(result: Check, series: Series) -> p.Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
-    kappa = v.at(result, "condition_number")
-    said = v.words(result, "verdicts")
-    _, limits, tone = _kept(result)
+    kappa = result.condition_number
+    verdicts = result.verdicts
+    limits = ("hold", p.GOOD) if result.holds else ("exceeded", p.POOR)
     key_figures = p.facts(
-        p.Fact("Limits", limits, "", tone),
-        p.fact("Condition number", kappa, v.number, _columns(result)),
+        p.Fact("Limits", limits[0], tone=limits[1]),
+        p.fact("Condition number", kappa, v.number, _columns(result.columns or "")),
         _clearance(result),
-        _duration(result),
+        _duration(result.duration),
     )
     return p.section(
         "Trajectory check",
         _kept_sentence(result),
         [
             ("Key figures", [key_figures]),
-            ("Verdicts", [p.notes([v.sentence(verdict) for verdict in said])]),
+            ("Verdicts", [p.notes([v.sentence(verdict) for verdict in verdicts])]),
             ("The arm in motion", [player(result, series)]),
-            ("Excitation", [p.notes(excitation_sentence(result))]),
+            ("Excitation", [p.notes(excitation_sentence(result.persistency))]),
             *_motion(result, series),
         ],
         (
             *(
                 ("", verdict) if k else ("checked", verdict + _unchecked(result))
-                for k, verdict in enumerate(said)
+                for k, verdict in enumerate(verdicts)
             ),
             (
                 "",
-                f"condition number {v.number(kappa)} ({v.text(result, 'columns')} columns)",
+                f"condition number {v.number(kappa)} ({result.columns or ''} columns)",
             ),
-            *[("", found) for found in _shown(result)],
+            *[("", shown) for shown in _shown(result.persistency)],
         ),
     )
 
 
-def show_section(result: Result, series: Series) -> p.Section:
+def show_section(result: Show, series: Series) -> p.Section:
     """A motion to watch."""
     touched = [(f"{moment.t:.4g} s", moment.words) for moment in moments(result)]
-    said = v.listing(v.words(result, "verdicts"))
     return p.section(
         "Motion",
         _kept_sentence(result),
         [
             ("The arm in motion", [player(result, series)]),
-            (
-                "Verdicts",
-                [p.notes([v.sentence(each) for each in v.words(result, "verdicts")])],
-            ),
+            ("Verdicts", [p.notes([v.sentence(x) for x in result.verdicts])]),
         ],
-        (("checked", said + _unchecked(result)), *touched),
+        (("checked", v.listing(result.verdicts) + _unchecked(result)), *touched),
     )
 
 
-def _kept(result: Result) -> tuple[str, str, str]:
-    """Whether the limits hold, as a verb, as a word, and as a tone."""
-    return {
-        True: ("keeps all limits", "hold", p.GOOD),
-        False: ("exceeds limits", "exceeded", p.POOR),
-    }.get(v.at(result, "holds"), ("was checked against the limits", "", p.PLAIN))
+def _kept_sentence(result: Check | Show) -> str:
+    keeps = "keeps all limits" if result.holds else "exceeds limits"
+    name = result.trajectory or "The trajectory"
+    return f"{name} {keeps} of {result.robot}{_unchecked(result)}."
 
 
-def _kept_sentence(result: Result) -> str:
-    name = v.text(result, "trajectory")
-    robot = v.text(result, "robot")
-    keeps = f"{name or 'The trajectory'} {_kept(result)[0]}"
-    return f"{keeps} of {robot or 'the arm'}{_unchecked(result)}."
-
-
-def _shown(result: Result) -> list[str]:
-    found = v.at(result, "persistency")
-    shown = v.real(found, "shown")
-    of = v.real(found, "combinations")
-    if shown is None or of is None:
+def _shown(persistency: Persistency | None) -> list[str]:
+    if persistency is None:
         return []
-    windows = v.real(found, "windows") or 1
-    length = v.quantity(v.at(found, "window_s"), "s")
-    over = f" in every window of {length}" if windows > 1 else ""
-    return [f"shows {shown:.0f} of {of:.0f} combinations{over}"]
+    length = v.quantity(persistency.window_s, "s")
+    over = f" in every window of {length}" if persistency.windows > 1 else ""
+    return [
+        f"shows {persistency.shown} of {persistency.combinations} combinations{over}"
+    ]
 
 
-def _unchecked(result: Result) -> str:
-    left = v.text(result, "unchecked")
+def _unchecked(result: Motion) -> str:
+    left = result.unchecked
     return f"; not checked: {left}" if left else ""
 
 
-def rehearse_section(result: Result, series: Series) -> p.Section:
+def rehearse_section(result: Rehearse, series: Series) -> p.Section:
     """Whether a motion suffices, requirement by requirement."""
-    rows = v.records(result, "items")
-    passed = v.at(result, "passed") is True
-    headline = v.text(result, "headline")
-    hidden = v.plain(v.text(result, "effect", "effect"))
-    met = sum(_met(row) for row in rows)
-    known = [
-        r for r in rows if None not in (v.real(r, "planted"), v.real(r, "recovered"))
-    ]
+    rows = result.items
+    passed = result.passed
+    hidden = v.plain(result.effect.effect)
+    met = sum(row.passed for row in rows)
+    recovered = [row for row in rows if None not in (row.planted, row.recovered)]
     key_figures = p.facts(
         p.Fact(
             "Verdict", "go" if passed else "no go", "", p.GOOD if passed else p.POOR
         ),
         p.Fact("Requirements met", f"{met} of {len(rows)}", number=met),
-        _duration(result),
-        p.Fact("Planted change", hidden, v.text(result, "effect", "joint")),
+        _duration(result.duration),
+        p.Fact("Planted change", hidden, result.effect.joint),
     )
     requirements = p.table(
         rows,
         [
-            ("text:Met", lambda row: _verdict(_met(row), "met", "NOT MET")),
+            ("text:Met", lambda row: _verdict(row.passed, "met", "NOT MET")),
             ("name:Requirement", "name"),
             ("name:Joint", "joint"),
             ("text:Figures", "detail"),
@@ -189,123 +180,103 @@ def rehearse_section(result: Result, series: Series) -> p.Section:
         brief="",
     )
     planted = {"diagnosis": hidden}  # of that requirement, the change that it must name
-    recovered = p.table(
+    table = p.table(
+        recovered,
         [
-            {**row, "value": v.at(row, "recovered"), "name": planted.get(name, name)}
-            for row in known
-            for name in [v.text(row, "name")]
-        ],
-        [
-            ("name:Quantity", "name"),
+            ("name:Quantity", "name", lambda name: str(planted.get(name, name))),
             ("name:Joint", "joint"),
             ("number:Planted", "planted", v.number4),
-            *p.estimates("number:Recovered"),
+            *p.estimates(
+                "number:Recovered", of=lambda r: Determined(r.name, r.recovered, r.std)
+            ),
             ("text:Unit", "unit"),
             ("number:Error", _error),
         ],
         "Every value planted in the arm and what was recovered of it.",
     )
-    motion = motion_figure(v.joint_names(result), result, series)
+    motion = motion_figure(result.joints, Limits(result.limit_values), series)
     return p.section(
         "Rehearsal",
-        v.sentence(headline),
+        v.sentence(result.headline),
         [
             ("Key figures", [key_figures]),
             (
                 "What to change",
-                [p.notes(v.words(result, "advice"), p.FAIR, brief="to change")],
+                [p.notes(result.advice, p.FAIR, brief="to change")],
             ),
             ("Requirements", [requirements]),
-            ("Planted and recovered", [recovered]),
+            ("Planted and recovered", [table]),
             ("Tracking by each model", _tracking(result, series)),
             ("Motion of the virtual arm", [motion]),
         ],
-        (("passed" if passed else "failed", headline), *_closer(result)),
+        (("passed" if passed else "failed", result.headline), *_closer(result)),
     )
 
 
-def _closer(result: Result) -> p.Brief:
+def _closer(result: Rehearse) -> p.Brief:
     """How much closer the arm follows by the identified model, and by the extended one later."""
-    said = []
-    for when, model in (("before", "identified"), ("after", "extended")):
-        times = [
-            x
-            for row in v.records(result, "tracking", when)
-            if (x := v.real(row, "ratio"))
-        ]
-        if times:
-            ends = dict.fromkeys(v.number(each, 2) for each in (min(times), max(times)))
-            said.append(f"{' to '.join(ends)} times less with the {model} model")
-    return (("tracking", f"error {', after the change '.join(said)}"),) if said else ()
+    tracking = result.tracking
+    if tracking is None:
+        return ()
+    phrases = []
+    for rows, model in ((tracking.before, "identified"), (tracking.after, "extended")):
+        ratios = [row.ratio for row in rows if row.ratio]
+        if ratios:
+            ends = dict.fromkeys(v.number(x, 2) for x in (min(ratios), max(ratios)))
+            phrases.append(f"{' to '.join(ends)} times less with the {model} model")
+    error = f"error {', after the change '.join(phrases)}"
+    return (("tracking", error),) if phrases else ()
 
 
-def _tracking(result: Result, series: Series) -> p.Blocks:
-    found = v.at(result, "tracking")
-    if found is None:
+def _tracking(result: Rehearse, series: Series) -> p.Blocks:
+    tracking = result.tracking
+    if tracking is None:
         return []
-    before, after = (v.records(found, when) for when in ("before", "after"))
-    later = {v.text(row, "name"): row for row in after}
-    rows = [{**row, "changed": later.get(v.text(row, "name"), {})} for row in before]
 
-    def error(*keys: str) -> Callable[[Result], p.Cell]:
-        def cell(row: Result) -> p.Cell:
-            size = v.real(row, *keys)
-            shown = (
-                NONE
-                if size is None
-                else v.quantity(1e3 * size, f"m{v.text(row, 'unit')}")
-            )
-            return p.Cell(shown, value=size)
+    def error(row: TrackingJoint, model: str) -> p.Cell:
+        size = row.rms.get(model)
+        if size is None:
+            return p.Cell(NONE)
+        return p.Cell(v.quantity(1e3 * size, f"m{row.unit}"), value=size)
 
-        return cell
+    def closer(row: TrackingJoint) -> p.Cell:
+        times = v.number(row.ratio)
+        return _verdict((row.ratio or 0.0) > 1, f"{times} times", times)
 
-    def closer(*keys: str) -> Callable[[Result], p.Cell]:
-        def cell(row: Result) -> p.Cell:
-            times = v.real(row, *keys)
-            return _verdict(
-                (times or 0.0) > 1, f"{v.number(times)} times", v.number(times)
-            )
-
-        return cell
-
-    duration, loop = (v.real(found, key) for key in ("duration", "bandwidth_hz"))
     table = p.table(
-        rows,
+        list(zip(tracking.before, tracking.after, strict=True)),
         [
-            ("name:Joint", "name"),
-            ("number:Model as given, rms", error("rms", "given")),
-            ("number:Identified", error("rms", "identified")),
-            ("number:Closer by", closer("ratio")),
-            ("number:Changed: model as given", error("changed", "rms", "given")),
-            ("number:Identified before", error("changed", "rms", "identified")),
-            ("number:Extended", error("changed", "rms", "extended")),
-            ("number:Closer by", closer("changed", "ratio")),
+            ("name:Joint", lambda r: r[0].name),
+            ("number:Model as given, rms", lambda r: error(r[0], "given")),
+            ("number:Identified", lambda r: error(r[0], "identified")),
+            ("number:Closer by", lambda r: closer(r[0])),
+            ("number:Changed: model as given", lambda r: error(r[1], "given")),
+            ("number:Identified before", lambda r: error(r[1], "identified")),
+            ("number:Extended", lambda r: error(r[1], "extended")),
+            ("number:Closer by", lambda r: closer(r[1])),
         ],
-        f"Tracking error of another, random motion of {v.quantity(duration, 's')} under "
+        f"Tracking error of another, random motion of {v.quantity(tracking.duration, 's')} under "
         "computed-torque feed-forward of each model, on the virtual arm as it was identified and "
-        f"after its change. The position loop is the same for all: {v.quantity(loop, 'Hz')}, "
-        "critically damped, with noisy readings.",
+        "after its change. The position loop is the same for all: "
+        f"{v.quantity(tracking.bandwidth_hz, 'Hz')}, critically damped, with noisy readings.",
     )
-    return [tracking_figure(v.joint_names(result), result, series), table]
-
-
-def _met(row: Result) -> bool:
-    return v.at(row, "passed") is True
+    return [tracking_figure(tracking, series), table]
 
 
 def _verdict(holds: bool, yes: str, no: str) -> p.Cell:
     return p.Cell(yes, p.GOOD) if holds else p.Cell(no, p.POOR)
 
 
-def _error(row: Result) -> p.Cell:
-    planted = v.real(row, "planted") or 0.0
-    value = v.real(row, "value") or 0.0
-    error = (value - planted) / abs(planted) if planted else None
-    return p.Cell(v.percent(error), p.GOOD if _met(row) else p.POOR, error)
+def _error(row: Requirement) -> p.Cell:
+    planted = row.planted or 0.0
+    recovered = row.recovered or 0.0
+    error = (recovered - planted) / abs(planted) if planted else None
+    return p.Cell(v.percent(error), p.GOOD if row.passed else p.POOR, error)
 
 
-def _motion(result: Result, series: Series) -> p.Parts:
-    motion = motion_figure(v.joint_names(result), result, series)
+def _motion(result: Motion, series: Series) -> p.Parts:
+    limits = Limits(result.limit_values, result.certified, result.revolute)
+    motion = motion_figure(result.joints, limits, series)
     return [
         ("Motion against limits", [*_limits(result), motion]),
         ("Path of the tool", [space_figure(result, series)]),
@@ -313,23 +284,15 @@ def _motion(result: Result, series: Series) -> p.Parts:
     ]
 
 
-def _ends(result: Result, which: str = "") -> list[float | None]:
-    """The condition number before and after the search, of W or of W with scaled columns."""
-    return [
-        v.real(result, f"condition_number{which}", key) for key in ("initial", "final")
-    ]
+def _change(pair: Pair | None) -> str:
+    return NONE if pair is None else v.change(pair.initial, pair.final)
 
 
-def _lead(result: Result) -> str:
-    initial, final = _ends(result)
-    duration = v.real(result, "duration")
-    stages = v.records(result, "link_by_link", "stages")
-    if final is None:
-        return f"A motion was designed for {v.text(result, 'robot') or 'the arm'}."
-    motion = (
-        "The motion" if duration is None else f"A motion of {v.quantity(duration, 's')}"
-    )
-    motion += _split(result, ", {} periods of {},")
+def _lead(result: Design) -> str:
+    kappa = result.condition_number
+    if kappa.final is None:
+        return f"A motion was designed for {result.robot}."
+    duration = v.quantity(result.duration, "s")
     worst = _worst_ratio(result)
     holds = ""
     if worst is not None:
@@ -337,84 +300,74 @@ def _lead(result: Result) -> str:
         holds = f" Limits are exceeded: {used} of one is used{_unchecked(result)}."
         if worst <= FULL:
             holds = f" All limits hold, used up to {used}{_unchecked(result)}."
-    reached = f"a condition number of {v.number(final)}"
-    if stages:
+    reached = f"a condition number of {v.number(kappa.final)}"
+    if result.link_by_link:
         return (
-            f"{len(stages)} motions, one per link, of {v.quantity(duration, 's')} in all, reach "
+            f"{len(result.link_by_link.stages)} motions, one per link, of {duration} in all, reach "
             f"{reached} or less each (1 would be best).{holds}"
         )
-    before = (
-        "" if initial is None else f", {v.number(initial)} at the start of the search"
-    )
+    before = ""
+    if kappa.initial is not None:
+        before = f", {v.number(kappa.initial)} at the start of the search"
+    motion = f"A motion of {duration}{_split(result, ', {} periods of {},')}"
     return f"{motion} reaches {reached}{before} (1 would be best).{holds}"
 
 
-def _facts(result: Result) -> p.Facts | None:
-    stages = v.records(result, "link_by_link", "stages")
-    bound = v.real(result, "condition_number", "lower_bound")
-    kappa = _ends(result)
-    scaled = _ends(result, "_scaled")
-    said = (
-        f"the worst of {len(stages)} links" if stages else f"from {v.number(kappa[0])}"
-    )
-    said += "" if bound is None else f"; no motion below {v.number(bound)}"
-    since = "" if scaled[0] is None else f"from {v.number(scaled[0])}; "
-    unit_length = f"{since}columns of W at unit length"
-    criterion = v.text(result, "criterion")
+def _facts(result: Design) -> p.Facts | None:
+    kappa = result.condition_number
+    reached = f"from {v.number(kappa.initial)}"
+    if result.link_by_link:
+        reached = f"the worst of {len(result.link_by_link.stages)} links"
+    if kappa.lower_bound is not None:
+        reached += f"; no motion below {v.number(kappa.lower_bound)}"
+    scaled = result.condition_number_scaled or Pair(None, None)
+    unit_length = "columns of W at unit length"
+    if scaled.initial is not None:
+        unit_length = f"from {v.number(scaled.initial)}; {unit_length}"
+    criterion = result.criterion
     name, meaning = _CRITERIA.get(criterion, (v.plain(criterion), ""))
-    starts = len(v.records(result, "starts"))
-    iterations = v.real(result, "iterations")
-    effort = [f"{starts} starts"] * bool(starts)
-    effort += [] if iterations is None else [f"{iterations:.0f} iterations"]
+    starts = len(result.starts)
+    effort = f"{starts} starts, {result.iterations} iterations"
+    if not starts:
+        effort = f"{result.iterations} iterations"
+    pieces = f"{result.harmonics} harmonics"
+    if result.series == "spline":
+        pieces = f"spline of {2 * result.harmonics} pieces"
     return p.facts(
-        p.fact("Condition number", kappa[1], v.number, said),
-        p.fact("Condition number, scaled", scaled[1], v.number, unit_length),
-        _duration(result),
+        p.fact("Condition number", kappa.final, v.number, reached),
+        p.fact("Condition number, scaled", scaled.final, v.number, unit_length),
+        _duration(result.duration, _split(result, "{} periods of {}, ") + pieces),
         p.fact(
             "Base parameters",
-            v.at(result, "base_parameters"),
+            result.base_parameters,
             v.whole,
-            _columns(result),
+            _columns(result.columns),
         ),
         p.Fact("Criterion", name, meaning),
         _clearance(result),
-        p.Fact(
-            "Search",
-            v.quantity(v.at(result, "wall_s"), "s"),
-            ", ".join(effort),
-            timing=True,
-        ),
+        p.Fact("Search", v.quantity(result.wall_s, "s"), effort, timing=True),
     )
 
 
-def _duration(result: Result) -> p.Fact:
-    count = v.real(result, "harmonics")
-    duration = v.real(result, "duration")
-    series = ""
-    if count is not None:
-        spline = (
-            v.text(result, "series") == "spline"
-        )  # twice as many pieces as harmonics
-        series = (
-            f"spline of {2 * count:.0f} pieces" if spline else f"{count:.0f} harmonics"
-        )
-    series = _split(result, "{} periods of {}, ") + series
-    return p.fact("Duration", duration, v.unit_of("s"), series)
+def _duration(duration: float, remark: str = "") -> p.Fact:
+    return p.fact("Duration", duration, v.unit_of("s"), remark)
 
 
-def _split(result: Result, words: str) -> str:
+def _split(result: Design, words: str) -> str:
     """Number and length of the periods of a motion in words, if it has more than one."""
-    duration = v.real(result, "duration")
-    count = v.real(result, "periods") or 1.0
-    if duration is None or count == 1:
+    count = result.periods or 1
+    if count == 1:
         return ""
-    return words.format(f"{count:.0f}", v.quantity(duration / count, "s"))
+    return words.format(count, v.quantity(result.duration / count, "s"))
 
 
-def _clearance(result: Result) -> p.Fact:
-    distance = v.real(result, "clearance_m")
-    floors = [r for r in v.records(result, "obstacles") if v.text(r, "name") == "floor"]
-    height = "".join(f"floor at {v.quantity(v.at(r, 'offset'), 'm')}, " for r in floors)
+def _clearance(result: Motion) -> p.Fact:
+    distance = result.clearance_m
+    height = "".join(
+        f"floor at {v.quantity(obstacle.offset, 'm')}, "
+        for obstacle in result.obstacles
+        if isinstance(obstacle, HalfSpace) and obstacle.name == "floor"
+    )
     remark = f"to {height}obstacles and itself, between samples too"
     return p.fact(
         "Clearance",
@@ -424,83 +377,83 @@ def _clearance(result: Result) -> p.Fact:
     )
 
 
-def _columns(result: Result) -> str:
-    columns = v.text(result, "columns")
+def _columns(columns: str) -> str:
     return _COLUMNS.get(columns, f"columns: {v.plain(columns)}" if columns else "")
 
 
-def _worst(result: Result) -> list[Result]:
-    """The largest share of each quantity's limit with its joint and time; None if unlimited."""
-    limits = v.at(result, "limits")
-    rows: list[Result] = []
-    for quantity in limits if isinstance(limits, Mapping) else ():
-        ratio = v.real(limits, quantity)
-        where = v.at(result, "worst", quantity)
-        ratio = None if ratio == 0 and where is None else ratio
-        rows.append({"t": None, **(where or {}), "quantity": quantity, "ratio": ratio})
-    return rows
+def _shares(result: Motion) -> dict[str, float | None]:
+    """The largest share of each quantity's limit; None if unlimited."""
+    return {
+        quantity: None if ratio == 0 and not result.worst.get(quantity) else ratio
+        for quantity, ratio in result.limits.items()
+    }
 
 
-def _worst_ratio(result: Result) -> float | None:
-    return max(
-        (x for row in _worst(result) if (x := row["ratio"]) is not None), default=None
-    )
+def _worst_ratio(result: Motion) -> float | None:
+    ratios = [ratio for ratio in _shares(result).values() if ratio is not None]
+    return max(ratios, default=None)
 
 
-def _limits(result: Result) -> p.Blocks:
-    names = v.joint_names(result)
-    certified = v.at(result, "certified")
+def _limits(result: Motion) -> p.Blocks:
+    shares = _shares(result)
 
-    def joint(row: Result) -> str:
-        where = v.at(row, "joint")
-        known = isinstance(where, int) and 0 <= where < len(names)
-        return names[where] if known else v.text(row, "joint") or NONE
-
-    def verdict(row: Result) -> p.Cell:
-        ratio = v.real(row, "ratio")
+    def verdict(quantity: str) -> p.Cell:
+        ratio = shares[quantity]
         if ratio is None:
             return p.Cell("no limit given")
         return _verdict(ratio <= FULL, "holds", "exceeded")
 
+    def share(ratio: float | None) -> p.Cell:
+        return p.Cell(share_of_limit(ratio), value=ratio)
+
+    def joint(quantity: str) -> str:
+        extreme = result.worst.get(quantity)
+        return NONE if extreme is None else extreme.joint
+
+    def instant(quantity: str) -> p.Cell:
+        extreme = result.worst.get(quantity)
+        return p.Cell(
+            v.number(extreme.t if extreme else None),
+            value=extreme.t if extreme else None,
+        )
+
     worst = p.table(
-        _worst(result),
+        list(shares),
         [
-            ("name:Quantity", "quantity"),
-            ("number:Share of limit", "ratio", share_of_limit),
+            ("name:Quantity", str),
+            ("number:Share of limit", lambda quantity: share(shares[quantity])),
             ("text:Verdict", verdict),
             ("text:Joint", joint),
-            ("number:At [s]", "t"),
+            ("number:At [s]", instant),
         ],
         "The worst point of the continuous motion, also between samples: 100 % is the limit.",
     )
-    quantities = [q for q in certified or () if v.records(certified, q)]
-    rows: list[Result] = [
-        {"joint": joint}
-        | {q: e[2] for q in quantities if (e := envelope_of(result, q, k)) is not None}
-        for k, joint in enumerate(names)
-    ]
-    each = p.table(
-        rows if quantities else [],
-        [
-            ("name:Joint", "joint"),
-            *(
-                (f"number:{v.plain(q).capitalize()}", q, share_of_limit)
-                for q in quantities
-            ),
-        ],
+    certified = result.certified or {}
+
+    def of_joint(quantity: str) -> p.Column:
+        def cell(k: int) -> p.Cell:
+            row = certified[quantity][k]
+            return share(row.ratio if row else None)
+
+        return f"number:{v.plain(quantity).capitalize()}", cell
+
+    quantities = [quantity for quantity, rows in certified.items() if any(rows)]
+    names = result.joints
+    by_joint = p.table(
+        range(len(names)) if quantities else [],
+        [("name:Joint", lambda k: names[k]), *map(of_joint, quantities)],
         "Certified share of every joint's limit: a limit used to 100 % bounds what the motion can "
         "show; a dash means no limit.",
         f"Share of the limits joint by joint ({len(names)})",
     )
-    return [worst, each]
+    return [worst, by_joint]
 
 
-def _weakest(result: Result) -> p.Table | None:
-    weights = v.reals(result, "joint_weights")
-    equal = not len(weights) or bool(np.all(weights == weights[0]))
+def _weakest(result: Design) -> p.Table | None:
+    equal = len(set(result.joint_weights)) <= 1
     weighted = "" if equal else " (joints differ as the noise given for the design)"
     return p.table(
-        v.records(result, "weakest"),
+        result.weakest,
         [
             ("expression:Base parameter", "expression"),
             ("number:Std at start", "std_per_unit_noise_initial"),
@@ -514,13 +467,13 @@ def _weakest(result: Result) -> p.Table | None:
     )
 
 
-def _link_motions(result: Result) -> p.Table | None:
+def _link_motions(result: Design) -> p.Table | None:
     return p.table(
-        v.records(result, "link_by_link", "stages"),
+        result.link_by_link.stages if result.link_by_link else [],
         [
             ("name:File", "file"),
             ("name:Link", "link"),
-            ("number:Joints moving", lambda r: str(len(v.words(r, "moves")))),
+            ("number:Joints moving", lambda r: str(len(r.moves))),
             ("number:Duration [s]", "duration"),
             ("number:Base parameters", "base_parameters", v.whole),
             ("number:Condition number, first", "condition_number.initial"),

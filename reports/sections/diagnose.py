@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-
-import numpy as np
+from operator import attrgetter
 
 from excitant.reports import page as p
 from excitant.reports import values as v
@@ -17,7 +17,20 @@ from excitant.reports.sections.identify import (
     exported_table,
     fault_table,
 )
-from excitant.reports.values import NONE, Result, Series
+from excitant.reports.values import Series
+from excitant.results import (
+    Diagnose,
+    Finding,
+    Forward,
+    ForwardJoint,
+    JointAccuracy,
+    JointResidual,
+    MovedLink,
+    Part,
+    Refit,
+    Residual,
+    Unexplained,
+)
 
 _NOISE = "noise-like"  # what a diagnosis calls a residual without structure
 _QUANTITIES = (
@@ -51,23 +64,22 @@ _ONE_MODEL = (
 )
 
 
-def diagnose_section(result: Result, series: Series) -> p.Section:
+def diagnose_section(result: Diagnose, series: Series) -> p.Section:
     """The diagnosis: faults, findings in order of importance with evidence, what stays open."""
-    unit = v.text(result, "unit") or "N·m"
-    joints = [v.text(row, "name") for row in _pairs(result)]
-    findings = v.records(result, "findings")
+    unit = result.unit
+    joints = [row.name for row in result.simulation.joints]
+    findings = result.findings
     changed = _changed(result)
-    lead = v.text(result, "headline")
-    said = [
-        v.sentence(note)
-        for note in v.words(result, "notes")
-        if note and note not in lead
-    ]
+    lead = result.headline
+    notes = [v.sentence(note) for note in result.notes if note not in lead]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
     wrong = (
         "What is wrong with the given model" if findings else "Error of the given model"
     )
-    shares = [_shares(result, left, unit) for left in (False, True)[: 1 + changed]]
+    shares = [
+        _shares(result.error.joints, extended, unit)
+        for extended in (False, True)[: 1 + changed]
+    ]
     first, others = _finding_parts(findings, series, unit)
     return p.section(
         "Diagnosis",
@@ -75,81 +87,82 @@ def diagnose_section(result: Result, series: Series) -> p.Section:
         [
             (
                 "Key figures",
-                [_facts(result), fault_table(result), *_findings(findings, unit)],
+                [
+                    _facts(result),
+                    fault_table(result.faults),
+                    *_findings(findings, unit),
+                ],
             ),
-            (wrong, [*shares, *_refit(result, unit), *_forward(result, changed)]),
-            ("Files of the extended model", [exported_table(result)]),
+            (
+                wrong,
+                [
+                    *shares,
+                    *_refit(result.refit, unit),
+                    *_forward(result.forward, changed),
+                ],
+            ),
+            ("Files of the extended model", [exported_table(result.exported)]),
             *first,
         ],
-        (("diagnosed", lead), *_told(findings)),
+        (("diagnosed", lead), *_first_lines(findings)),
         [
             ("Further findings", others),
             (
                 "Error step by step",
                 [waterfall_figure(result) if changed else None],
             ),
-            ("Error per joint", _errors(result, unit, changed)),
+            ("Error per joint", _errors(result, changed)),
             (
                 over_holdout(unit),
                 [torque_figure(joints, series, unit, curves)],
             ),
-            ("Not explained", _unexplained(result)),
-            ("Notes", [p.notes(said)]),
+            ("Not explained", _unexplained(result.unexplained)),
+            ("Notes", [p.notes(notes)]),
         ],
     )
 
 
-def _told(findings: list[Result]) -> list[tuple[str, str]]:
+def _first_lines(findings: list[Finding]) -> list[tuple[str, str]]:
     """The first findings, a line each, where there is more than the headline."""
-    said = [
-        (
-            f"{k}{' (undecided)' * (v.text(f, 'verdict') == 'undecided')}",
-            v.text(f, "sentence"),
-        )
-        for k, f in enumerate(findings[:_FIRST], start=1)
+    lines = [
+        (f"{k}{' (undecided)' * (finding.verdict == 'undecided')}", finding.sentence)
+        for k, finding in enumerate(findings[:_FIRST], start=1)
     ]
-    return said if len(said) > 1 else []
+    return lines if len(lines) > 1 else []
 
 
-def _pairs(result: Result) -> list[Result]:
-    found: dict[str, dict[str, object]] = {}
-    for model in ("simulation", "extended"):
-        for row in v.records(result, model, "joints"):
-            found.setdefault(v.text(row, "name"), {"name": v.text(row, "name")})[
-                model
-            ] = row
-    return list(found.values())
+def _pairs(result: Diagnose) -> list[tuple[JointAccuracy, JointAccuracy]]:
+    """Errors of each joint by the given and by the extended model."""
+    return list(zip(result.simulation.joints, result.extended.joints, strict=True))
 
 
-def _changed(result: Result) -> bool:
+def _changed(result: Diagnose) -> bool:
     """Whether the extended model predicts otherwise than the given one; not if nothing is named."""
-    errors = [
-        [v.real(r, m, "rms") for m in ("simulation", "extended")]
-        for r in _pairs(result)
-    ]
-    return any(after is not None and after != before for before, after in errors)
+    return any(
+        after.rms is not None and after.rms != before.rms
+        for before, after in _pairs(result)
+    )
 
 
-def _cause(finding: Result) -> str:
-    return "unknown cause" if _unknown(finding) else v.plain(v.text(finding, "effect"))
+def _cause(finding: Finding) -> str:
+    return "unknown cause" if _unknown(finding) else v.plain(finding.effect)
 
 
-def _unknown(finding: Result) -> bool:
-    return v.text(finding, "effect") == "unknown"
+def _unknown(finding: Finding) -> bool:
+    return finding.effect == "unknown"
 
 
-def _facts(result: Result) -> p.Facts | None:
-    findings = v.records(result, "findings")
-    faults = v.records(result, "faults")
-    verdicts = [v.text(finding, "verdict") for finding in findings]
+def _facts(result: Diagnose) -> p.Facts | None:
+    findings = result.findings
+    faults = result.faults
+    verdicts = [finding.verdict for finding in findings]
     counts = [
         f"{n} {word}" for word in dict.fromkeys(verdicts) if (n := verdicts.count(word))
     ]
-    before, after = (
-        v.median(v.records(result, m, "joints"), "nrmse")
-        for m in ("simulation", "extended")
-    )
-    after = after if _changed(result) else None
+    before = v.median(row.nrmse for row in result.simulation.joints)
+    after = None
+    if _changed(result):
+        after = v.median(row.nrmse for row in result.extended.joints)
     errors = v.change(before, after, v.percent)
     return p.facts(
         p.Fact(
@@ -165,38 +178,44 @@ def _facts(result: Result) -> p.Facts | None:
             ", ".join(counts) or "nothing stands out",
         ),
         p.fact("Data faults", len(faults), v.whole, "", p.POOR if faults else p.GOOD),
-        p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
+        p.fact("Cut-off", result.cutoff_hz, v.unit_of("Hz"), CUTOFF_REMARK),
     )
 
 
-def _findings(findings: list[Result], unit: str) -> p.Blocks:
+def _findings(findings: list[Finding], unit: str) -> p.Blocks:
     """The first page of findings, and those that are behind a fold."""
-    found = p.numbered(findings)
-    first = found[:_FIRST]
-    rest = found[_FIRST:]
+    numbered = list(enumerate(findings, start=1))
+    first = numbered[:_FIRST]
+    rest = numbered[_FIRST:]
     more = f"{len(rest)} more finding{'s' * (len(rest) > 1)}, of less gain"
     return [_finding_table(first, unit), _finding_table(rest, unit, more)]
 
 
 def _finding_table(
-    findings: list[Result], unit: str, folded: str = ""
+    findings: list[tuple[int, Finding]], unit: str, folded: str = ""
 ) -> p.Table | None:
-    rows = [
-        {**finding, "explained": None, "after": None}
-        if _unknown(finding)
-        else {**finding, "after": v.at(finding, "holdout", "rms_after")}
-        for finding in findings
-    ]
+    def share(finding: Finding) -> p.Cell:
+        share = None if _unknown(finding) else finding.explained
+        return p.Cell(v.percent(share), value=share)
+
+    def after(finding: Finding) -> p.Cell:
+        rms = None if _unknown(finding) else finding.holdout.rms_after
+        return p.Cell(v.number(rms), value=rms)
+
+    def before(finding: Finding) -> p.Cell:
+        rms = finding.holdout.rms_before
+        return p.Cell(v.number(rms), value=rms)
+
     return p.table(
-        rows,
+        findings,
         [
-            ("number:#", lambda r: v.text(r, "k")),
-            ("name:Effect", _cause),
-            ("name:Joints", "joints"),
-            ("number:Explains", "explained", v.percent),
-            (f"number:rms without it [{unit}]", "holdout.rms_before"),
-            (f"number:rms with it [{unit}]", "after"),
-            ("text:Verdict", _verdict),
+            ("number:#", lambda r: str(r[0])),
+            ("name:Effect", lambda r: _cause(r[1])),
+            ("name:Joints", lambda r: v.listing(r[1].joints)),
+            ("number:Explains", lambda r: share(r[1])),
+            (f"number:rms without it [{unit}]", lambda r: before(r[1])),
+            (f"number:rms with it [{unit}]", lambda r: after(r[1])),
+            ("text:Verdict", lambda r: _verdict(r[1])),
         ],
         "What the model lacks, most important first: its share of the given model's squared error, "
         "and the hold-out error of its moving joints without and with it, with all other findings.",
@@ -204,21 +223,19 @@ def _finding_table(
     )
 
 
-def _verdict(finding: Result) -> p.Cell:
-    verdict = v.text(finding, "verdict")
-    return p.Cell(
-        verdict or NONE, {"named": p.GOOD, "undecided": p.FAIR}.get(verdict, p.PLAIN)
-    )
+def _verdict(part: Part) -> p.Cell:
+    tones = {"named": p.GOOD, "undecided": p.FAIR}
+    return p.Cell(part.verdict, tones.get(part.verdict, p.PLAIN))
 
 
 def _finding_parts(
-    findings: list[Result], series: Series, unit: str
+    findings: list[Finding], series: Series, unit: str
 ) -> tuple[p.Parts, p.Blocks]:
     """The leading findings and what is unknown, a part each, and the others behind their titles."""
     parts: p.Parts = []
     others: p.Blocks = []
     for k, finding in enumerate(findings):
-        names = v.words(finding, "joints")
+        names = finding.joints
         joints = (
             v.listing(names, "") if len(names) <= _NAMED else f"{len(names)} joints"
         )
@@ -233,20 +250,17 @@ def _finding_parts(
         if k < _LEADING or _unknown(finding):
             parts.append((title, blocks))
         else:
-            share = v.real(finding, "explained")
-            verdict = v.text(finding, "verdict")
-            aside = [v.percent(share)] * (share is not None) + [verdict] * bool(verdict)
-            title += f" ({', '.join(aside)})" if aside else ""
-            others.append((title, blocks))
+            aside = f"{v.percent(finding.explained)}, {finding.verdict}"
+            others.append((f"{title} ({aside})", blocks))
     return parts, others
 
 
-def _kinds(finding: Result, unit: str) -> p.Table | None:
+def _kinds(finding: Finding, unit: str) -> p.Table | None:
     """The kinds of friction that one finding sums up."""
     return p.table(
-        v.records(finding, "parts"),
+        finding.parts,
         [
-            ("name:Kind", lambda part: v.plain(v.text(part, "effect"))),
+            ("name:Kind", lambda part: v.plain(part.effect)),
             ("name:Joints", "joints"),
             ("number:Explains", "explained", v.percent),
             (f"number:rms without it [{unit}]", "holdout.rms_before"),
@@ -258,45 +272,40 @@ def _kinds(finding: Result, unit: str) -> p.Table | None:
     )
 
 
-def _lookalikes(part: Result) -> str:
-    names = [v.plain(v.text(rival, "effect")) for rival in v.records(part, "rivals")]
+def _lookalikes(part: Part) -> str:
+    names = [v.plain(rival.effect) for rival in part.rivals]
     return v.listing(list(dict.fromkeys(names)))
 
 
-def _sentence(finding: Result, unit: str) -> str:
-    told = v.text(finding, "sentence")
+def _sentence(finding: Finding, unit: str) -> str:
     if _unknown(finding):
-        structure = v.text(finding, "structure").removeprefix("structured: ")
-        said = "Structure is left over that no candidate explains"
-        return told or (f"{said}: it {structure}." if structure else f"{said}.")
-    before, after = (
-        v.real(finding, "holdout", f"rms_{key}") for key in ("before", "after")
-    )
-    unit = v.text(finding, "unit") or unit
-    effect = _cause(finding)
-    share = v.real(finding, "explained")
-    said = f"{effect[:1].upper()}{effect[1:]} was found."
+        return finding.sentence
+    unit = finding.unit or unit
+    before = finding.holdout.rms_before
+    after = finding.holdout.rms_after
+    error = f"{v.sentence(_cause(finding))[:-1]} was found."
     if before is not None and after is not None:
-        where = "these joints" if len(v.words(finding, "joints")) > 1 else "this joint"
-        said = (
+        where = "these joints" if len(finding.joints) > 1 else "this joint"
+        error = (
             f"Without it, everything else that was found being kept, the rms on the hold-out at "
             f"{where} is {v.quantity(before, unit)} instead of {v.quantity(after, unit)}."
         )
+    share = finding.explained
     if share is not None:
-        said += f" That is {v.percent(share)} of the squared error that the given model leaves"
-        said += ": other findings depend on it." if share > 1 else "."
-    said = f"{told}. {said}" if told else said
-    if reason := v.text(finding, "doubt"):
-        said += f" It is not decided: {reason}."
-    elif v.text(finding, "verdict") == "undecided":
-        said += " It is not decided: the effects below explain these data as well."
-    return said
+        error += f" That is {v.percent(share)} of the squared error that the given model leaves"
+        error += ": other findings depend on it." if share > 1 else "."
+    sentence = f"{finding.sentence}. {error}"
+    if finding.doubt:
+        return f"{sentence} It is not decided: {finding.doubt}."
+    if finding.verdict == "undecided":
+        sentence += " It is not decided: the effects below explain these data as well."
+    return sentence
 
 
-def _parameters(finding: Result) -> p.Table | None:
-    rows = v.records(finding, "parameters")
-    given = any(v.real(row, "given") is not None for row in rows)
-    fixed = any(v.real(row, "std") is None for row in rows)
+def _parameters(finding: Finding) -> p.Table | None:
+    rows = finding.parameters
+    given = any(row.given is not None for row in rows)
+    fixed = any(row.std is None for row in rows)
     return p.table(
         rows,
         [
@@ -306,7 +315,7 @@ def _parameters(finding: Result) -> p.Table | None:
             (
                 "text:Unit",
                 "unit",
-                lambda u: "" if u in (None, "1") else u.replace("^a", "ᵃ"),
+                lambda unit: "" if unit == "1" else unit.replace("^a", "ᵃ"),
             ),
         ],
         f"{'Value in the given model, and f' if given else 'F'}itted value with its standard "
@@ -315,22 +324,22 @@ def _parameters(finding: Result) -> p.Table | None:
     )
 
 
-def _rivals(finding: Result) -> p.Table | None:
-    rows = v.records(finding, "rivals")
+def _rivals(finding: Finding) -> p.Table | None:
+    rows = finding.rivals
     # an experiment's sentence may already hold what separation and repetitions say
-    said = all(
-        v.real(r, "separation") is None or "separates by" in v.text(r, "experiment")
-        for r in rows
+    unsaid = any(
+        row.separation is not None and "separates by" not in row.experiment
+        for row in rows
     )
     return p.table(
         rows,
         [
-            ("name:Rival", "effect", lambda effect: v.plain(effect or "")),
+            ("name:Rival", "effect", v.plain),
             ("name:Joints", "joints"),
             ("text:Why it cannot be excluded", "why"),
             ("text:Experiment that settles it", "experiment"),
-            None if said else ("number:Separation [σ]", "separation"),
-            None if said else ("number:Runs", "repetitions", v.whole),
+            ("number:Separation [σ]", "separation") if unsaid else None,
+            ("number:Runs", "repetitions", v.whole) if unsaid else None,
         ],
         "Other effects that look alike in these data, and the experiment that separates them by so "
         "many standard deviations of the noise in so many runs. |cos| is 1 where both torques are "
@@ -338,50 +347,51 @@ def _rivals(finding: Result) -> p.Table | None:
     )
 
 
-def _shares(result: Result, left: bool, unit: str) -> p.Table | None:
-    rows = [
-        {"joint": v.text(row, "name"), **((v.at(row, "left") or {}) if left else row)}
-        for row in v.records(result, "error", "joints")
-    ]
+def _shares(joints: list[JointResidual], extended: bool, unit: str) -> p.Table | None:
+    def of(row: JointResidual) -> Residual:
+        return row.left if extended else row
 
-    def share(group: str, key: str) -> p.Column:
-        def cell(row: Result) -> p.Cell:
-            x = v.real(row, group, key)
-            return p.Cell(
-                v.percent(x), p.POOR if v.text(row, "telling") == key else p.PLAIN, x
-            )
+    def share(key: str) -> p.Column:
+        def cell(row: JointResidual) -> p.Cell:
+            residual = of(row)
+            x = residual.bands.get(key, residual.shares.get(key))
+            return p.Cell(v.percent(x), p.POOR if residual.telling == key else "", x)
 
         return f"number:{key}", cell
 
     return p.table(
-        rows,
+        joints,
         [
-            ("name:Joint", "joint"),
-            (f"number:rms [{unit}]", "rms"),
-            *(share("shares", key) for key in _QUANTITIES),
-            *(share("bands", key) for key in _BANDS),
+            ("name:Joint", "name"),
+            (
+                f"number:rms [{unit}]",
+                lambda r: p.Cell(v.number(of(r).rms), value=of(r).rms),
+            ),
+            *map(share, (*_QUANTITIES, *_BANDS)),
         ],
-        f"Error {'left by the extended model' if left else 'of the model as given'} while the "
+        f"Error {'left by the extended model' if extended else 'of the model as given'} while the "
         "joint moves, and the shares of its square that go with one quantity (they overlap): "
-        f"○ marks the simplest that explains it. {'' if left else _MEANING}",
-        "What the extended model leaves, joint by joint" if left else "",
+        f"○ marks the simplest that explains it. {'' if extended else _MEANING}",
+        "What the extended model leaves, joint by joint" if extended else "",
     )
 
 
-def _refit(result: Result, unit: str) -> p.Blocks:
-
+def _refit(refit: Refit, unit: str) -> p.Blocks:
     def deviations(key: str) -> p.Column:
-        return ("number:in std", f"deviations.{key}", lambda x: v.number(x, 2))
+        def cell(row: MovedLink) -> p.Cell:
+            x = row.deviations[key]
+            return p.Cell(v.number(x, 2), value=x)
 
-    def inertia(row: Result) -> p.Cell:
-        factor = v.real(row, "inertia")
-        share = None if factor is None else 100 * float(np.expm1(factor))
+        return "number:in std", cell
+
+    def inertia(row: MovedLink) -> p.Cell:
+        share = None if row.inertia is None else 100 * math.expm1(row.inertia)
         return p.Cell(v.number(share, 2), p.PLAIN, share)
 
     models = {"given": "Given", "inertias": "Inertias free", "bodies": "Nearest bodies"}
     models["extended"] = "With the findings"
     errors = p.table(
-        v.records(result, "refit", "joints"),
+        refit.joints,
         [
             ("name:Joint", "name"),
             *((f"number:{name}, rms [{unit}]", key) for key, name in models.items()),
@@ -391,7 +401,7 @@ def _refit(result: Result, unit: str) -> p.Blocks:
         "What re-fitting the inertias alone would bring, joint by joint",
     )
     links = p.table(
-        v.records(result, "refit", "links"),
+        refit.links,
         [
             ("name:Link", "link"),
             ("number:Mass [kg]", "mass_kg"),
@@ -405,79 +415,91 @@ def _refit(result: Result, unit: str) -> p.Blocks:
         "taken as right to two of these standard deviations.",
         "Which link would have to change, and how much",
     )
-    return [p.notes(v.words(result, "refit", "sentence")), errors, links]
+    return [p.notes([refit.sentence] * bool(refit.sentence)), errors, links]
 
 
-def _forward(result: Result, changed: bool) -> p.Blocks:
-    rows = v.records(result, "forward", "joints")
-    units = v.listing(list(dict.fromkeys(v.text(row, "unit") for row in rows)))
-    count, length = (v.real(result, "forward", key) for key in ("windows", "window_s"))
-    loop = v.quantity(v.at(result, "forward", "bandwidth_hz"), "Hz", 1)
+def _forward(forward: Forward, changed: bool) -> p.Blocks:
+    rows = forward.joints
+    units = v.listing(list(dict.fromkeys(row.unit for row in rows)))
+    loop = v.quantity(forward.bandwidth_hz, "Hz", 1)
     models = ("given", "extended") if changed else ("given",)
     worse = [
-        v.text(row, "name")
+        row.name
         for row in rows
-        if (given := v.real(row, "given")) is not None
-        and (v.real(row, "extended") or float("inf")) > given
+        if row.given is not None and (row.extended or math.inf) > row.given
     ]
     closer = " The extended model stays closer on every joint."
     if worse:
         closer = f" The extended model is no closer at {v.listing(worse)}."
 
-    milli = partial(p.milli, none="diverges")
+    def milli(field: str) -> Callable[[ForwardJoint], p.Cell]:
+        return lambda row: p.milli(attrgetter(field)(row), "diverges")
+
     table = p.table(
         rows,
         [
             ("name:Joint", "name"),
             *((f"number:Position, {m} [m{units}]", milli(m)) for m in models),
             *(
-                (f"number:Velocity, {m} [m{units}/s]", milli("velocity", m))
+                (f"number:Velocity, {m} [m{units}/s]", milli(f"velocity.{m}"))
                 for m in models
             ),
         ],
-        f"Simulated forward under the recorded torque over {count or 0:.0f} windows of "
-        f"{v.quantity(length, 's', 2)} of the hold-out: rms by which the model leaves the recorded "
-        f"motion, held on it by {'the same' if changed else 'a'} loop of {loop}."
+        f"Simulated forward under the recorded torque over {forward.windows or 0} windows of "
+        f"{v.quantity(forward.window_s, 's', 2)} of the hold-out: rms by which the model leaves "
+        f"the recorded motion, held on it by {'the same' if changed else 'a'} loop of {loop}."
         f"{closer if changed else ''}",
         "How far the simulated motion leaves the recorded one",
     )
-    return [table, p.notes(v.words(result, "forward", "notes"))]
+    return [table, p.notes(forward.notes)]
 
 
-def _errors(result: Result, unit: str, changed: bool) -> p.Blocks:
-    pairs = _pairs(result)
-    what = "Prediction error per joint on the hold-out"
-    models = [("Given", "simulation"), ("Extended", "extended")][: 1 + changed]
-    cutoff = v.real(result, "cutoff_hz")
-    same = (
-        ""
-        if cutoff is None
-        else f", all after the same filter ({v.quantity(cutoff, 'Hz')})"
-    )
-    measures = ((f"rms [{unit}]", "rms", v.number), ("nrmse", "nrmse", v.percent))
+def _errors(result: Diagnose, changed: bool) -> p.Blocks:
+    unit = result.unit
+    models = [("Given", result.simulation.joints)]
+    if changed:
+        models.append(("Extended", result.extended.joints))
+
+    def columns(heading: str, key: str, write: p.Write) -> list[p.Column]:
+        def cell(model: int) -> Callable[[Sequence[JointAccuracy]], p.Cell]:
+            def written(row: Sequence[JointAccuracy]) -> p.Cell:
+                value = getattr(row[model], key)
+                return p.Cell(write(value), value=value)
+
+            return written
+
+        return [
+            (f"number:{label}, {heading}", cell(k))
+            for k, (label, _) in enumerate(models)
+        ]
+
+    same = ""
+    if result.cutoff_hz is not None:
+        same = f", all after the same filter ({v.quantity(result.cutoff_hz, 'Hz')})"
     table = p.table(
-        pairs,
+        _pairs(result),
         [
-            ("name:Joint", "name"),
-            *(
-                (f"number:{label}, {heading}", f"{model}.{key}", write)
-                for heading, key, write in (*measures, ("r²", "r2", v.number4))
-                for label, model in models
-            ),
+            ("name:Joint", lambda r: r[0].name),
+            *columns(f"rms [{unit}]", "rms", v.number),
+            *columns("nrmse", "nrmse", v.percent),
+            *columns("r²", "r2", v.number4),
         ],
         f"The model as given{' and with the findings added' * changed}, on the hold-out{same}; "
         "nrmse is rms over the measured torque's standard deviation.",
     )
-    return [
-        error_bars(pairs, [m for _, m in models], unit, _CURVES.after_label, what),
-        table,
-    ]
+    bars = error_bars(
+        [row.name for row in result.simulation.joints],
+        [rows for _, rows in models],
+        unit,
+        _CURVES.after_label,
+        "Prediction error per joint on the hold-out",
+    )
+    return [bars, table]
 
 
-def _unexplained(result: Result) -> p.Blocks:
-    rows = v.records(result, "unexplained")
-    sized = any(v.text(row, "against_noise") for row in rows)
-    noise = bool(rows) and all(v.text(row, "structure") == _NOISE for row in rows)
+def _unexplained(rows: list[Unexplained]) -> p.Blocks:
+    sized = any(row.against_noise for row in rows)
+    noise = bool(rows) and all(row.structure == _NOISE for row in rows)
     return [
         p.notes(["The residual looks like noise at every joint."] * noise, p.GOOD),
         p.table(
@@ -488,7 +510,7 @@ def _unexplained(result: Result) -> p.Blocks:
                 ("text:Against the noise", "against_noise") if sized else None,
                 (
                     "text:Structure",
-                    lambda r: v.text(r, "structure").removeprefix("structured: "),
+                    lambda r: r.structure.removeprefix("structured: "),
                 ),
             ],
             "What everything found leaves: share of the measured torque's variance, its size "

@@ -8,28 +8,31 @@ from excitant.reports import figure as fig
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Panel, Points
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import DataSet, Deviation, Drift, Fleet, Number
 
 _DRAWN = 6  # changes that are drawn
 _MONTHS = 12.0
 
 
-def fleet_section(result: Result, series: Series) -> p.Section:
+def fleet_section(result: Fleet, series: Series) -> p.Section:
     """Arms beside their siblings and over time."""
-    sets, odd, drifts = (
-        v.records(result, key) for key in ("data_sets", "deviations", "drifts")
+    sets = result.data_sets
+    odd = result.deviations
+    drifts = result.drifts
+    failed = [row for row in sets if row.failed]
+    arms = len({row.arm for row in odd})
+    changing = len({row.arm for row in drifts})
+    lead = (
+        f"{result.arms} arms, {len(sets)} data sets: "
+        f"{_counted(arms, 'differs from its siblings', 'differ from their siblings')}, "
+        f"{_counted(changing, 'changes', 'change')} with time"
     )
-    failed = [each for each in sets if v.text(each, "failed")]
-    arms = len({v.text(each, "arm") for each in odd})
-    changing = len({v.text(each, "arm") for each in drifts})
-    said = f"{v.whole(v.at(result, 'arms'))} arms, {len(sets)} data sets: "
-    said += _counted(arms, "differs from its siblings", "differ from their siblings")
-    said += f", {_counted(changing, 'changes', 'change')} with time"
     if failed:
-        said += f"; {_counted(len(failed), 'data set has', 'data sets have')} no model"
+        lead += f"; {_counted(len(failed), 'data set has', 'data sets have')} no model"
     return p.section(
         "Fleet",
-        f"{said}.",
+        f"{lead}.",
         [
             ("Key figures", [_facts(result, arms, changing, len(failed))]),
             (
@@ -45,10 +48,10 @@ def fleet_section(result: Result, series: Series) -> p.Section:
                 ],
             ),
             ("Without a model", [_failed(failed)]),
-            ("Data sets", [_sets(sets)]),
-            ("Notes", [p.notes(v.words(result, "notes"), brief="note")]),
+            ("Data sets", [_sets([row for row in sets if not row.failed])]),
+            ("Notes", [p.notes(result.notes, brief="note")]),
         ],
-        (("fleet", f"{said}."),),
+        (("fleet", f"{lead}."),),
     )
 
 
@@ -56,70 +59,57 @@ def _counted(n: int, one: str, many: str) -> str:
     return f"{n or 'none'} {one if n < 2 else many}"
 
 
-def _facts(result: Result, odd: int, changing: int, failed: int) -> p.Facts | None:
+def _facts(result: Fleet, odd: int, changing: int, failed: int) -> p.Facts | None:
     tones = [p.POOR if count else p.GOOD for count in (odd, changing, failed)]
     return p.facts(
-        p.fact(
-            "Arms", v.at(result, "arms"), v.whole, v.listing(v.words(result, "types"))
-        ),
+        p.fact("Arms", result.arms, v.whole, v.listing(result.types)),
         p.fact("Differ from their siblings", odd, v.whole, "", tones[0]),
         p.fact("Change with time", changing, v.whole, "", tones[1]),
         p.fact("Data sets without a model", failed, v.whole, "", tones[2]),
     )
 
 
-def _differs(row: Result) -> str:
-    more = "less" if (v.real(row, "difference") or 0.0) < 0 else "more"
-    value, apart, others = (
-        " ± ".join(v.value_and_std(*(v.at(row, key) for key in keys)))
-        for keys in (
-            ("value", "std"),
-            ("difference", "difference_std"),
-            ("siblings", "spread"),
-        )
-    )
-    name = v.text(row, "parameter")
-    unit = v.text(row, "unit")
+def _interval(value: Number, std: Number) -> p.Cell:
+    return p.Cell(" ± ".join(v.value_and_std(value, std)), value=value)
+
+
+def _differs(row: Deviation) -> str:
+    more = "less" if (row.difference or 0.0) < 0 else "more"
+    value = _interval(row.value, row.std).text
+    apart = _interval(row.difference, row.difference_std).text
+    others = _interval(row.siblings, row.spread).text
     return (
-        f"{v.text(row, 'arm')}: {name} is {value} {unit}, {apart.lstrip('−-')} {more} than that of "
-        f"its {v.whole(v.at(row, 'count'))} siblings ({others})"
+        f"{row.arm}: {row.parameter} is {value} {row.unit}, {apart.lstrip('−-')} {more} than that "
+        f"of its {row.count} siblings ({others})"
     )
 
 
-def _monthly(row: Result) -> tuple[float, float]:
+def _monthly(row: Drift) -> tuple[float, float]:
     """Slope a month, and its standard deviation."""
-    per_year, std = (v.real(row, key) or 0.0 for key in ("per_year", "std"))
-    return per_year / _MONTHS, std / _MONTHS
+    return (row.per_year or 0.0) / _MONTHS, (row.std or 0.0) / _MONTHS
 
 
-def _changes(row: Result) -> str:
+def _changes(row: Drift) -> str:
     slope, std = _monthly(row)
     way = "falls" if slope < 0 else "rises"
-    size = " ± ".join(v.value_and_std(abs(slope), std))
-    ends = (v.number(v.at(row, key)) for key in ("before", "after"))
-    before, after = (
-        f"{x} on {v.text(row, key)}"
-        for x, key in zip(ends, ("first", "last"), strict=True)
-    )
     return (
-        f"{v.text(row, 'arm')}: {v.text(row, 'parameter')} {way} by {size} {v.text(row, 'unit')} a "
-        f"month, from {before} to {after}"
+        f"{row.arm}: {row.parameter} {way} by {_interval(abs(slope), std).text} {row.unit} a "
+        f"month, from {v.number(row.before)} on {row.first} to {v.number(row.after)} on {row.last}"
     )
 
 
-def _odd(odd: list[Result]) -> p.Table | None:
-    def siblings(row: Result) -> str:
-        mean, spread = v.value_and_std(v.at(row, "siblings"), v.at(row, "spread"))
-        return f"{mean} ± {spread} ({v.whole(v.at(row, 'count'))} arms)"
-
+def _odd(odd: list[Deviation]) -> p.Table | None:
     return p.table(
         odd,
         [
             ("name:Arm", "arm"),
             ("expression:Parameter", "parameter"),
-            ("number:It has", lambda r: _pair(r, "value", "std")),
-            ("number:Its siblings", siblings),
-            ("number:Difference", lambda r: _pair(r, "difference", "difference_std")),
+            ("number:It has", lambda r: _interval(r.value, r.std)),
+            (
+                "number:Its siblings",
+                lambda r: f"{_interval(r.siblings, r.spread).text} ({r.count} arms)",
+            ),
+            ("number:Difference", lambda r: _interval(r.difference, r.difference_std)),
             ("name:Unit", "unit"),
         ],
         "The most certain first. Of the siblings: mean and standard deviation from arm to arm. A "
@@ -127,26 +117,17 @@ def _odd(odd: list[Result]) -> p.Table | None:
     )
 
 
-def _pair(row: Result, value: str, std: str) -> p.Cell:
-    pair = v.at(row, value), v.at(row, std)
-    return p.Cell(" ± ".join(v.value_and_std(*pair)), p.PLAIN, v.real(pair[0]))
-
-
-def _drifts(drifts: list[Result]) -> p.Table | None:
-    def slope(row: Result) -> p.Cell:
-        pair = _monthly(row)
-        return p.Cell(" ± ".join(v.value_and_std(*pair)), p.PLAIN, pair[0])
-
+def _drifts(drifts: list[Drift]) -> p.Table | None:
     return p.table(
         drifts,
         [
             ("name:Arm", "arm"),
             ("expression:Parameter", "parameter"),
-            ("number:A month", slope),
+            ("number:A month", lambda r: _interval(*_monthly(r))),
             ("name:Unit", "unit"),
-            ("number:From", lambda r: v.number(v.at(r, "before"))),
+            ("number:From", lambda r: v.number(r.before)),
             ("name:On", "first"),
-            ("number:To", lambda r: v.number(v.at(r, "after"))),
+            ("number:To", lambda r: v.number(r.after)),
             ("name:By", "last"),
             ("number:Data sets", "count", v.whole),
         ],
@@ -154,7 +135,7 @@ def _drifts(drifts: list[Result]) -> p.Table | None:
     )
 
 
-def _figure(drifts: list[Result], series: Series) -> Figure | None:
+def _figure(drifts: list[Drift], series: Series) -> Figure | None:
     panels = [_panel(k, row, series) for k, row in enumerate(drifts[:_DRAWN])]
     return fig.figure(
         panels,
@@ -166,11 +147,9 @@ def _figure(drifts: list[Result], series: Series) -> Figure | None:
     )
 
 
-def _panel(k: int, row: Result, series: Series) -> Panel | None:
-    before = v.real(row, "before")
-    after = v.real(row, "after")
+def _panel(k: int, row: Drift, series: Series) -> Panel | None:
     days = v.array(series, f"drift{k}/days", None)
-    if days is None or before is None or after is None:
+    if days is None:
         return None
     x, std = (v.array(series, f"drift{k}/{key}", len(days)) for key in ("value", "std"))
     if x is None or std is None:
@@ -181,22 +160,22 @@ def _panel(k: int, row: Result, series: Series) -> Panel | None:
     marks = (
         Line(np.repeat(days, 3), bars, fig.MEASURED, width=1.0),
         Points(days, x, fig.MEASURED, "data set"),
-        Line(ends, np.array([before, after]), fig.FITTED, "line through all"),
+        Line(ends, v.reals([row.before, row.after]), fig.FITTED, "line through all"),
     )
     ticks = np.linspace(ends[0], ends[1], 3).tolist()
     dates = [(day, str(np.datetime64(0, "D") + round(day))) for day in ticks]
     axes = Axes(
         marks,
         Axis(ticks=tuple(dates)),
-        Axis(f"value [{v.text(row, 'unit')}]"),
+        Axis(f"value [{row.unit}]"),
         150,
     )
-    arm = v.text(row, "arm")
-    name = v.text(row, "parameter")
+    arm = row.arm
+    name = row.parameter
     return Panel((axes,), f"{name} of {arm} over time", f"{arm}: {name}")
 
 
-def _failed(failed: list[Result]) -> p.Table | None:
+def _failed(failed: list[DataSet]) -> p.Table | None:
     return p.table(
         failed,
         [("name:Data set", "name"), ("text:Why", "failed")],
@@ -205,16 +184,16 @@ def _failed(failed: list[Result]) -> p.Table | None:
     )
 
 
-def _sets(sets: list[Result]) -> p.Table | None:
+def _sets(sets: list[DataSet]) -> p.Table | None:
     return p.table(
-        [each for each in sets if not v.text(each, "failed")],
+        sets,
         [
             ("name:Data set", "name"),
             ("name:Arm", "arm"),
             ("name:Date", "date"),
             (
                 "text:Diagnosis",
-                lambda r: " ".join(v.words(r, "found")) or "nothing stands out",
+                lambda r: " ".join(r.found) or "nothing stands out",
             ),
         ],
         "What diagnose says of each; its pages are in the folder arms.",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from operator import attrgetter
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from excitant.reports.figures.estimate import (
     forest_figure,
     forest_groups,
     friction_figure,
+    owner_of,
+    symbol_of,
 )
 from excitant.reports.figures.online import (
     ENOUGH,
@@ -24,7 +27,20 @@ from excitant.reports.figures.online import (
 )
 from excitant.reports.figures.residual import agreement_figure, residual_figure
 from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
-from excitant.reports.values import Result, Series
+from excitant.reports.values import Series
+from excitant.results import (
+    Body,
+    Determined,
+    ExportedFile,
+    Fault,
+    Identify,
+    LinkByLink,
+    Mujoco,
+    Number,
+    Online,
+    Payload,
+    Stage,
+)
 from excitant.robots.parameters import STANDARD
 
 CUTOFF_REMARK = (
@@ -49,35 +65,31 @@ _IN_MUJOCO = Curves(
 )
 
 
-def identify_section(result: Result, series: Series) -> p.Section:
+def identify_section(result: Identify, series: Series) -> p.Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
-    joints = v.joint_names(result)
-    unit = v.text(result, "unit") or "N·m"
-    said = [
-        v.sentence(n)
-        for n in v.words(result, "notes")
-        if n and n != v.text(result, "holdout")
-    ]
-    refusal = v.sentence(v.text(result, "refusal"))
+    joints = _names(result)
+    unit = result.unit
+    notes = [v.sentence(note) for note in result.notes if note != result.holdout]
+    refusal = [v.sentence(result.refusal)] * bool(result.refusal)
     return p.section(
         "Identification",
         _lead(result),
         [
+            ("Key figures", [_facts(result), p.notes(refusal, p.POOR)]),
+            ("Files of the model", [exported_table(result.exported)]),
+            ("Data faults", [fault_table(result.faults or [])]),
+            ("Payload", _payload(result.payload)),
             (
-                "Key figures",
-                [_facts(result), p.notes([refusal] * bool(refusal), p.POOR)],
+                "Link by link against all links at once",
+                _link_by_link(result.link_by_link, unit),
             ),
-            ("Files of the model", [exported_table(result)]),
-            ("Data faults", [fault_table(result)]),
-            ("Payload", _payload(v.at(result, "payload"))),
-            ("Link by link against all links at once", _link_by_link(result, unit)),
             ("Masses and centres of mass", [_bodies(result)]),
             ("Friction and other effects", [_effects(result)]),
         ],
-        _brief(result, unit),
+        _brief(result),
         [
-            ("Friction curves", [friction_figure(result, series)]),
-            ("Error per joint", _errors(result, unit)),
+            ("Friction curves", [friction_figure(result.joints, series)]),
+            ("Error per joint", _errors(result)),
             (
                 over_holdout(unit),
                 [
@@ -87,62 +99,54 @@ def identify_section(result: Result, series: Series) -> p.Section:
             ),
             (
                 "Measured against predicted",
-                [agreement_figure(result, series, unit)],
+                [agreement_figure(result.joints, series, unit)],
             ),
             (
                 "Residual by position, velocity, load and frequency",
-                [residual_figure(result, series, unit)],
+                [residual_figure(result, series)],
             ),
-            ("In MuJoCo", _in_mujoco(result, series, unit)),
+            ("In MuJoCo", _in_mujoco(result.mujoco, joints, series, unit)),
             *_online(result, series),
-            ("Parameters, given and identified", [forest_figure(result)]),
+            ("Parameters, given and identified", [forest_figure(result.parameters)]),
             ("Base parameters", _base_parameters(result)),
             ("Standard parameters", [_parameter_table(result)]),
-            ("How it was fitted", [_how(result), _physical(result), p.notes(said)]),
+            ("How it was fitted", [_how(result), _physical(result), p.notes(notes)]),
         ],
     )
 
 
-def _brief(result: Result, unit: str) -> p.Brief:
+def _brief(result: Identify) -> p.Brief:
     """Error, hold-out, and the links whose mass or centre of mass moved by half."""
-    rows = v.records(result, "joints")
-    given, found = (v.median(rows, kind, "nrmse") for kind in ("baseline", "validate"))
-    consistent = v.at(result, "physical", "consistent")
-    said = (
-        f"hold-out error {v.change(given, found, v.percent)} (nrmse, median over joints), "
+    consistent = result.physical.consistent
+    error = (
+        f"hold-out error {v.change(*_errors_of(result), v.percent)} (nrmse, median over joints), "
         f"{'physically consistent' if consistent else 'not physical'}"
     )
-    moved = [
-        words for row in v.records(result, "links") if (words := v.text(row, "moved"))
-    ]
-    few = (
-        moved
-        if len(moved) <= _FEW
-        else [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
-    )
-    named = [("moved" if k == 0 else "", words) for k, words in enumerate(few)]
-    return ("identified", said), ("", v.text(result, "holdout")), *named
+    moved = [row.moved for row in result.links if row.moved]
+    if len(moved) > _FEW:
+        moved = [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
+    lines = [("" if k else "moved", words) for k, words in enumerate(moved)]
+    return ("identified", error), ("", result.holdout), *lines
 
 
-def exported_table(result: Result) -> p.Table | None:
+def exported_table(files: list[ExportedFile]) -> p.Table | None:
     """How well what each file of the model holds predicts the hold-out; None without any."""
-    rows = v.records(result, "exported")
 
-    def error(pick: Callable[..., float]) -> Callable[[Result], p.Cell]:
-        def cell(row: Result) -> p.Cell:
-            nrmse = [x for x in v.reals(row, "nrmse") if np.isfinite(x)]
+    def error(pick: Callable[..., float]) -> Callable[[ExportedFile], p.Cell]:
+        def cell(row: ExportedFile) -> p.Cell:
+            nrmse = [x for x in row.nrmse if x is not None]
             return p.Cell(v.percent(pick(nrmse)) if nrmse else v.NONE)
 
         return cell
 
-    def missing(row: Result) -> p.Cell:
-        lacks = v.listing(v.words(row, "lacks"), "nothing")
-        if v.at(row, "written") is False:
-            return p.Cell(f"not written, for it lacks {lacks}", p.POOR)
-        return p.Cell(lacks)
+    def missing(row: ExportedFile) -> p.Cell:
+        lacks = v.listing(row.lacks, "nothing")
+        if row.written:
+            return p.Cell(lacks)
+        return p.Cell(f"not written, for it lacks {lacks}", p.POOR)
 
     return p.table(
-        rows,
+        files,
         [
             ("name:File", "file"),
             ("number:Error, median joint", error(np.median)),
@@ -154,234 +158,215 @@ def exported_table(result: Result) -> p.Table | None:
     )
 
 
-def fault_table(result: Result) -> p.Table | None:
+def fault_table(faults: list[Fault]) -> p.Table | None:
     """Data faults with their evidence; None without any."""
     return p.table(
-        v.records(result, "faults"),
+        faults,
         [
             ("name:Recording", "recording"),
-            ("name:Data fault", lambda r: p.Cell(v.plain(v.text(r, "fault")), p.POOR)),
+            ("name:Data fault", lambda r: p.Cell(v.plain(r.fault), p.POOR)),
             ("name:Joints", "joints"),
-            ("text:Detail", lambda r: f"{v.text(r, 'detail')} ({_remedy(r)})"),
+            ("text:Detail", lambda r: f"{r.detail} ({_remedy(r)})"),
         ],
         "Faults of the data, found before any model was judged by them.",
         brief="data fault",
     )
 
 
-def _remedy(fault: Result) -> str:
+def _remedy(fault: Fault) -> str:
     """What was done about a fault, or can be."""
-    left = v.text(fault, "repair") and f"--repair {v.text(fault, 'repair')}"
-    return (
-        "repaired"
-        if v.at(fault, "repaired")
-        else f"not repaired; {left or 'record again'}"
-    )
+    if fault.repaired:
+        return "repaired"
+    repair = f"--repair {fault.repair}" if fault.repair else "record again"
+    return f"not repaired; {repair}"
 
 
-def _held_out(result: Result) -> bool:
-    return any(v.at(row, "validate") is not None for row in v.records(result, "joints"))
+def _errors_of(result: Identify) -> tuple[float | None, float | None]:
+    """Nrmse of the given and of the identified model on the hold-out, medians over joints."""
+    given = v.median(row.baseline.nrmse for row in result.joints)
+    return given, v.median(row.validate.nrmse for row in result.joints)
 
 
-def _lead(result: Result) -> str:
-    rows = v.records(result, "joints")
-    before, after = (v.median(rows, key, "nrmse") for key in ("baseline", "validate"))
-    where = "on the hold-out"
-    if after is None:
-        after = v.median(rows, "train", "nrmse")
-        where = "on the fitted data (nothing was held out)"
-    subject = f"The identified model of {v.text(result, 'robot') or 'the arm'}"
-    if after is None:
+def _lead(result: Identify) -> str:
+    given, identified = _errors_of(result)
+    subject = f"The identified model of {result.robot}"
+    if identified is None:
         return f"{subject} is described below."
-    instead = (
-        ""
-        if before is None
-        else f" instead of {v.percent(before)} with the model as given"
-    )
-    held = v.sentence(v.text(result, "holdout"))
+    instead = ""
+    if given is not None:
+        instead = f" instead of {v.percent(given)} with the model as given"
     return (
-        f"{subject} misses {v.percent(after)} of the measured torque {where}{instead} "
-        f"(rms over standard deviation, median over joints).{f' {held}' if held else ''}"
+        f"{subject} misses {v.percent(identified)} of the measured torque on the hold-out{instead} "
+        f"(rms over standard deviation, median over joints). {v.sentence(result.holdout)}"
     )
 
 
-def _facts(result: Result) -> p.Facts | None:
-    rows = v.records(result, "joints")
-    held = _held_out(result)
-    before, after = (
-        v.median(rows, k, "nrmse") for k in ("baseline", ("train", "validate")[held])
-    )
-    consistent = v.at(result, "physical", "consistent")
-    physical, tone = {True: ("yes", p.GOOD), False: ("no", p.POOR)}.get(
-        consistent, ("", p.PLAIN)
-    )
-    faults = Counter(
-        v.plain(v.text(fault, "fault")) for fault in v.records(result, "faults")
-    )
+def _facts(result: Identify) -> p.Facts | None:
+    given, identified = _errors_of(result)
+    physical = ("yes", p.GOOD) if result.physical.consistent else ("no", p.POOR)
+    faults = Counter(v.plain(fault.fault) for fault in result.faults or [])
     kinds = v.listing([f"{n} {kind}" for kind, n in faults.items()], "none was found")
-    error = "Hold-out error" if held else "Error of the fit"
     remark = "given → identified; nrmse, median over joints"
-    found = sum(faults.values()) if "faults" in result else None
+    count = None if result.faults is None else len(result.faults)
     return p.facts(
-        p.Fact(error, v.change(before, after, v.percent), remark, number=after),
+        p.Fact(
+            "Hold-out error",
+            v.change(given, identified, v.percent),
+            remark,
+            number=identified,
+        ),
         p.Fact(
             "Physically consistent",
-            physical,
+            physical[0],
             "positive mass and inertia of every link",
-            tone,
+            physical[1],
         ),
-        p.fact("Data faults", found, v.whole, kinds, p.POOR if found else p.GOOD),
-        p.fact("Cut-off", v.at(result, "cutoff_hz"), v.unit_of("Hz"), CUTOFF_REMARK),
+        p.fact("Data faults", count, v.whole, kinds, p.POOR if count else p.GOOD),
+        p.fact("Cut-off", result.cutoff_hz, v.unit_of("Hz"), CUTOFF_REMARK),
     )
 
 
-def _how(result: Result) -> p.Facts | None:
-    joints = Counter(v.plain(effect) for effect in v.words(result, "effects"))
+def _how(result: Identify) -> p.Facts | None:
+    joints = Counter(v.plain(effect) for effect in result.effects)
     effects = [name if n == 1 else f"{name} ({n} joints)" for name, n in joints.items()]
-    count = len(v.records(result, "base_parameters"))
+    count = len(result.base_parameters)
     return p.facts(
-        p.Fact("Estimator", v.plain(v.text(result, "estimator"))),
+        p.Fact("Estimator", v.plain(result.estimator)),
         p.Fact("Effects", v.listing(effects), "besides the links' inertia"),
-        p.fact("Base parameters", count or None, v.whole, "identifiable combinations"),
+        p.fact("Base parameters", count, v.whole, "identifiable combinations"),
     )
 
 
-def _errors(result: Result, unit: str) -> p.Blocks:
-    rows = v.records(result, "joints")
-    held = _held_out(result)
-    judged, where = ("validate", "hold-out") if held else ("train", "fitted data")
-    cutoff = v.real(result, "cutoff_hz")
-    same = (
-        "" if cutoff is None else f" after the same filter ({v.quantity(cutoff, 'Hz')})"
-    )
-    what = f"Prediction error per joint on the {where}"
-    models = ("baseline", judged)
+def _errors(result: Identify) -> p.Blocks:
+    unit = result.unit
+    rows = result.joints
+    same = ""
+    if result.cutoff_hz is not None:
+        same = f" after the same filter ({v.quantity(result.cutoff_hz, 'Hz')})"
     table = p.table(
         rows,
         [
             ("name:Joint", "name"),
             (f"number:Model as given, rms [{unit}]", "baseline.rms"),
-            (f"number:Identified, rms [{unit}]", f"{judged}.rms"),
-            (f"number:Unfiltered rms [{unit}]", f"{judged}.rms_raw"),
-            ("number:nrmse", f"{judged}.nrmse", v.percent),
-            ("number:r²", f"{judged}.r2", v.number4),
-            (f"number:Fitted data, rms [{unit}]", "train.rms") if held else None,
+            (f"number:Identified, rms [{unit}]", "validate.rms"),
+            (f"number:Unfiltered rms [{unit}]", "validate.rms_raw"),
+            ("number:nrmse", "validate.nrmse", v.percent),
+            ("number:r²", "validate.r2", v.number4),
+            (f"number:Fitted data, rms [{unit}]", "train.rms"),
         ],
-        f"Prediction error on the {where}{same}, of the model as given and as identified"
-        + ("; last, the error on the data it was fitted to" if held else "")
-        + ". nrmse is rms over the measured torque's standard deviation.",
+        f"Prediction error on the hold-out{same}, of the model as given and as identified; last, "
+        "the error on the data it was fitted to. nrmse is rms over the measured torque's standard "
+        "deviation.",
     )
-    return [error_bars(rows, models, unit, CURVES.after_label, what), table]
+    bars = error_bars(
+        _names(result),
+        ([row.baseline for row in rows], [row.validate for row in rows]),
+        unit,
+        CURVES.after_label,
+        "Prediction error per joint on the hold-out",
+    )
+    return [bars, table]
 
 
-def _intervals(result: Result, unit: str) -> p.Table | None:
-    key = "validate.interval95"
-    by = "parameters and lengths" if "lengths" in result else "parameters"
+def _names(result: Identify) -> list[str]:
+    return [row.name for row in result.joints]
+
+
+def _intervals(result: Identify, unit: str) -> p.Table | None:
+    by = "parameters and lengths" if result.lengths else "parameters"
+    interval = "validate.interval95"
     return p.table(
-        [
-            r
-            for r in v.records(result, "joints")
-            if v.real(r, *key.split("."), "half_width")
-        ],
+        [row for row in result.joints if row.validate.interval95],
         [
             ("name:Joint", "name"),
             (
                 f"number:95\u00a0% interval of a reading, ± [{unit}]",
-                f"{key}.half_width",
+                f"{interval}.half_width",
             ),
             (
                 f"number:of which by the {by}, ± [{unit}]",
-                f"{key}.half_width_parameters",
+                f"{interval}.half_width_parameters",
             ),
-            ("number:Hold-out inside", f"{key}.coverage", v.percent),
+            ("number:Hold-out inside", f"{interval}.coverage", v.percent),
         ],
         f"Interval for a new reading, from the uncertainty of the {by} and coloured noise; "
         "far less than 95\u00a0% of the hold-out inside means that the model lacks something.",
     )
 
 
-def _in_mujoco(result: Result, series: Series, unit: str) -> p.Blocks:
-    found = v.at(result, "mujoco")
-    if found is None:
+def _in_mujoco(
+    mujoco: Mujoco | None, joints: list[str], series: Series, unit: str
+) -> p.Blocks:
+    if mujoco is None:
         return []
     table = p.table(
-        v.records(found, "joints"),
+        mujoco.joints,
         [
             ("name:Joint", "name"),
-            (f"number:Model as given, rms [{unit}]", "given.rms"),
+            (
+                f"number:Model as given, rms [{unit}]",
+                "given",
+                lambda x: v.number(x and x.rms),
+            ),
             (f"number:Identified, rms [{unit}]", "identified.rms"),
             ("number:nrmse", "identified.nrmse", v.percent),
             (
                 "number:Differs from excitant by",
                 "differs",
-                lambda x: v.percent(round(x, 5)),
+                lambda x: v.percent(x and round(x, 5)),
             ),
         ],
-        f"Prediction error of the MJCF files in MuJoCo {v.text(found, 'version')}; last, how far "
+        f"Prediction error of the MJCF files in MuJoCo {mujoco.version}; last, how far "
         "MuJoCo is from excitant's own prediction (rms over the measured torque's standard "
         "deviation): where a joint turns back, dry friction takes 2 ms there, and what MJCF cannot "
         "hold is missing.",
     )
-    figure = torque_figure(v.joint_names(result), series, unit, _IN_MUJOCO)
     return [
         table,
-        figure,
-        p.notes([v.sentence(n) for n in v.words(found, "notes")], p.FAIR),
+        torque_figure(joints, series, unit, _IN_MUJOCO),
+        p.notes([v.sentence(note) for note in mujoco.notes], p.FAIR),
     ]
 
 
-def _base_parameters(result: Result) -> p.Blocks:
-    kept, dropped = (
-        len(v.words(result, "essential", key)) for key in ("kept", "dropped")
+def _base_parameters(result: Identify) -> p.Blocks:
+    essential = result.essential
+    needed = len(essential.kept)
+    total = needed + len(essential.dropped)
+    sentence = (
+        f"{needed} of {total} base parameters are essential: with the others at zero, "
+        f"least squares misses {v.percent(essential.nrmse_essential)} of the hold-out instead of "
+        f"{v.percent(essential.nrmse_all)} (median over joints)."
     )
-    few, every = (
-        v.real(result, "essential", key) for key in ("nrmse_essential", "nrmse_all")
-    )
-    said = (
-        f"{kept} of {kept + dropped} base parameters are essential: with the others at zero, "
-        f"least squares misses {v.percent(few)} of the hold-out instead of {v.percent(every)} "
-        "(median over joints)."
-    )
-    rows = v.records(result, "base_parameters")
-    units = any(v.text(row, "unit") for row in rows)
-    si = "" if units else " (SI)"
+    rows = result.base_parameters
     table = p.table(
         rows,
         [
             ("expression:Base parameter", "expression"),
-            *p.estimates(f"number:Value{si}", f"number:± std{si}"),
+            *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ("number:Relative std", p.relative),
-            ("text:Unit", "unit") if units else None,
         ],
         "The combinations of parameters that the torque depends on. Relative standard deviation: "
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above; near zero it is large by nature.",
         p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
-    return [p.notes([said] * bool(kept + dropped)), table]
+    return [p.notes([sentence] * bool(total)), table]
 
 
-def _parameter_table(result: Result) -> p.Table | None:
-    rows = v.records(result, "parameters")
-    counts = Counter(
-        v.plain(v.text(row, "category")) for row in rows if v.text(row, "category")
-    )
-    categories = (
-        ", ".join(f"{n} {category}" for category, n in counts.items()) or "values"
-    )
+def _parameter_table(result: Identify) -> p.Table | None:
+    rows = result.parameters
+    counts = Counter(row.category for row in rows)
+    categories = ", ".join(f"{n} {category}" for category, n in counts.items())
     return p.table(
         rows,
         [
-            (
-                "name:Parameter",
-                lambda r: v.text(r, "name").removeprefix(f"{v.text(r, 'link')}."),
-            ),
+            ("name:Parameter", lambda r: r.name.removeprefix(f"{r.link}.")),
             ("name:Link", "link"),
             *p.estimates(),
             ("number:Relative std", p.relative),
             ("text:Unit", "unit"),
             ("number:Prior", "prior", v.number4),
-            ("text:Category", "category", lambda c: v.plain(c or "")),
-            ("text:Decided by", lambda r: p.decided(v.text(r, "decided_by"))),
+            ("text:Category", "category"),
+            ("text:Decided by", lambda r: p.decided(r.decided_by)),
         ],
         "Values decided by the prior are those the data leave open: they complete the model, but "
         "were not measured.",
@@ -389,37 +374,44 @@ def _parameter_table(result: Result) -> p.Table | None:
     )
 
 
-def _bodies(result: Result) -> p.Table | None:
+def _bodies(result: Identify) -> p.Table | None:
     """Masses and centres of mass, given and identified."""
 
-    def centre(key: str) -> Callable[[Result], str]:
-        return lambda row: v.listing(
-            [v.whole(1e3 * x) for x in v.reals(row, "centre", key)]
-        )
+    def place(centre: list[Number]) -> str:
+        return v.listing([v.whole(x and 1e3 * x) for x in centre])
 
-    def moved(row: Result) -> dict[str, float | None]:
-        known = (v.real(row, "centre", key) for key in ("shift", "shift_std"))
-        return dict(zip(("value", "std"), (x and 1e3 * x for x in known), strict=True))
+    def shift(row: Body) -> Determined:
+        size = row.centre.shift
+        std = row.centre.shift_std
+        return Determined(row.link, size and 1e3 * size, std and 1e3 * std)
 
     return p.table(
-        [{**row, "moved": moved(row)} for row in v.records(result, "links")],
+        result.links,
         [
             ("name:Link", "link"),
             ("number:Mass [kg]|given", "mass.given"),
             *p.estimates(
-                "number:Mass [kg]|identified", "number:Mass [kg]|± std", "mass"
+                "number:Mass [kg]|identified",
+                "number:Mass [kg]|± std",
+                attrgetter("mass"),
             ),
-            ("text:Mass [kg]|by", lambda r: p.decided(v.text(r, "mass", "decided_by"))),
-            ("number:Centre of mass [mm]|given", centre("given")),
-            ("number:Centre of mass [mm]|identified", centre("value")),
+            ("text:Mass [kg]|by", lambda r: p.decided(r.mass.decided_by)),
+            (
+                "number:Centre of mass [mm]|given",
+                lambda r: place(r.centre.given),
+            ),
+            (
+                "number:Centre of mass [mm]|identified",
+                lambda r: place(r.centre.value),
+            ),
             *p.estimates(
                 "number:Centre of mass [mm]|moved by",
                 "number:Centre of mass [mm]|± std",
-                "moved",
+                shift,
             ),
             (
                 "text:Centre of mass [mm]|by",
-                lambda r: p.decided(v.text(r, "centre", "decided_by")),
+                lambda r: p.decided(r.centre.decided_by),
             ),
         ],
         "Centres of mass: x, y, z in the frame of the link's joint. What the prior decides "
@@ -427,118 +419,113 @@ def _bodies(result: Result) -> p.Table | None:
     )
 
 
-def _effects(result: Result) -> p.Table | None:
+def _effects(result: Identify) -> p.Table | None:
     """Coefficients of friction and other effects, given and identified: a row per joint."""
-    found = {
-        name: {v.text(row, "owner"): row for row in rows}
-        for name, rows in forest_groups(result).items()
-        if v.text(rows[0], "symbol") not in STANDARD
+    groups = {
+        name: {owner_of(row): row for row in rows}
+        for name, rows in forest_groups(result.parameters).items()
+        if symbol_of(rows[0]) not in STANDARD
     }
-    owners = dict.fromkeys(owner for rows in found.values() for owner in rows)
-    columns: list[p.Column | None] = [("name:Joint", "owner")]
-    for name, rows in found.items():
-        given = any(v.real(row, "given") is not None for row in rows.values())
-        columns += [
-            (f"number:{name}|given", f"{name}.given", v.number) if given else None,
-            *p.estimates(f"number:{name}|identified", f"number:{name}|± std", name),
+
+    def columns(name: str) -> list[p.Column]:
+        rows = groups[name]
+
+        def given(owner: str) -> p.Cell:
+            value = rows[owner].given if owner in rows else None
+            return p.Cell(v.number(value), value=value)
+
+        known = any(row.given is not None for row in rows.values())
+        return [
+            *[(f"number:{name}|given", given)] * known,
+            *p.estimates(f"number:{name}|identified", f"number:{name}|± std", rows.get),
         ]
+
+    owners = dict.fromkeys(owner for rows in groups.values() for owner in rows)
     return p.table(
-        [
-            {"owner": owner, **{name: rows.get(owner) for name, rows in found.items()}}
-            for owner in owners
-        ],
-        columns,
+        list(owners),
+        [("name:Joint", str), *(column for name in groups for column in columns(name))],
         "The given model has none where no given value stands.",
     )
 
 
-def _physical(result: Result) -> p.Notes | None:
-    violations = v.words(result, "physical", "violations")
-    if not violations and v.at(result, "physical", "consistent") is True:
-        said = "Every link has positive mass and an inertia that a body of positive density has."
-        return p.notes([said], p.GOOD)
-    return p.notes(violations, p.POOR)
+def _physical(result: Identify) -> p.Notes | None:
+    if result.physical.violations or not result.physical.consistent:
+        return p.notes(result.physical.violations, p.POOR)
+    sound = "Every link has positive mass and an inertia that a body of positive density has."
+    return p.notes([sound], p.GOOD)
 
 
-def _link_by_link(result: Result, unit: str) -> p.Blocks:
-    found = v.at(result, "link_by_link")
-    stages = v.records(found, "stages")
-    rows = v.records(found, "comparison", "joints")
-    if not stages:
+def _link_by_link(fit: LinkByLink | None, unit: str) -> p.Blocks:
+    if fit is None:
         return []
-    determined = v.real(found, "determined")
-    total = v.real(found, "base_parameters")
-    each = " + ".join(str(len(v.records(stage, "determined"))) for stage in stages)
+    by_link = " + ".join(str(len(stage.determined)) for stage in fit.stages)
     count = p.Fact(
         "Combinations determined",
-        f"{v.text(found, 'determined')} of {v.text(found, 'base_parameters')}",
-        f"{each}, from the last link inward",
-        p.GOOD if determined is not None and determined == total else p.FAIR,
+        f"{fit.determined} of {fit.base_parameters}",
+        f"{by_link}, from the last link inward",
+        p.GOOD if fit.determined == fit.base_parameters else p.FAIR,
     )
     models = {"given": "Model as given", "all_at_once": "All links at once"}
     models["link_by_link"] = "Link by link"
     comparison = p.table(
-        rows,
+        fit.comparison.joints,
         [
             ("name:Joint", "name"),
             *((f"number:{name}, rms [{unit}]", key) for key, name in models.items()),
         ],
         "Prediction error on the hold-out, fitted to the same recordings. All links at once: "
-        f"{v.text(found, 'comparison', 'all_at_once')}.",
+        f"{fit.comparison.all_at_once}.",
     )
-    folds = ((f"Link {v.text(stage, 'link')}", _stage(stage)) for stage in stages)
+    folds = ((f"Link {stage.link}", _stage(stage)) for stage in fit.stages)
     return [p.Facts((count,)), comparison, *folds]
 
 
-def _stage(stage: Result) -> p.Blocks:
-    joint = v.text(stage, "joint")
-    used = v.words(stage, "recordings")
-    rows = v.real(stage, "rows")
-    said = f"{joint} does not move."
-    if used and rows is not None:
-        moves = f"{joint} {v.text(stage, 'mode')}"
-        said = f"Torque of {joint}: {rows:.0f} rows of {v.listing(used)}; {moves}."
-    missing = [{"expression": each} for each in v.words(stage, "missing")]
-    verdict = {True: p.Cell("determined", p.GOOD), False: p.Cell("not shown", p.FAIR)}
+def _stage(stage: Stage) -> p.Blocks:
+    source = f"{stage.joint} does not move."
+    if stage.recordings:
+        recordings = v.listing(stage.recordings)
+        moves = f"{stage.joint} {stage.mode}"
+        source = f"Torque of {stage.joint}: {stage.rows} rows of {recordings}; {moves}."
+    missing = [Determined(expression, None, None) for expression in stage.missing]
+
+    def verdict(row: Determined) -> p.Cell:
+        if row in missing:
+            return p.Cell("not shown", p.FAIR)
+        return p.Cell("determined", p.GOOD)
+
     return [
-        p.notes([said]),
+        p.notes([source]),
         p.table(
-            [*v.records(stage, "determined"), *missing],
+            [*stage.determined, *missing],
             [
                 ("expression:Combination", "expression"),
-                ("text:Verdict", lambda r: verdict["value" in r]),
+                ("text:Verdict", verdict),
                 *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ],
             "What the joint's own torque adds to what the links further out have shown; "
             f"{len(missing) or 'no'} combinations of this link keep the given value.",
         ),
-        p.notes(
-            [f"To identify the rest, {each}." for each in v.words(stage, "needed")],
-            p.FAIR,
-        ),
+        p.notes([f"To identify the rest, {need}." for need in stage.needed], p.FAIR),
     ]
 
 
-def _payload(payload: Result | None) -> p.Blocks:
+def _payload(payload: Payload | None) -> p.Blocks:
     if payload is None:
         return []
     return [
         _payload_facts(payload),
-        p.notes(
-            [v.sentence(each) for each in v.words(payload, "shortcomings")], p.FAIR
-        ),
-        p.notes([v.sentence(each) for each in v.words(payload, "notes")]),
+        p.notes([v.sentence(words) for words in payload.shortcomings], p.FAIR),
+        p.notes([v.sentence(note) for note in payload.notes]),
         payload_figure(payload),
         p.table(
-            v.records(payload, "parameters"),
+            payload.parameters,
             [
                 ("name:Parameter", "name"),
                 *p.estimates(),
                 ("text:Unit", "unit"),
                 (
                     "text:Decided by",
-                    "prior_dominated",
-                    lambda x: "expectation" if x else "data",
+                    lambda r: "expectation" if r.prior_dominated else "data",
                 ),
             ],
             "Standard parameters of the body about the frame of its joint, physically consistent. "
@@ -547,63 +534,62 @@ def _payload(payload: Result | None) -> p.Blocks:
     ]
 
 
-def _payload_facts(payload: Result) -> p.Facts | None:
+def _payload_facts(payload: Payload) -> p.Facts:
     """Mass and centre of mass; good where two standard deviations are 2 % and 3 mm at most."""
-    m = v.real(payload, "mass", "value")
-    s = v.real(payload, "mass", "std")
-    if m is None:
-        return None
-    tone = p.PLAIN if s is None else p.GOOD if 2 * s <= 0.02 * abs(m) else p.FAIR
-    remark = f"one standard deviation; held by {v.text(payload, 'link')}"
-    found = [
-        p.Fact("Mass", f"{' ± '.join(v.value_and_std(m, s))}\u00a0kg", remark, tone, m)
-    ]
-    centre, std = (
-        1e3 * v.reals(payload, "centre_of_mass", key) for key in ("value", "std")
-    )
-    for axis, c, each in zip("xyz", centre, std, strict=False):
+    m = payload.mass.value
+    s = payload.mass.std
+    tone = p.GOOD if 2 * s <= 0.02 * abs(m) else p.FAIR
+    remark = f"one standard deviation; held by {payload.link}"
+    mass = f"{' ± '.join(v.value_and_std(m, s))}\u00a0kg"
+    facts = [p.Fact("Mass", mass, remark, tone, m)]
+    centre = payload.centre_of_mass
+    for axis, c, std in zip("xyz", centre.value, centre.std, strict=True):
+        tone = p.GOOD if 2 * std <= 3e-3 else p.FAIR
+        value = f"{' ± '.join(v.value_and_std(1e3 * c, 1e3 * std))}\u00a0mm"
         label = f"Centre of mass, {axis}"
-        tone = p.GOOD if 2 * each <= 3 else p.FAIR
-        value = f"{' ± '.join(v.value_and_std(c, each))}\u00a0mm"
-        found.append(p.Fact(label, value, "in the frame of its joint", tone, c))
-    return p.facts(*found)
+        facts.append(p.Fact(label, value, "in the frame of its joint", tone, 1e3 * c))
+    return p.Facts(tuple(facts))
 
 
-def _online(result: Result, series: Series) -> p.Parts:
-    if v.at(result, "online") is None:
+def _online(result: Identify, series: Series) -> p.Parts:
+    online = result.online
+    if online is None:
         return []
-    rows = v.records(result, "online", "messages")
+    count = len(online.messages)
     messages = p.table(
-        rows,
+        online.messages,
         [("number:Time [s]", "t", v.number4), ("text:Message", "text")],
         "What the monitor said while the samples came in; it speaks when something changes.",
-        p.folded(f"All {len(rows)} messages of the monitor", len(rows), _MESSAGES),
+        p.folded(f"All {count} messages of the monitor", count, _MESSAGES),
     )
     return [
-        ("On-line estimation", [_online_facts(result), messages]),
+        ("On-line estimation", [_online_facts(online), messages]),
         ("Estimates over time", [estimates_figure(result, series)]),
-        ("Excitation over time", [excitation_figure(result)]),
+        ("Excitation over time", [excitation_figure(online)]),
     ]
 
 
-def _online_facts(result: Result) -> p.Facts | None:
-    state = {True: "yes", False: "not yet"}.get(v.at(result, "online", "converged"), "")
-    t, level = excitation_levels(result)
+def _online_facts(online: Online) -> p.Facts | None:
+    state = ("yes", p.GOOD) if online.converged else ("not yet", p.FAIR)
+    t, level = excitation_levels(online)
     judged = np.isfinite(level)
     share = float((level[judged] >= ENOUGH).mean()) if judged.any() else None
-    delay_s = v.real(result, "online", "delay_s")
     span = np.ptp(t) if len(t) else None
-    delay = None if delay_s is None else 1e3 * delay_s
     aged = "age of the newest instant"
     converging = "every joint's torque is known better than one row of data shows it"
     return p.facts(
-        p.Fact("Converged", state, converging, p.GOOD if state == "yes" else p.FAIR),
+        p.Fact("Converged", state[0], converging, state[1]),
         p.fact(
             "Exciting enough",
             share,
             v.percent,
             f"of the windows at {judged.sum()} looks",
         ),
-        p.fact("Delay", delay, v.unit_of("ms"), f"{aged} that the estimate is of"),
+        p.fact(
+            "Delay",
+            1e3 * online.delay_s,
+            v.unit_of("ms"),
+            f"{aged} that the estimate is of",
+        ),
         p.fact("Duration", span, v.unit_of("s"), f"{len(t)} looks kept"),
     )

@@ -225,15 +225,16 @@ def report(
         save_run,
         table_files,
     )
+    from excitant.results import Result, plain_of
 
-    def written(result: dict[str, Any]) -> dict[str, str]:
+    def written(result: dict[str, Any] | Result) -> dict[str, str]:
         return {} if tables is None else table_files(page_of(result, {}), tables)
 
     if not folders:
         raise BadInput("name the folder of a run, or several to compare")
     if len(folders) > 1:
-        result = compare(*(SavedRun(folder, *load_run(folder)) for folder in folders))
-        run.finish(result, {}, written(result))
+        both = compare(*(SavedRun(folder, *load_run(folder)) for folder in folders))
+        run.finish(both, {}, written(both))
         return
     if run.output is not None:
         raise BadInput(
@@ -243,10 +244,10 @@ def report(
     files = written(result)
     if files:
         here = (os.path.join(folders[0], name) for name in files)
-        result["files"] = list(dict.fromkeys([*result.get("files", []), *here]))
+        result.files = list(dict.fromkeys([*result.files, *here]))
     paths, _ = save_run(folders[0], result, series, files)
     if run.json:
-        print_json(result)
+        print_json(plain_of(result))
     else:
         print_paths(paths)
 

@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from os.path import isdir, isfile
 from pathlib import Path
@@ -28,6 +28,7 @@ from excitant.recordings import diagnose, identify
 
 if TYPE_CHECKING:
     from excitant.analysis.fleet import Examined, Value
+    from excitant.results import Identify
 
 _ARMS = "arms"
 _STAMP = "input.json"
@@ -214,6 +215,7 @@ def _examined(data_set: _DataSet) -> Examined:
     from excitant.analysis.fleet import Examined
     from excitant.identify.dataset import origin
     from excitant.reports import load_run
+    from excitant.results import Diagnose, Identify
 
     name, folder, out = data_set
     arm = name
@@ -226,26 +228,26 @@ def _examined(data_set: _DataSet) -> Examined:
         model, diagnosis = (load_run(Path(out) / verb)[0] for verb in _VERBS)
     except ExcitantError as error:
         return Examined(name, arm, day, failed=failed or str(error))
-    if not model["published"]:
-        return Examined(
-            name, arm, day, model["robot"], failed=one_line(model["refusal"])
-        )
-    said = [f["sentence"] for f in diagnosis["findings"][:_SHOWN]]
-    said += [f"fault: {fault['detail']}" for fault in diagnosis["faults"]]
-    return Examined(name, arm, day, model["robot"], "", _values(model), tuple(said))
+    assert isinstance(model, Identify)
+    assert isinstance(diagnosis, Diagnose)
+    if not model.published:
+        return Examined(name, arm, day, model.robot, failed=one_line(model.refusal))
+    said = [finding.sentence for finding in diagnosis.findings[:_SHOWN]]
+    said += [f"fault: {fault.detail}" for fault in diagnosis.faults]
+    return Examined(name, arm, day, model.robot, "", _values(model), tuple(said))
 
 
-def _values(model: Mapping[str, Any]) -> dict[str, Value]:
+def _values(model: Identify) -> dict[str, Value]:
     from excitant.analysis.fleet import Value
 
-    units = {p["name"]: p["unit"] for p in model["parameters"]}
+    units = {p.name: p.unit for p in model.parameters}
     found = {}
-    for row in model["base_parameters"]:
-        name = sys.intern(
-            row["expression"]
-        )  # held once, however many data sets have it
+    for row in model.base_parameters:
+        if row.value is None or row.std is None:
+            continue
+        name = sys.intern(row.expression)  # held once, however many data sets have it
         unit = sys.intern(units.get(_leading(name), ""))
-        found[name] = Value(row["value"], row["std"], unit)
+        found[name] = Value(row.value, row.std, unit)
     return found
 
 

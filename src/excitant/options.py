@@ -237,7 +237,7 @@ class Run:
 
         Of several paths those of files ``shown`` are printed, where not all are.
         """
-        from excitant.reports import brief, load_run, save_run
+        from excitant.reports import brief, save_run
         from excitant.reports.run import as_saved
         from excitant.results import record_of
 
@@ -248,7 +248,7 @@ class Run:
         paths, page = save_run(folder, result, series, files or {})
         try:
             if self.json:
-                print_json(load_run(folder)[0])
+                print_json(as_saved(result, {})[0])
             else:
                 told = brief(page, terminal=bool(sys.stdout and sys.stdout.isatty()))
                 print(*([one_line(first)] if first else []), told, sep="\n", end="\n\n")

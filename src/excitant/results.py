@@ -15,11 +15,13 @@ import msgspec
 
 Number: TypeAlias = float | None
 """A number, or null where it is not known or not finite."""
+Three: TypeAlias = tuple[float, float, float]
+"""Coordinates in the base frame."""
 Category: TypeAlias = Literal["unique", "combined", "unidentifiable"]
 Decider: TypeAlias = Literal["data", "both", "prior", "physics", "expectation"]
 
 
-class Record(msgspec.Struct, forbid_unknown_fields=True):
+class Record(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """Base of all records: only the fields that are declared."""
 
 
@@ -237,6 +239,56 @@ class Appearance(Record):
     "What could not be drawn."
 
 
+class Box(Record, tag_field="shape", tag="box"):
+    """A box in the cell."""
+
+    name: str
+    "Its name."
+    size: Three
+    "Edges [m]."
+    position: Three
+    "Centre [m]."
+    rpy: Three = (0.0, 0.0, 0.0)
+    "Roll, pitch and yaw [rad]."
+
+
+class Sphere(Record, tag_field="shape", tag="sphere"):
+    """A sphere in the cell."""
+
+    name: str
+    "Its name."
+    radius: float
+    "Radius [m]."
+    position: Three
+    "Centre [m]."
+
+
+class HalfSpace(Record, tag_field="shape", tag="half_space"):
+    """All points x with n·x ≤ offset, such as the floor."""
+
+    name: str
+    "Its name."
+    normal: Three
+    "Normal n."
+    offset: float
+    "Offset [m]."
+
+
+class Workspace(Record, tag_field="shape", tag="workspace"):
+    """The axis-aligned box that the tool stays in."""
+
+    name: str
+    "Its name."
+    low: Three
+    "Lower corner [m]."
+    high: Three
+    "Upper corner [m]."
+
+
+Obstacle: TypeAlias = Box | Sphere | HalfSpace | Workspace
+"""An obstacle by its ``shape``."""
+
+
 class Motion(Record, kw_only=True):
     """What is certified of a motion over continuous time, and what is needed to draw it."""
 
@@ -266,7 +318,7 @@ class Motion(Record, kw_only=True):
     "Range of each joint by quantity."
     closest: Closest | None = None
     "Bodies that come closest."
-    obstacles: list[dict[str, Any]] = []
+    obstacles: list[Obstacle] = []
     "Obstacles, as in an obstacle file."
     files: list[str] = []
     "Files written."
@@ -428,6 +480,17 @@ class Show(Motion, tag_field="verb", tag="show"):
     "File of the trajectory."
 
 
+class Hidden(Record):
+    """What a virtual arm hides from its model."""
+
+    effect: str
+    "Effect."
+    joint: str
+    "Joint."
+    parameters: dict[str, float]
+    "Sizes in SI units."
+
+
 class Simulate(Record, tag_field="verb", tag="simulate"):
     """``excitant simulate``: a recording of a virtual arm."""
 
@@ -437,8 +500,8 @@ class Simulate(Record, tag_field="verb", tag="simulate"):
     "Rows of the recording."
     duration: float
     "Its length [s]."
-    hidden: list[dict[str, Any]]
-    "What the arm hides: effect, joint, parameters."
+    hidden: list[Hidden]
+    "What the arm hides."
     files: list[str]
     "Files written."
 
@@ -784,6 +847,32 @@ class PayloadParameter(Record):
     "Whether the prior decides it."
 
 
+class Centre(Record):
+    """A point with its standard deviations."""
+
+    value: list[float]
+    "x, y, z."
+    std: list[float]
+    "Standard deviations of x, y, z."
+    unit: str
+    "Unit."
+
+
+class PayloadHistory(Record):
+    """Mass and centre of mass over time."""
+
+    t: list[float]
+    "Instants [s]."
+    mass: list[Number]
+    "Mass [kg]."
+    mass_std: list[Number]
+    "Its standard deviation [kg]."
+    centre: list[list[Number]]
+    "Centre of mass [m]."
+    centre_std: list[list[Number]]
+    "Its standard deviations [m]."
+
+
 class Payload(Record):
     """The payload on the last link."""
 
@@ -791,7 +880,7 @@ class Payload(Record):
     "Link that carries it."
     mass: Quantity
     "Mass."
-    centre_of_mass: Quantity
+    centre_of_mass: Centre
     "Centre of mass in the joint frame."
     parameters: list[PayloadParameter]
     "Inertial parameters."
@@ -799,7 +888,7 @@ class Payload(Record):
     "What the motion does not show."
     notes: list[str]
     "Remarks."
-    history: dict[str, list[Any]] | None = None
+    history: PayloadHistory | None = None
     "Mass and centre of mass over time, with --online."
 
 
@@ -880,8 +969,8 @@ class Identify(Record, tag_field="verb", tag="identify", rename={"imported": "im
     "With --payload."
     mujoco: Mujoco | None = None
     "With --mujoco."
-    faults: list[Fault] = []
-    "Faults of the recordings."
+    faults: list[Fault] | None = None
+    "Faults of the recordings; null where none was looked for."
     imported: dict[str, list[str]] = {}
     "What was assumed in reading each recording."
     published: bool | None = None
@@ -1010,6 +1099,23 @@ class Direction(Record):
     "Parameters that change along it."
 
 
+class Structure(Record):
+    """What the structural analysis rests on."""
+
+    circumstances: list[str]
+    "What it holds for: gravity, installation, joints that move."
+    close: list[str]
+    "Parameters whose category is close to another."
+    marginal: str | None
+    "Decisions that lie near the threshold, in words."
+    frames: str | None = None
+    "``dh`` where links were described in Denavit-Hartenberg frames."
+    singular_values: list[Number] = []
+    "Singular values of the columns of all parameters."
+    singular_vectors: list[str] = []
+    "Right singular vectors by their largest members."
+
+
 class Analyze(Record, tag_field="verb", tag="analyze", rename={"imported": "import"}):
     """``excitant analyze``: identifiability of every parameter."""
 
@@ -1021,7 +1127,7 @@ class Analyze(Record, tag_field="verb", tag="analyze", rename={"imported": "impo
     "Number of base parameters."
     gap: list[Number]
     "Smallest singular value that counts and largest that does not, relative."
-    structure: dict[str, Any]
+    structure: Structure
     "Circumstances of the structural analysis, its frames and decomposition."
     links: list[LinkIdentifiability]
     "Link by link."
@@ -1525,8 +1631,8 @@ class Demo(Record, tag_field="verb", tag="demo"):
     "Name of the arm."
     seed: int
     "Seed of what is hidden."
-    truth: dict[str, Any]
-    "What is hidden: effect, joint, parameters."
+    truth: Hidden
+    "What is hidden."
     verdict: Verdict
     "Verdict."
     design: Design
@@ -1613,8 +1719,8 @@ class Rehearse(Record, tag_field="verb", tag="rehearse"):
     "Requirements."
     advice: list[str]
     "What to do."
-    effect: dict[str, Any] | None
-    "Effect to name: effect, joint, parameters."
+    effect: Hidden
+    "Effect to name."
     tracking: Tracking | None
     "What the model is good for."
     limit_values: dict[str, list[Any] | None]
@@ -1802,6 +1908,17 @@ Result: TypeAlias = (
     | Compare
 )
 """The record of any verb."""
+
+
+def verb_of(record: Record) -> str:
+    """The verb of a result."""
+    return str(record.__struct_config__.tag)
+
+
+def plain_of(record: Record) -> dict[str, Any]:
+    """Plain values of a record, without fields that have their defaults."""
+    plain: dict[str, Any] = msgspec.to_builtins(record)
+    return plain
 
 
 def record_of(result: Mapping[str, Any]) -> Result:

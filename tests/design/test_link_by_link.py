@@ -13,6 +13,7 @@ from limit_use import limit_shares
 from excitant.design import LinkByLinkDesign, check, design_link_by_link, load_trajectory
 from excitant.reports.player import player
 from excitant.reports.run import as_saved
+from excitant.results import record_of
 from excitant.robots import Robot, base_parameters, load_robot
 
 
@@ -56,7 +57,8 @@ def test_the_motions_are_played_one_after_the_other(puma: LinkByLinkDesign) -> N
         np.testing.assert_allclose(series["play_q"][inside], there, atol=1e-9)
         start += period
     assert t[-1] == pytest.approx(start)
-    assert player(*as_saved(result, series)) is not None
+    plain, arrays = as_saved(result, series)
+    assert player(record_of(plain), arrays) is not None
 
 
 def test_the_condition_number_is_that_of_the_link_in_its_own_row(puma: LinkByLinkDesign) -> None:

@@ -1,4 +1,4 @@
-"""Runs of every verb, made up for a four-joint arm, with the nulls and long names of real ones."""
+"""Runs of every verb, made up for a four-joint arm: records with nulls and long names."""
 
 import copy
 import re
@@ -14,10 +14,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from planted import motion_of
+from records import full
 
 from excitant.analysis.identifiability import analyze
 from excitant.reports import SavedRun, compare, html, page_of
 from excitant.reports.run import as_saved
+from excitant.results import record_of
 from excitant.robots import load_robot
 from excitant.robots.check import ModelCheck
 from excitant.robots.effects import standard_effects
@@ -152,7 +154,7 @@ def design_run() -> Run:
     certified = {
         "position": _rows(low=q.min(0), high=q.max(0), ratio=0.98, t=3.2),
         "velocity": _rows(low=-fast, high=fast, ratio=1.0, t=7.77),
-        "acceleration": [{"ratio": 0.77, "t": None}, *[None] * (NV - 1)],
+        "acceleration": [{"low": -9.0, "high": 9.0, "ratio": 0.77, "t": 1.0}, *[None] * (NV - 1)],
         "torque": [None] * NV,
     }
     result = ARM | {"verb": "design", "duration": 10.0, "harmonics": 5, "columns": "friction"}
@@ -162,7 +164,7 @@ def design_run() -> Run:
         "condition_number_scaled": {"initial": 90.4, "final": 6.21},
         "limits": {"position": 0.9998, "velocity": 1.0, "acceleration": 0.734, "torque": None},
         "worst": {"velocity": {"joint": "elbow_joint", "t": 7.77}, "torque": None}
-        | {"acceleration": {"joint": 2, "t": None}},
+        | {"acceleration": {"joint": JOINTS[2], "t": 1.0}},
         "limit_values": {"position": np.stack([-1.02 * most, 1.02 * most], axis=1)}
         | {"velocity": fast, "acceleration": [*1.3 * jolt[:-1], None], "torque": None},
         "closest": {"bodies": ["forearm_0", "table"], "t": 5.0, "distance_m": 0.0434},
@@ -309,7 +311,7 @@ def identify_run() -> Run:
         "physical": {"consistent": True, "violations": []},
         "essential": {"kept": ["m1"], "dropped": ["m2", "m3"]}
         | {"nrmse_all": 0.05, "nrmse_essential": 0.049},
-        "notes": ["wrist_roll_joint moved too little in the hold-out to be judged there.", None],
+        "notes": ["wrist_roll_joint moved too little in the hold-out to be judged there."],
         "files": ["identified.urdf", "identified.xml", "model.yaml"],
     }
     result |= {"link_by_link": by_link, "payload": payload, "online": online}
@@ -343,7 +345,7 @@ def _findings() -> list[Any]:
     }
     inertia |= {"explained": 0.112}
     inertia |= {"rivals": [rival, dict.fromkeys(rival) | {"effect": "rotor_inertia"}]}
-    return [stribeck, inertia, {"effect": "unknown", "joints": None, "parameters": None}]
+    return [stribeck, inertia, {"effect": "unknown", "joints": []}]
 
 
 def _given_model() -> dict[str, Any]:
@@ -437,13 +439,15 @@ def compare_run() -> Run:
     for row in (*identified["base_parameters"][::4], *identified["parameters"][::9]):
         row["value"] = (row["value"] or 0.0) + 3 * (row["std"] or 1.0)
     result["diagnose"]["findings"][2]["effect"] = "backlash"
-    return compare(SavedRun("runs/one", *demo_run()), SavedRun("runs/two", result, series)), {}
+    runs = {"runs/one": demo_run(), "runs/two": (result, series)}
+    saved = (SavedRun(name, record_of(full(**run)), more) for name, (run, more) in runs.items())
+    return compare(*saved), {}
 
 
 def _saved(build: Callable[[], Run]) -> Run:
     """A result as it is read back, the caller's own."""
     result, series = build()
-    return as_saved(result, {})[0], copy.deepcopy(series)
+    return full(**result), copy.deepcopy(series)
 
 
 def fleet_run() -> Run:

@@ -10,20 +10,25 @@ from excitant.exceptions import BadInput
 from excitant.reports import SavedRun, brief, compare, html, page_of, save_run, summary
 from excitant.reports.pages import deviations
 from excitant.reports.values import percent
+from excitant.results import record_of
 from excitant.robots import load_robot
 from excitant.robots.check import ModelCheck
+
+
+def saved(name, result, series):
+    return SavedRun(f"runs/{name}", record_of(result), series)
 
 
 def pair(build, change):
     first, second = build(), build()
     change(*second)
-    return SavedRun("runs/one", *first), SavedRun("runs/two", *second)
+    return saved("one", *first), saved("two", *second)
 
 
 def worse(result, _series):
     for row in result["joints"]:
-        if row["validate"]:
-            for key in ("rms", "nrmse", "r2", "rms_raw"):
+        for key in ("rms", "nrmse", "r2", "rms_raw"):
+            if row["validate"][key] is not None:
                 row["validate"][key] *= 2
     for row in result["base_parameters"]:
         row["value"] = (row["value"] or 0.0) + 1.0
@@ -41,7 +46,7 @@ def rows(result):
     ],
 )
 def test_a_run_does_not_differ_from_itself(verb, make):
-    run = SavedRun("runs/one", *make[verb]())
+    run = saved("one", *make[verb]())
     result = compare(run, run)
     assert result["remarks"] == []
     found = rows(result)
@@ -145,18 +150,18 @@ def test_two_models_differ_in_what_was_changed():
         return ModelCheck(arm.with_parameters(phi).with_limits(limits)).result()
 
     def differing(**changes):
-        found = rows(compare(SavedRun("one", model(), {}), SavedRun("two", model(**changes), {})))
+        found = rows(compare(saved("one", model(), {}), saved("two", model(**changes), {})))
         return {(row["name"], row["figure"]) for row in found if len(set(row["written"])) > 1}
 
     assert differing() == set()
     assert differing(speed=2.0) == {(f"{k}.\u00a0joint{k}, link{k}", "Speed") for k in (1, 2)}
     assert {name for name, _ in differing(mass=1.5)} == {"Moving mass", "1.\u00a0joint1, link1"}
-    other = SavedRun("two", ModelCheck(load_robot("scara")).result(), {})
-    assert "different arms" in compare(SavedRun("one", model(), {}), other)["remarks"][0]
+    other = saved("two", ModelCheck(load_robot("scara")).result(), {})
+    assert "different arms" in compare(saved("one", model(), {}), other)["remarks"][0]
 
 
 def test_runs_of_different_commands_are_refused(make):
-    a, b, both = (SavedRun(f"runs/{x}", *make[x]()) for x in ("design", "identify", "compare"))
+    a, b, both = (saved(x, *make[x]()) for x in ("design", "identify", "compare"))
     for words, named in (
         (r"runs/identify: .*'identify', but runs/design .*'design'", (a, b)),
         ("a comparison already", (both, both)),

@@ -5,8 +5,11 @@ import pytest
 
 from excitant.design import design_trajectory
 from excitant.reports import brief, page_of, summary
-from excitant.reports.figures.motion import envelope_of, motion_figure
+from excitant.reports.figures.motion import Limits as Drawn
+from excitant.reports.figures.motion import motion_figure
 from excitant.reports.figures.space import solid_of, space_figure
+from excitant.reports.run import as_saved
+from excitant.results import Box, HalfSpace, record_of
 from excitant.robots import Limits, load_robot
 
 
@@ -17,7 +20,7 @@ def saved():
     limits = robot.limits
     free = Limits(limits.position, limits.velocity, limits.acceleration, limits.torque * np.inf)
     found = design_trajectory(robot.with_limits(free), harmonics=3, starts=2, jobs=1, criterion="d")
-    return found, found.result(), found.series()
+    return found, *as_saved(found.result(), found.series())
 
 
 def test_every_part_is_there_with_its_figure(written):
@@ -46,8 +49,8 @@ def test_worst_parameters_are_named(make, written):
 
 def test_obstacles_are_drawn_and_those_out_of_sight_named(make):
     result, series = make["design"]()
-    figure = space_figure(result, series)
-    without = space_figure({**result, "obstacles": []}, series)
+    figure = space_figure(record_of(result), series)
+    without = space_figure(record_of({**result, "obstacles": []}), series)
     for shown, expected in ((figure, True), (without, False)):
         for panel in shown.panels:
             colours = {getattr(mark, "colour", "") for mark in panel.axes[0].marks}
@@ -59,7 +62,7 @@ def test_obstacles_are_drawn_and_those_out_of_sight_named(make):
 
 
 def test_solids_have_the_shape_of_their_obstacles_and_end_where_the_picture_does(make):
-    pillar, ball = make["design"]()[0]["obstacles"][1:3]
+    pillar, ball = record_of(make["design"]()[0]).obstacles[1:3]
     block = (-np.ones(3), np.ones(3))
     box = solid_of(pillar, np.zeros(3), 3.0, *block)
     corners = np.unique(np.concatenate(box.faces).round(9), axis=0)
@@ -67,24 +70,26 @@ def test_solids_have_the_shape_of_their_obstacles_and_end_where_the_picture_does
     assert len(box.edges) == 12
     assert len(corners) == 8
     turned = np.array([np.cos(0.4), np.sin(0.4), 0.0])
-    across = (corners - pillar["position"]) @ turned
+    across = (corners - pillar.position) @ turned
     np.testing.assert_allclose(np.abs(across), 0.1, atol=1e-8)
     for circle in solid_of(ball, np.zeros(3), 3.0, *block).edges:
-        np.testing.assert_allclose(np.linalg.norm(circle - ball["position"], axis=1), 0.2)
-    tilted = {"shape": "half_space", "normal": [0.0, 3.0, 4.0], "offset": 1.0}
+        np.testing.assert_allclose(np.linalg.norm(circle - ball.position, axis=1), 0.2)
+    tilted = HalfSpace("tilted", (0.0, 3.0, 4.0), 1.0)
     (face,) = solid_of(tilted, np.zeros(3), 3.0, *block).faces
-    np.testing.assert_allclose(face @ tilted["normal"], 1.0)
-    hall = {"shape": "box", "size": [90.0, 90.0, 0.1], "position": [0.0, 0.0, -0.2]}
+    np.testing.assert_allclose(face @ tilted.normal, 1.0)
+    hall = Box("hall", (90.0, 90.0, 0.1), (0.0, 0.0, -0.2))
     solid = solid_of(hall, np.zeros(3), 2.0, -np.ones(3), np.ones(3))
     assert np.abs(np.concatenate(solid.faces)).max() == pytest.approx(2.0)
 
 
 def test_curves_touch_the_certified_envelope_and_stay_inside(saved):
     found, result, series = saved
+    certified = record_of(result).certified
     for key, quantity in (("q", "position"), ("dq", "velocity"), ("ddq", "acceleration")):
         limits = np.asarray(result["limit_values"][quantity], float)
         for k in range(2):
-            (least, most, _, when), curve = envelope_of(result, quantity, k), series[key][:, k]
+            row, curve = certified[quantity][k], series[key][:, k]
+            least, most, when = row.low, row.high, row.t
             size = most - least
             assert least - 1e-9 * size <= curve.min() <= least + 1e-3 * size
             assert most - 1e-3 * size <= curve.max() <= most + 1e-9 * size
@@ -111,8 +116,7 @@ def test_page_of_a_design_without_a_limit_on_torque_or_a_scene(saved, show):
 
 def test_unlimited_joints_are_drawn_without_lines(make):
     result, series = make["design"]()
-    free = {k: v for k, v in result.items() if k not in ("limits", "limit_values", "certified")}
-    figure = motion_figure(result["joints"], free, series)
+    figure = motion_figure(result["joints"], Drawn(), series)
     assert figure.legend == ()
     assert "no limits" in figure.caption
     assert all("velocity no limit" in panel.label for panel in figure.panels)
@@ -125,7 +129,8 @@ def test_twelve_joints_fit_on_a_small_page(make, show):
     wide["t"] = series["t"][::4]
     series["arm"][:, len(series["arm"][0]) // 2] = np.nan
     wide["other_tools"] = series["tool"][:, None] + 1.0
-    page = show({**result, "joints": names}, series | wide)
+    entries = {"joints": names, "certified": None, "limit_values": None, "revolute": [True] * 12}
+    page = show(result | entries, series | wide)
     assert sum("over time" in label for label in page.labels) == 12
     assert "period of the tools" in page.words
     assert len(page.source.encode()) < 1_000_000

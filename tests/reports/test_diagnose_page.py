@@ -1,10 +1,12 @@
 """The page of a diagnosis: what is wrong with the given model, and findings large and small."""
 
 import pytest
+from records import full
 
 from excitant.reports.figure import Figure
 from excitant.reports.page import Notes
 from excitant.reports.sections.diagnose import diagnose_section
+from excitant.results import record_of
 
 
 @pytest.fixture
@@ -13,7 +15,10 @@ def run(make):
 
 
 def parts_of(result, series):
-    return {part.title: part.blocks for part in diagnose_section(result, series).parts}
+    return {
+        part.title: part.blocks
+        for part in diagnose_section(record_of(full(**result)), series).parts
+    }
 
 
 def wrong(result):
@@ -89,14 +94,14 @@ def test_noise_is_said_in_a_sentence(run):
 def test_an_unknown_cause_claims_no_share(run):
     run[0]["findings"] = [{
         "effect": "unknown", "joints": ["joint1"], "explained": 0.0, "verdict": "unknown",
-        "structure": "structured: stays correlated over 0.4 s",
+        "sentence": "joint1: 2.0 N·m remain unexplained", "doubt": "",
         "holdout": {"rms_before": 2.0, "rms_after": 2.0},
     }]  # fmt: skip
     parts = parts_of(run[0], {})
     (row,) = parts["Key figures"][-1].rows
     assert [row[k].text for k in (1, 3, 5)] == ["unknown cause", "–", "–"]
     (blocks,) = (blocks for title, blocks in parts.items() if title.startswith("Finding 1"))
-    assert blocks[0].sentences[0].endswith("explains: it stays correlated over 0.4 s.")
+    assert blocks[0].sentences[0] == "joint1: 2.0 N·m remain unexplained"
 
 
 def test_long_waterfalls_are_cut(run):

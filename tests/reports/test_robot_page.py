@@ -6,6 +6,7 @@ import pytest
 from excitant.reports import brief, load_run, page_of
 from excitant.reports.figure import Polygon, Words
 from excitant.reports.figures.arm import arm_figure
+from excitant.results import record_of
 from excitant.robots import builtin_robots, load_robot
 from excitant.robots.check import ModelCheck
 
@@ -49,17 +50,18 @@ def test_the_picture_shows_what_there_is():
 def test_the_page_says_what_is_wrong_and_where(here, excitant, show):
     assert excitant("robots weak.urdf -o out --mass 12").status == 0
     result, series = load_run(here / "out")
-    assert [(w["check"], w["where"], w["hint"]) for w in result["warnings"]] == [
+    assert [(w.check, w.where, w.hint) for w in result.warnings] == [
         ("no_velocity_limit", ["joint2"], False),
         ("gravity", ["joint1"], False),
         ("total_mass", ["planar_2r"], True),
     ]
-    page = show(result | {"files": ["series.npz", "summary.txt", "result.json"]}, series)
+    result.files = ["series.npz", "summary.txt", "result.json"]
+    page = show(result, series)
     assert (here / "out" / "report.html").read_text() == page.source
     text = (here / "out" / "summary.txt").read_text()
     for written in (page.words, text, brief(page_of(result, {}))):
-        for warning in result["warnings"]:
-            assert warning["sentence"] in written
+        for warning in result.warnings:
+            assert warning.sentence in written
     assert len(page.labels) == 3
     assert set(series) == {
         f"{pose}_{key}" for pose in ("zero", "bent") for key in ("pose", "points", "axes", "solids")
@@ -69,9 +71,9 @@ def test_the_page_says_what_is_wrong_and_where(here, excitant, show):
 def test_a_sound_arm_is_said_to_be(here, excitant):
     printed = excitant("robots gen3 -o out --json").result
     saved, _ = load_run(here / "out")
-    assert printed == saved
-    assert saved["warnings"] == []
-    assert saved["kind"] == "collaborative arm"
+    assert record_of(printed) == saved
+    assert saved.warnings == []
+    assert saved.kind == "collaborative arm"
     page = (here / "out" / "report.html").read_text()
     assert "Nothing in its description looks wrong" in page
     assert "Kinova" in page

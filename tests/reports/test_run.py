@@ -16,12 +16,17 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
+from records import full
 
 from excitant import files
 from excitant.cli import main
 from excitant.exceptions import BadInput
 from excitant.reports import html, load_run, page_of, save_run, summary
+from excitant.reports.run import as_saved
+from excitant.results import record_of
 
+CHECK = full(verb="check")
+IDENTIFY = full(verb="identify")
 OWN = ["report.html", "result.json", "series.npz", "summary.txt"]
 
 
@@ -34,8 +39,7 @@ def test_saved_run_is_what_was_given_and_renders_to_the_same_page(run, tmp_path)
     paths, page = save_run(tmp_path / "run", given, arrays)
     result, series = load_run(tmp_path / "run")
     assert sorted(path.name for path in paths) == OWN == names(tmp_path / "run")
-    assert list(result) == list(given)
-    assert result == given
+    assert result == record_of(given)
     assert series.keys() == arrays.keys()
     for key, values in arrays.items():
         span = np.ptp(values[np.isfinite(values)])
@@ -43,33 +47,30 @@ def test_saved_run_is_what_was_given_and_renders_to_the_same_page(run, tmp_path)
     assert (
         sorted(["report.html", *page.files]) == OWN
     )  # of those that the result names, none is there
-    again = page_of(result | {"files": list(page.files)}, series)
+    result.files = list(page.files)
+    again = page_of(result, series)
     assert html(again) == html(page)
     passed_on = pickle.loads(pickle.dumps(page))  # as from the process that draws it
     assert (tmp_path / "run/report.html").read_text("utf-8") == html(passed_on)
     assert (tmp_path / "run/summary.txt").read_text("utf-8") == summary(page)
 
 
-def test_values_become_plain_json(tmp_path):
-    odd = {"verb": "design", "b": np.float64("nan"), "a": np.inf, "n": np.int64(3)}
-    odd |= {"yes": np.bool_(True), "list": np.array([1.0, np.nan]), "tuple": (1, Path("a/b"))}
-    save_run(tmp_path, odd, {})
-    text = (tmp_path / "result.json").read_text("utf-8")
-    assert " ".join(text.split()) == (
-        '{ "verb": "design", "b": null, "a": null, "n": 3, "yes": true, '
-        '"list": [ 1.0, null ], "tuple": [ 1, "a/b" ] }'
-    )
+def test_values_become_plain_json():
+    odd = {"b": np.float64("nan"), "a": np.inf, "n": np.int64(3), "yes": np.bool_(True)}
+    odd |= {"list": np.array([1.0, np.nan]), "tuple": (1, Path("a/b"))}
+    plain = {"b": None, "a": None, "n": 3, "yes": True, "list": [1.0, None], "tuple": [1, "a/b"]}
+    assert as_saved(odd, {})[0] == plain
 
 
 def test_time_since_the_epoch_keeps_its_resolution(tmp_path):
     t = 1.7e9 + np.arange(5000) * 1e-3
-    save_run(tmp_path, {"verb": "identify"}, {"t": t})
+    save_run(tmp_path, IDENTIFY, {"t": t})
     np.testing.assert_array_equal(load_run(tmp_path)[1]["t"], t)
 
 
 def test_artefacts_stand_beside_the_report(tmp_path):
     files = {"model.yaml": "é: 1\n", "meshes/link.stl": b"\x00\xff"}
-    paths, _ = save_run(tmp_path / "run", {"verb": "identify"}, {}, files)
+    paths, _ = save_run(tmp_path / "run", IDENTIFY, {}, files)
     assert names(tmp_path / "run") == sorted([*OWN, "model.yaml", "link.stl"])
     assert all(path.is_file() for path in paths)
     assert (tmp_path / "run/model.yaml").read_text("utf-8") == files["model.yaml"]
@@ -79,7 +80,7 @@ def test_artefacts_stand_beside_the_report(tmp_path):
 def test_links_lead_to_the_files_beside_the_page_also_when_the_run_was_moved(tmp_path):
     files = {"model.yaml": "é: 1\n", "a b/link #1.stl": b"\x00\xff", "gone.csv": "x"}
     paths = [str(tmp_path / "run" / name) for name in files]
-    save_run(tmp_path / "run", {"verb": "identify", "files": paths}, {}, files)
+    save_run(tmp_path / "run", IDENTIFY | {"files": paths}, {}, files)
     (tmp_path / "run" / "gone.csv").unlink()
     moved = tmp_path / "moved"
     os.rename(tmp_path / "run", moved)
@@ -93,14 +94,14 @@ def test_links_lead_to_the_files_beside_the_page_also_when_the_run_was_moved(tmp
 @pytest.mark.parametrize("name", ["../up.txt", "/abs.txt", "", ".", "a/../../b", "result.json"])
 def test_artefacts_stay_inside_and_overwrite_nothing_of_ours(name, tmp_path):
     with pytest.raises(BadInput, match="artefact"):
-        save_run(tmp_path / "run", {"verb": "check"}, {}, {name: "x"})
+        save_run(tmp_path / "run", CHECK, {}, {name: "x"})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_failed_rendering_writes_nothing(tmp_path, monkeypatch):
     monkeypatch.delattr("excitant.reports.run.page_of")
     with pytest.raises(NameError):
-        save_run(tmp_path / "new/run", {"verb": "check"}, {})
+        save_run(tmp_path / "new/run", CHECK, {})
     assert list(tmp_path.iterdir()) == []
 
 
@@ -141,12 +142,12 @@ def failing(request, monkeypatch):
 def test_a_step_that_fails_leaves_all_as_it_was(failing, count, error, old, tmp_path):
     target = tmp_path / "new" / "run"
     if old:
-        save_run(target, {"verb": "identify", "files": ["new/run/a"]}, {}, {"a": "x"})
+        save_run(target, IDENTIFY | {"files": ["new/run/a"]}, {}, {"a": "x"})
     before = contents(tmp_path)
     failing(count, error)
     raised = None
     try:
-        save_run(target, {"verb": "check"}, {"t": np.arange(5)}, {"b/c.txt": "y"})
+        save_run(target, CHECK, {"t": np.arange(5)}, {"b/c.txt": "y"})
     except (BadInput, KeyboardInterrupt, RuntimeError) as stopped:
         raised = stopped
     if raised is not None:
@@ -180,7 +181,7 @@ def test_a_file_larger_than_the_system_allows_is_named_and_nothing_stays(tmp_pat
 def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(FULL))
     for write in (
-        lambda path: save_run(path, {"verb": "check"}, {}),
+        lambda path: save_run(path, CHECK, {}),
         lambda path: files.write_file(path, "x"),
     ):
         with pytest.raises(BadInput, match=r"run.*cannot be written: No space left.*free some"):
@@ -190,11 +191,11 @@ def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
 
 def test_a_run_replaces_an_old_one_and_leaves_what_others_put_there(tmp_path):
     run = tmp_path / "run"
-    save_run(run, {"verb": "identify", "files": ["run/a", "run/d/b"]}, {}, {"a": "1", "d/b": "2"})
+    save_run(run, IDENTIFY | {"files": ["run/a", "run/d/b"]}, {}, {"a": "1", "d/b": "2"})
     (run / "mine").mkdir()
     (run / "mine" / "notes.txt").write_text("keep")
     (run / "link").symlink_to("mine")
-    save_run(run, {"verb": "check", "files": ["x/d/c"]}, {}, {"d/c": "3"})
+    save_run(run, CHECK | {"files": ["x/d/c"]}, {}, {"d/c": "3"})
     assert names(run) == sorted([*OWN, "c", "notes.txt"])
     assert (run / "link").is_symlink()
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
@@ -242,9 +243,9 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     assert subprocess.run([sys.executable, "-c", script, tmp_path / "run"]).returncode == -9
     [left] = tmp_path.iterdir()
     assert left.name.startswith(".excitant-")
-    save_run(tmp_path / "other", {"verb": "check"}, {})
+    save_run(tmp_path / "other", CHECK, {})
     assert left.exists()  # that of another target may be at work
-    save_run(tmp_path / "run", {"verb": "check"}, {})
+    save_run(tmp_path / "run", CHECK, {})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other", "run"]
 
 
@@ -259,7 +260,7 @@ def test_a_signal_waits_until_the_run_is_whole(number, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", fsync)
     try:
         with pytest.raises(KeyboardInterrupt, match="was written"):
-            save_run(tmp_path / "run", {"verb": "check"}, {})
+            save_run(tmp_path / "run", CHECK, {})
     finally:
         signal.signal(number, before)
     assert names(tmp_path) == OWN
@@ -299,7 +300,7 @@ def saved(save, *args, **kwargs):
     ],
 )
 def test_spoilt_run_is_refused_in_one_line(culprit, content, tmp_path):
-    save_run(tmp_path, {"verb": "check", "robot": "arm" * 99}, {"t": np.arange(99.0)})
+    save_run(tmp_path, CHECK | {"robot": "arm" * 99}, {"t": np.arange(99.0)})
     old = (tmp_path / culprit).read_bytes()
     torn = bytes(b ^ 0xFF if 60 < k < 70 else b for k, b in enumerate(old))  # within packed data
     spoilt = {"cut": old[:200], "torn": torn}.get(content, content or b"")
@@ -315,9 +316,9 @@ def test_spoilt_run_is_refused_in_one_line(culprit, content, tmp_path):
 @pytest.mark.parametrize(
     ("result", "series", "said"),
     [
-        ({"verb": "check", "joints": ["a", object()]}, {}, r"result\.joints\[1\]: a object"),
-        ({"verb": "check"}, {"names": np.array(["a"])}, "series 'names'"),
-        ({"verb": "dance"}, {}, "verb 'dance' has no report"),
+        (CHECK | {"joints": ["a", object()]}, {}, r"result\.joints\[1\]: a object"),
+        (CHECK, {"names": np.array(["a"])}, "series 'names'"),
+        ({"verb": "dance"}, {}, "Invalid value 'dance' - at `\\$.verb`"),
     ],
 )
 def test_what_cannot_be_saved_is_refused_by_its_name(result, series, said, tmp_path):

@@ -4,6 +4,7 @@ import difflib
 import re
 
 import pytest
+from records import full
 
 from excitant.reports import brief, html, page_of, summary
 
@@ -72,7 +73,7 @@ def test_every_accuracy_parameter_and_finding_is_in_it(make):
 
 
 def test_names_cannot_break_lines():
-    result = {"verb": "identify", "robot": "two\nlines", "joints": [{"name": "a\nb", "train": {}}]}
+    result = full(verb="identify", robot="two\nlines", joints=[{"name": "a\nb"}])
     assert "two lines" in text_of(result)
     assert "    a b " in text_of(result)
 
