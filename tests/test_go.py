@@ -64,7 +64,7 @@ def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(
     assert all(Path(f).is_file() for f in result.files)
     page = (here / "out" / "report.html").read_text(encoding="utf-8")
     assert all(f">{title}</h2>" in page for title in SECTIONS)
-    assert excitant("robots", here / "out" / verdict["files"][0]).status == 0
+    assert excitant("robots", here / "out" / verdict.files[0]).status == 0
 
 
 def test_its_figures_are_those_of_identify_and_diagnose(
