@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import json
 import os
 import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
@@ -225,7 +227,7 @@ def report(
         save_run,
         table_files,
     )
-    from excitant.results import Result, plain_of
+    from excitant.results import Result
 
     def written(result: dict[str, Any] | Result) -> dict[str, str]:
         return {} if tables is None else table_files(page_of(result, {}), tables)
@@ -240,14 +242,16 @@ def report(
         raise BadInput(
             "-o is where runs are compared; name a second run, or leave -o out"
         )
-    result, series = load_run(folders[0])
-    files = written(result)
+    record, series = load_run(folders[0])
+    files = written(record)
+    # the file's own text, so that it is written again to the byte
+    result = json.loads(Path(folders[0], "result.json").read_text("utf-8"))
     if files:
         here = (os.path.join(folders[0], name) for name in files)
-        result.files = list(dict.fromkeys([*result.files, *here]))
+        result["files"] = list(dict.fromkeys([*record.files, *here]))
     paths, _ = save_run(folders[0], result, series, files)
     if run.json:
-        print_json(plain_of(result))
+        print_json(result)
     else:
         print_paths(paths)
 

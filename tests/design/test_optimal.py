@@ -268,7 +268,7 @@ def test_harmonics_are_added_while_they_pay(planar: Robot) -> None:
         assert 5 < more.harmonics <= 15
         assert more.trajectory.series.name == series
         assert more.condition_final < 0.9 * few.condition_final
-    best = design_trajectory(tight, **options | {"harmonics": None, "periods": None})
+    best = design_trajectory(tight, **options | {"harmonics": "search", "periods": "search"})
     assert best.condition_final < 0.9 * few.condition_final
     assert best.trajectory.series.periods * best.trajectory.period == best.duration == 6.0
     assert best.limits.hold
@@ -300,7 +300,7 @@ def test_torque_holds_for_every_mass_within_the_uncertainty(ur10: Robot) -> None
     nominal = limited(ur10, acceleration=10.0, torque=0.45 * ur10.limits.torque)
     wary = limited(nominal, mass_uncertainty=0.2)
     options = {"periods": 1, "harmonics": 3, "starts": 1, "jobs": 1, "seed": 1}
-    found = design_trajectory(wary, columns="inertial", **options)
+    found = design_trajectory(wary, columns="inertial", scene=(), **options)
     assert 0.98 < found.limits.torque.ratio / found.use <= 1.0
     assert_holds_for_every_mass(nominal, found.trajectory.motion(400.0), 0.2)
     assert check(nominal, found.trajectory).torque.ratio < 0.95
