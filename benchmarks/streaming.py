@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import tempfile
 import time
 from multiprocessing import get_context
@@ -80,7 +79,7 @@ def main(*, samples: int = 10_000_000) -> None:
         accuracy = identify_robot(robot, read_recordings([path], robot)).validate
         speed = samples / (time.process_time() - start)
         size = path.stat().st_size / 1e6
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = common.peak_memory()
     print(f"log             {samples} samples of {robot.nv} joints, {size:.0f} MB")
     print(f"identify        {samples / speed:.1f} s, {speed:.0f} samples/s")
     print(f"bare regressor  ratio {speed / bare_loop(robot, motion):.2f}")

@@ -1,4 +1,4 @@
-from .bound import Bound, lower_bound
+from .bound import Bound, bound_of, lower_bound
 from .constraints import (
     Clearance,
     LimitReport,
@@ -17,6 +17,7 @@ from .export import (
 from .feasible import random_trajectory
 from .optimal import build_design, design_trajectory
 from .options import Search
+from .played import Played, play, require_playable
 from .result import Design, TrajectoryCheck
 from .sequence import LinkByLinkDesign, design_link_by_link
 from .timing import approach
@@ -37,10 +38,12 @@ __all__ = [
     "LimitReport",
     "LimitUse",
     "LinkByLinkDesign",
+    "Played",
     "Search",
     "Trajectory",
     "TrajectoryCheck",
     "approach",
+    "bound_of",
     "build_design",
     "check",
     "clearance",
@@ -52,7 +55,9 @@ __all__ = [
     "load_trajectory",
     "lower_bound",
     "motion_csv",
+    "play",
     "random_trajectory",
+    "require_playable",
     "trajectory_csv",
     "trajectory_json",
     "write_formats",

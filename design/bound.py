@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -15,6 +16,9 @@ from excitant.exceptions import BadInput
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
+
+if TYPE_CHECKING:
+    from excitant.design.result import Design
 
 BoundProgress = Callable[[float, float, float], None]
 """Called after every round with the time taken [s], the bound so far and its ceiling."""
@@ -86,6 +90,7 @@ class InteriorPoint:
 
 
 SOLVER = InteriorPoint()
+POOL_HZ = 100.0  # rate of the states of a design that the search begins with
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +182,27 @@ def lower_bound(
         f"and torque limits, for the unscaled {columns} base columns; numerical, not a proof: "
         "states that would violate it are searched for by ascent from many starts, not "
         "exhaustively.",
+    )
+
+
+def bound_of(
+    design: Design,
+    *,
+    seed: int = 0,
+    time_limit: float = 60.0,
+    progress: BoundProgress | None = None,
+) -> Bound:
+    """Lower bound for motions of a design's kind, whose states are those to begin with."""
+    trajectory = design.trajectory
+    return lower_bound(
+        design.robot.using(design.use),
+        period=trajectory.period,
+        harmonics=None if trajectory.series.name == "spline" else design.harmonics,
+        columns=design.information.columns,
+        seed=seed,
+        time_limit=time_limit,
+        pool=[trajectory.motion(POOL_HZ)],
+        progress=progress,
     )
 
 

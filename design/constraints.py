@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+import scipy
 
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import BadInput, OutsideLimits
@@ -305,7 +305,7 @@ def _extrema(
 ) -> Extrema:
     """Extrema of each channel, evaluated where its cubic Hermite interpolant is stationary."""
     value = evaluate(t)
-    joined = CubicHermiteSpline(t, value, slope(t)).derivative()
+    joined = scipy.interpolate.CubicHermiteSpline(t, value, slope(t)).derivative()
     roots = joined.roots(discontinuity=False, extrapolate=False)
     inside = [times[np.isfinite(times)] for times in roots]
     at = evaluate(np.concatenate(inside)) if any(map(len, inside)) else value[:0]

@@ -298,6 +298,12 @@ class TrajectoryCheck(Shown):
         """Smallest distance over the continuous motion; None without a scene."""
         return None if self.scene is None else clearance(self.scene, self.path)
 
+    def evenly(self, rate_hz: float) -> Motion:
+        """The motion at even steps of about this rate, whatever those of its samples are."""
+        start, end = self.motion.t[[0, -1]]
+        steps = max(4, int((end - start) * rate_hz))
+        return self.path.at(np.linspace(start, end, steps + 1))
+
     @property
     def touched(self) -> bool:
         """Whether bodies come too close."""

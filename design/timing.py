@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline
+import scipy
 
 from excitant.design.constraints import check
 from excitant.exceptions import BadInput, Infeasible
@@ -185,7 +185,7 @@ def _still(pose: Array, t: Array) -> Motion:
 class Path:
     """Twice differentiable curve q(s), 0 ≤ s ≤ 1, of polynomial pieces, as toppra takes it."""
 
-    spline: BSpline
+    spline: scipy.interpolate.BSpline
     pieces: int
     path_interval = np.array([0.0, 1.0])
 
@@ -213,7 +213,7 @@ def rounded_path(waypoints: Array, spacing: float = 1.0) -> Path:
     control = _between(waypoints, length / length[-1], greville)
     control[0] = waypoints[0]
     control[-1] = waypoints[-1]
-    return Path(BSpline(knots, control, 3), pieces)
+    return Path(scipy.interpolate.BSpline(knots, control, 3), pieces)
 
 
 def _free_path(

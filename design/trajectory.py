@@ -10,7 +10,6 @@ from typing import ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 import scipy
-from scipy.interpolate import BPoly, BSpline, PPoly
 
 from excitant.robots.motion import Array, Motion, freeze, read_only
 from excitant.robots.shown import Shown, Table
@@ -382,15 +381,15 @@ class SplineSeries(Series):
         return np.ones(self.pieces)
 
     @cached_property
-    def _unit(self) -> BSpline:
+    def _unit(self) -> scipy.interpolate.BSpline:
         return self._spline(np.eye(self.pieces))
 
-    def _spline(self, coefficients: Array) -> BSpline:
+    def _spline(self, coefficients: Array) -> scipy.interpolate.BSpline:
         knots = np.arange(-_DEGREE, self.pieces + _DEGREE + 1) * (
             self.period / self.pieces
         )
         wrapped = coefficients[np.arange(self.pieces + _DEGREE) % self.pieces]
-        return BSpline(knots, wrapped, _DEGREE)
+        return scipy.interpolate.BSpline(knots, wrapped, _DEGREE)
 
     def basis(self, t: npt.ArrayLike, order: int = 0) -> Array:
         t = np.atleast_1d(np.asarray(t, float))
@@ -403,9 +402,9 @@ class SplineSeries(Series):
         found = []
         for points in coefficients.T:
             spline = self._spline(points)
-            slope = PPoly.from_spline((spline.t, spline.c, _DEGREE)).derivative(
-                order + 1
-            )
+            slope = scipy.interpolate.PPoly.from_spline(
+                (spline.t, spline.c, _DEGREE)
+            ).derivative(order + 1)
             roots = slope.roots(extrapolate=False)
             inside = roots[np.isfinite(roots) & (roots >= 0) & (roots <= self.period)]
             found.append(np.concatenate([knots, inside]))
@@ -428,7 +427,7 @@ class HermiteTrajectory(_Curve):
     def __init__(self, samples: Motion) -> None:
         self.samples = samples
         knots = np.stack([samples.q, samples.dq, samples.ddq], axis=1)
-        self._q = BPoly.from_derivatives(samples.t, knots)
+        self._q = scipy.interpolate.BPoly.from_derivatives(samples.t, knots)
 
     def __call__(self, t: npt.ArrayLike, order: int = 0) -> Array:
         values: Array = self._q(np.atleast_1d(np.asarray(t, float)), nu=order)

@@ -1,10 +1,28 @@
-from .dataset import Dataset, load_dataset, read_recordings
+from .dataset import (
+    Dataset,
+    is_dataset,
+    load_dataset,
+    origin,
+    read_checked,
+    read_recordings,
+)
 from .differentiators import LocalPolynomial
 from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
+from .estimators import ESTIMATORS
 from .excitation import Persistency, persistency
-from .export import Publication, model_files, publication, published, save_model
+from .export import (
+    FORMATS,
+    USUAL,
+    Publication,
+    model_files,
+    publication,
+    published,
+    save_model,
+)
+from .faults import Checked, check_recordings, proven, warn_of_faults
 from .knowledge import Knowledge, load_knowledge
+from .mujoco import side_by_side
 from .online import (
     Monitor,
     OnlineEstimate,
@@ -19,6 +37,7 @@ from .payload import (
     identify_drive_gains,
     identify_payload,
 )
+from .preprocessing import prepare
 from .reading.logs import (
     load_recording,
     raw_recording,
@@ -26,12 +45,18 @@ from .reading.logs import (
     recording_from_table,
 )
 from .reading.mapping import ColumnMap, load_column_map
-from .recording import Recording
+from .recording import MINIMUM_DURATION, Recording, recordings_of
 from .regression import Regression
-from .rows import Data, split
+from .rows import FIT_SHARE, Data, fitted, split
 from .sequential import LinkByLink, identify_link_by_link
 
 __all__ = [
+    "ESTIMATORS",
+    "FIT_SHARE",
+    "FORMATS",
+    "MINIMUM_DURATION",
+    "USUAL",
+    "Checked",
     "ColumnMap",
     "Data",
     "Dataset",
@@ -51,24 +76,34 @@ __all__ = [
     "Publication",
     "Recording",
     "Regression",
+    "check_recordings",
     "estimate_payload",
+    "fitted",
     "identify_drive_gains",
     "identify_link_by_link",
     "identify_online",
     "identify_payload",
     "identify_robot",
+    "is_dataset",
     "load_column_map",
     "load_dataset",
     "load_knowledge",
     "load_recording",
     "model_files",
+    "origin",
     "persistency",
+    "prepare",
+    "proven",
     "publication",
     "published",
     "raw_recording",
+    "read_checked",
     "read_chunks",
     "read_recordings",
     "recording_from_table",
+    "recordings_of",
     "save_model",
+    "side_by_side",
     "split",
+    "warn_of_faults",
 ]

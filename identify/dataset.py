@@ -20,7 +20,7 @@ import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import size_of
-from excitant.identify.faults import Checked, check
+from excitant.identify.faults import Checked, check_recordings
 from excitant.identify.reading.bags import described, is_bag
 from excitant.identify.reading.logs import (
     SUFFIXES,
@@ -283,7 +283,7 @@ def read_checked(
     without: Sequence[str] = (),
     repaired: bool = False,
 ) -> Checked:
-    """Recordings of a dataset as `Dataset.recordings`, with their faults; see `check`.
+    """Recordings of a dataset as `Dataset.recordings`, with their faults; see `check_recordings`.
 
     Raises:
         BadInput: Nothing to read.
@@ -295,7 +295,7 @@ def read_checked(
         recordings = [raw_recording(path, robot, dataset.mapping) for path in paths]
     else:
         recordings = dataset.recordings(names, without=without)
-    return check(robot, recordings, repaired=repaired)
+    return check_recordings(robot, recordings, repaired=repaired)
 
 
 def _samples(path: Path) -> int:

@@ -1,11 +1,12 @@
 from . import plot
 from .pages import SavedRun, compare, page_of
 from .render import brief, html, summary, table_lines
-from .run import load_run, report, save, save_run
+from .run import as_saved, load_run, report, save, save_run
 from .tables import table_files
 
 __all__ = [
     "SavedRun",
+    "as_saved",
     "brief",
     "compare",
     "html",

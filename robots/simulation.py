@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 import scipy
-from scipy.interpolate import BPoly
 from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, ExcitantError
@@ -364,7 +363,7 @@ def _between(motion: Motion, counts: npt.NDArray[np.intp]) -> Motion:
     share = (np.arange(len(at)) - first[at]) / counts[at]
     t = np.append(motion.t[at] + share * np.diff(motion.t)[at], motion.t[-1])
     derivatives = np.stack([motion.q, motion.dq, motion.ddq], axis=1)
-    path = BPoly.from_derivatives(motion.t, derivatives)
+    path = scipy.interpolate.BPoly.from_derivatives(motion.t, derivatives)
     return Motion(t, *(path(t, nu=order) for order in range(3)))
 
 

@@ -111,7 +111,9 @@ def test_a_first_run_beyond_a_limit_is_not_written_and_the_design_kept(
     here: Path, excitant: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What holds the arm is no less at a lower speed; here, its limits are a hundredth."""
-    monkeypatch.setattr("excitant.design.check", lambda arm, path: check(arm.using(0.01), path))
+    monkeypatch.setattr(
+        "excitant.design.played.check", lambda arm, path: check(arm.using(0.01), path)
+    )
     ran = excitant(f"design planar_2r {WORKING['design']} --formats ros2_client,npz --json -o out")
     [note] = [n for n in ran.result["notes"] if "first_run.csv" in n]
     assert note.endswith("so it is not written nor are programs (ros2_client)")
@@ -436,7 +438,7 @@ WRAPPED.__cause__ = KeyboardInterrupt()
 def test_a_failure_is_owned_in_one_line(
     error: BaseException, says: str, refused: Any, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr("excitant.api.identify_robot", mock.Mock(side_effect=error))
+    monkeypatch.setattr("excitant.identify_robot", mock.Mock(side_effect=error))
     assert says in refused(f"{ONE} -o out", status=1 if error is BUG else 130)
     if error is BUG:
         for words in (f"--debug {ONE}", f"{ONE} --debug"):

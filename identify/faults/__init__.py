@@ -50,7 +50,7 @@ __all__ = [
     "Checked",
     "Fault",
     "Log",
-    "check",
+    "check_recordings",
     "find_copies",
     "find_faults",
 ]
@@ -116,7 +116,7 @@ def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault
 
 
 def warn_of_faults(robot: Robot, recordings: Sequence[Recording]) -> None:
-    """Warn of the faults of each recording, once; not of those from `check`."""
+    """Warn of the faults of each recording, once; not of those from `check_recordings`."""
     for recording in recordings:
         if recording not in _known:
             for fault in faults_of(robot, recording):
@@ -234,7 +234,7 @@ def _channel(fault: Mapping[str, Any]) -> object:
     return fault["evidence"].get("channel")
 
 
-def check(
+def check_recordings(
     robot: Robot, recordings: Sequence[Recording], *, repaired: bool = False
 ) -> Checked:
     """Recordings with their faults, repaired where that is asked for.

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import scipy
 from scipy.linalg.lapack import dgesv
-from scipy.optimize import lsq_linear
 
 from excitant.exceptions import BadInput, BadRobot
 from excitant.robots.motion import Array
@@ -464,7 +464,7 @@ def stick_or_slip(
     C = np.linalg.cholesky((A + A.T) / 2)
     momentum = C.T @ (impulse + K @ v)
     room = 1e-15 + 1e-12 * (forward + backward)
-    side = lsq_linear(
+    side = scipy.optimize.lsq_linear(
         C.T @ G.T, momentum, (-backward - room, forward + room), "bvls"
     ).active_mask
     stuck = (side == 0) & dry

@@ -1,11 +1,19 @@
+from . import analysis as analysis
+from . import api as api
+from . import design as design
+from . import identify as identify
+from . import reports as reports
+from . import robots as robots
 from .analysis import Diagnosis, Examination, Identifiability
 from .analysis.rehearsal import Rehearsal
 from .api import (
     analyze,
     as_recordings,
     check,
+    design_link_by_link,
     design_trajectory,
     diagnose,
+    experiments,
     go,
     identify_link_by_link,
     identify_online,
@@ -48,8 +56,10 @@ __all__ = [
     "as_recordings",
     "builtin_robots",
     "check",
+    "design_link_by_link",
     "design_trajectory",
     "diagnose",
+    "experiments",
     "go",
     "identify_link_by_link",
     "identify_online",

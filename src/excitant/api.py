@@ -1,7 +1,7 @@
 """The verbs of every day, which take names, files, tables and arrays as well as nouns.
 
 Here names become nouns, and nowhere else: the packages below take nouns only. The commands call
-the same functions.
+the same functions. Packages load their modules when these are first used.
 """
 
 from __future__ import annotations
@@ -14,74 +14,58 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-import excitant.analysis.diagnosis as diagnosis
-import excitant.analysis.identifiability as identifiability
-import excitant.analysis.rehearsal as rehearsal
-import excitant.design.feasible as feasible
-import excitant.design.optimal as optimal
-import excitant.identify.estimate as estimation
-import excitant.identify.online as online
-import excitant.identify.payload as payload
-import excitant.identify.reading.logs as logs
-import excitant.identify.sequential as sequential
-import excitant.robots.virtual_arm as virtual
-from excitant.analysis.diagnosis import Diagnosis
-from excitant.analysis.examination import Examination, examine
-from excitant.analysis.identifiability import Identifiability
-from excitant.analysis.rehearsal import Rehearsal
-from excitant.analysis.shown import identify_shown
-from excitant.design import export
-from excitant.design.criterion import information
-from excitant.design.optimal import Progress, SceneOption
-from excitant.design.result import Design, TrajectoryCheck
-from excitant.design.trajectory import FourierTrajectory, HermiteTrajectory, Trajectory
+from excitant import analysis, design, identify
 from excitant.exceptions import BadInput, RankDeficient, UnknownName
-from excitant.identify.dataset import Dataset, read_recordings
-from excitant.identify.estimate import Estimate
-from excitant.identify.faults import Checked, warn_of_faults
-from excitant.identify.faults import check as check_recordings
-from excitant.identify.knowledge import Knowledge, load_knowledge
-from excitant.identify.online import OnlineIdentification
-from excitant.identify.payload import PayloadEstimate
-from excitant.identify.preprocessing import prepare
-from excitant.identify.reading.mapping import ColumnMap
-from excitant.identify.recording import (
-    MINIMUM_DURATION,
-    Recording,
-    recordings_of,
-)
-from excitant.identify.rows import FIT_SHARE
-from excitant.identify.sequential import LinkByLink
-from excitant.robots.chains import RobotSpec
+from excitant.robots import Motion, Robot, geometry, load_limits, load_robot
 from excitant.robots.effects import EFFECTS, Acts, Effect, standard_effects
-from excitant.robots.geometry import (
-    CLEARANCE,
-    Obstacle,
-    Scene,
-    base_plane,
-    floor,
-    scene,
-    unchecked,
-)
-from excitant.robots.limits_file import load_limits
-from excitant.robots.loading import load_robot
-from excitant.robots.motion import Motion
 from excitant.robots.obstacles_file import load_obstacles
-from excitant.robots.robot import Robot
-from excitant.robots.virtual_arm import HiddenEffect, VirtualArm
 from excitant.surroundings import Surroundings
 
 if TYPE_CHECKING:
     import pandas as pd
 
-RobotLike: TypeAlias = Robot | RobotSpec | str | Path
+    from excitant.analysis import (
+        Diagnosis,
+        Examination,
+        Identifiability,
+        Plan,
+        Rehearsal,
+    )
+    from excitant.design import (
+        Design,
+        FourierTrajectory,
+        HermiteTrajectory,
+        LinkByLinkDesign,
+        TrajectoryCheck,
+    )
+    from excitant.design.optimal import Progress
+    from excitant.design.trajectory import Trajectory
+    from excitant.identify import (
+        Checked,
+        ColumnMap,
+        Estimate,
+        Knowledge,
+        LinkByLink,
+        OnlineIdentification,
+        PayloadEstimate,
+        Recording,
+    )
+    from excitant.robots.chains import RobotSpec
+    from excitant.robots.geometry import Obstacle, Scene
+    from excitant.robots.virtual_arm import HiddenEffect, VirtualArm
+
+RobotLike: TypeAlias = "Robot | RobotSpec | str | Path"
 """A robot, or what `load_robot` finds one by: its built-in name or a file."""
 RecordingLike: TypeAlias = "Recording | pd.DataFrame | str | Path"
 """A recording, a table in memory, or a file."""
 Recordings: TypeAlias = "RecordingLike | Sequence[RecordingLike]"
-TrajectoryLike: TypeAlias = Trajectory | Motion | str | Path
+TrajectoryLike: TypeAlias = "Trajectory | Motion | str | Path"
 """A trajectory, samples of one, or a file of either."""
+EffectsLike: TypeAlias = "Sequence[Effect | str] | None"
+"""Effects or their names; friction, offset and rotor inertia when None."""
 Columns: TypeAlias = Literal["friction", "inertial"]
+Told: TypeAlias = Callable[[float, str], None]
+"""Called with the share of the work that is done, and what is next."""
 
 SAMPLE_HZ = 100.0  # of a trajectory that has no samples of its own
 TOLERANCE = 0.03  # relative, of what a virtual arm hides beside its effect
@@ -100,23 +84,21 @@ def as_recordings(recordings: Recordings, robot: Robot) -> list[Recording]:
     sources = list[Any]()
     for source in several:
         if isinstance(source, str | Path):
-            sources += Dataset(robot).paths([str(source)])
+            sources += identify.Dataset(robot).paths([str(source)])
         else:
             sources.append(source)
     paths = [source for source in sources if isinstance(source, Path)]
-    read = iter(read_recordings(paths, robot))
-    nouns = list[Recording]()
+    logs = iter(identify.read_recordings(paths, robot))
+    nouns: list[Recording] = []
     for k, source in enumerate(sources, start=1):
-        if isinstance(source, Recording):
+        if isinstance(source, identify.Recording):
             nouns.append(source)
         elif isinstance(source, Path):
-            nouns.append(next(read))
+            nouns.append(next(logs))
         else:
             label = f"table {k}"
-            nouns.append(
-                logs.recording_from_table(source, robot, file=label, name=label)
-            )
-    return recordings_of(nouns, robot)
+            nouns.append(recording_from_table(source, robot, file=label, name=label))
+    return identify.recordings_of(nouns, robot)
 
 
 def as_path(
@@ -124,14 +106,16 @@ def as_path(
 ) -> tuple[Motion, Trajectory | HermiteTrajectory]:
     """Samples of a trajectory, at 100 Hz where it has none of its own, and what is between."""
     if isinstance(trajectory, str | Path):
-        trajectory = export.load_trajectory(trajectory, robot)
+        trajectory = design.load_trajectory(trajectory, robot)
     if isinstance(trajectory, Motion):
-        return trajectory, HermiteTrajectory(trajectory)
+        return trajectory, design.HermiteTrajectory(trajectory)
     return trajectory.motion(SAMPLE_HZ), trajectory
 
 
-def as_effects(effects: Sequence[Effect | str], robot: Robot) -> list[Effect]:
-    """Effects as they are, and those of names, of all joints."""
+def as_effects(effects: EffectsLike, robot: Robot) -> list[Effect] | None:
+    """Effects as they are, and those of names, of all joints; None as it is."""
+    if effects is None:
+        return None
     kinds = {name: kind for name, kind in EFFECTS.items() if kind.acts_on is Acts.EACH}
     names = [effect for effect in effects if isinstance(effect, str)]
     UnknownName.refuse("effect", names, kinds)
@@ -139,6 +123,11 @@ def as_effects(effects: Sequence[Effect | str], robot: Robot) -> list[Effect]:
         kinds[effect](robot.joints) if isinstance(effect, str) else effect
         for effect in effects
     ]
+
+
+def estimated_effects(columns: Columns, robot: Robot) -> tuple[Effect, ...]:
+    """Effects beside the links: those that `identify` estimates by default, or none."""
+    return standard_effects(robot.joints) if columns == "friction" else ()
 
 
 def within(robot: RobotLike, surroundings: Surroundings) -> Robot:
@@ -160,30 +149,36 @@ def obstacles_around(robot: Robot, surroundings: Surroundings) -> tuple[Obstacle
     obstacles = load_obstacles(path) if path else ()
     height = surroundings.floor
     if height is None and not surroundings.no_floor:
-        height = base_plane(robot)
-    return obstacles if height is None else (*obstacles, floor(height))
+        height = geometry.base_plane(robot)
+    return obstacles if height is None else (*obstacles, geometry.floor(height))
 
 
 def clearance_of(surroundings: Surroundings) -> float:
     """Least distance to keep [m]."""
     least = surroundings.clearance
-    return CLEARANCE if least is None else least
+    return geometry.CLEARANCE if least is None else least
 
 
 def scene_around(robot: Robot, surroundings: Surroundings) -> Scene | None:
+    """Scene to keep clear of, if any."""
+    if surroundings.ignore_collisions:
+        return None
+    obstacles = obstacles_around(robot, surroundings)
+    return geometry.scene(robot, obstacles, clearance_of(surroundings))
+
+
+def required_scene(robot: Robot, surroundings: Surroundings) -> Scene | None:
     """Scene to keep clear of, if any.
 
     Raises:
         BadInput: Clearance is asked for, but the arm has no shapes.
     """
-    if surroundings.ignore_collisions:
-        return None
-    obstacles = obstacles_around(robot, surroundings)
-    around = scene(robot, obstacles, clearance_of(surroundings))
+    around = scene_around(robot, surroundings)
     options = (surroundings.obstacles, surroundings.floor, surroundings.clearance)
     if around is None and any(option is not None for option in options):
+        why = geometry.unchecked(robot, None)
         raise BadInput(
-            f"{robot.source}: clearance cannot be checked ({unchecked(robot, None)}); give "
+            f"{robot.source}: clearance cannot be checked ({why}); give "
             "its URDF <collision> elements whose meshes are there, or leave --obstacles, "
             "--floor and --clearance out"
         )
@@ -191,15 +186,17 @@ def scene_around(robot: Robot, surroundings: Surroundings) -> Scene | None:
 
 
 def _kept_clear(robot: Robot, surroundings: Surroundings) -> dict[str, Any]:
-    around: SceneOption = scene_around(robot, surroundings) or ()
-    return {"scene": around, "clearance": clearance_of(surroundings)}
+    return {
+        "scene": required_scene(robot, surroundings) or (),
+        "clearance": clearance_of(surroundings),
+    }
 
 
 def load_recording(
     path: str | Path, robot: RobotLike | int, *, mapping: ColumnMap | None = None
 ) -> Recording:
     """Recording of a robot, or of a number of joints; see `identify.reading.logs`."""
-    return logs.load_recording(path, _or_count(robot), mapping=mapping)
+    return identify.load_recording(path, _or_count(robot), mapping=mapping)
 
 
 def recording_from_table(
@@ -211,7 +208,7 @@ def recording_from_table(
     mapping: ColumnMap | None = None,
 ) -> Recording:
     """Recording from a table in memory; see `identify.reading.logs`."""
-    return logs.recording_from_table(
+    return identify.recording_from_table(
         table, _or_count(robot), file=file, name=name, mapping=mapping
     )
 
@@ -222,14 +219,14 @@ def _or_count(robot: RobotLike | int) -> Robot | int:
 
 def load_trajectory(path: str | Path, robot: RobotLike) -> Trajectory | Motion:
     """Trajectory from a file of coefficients (JSON) or of samples (CSV)."""
-    return export.load_trajectory(path, as_robot(robot))
+    return design.load_trajectory(path, as_robot(robot))
 
 
 def random_trajectory(
     robot: RobotLike, rng: np.random.Generator, duration: float, harmonics: int
 ) -> FourierTrajectory:
     """A random motion within all limits; see `excitant.design.random_trajectory`."""
-    return feasible.random_trajectory(as_robot(robot), rng, duration, harmonics)
+    return design.random_trajectory(as_robot(robot), rng, duration, harmonics)
 
 
 def virtual_arm(
@@ -240,6 +237,8 @@ def virtual_arm(
     **options: Any,
 ) -> VirtualArm:
     """An arm that differs from its description; see `excitant.robots.virtual_arm`."""
+    from excitant.robots import virtual_arm as virtual
+
     return virtual.virtual_arm(as_robot(robot), rng, hidden=hidden, **options)
 
 
@@ -266,13 +265,27 @@ def design_trajectory(
     Errors are those of `excitant.design.design_trajectory`.
     """
     arm = within(robot, surroundings)
-    return optimal.design_trajectory(
+    return design.design_trajectory(
         arm,
         noise=noise,
         after=recorded_motions(after, arm),
         progress=progress,
         **_kept_clear(arm, surroundings),
         **options,
+    )
+
+
+def design_link_by_link(
+    robot: RobotLike,
+    *,
+    surroundings: Surroundings = Surroundings(),
+    progress: Callable[[float, str, float], None] | None = None,
+    **options: Any,
+) -> LinkByLinkDesign:
+    """One motion per link, from the last inward; args are those of `design_trajectory`."""
+    arm = within(robot, surroundings)
+    return design.design_link_by_link(
+        arm, progress=progress, **_kept_clear(arm, surroundings), **options
     )
 
 
@@ -284,8 +297,8 @@ def recorded_motions(
         motions = [motion for motion in recordings if isinstance(motion, Motion)]
         if len(motions) == len(recordings):
             return motions
-    read = as_recordings(recordings, robot)  # type: ignore[arg-type]
-    parts = [part for recording in read for part in prepare(recording)]
+    logs = as_recordings(recordings, robot)  # type: ignore[arg-type]
+    parts = [part for recording in logs for part in identify.prepare(recording)]
     return [part.motion[part.keep] for part in parts]
 
 
@@ -299,9 +312,10 @@ def check(
     """Limits between samples, clearance and conditioning of any trajectory."""
     arm = within(robot, surroundings)
     motion, path = as_path(trajectory, arm)
-    around = scene_around(arm, surroundings)
-    asked = information(arm, columns)
-    return TrajectoryCheck(arm, motion, path, around, clearance_of(surroundings), asked)
+    around = required_scene(arm, surroundings)
+    asked = design.information(arm, columns)
+    least = clearance_of(surroundings)
+    return design.TrajectoryCheck(arm, motion, path, around, least, asked)
 
 
 def show(
@@ -313,11 +327,8 @@ def show(
     """The arm in motion, to watch before it runs; `report` makes its page."""
     arm = within(robot, surroundings)
     motion, path = as_path(trajectory, arm)
-    least = clearance_of(surroundings)
-    around = None
-    if not surroundings.ignore_collisions:
-        around = scene(arm, obstacles_around(arm, surroundings), least)
-    return TrajectoryCheck(arm, motion, path, around, least)
+    around = scene_around(arm, surroundings)
+    return design.TrajectoryCheck(arm, motion, path, around, clearance_of(surroundings))
 
 
 class Simulation(NamedTuple):
@@ -350,12 +361,9 @@ def simulate(
     motion, path = as_path(trajectory, arm)
     duration = float(motion.t[-1])
     rng = np.random.default_rng(seed)
-    true = virtual.virtual_arm(
-        arm,
-        rng,
-        hidden=None if hidden else (),
-        tolerance=TOLERANCE if hidden else 0.0,
-    )
+    nothing = {"hidden": (), "tolerance": 0.0}
+    differs: dict[str, Any] = {"tolerance": TOLERANCE} if hidden else nothing
+    true = virtual_arm(arm, rng, **differs)
     table = true.record(path, duration, rng, progress)
     return Simulation(table, duration, tuple(true.hidden))
 
@@ -365,12 +373,13 @@ def identify_robot(
     recordings: Recordings,
     *,
     validate: Recordings = (),
-    effects: Sequence[Effect | str] | None = None,
+    effects: EffectsLike | Literal["auto"] = None,
     cutoff: float | None = None,
     estimator: str = "wls",
     trajectory: Trajectory | str | Path | None = None,
     knowledge: Knowledge | str | Path | None = None,
     length_std: float | Sequence[float] | None = None,
+    progress: Told = lambda share, words: None,
 ) -> Estimate:
     """Identify a physically consistent model from recordings.
 
@@ -380,25 +389,32 @@ def identify_robot(
         robot: The arm; its inertias are the prior.
         recordings: What to fit.
         validate: What to judge on; the last 30 % of each recording when empty.
-        effects: Effects to estimate, or their names; friction, offset and rotor inertia when None.
+        effects: Effects to estimate, or their names; friction, offset and rotor inertia when None;
+            ``"auto"`` for these and what the recordings call for.
         cutoff: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
         trajectory: Commanded trajectory: without a cut-off the filter passes its highest harmonic.
         knowledge: What is known of the bodies beforehand.
         length_std: Standard deviation of where each joint sits in its parent link [m].
+        progress: Called while effects are chosen.
 
     Errors are those of `excitant.identify.identify_robot`.
     """
     arm = as_robot(robot)
     fit = as_recordings(recordings, arm)
-    warn_of_faults(arm, fit)
+    holdout = as_recordings(validate, arm)
+    identify.warn_of_faults(arm, fit)
+    if effects == "auto":
+        effects = analysis.choose_effects(
+            arm, identify.fitted(fit, holdout), cutoff_hz=cutoff, progress=progress
+        )
     if isinstance(knowledge, str | Path):
-        knowledge = load_knowledge(knowledge, arm.links)
-    return estimation.identify_robot(
+        knowledge = identify.load_knowledge(knowledge, arm.links)
+    return identify.identify_robot(
         arm,
         fit,
-        validate=as_recordings(validate, arm),
-        effects=None if effects is None else as_effects(effects, arm),
+        validate=holdout,
+        effects=as_effects(effects, arm),
         cutoff_hz=cutoff,
         estimator=estimator,
         knowledge=knowledge,
@@ -410,7 +426,7 @@ def identify_robot(
 def highest_harmonic(trajectory: Trajectory | str | Path, robot: Robot) -> float:
     """Frequency of the highest harmonic of a commanded trajectory [Hz]."""
     planned: Trajectory | Motion = (
-        export.load_trajectory(trajectory, robot)
+        design.load_trajectory(trajectory, robot)
         if isinstance(trajectory, str | Path)
         else trajectory
     )
@@ -427,7 +443,7 @@ def identify_online(
     recordings: Recordings,
     *,
     validate: Recordings = (),
-    effects: Sequence[Effect | str] | None = None,
+    effects: EffectsLike = None,
     cutoff: float | None = None,
     forgetting: float | None = None,
     progress: Callable[[float], None] | None = None,
@@ -437,11 +453,11 @@ def identify_online(
     Args are those of `identify_robot`, and the time constant of forgetting [s].
     """
     arm = as_robot(robot)
-    return online.identify_online(
+    return identify.identify_online(
         arm,
         as_recordings(recordings, arm),
         validate=as_recordings(validate, arm),
-        effects=None if effects is None else as_effects(effects, arm),
+        effects=as_effects(effects, arm),
         cutoff_hz=cutoff,
         forgetting=forgetting,
         progress=progress,
@@ -453,16 +469,16 @@ def identify_link_by_link(
     recordings: Recordings,
     *,
     validate: Recordings = (),
-    effects: Sequence[Effect | str] | None = None,
+    effects: EffectsLike = None,
     cutoff: float | None = None,
 ) -> LinkByLink:
     """Identify from the last link inward; args are those of `identify_robot`."""
     arm = as_robot(robot)
-    return sequential.identify_link_by_link(
+    return identify.identify_link_by_link(
         arm,
         as_recordings(recordings, arm),
         validate=as_recordings(validate, arm),
-        effects=None if effects is None else as_effects(effects, arm),
+        effects=as_effects(effects, arm),
         cutoff_hz=cutoff,
     )
 
@@ -472,17 +488,17 @@ def identify_payload(
     loaded: Recordings,
     *,
     unloaded: Recordings = (),
-    effects: Sequence[Effect | str] | None = None,
+    effects: EffectsLike = None,
     forgetting: float | None = None,
     over_time: bool = False,
 ) -> PayloadEstimate:
     """Payload of the arm in some recordings; see `excitant.identify.identify_payload`."""
     arm = as_robot(robot)
-    return payload.identify_payload(
+    return identify.identify_payload(
         arm,
         as_recordings(loaded, arm),
         unloaded=as_recordings(unloaded, arm),
-        effects=None if effects is None else as_effects(effects, arm),
+        effects=as_effects(effects, arm),
         forgetting=forgetting,
         over_time=over_time,
     )
@@ -495,29 +511,27 @@ def estimate_shown(
     validate: Sequence[Recording],
     cutoff: float | None,
     columns: Columns,
-    notes: list[str],
-) -> Estimate:
+) -> tuple[Estimate, list[str]]:
     """An estimate even where the recorded motion leaves parameters open, or is brief.
 
-    What is done about brief recordings is noted.
+    The notes say what is done about brief recordings.
     """
-    effects = standard_effects(robot.joints) if columns == "friction" else ()
-    short = MINIMUM_DURATION / (1 - FIT_SHARE)
+    short = identify.MINIMUM_DURATION / (1 - identify.FIT_SHARE)
     brief = [r for r in recordings if r.duration < short and not validate]
-    notes += [
+    notes = [
         f"{r.name} lasts {r.duration:.3g} s, too short to hold a part of it back: all of it is "
         "analysed, and what so few rows say of the noise is rough; record longer"
         for r in brief
     ]
     options: dict[str, Any] = {
-        "effects": effects,
+        "effects": estimated_effects(columns, robot),
         "validate": recordings if brief else validate,
         "cutoff_hz": cutoff,
     }
     try:
-        return estimation.identify_robot(robot, recordings, **options)
+        return identify.identify_robot(robot, recordings, **options), notes
     except RankDeficient:
-        return identify_shown(robot, recordings, **options)
+        return analysis.identify_shown(robot, recordings, **options), notes
 
 
 def analyze(
@@ -548,9 +562,9 @@ def analyze(
     Errors are those of `excitant.analysis.analyze`.
     """
     arm = as_robot(robot)
-    return identifiability.analyze(
+    return analysis.analyze(
         arm,
-        effects=standard_effects(arm.joints) if columns == "friction" else (),
+        effects=estimated_effects(columns, arm),
         motion=None if trajectory is None else as_path(trajectory, arm)[0],
         estimate=estimate,
         noise=noise,
@@ -582,8 +596,17 @@ def diagnose(
     arm = as_robot(robot)
     fit = as_recordings(recordings, arm)
     holdout = as_recordings(validate, arm)
-    warn_of_faults(arm, fit)
-    return diagnosis.diagnose(arm, fit, validate=holdout, cutoff_hz=cutoff)
+    identify.warn_of_faults(arm, fit)
+    return analysis.diagnose(arm, fit, validate=holdout, cutoff_hz=cutoff)
+
+
+def experiments(diagnosis: Diagnosis, *, time_limit: float | None = None) -> Plan:
+    """Motions and actions that decide what a diagnosis leaves undecided.
+
+    The search ends after a time limit [s], where there is one.
+    """
+    limit = np.inf if time_limit is None else time_limit
+    return analysis.plan(diagnosis, np.random.default_rng(0), time_limit=limit)
 
 
 def go(
@@ -593,7 +616,7 @@ def go(
     validate: Recordings = (),
     cutoff: float | None = None,
     repair: bool = False,
-    progress: Callable[[float, str], None] = lambda share, words: None,
+    progress: Told = lambda share, words: None,
 ) -> Examination:
     """All that recordings say of a model, with one verdict.
 
@@ -608,14 +631,10 @@ def go(
     Errors are those of `identify_robot` and `diagnose`.
     """
     arm = as_robot(robot)
-    read = check_recordings(arm, as_recordings(recordings, arm), repaired=repair)
-    return examined(
-        arm,
-        read,
-        validate=as_recordings(validate, arm),
-        cutoff=cutoff,
-        progress=progress,
-    )
+    logs = as_recordings(recordings, arm)
+    checked = identify.check_recordings(arm, logs, repaired=repair)
+    holdout = as_recordings(validate, arm)
+    return examined(arm, checked, validate=holdout, cutoff=cutoff, progress=progress)
 
 
 def examined(
@@ -624,10 +643,10 @@ def examined(
     *,
     validate: Sequence[Recording],
     cutoff: float | None,
-    progress: Callable[[float, str], None],
+    progress: Told,
 ) -> Examination:
     """`go` of recordings whose faults are known."""
-    return examine(
+    return analysis.examine(
         robot,
         checked.recordings,
         validate=validate,
@@ -644,7 +663,7 @@ def rehearse(
     *,
     seed: int = 0,
     surroundings: Surroundings = Surroundings(),
-    progress: Callable[[float, str], None] | None = None,
+    progress: Told | None = None,
 ) -> Rehearsal:
     """A motion tried on a virtual arm, up to what it recovers; from rest to rest.
 
@@ -659,7 +678,7 @@ def rehearse(
     """
     arm = within(robot, surroundings)
     motion, path = as_path(trajectory, arm)
-    return rehearsal.rehearse(
+    return analysis.rehearse(
         arm,
         path,
         float(motion.t[-1]),

@@ -10,12 +10,14 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 from cyclopts.help import DefaultFormatter, HelpPanel, PanelSpec, TableSpec
 
+import excitant as ex
 from excitant import fleets, motions, recordings
 from excitant.exceptions import BadInput, FaultWarning, interrupt_in, line_of
 from excitant.interrupts import check
@@ -23,33 +25,14 @@ from excitant.names import one_line
 from excitant.options import Part, RobotName, Run, Seed, print_json, print_paths
 from excitant.progress import progress_bar
 
-_EVERYDAY = {
-    *(
-        "--output",
-        "--json",
-        "--map",
-        "--validate",
-        "--repair",
-        "--effects",
-        "--joints",
-        "--tip",
-    ),
-    *(
-        "--trajectory",
-        "--recording",
-        "--no-experiments",
-        "--duration",
-        "--harmonics",
-        "--limits",
-    ),
-    *("--time-limit", "--speed", "--seed", "--hidden", "--robot", "--mass", "--jobs"),
-}  # options that help shows first
+_EVERYDAY = """--output --json --map --validate --repair --effects --joints --tip --trajectory
+    --recording --no-experiments --duration --harmonics --limits --time-limit --speed --seed
+    --hidden --robot --mass --jobs"""
+"""Options that help shows first."""
 _SOLVERS = ("pin", "clarabel", "numpy", "scipy")
 
 
 def _version() -> str:
-    from importlib.metadata import version
-
     solvers = ", ".join(f"{name} {version(name)}" for name in _SOLVERS)
     return f"{version('excitant')} ({solvers})"
 
@@ -65,7 +48,8 @@ class _Grouped(DefaultFormatter):
         """Print a panel, that of the options as two."""
         parts = [panel]
         if panel.title == "Parameters":
-            daily = [entry for entry in panel.entries if _EVERYDAY & {*entry.names}]
+            everyday = {*_EVERYDAY.split()}
+            daily = [entry for entry in panel.entries if everyday & {*entry.names}]
             rare = [entry for entry in panel.entries if entry not in daily]
             titled = (("Options", daily), ("Rare options", rare))
             parts = [
@@ -168,11 +152,6 @@ def robots(
         robot: Built-in name, URDF, xacro, MJCF or robot.yaml.
         mass: What the whole arm weighs [kg], to compare with its description.
     """
-    from excitant.reports import page_of, summary, table_lines
-    from excitant.robots import builtin_robots
-    from excitant.robots.check import ModelCheck
-    from excitant.robots.library import arm_entry, catalogue, catalogue_rows
-
     if robot is None:
         for option, value in (("-o", run.output), ("--mass", mass)):
             if value is not None:
@@ -180,33 +159,31 @@ def robots(
                     f"{option} is about one arm; name it, e.g. excitant robots ur10"
                 )
         if run.json:
-            more = (
-                {"joints": arm.joints, "mass": arm.moving_mass} for arm in catalogue()
-            )
             arms = [
-                asdict(arm) | own for arm, own in zip(catalogue(), more, strict=True)
+                asdict(arm) | {"joints": arm.joints, "mass": arm.moving_mass}
+                for arm in ex.robots.catalogue()
             ]
             print_json({"verb": "robots", "robots": arms})
             return
-        heads, *rows = catalogue_rows()
-        kinds = ["number" if "[kg]" in head else "name" for head in heads]
-        print("\n".join(table_lines(list(zip(heads, kinds, strict=True)), rows)))
+        heads, *rows = ex.robots.catalogue_rows()
+        columns = [(head, "number" if "[kg]" in head else "name") for head in heads]
+        print("\n".join(ex.reports.table_lines(columns, rows)))
         return
     if mass is not None and not mass > 0:
         raise BadInput(
             f"--mass {mass:g} must be positive: what the whole arm weighs, in kg"
         )
-    check = ModelCheck(part.robot(robot), mass)
-    result = check.result()
-    if robot in builtin_robots():
-        entry = arm_entry(robot)
+    checked = ex.robots.ModelCheck(part.robot(robot), mass)
+    result = checked.result()
+    if robot in ex.builtin_robots():
+        entry = ex.robots.arm_entry(robot)
         result |= {"kind": entry.kind, "sources": entry.sources}
     if run.output is not None:
-        run.finish(result, check.series())
+        run.finish(result, checked.series())
     elif run.json:
         print_json(result)
     else:
-        print(summary(page_of(result, {})), end="")
+        print(ex.reports.summary(ex.reports.page_of(result, {})), end="")
 
 
 def report(
@@ -219,37 +196,34 @@ def report(
             differs.
         tables: Write each table of the page as a file, too, into the folder tables beside it.
     """
-    from excitant.reports import (
-        SavedRun,
-        compare,
-        load_run,
-        page_of,
-        save_run,
-        table_files,
-    )
-    from excitant.results import Result
 
-    def written(result: dict[str, Any] | Result) -> dict[str, str]:
-        return {} if tables is None else table_files(page_of(result, {}), tables)
+    def written(result: Any) -> dict[str, str]:
+        if tables is None:
+            return {}
+        return ex.reports.table_files(ex.reports.page_of(result, {}), tables)
 
     if not folders:
         raise BadInput("name the folder of a run, or several to compare")
     if len(folders) > 1:
-        both = compare(*(SavedRun(folder, *load_run(folder)) for folder in folders))
+        runs = (
+            ex.reports.SavedRun(folder, *ex.reports.load_run(folder))
+            for folder in folders
+        )
+        both = ex.reports.compare(*runs)
         run.finish(both, {}, written(both))
         return
     if run.output is not None:
         raise BadInput(
             "-o is where runs are compared; name a second run, or leave -o out"
         )
-    record, series = load_run(folders[0])
+    record, series = ex.reports.load_run(folders[0])
     files = written(record)
     # the file's own text, so that it is written again to the byte
     result = json.loads(Path(folders[0], "result.json").read_text("utf-8"))
     if files:
         here = (os.path.join(folders[0], name) for name in files)
         result["files"] = list(dict.fromkeys([*record.files, *here]))
-    paths, _ = save_run(folders[0], result, series, files)
+    paths, _ = ex.reports.save_run(folders[0], result, series, files)
     if run.json:
         print_json(result)
     else:

@@ -8,10 +8,12 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
+from dataclasses import replace
 from os.path import isdir, isfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import excitant as ex
 from excitant.exceptions import (
     BadInput,
     ExcitantError,
@@ -22,14 +24,15 @@ from excitant.exceptions import (
 from excitant.files import write_file
 from excitant.names import in_folder, one_line
 from excitant.options import Run
-from excitant.processes import connect, unordered
+from excitant.processes import connect, processors, unordered
 from excitant.progress import Advance, progress_bar
 from excitant.recordings import diagnose, identify
 
 if TYPE_CHECKING:
-    from excitant.analysis.fleet import Examined, Value
+    from excitant.analysis.fleet import Examined, Fleet, Value
     from excitant.results import Identify
 
+NORMAL_95 = 1.96  # half of a 95 % interval, in standard deviations
 _ARMS = "arms"
 _STAMP = "input.json"
 _VERBS = ("identify", "diagnose")
@@ -61,100 +64,114 @@ def fleet(
         cluster: Dask scheduler to work on, such as tcp://10.0.0.5:8786; its workers see the same
             files.
     """
-    import joblib
+    default = f"runs/fleet-{in_folder(Path(folders[0]).name)}" if folders else ""
+    root = Path(run.output or default)
+    with progress_bar("fleet") as advance:
+        arms = compare_fleet(
+            folders, root, jobs=jobs, cluster=cluster, progress=advance
+        )
+    files = {"parameters.parquet": _parameters(arms.examined)}
+    run.finish(arms.result(), arms.series(), files, root)
+    return 1 if all(data_set.failed for data_set in arms.examined) else 0
 
-    from excitant.analysis.fleet import compare_arms
 
-    given = f"runs/fleet-{in_folder(Path(folders[0]).name)}" if folders else ""
-    root = Path(run.output or given)
+def compare_fleet(
+    folders: Sequence[str | Path],
+    output: str | Path,
+    *,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    progress: Advance = lambda share, words: None,
+) -> Fleet:
+    """Identify and diagnose all data sets, and compare arms and dates.
+
+    Args:
+        folders: Data sets, or folders that hold them.
+        output: Folder in which the runs of each are kept, so that only changed ones are done anew.
+        jobs: Processes; all processors when None.
+        cluster: Dask scheduler to work on.
+        progress: Called with the share done and the data set done last.
+
+    Raises:
+        BadInput: No data set, or two of one name.
+    """
+    root = Path(output)
     sets = [
         _DataSet(name, folder, str(root.resolve() / _ARMS / _safe(name)))
-        for name, folder in _found(folders, root)
+        for name, folder in _data_sets(folders, root).items()
     ]
-    with (
-        connect(cluster) if cluster else nullcontext() as client,
-        progress_bar("fleet") as advance,
-    ):
-        _examine_all(sets, jobs or int(joblib.cpu_count()), client, advance)
-    found = compare_arms([_examined(each) for each in sets])
-    files = {"parameters.parquet": _parameters(found.examined)}
-    run.finish(found.result(), found.series(), files, root)
-    return 1 if all(each.failed for each in found.examined) else 0
+    with connect(cluster) if cluster else nullcontext() as client:
+        _examine_all(sets, jobs or processors(), client, progress)
+    return ex.analysis.compare_arms([_examined(data_set) for data_set in sets])
 
 
-def _found(folders: Sequence[str], root: Path) -> list[tuple[str, str]]:
-    """Names and folders of all data sets, in order; names tell which of the given they are in."""
-    from excitant.identify.dataset import is_dataset
-
-    def below(folder: Path) -> Iterator[Path]:
-        if folder.resolve() == root.resolve():
-            return
-        if is_dataset(folder):
-            yield folder
-            return
-        for each in sorted(folder.iterdir()):
-            if (
-                each.is_dir()
-                and not each.is_symlink()
-                and not each.name.startswith(".")
-            ):
-                yield from below(each)
-
-    found: dict[str, str] = {}
-    for given in map(Path, folders):
-        if not isdir(given):
-            raise BadInput(f"{given}: no such folder; give folders of data sets")
-        inside = list(below(given))
+def _data_sets(folders: Sequence[str | Path], root: Path) -> dict[str, str]:
+    """Folders of all data sets by name, in order; names tell which of the folders they are in."""
+    sets = dict[str, str]()
+    for folder in map(Path, folders):
+        if not isdir(folder):
+            raise BadInput(f"{folder}: no such folder; give folders of data sets")
+        inside = list(_below(folder, root))
         if not inside:
             raise BadInput(
-                f"{given}: no data set in it, which is a folder with robot.urdf, robot.yaml or "
+                f"{folder}: no data set in it, which is a folder with robot.urdf, robot.yaml or "
                 "dataset.json and recordings"
             )
         for path in inside:
-            name = (
-                given.resolve().name
-                if path == given
-                else path.relative_to(given).as_posix()
-            )
-            if name in found:
-                name = f"{given.resolve().name}/{name}"
-            if name in found:
+            top = folder.resolve().name
+            name = top if path == folder else path.relative_to(folder).as_posix()
+            if name in sets:
+                name = f"{top}/{name}"
+            if name in sets:
                 raise BadInput(f"{path}: another data set is called {name}; rename one")
-            found[name] = str(path.resolve())  # workers may be in another folder
-    if not found:
+            sets[name] = str(path.resolve())  # workers may be in another folder
+    if not sets:
         raise BadInput("no folder given; name folders of data sets")
-    return [*found.items()]
+    return sets
+
+
+def _below(folder: Path, root: Path) -> Iterator[Path]:
+    """Data sets in a folder, at any depth, but not among the results."""
+    if folder.resolve() == root.resolve():
+        return
+    if ex.identify.is_dataset(folder):
+        yield folder
+        return
+    for inner in sorted(folder.iterdir()):
+        hidden = inner.is_symlink() or inner.name.startswith(".")
+        if inner.is_dir() and not hidden:
+            yield from _below(inner, root)
 
 
 def _safe(name: str) -> str:
     """The name of a data set as that of a folder of its own."""
     parts = [part if in_folder(part) == part else "" for part in name.split("/")]
-    told = hashlib.sha256(name.encode()).hexdigest()[:8]
-    return "/".join(parts) if all(parts) else f"{in_folder(name)}-{told}"
+    digest = hashlib.sha256(name.encode()).hexdigest()[:8]
+    return "/".join(parts) if all(parts) else f"{in_folder(name)}-{digest}"
 
 
 def _examine_all(
     sets: Sequence[_DataSet], jobs: int, client: Any, advance: Advance
 ) -> None:
     """Examine data sets side by side; one that ends its process twice is left to itself."""
-    left = dict.fromkeys(each.name for each in sets)
+    left = {data_set.name for data_set in sets}
     try:
         for apart, alone in ((False, False), (True, False), (True, True)):
-            for some in [[each] for each in sets] if alone else [sets]:
-                tasks = [tuple(each) for each in some if each.name in left]
+            for batch in [[data_set] for data_set in sets] if alone else [sets]:
+                tasks = [tuple(data_set) for data_set in batch if data_set.name in left]
                 try:
                     for name in unordered(_examine, tasks, jobs, client, apart=apart):
-                        del left[name]
+                        left.remove(name)
                         advance(1 - len(left) / len(sets), name)
                 except WorkerDied:
                     if alone:
-                        _note(some[0].out, _stamp(some[0].folder), _DIED)
+                        _note(batch[0].out, _stamp(batch[0].folder), _DIED)
             if not left:
                 return
     except KeyboardInterrupt:
-        kept = f"{len(sets) - len(left)} of {len(sets)} data sets are done and kept"
+        done = f"{len(sets) - len(left)} of {len(sets)} data sets are done and kept"
         raise KeyboardInterrupt(
-            f"{kept}; the same command goes on from there"
+            f"{done}; the same command goes on from there"
         ) from None
 
 
@@ -185,15 +202,13 @@ def _refusal(command: Callable[..., object], folder: str, **options: Any) -> str
 
 def _stamp(folder: str) -> str:
     """What tells the files of a data set from any others."""
-    from importlib.metadata import version
-
-    told = hashlib.sha256(version("excitant").encode())
+    digest = hashlib.sha256(ex.__version__.encode())
     for path in sorted(Path(folder).rglob("*")):
         if isfile(path):
             with path.open("rb") as file:
                 content = hashlib.file_digest(file, "sha256").hexdigest()
-            told.update(f"{path.relative_to(folder)} {content}\n".encode())
-    return told.hexdigest()
+            digest.update(f"{path.relative_to(folder)} {content}\n".encode())
+    return digest.hexdigest()
 
 
 def _note(out: str, stamp: str, failed: str) -> None:
@@ -204,51 +219,46 @@ def _note(out: str, stamp: str, failed: str) -> None:
 
 def _noted(out: str) -> dict[str, str]:
     try:
-        found = json.loads((Path(out) / _STAMP).read_text(encoding="utf-8"))
+        stamp = json.loads((Path(out) / _STAMP).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return stamp if isinstance(stamp, dict) else {}
 
 
 def _examined(data_set: _DataSet) -> Examined:
     """What a data set came to."""
-    from excitant.analysis.fleet import Examined
-    from excitant.identify.dataset import origin
-    from excitant.reports import load_run
-    from excitant.results import Diagnose, Identify
-
     name, folder, out = data_set
-    arm = name
-    day = None
-    failed = _noted(out).get("failed", "")
+    examined = ex.analysis.Examined(
+        name, name, None, failed=_noted(out).get("failed", "")
+    )
     try:
-        arm, day = origin(Path(folder), name)
-        if failed:
-            return Examined(name, arm, day, failed=failed)
-        model, diagnosis = (load_run(Path(out) / verb)[0] for verb in _VERBS)
+        arm, day = ex.identify.origin(Path(folder), name)
+        examined = replace(examined, arm=arm, day=day)
+        if examined.failed:
+            return examined
+        model: Any
+        diagnosis: Any
+        model, diagnosis = (ex.reports.load_run(Path(out) / verb)[0] for verb in _VERBS)
     except ExcitantError as error:
-        return Examined(name, arm, day, failed=failed or str(error))
-    assert isinstance(model, Identify)
-    assert isinstance(diagnosis, Diagnose)
+        return replace(examined, failed=examined.failed or str(error))
+    examined = replace(examined, kind=model.robot)
     if not model.published:
-        return Examined(name, arm, day, model.robot, failed=one_line(model.refusal))
-    said = [finding.sentence for finding in diagnosis.findings[:_SHOWN]]
-    said += [f"fault: {fault.detail}" for fault in diagnosis.faults]
-    return Examined(name, arm, day, model.robot, "", _values(model), tuple(said))
+        return replace(examined, failed=one_line(model.refusal))
+    sentences = [finding.sentence for finding in diagnosis.findings[:_SHOWN]]
+    sentences += [f"fault: {fault.detail}" for fault in diagnosis.faults]
+    return replace(examined, values=_values(model), found=tuple(sentences))
 
 
 def _values(model: Identify) -> dict[str, Value]:
-    from excitant.analysis.fleet import Value
-
     units = {p.name: p.unit for p in model.parameters}
-    found = {}
+    values = {}
     for row in model.base_parameters:
         if row.value is None or row.std is None:
             continue
         name = sys.intern(row.expression)  # held once, however many data sets have it
         unit = sys.intern(units.get(_leading(name), ""))
-        found[name] = Value(row.value, row.std, unit)
-    return found
+        values[name] = ex.analysis.Value(row.value, row.std, unit)
+    return values
 
 
 def _leading(expression: str) -> str:
@@ -270,18 +280,26 @@ def _parameters(examined: Sequence[Examined]) -> bytes:
     buffer = io.BytesIO()
     with pa.parquet.ParquetWriter(buffer, schema) as writer:
         for start in range(0, len(examined), _AT_ONCE):
-            some = examined[start : start + _AT_ONCE]
-            rows = [row for each in some for row in _rows(each)]
+            batch = examined[start : start + _AT_ONCE]
+            rows = [row for data_set in batch for row in _rows(data_set)]
             writer.write_table(pa.Table.from_pylist(rows, schema))
     return buffer.getvalue()
 
 
 def _rows(examined: Examined) -> Iterator[dict[str, Any]]:
     """The base parameters of a data set with their 95 % intervals, as rows of the table."""
-    about = {"data_set": examined.name, "arm": examined.arm, "date": examined.day}
     for name, (value, std, unit) in (examined.values or {}).items():
-        yield about | {
-            "type": examined.kind, "joint": _leading(name).rpartition(".")[0], "parameter": name,
-            "value": value, "std": std, "low": value - 1.96 * std, "high": value + 1.96 * std,
+        half = NORMAL_95 * std
+        yield {
+            "data_set": examined.name,
+            "arm": examined.arm,
+            "date": examined.day,
+            "type": examined.kind,
+            "joint": _leading(name).rpartition(".")[0],
+            "parameter": name,
+            "value": value,
+            "std": std,
+            "low": value - half,
+            "high": value + half,
             "unit": unit,
-        }  # fmt: skip
+        }

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import excitant as ex
 from excitant.design.options import Search
-from excitant.exceptions import BadInput, Infeasible
+from excitant.exceptions import BadInput
 from excitant.files import write_file
 from excitant.names import printable
 from excitant.options import (
@@ -34,10 +35,8 @@ from excitant.surroundings import Surroundings
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from excitant.design import Design, HermiteTrajectory, Trajectory
-    from excitant.robots import Motion, Robot
+    from excitant.design import Design
 
-SAMPLE_HZ = 100.0  # of a motion that is judged at even steps
 BOUND_TIME_S = 60.0  # much less leaves the bound near 1
 
 
@@ -63,42 +62,6 @@ class Play:
         "default: 0.2 with a program among the formats, else none."
     )
 
-    @property
-    def programs(self) -> list[str]:
-        """Formats that are programs of robots."""
-        from excitant.design.export import PROGRAMS
-
-        return [name for name in self.formats or () if name in PROGRAMS]
-
-    def checked(self, robot: Robot) -> Play:
-        """The same with the default speed of programs; refuses what cannot be played."""
-        import numpy as np
-
-        from excitant.design.export import FIRST_SPEED, write_formats
-        from excitant.robots.motion import Motion
-
-        if not 1 <= self.rate <= 10_000:
-            raise BadInput(
-                f"--rate {self.rate:g} Hz: give a control rate from 1 to 10000 Hz"
-            )
-        if self.repeat < 1:
-            raise BadInput(
-                f"--repeat {self.repeat}: give how often the motion runs, at least 1"
-            )
-        still = np.zeros((2, robot.nv))
-        at_rest = Motion(np.arange(2.0), still, still, still)
-        write_formats({"": at_rest}, robot, self.formats or ())  # may refuse
-        speed = FIRST_SPEED if self.programs and self.speed is None else self.speed
-        if speed is not None and not 0 < speed <= 1:
-            raise BadInput(
-                f"--speed {speed:g}: give the share of the speed, above 0 and up to 1"
-            )
-        if self.start is not None and len(self.start) != robot.nv:
-            raise BadInput(
-                f"--from has {len(self.start)} numbers, {robot.name} has {robot.nv} joints"
-            )
-        return replace(self, speed=speed)
-
 
 def design(
     robot: RobotName,
@@ -122,11 +85,8 @@ def design(
         link_by_link: One motion per link, from the last inward, each of this duration.
         bound: Also a numerical lower bound on the condition number of any such motion.
     """
-    from excitant import api
-    from excitant.robots.limits import require_limits
-
-    arm = api.within(part.robot(robot), surroundings)
-    if note := require_limits(arm):
+    arm = ex.api.within(part.robot(robot), surroundings)
+    if note := ex.robots.require_limits(arm):
         print(note, file=sys.stderr)
     if search.seed < 0:
         raise BadInput(f"--seed {search.seed}: give 0 or more")
@@ -145,12 +105,12 @@ def design(
         raise BadInput(
             "--bound holds for one motion with equal noise; leave --noise and --after"
         )
-    play = play.checked(arm)
+    ex.design.require_playable(arm, **vars(play))
     if link_by_link:
         _design_link_by_link(arm, search, surroundings, play, run)
         return 0
     with progress_bar("design") as advance:
-        found = api.design_trajectory(
+        designed = ex.design_trajectory(
             arm,
             noise=noise,
             after=after or (),
@@ -158,16 +118,20 @@ def design(
             progress=_teller(advance, search.time_limit),
             **vars(search),
         )
-    result = found.result() | {"repeat": play.repeat}
-    files: dict[str, str | bytes] = {**found.files(play.rate, play.repeat)}
-    if bound and not found.interrupted:
-        result["condition_number"]["lower_bound"], note = _bound(found, search.seed)
+    result = designed.result() | {"repeat": play.repeat}
+    if bound and not designed.interrupted:
+        result["condition_number"]["lower_bound"], note = _bound(designed, search.seed)
         result["notes"].append(note)
-    done = _add_files(found, play, api.clearance_of(surroundings), result, files)
-    run.finish(result, found.series(), files)
-    if found.interrupted:
+    played = ex.design.play(
+        designed, clearance=ex.api.clearance_of(surroundings), **vars(play)
+    )
+    result["notes"] += played.notes
+    if played.first_run is not None:
+        result["first_run"] = played.first_run
+    run.finish(result, designed.series(), played.files)
+    if designed.interrupted:
         raise KeyboardInterrupt("the best motion so far was written")
-    return 0 if done else 1
+    return 0 if played.complete else 1
 
 
 def _teller(advance: Advance, time_limit: float | None) -> Any:
@@ -186,16 +150,12 @@ def _teller(advance: Advance, time_limit: float | None) -> Any:
 
 
 def _design_link_by_link(
-    robot: Robot, search: Search, surroundings: Surroundings, play: Play, run: Run
+    robot: ex.Robot, search: Search, surroundings: Surroundings, play: Play, run: Run
 ) -> None:
-    from excitant import api
-    from excitant.design.sequence import design_link_by_link
-
     with progress_bar("design") as advance:
-        links = design_link_by_link(
+        links = ex.design_link_by_link(
             robot,
-            scene=api.scene_around(robot, surroundings) or (),
-            clearance=api.clearance_of(surroundings),
+            surroundings=surroundings,
             progress=lambda done, link, best: advance(
                 done, f"{link}, best κ {best:.4g}"
             ),
@@ -207,104 +167,21 @@ def _design_link_by_link(
         raise KeyboardInterrupt("the best motions so far were written")
 
 
-def _add_files(
-    found: Design,
-    play: Play,
-    clearance: float,
-    result: dict[str, Any],
-    files: dict[str, str | bytes],
-) -> bool:
-    """Add approach, return, first run and further formats; whether nothing is missing."""
-    from excitant.design.export import motion_csv, write_formats
-
-    robot = found.robot
-    names = list(play.formats or ())
-    way = {"trajectory": found.trajectory.motion(play.rate, play.repeat)}
-    complete = True
-    if play.start is not None:
-        try:
-            way = _there_and_back(found, play, clearance, way)
-            files |= {f"{k}.csv": motion_csv(way[k]) for k in ("approach", "return")}
-        except Infeasible as error:  # the design stands without them
-            result["notes"].append(str(error))
-            complete = False
-    if play.speed is not None:
-        first_run, entry, note = _first_run(found, play)
-        result["first_run"] = entry
-        if first_run is None:  # what holds the arm is not less at a lower speed
-            complete = False
-            programs = ", ".join(play.programs)
-            names = [name for name in names if name not in play.programs]
-            note += ", so it is not written"
-            note += f" nor are programs ({programs})" if programs else ""
-        else:
-            files["first_run.csv"] = motion_csv(first_run)
-            data = [name for name in names if name not in play.programs]
-            files |= write_formats({"first_run": first_run}, robot, data)
-        result["notes"].append(f"first_run.csv: {note}")
-    files |= write_formats(way, robot, names)
-    return complete
-
-
-def _there_and_back(
-    found: Design, play: Play, clearance: float, way: dict[str, Motion]
-) -> dict[str, Motion]:
-    """Motions in the order in which they run, with those from and to the present pose."""
-    import numpy as np
-
-    from excitant.design.timing import approach
-
-    there = found.trajectory(0.0)[0]
-    here = np.array(play.start)
-    robot = found.robot.using(found.use)
-    options: dict[str, Any] = {"scene": found.scene, "clearance": clearance}
-    options["rate_hz"] = play.rate
-    first = approach(robot, here, there, name="approach", **options)
-    last = approach(robot, there, here, name="return", **options)
-    return {"approach": first, **way, "return": last}
-
-
-def _first_run(
-    found: Design, play: Play
-) -> tuple[Motion | None, dict[str, float], str]:
-    """The slow motion, None beyond a limit; its entry, and a note on it."""
-    import excitant.design as designs
-
-    assert play.speed is not None
-    slow = found.trajectory.slowed(play.speed)
-    used = designs.check(found.robot, slow).worst
-    entry = {"speed": play.speed, "duration": slow.duration, "limit": used.ratio}
-    note = (
-        f"the same path in {slow.duration:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
-        f"limit ({used.quantity} of {used.joint})"
-    )
-    return (slow.motion(play.rate) if used.ratio <= 1 else None), entry, note
-
-
-def _bound(found: Design, seed: int) -> tuple[float, str]:
+def _bound(designed: Design, seed: int) -> tuple[float, str]:
     """The lower bound of the condition number, and what it says."""
-    from excitant.design.bound import lower_bound
-
     with progress_bar("bound") as advance:
-        bound = lower_bound(
-            found.robot.using(found.use),
-            period=found.trajectory.period,
-            harmonics=None
-            if found.trajectory.series.name == "spline"
-            else found.harmonics,
-            columns=found.information.columns,
+        bound = ex.design.bound_of(
+            designed,
             seed=seed,
             time_limit=BOUND_TIME_S,
-            pool=[found.trajectory.motion(SAMPLE_HZ)],
             progress=lambda spent, value, ceiling: advance(
                 min(spent / BOUND_TIME_S, 1.0), f"κ ≥ {value:.4g}"
             ),
         )
-    ratio = found.condition_final / bound.value
-    mixed = bound.without_repair
+    ratio = designed.condition_final / bound.value
     return bound.value, (
         f"within ×{ratio:.2g} of the best possible (no bound that looks at single states is above "
-        f"{mixed:.3g}, which a mixture of them reaches): {bound.assumptions}"
+        f"{bound.without_repair:.3g}, which a mixture of them reaches): {bound.assumptions}"
     )
 
 
@@ -327,30 +204,17 @@ def check(
     Raises:
         OutsideLimits: A limit is exceeded, or bodies come too close; after the run is saved.
     """
-    from excitant import api
-    from excitant.identify.excitation import persistency
-    from excitant.robots.effects import standard_effects
-
-    found = api.check(
+    checked = ex.check(
         part.robot(robot), trajectory, columns=columns, surroundings=surroundings
     )
-    effects = standard_effects(found.robot.joints) if columns == "friction" else ()
-    motion = _evenly(found.path, found.motion)
-    shown = persistency(found.robot, motion, effects, window=window)
-    result = found.result() | {"trajectory": trajectory, "persistency": shown.result()}
-    run.finish(result, found.series())
-    found.require()
-
-
-def _evenly(path: Trajectory | HermiteTrajectory, motion: Motion) -> Motion:
-    """A motion at even steps, whatever those of its samples are."""
-    import numpy as np
-
-    from excitant.robots.motion import Motion
-
-    steps = max(4, int((motion.t[-1] - motion.t[0]) * SAMPLE_HZ))
-    t = np.linspace(motion.t[0], motion.t[-1], steps + 1)
-    return Motion(t, path(t), path(t, 1), path(t, 2))
+    arm = checked.robot
+    effects = ex.api.estimated_effects(columns, arm)
+    motion = checked.evenly(ex.api.SAMPLE_HZ)
+    excited = ex.identify.persistency(arm, motion, effects, window=window)
+    result = checked.result()
+    result |= {"trajectory": trajectory, "persistency": excited.result()}
+    run.finish(result, checked.series())
+    checked.require()
 
 
 def show(
@@ -369,29 +233,25 @@ def show(
         output: File to write, .html; default: runs/show-<robot>-<time>.html.
         json: Print the result as JSON and nothing else.
     """
-    from excitant import api
-    from excitant.reports import brief, html, page_of
-    from excitant.reports.run import as_saved
-
     arm = part.robot(robot)
     target = Path(output or f"{Run().folder({'verb': 'show', 'robot': arm.name})}.html")
     if target.suffix != ".html":
         raise BadInput(f"{target}: name a .html file")
-    found = api.show(arm, trajectory, surroundings=surroundings)
-    result = found.result() | {
+    checked = ex.show(arm, trajectory, surroundings=surroundings)
+    around = ex.api.obstacles_around(checked.robot, surroundings)
+    result = checked.result() | {
         "verb": "show",
         "trajectory": trajectory,
         "files": [str(target)],
+        "obstacles": [obstacle.plain() for obstacle in around],
     }
-    around = api.obstacles_around(found.robot, surroundings)
-    result["obstacles"] = [obstacle.plain() for obstacle in around]
-    plain, series = as_saved(result, found.series())
-    page = page_of(plain, series)
-    write_file(target, html(page, saved=False))
+    plain, series = ex.reports.as_saved(result, checked.series())
+    page = ex.reports.page_of(plain, series)
+    write_file(target, ex.reports.html(page, saved=False))
     if json:
         print_json(plain)
     else:
-        print(brief(page), "", printable(str(target)), sep="\n")
+        print(ex.reports.brief(page), "", printable(str(target)), sep="\n")
 
 
 def simulate(
@@ -414,31 +274,32 @@ def simulate(
             is not in the model.
         json: Print the result as JSON and nothing else.
     """
-    from excitant import api
-
     arm = part.robot(robot)
     target = Path(output)
     if target.suffix not in (".csv", ".parquet"):
         raise BadInput(f"{target}: name a .csv or .parquet file")
     with progress_bar("simulate") as advance:
-        found = api.simulate(
+        table, duration, effects = ex.simulate(
             arm,
             trajectory,
             seed=seed,
             hidden=hidden,
             progress=lambda share: advance(share, ""),
         )
-    table = found.table
     write_file(target, table_bytes(table, target.suffix))
     if json:
-        result = {"verb": "simulate", "robot": arm.name, "samples": len(table)}
-        hides = [effect.entry() for effect in found.hidden]
-        more = {"duration": found.duration, "hidden": hides, "files": [str(target)]}
-        print_json(result | more)
-    else:
-        print(
-            f"{printable(str(target))}  {len(table)} samples over {found.duration:g} s"
+        print_json(
+            {
+                "verb": "simulate",
+                "robot": arm.name,
+                "samples": len(table),
+                "duration": duration,
+                "hidden": [effect.entry() for effect in effects],
+                "files": [str(target)],
+            }
         )
+    else:
+        print(f"{printable(str(target))}  {len(table)} samples over {duration:g} s")
 
 
 def rehearse(
@@ -456,16 +317,14 @@ def rehearse(
     Args:
         seed: Draws the arm, its noise and the effect to name.
     """
-    from excitant import api
-
     arm = part.robot(robot)
     with progress_bar("rehearse") as advance:
-        found = api.rehearse(
+        rehearsal = ex.rehearse(
             arm, trajectory, seed=seed, surroundings=surroundings, progress=advance
         )
-    result = found.result() | {"trajectory": trajectory, "seed": seed}
-    run.finish(result, found.series())
-    return 0 if found.passed else 1
+    result = rehearsal.result() | {"trajectory": trajectory, "seed": seed}
+    run.finish(result, rehearsal.series())
+    return 0 if rehearsal.passed else 1
 
 
 def table_bytes(table: DataFrame, suffix: str) -> bytes:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+import excitant as ex
 from excitant.exceptions import BadInput
 from excitant.files import require_replaceable
 from excitant.interrupts import check
@@ -29,16 +30,12 @@ if TYPE_CHECKING:
 
 
 def _arms(_: object) -> Iterator[str]:
-    from excitant.robots import builtin_robots
-
-    yield from builtin_robots()
+    yield from ex.builtin_robots()
     yield from (path.name for path in Path().iterdir())
 
 
 def _effects(_: object) -> Iterator[str]:
-    from excitant.robots.effects import EFFECTS
-
-    yield from ("auto", *EFFECTS)
+    yield from ("auto", *ex.robots.effects.EFFECTS)
 
 
 def _words(_: Any, tokens: Sequence[Token]) -> list[str]:
@@ -99,8 +96,6 @@ class Part:
 
     def spec(self, path: str) -> Any:
         """The robot to load, with the part of it that is meant."""
-        from excitant.robots.chains import RobotSpec
-
         given = next(
             (name for name, value in vars(self).items() if value not in (None, False)),
             "",
@@ -110,7 +105,7 @@ class Part:
                 f"{path}: a folder says itself which joints its robot has; leave "
                 f"--{given.replace('_', '-')} out, or put it into a robot.yaml there"
             )
-        return RobotSpec(
+        return ex.robots.RobotSpec(
             path,
             None if self.joints is None else tuple(self.joints),
             self.base,
@@ -123,17 +118,13 @@ class Part:
 
     def robot(self, path: str) -> Robot:
         """The robot; its notes go to the error stream."""
-        from excitant.robots.loading import load_robot
-
-        robot = load_robot(self.spec(path))
+        robot = ex.load_robot(self.spec(path))
         _say({robot.source: robot.notes})
         return robot
 
     def dataset(self, path: str, mapping: str | None) -> Dataset:
         """The robot with the recordings beside it."""
-        from excitant.identify import load_dataset
-
-        dataset = load_dataset(self.spec(path), columns=mapping)
+        dataset = ex.load_dataset(self.spec(path), columns=mapping)
         _say({dataset.robot.source: dataset.robot.notes})
         return dataset
 
@@ -171,10 +162,8 @@ class Data:
         self, dataset: Dataset, names: Sequence[str], others: Sequence[str] = ()
     ) -> Readings:
         """Recordings to fit (all but others where none is named), and to judge on."""
-        from excitant.identify.dataset import read_checked
-
         validate = self.validate or []
-        checked = read_checked(
+        checked = ex.identify.read_checked(
             dataset, names, without=[*validate, *others], repaired=self.repair
         )
         holdout = dataset.recordings(validate) if validate else []
@@ -230,6 +219,7 @@ class Run:
         series: Mapping[str, Array],
         files: Mapping[str, str | bytes] | None = None,
         folder: Path | None = None,
+        *,
         first: str = "",
         shown: Sequence[str] | None = None,
     ) -> None:
@@ -237,20 +227,17 @@ class Run:
 
         Of several paths those of files ``shown`` are printed, where not all are.
         """
-        from excitant.reports import brief, save_run
-        from excitant.reports.run import as_saved
-        from excitant.results import record_of
-
         check()
         folder = folder or self.folder(result)
         result["files"] = [str(folder / file) for file in files or ()]
-        record_of(as_saved(result, {})[0])
-        paths, page = save_run(folder, result, series, files or {})
+        paths, page = ex.reports.save_run(folder, result, series, files or {})
         try:
             if self.json:
-                print_json(as_saved(result, {})[0])
+                print_json(ex.reports.as_saved(result, {})[0])
             else:
-                told = brief(page, terminal=bool(sys.stdout and sys.stdout.isatty()))
+                told = ex.reports.brief(
+                    page, terminal=bool(sys.stdout and sys.stdout.isatty())
+                )
                 print(*([one_line(first)] if first else []), told, sep="\n", end="\n\n")
                 print_paths(
                     [path for path in paths if shown is None or path.name in shown]

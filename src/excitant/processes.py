@@ -51,6 +51,13 @@ def connect(address: str) -> Any:
     return client
 
 
+def processors() -> int:
+    """Number of processes that can work side by side here."""
+    import joblib
+
+    return int(joblib.cpu_count())
+
+
 def unordered(
     function: Callable[..., T],
     tasks: Sequence[tuple[Any, ...]],

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+import excitant as ex
 from excitant.exceptions import BadInput, UnknownName
 from excitant.options import (
     Columns,
@@ -29,11 +30,9 @@ if TYPE_CHECKING:
     from excitant.identify import (
         Dataset,
         DriveGains,
-        Estimate,
         PayloadEstimate,
         Recording,
     )
-    from excitant.robots import Robot
     from excitant.robots.effects import Effect
 
 
@@ -64,13 +63,11 @@ class Load:
         """Drive gains from recordings with a known payload; None where none is given."""
         if not self.payload_recording or self.payload_mass is None:
             return None
-        from excitant.identify import KnownPayload, identify_drive_gains
-
-        payload = KnownPayload(
+        payload = ex.identify.KnownPayload(
             self.payload_mass, self.payload_mass_std, self.payload_com
         )
         loaded = dataset.recordings(self.payload_recording)
-        return identify_drive_gains(
+        return ex.identify.identify_drive_gains(
             dataset.robot, recordings, loaded, payload, **options
         )
 
@@ -83,12 +80,10 @@ class Load:
         fit: Fit,
     ) -> PayloadEstimate:
         """The payload of these recordings."""
-        from excitant import api
-
         unloaded = dataset.recordings(self.unloaded) if self.unloaded else []
         if drive is not None:
             unloaded = drive.torque(unloaded)
-        return api.identify_payload(
+        return ex.identify_payload(
             dataset.robot,
             recordings,
             unloaded=unloaded,
@@ -136,28 +131,25 @@ class Fit:
         return self.effects == ["auto"]
 
     @property
-    def names(self) -> list[str] | None:
-        """Names of the effects; None for the standard ones or a choice."""
-        return None if self.automatic else self.effects
+    def by_parts(self) -> bool:
+        """Whether rows are not fitted all at once."""
+        return self.online or self.link_by_link
 
     def require(self, load: Load) -> None:
         """Refuse options that contradict each other."""
-        another = self.online or self.link_by_link
         com = load.payload_com
-        alone = load.unloaded and not load.payload
-        apart = bool(load.payload_recording) != (load.payload_mass is not None)
         refused: list[tuple[object, str]] = [
             (
-                self.automatic and (another or load.payload),
+                self.automatic and (self.by_parts or load.payload),
                 "--effects auto needs all rows at once and the arm alone; name effects, or "
                 "leave --online, --link-by-link and --payload out",
             ),
             (
-                alone,
+                load.unloaded and not load.payload,
                 "--unloaded names what --payload is compared with; give --payload too",
             ),
             (
-                apart,
+                bool(load.payload_recording) != (load.payload_mass is not None),
                 "--payload-recording and --payload-mass belong together; give both",
             ),
             (
@@ -176,25 +168,23 @@ class Fit:
         for name in ("estimator", "knowledge", "trajectory", "length_std"):
             why = "is for all rows at once; leave the other way out"
             option = name.replace("_", "-")
-            refused.append((getattr(self, name) and another, f"--{option} {why}"))
+            refused.append((getattr(self, name) and self.by_parts, f"--{option} {why}"))
         for wrong, why in refused:
             if wrong:
                 raise BadInput(why)
+        UnknownName.refuse(
+            "estimator",
+            [self.estimator] if self.estimator else (),
+            ex.identify.ESTIMATORS,
+        )
 
-    def found(
-        self,
-        robot: Robot,
-        recordings: Sequence[Recording],
-        effects: Sequence[Effect] | None,
-        **options: Any,
+    def identified(
+        self, robot: ex.Robot, recordings: Sequence[Recording], options: dict[str, Any]
     ) -> Any:
         """The estimate, on-line or link by link where that is asked for."""
-        from excitant import api
-
-        options["effects"] = effects
         with progress_bar("identify") as advance:
             if self.online:
-                return api.identify_online(
+                return ex.identify_online(
                     robot,
                     recordings,
                     forgetting=self.forgetting,
@@ -202,14 +192,15 @@ class Fit:
                     **options,
                 )
             if self.link_by_link:
-                return api.identify_link_by_link(robot, recordings, **options)
-            return api.identify_robot(
+                return ex.identify_link_by_link(robot, recordings, **options)
+            return ex.identify_robot(
                 robot,
                 recordings,
                 estimator=self.estimator or "wls",
                 trajectory=self.trajectory,
                 knowledge=self.knowledge,
                 length_std=self.length_std,
+                progress=advance,
                 **options,
             )
 
@@ -232,6 +223,12 @@ class Model:
     force: bool = False
     "Publish the model even if the given one, or none, predicts the hold-out better."
 
+    def require(self) -> None:
+        """Refuse what cannot be written, before the work and not after it."""
+        if self.mujoco:
+            import_module("mujoco")
+        UnknownName.refuse("format", self.formats or (), ex.identify.FORMATS)
+
 
 def go(
     robot: RobotOrFolder,
@@ -250,23 +247,25 @@ def go(
         recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP, or folders of them; all of the
             folder or bag when none is named.
     """
-    from excitant import api
-
     dataset = part.dataset(robot, data.map)
     read = data.read(dataset, recordings)
     with progress_bar("go") as advance:
-        found = api.examined(
+        examined = ex.api.examined(
             dataset.robot,
             read.checked,
             validate=read.holdout,
             cutoff=data.cutoff,
             progress=advance,
         )
-    result = found.result() | {"import": read.entries["import"]}
-    refusal = "" if found.use else f"use no model of these recordings: {found.refusal}"
-    shown = (*found.recommended, "report.html")
-    run.finish(result, found.series(), found.files, first=refusal, shown=shown)
-    return 0 if found.use else 1
+    use = examined.use
+    run.finish(
+        examined.result() | {"import": read.entries["import"]},
+        examined.series(),
+        examined.files,
+        first="" if use else f"use no model of these recordings: {examined.refusal}",
+        shown=(*examined.recommended, "report.html"),
+    )
+    return 0 if use else 1
 
 
 def identify(
@@ -286,81 +285,56 @@ def identify(
         recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP; all of the folder when none is
             named.
     """
-    from excitant import api
-    from excitant.analysis.effect_choice import described
-    from excitant.identify.estimators import ESTIMATORS
-    from excitant.identify.export import FORMATS, USUAL, publication
-    from excitant.identify.faults import proven
-
-    if model.mujoco:
-        import_module("mujoco")  # refused before the work, not after it
     fit.require(load)
-    UnknownName.refuse(
-        "estimator", [fit.estimator] if fit.estimator else (), ESTIMATORS
-    )
-    UnknownName.refuse("format", model.formats or (), FORMATS)
+    model.require()
     dataset = part.dataset(robot, data.map)
     arm = dataset.robot
     others = [*(load.unloaded or ()), *(load.payload_recording or ())]
     read = data.read(dataset, recordings, others)
     notes = list(read.notes)
-    named = None if fit.names is None else api.as_effects(fit.names, arm)
+    named = None if fit.automatic else ex.api.as_effects(fit.effects, arm)
+    options: dict[str, Any] = {"effects": named, "cutoff": data.cutoff}
     train = read.fit
     holdout = read.holdout
-    judged = {"validate": holdout, "cutoff_hz": data.cutoff}
-    drive = load.drive(dataset, train, judged | {"effects": named})
+    drive = load.drive(
+        dataset,
+        train,
+        {"validate": holdout, "cutoff_hz": data.cutoff, "effects": named},
+    )
     if drive is not None:
         train = drive.torque(train)
         holdout = drive.torque(holdout)
-    effects: Sequence[Effect] | None = named
     if fit.automatic:
-        chosen = _chosen_effects(arm, train, holdout, data.cutoff)
-        notes += described(chosen)
-        effects = chosen
-    found = fit.found(arm, train, effects, validate=holdout, cutoff=data.cutoff)
-    estimate: Estimate = getattr(found, "estimate", found)
-    result = found.result()
+        options["effects"] = "auto"
+    identified = fit.identified(arm, train, options | {"validate": holdout})
+    estimate: ex.Estimate = getattr(identified, "estimate", identified)
+    if fit.automatic:
+        notes += ex.analysis.described(estimate.model.effects)
+    result = identified.result()
     if load.payload:
         carried = load.carried(dataset, train, drive, named, fit)
         result["payload"] = carried.result()
-    if arm.length_std and (fit.online or fit.link_by_link or load.payload):
+    if arm.length_std and (fit.by_parts or load.payload):
         notes.append(
             "length_std of the robot counts where all rows are fitted at once: not on-line, link "
             "by link, or in a payload"
         )
     result |= read.entries
-    series = estimate.series() | found.series()
+    series = estimate.series() | identified.series()
     if model.mujoco:
-        from excitant.identify.mujoco import side_by_side
-
-        beside = side_by_side(estimate)
+        beside = ex.identify.side_by_side(estimate)
         result["mujoco"] = beside.result()
         series |= beside.series()
-    published = publication(
+    published = ex.identify.publication(
         estimate,
-        formats=model.formats or USUAL,
+        formats=model.formats or ex.identify.USUAL,
         force=model.force,
-        faults=proven(read.entries["faults"]),
+        faults=ex.identify.proven(read.entries["faults"]),
     )
     result["notes"] += notes
     published.note_in(result)
     run.finish(result, series, published.files, first=published.note)
     return 0 if published.published else 1
-
-
-def _chosen_effects(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    holdout: Sequence[Recording],
-    cutoff_hz: float | None,
-) -> Sequence[Effect]:
-    """Effects that the recordings call for."""
-    from excitant.analysis.effect_choice import choose_effects
-    from excitant.identify.rows import fitted
-
-    whole = fitted(recordings, holdout)
-    with progress_bar("effects") as advance:
-        return choose_effects(robot, whole, cutoff_hz=cutoff_hz, progress=advance)
 
 
 def analyze(
@@ -391,28 +365,29 @@ def analyze(
         frames: Frames that the links' inertias are about: their joints', or Denavit-Hartenberg's
             (distal) as in Khosla (1987).
     """
-    from excitant import api
-
     if trajectory and recording:
         raise BadInput("--trajectory and --recording exclude each other; leave one out")
-    dataset = part.dataset(robot, data.map) if recording or isdir(robot) else None
-    arm = part.robot(robot) if dataset is None else dataset.robot
+    estimate = None
     notes = list[str]()
     entries = dict[str, Any]()
-    estimate = None
-    if dataset is not None and recording:
+    if recording:
+        dataset = part.dataset(robot, data.map)
+        arm = dataset.robot
         read = data.read(dataset, recording)
-        notes += read.notes
         entries = read.entries
-        estimate = api.estimate_shown(
+        estimate, brief = ex.api.estimate_shown(
             arm,
             read.fit,
             validate=read.holdout,
             cutoff=data.cutoff,
             columns=columns,
-            notes=notes,
         )
-    found = api.analyze(
+        notes = [*read.notes, *brief]
+    elif isdir(robot):
+        arm = part.dataset(robot, data.map).robot
+    else:
+        arm = part.robot(robot)
+    identifiability = ex.analyze(
         arm,
         trajectory=trajectory,
         estimate=estimate,
@@ -423,9 +398,9 @@ def analyze(
         frames=frames,
         window=window,
     )
-    result = found.result() | entries
+    result = identifiability.result() | entries
     result["notes"] += notes
-    run.finish(result, found.series())
+    run.finish(result, identifiability.series())
 
 
 def diagnose(
@@ -449,41 +424,31 @@ def diagnose(
         force: Publish the extended model even if the given one, or none, predicts the hold-out
             better.
     """
-    import numpy as np
-
-    from excitant import api
-    from excitant.analysis.advice import Plan
-    from excitant.analysis.diagnosis_result import with_repairs
-    from excitant.analysis.publication import extended_publication
-    from excitant.design.export import trajectory_csv, trajectory_json
-
     dataset = part.dataset(robot, data.map)
     read = data.read(dataset, recordings)
     entries = read.entries
     with progress_bar("diagnose"):
-        found = api.diagnose(
+        diagnosis = ex.diagnose(
             dataset.robot, read.fit, validate=read.holdout, cutoff=data.cutoff
         )
-    plan = Plan()
+    plan = ex.analysis.Plan()
+    notes = list(read.notes)
     if experiments:
-        from excitant.analysis.discrimination_plan import plan as planned
-
-        limit = np.inf if experiment_time is None else experiment_time
-        plan = planned(found, np.random.default_rng(0), time_limit=limit)
-    entries["faults"] = with_repairs(found, entries["faults"])
-    model = extended_publication(found, entries["faults"], force=force)
-    files = dict(model.files)
-    result = found.result(plan) | entries
-    result["notes"] += read.notes
-    model.note_in(result)
-    if experiments and experiment_time is not None:
-        result["notes"].append(
-            f"experiments: searched for {experiment_time:g} s at most (--experiment-time), so that "
-            "those found depend on the machine"
-        )
+        plan = ex.experiments(diagnosis, time_limit=experiment_time)
+        if experiment_time is not None:
+            notes.append(
+                f"experiments: searched for {experiment_time:g} s at most (--experiment-time), so "
+                "that those found depend on the machine"
+            )
+    entries["faults"] = ex.analysis.with_repairs(diagnosis, entries["faults"])
+    model = ex.analysis.extended_publication(diagnosis, entries["faults"], force=force)
+    files: dict[str, str | bytes] = dict(model.files)
+    result = diagnosis.result(plan) | entries
     folder = run.folder(result)
     result["extended"]["files"] = [str(folder / name) for name in files]
+    result["notes"] += notes
+    model.note_in(result)
     for k, motion in enumerate(plan.motions, start=1):
-        files[f"separate-{k}.csv"] = trajectory_csv(motion)
-        files[f"separate-{k}.json"] = trajectory_json(motion, dataset.robot)
-    run.finish(result, found.series(), files, folder, first=model.note)
+        files[f"separate-{k}.csv"] = ex.design.trajectory_csv(motion)
+        files[f"separate-{k}.json"] = ex.design.trajectory_json(motion, dataset.robot)
+    run.finish(result, diagnosis.series(), files, folder, first=model.note)
