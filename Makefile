@@ -25,6 +25,7 @@ demo: $(INSTALLED)
 	$(BIN)/excitant demo $(ARGS)
 
 test: $(DEVELOPED)
+	@echo "The fast tests take about 4 minutes on two idle cores, all of them about 20."
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal -m "not slow" $(ARGS)
 
 lint: $(DEVELOPED)
