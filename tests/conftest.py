@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import hypothesis
@@ -78,6 +80,14 @@ class Ran(NamedTuple):
     def result(self) -> Any:
         """What ``--json`` printed."""
         return json.loads(self.out)
+
+
+@pytest.fixture
+def own_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time limits of a design in this process count its processor time, whatever else runs."""
+    clock = SimpleNamespace(time=time.process_time)
+    for module in ("bound", "optimal", "search"):
+        monkeypatch.setattr(f"excitant.design.{module}.time", clock)
 
 
 @pytest.fixture

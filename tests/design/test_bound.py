@@ -89,6 +89,7 @@ def test_mixture_agrees_with_a_general_solver(seed: int) -> None:
     assert (np.tensordot(M, found.P - found.Q, axes=2) + rows @ found.y).max() < 1e-5
 
 
+@pytest.mark.usefixtures("own_time")
 def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot) -> None:
     """Y = (g sin q, g cos q, q̈): tr of the first two is g², the third at most a²."""
     g, a = 9.81, 2.0
@@ -99,6 +100,7 @@ def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot) -> None:
     assert_certificate_holds(bound)
 
 
+@pytest.mark.usefixtures("own_time")
 @pytest.mark.parametrize("half", [0.4, 0.7])
 def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, half: float) -> None:
     robot = limited(pendulum, position=[[0.3 - half, 0.3 + half]], acceleration=8.0)
@@ -109,6 +111,7 @@ def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, half: float) -> None
     assert_certificate_holds(bound)
 
 
+@pytest.mark.usefixtures("own_time")
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_never_above_a_trajectory(planar: Robot, seed: int) -> None:
@@ -132,6 +135,7 @@ def test_never_above_a_trajectory(planar: Robot, seed: int) -> None:
     assert_certificate_holds(bound, 2000)
 
 
+@pytest.mark.usefixtures("own_time")
 @pytest.mark.slow
 def test_tighter_limits_never_lower_the_bound(planar: Robot) -> None:
     bounds = []

@@ -292,6 +292,7 @@ def contacts_in_mujoco(robot: Robot, q: np.ndarray) -> int:
     return count
 
 
+@pytest.mark.usefixtures("own_time")
 def test_a_design_keeps_clear_of_itself_and_the_floor_without_a_word() -> None:
     """The wrist came 846 mm below the floor where nothing was said of a scene."""
     options = {"duration": 5.0, "harmonics": 3, "starts": 1, "jobs": 1, "time_limit": 2.0}

@@ -39,6 +39,7 @@ def test_three_joints_one_of_them_sliding() -> None:
     assert_limits_hold(found)
 
 
+@pytest.mark.usefixtures("own_time")
 @pytest.mark.slow
 def test_a_dual_arm_of_twelve_joints() -> None:
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")

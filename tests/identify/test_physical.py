@@ -249,9 +249,9 @@ def test_seven_joints_with_friction_are_solved_within_a_second() -> None:
     truth = np.concatenate([1.3 * arm.robot.phi, np.full(28, 0.2)])
     z = arm.R @ truth + np.random.default_rng(0).standard_normal(len(arm.R))
     for _ in range(3):
-        start = time.perf_counter()
+        start = time.process_time()
         arm.fit(z)
-        spent.append(time.perf_counter() - start)
+        spent.append(time.process_time() - start)
     assert min(spent) < 1.0, spent
 
 

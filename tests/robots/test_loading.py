@@ -47,6 +47,7 @@ def test_any_arm_is_read(spec: RobotSpec, joints: int) -> None:
     assert load_robot(spec).nv == joints
 
 
+@pytest.mark.usefixtures("own_time")
 @pytest.mark.parametrize(
     "kind", ["xacro", "mjcf", pytest.param("both arms of two", marks=pytest.mark.slow)]
 )
