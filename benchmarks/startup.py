@@ -45,10 +45,9 @@ import numpy, scipy.linalg, scipy.optimize, scipy.special, scipy.fft, scipy.inte
 import scipy.ndimage, pinocchio, pandas, pyarrow.parquet, clarabel, cyclopts, msgspec, yaml, jinja2
 """  # that identify needs
 LOG = """
-import sys, pathlib, numpy
+import sys, pathlib
 from streaming import write
-from excitant.robots import load_robot
-write(pathlib.Path(sys.argv[1]), load_robot("panda"), 60_000, numpy.random.default_rng(0))
+write(pathlib.Path(sys.argv[1]), "panda", 60_000)
 """
 
 
@@ -99,11 +98,10 @@ def main() -> None:
         lines = {"ratio 1": [*python, UNIT], "libraries of identify": [*python, LIBRARIES]}
         for command, words in COMMANDS.items():
             lines[command] = [sys.executable, "-m", "excitant", *shlex.split(words)]
-        for command, words in lines.items():
+        for command in [command for command in lines if args.only in command]:
+            words = lines[command]
             if command.endswith(" set") and not RECORDED.is_dir():
                 print(f"{command:24s} {RECORDED} is not there; set EXCITANT_DATA")
-                continue
-            if args.only not in command:
                 continue
             took = least(words, folder, args.repeats)
             ratio = took.cpu / unit

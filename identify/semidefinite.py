@@ -192,13 +192,16 @@ def solve(program: Program, centre: Array) -> Solution:
     start = interior(program, centre)
     path = _CentralPath(program, start)
     barrier = max(1.0, path.squares(start) / path.logarithms)
-    y = start
+    guess = start
     solution = start
     error = np.inf
     while True:
-        y, decrement = path.centred(y, barrier)
+        y, decrement = path.centred(guess, barrier)
         if decrement > np.sqrt(barrier) and np.isfinite(error):
             break
+        # as far as μ falls: the path is smooth in it
+        onward = (y - solution) * PATH.fall
+        guess = y + onward if np.isfinite(error) and path.inside(y + onward) else y
         solution = y
         least = barrier
         error = float(decrement + np.sqrt(path.logarithms * barrier))
@@ -245,13 +248,13 @@ class _CentralPath:
             enough = PATH.settled
         for _ in range(PATH.steps):
             step, decrement, length = self._newton(y, barrier)
-            while not self._inside(y + length * step):  # for rounding
+            while not self.inside(y + length * step):  # for rounding
                 length /= 2
             y = y + length * step
             if decrement <= enough:
                 break
         exact = _equal(y, self.program.restrictions)
-        return exact if self._inside(exact) else y, decrement
+        return exact if self.inside(exact) else y, decrement
 
     def multipliers(self, y: Array, barrier: float) -> tuple[Array, ...]:
         """Forces of the restrictions: along the slopes of the logarithms, in equilibrium."""
@@ -277,7 +280,8 @@ class _CentralPath:
         parts = zip(directions, np.split(sizes, ends), strict=True)
         return tuple(direction @ size for direction, size in parts)
 
-    def _inside(self, y: Array) -> bool:
+    def inside(self, y: Array) -> bool:
+        """Whether every body and every slack is positive."""
         phi = self.bodies.T @ y[: 10 * self.links]
         try:
             np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
