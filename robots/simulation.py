@@ -64,7 +64,8 @@ class StateTorque:
     """Torque of a robot's effects in a state, without terms proportional to acceleration.
 
     Arguments are time [s], positions and velocities, and the accelerations of the step before,
-    for effects on which they act other than through the mass matrix, each of shape (nv,).
+    for effects on which they act other than through the mass matrix, each of shape (nv,). The
+    other effects are asked for several velocities at once, shape (k, nv).
     """
 
     viscous: Array  # shape (nv,) [N·m·s/rad]
@@ -76,44 +77,25 @@ class StateTorque:
     def __post_init__(self) -> None:
         freeze(self, "viscous", "coulomb", "offset")
 
-    def __call__(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque in a state, shape (nv,) [N·m]."""
-        sign = np.minimum(np.maximum(dq / REST, -1.0), 1.0)
-        tau: Array = self.viscous * dq + self.coulomb * sign + self.offset
-        if self.others:
-            tau += self._smoothed(t, q, dq, ddq, sign)
-        return tau
+    def __call__(
+        self, t: float, q: Array, dq: Array, ddq: Array
+    ) -> tuple[Array, Array]:
+        """Torque in a state and its slope, both of shape (nv,) [N·m, N·m·s/rad].
 
-    def slope(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        """Damping that makes as much torque as friction does, shape (nv,) [N·m·s/rad].
-
-        The odd part of torque over speed, where that is not negative.
+        The slope is the damping that makes as much torque as friction does: the odd part of torque
+        over speed, where that is not negative.
         """
         speed = np.maximum(np.abs(dq), REST)
-        slope: Array = self.viscous + self.coulomb / speed
-        if self.others:
-            ahead = self._others(t, q, speed, ddq)
-            back = self._others(t, q, -speed, ddq)
-            slope += (ahead - back) / (2 * speed)
-        return np.maximum(slope, 0.0)
-
-    def _others(self, t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        tau = np.zeros_like(q)
-        for effect in self.others:
-            tau += effect(t, q, dq, ddq)
-        return tau
-
-    def _smoothed(
-        self, t: float, q: Array, dq: Array, ddq: Array, sign: Array
-    ) -> Array:
         slow = np.abs(dq) < REST
-        if not slow.any():
-            return self._others(t, q, dq, ddq)
-        share = np.where(slow, (1 + sign) / 2, 1.0)
-        ahead = self._others(t, q, np.where(slow, REST, dq), ddq)
-        back = self._others(t, q, np.where(slow, -REST, dq), ddq)
-        tau: Array = share * ahead + (1 - share) * back
-        return tau
+        share = np.where(slow, (1 + dq / REST) / 2, 1.0)
+        ahead = np.where(slow, REST, dq)
+        back = np.where(slow, -REST, dq)
+        speeds = np.array([speed, -speed, ahead, back])
+        tau = self.viscous * speeds + self.coulomb * np.sign(speeds) + self.offset
+        for effect in self.others:
+            tau += effect(t, q, speeds, ddq)
+        slope = np.maximum((tau[0] - tau[1]) / (2 * speed), 0.0)
+        return share * tau[2] + (1 - share) * tau[3], slope
 
 
 def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
@@ -164,25 +146,26 @@ def _by_law(robot: Robot, effect: Effect) -> Torque | None:
     if law is None:
         return None
     values = np.reshape(effect.values or (), (len(at), -1)).T
-    still = np.zeros(len(at))
 
-    def torque(t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        tau = np.zeros_like(q)
-        for value, column in zip(values, law(q[at], dq[at], still), strict=True):
-            tau[at] += value * column
+    def torque(t: float, q: Array, speeds: Array, ddq: Array) -> Array:
+        tau = np.zeros_like(speeds)
+        states = np.tile(q[at], len(speeds)), speeds[:, at].ravel()
+        for value, column in zip(
+            values, law(*states, np.zeros_like(states[0])), strict=True
+        ):
+            tau[:, at] += value * column.reshape(len(speeds), -1)
         return tau
 
     return torque
 
 
 def _at_an_instant(robot: Robot, effect: Effect, inertia: Array) -> Torque:
-    """Torque of any effect of the state, as on a motion that stays there, less its inertia's."""
+    """Torque of any effect of the state, as if at instants of a motion, less its inertia's."""
 
-    def torque(t: float, q: Array, dq: Array, ddq: Array) -> Array:
-        state = (np.stack([values, values]) for values in (q, dq, ddq))
-        motion = Motion(np.array([t, t + 1.0]), *state)
-        tau: Array = effect.torque(robot, motion)[0] - inertia @ ddq
-        return tau
+    def torque(t: float, q: Array, speeds: Array, ddq: Array) -> Array:
+        once = np.ones((len(speeds), 1))
+        motion = Motion(t * once[:, 0], once * q, speeds, once * ddq)
+        return effect.torque(robot, motion) - inertia @ ddq
 
     return torque
 
@@ -406,10 +389,11 @@ def _integrated(
         h = t[k + 1] - t[k]
         gh = GAMMA * h
         damping = gh * Ck + (gh * gh) * Kk
-        damping.flat[diagonal] += gh * effects.slope(t[k], q, v, a)
+        friction, slope = effects(t[k], q, v, a)
+        damping.flat[diagonal] += gh * slope
         ahead = gh * (Kk @ speed[k] + Ck @ command.ddq[k])
         M = crba(model, data, q) + rotors
-        F = u - bias(model, data, q, v) - effects(t[k], q, v, a)
+        F = u - bias(model, data, q, v) - friction
         a1 = dgesv(M + damping, F + ahead - gh * (Kk @ v))[2]
         v1 = v + gh * a1
         end = q + h * v1
@@ -417,7 +401,8 @@ def _integrated(
         u = forward[k + 1] + K[k + 1] @ (target[k + 1] - end)
         u += C[k + 1] @ (speed[k + 1] - fast)
         M = crba(model, data, end) + rotors
-        F = u - bias(model, data, end, fast) - effects(t[k + 1], end, fast, a)
+        friction, _ = effects(t[k + 1], end, fast, a)
+        F = u - bias(model, data, end, fast) - friction
         rest = fast - 2 * v1
         a2 = dgesv(M + damping, F - ahead - 2 * (M @ a1) - gh * (Kk @ rest))[2]
         q = q + (1.5 * h) * v1 + (0.5 * h) * (rest + gh * a2)

@@ -183,7 +183,7 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(
     if kind.name == "presliding_hysteresis":  # which has a state: see its own tests
         return
     states = zip(motion.t, motion.q, motion.dq, motion.ddq, strict=True)
-    made = [state(*x) + inertia @ x[3] for x in states] + changed
+    made = [state(*x)[0] + inertia @ x[3] for x in states] + changed
     expected = np.zeros((20, 2)) if kind.physics.on_torque else effect.torque(robot, motion)
     np.testing.assert_allclose(made, expected, rtol=1e-9, atol=1e-9)
 
