@@ -191,22 +191,23 @@ class BodyPrior:
         log_det = 2 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
         return float(distance @ distance + self.draws @ (trace - log_det - 4))
 
-    def quadratic(self, phi: Array, barrier: float = 0.0) -> tuple[Array, Array]:
-        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order.
+    def quadratic(self, phi: Array) -> tuple[Array, Array]:
+        """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order."""
+        distance = self._distance @ (phi - self.bodies.ravel())
+        entropic, J = self.entropic(phi)
+        return np.concatenate([distance, entropic]), np.vstack([self._distance, J])
 
-        A barrier adds so many times −log det P of every link.
-        """
+    def entropic(self, phi: Array, barrier: float = 0.0) -> tuple[Array, Array]:
+        """Those of the entropic distance, and of so many times −log det P of every link."""
         draws = self.draws[:, None]
         weight = draws + barrier
         scale = np.sqrt(weight / 2)
         roots = self._roots @ np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
         # the nominal body relative to φ
         Q = (roots.swapaxes(1, 2) @ roots)[:, *UPPER]
-        entropic = scale * NORMS * (draws / weight * Q - np.eye(4)[UPPER])
-        J = scipy.linalg.block_diag(*(scale[:, :, None] * relative_rows(phi)))
-        distance = self._distance @ (phi - self.bodies.ravel())
-        residual = np.concatenate([distance, entropic.ravel()])
-        return residual, np.vstack([self._distance, J])
+        residual = scale * NORMS * (draws / weight * Q - np.eye(4)[UPPER])
+        rows = scale[:, :, None] * relative_rows(phi)
+        return residual.ravel(), scipy.linalg.block_diag(*rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,14 +126,14 @@ class Program:
     bodies: BodyPrior
     restrictions: tuple[Restriction, ...]
 
-    def prior(self, y: Array, barrier: float = 0.0) -> tuple[Array, Array]:
+    def prior(self, y: Array) -> tuple[Array, Array]:
         """Rows J and r, ‖r + J dy‖² being the objective without data to second order at y.
 
-        The distance of the bodies comes first, then their entropic distance, to which a barrier
-        adds so many times −log det P of every link, then what else is known.
+        The distance of the bodies comes first, then their entropic distance, then what else is
+        known.
         """
         T = self.bodies.T
-        residual, J = self.bodies.quadratic(T @ y[: len(T)], barrier)
+        residual, J = self.bodies.quadratic(T @ y[: len(T)])
         rows = np.pad(J @ T, ((0, 0), (0, len(y) - len(T))))
         deviation = self.C @ y - self.d
         return np.vstack([rows, self.C]), np.concatenate([residual, deviation])
@@ -291,8 +291,9 @@ class _CentralPath:
 
     def _newton(self, y: Array, barrier: float) -> tuple[Array, float, float]:
         """Newton's step, its decrement λ, and the part of it after which the objective rises."""
-        curved = slice(10 * self.links, 20 * self.links)
-        J, residual = (part[curved] for part in self.program.prior(y, barrier))
+        T = self.bodies.T
+        residual, rows = self.bodies.entropic(T @ y[: len(T)], barrier)
+        J = np.pad(rows @ T, ((0, 0), (0, len(y) - len(T))))
         logarithms = [_logarithm(r, y) for r in self.cones]
         scale = np.sqrt(barrier / 2)
         rows = np.vstack([J, *(scale * B for B, _, _ in logarithms)])
