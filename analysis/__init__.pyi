@@ -1,7 +1,6 @@
-from .advice import Plan
 from .confirmation import Finding
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis_result import with_repairs
+from .diagnosis_result import Plan, with_repairs
 from .discrimination_plan import plan
 from .effect_choice import choose_effects, described
 from .examination import Examination, examine

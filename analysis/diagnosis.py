@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from excitant.analysis.advice import Plan
 from excitant.analysis.candidates import Observed, gain_root, gather, observed
 from excitant.analysis.confirmation import (
     Extender,
@@ -24,14 +23,14 @@ from excitant.analysis.confirmation import (
     off_effects,
     unextended,
 )
-from excitant.analysis.diagnosis_result import findings_of, result_of
+from excitant.analysis.diagnosis_result import Plan, findings_of, result_of
 from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import Key
 from excitant.analysis.evidence_figure import curve_of
-from excitant.analysis.explanation import headline
-from excitant.analysis.grouping import (
+from excitant.analysis.explanation import (
     Item,
     grouped,
+    headline,
     is_slight,
     lacking_friction,
     ordered,

@@ -1,27 +1,28 @@
-"""Contents of ``result.json`` of a diagnosis."""
+"""Contents of ``result.json`` of a diagnosis, and the experiments that decide it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from excitant.analysis.advice import Plan
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.evidence_figure import curve_of
 from excitant.analysis.explanation import (
+    Item,
     at_rest,
+    explained_by,
     placeholders,
     refit_sentence,
     sentence,
+    share_of,
     shared_friction,
     sizes,
     too_slight,
     unexplained,
 )
-from excitant.analysis.grouping import Item, explained_by, share_of
 from excitant.analysis.residuals import Residual
 from excitant.analysis.selection import Rival
 from excitant.analysis.thresholds import VERDICT
@@ -29,14 +30,48 @@ from excitant.analysis.validation import Forward, Move, Refit
 from excitant.exceptions import ExcitantError
 from excitant.identify.accuracy import Accuracy
 from excitant.identify.rows import told
-from excitant.robots.effects import Effect, plain
+from excitant.robots.effects import Effect, plain, separating_experiment
 from excitant.robots.robot import Robot
 from excitant.robots.simulation import LOOP_HZ
 
 if TYPE_CHECKING:
     from excitant.analysis.diagnosis import Diagnosis
+    from excitant.design import FourierTrajectory
 
 Entry = dict[str, Any]
+Pairing = tuple[str, tuple[str, ...], str, tuple[str, ...]]
+"""Name and joints of the cause found, and of its rival."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Experiment that decides between two rivals, with the names of ``result.json``."""
+
+    experiment: str  # what to do, as a sentence
+    # expected, in standard deviations; None for an action
+    separation: float | None = None
+    repetitions: int | None = None  # runs that are needed
+    file: str | None = None  # motion to run
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Experiments that decide an undecided diagnosis; general actions when empty."""
+
+    experiments: Mapping[Pairing, Advice] = field(default_factory=dict)
+    motions: tuple[
+        FourierTrajectory, ...
+    ] = ()  # in the order of their files separate-1, …
+
+    def of(self, found: Effect, rival: Effect) -> Advice:
+        """Experiment for a pair; the general action where no motion was looked for."""
+        advice = self.experiments.get(key(found, rival))
+        return advice or Advice(separating_experiment(found, rival))
+
+
+def key(found: Effect, rival: Effect) -> Pairing:
+    """Names and joints of a pair."""
+    return found.name, found.joints, rival.name, rival.joints
 
 
 def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:

@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from excitant.analysis.advice import Advice, Plan, key
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis
+from excitant.analysis.diagnosis_result import Advice, Plan, key
 from excitant.analysis.discrimination import Contest, Pair, Separation, needed
 from excitant.analysis.selection import is_plain_friction
 from excitant.analysis.thresholds import DISCRIMINATION

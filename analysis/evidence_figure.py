@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from excitant.analysis.confirmation import Finding
-from excitant.analysis.grouping import Item
+from excitant.analysis.explanation import Item
 from excitant.analysis.residuals import explanatory
 from excitant.identify.rows import states
 from excitant.robots.effects import plain, standard_effects

@@ -15,8 +15,8 @@ from cyclopts import Parameter
 from diagnosis import HARMONICS, record
 from worlds_plant import DURATION, KINDS, Drawing, Hidden, Plant, given_and_true
 
-from excitant.analysis.advice import Plan, key
 from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.diagnosis_result import Plan, key
 from excitant.analysis.discrimination_plan import plan
 from excitant.design import Trajectory, random_trajectory
 from excitant.exceptions import ExcitantError

@@ -10,8 +10,8 @@ import pytest
 from planted import Diagnosed, drawn
 from separation import run_case
 
-from excitant.analysis.advice import Plan, key
 from excitant.analysis.diagnosis import Diagnosis
+from excitant.analysis.diagnosis_result import Plan, key
 from excitant.analysis.discrimination import (
     Contest,
     Pair,
