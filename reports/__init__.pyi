@@ -1,7 +1,7 @@
 from . import plot
 from .pages import SavedRun, compare, page_of
 from .render import brief, html, summary, table_lines
-from .run import as_saved, load_run, report, save, save_run
+from .run import as_saved, load_run, read_result, report, save, save_run
 from .tables import table_files
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "load_run",
     "page_of",
     "plot",
+    "read_result",
     "report",
     "save",
     "save_run",

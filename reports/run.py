@@ -69,7 +69,7 @@ def save_run(
     encoded = _dump(result if isinstance(result, Mapping) else plain_of(result))
     packed = _pack(series)
     read = json.loads(encoded)
-    arrays = _unpack(packed)
+    arrays = read_arrays(packed)
     contents[SERIES] = packed
     paths = map(_parts, read.get("files", []))
     old = (_beside(directory, parts, contents) for parts in paths)
@@ -95,7 +95,7 @@ def _beside(
 def _files_of(directory: Path) -> set[str]:
     """Names of the artefacts of the run in a directory; none where there is no run."""
     try:
-        return _names(_result(directory).files)
+        return _names(_record(directory).files)
     except BadInput:
         return set()
 
@@ -114,7 +114,7 @@ def as_saved(
     result: Mapping[str, Any], series: Mapping[str, Array]
 ) -> tuple[dict[str, Any], dict[str, Array]]:
     """Result and series as they would be read back after saving."""
-    return json.loads(_dump(result)), _unpack(_pack(series))
+    return json.loads(_dump(result)), read_arrays(_pack(series))
 
 
 def load_run(directory: str | Path) -> tuple[Result, dict[str, Array]]:
@@ -124,10 +124,10 @@ def load_run(directory: str | Path) -> tuple[Result, dict[str, Array]]:
         raise BadInput(
             f"{directory}: no such folder; give the folder that a run was written to"
         )
-    result = _result(directory)
+    result = _record(directory)
     packed = _content(directory / SERIES)
     try:
-        series = _unpack(packed)
+        series = read_arrays(packed)
     except Exception as error:  # damaged archives make their reader raise anything
         raise BadInput(
             f"{directory / SERIES}: not an archive of arrays ({error}); run the command again"
@@ -135,14 +135,22 @@ def load_run(directory: str | Path) -> tuple[Result, dict[str, Array]]:
     return result, series
 
 
-def _result(directory: Path) -> Result:
-    path = directory / RESULT
+def read_result(directory: str | Path) -> dict[str, Any]:
+    """Plain values of ``result.json``; BadInput when it is missing or no JSON."""
+    path = Path(directory) / RESULT
     try:
-        return record_of(parsed_json(_content(path), finite))
-    except msgspec.ValidationError as error:
-        raise BadInput(f"{path}: not a result of excitant: {error}") from None
+        result: dict[str, Any] = parsed_json(_content(path), finite)
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not JSON ({error}); run the command again") from None
+    return result
+
+
+def _record(directory: Path) -> Result:
+    try:
+        return record_of(read_result(directory))
+    except msgspec.ValidationError as error:
+        why = f"not a result of excitant: {error}"
+        raise BadInput(f"{directory / RESULT}: {why}") from None
 
 
 def _content(path: Path) -> bytes:
@@ -218,10 +226,6 @@ def _single(array: Any) -> Any:
         return array
     error = np.abs(finite - finite.astype(np.float32)).max()
     return array.astype(np.float32) if error <= _SINGLE * np.ptp(finite) else array
-
-
-def _unpack(packed: bytes) -> dict[str, Array]:
-    return read_arrays(packed)
 
 
 @runtime_checkable

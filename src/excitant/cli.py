@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 import os
 import re
 import sys
@@ -11,7 +10,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
@@ -219,7 +217,7 @@ def report(
     record, series = ex.reports.load_run(folders[0])
     files = written(record)
     # the file's own text, so that it is written again to the byte
-    result = json.loads(Path(folders[0], "result.json").read_text("utf-8"))
+    result = ex.reports.read_result(folders[0])
     if files:
         here = (os.path.join(folders[0], name) for name in files)
         result["files"] = list(dict.fromkeys([*record.files, *here]))
