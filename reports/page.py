@@ -186,21 +186,18 @@ class Page:
     @property
     def uses(self) -> list[tuple[str, str]]:
         """The files, and what reads them or what they hold."""
-        return [
-            (
-                name,
-                next((use for end, use in _FORMATS.items() if name.endswith(end)), ""),
-            )
-            for name in self.files
-        ]
+        return [(name, _use(name)) for name in self.files]
 
     def tables(self) -> Iterator[tuple[str, str, Table]]:
         """All tables, key figures among them, with the titles of their section and part."""
-        for each in self.sections:
-            for part in each.parts:
-                yield from (
-                    (each.title, part.title, found) for found in _tables(part.blocks)
-                )
+        for section in self.sections:
+            for part in section.parts:
+                for table in _tables(part.blocks):
+                    yield section.title, part.title, table
+
+
+def _use(file: str) -> str:
+    return next((use for end, use in _FORMATS.items() if file.endswith(end)), "")
 
 
 def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
@@ -210,16 +207,15 @@ def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
                 yield from _tables(block.blocks)
             case Facts():
                 known = [fact for fact in block.facts if not fact.timing]
-                rows = tuple(
-                    (Cell(x.label), Cell(x.value, value=x.number)) for x in known
-                )
-                yield Table((("Figure", "name"), ("", "number")), rows)
+                rows = [(Cell(x.label), Cell(x.value, value=x.number)) for x in known]
+                yield Table((("Figure", "name"), ("", "number")), tuple(rows))
             case Table():
                 yield block
 
 
 Write = Callable[[Any], str]
-Column = tuple[str, str | Callable[[Any], Cell | str]] | tuple[str, str, Write]
+Source = str | Callable[[Any], Any]
+Column = tuple[str, Source] | tuple[str, Source, Write]
 
 
 def table(
@@ -232,9 +228,9 @@ def table(
 ) -> Table | None:
     """A table of records, one a row; None without any.
 
-    A column is its heading as ``kind:heading``, then where the cell comes from: a field, dots for
-    one of a field, or a function of the record; a third item writes the value of the field.
-    Columns that are None are left out.
+    A column is its heading as ``kind:heading``, then where its cells come from: a field, dots for
+    one of a field, or a function of the record that gives a value or a cell; a third item writes
+    the value. Columns that are None are left out.
     """
     if not rows:
         return None
@@ -246,19 +242,19 @@ def table(
     return Table(heads, cells, caption, folded, brief)
 
 
-def _cell(
-    row: Any,
-    head: str,
-    source: str | Callable[[Any], Cell | str],
-    write: Write | None = None,
-) -> Cell:
-    if not isinstance(source, str):
-        cell = source(row)
-        return cell if isinstance(cell, Cell) else Cell(cell)
-    value = attrgetter(source)(row)
+def _cell(row: Any, head: str, source: Source, write: Write | None = None) -> Cell:
+    value = attrgetter(source)(row) if isinstance(source, str) else source(row)
+    if isinstance(value, Cell):
+        return value
     if write is None:
-        write = v.number if head.startswith("number:") else _words
-    return Cell(write(value) or NONE, PLAIN, v.real(value))
+        numeric = head.startswith("number:") and not isinstance(value, str)
+        write = v.number if numeric else _words
+    return cell(value, write)
+
+
+def cell(value: Any, write: Write = v.number, tone: str = PLAIN) -> Cell:
+    """A value as it is written, with a tone; a dash for none."""
+    return Cell(write(value) or NONE, tone, v.real(value))
 
 
 def _words(value: str | list[str] | None) -> str:
@@ -285,13 +281,6 @@ def estimates(
     return (value, lambda row: written(row, 0)), (std, lambda row: written(row, 1))
 
 
-def milli(x: float | None, none: str = NONE) -> Cell:
-    """A number in thousandths of its unit."""
-    if x is None:
-        return Cell(none)
-    return Cell(v.number(1e3 * x), PLAIN, 1e3 * x)
-
-
 _DECIDED = {
     "data": Cell("data", GOOD),
     "both": Cell("both", FAIR),
@@ -310,7 +299,7 @@ def relative(row: Any) -> Cell:
     rel = getattr(row, "rel_std", None)
     if rel is None and row.std is not None and row.value:
         rel = abs(row.std / row.value)
-    return Cell(v.percent(rel), quality(rel), rel)
+    return cell(rel, v.percent, quality(rel))
 
 
 def quality(rel_std: float | None) -> str:
@@ -333,12 +322,10 @@ def fact(
     return Fact(label, NONE if known is None else write(known), remark, tone, known)
 
 
-def facts(*found: Fact | None) -> Facts | None:
+def facts(*candidates: Fact) -> Facts | None:
     """The facts that have a value."""
-    known = tuple(
-        fact for fact in found if fact is not None and fact.value not in (NONE, "")
-    )
-    return Facts(known) if known else None
+    valued = tuple(fact for fact in candidates if fact.value not in (NONE, ""))
+    return Facts(valued) if valued else None
 
 
 def notes(

@@ -173,23 +173,21 @@ def _singular(result: Analyze) -> p.Table | None:
     if result.structure.frames != "dh":
         return None
     rank = result.base_parameters
+    sizes = result.structure.singular_values
     vectors = result.structure.singular_vectors
-    rows = list(enumerate(zip(result.structure.singular_values, vectors, strict=True)))
+    rows = list(zip(range(1, len(sizes) + 1), sizes, vectors, strict=True))
     return p.table(
         rows,
         [
-            ("number:No.", lambda r: p.Cell(str(r[0] + 1), value=r[0] + 1)),
-            (
-                "number:Singular value",
-                lambda r: p.Cell(v.number(r[1][0]), value=r[1][0]),
-            ),
+            ("number:No.", lambda r: r[0], v.whole),
+            ("number:Singular value", lambda r: r[1]),
             (
                 "text:Torque",
-                lambda r: "shows it" if r[0] < rank else "does not contain it",
+                lambda r: "shows it" if r[0] <= rank else "does not contain it",
             ),
             (
                 "expression:Right singular vector, by its largest members",
-                lambda r: r[1][1],
+                lambda r: r[2],
             ),
         ],
         "Of the columns of all parameters over random states, in units of the arm. A parameter is "
@@ -238,10 +236,9 @@ def _determined(row: Practical | None) -> p.Cell:
 
 def _weakest(result: Analyze) -> p.Table | None:
     def share(row: Direction) -> p.Cell:
-        rel = row.rel_std
-        if rel is None:
+        if row.rel_std is None:
             return p.Cell("not seen", p.POOR)
-        return p.Cell(v.percent(rel), p.quality(rel), rel)
+        return p.relative(row)
 
     return p.table(
         result.directions,
@@ -339,10 +336,7 @@ def _parameters(link: LinkIdentifiability) -> p.Table | None:
             ("name:Parameter", _symbol),
             *(p.estimates() if motion else (plain,)),
             ("text:Unit", "unit"),
-            (
-                "text:Identifiable",
-                lambda r: p.Cell(*_CATEGORY[r.category]),
-            ),
+            ("text:Identifiable", lambda r: p.Cell(*_CATEGORY[r.category])),
             ("text:This motion determines it", _shown) if motion else None,
             ("number:Prior", "prior") if motion else None,
             ("number:Follows prior", "prior_influence") if influence else None,

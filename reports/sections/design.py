@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.figures.motion import (
@@ -20,6 +22,7 @@ from excitant.results import (
     Determined,
     HalfSpace,
     Motion,
+    Number,
     Pair,
     Persistency,
     Rehearse,
@@ -271,7 +274,7 @@ def _error(row: Requirement) -> p.Cell:
     planted = row.planted or 0.0
     recovered = row.recovered or 0.0
     error = (recovered - planted) / abs(planted) if planted else None
-    return p.Cell(v.percent(error), p.GOOD if row.passed else p.POOR, error)
+    return p.cell(error, v.percent, p.GOOD if row.passed else p.POOR)
 
 
 def _motion(result: Motion, series: Series) -> p.Parts:
@@ -403,39 +406,28 @@ def _limits(result: Motion) -> p.Blocks:
             return p.Cell("no limit given")
         return _verdict(ratio <= FULL, "holds", "exceeded")
 
-    def share(ratio: float | None) -> p.Cell:
-        return p.Cell(share_of_limit(ratio), value=ratio)
-
-    def joint(quantity: str) -> str:
-        extreme = result.worst.get(quantity)
-        return NONE if extreme is None else extreme.joint
-
-    def instant(quantity: str) -> p.Cell:
-        extreme = result.worst.get(quantity)
-        return p.Cell(
-            v.number(extreme.t if extreme else None),
-            value=extreme.t if extreme else None,
-        )
+    def worst_at(quantity: str, field: str) -> Any:
+        return getattr(result.worst.get(quantity), field, None)
 
     worst = p.table(
         list(shares),
         [
             ("name:Quantity", str),
-            ("number:Share of limit", lambda quantity: share(shares[quantity])),
+            ("number:Share of limit", shares.get, share_of_limit),
             ("text:Verdict", verdict),
-            ("text:Joint", joint),
-            ("number:At [s]", instant),
+            ("text:Joint", lambda quantity: worst_at(quantity, "joint")),
+            ("number:At [s]", lambda quantity: worst_at(quantity, "t")),
         ],
         "The worst point of the continuous motion, also between samples: 100 % is the limit.",
     )
     certified = result.certified or {}
 
     def of_joint(quantity: str) -> p.Column:
-        def cell(k: int) -> p.Cell:
+        def ratio(k: int) -> Number:
             row = certified[quantity][k]
-            return share(row.ratio if row else None)
+            return row.ratio if row else None
 
-        return f"number:{v.plain(quantity).capitalize()}", cell
+        return f"number:{v.plain(quantity).capitalize()}", ratio, share_of_limit
 
     quantities = [quantity for quantity, rows in certified.items() if any(rows)]
     names = result.joints

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from operator import attrgetter
 
@@ -26,6 +26,7 @@ from excitant.results import (
     JointAccuracy,
     JointResidual,
     MovedLink,
+    Number,
     Part,
     Refit,
     Residual,
@@ -194,27 +195,21 @@ def _findings(findings: list[Finding], unit: str) -> p.Blocks:
 def _finding_table(
     findings: list[tuple[int, Finding]], unit: str, folded: str = ""
 ) -> p.Table | None:
-    def share(finding: Finding) -> p.Cell:
-        share = None if _unknown(finding) else finding.explained
-        return p.Cell(v.percent(share), value=share)
+    def share(row: tuple[int, Finding]) -> Number:
+        return None if _unknown(row[1]) else row[1].explained
 
-    def after(finding: Finding) -> p.Cell:
-        rms = None if _unknown(finding) else finding.holdout.rms_after
-        return p.Cell(v.number(rms), value=rms)
-
-    def before(finding: Finding) -> p.Cell:
-        rms = finding.holdout.rms_before
-        return p.Cell(v.number(rms), value=rms)
+    def after(row: tuple[int, Finding]) -> Number:
+        return None if _unknown(row[1]) else row[1].holdout.rms_after
 
     return p.table(
         findings,
         [
             ("number:#", lambda r: str(r[0])),
             ("name:Effect", lambda r: _cause(r[1])),
-            ("name:Joints", lambda r: v.listing(r[1].joints)),
-            ("number:Explains", lambda r: share(r[1])),
-            (f"number:rms without it [{unit}]", lambda r: before(r[1])),
-            (f"number:rms with it [{unit}]", lambda r: after(r[1])),
+            ("name:Joints", lambda r: r[1].joints),
+            ("number:Explains", share, v.percent),
+            (f"number:rms without it [{unit}]", lambda r: r[1].holdout.rms_before),
+            (f"number:rms with it [{unit}]", after),
             ("text:Verdict", lambda r: _verdict(r[1])),
         ],
         "What the model lacks, most important first: its share of the given model's squared error, "
@@ -355,7 +350,7 @@ def _shares(joints: list[JointResidual], extended: bool, unit: str) -> p.Table |
         def cell(row: JointResidual) -> p.Cell:
             residual = of(row)
             x = residual.bands.get(key, residual.shares.get(key))
-            return p.Cell(v.percent(x), p.POOR if residual.telling == key else "", x)
+            return p.cell(x, v.percent, p.POOR if residual.telling == key else p.PLAIN)
 
         return f"number:{key}", cell
 
@@ -363,10 +358,7 @@ def _shares(joints: list[JointResidual], extended: bool, unit: str) -> p.Table |
         joints,
         [
             ("name:Joint", "name"),
-            (
-                f"number:rms [{unit}]",
-                lambda r: p.Cell(v.number(of(r).rms), value=of(r).rms),
-            ),
+            (f"number:rms [{unit}]", lambda r: of(r).rms),
             *map(share, (*_QUANTITIES, *_BANDS)),
         ],
         f"Error {'left by the extended model' if extended else 'of the model as given'} while the "
@@ -377,16 +369,14 @@ def _shares(joints: list[JointResidual], extended: bool, unit: str) -> p.Table |
 
 
 def _refit(refit: Refit, unit: str) -> p.Blocks:
+    def two_digits(value: Number) -> str:
+        return v.number(value, 2)
+
     def deviations(key: str) -> p.Column:
-        def cell(row: MovedLink) -> p.Cell:
-            x = row.deviations[key]
-            return p.Cell(v.number(x, 2), value=x)
+        return "number:in std", lambda row: row.deviations[key], two_digits
 
-        return "number:in std", cell
-
-    def inertia(row: MovedLink) -> p.Cell:
-        share = None if row.inertia is None else 100 * math.expm1(row.inertia)
-        return p.Cell(v.number(share, 2), p.PLAIN, share)
+    def inertia(row: MovedLink) -> Number:
+        return None if row.inertia is None else 100 * math.expm1(row.inertia)
 
     models = {"given": "Given", "inertias": "Inertias free", "bodies": "Nearest bodies"}
     models["extended"] = "With the findings"
@@ -408,7 +398,7 @@ def _refit(refit: Refit, unit: str) -> p.Blocks:
             deviations("mass"),
             ("number:Centre of mass [mm]", "centre_mm"),
             deviations("centre"),
-            ("number:Inertia [%]", inertia),
+            ("number:Inertia [%]", inertia, two_digits),
             deviations("inertia"),
         ],
         "How far each link would have to change for that, most changed first; a given value is "
@@ -432,8 +422,12 @@ def _forward(forward: Forward, changed: bool) -> p.Blocks:
     if worse:
         closer = f" The extended model is no closer at {v.listing(worse)}."
 
-    def milli(field: str) -> Callable[[ForwardJoint], p.Cell]:
-        return lambda row: p.milli(attrgetter(field)(row), "diverges")
+    def milli(field: str) -> Callable[[ForwardJoint], float | str]:
+        def error(row: ForwardJoint) -> float | str:
+            rms = attrgetter(field)(row)
+            return "diverges" if rms is None else 1e3 * rms
+
+        return error
 
     table = p.table(
         rows,
@@ -460,18 +454,14 @@ def _errors(result: Diagnose, changed: bool) -> p.Blocks:
     if changed:
         models.append(("Extended", result.extended.joints))
 
-    def columns(heading: str, key: str, write: p.Write) -> list[p.Column]:
-        def cell(model: int) -> Callable[[Sequence[JointAccuracy]], p.Cell]:
-            def written(row: Sequence[JointAccuracy]) -> p.Cell:
-                value = getattr(row[model], key)
-                return p.Cell(write(value), value=value)
+    def column(label: str, model: int, key: str, write: p.Write) -> p.Column:
+        return label, lambda row: getattr(row[model], key), write
 
-            return written
-
-        return [
-            (f"number:{label}, {heading}", cell(k))
-            for k, (label, _) in enumerate(models)
-        ]
+    errors = {
+        f"rms [{unit}]": ("rms", v.number),
+        "nrmse": ("nrmse", v.percent),
+        "r²": ("r2", v.number4),
+    }
 
     same = ""
     if result.cutoff_hz is not None:
@@ -480,9 +470,11 @@ def _errors(result: Diagnose, changed: bool) -> p.Blocks:
         _pairs(result),
         [
             ("name:Joint", lambda r: r[0].name),
-            *columns(f"rms [{unit}]", "rms", v.number),
-            *columns("nrmse", "nrmse", v.percent),
-            *columns("r²", "r2", v.number4),
+            *(
+                column(f"number:{model}, {heading}", k, *error)
+                for heading, error in errors.items()
+                for k, (model, _) in enumerate(models)
+            ),
         ],
         f"The model as given{' and with the findings added' * changed}, on the hold-out{same}; "
         "nrmse is rms over the measured torque's standard deviation.",
@@ -508,10 +500,7 @@ def _unexplained(rows: list[Unexplained]) -> p.Blocks:
                 ("name:Joint", "joint"),
                 ("number:Share", "share", v.percent),
                 ("text:Against the noise", "against_noise") if sized else None,
-                (
-                    "text:Structure",
-                    lambda r: r.structure.removeprefix("structured: "),
-                ),
+                ("text:Structure", lambda r: r.structure.removeprefix("structured: ")),
             ],
             "What everything found leaves: share of the measured torque's variance, its size "
             "against the noise while the joint moves, and what it varies with.",

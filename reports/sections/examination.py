@@ -63,7 +63,7 @@ def _joints(result: Go | Demo) -> p.Table | None:
         tone = p.PLAIN
         if x is not None:
             tone = p.GOOD if x < 0.1 else p.FAIR if x < 0.3 else p.POOR
-        return p.Cell(v.percent(x), tone, x)
+        return p.cell(x, v.percent, tone)
 
     def after(row: IdentifiedJoint) -> p.Cell:
         return error(extended[row.name].nrmse if row.name in extended else None)

@@ -132,12 +132,12 @@ def _brief(result: Identify) -> p.Brief:
 def exported_table(files: list[ExportedFile]) -> p.Table | None:
     """How well what each file of the model holds predicts the hold-out; None without any."""
 
-    def error(pick: Callable[..., float]) -> Callable[[ExportedFile], p.Cell]:
-        def cell(row: ExportedFile) -> p.Cell:
+    def error(pick: Callable[..., float]) -> Callable[[ExportedFile], str]:
+        def written(row: ExportedFile) -> str:
             nrmse = [x for x in row.nrmse if x is not None]
-            return p.Cell(v.percent(pick(nrmse)) if nrmse else v.NONE)
+            return v.percent(pick(nrmse) if nrmse else None)
 
-        return cell
+        return written
 
     def missing(row: ExportedFile) -> p.Cell:
         lacks = v.listing(row.lacks, "nothing")
@@ -396,23 +396,14 @@ def _bodies(result: Identify) -> p.Table | None:
                 attrgetter("mass"),
             ),
             ("text:Mass [kg]|by", lambda r: p.decided(r.mass.decided_by)),
-            (
-                "number:Centre of mass [mm]|given",
-                lambda r: place(r.centre.given),
-            ),
-            (
-                "number:Centre of mass [mm]|identified",
-                lambda r: place(r.centre.value),
-            ),
+            ("number:Centre of mass [mm]|given", "centre.given", place),
+            ("number:Centre of mass [mm]|identified", "centre.value", place),
             *p.estimates(
                 "number:Centre of mass [mm]|moved by",
                 "number:Centre of mass [mm]|± std",
                 shift,
             ),
-            (
-                "text:Centre of mass [mm]|by",
-                lambda r: p.decided(r.centre.decided_by),
-            ),
+            ("text:Centre of mass [mm]|by", lambda r: p.decided(r.centre.decided_by)),
         ],
         "Centres of mass: x, y, z in the frame of the link's joint. What the prior decides "
         "completes the model, but was not measured.",
@@ -430,9 +421,8 @@ def _effects(result: Identify) -> p.Table | None:
     def columns(name: str) -> list[p.Column]:
         rows = groups[name]
 
-        def given(owner: str) -> p.Cell:
-            value = rows[owner].given if owner in rows else None
-            return p.Cell(v.number(value), value=value)
+        def given(owner: str) -> Number:
+            return rows[owner].given if owner in rows else None
 
         known = any(row.given is not None for row in rows.values())
         return [

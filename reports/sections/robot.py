@@ -107,7 +107,7 @@ def _joints(joints: list[RobotJoint]) -> p.Table | None:
             ),
             (
                 "number:Of the limit",
-                lambda r: p.Cell(v.percent(_share(r)), _tone(r), _share(r)),
+                lambda r: p.cell(_share(r), v.percent, _tone(r)),
             ),
         ],
         "Joints in order from the base, with the limits that a design holds; – means no limit. "
