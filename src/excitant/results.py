@@ -452,32 +452,30 @@ class Design(Motion, tag_field="verb", tag="design"):
     "With --link-by-link: the motions."
 
 
-class Check(Motion, tag_field="verb", tag="check"):
-    """``excitant check``: limits, clearance and conditioning of any trajectory."""
+class Checked(Motion, kw_only=True):
+    """A trajectory from a file, and whether it keeps the limits."""
 
     holds: bool
     "Whether all limits hold and bodies keep clear."
     verdicts: list[str]
     "What does not hold, in words."
+    trajectory: str | None = None
+    "File of the trajectory."
+
+
+class Check(Checked, tag_field="verb", tag="check"):
+    """``excitant check``: limits, clearance and conditioning of any trajectory."""
+
     columns: str | None = None
     "What the condition number is of."
     condition_number: Number = None
     "Condition number of the base columns, unscaled."
-    trajectory: str | None = None
-    "File of the trajectory."
     persistency: Persistency | None = None
     "Persistency of excitation."
 
 
-class Show(Motion, tag_field="verb", tag="show"):
+class Show(Checked, tag_field="verb", tag="show"):
     """``excitant show``: a motion in 3D."""
-
-    holds: bool
-    "Whether all limits hold and bodies keep clear."
-    verdicts: list[str]
-    "What does not hold, in words."
-    trajectory: str | None = None
-    "File of the trajectory."
 
 
 class Hidden(Record):
@@ -1601,8 +1599,8 @@ class Verdict(Record):
     "Whether it was named."
 
 
-class Go(Record, tag_field="verb", tag="go", rename={"imported": "import"}):
-    """``excitant go``: a recording to a verdict."""
+class Examination(Record, kw_only=True):
+    """An arm examined by all commands, and the verdict."""
 
     robot: str
     "Name of the arm."
@@ -1618,37 +1616,26 @@ class Go(Record, tag_field="verb", tag="go", rename={"imported": "import"}):
     "What the nominal model gets wrong."
     notes: list[str]
     "Remarks."
-    imported: dict[str, list[str]] = {}
-    "What was assumed in reading each recording."
     files: list[str] = []
     "Files written."
 
 
-class Demo(Record, tag_field="verb", tag="demo"):
+class Go(Examination, tag_field="verb", tag="go", rename={"imported": "import"}):
+    """``excitant go``: a recording to a verdict."""
+
+    imported: dict[str, list[str]] = {}
+    "What was assumed in reading each recording."
+
+
+class Demo(Examination, tag_field="verb", tag="demo"):
     """``excitant demo``: the main job on a virtual arm."""
 
-    robot: str
-    "Name of the arm."
     seed: int
     "Seed of what is hidden."
     truth: Hidden
     "What is hidden."
-    verdict: Verdict
-    "Verdict."
     design: Design
     "The excitation trajectory."
-    robots: Robots
-    "The arm as read."
-    identify: Identify
-    "The identified model."
-    analyze: Analyze
-    "What the recordings can show."
-    diagnose: Diagnose
-    "What the nominal model gets wrong."
-    notes: list[str]
-    "Remarks."
-    files: list[str] = []
-    "Files written."
 
 
 class Requirement(Record):
