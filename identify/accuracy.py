@@ -84,7 +84,7 @@ class Series:
 
     def rms(self, error: Array) -> Array:
         """Root mean square of an error, (n, nv), of each joint, shape (nv,)."""
-        return np.asarray(np.sqrt(np.mean(error**2, axis=0, where=self.counts)), float)
+        return np.sqrt(np.mean(error**2, axis=0, where=self.counts))
 
     def accuracy(self, predicted: Array) -> Accuracy:
         """Accuracy of a prediction at these rows, shape (n, nv)."""
@@ -97,13 +97,13 @@ class Series:
     @property
     def std(self) -> Array:
         """Standard deviation of the measured torque where it counts, shape (nv,)."""
-        return np.asarray(self.measured.std(axis=0, where=self.counts), float)
+        return self.measured.std(axis=0, where=self.counts)
 
     @cached_property
     def judged(self) -> Mask:
         """Joints that move here and whose torque varies by more than its noise, shape (nv,)."""
         varies = self.std > [noise(x) for x in self.raw.T]
-        return np.asarray(self.moves.any(axis=0) & varies)
+        return self.moves.any(axis=0) & varies
 
     def losses(self, predicted: Array, instead: Array) -> Array:
         """How much larger the squared error of one prediction is than that of another, (n, nv).
@@ -114,7 +114,7 @@ class Series:
         scale = np.divide(1.0, std, out=np.zeros_like(std), where=std > 0)
         error = (self.measured - predicted) * scale
         other = (self.measured - instead) * scale
-        return np.asarray(np.where(self.counts, error**2 - other**2, 0.0))
+        return np.where(self.counts, error**2 - other**2, 0.0)
 
 
 def chance_of_loss(losses: Array) -> float:
@@ -185,16 +185,16 @@ class Coverage(NamedTuple):
     std: Array
 
     @property
-    def too_few(self) -> Array:
+    def too_few(self) -> Mask:
         """Joints with more readings outside than by chance, shape (nv,) of bool."""
         least = LEVEL - COVERAGE_MARGIN - COVERAGE_STDS * self.std
-        return np.asarray(self.share < least, bool)
+        return self.share < least
 
 
 def torque_std(W: Array, covariance: Array) -> Array:
     """Standard deviation of the torque W β by the covariance of β, shape (n, nv)."""
     variance = np.einsum("njr,njr->nj", W @ covariance, W, optimize=True)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), float)
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def prediction_interval(

@@ -42,7 +42,7 @@ from excitant.identify.least_squares import (
 from excitant.identify.preprocessing import Mask
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import Regression, dense
+from excitant.identify.regression import Regression, dense, triangle
 from excitant.identify.signals import live
 from excitant.robots.base_parameters import BaseParameters, independent_columns
 from excitant.robots.motion import Array, freeze
@@ -88,7 +88,7 @@ class DriveGains:
     @property
     def std(self) -> Array:
         """Standard deviations of the gains, shape (nv,) [N·m/A]."""
-        return np.asarray(self.gains * np.sqrt(np.diag(self.covariance)), float)
+        return self.gains * np.sqrt(np.diag(self.covariance))
 
     @property
     def fixed(self) -> bool:
@@ -289,9 +289,7 @@ def _each_alone(
     gains = np.exp(common + GAIN_STD**2 * weight * (own - common))
     unsure = 1 / float(weight.sum())
     covariance = np.diag(GAIN_STD**2 * (1 - GAIN_STD**2 * weight)) + unsure
-    return DriveGains(
-        np.asarray(gains, float), covariance, float(np.sqrt(unsure)), False
-    )
+    return DriveGains(gains, covariance, float(np.sqrt(unsure)), False)
 
 
 def _log_gain(
@@ -388,23 +386,23 @@ def _exact_columns(free: Array, loaded: Array, own: Array, hardly: str) -> Array
     exact = np.concatenate([empty, np.concatenate([loaded, loaded @ own], axis=2)])
     flat = exact.reshape(-1, r + added)
     norms = np.linalg.norm(flat, axis=0)
-    R = np.linalg.qr(flat / np.where(norms > 0, norms, 1.0), mode="r")
-    found, _ = independent_columns(np.asarray(R, float), DEPENDENT)
-    if r + added - 1 not in found:
+    R = triangle(flat / np.where(norms > 0, norms, 1.0))
+    independent, _ = independent_columns(R, DEPENDENT)
+    if r + added - 1 not in independent:
         raise BadInput(f"{hardly}: no torque of it differs from the arm's own")
-    if not set(range(r)) <= set(found):
+    if not set(range(r)) <= set(independent):
         raise BadInput(
             "payload: the recordings do not determine all base parameters of the arm; move all "
             "joints in the recordings without payload"
         )
-    return exact[:, :, list(found)]
+    return exact[:, :, list(independent)]
 
 
 def _solved(exact: Array, current: Array) -> tuple[Array, Array, Mask]:
     """Gains, shape (nv,), coefficients of the exact columns, the known one 1, and what is shown."""
     n, nv = current.shape
     triangles = [
-        np.asarray(np.linalg.qr(np.column_stack([X, i]), mode="r"), float)
+        triangle(np.column_stack([X, i]))
         for X, i in zip(exact.transpose(1, 0, 2), current.T, strict=True)
     ]
     k = np.ones(nv)
@@ -450,7 +448,7 @@ def _eliminated(
     k = tie @ (Vt[-1] / np.sqrt(noise[shown]))
     theta = scipy.linalg.solve_triangular(R, Q.T @ (currents @ k)) / norms
     sign = 1.0 if k.sum() >= 0 else -1.0
-    return sign * k, sign * np.asarray(theta, float), shown
+    return sign * k, sign * theta, shown
 
 
 def _covariance(

@@ -31,6 +31,7 @@ from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
     Data,
     FitRows,
+    effects_of,
     fit_rows,
     fitted,
     gains_of,
@@ -41,7 +42,7 @@ from excitant.identify.rows import (
 )
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots.base_parameters import BaseParameters, base_parameters
-from excitant.robots.effects import Effect, plain, standard_effects
+from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import BaseEstimate, is_covariance, violations
 from excitant.robots.regressor import rigid_body_torque
@@ -308,7 +309,7 @@ def identify_robot(
     )
     prior = prior_parameters(robot)
     known = (knowledge or Knowledge()).of(robot)
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    effects = effects_of(robot, effects)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
 
     def fitted_to(data: Data) -> tuple[Estimate, float]:
@@ -418,6 +419,24 @@ def judged(
         notes=notes,
         drive=drive,
     )
+
+
+def estimate_by(
+    robot: Robot,
+    rows: FitRows,
+    fit: LeastSquares,
+    whitened: tuple[Array, Array],
+    notes: tuple[str, ...],
+) -> Estimate:
+    """The estimate with bodies fitted to whitened rows R x ≈ z of all parameters."""
+    physical = fit_physical(
+        *whitened,
+        prior_parameters(robot),
+        rows.open_prior,
+        Knowledge().of(robot),
+        robot.links,
+    )
+    return judged(robot, rows, fit, physical, notes)
 
 
 def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:

@@ -26,8 +26,9 @@ from excitant.identify.prior import (
     needed_torque,
     reference_motion,
 )
+from excitant.identify.rows import effects_of
 from excitant.robots.base_parameters import BaseParameters, base_parameters
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
@@ -121,7 +122,7 @@ class ExcitationJudge:
 
     def whitened(self, W: Array) -> Array:
         """Rows of base parameters, (n, nv, r), in directions, so that squares are levels."""
-        return np.asarray(W / self.sigma[:, None] @ self.basis, float)
+        return W / self.sigma[:, None] @ self.basis
 
     def rows(self, motion: Motion) -> Array:
         """Whitened rows of a motion."""
@@ -193,9 +194,7 @@ def _share(motion: Motion) -> float:
 
 
 def _information(motion: Motion, rows: Array) -> Array:
-    return np.asarray(
-        _share(motion) * np.tensordot(rows, rows, ((0, 1), (0, 1))), float
-    )
+    return _share(motion) * np.tensordot(rows, rows, ((0, 1), (0, 1)))
 
 
 def excitation_judge(
@@ -292,7 +291,7 @@ def persistency(
     duration = float(motion.t[-1] - motion.t[0])
     if not duration > 0:
         raise BadInput(f"excitation: a motion of {duration:.4g} s; give one that lasts")
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    effects = effects_of(robot, effects)
     base = base_parameters(robot, effects)
     prior = base_prior(robot, effects, base)
     length = duration if window is None else window

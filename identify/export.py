@@ -396,7 +396,7 @@ def _unreserved(name: str) -> str:
 
 def _axis(robot: Robot, joint: int) -> Array:
     S = np.reshape(robot.model.joints[joint + 1].createData().S, 6)
-    return np.asarray(S[3:] if robot.revolute[joint] else S[:3], float)
+    return S[3:] if robot.revolute[joint] else S[:3]
 
 
 def _frames(robot: Robot, joint: int) -> Iterator[tuple[str, pin.SE3]]:

@@ -43,13 +43,13 @@ class Information:
         """The x of least squares, shape (p,); of smallest norm where R is singular."""
         d = np.abs(np.diag(self.R))
         if len(d) and d.min() > 1e-12 * d.max():
-            return np.asarray(scipy.linalg.solve_triangular(self.R, self.z), float)
+            return scipy.linalg.solve_triangular(self.R, self.z)
         return np.asarray(np.linalg.lstsq(self.R, self.z, rcond=1e-12)[0], float)
 
     def covariance(self) -> Array:
         """(RᵀR)⁻¹ of a regular R, shape (p, p)."""
         inverse = scipy.linalg.solve_triangular(self.R, np.eye(len(self.z)))
-        return np.asarray(inverse @ inverse.T, float)
+        return inverse @ inverse.T
 
 
 def information_of(A: Array, b: Array) -> Information:
@@ -73,7 +73,7 @@ def square_root(covariance: Array) -> Array:
     """L of covariance = L Lᵀ, lower triangular, whatever the units of its rows."""
     scale = np.sqrt(np.diag(covariance))
     L = np.linalg.cholesky(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * L, float)
+    return scale[:, None] * L
 
 
 def gaussian(mean: Array, covariance: Array) -> Information:

@@ -234,7 +234,7 @@ class JointRows:
         return self._transform(np.ascontiguousarray(self.W.T))
 
     def _transform(self, values: Array) -> npt.NDArray[np.complex128]:
-        return np.asarray(scipy.fft.rfft(values, self.size))
+        return scipy.fft.rfft(values, self.size)
 
     def coloured(self, gamma: Array) -> Array:
         """W_jᵀ Γ_j, shape (u, n), Γ_j that of the autoregression behind γ."""

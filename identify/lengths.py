@@ -84,9 +84,7 @@ class LengthErrors:
     @property
     def widening(self) -> Array:
         """Standard deviations of base parameters with these errors over those without, (r,)."""
-        return np.asarray(
-            np.sqrt(1 + (self.base**2).sum(axis=1) / np.diag(self.by_noise)), float
-        )
+        return np.sqrt(1 + (self.base**2).sum(axis=1) / np.diag(self.by_noise))
 
     @property
     def sentence(self) -> str:
@@ -94,22 +92,21 @@ class LengthErrors:
         std_mm = (1e3 * self.std[1:]).round(6).tolist()
         ends = dict.fromkeys((min(std_mm), max(std_mm)))
         size = " to ".join(f"{x:g}" for x in ends)
-        median = float(np.median(self.widening))
-        largest = float(self.widening.max())
+        widening = self.entry()["widening"]
         return (
             f"lengths are assumed: joints may sit elsewhere in their links by ± {size} mm along "
             "each axis (standard deviation). That multiplies standard deviations of base "
-            f"parameters by {median:.2g} in the median, {largest:.2g} at most, and widens the "
-            "intervals of torque; values stay those that predict best with the lengths of the model"
+            f"parameters by {widening['median']:.2g} in the median, "
+            f"{widening['largest']:.2g} at most, and widens the intervals of torque; values stay "
+            "those that predict best with the lengths of the model"
         )
 
     def entry(self) -> dict[str, Any]:
         """As an entry of result.json."""
         median = float(np.median(self.widening))
-        largest = float(self.widening.max())
         return {
             "std": self.std.tolist(),
-            "widening": {"median": median, "largest": largest},
+            "widening": {"median": median, "largest": float(self.widening.max())},
         }
 
     def columns(self, segments: Sequence[Segment]) -> Array:
@@ -145,7 +142,7 @@ def length_errors(
     wide = problem.with_columns(J, [f"length {k + 1}" for k in range(size)])
     R, _ = wide.factor(1 / fit.sigma)
     r = problem.p
-    base = np.asarray(scipy.linalg.solve_triangular(R[:r, :r], R[:r, r:]), float)
+    base = scipy.linalg.solve_triangular(R[:r, :r], R[:r, r:])
     # what neither parameters nor lengths explain, the latter as far as they may be off
     R, z = wide.factor(fit.weight)
     likely = np.vstack([R, np.eye(r + size)[r:]]), np.concatenate([z, np.zeros(size)])

@@ -52,7 +52,7 @@ def mujoco_torque(
             data.qacc[order] = motion.ddq[k]
             mujoco.mj_inverse(model, data)
             force[k] = data.qfrc_inverse[order]
-        return np.asarray(force / gear - model.actuator_biasprm[:, 0])
+        return force / gear - model.actuator_biasprm[:, 0]
 
     return np.concatenate([segment.rows(controls) for segment in segments])
 

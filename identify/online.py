@@ -27,7 +27,7 @@ from excitant.identify.differentiators import (
     causal_polynomial,
     position_spectrum,
 )
-from excitant.identify.estimate import Estimate, judged
+from excitant.identify.estimate import Estimate, estimate_by
 from excitant.identify.excitation import (
     ROWS_PER_SECOND,
     WindowExcitation,
@@ -39,20 +39,17 @@ from excitant.identify.information import (
     InformationFilter,
     combined,
 )
-from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
-from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, dry_joints, resampled, uninterrupted
 from excitant.identify.prior import (
     BasePrior,
     base_prior,
-    prior_parameters,
     reference_motion,
 )
 from excitant.identify.recording import Recording, Recordings, recordings_of
-from excitant.identify.rows import fit_rows, fitted, split
+from excitant.identify.rows import effects_of, fit_rows, fitted, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import Effect
 from excitant.robots.effects.base import Law
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -127,9 +124,7 @@ class OnlineEstimator:
         self.robot = robot
         self.rate_hz = rate_hz
         self.rows = 0
-        self.effects = (
-            standard_effects(robot.joints) if effects is None else tuple(effects)
-        )
+        self.effects = effects_of(robot, effects)
         self.base = base_parameters(robot, self.effects) if base is None else base
         half = max(2, round(HALF_WINDOW_S * rate_hz))
         self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half))
@@ -306,9 +301,7 @@ class OnlineEstimator:
     def _goes_one_way(self) -> Mask:
         corners = self._samples[self._corners, : self.robot.nv]
         steps = corners[1:] - corners[:-1]
-        return np.asarray(
-            (steps.min(axis=0) > self._still) | (steps.max(axis=0) < -self._still), bool
-        )
+        return (steps.min(axis=0) > self._still) | (steps.max(axis=0) < -self._still)
 
     def recent(self) -> RecentRows:
         """Rows of the last ten seconds; refuses when there are none yet."""
@@ -515,7 +508,7 @@ class Monitor:
         if not np.isfinite(P).all():
             return np.full(self.estimator.robot.nv, np.inf)
         std = torque_std(self._reference, P)
-        return np.asarray(np.sqrt((std**2).mean(axis=0)), float)
+        return np.sqrt((std**2).mean(axis=0))
 
     def _excitation(self, estimate: OnlineEstimate) -> WindowExcitation | None:
         e = self.estimator
@@ -603,7 +596,7 @@ def identify_online(
     """
     recordings = recordings_of(recordings, robot)
     validate = recordings_of(validate, robot)
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    effects = effects_of(robot, effects)
     data = split(recordings, validate, cutoff_hz)
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, data)
@@ -628,12 +621,7 @@ def identify_online(
     if not looks or looks[-1].estimate.t < estimator.recent().motion.t[-1]:
         looks.append(monitor.look())
     fit = looks[-1].estimate
-    R = fit.data.R @ base.regrouping
-    z = fit.data.z
-    known = Knowledge().of(robot)
-    physical = fit_physical(
-        R, z, prior_parameters(robot), rows.open_prior, known, robot.links
-    )
-    estimate = judged(robot, rows, fit, physical, (data.holdout, why))
+    whitened = fit.data.R @ base.regrouping, fit.data.z
+    estimate = estimate_by(robot, rows, fit, whitened, (data.holdout, why))
     messages = tuple(monitor.messages)
     return OnlineIdentification(estimate, tuple(looks), messages, estimator.delay, why)

@@ -31,9 +31,9 @@ from excitant.identify.prior import (
 )
 from excitant.identify.recording import Recording, Recordings, recordings_of
 from excitant.identify.regression import regression_of
-from excitant.identify.rows import fit_rows, split
+from excitant.identify.rows import effects_of, fit_rows, split
 from excitant.robots.base_parameters import BaseParameters, base_parameters
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, UNITS
 from excitant.robots.robot import Robot
@@ -91,7 +91,7 @@ class PayloadEstimate:
     def std(self) -> Array:
         """Standard deviations of the ten parameters."""
         alone = np.sqrt(np.diag(self.fit.covariance))
-        return np.asarray(np.hypot(alone, self.scale_std * self.phi), float)
+        return np.hypot(alone, self.scale_std * self.phi)
 
     @property
     def shortcomings(self) -> tuple[str, ...]:
@@ -191,10 +191,9 @@ class PayloadEstimator:
 
 
 def _own_effects(robot: Robot, effects: Sequence[Effect] | None) -> tuple[Effect, ...]:
-    if effects is not None:
-        return tuple(effects)
-    known = robot.estimate is not None
-    return robot.effects if known else standard_effects(robot.joints)
+    if effects is None and robot.estimate is not None:
+        return robot.effects
+    return effects_of(robot, effects)
 
 
 def _given_arm(
@@ -355,7 +354,7 @@ def identify_drive_gains(
                 f"payload: {recording.file} holds torque in {recording.unit}, for which no drive "
                 "gain is needed; --payload-recording is for motor currents"
             )
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    effects = effects_of(robot, effects)
     base = base_parameters(robot, effects)
     free = split(recordings, validate, cutoff_hz)
     carrying = split(loaded, loaded, free.cutoff_hz)

@@ -35,6 +35,7 @@ from excitant.identify.semidefinite import (
     Program,
     Restriction,
     contradiction,
+    free_directions,
     possible,
     solve,
 )
@@ -304,8 +305,7 @@ def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
 
 def _uncertainty(program: Program, y: Array, scale: Array) -> tuple[Array, Array]:
     """Posterior covariance of x at y, and root of the prior's."""
-    exact = [r.G for r in program.restrictions if r.cone == "zero"]
-    N = scipy.linalg.null_space(np.vstack(exact)) if exact else np.eye(len(scale))
+    N = free_directions(program.restrictions, len(scale))
     S = scale @ N
     prior, _ = program.prior(y)
     both = np.vstack([program.A, prior])

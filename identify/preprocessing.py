@@ -324,7 +324,7 @@ def resampled(
     linear = np.column_stack([np.interp(grid, t, column) for column in tau.T])
 
     def cubic(values: Array) -> Array:
-        return np.asarray(scipy.interpolate.make_interp_spline(t, values, k=3)(grid))
+        return scipy.interpolate.make_interp_spline(t, values, k=3)(grid)
 
     return grid, cubic(q), linear, None if dq is None else cubic(dq)
 

@@ -238,7 +238,6 @@ def base_prior(
     robot: Robot,
     effects: Sequence[Effect],
     base: BaseParameters,
-    sigma: float = PRIOR_SIGMA,
 ) -> BasePrior:
     """The given robot as a prior of its base parameters.
 
@@ -250,7 +249,7 @@ def base_prior(
     """
     phi = prior_parameters(robot)
     T = link_coordinates(phi)
-    links = T @ np.diag(link_weights(robot.nv, sigma) ** -2.0) @ T.T
+    links = T @ np.diag(link_weights(robot.nv, PRIOR_SIGMA) ** -2.0) @ T.T
     nominal = effect_values(robot)
     names = base.names[10 * robot.nv :]
     mean = np.concatenate([phi.ravel(), [nominal.get(name, 0.0) for name in names]])

@@ -22,7 +22,7 @@ from excitant.identify.recording import Recording
 from excitant.identify.regression import Regression, regression_of
 from excitant.identify.signals import SensorNoise, mean_noise
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.effects import Effect, Parameter
+from excitant.robots.effects import Effect, Parameter, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
@@ -250,6 +250,11 @@ class FitRows:
             [p.lower for e in self.effects for p in e.parameters(self.robot)]
         )
         return EffectPrior(np.zeros_like(std), std, lower)
+
+
+def effects_of(robot: Robot, effects: Sequence[Effect] | None) -> tuple[Effect, ...]:
+    """Effects to estimate; friction, offset and rotor inertia of each joint when None."""
+    return standard_effects(robot.joints) if effects is None else tuple(effects)
 
 
 def fit_rows(

@@ -221,7 +221,6 @@ class _CentralPath:
         self.program = program
         self.bodies = program.bodies
         self.cones = [r for r in program.restrictions if r.cone != "zero"]
-        self.exact = _equalities(program.restrictions, len(start))
         self.links = len(self.bodies.bodies)
         self.orders = [2 if r.cone == "second_order" else len(r.h) for r in self.cones]
         self.logarithms = 4 * self.links + sum(self.orders)
@@ -233,8 +232,7 @@ class _CentralPath:
         R = triangle(np.column_stack([A, z]))[: len(start)]
         self.U = R[:, :-1]
         self.t = R[:, -1]
-        some = len(self.exact)
-        self.N = scipy.linalg.null_space(self.exact) if some else np.eye(len(start))
+        self.N = free_directions(program.restrictions, len(start))
         self.Q, self.R = np.linalg.qr(self.U @ self.N)
 
     def squares(self, y: Array) -> float:
@@ -408,6 +406,11 @@ def _equalities(restrictions: Sequence[Restriction], p: int) -> Array:
     return np.vstack(
         [np.zeros((0, p)), *(r.G for r in restrictions if r.cone == "zero")]
     )
+
+
+def free_directions(restrictions: Sequence[Restriction], p: int) -> Array:
+    """Orthonormal directions of y in which nothing holds exactly, shape (p, free)."""
+    return scipy.linalg.null_space(_equalities(restrictions, p))
 
 
 def _equal(y: Array, restrictions: Sequence[Restriction]) -> Array:

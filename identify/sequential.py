@@ -34,22 +34,20 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import RankDeficient
-from excitant.identify.estimate import Estimate, identify_robot, judged, notes_on
+from excitant.identify.estimate import Estimate, estimate_by, identify_robot, notes_on
 from excitant.identify.information import Information, gaussian, square_root
-from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import (
     JointRows,
     LeastSquares,
     score_covariances,
     student_width,
 )
-from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, moving, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
 from excitant.identify.recording import Recordings, recordings_of
-from excitant.identify.rows import Data, FitRows, fit_rows, split
+from excitant.identify.rows import Data, FitRows, effects_of, fit_rows, split
 from excitant.robots.base_parameters import base_parameters, expression, last_rows
-from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
@@ -84,22 +82,18 @@ class Cascade:
     @property
     def beta(self) -> Array:
         """Base parameters: known where shown, else those of the given robot, shape (r,)."""
-        return np.asarray(self.mean + self.L @ (self.D @ self.c), float)
+        return self.mean + self.L @ (self.D @ self.c)
 
     @property
     def covariance(self) -> Array:
         """Their covariance; that of the given robot in directions not shown, shape (r, r)."""
         open_directions = np.eye(len(self.mean)) - self.D @ self.D.T
-        return np.asarray(
-            self.L @ (self.D @ self.P @ self.D.T + open_directions) @ self.L.T, float
-        )
+        return self.L @ (self.D @ self.P @ self.D.T + open_directions) @ self.L.T
 
     @property
     def functionals(self) -> Array:
         """The combinations of base parameters known: rows F with F β = F β̂, shape (k, r)."""
-        return np.asarray(
-            scipy.linalg.solve_triangular(self.L, self.D, lower=True, trans=1).T
-        )
+        return scipy.linalg.solve_triangular(self.L, self.D, lower=True, trans=1).T
 
     def information(self) -> Information:
         """All that is known, as rows about β of unit noise; nothing of the given robot in it."""
@@ -222,7 +216,7 @@ class LinkRows(FitRows):
         """Mean pose of the arm while a joint moves, shape (nv,)."""
         q = np.concatenate([s.motion.q for s in self.data.train])
         moves = np.concatenate(self.moves)[:, joint]
-        return np.asarray(q[moves if moves.any() else ~moves].mean(axis=0), float)
+        return q[moves if moves.any() else ~moves].mean(axis=0)
 
     def mode(self, joint: int) -> str:
         """Joints that move along with a joint, in words; rare moments are left aside."""
@@ -364,7 +358,7 @@ def identify_link_by_link(
     """
     recordings = recordings_of(recordings, robot)
     validate = recordings_of(validate, robot)
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    effects = effects_of(robot, effects)
     prior = prior_parameters(robot)
     rows = link_rows(robot, effects, split(recordings, validate, cutoff_hz))
     cascade, stages = run_stages(rows)
@@ -373,11 +367,8 @@ def identify_link_by_link(
     ).T
     fit = LeastSquares(cascade.beta, cascade.covariance, noise, inflation)
     known = cascade.information()
-    about = Knowledge().of(robot)
-    R = known.R @ rows.base.regrouping
-    z = known.z
-    physical = fit_physical(R, z, prior, rows.open_prior, about, robot.links)
-    estimate = judged(robot, rows, fit, physical, _notes(rows, stages, prior))
+    whitened = known.R @ rows.base.regrouping, known.z
+    estimate = estimate_by(robot, rows, fit, whitened, _notes(rows, stages, prior))
     try:
         whole = identify_robot(
             robot, recordings, validate=validate, effects=effects, cutoff_hz=cutoff_hz
@@ -388,9 +379,7 @@ def identify_link_by_link(
     ) as error:  # then with the given robot as prior, the noise of the stages
         refusal = str(error)
         weight = replace(fit, sigma=np.where(np.isfinite(noise), noise, np.inf)).weight
-        R, z = rows.regression.factor(weight)
-        free = fit_physical(R, z, prior, rows.open_prior, about, robot.links)
-        whole = judged(robot, rows, fit, free, ())
+        whole = estimate_by(robot, rows, fit, rows.regression.factor(weight), ())
     return LinkByLink(estimate, cascade, stages, whole, refusal)
 
 

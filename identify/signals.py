@@ -242,7 +242,7 @@ class SensorNoise:
     def speed_share(self, f: Array | float) -> Array:
         """Weight of speeds at frequencies [Hz], shape (..., nv); positions have the rest."""
         squared = np.asarray(f, float)[..., None] ** 2
-        return np.asarray(squared / (squared + self.crossover_hz**2))
+        return squared / (squared + self.crossover_hz**2)
 
     def least_speed(self, cutoff_hz: float) -> Array:
         """Speed that a joint at rest never shows behind the filter of positions, shape (nv,).
@@ -352,4 +352,4 @@ def _local_level(x: Array, ratio: float) -> Array:
     bands[0] = 1 + 2 * ratio**2
     bands[0, [0, -1]] = 1 + ratio**2
     bands[1, :-1] = -(ratio**2)
-    return np.asarray(scipy.linalg.solveh_banded(bands, x, lower=True))
+    return scipy.linalg.solveh_banded(bands, x, lower=True)
