@@ -19,10 +19,10 @@ import scipy
 from excitant.analysis.candidates import Observed, observed
 from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
+from excitant.identify.drive_gains import BODY_STD
 from excitant.identify.faults import Fault, faults_of, find_swapped, repair
 from excitant.identify.faults.fault import INSTALLATION, PROVEN
 from excitant.identify.faults.installation import amended, odds_against, support
-from excitant.identify.faults.physics import BODY_STD
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import link_coordinates, link_weights

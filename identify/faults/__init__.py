@@ -17,6 +17,8 @@ from excitant.identify.faults.channels import (
     held_channels,
     jumps_and_outliers,
     missing_values,
+    not_measured,
+    poor_excitation,
     saturation,
     wrapped_counters,
 )
@@ -38,10 +40,13 @@ from excitant.identify.faults.installation import (
     support,
     swapped,
 )
-from excitant.identify.faults.modelled import not_measured, poor_excitation
 from excitant.identify.faults.physics import smooth, torque_fit
-from excitant.identify.faults.time import gap_faults, repeated_rows, stamp_faults
-from excitant.identify.faults.velocity import velocity_faults
+from excitant.identify.faults.time import (
+    gap_faults,
+    repeated_rows,
+    stamp_faults,
+    velocity_faults,
+)
 from excitant.identify.recording import Recording, checked
 from excitant.robots.robot import Robot
 

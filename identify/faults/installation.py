@@ -5,6 +5,9 @@ the last link) leave of the torque, each joint's own effects free. Torque is lin
 in the zero offset δ of a joint a trigonometric polynomial of degree 2, which five angles determine.
 So the columns of any installation are mixtures of a few, and small matrices judge all directions of
 gravity and all angles of a joint: the search is global.
+
+Denavit and Hartenberg's standard convention gives inertia in the distal frame, at the next joint, a
+URDF at the link's own joint.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
 from excitant.identify.drive_gains import without_effects
@@ -27,8 +31,8 @@ from excitant.identify.faults.fault import (
     after_repair,
     joints_without_torque,
 )
-from excitant.identify.faults.modelled import in_joint_frames, wrong_frame
 from excitant.identify.faults.physics import (
+    EXPLAINED,
     HALVED,
     MODEL_ERROR,
     Smooth,
@@ -38,6 +42,7 @@ from excitant.identify.faults.physics import (
     order,
     position_signs,
     rate,
+    scaled_least_squares,
     smooth,
     spread,
     torque_fit,
@@ -254,33 +259,10 @@ def _body_spread(robot: Robot, other: int) -> Array:
 
 def _repaired(case: TorqueFit, faults: Sequence[Fault]) -> _Hypothesis:
     """The installation in which the remedies of faults are applied."""
-    data = case.data
-    torque_order = list(range(case.robot.nv))
-    channels = {name: np.array(getattr(data.motion, name)) for name in _MOTION}
-    channels |= {"dry": np.array(data.dry), "tau": np.array(data.tau)}
-    for remedy in (remedy for fault in faults for remedy in fault.remedies):
-        joints = list(remedy.joints)
-        if remedy.channel == "t":
-            channels["dq"] /= remedy.factor
-            channels["ddq"] /= remedy.factor**2
-        for name in _MOVED.get(remedy.channel, ()):
-            values = channels[name]
-            if remedy.action == "order":
-                values[:] = values[:, joints]
-            elif name == "dry":
-                values[:, joints] *= np.sign(remedy.factor)
-            else:
-                values[:, joints] *= remedy.factor
-        if remedy.action == "order" and remedy.channel == "tau":
-            torque_order = joints
-    motion = Motion(data.motion.t, *(channels[name] for name in _MOTION))
-    data = data._replace(motion=motion, dry=channels["dry"], tau=channels["tau"])
-    return _Hypothesis(faults, case.robot, data, torque_order)
-
-
-_MOTION = ("q", "dq", "ddq")
-_MOVED = {"q": (*_MOTION, "dry"), "tau": ("tau",)}
-"""Arrays of a `Smooth` that a remedy of a channel acts on; speeds come from the positions."""
+    remedies = [remedy for fault in faults for remedy in fault.remedies]
+    orders = [r.joints for r in remedies if (r.action, r.channel) == ("order", "tau")]
+    order = [*orders[-1]] if orders else range(case.robot.nv)
+    return _Hypothesis(faults, case.robot, case.data.remedied(remedies), order)
 
 
 def _searched(case: TorqueFit) -> Iterator[Sequence[Fault]]:
@@ -606,3 +588,57 @@ def _with_torque_of(robot: Robot, log: Log, data: Smooth | None, other: Log) -> 
     if case is None:
         return -np.inf
     return _evidence(case, _Hypothesis([], robot, moved, range(robot.nv)))
+
+
+def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
+    """The nominal inertias, where they explain the torque only if all are in the distal frames.
+
+    Both readings get each joint's friction, offset, rotor inertia and a gain.
+    """
+    if (case.robot.phi[::10] <= 0).any():
+        return  # links without mass say nothing
+    joints = case.joints
+    variance = np.maximum(case.tau.var(axis=0)[joints], 1e-300)
+    as_read = _unexplained(case, case.robot.phi)
+    moved = _unexplained(case, in_joint_frames(case.robot))
+    before = np.sqrt(as_read / variance)
+    after = np.sqrt(moved / variance)
+    gain = float((case.rows[joints] * np.log(as_read / moved)).sum())
+    clear = gain > scipy.special.chdtri(1, ALARM)
+    better = after.sum() < 0.75 * before.sum()
+    worse = (after > 1.5 * before).any()
+    if not (clear and better) or worse or np.median(after**2) > 1 - EXPLAINED:
+        return
+    best = int(np.argmin(after / before))
+    detail = (
+        f"the inertias of the given model are those about the distal frames, at the next "
+        f"joints: read so, the error of the model with friction falls to "
+        f"{100 * after.sum() / before.sum():.2g} % over all joints and to "
+        f"{100 * after[best] / before[best]:.2g} % at {case.log.joints[joints[best]]} "
+        f"(likelihood ratio {gain:.3g}); move them to the joints' frames in the robot's file"
+    )
+    evidence = {"nrmse_as_read": before, "nrmse_moved": after, "gain": gain}
+    yield Fault("wrong_frame", case.log.joints, detail, evidence)
+
+
+def in_joint_frames(robot: Robot) -> Array:
+    """Standard parameters in the joints' frames, those given being in the distal ones, (10 nv,)."""
+    model = robot.model
+    places = [model.jointPlacements[j + 1] for j in range(1, robot.nv)]
+    places.append(model.frames[robot.tip].placement)
+    moved = []
+    for place, phi in zip(places, robot.phi.reshape(robot.nv, 10), strict=True):
+        body = pin.Inertia.FromDynamicParameters(phi)
+        moved.append(place.act(body).toDynamicParameters())
+    return np.concatenate(moved)
+
+
+def _unexplained(case: TorqueFit, phi: Array) -> Array:
+    """Mean square that a model and each joint's own effects leave, of the joints that count."""
+    torque = (case.G + case.D) @ phi
+    squares = []
+    for j in case.joints:
+        columns = np.column_stack([torque[:, j], case.F[:, j]])
+        error = scaled_least_squares(columns, case.tau[:, j])[2]
+        squares.append(max(float((error**2).mean()), 1e-12 * float(case.size[j])))
+    return np.array(squares)

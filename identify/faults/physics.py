@@ -10,33 +10,36 @@ motion's own bandwidth, so that they mean the same whatever the unit of time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
-from excitant.identify.drive_gains import gain_doubt, without_effects
+from excitant.identify.drive_gains import BODY_STD, gain_doubt, without_effects
 from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bound
-from excitant.identify.faults.velocity import RATES, slow_clock
+from excitant.identify.faults.time import RATES, slow_clock
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
-from excitant.identify.regression import Index
 from excitant.identify.signals import low_pass
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
 
-BODY_STD = 0.3  # relative std assumed for nominal inertias
 MODEL_ERROR = 0.05  # of a torque's rms: errors of the model that count as noise
 HALVED = 0.5  # of a squared error: what a hypothesis must bring it below
 _BAND = 8.0  # bandwidth kept, in parts of the motion's rms frequency
 _RANK_TOLERANCE = 1e-10  # of the largest eigenvalue or singular value
-_EXPLAINED = 0.5  # of the torque's variance: the model is worth listening to
+EXPLAINED = 0.5  # of the torque's variance: the model is worth listening to
 _FAR = 10.0  # times its limit: no drive does that, whatever the limit means
 _TORQUE_UNITS = {100.0: "N·cm", 1000.0: "N·mm", 1e6: "µN·m"}
 _BROAD = np.geomspace(1e-3, 1e3, 25)  # time factors tried first
+_MOTION = ("q", "dq", "ddq")
+_MOVED = {"q": (*_MOTION, "dry"), "tau": ("tau",)}
+"""Arrays of a `Smooth` that a remedy of a channel acts on."""
 
 
 class Smooth(NamedTuple):
@@ -47,6 +50,33 @@ class Smooth(NamedTuple):
     tau: Array  # likewise, shape (N, nv)
     cutoff: float  # of the filters [1/time unit of the log]
     rate: float  # rows per time unit of the log
+
+    @property
+    def effects(self) -> Array:
+        """Columns of each joint's own effects, shape (N, nv, 4)."""
+        ones = np.ones_like(self.dry)
+        columns = [self.motion.dq, self.dry, self.motion.ddq, ones]
+        return np.stack(columns, axis=2)
+
+    def remedied(self, remedies: Iterable[Remedy]) -> Smooth:
+        """The log with remedies of time, positions and torque; speeds are those of positions."""
+        arrays = {name: np.array(getattr(self.motion, name)) for name in _MOTION}
+        arrays |= {"dry": np.array(self.dry), "tau": np.array(self.tau)}
+        for remedy in remedies:
+            joints = list(remedy.joints)
+            if remedy.channel == "t":
+                arrays["dq"] /= remedy.factor
+                arrays["ddq"] /= remedy.factor**2
+            for name in _MOVED.get(remedy.channel, ()):
+                values = arrays[name]
+                if remedy.action == "order":
+                    values[:] = values[:, joints]
+                elif name == "dry":
+                    values[:, joints] *= np.sign(remedy.factor)
+                else:
+                    values[:, joints] *= remedy.factor
+        motion = Motion(self.motion.t, *(arrays[name] for name in _MOTION))
+        return self._replace(motion=motion, dry=arrays["dry"], tau=arrays["tau"])
 
 
 def smooth(log: Log) -> Smooth | None:
@@ -80,7 +110,7 @@ def smooth(log: Log) -> Smooth | None:
 
 
 class TorqueFit:
-    """Least squares of a log's filtered torque on everything that is free, by normal equations.
+    """Least squares of a log's filtered torque on the links, each joint's own effects free.
 
     Attributes:
         G: Columns of the links at rest, shape (N, nv, 10 nv).
@@ -90,77 +120,66 @@ class TorqueFit:
         loose: Where currents were recorded, columns of the links are in ampere, by the drive gains
             that suit the nominal bodies best; their relative standard deviation, shape (nv,).
         size: Mean square of each torque, shape (nv,).
+        parts: Of each of ``joints`` the columns of G and D of the links behind it, and the torque,
+            less what its own effects explain.
         sigma: Noise of each of ``joints`` when fitted alone.
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        log: Log,
-        data: Smooth,
-        joints: list[int],
-        factor: Array | float = 1.0,
+        self, robot: Robot, log: Log, data: Smooth, joints: Sequence[int]
     ) -> None:
-        """Normal equations of the ``joints`` whose torque counts; factor multiplies positions."""
+        """Normal equations of the ``joints`` whose torque counts."""
         self.robot = robot
         self.log = log
         self.data = data
         self.joints = joints
         motion = data.motion
-        q = motion.q * factor
-        dq = motion.dq * factor
-        ddq = motion.ddq * factor
-        still = np.zeros_like(q)
-        G = regressor(robot, Motion(motion.t, q, still, still))
-        D = regressor(robot, Motion(motion.t, q, dq, ddq)) - G
-        dry = data.dry * np.sign(factor)
-        F = np.stack([dq, dry, ddq, np.ones_like(q)], axis=2)
+        still = np.zeros_like(motion.q)
+        G = regressor(robot, replace(motion, dq=still, ddq=still))
         self.G = self.filtered(G)
-        self.D = self.filtered(D)
-        self.F = self.filtered(F)
+        self.D = self.filtered(regressor(robot, motion) - G)
+        self.F = self.filtered(data.effects)
         self.tau = self.filtered(data.tau)
         self.loose: Array = np.zeros(robot.nv)
-        if log.unit != "N·m":
-            per, self.loose = self._readings_per_torque()
-            self.G = per[:, None] * self.G
-            self.D = per[:, None] * self.D
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
-        self._A, self._b = self._normal_equations()
-        A = np.sum(self._A, axis=0)
-        b = np.sum(self._b, axis=0)
+        self.parts = [self._part(j) for j in joints]
+        if log.unit != "N·m":
+            per = self._readings_per_torque()
+            self.G *= per[:, None]
+            self.D *= per[:, None]
+            self.parts = [self._part(j) for j in joints]
+        self._normal_equations()
+        A = self._A.sum(axis=0)
+        b = self._b.sum(axis=0)
         alone = np.array(list(map(_solve, A, b)))
-        self.sigma = np.sqrt(self._left(A, b, alone))
+        self.sigma = np.sqrt(self._unexplained(A, b, alone))
 
     @property
     def freedom(self) -> int:
         """Number of parameters."""
         return 14 * self.robot.nv
 
-    def _normal_equations(self) -> tuple[Array, Array]:
-        """A and b of each joint, as polynomials in the factor of D, (3, n, p, p) and (2, n, p)."""
-        p = self.freedom
-        A = np.zeros((3, len(self.joints), p, p))
-        b = np.zeros((2, len(self.joints), p))
-        for k, j in enumerate(self.joints):
-            links, effects = self._own(j)
-            own = np.append(links, effects)
-            m = len(own)
-            parts = [self.G[:, j, links], self.F[:, j], self.D[:, j, links]]
-            X = np.column_stack(parts)
-            C = X.T @ X
-            c = X.T @ self.tau[:, j]
-            A[0, k][np.ix_(own, own)] = C[:m, :m]
-            A[1, k][np.ix_(own, links)] = C[:m, m:]
-            A[1, k] += A[1, k].T
-            A[2, k][np.ix_(links, links)] = C[m:, m:]
-            b[0, k, own] = c[:m]
-            b[1, k, links] = c[m:]
-        return A, b
+    def _part(self, j: int) -> tuple[Array, ...]:
+        later = slice(10 * j, None)  # no joint's torque depends on the links before it
+        columns = self.G[:, j, later], self.D[:, j, later]
+        return without_effects(self.F[:, j], *columns, self.tau[:, j])
 
-    def _own(self, j: int) -> tuple[Index, Index]:
-        """Parameters on which a joint's torque depends: of no link before it, its own effects."""
-        links = 10 * self.robot.nv
-        return np.arange(10 * j, links), np.arange(links + 4 * j, links + 4 * j + 4)
+    def _normal_equations(self) -> None:
+        """A and b of each joint, as polynomials in the factor of D, (3, n, p, p) and (2, n, p)."""
+        p = len(self.robot.phi)
+        self._A = np.zeros((3, len(self.joints), p, p))
+        self._b = np.zeros((2, len(self.joints), p))
+        self._squares = np.zeros(len(self.joints))
+        for k, (still, moving, tau) in enumerate(self.parts):
+            later = slice(p - still.shape[1], None)
+            cross = still.T @ moving
+            self._A[:, k, later, later] = (
+                still.T @ still,
+                cross + cross.T,
+                moving.T @ moving,
+            )
+            self._b[:, k, later] = still.T @ tau, moving.T @ tau
+            self._squares[k] = tau @ tau
 
     def filtered(self, values: Array) -> Array:
         """Values at the instants of the motion, (n, ...), filtered once more; its ends left out."""
@@ -170,14 +189,12 @@ class TorqueFit:
         low = min(cutoff / 2, 0.45 * rate)
         return low_pass(values, low, rate, slice(edge, len(values) - edge))
 
-    def _left(self, A: Array, b: Array, x: Array) -> Array:
+    def _unexplained(self, A: Array, b: Array, x: Array) -> Array:
         """Mean square that parameters leave of each of the joints' torque."""
-        size = self.size[self.joints]
         x = np.broadcast_to(x, b.shape)
-        left = size - ((2 * b - np.einsum("jkl,jl->jk", A, x)) * x).sum(axis=1) / len(
-            self.tau
-        )
-        return np.asarray(np.maximum(left, 1e-10 * size))
+        explained = ((2 * b - np.einsum("jkl,jl->jk", A, x)) * x).sum(axis=1)
+        left = (self._squares - explained) / len(self.tau)
+        return np.asarray(np.maximum(left, 1e-10 * self.size[self.joints]))
 
     def fit(self, s: float = 1.0, sign: Array | None = None) -> tuple[Array, Array]:
         """Parameters and mean square left of each torque; what motion adds is multiplied by s."""
@@ -186,7 +203,7 @@ class TorqueFit:
         b = b if sign is None else sign[self.joints, None] * b
         x = _solve(np.tensordot(self.sigma**-2, A, 1), self.sigma**-2 @ b)
         power = self.size.copy()
-        power[self.joints] = self._left(A, b, x)
+        power[self.joints] = self._unexplained(A, b, x)
         return x, power
 
     @cached_property
@@ -199,24 +216,18 @@ class TorqueFit:
         """Independent rows of each joint's error, shape (nv,)."""
         rows = np.ones(self.robot.nv)
         x = self.fit()[0]
-        for j in self.joints:
-            links, effects = self._own(j)
-            columns = self.G[:, j, links] + self.D[:, j, links]
-            error = self.tau[:, j] - columns @ x[links] - self.F[:, j] @ x[effects]
+        for j, (still, moving, tau) in zip(self.joints, self.parts, strict=True):
+            error = tau - (still + moving) @ x[10 * j :]
             rows[j] = len(error) / autocorrelation_time(error) if error.any() else 1.0
         return rows
 
-    def _readings_per_torque(self) -> tuple[Array, Array]:
-        """Current that a joint of the nominal bodies needs per torque, its relative std, (nv,)."""
-        robot = self.robot
-        columns = self.G + self.D
-        per = np.ones(robot.nv)
-        loose = np.zeros(robot.nv)
-        massive = (robot.phi[::10] > 0).all()
-        near = spread(robot) if massive else np.zeros((len(robot.phi), 1))
-        for j in self.joints:
-            Y, current = without_effects(self.F[:, j], columns[:, j], self.tau[:, j])
-            model = Y @ robot.phi
+    def _readings_per_torque(self) -> Array:
+        """Current that a joint of the nominal bodies needs per torque, (nv,); sets `loose`."""
+        phi = self.robot.phi
+        per = np.ones(self.robot.nv)
+        doubt = self.gain_std
+        for j, (still, moving, current) in zip(self.joints, self.parts, strict=True):
+            model = (still + moving) @ phi[10 * j :]
             least = 1e-12  # N·m: bodies that need no more need none
             squares = max(float(model @ model), len(model) * least**2)
             gain = float(model @ current) / squares
@@ -224,8 +235,25 @@ class TorqueFit:
             noise = float(error @ error) / len(error) * autocorrelation_time(error)
             per[j] = max(abs(gain), 1e-300)
             by_noise = np.sqrt(noise / squares) / per[j]
-            loose[j] = np.hypot(by_noise, gain_doubt(Y, robot.phi, near))
-        return per, loose
+            self.loose[j] = np.hypot(by_noise, doubt[j])
+        return per
+
+    @property
+    def gain_std(self) -> Array:
+        """Std of each joint's gain on the model if its bodies are off by `BODY_STD`, (nv,)."""
+        phi = self.robot.phi
+        std = np.zeros(self.robot.nv)
+        if (phi[::10] > 0).all():
+            near = spread(self.robot)
+            for j, (still, moving, _) in zip(self.joints, self.parts, strict=True):
+                later = slice(10 * j, None)
+                std[j] = gain_doubt(still + moving, phi[later], near[later])
+        return std
+
+    def remedied(self, remedies: Iterable[Remedy]) -> TorqueFit:
+        """The fit of the log with these remedies."""
+        data = self.data.remedied(remedies)
+        return TorqueFit(self.robot, self.log, data, self.joints)
 
     def gain(self, power: Array) -> float:
         """Twice the log-likelihood ratio of another reading against the log as it stands."""
@@ -252,54 +280,50 @@ class TorqueFit:
             rows: Independent rows that it has, shape (nv,).
             S: Root of the covariance of the bodies, shape (10 nv, 10 nv).
         """
-        links = len(self.robot.phi)
         bodies = self.robot.phi
         noise = noise + MODEL_ERROR**2 * self.size
         weight = (rows / len(self.tau) / noise)[self.joints]
-        A = np.sum(self._A, axis=0)
-        b = np.sum(self._b, axis=0)
+        A = self._A.sum(axis=0)
+        b = self._b.sum(axis=0)
         # a gain that is off by N(0, loose²) is projected out of each joint's columns
-        v = A[:, :, :links] @ bodies
-        t = b[:, :links] @ bodies
+        v = A @ bodies
+        t = b @ bodies
         loose = self.loose[self.joints]
-        information = weight * (v[:, :links] @ bodies) * loose**2
+        information = weight * (v @ bodies) * loose**2
         share = weight * loose**2 / (1 + information)
-        A = A - share[:, None, None] * v[:, :, None] * v[:, None, :]
-        b = b - (share * t)[:, None] * v
-        y = (self.size * len(self.tau))[self.joints] - share * t**2
-        G = np.tensordot(weight, A, 1)
-        h = weight @ b
-        # own effects are eliminated: x = alone @ (h - G φ), and the bodies' share
-        beyond = h - G[:, :links] @ bodies
-        own = slice(links, None)
-        effects = np.eye(len(h) - links)
-        right = np.column_stack([effects, G[own, :links], beyond[own]])
-        solved = _solve(G[own, own], right)
-        alone = solved[:, : len(effects)]
-        per_body = solved[:, len(effects) : -1]
-        nominal = solved[:, -1]
-        schur = G[:links, :links] - G[:links, own] @ per_body
-        H = S.T @ schur @ S + np.eye(links)
-        z = np.linalg.solve(H, S.T @ (beyond[:links] - G[:links, own] @ nominal))
-        x = np.concatenate([bodies + S @ z, nominal - per_body @ (S @ z)])
-        squares = float(weight @ y)
+        squares = float(weight @ (self._squares - share * t**2))
+        G = np.tensordot(weight, A, 1) - (weight * share * v.T) @ v
+        h = weight @ b - (weight * share * t) @ v
+        H = S.T @ G @ S + np.eye(len(S))
+        z = np.linalg.solve(H, S.T @ (h - G @ bodies))
+        x = bodies + S @ z
         left = max(squares - float((2 * h - G @ x) @ x), 1e-10 * squares)
-        M = per_body @ S
-        covariance = alone + M @ np.linalg.solve(H, M.T)
-        total = left + float(z @ z) + self._driving(x[own], covariance)
+        # power of the friction, whose own errors, those of the gain and of bodies add up
+        power, variance, reach = self._friction
+        along = reach @ bodies
+        reach = reach - (along * share)[:, None] * v
+        power = power - along * share * t - reach @ x
+        variance = variance / weight + along**2 * share / weight
+        variance += np.einsum("jp,pj->j", reach @ S, np.linalg.solve(H, (reach @ S).T))
+        driving = np.minimum(power, 0.0) ** 2 / np.maximum(variance, 1e-300)
+        total = left + float(z @ z) + float(driving.sum())
         occam = float(np.linalg.slogdet(H)[1] + np.log1p(information).sum())
         return total, total + occam
 
-    def _driving(self, own: Array, covariance: Array) -> float:
-        """Squared standard errors by which joints' own effects have friction that drives them."""
-        total = 0.0
-        for j in self.joints:
-            dq = self.F[:, j, 0]
-            at = slice(4 * j, 4 * j + 2)
-            power = dq @ self.F[:, j, :2]
-            variance = float(power @ covariance[at, at] @ power)
-            total += min(float(power @ own[at]), 0.0) ** 2 / max(variance, 1e-300)
-        return total
+    @cached_property
+    def _friction(self) -> tuple[Array, Array, Array]:
+        """Power of each joint's friction, variance per noise, derivative by what links explain."""
+        power = np.zeros(len(self.joints))
+        variance = np.zeros(len(self.joints))
+        reach = np.zeros((len(self.joints), len(self.robot.phi)))
+        for k, j in enumerate(self.joints):
+            F = self.F[:, j]
+            weight = np.append(F[:, 0] @ F[:, :2], np.zeros(2))
+            x = _solve(F.T @ F, weight)
+            power[k] = F @ x @ self.tau[:, j]
+            variance[k] = weight @ x
+            reach[k] = F @ x @ (self.G[:, j] + self.D[:, j])
+        return power, variance, reach
 
     def compared(self, power: Array) -> str:
         """Improvement by another reading, in words."""
@@ -328,8 +352,7 @@ def unlike(robot: Robot, data: Smooth) -> Array:
     The bodies' torque counts up to a factor of each joint.
     """
     model = rigid_body_torque(robot, data.motion)
-    motion = data.motion
-    F = np.stack([motion.dq, data.dry, motion.ddq, np.ones_like(motion.q)], axis=2)
+    F = data.effects
     squares = []
     for j in range(robot.nv):
         wanted, measured = without_effects(F[:, j], model[:, j], data.tau[:, j])
@@ -377,10 +400,14 @@ def degrees(case: TorqueFit) -> Iterator[Fault]:
         return
     readings = []
     for mask in [turning] if beyond.all() else [turning, beyond]:
-        factor = np.where(mask, np.pi / 180, 1.0)
-        power = TorqueFit(case.robot, log, case.data, case.joints, factor).power
-        readings.append((case.gain(power), np.flatnonzero(mask), power))
-    gain, joints, power = max(readings, key=lambda reading: reading[0])
+        turned = tuple(np.flatnonzero(mask).tolist())
+        scaled = [
+            Remedy("scale", name, turned, factor=np.pi / 180) for name in ("q", "dq")
+        ]
+        power = case.remedied(scaled).power
+        readings.append((case.gain(power), scaled, power))
+    gain, remedies, power = max(readings, key=lambda reading: reading[0])
+    joints = list(remedies[0].joints)
     reach = np.abs(case.robot.limits.position).max(axis=1)[joints]
     within = (largest[joints] * np.pi / 180 < 1.1 * reach).all()
     impossible = within and (largest[joints] > 3.0 * reach).any()
@@ -392,12 +419,9 @@ def degrees(case: TorqueFit) -> Iterator[Fault]:
         f"degrees {case.compared(power)}"
     )
     done = "multiplies q and dq, which agrees with it, by π/180"
-    scaled = [
-        Remedy("scale", name, tuple(joints), factor=np.pi / 180) for name in ("q", "dq")
-    ]
     evidence = {"channel": "q", "gain": gain, "largest": largest}
     names = log.names(joints)
-    yield Fault("wrong_unit", names, detail, evidence, done, tuple(scaled))
+    yield Fault("wrong_unit", names, detail, evidence, done, tuple(remedies))
 
 
 def torque_unit(case: TorqueFit) -> Iterator[Fault]:
@@ -434,49 +458,30 @@ def torque_unit(case: TorqueFit) -> Iterator[Fault]:
 def _clear_gains(case: TorqueFit) -> list[float]:
     """Positive gains of joints on the model that explain their torque and are hardly in doubt."""
     model = (case.G + case.D) @ case.robot.phi
-    doubt = _gain_std(case)
+    doubt = case.gain_std
     votes = [(_signs(case, model[:, j], j), doubt[j]) for j in case.joints]
     return [
         vote.gain
         for vote, std in votes
-        if vote.gain_z > 0 and vote.explained > _EXPLAINED and std < BODY_STD
+        if vote.gain_z > 0 and vote.explained > EXPLAINED and std < BODY_STD
     ]
 
 
-class _Order(NamedTuple):
-    """Another order of the joints: joint j is the one recorded as ``joints[j]``."""
-
-    unlike: (
-        float  # log of the torque's share that the nominal bodies leave, over all rows
-    )
-    joints: list[int]
-    channels: tuple[str, ...]
-    data: Smooth
-
-
-def _orders(case: TorqueFit) -> list[_Order]:
+def _orders(case: TorqueFit) -> list[tuple[Remedy, ...]]:
     """Two joints exchanged, all shifted, reversed or by name: of all columns, or of torque."""
     n = case.robot.nv
-    same = list(range(n))
-    orders = {tuple(same[::-1]), (*same[1:], 0), (n - 1, *same[:-1])}
+    same = tuple(range(n))
+    orders = {same[::-1], (*same[1:], 0), (n - 1, *same[:-1])}
     orders.add(tuple(np.argsort(np.argsort(case.log.joints)).tolist()))
-    for i in same:
-        for k in same[:i]:
-            swap = same.copy()
-            swap[i], swap[k] = k, i
-            orders.add(tuple(swap))
-    data = case.data
-    tried = []
-    for order in sorted(orders - {tuple(same)}):
-        at = list(order)
-        columns = (getattr(data.motion, name)[:, at] for name in ("q", "dq", "ddq"))
-        motion = Motion(data.motion.t, *columns)
-        moved = data._replace(motion=motion, dry=data.dry[:, at])
-        for channels, whole in ((("q", "dq", "tau"), moved), (("tau",), data)):
-            other = whole._replace(tau=data.tau[:, at])
-            left = float(case.rows[at] @ np.log(unlike(case.robot, other)))
-            tried.append(_Order(left, at, channels, other))
-    return tried
+    for i, k in combinations(same, 2):
+        swap = [*same]
+        swap[i], swap[k] = k, i
+        orders.add(tuple(swap))
+    return [
+        tuple(Remedy("order", channel, joints) for channel in channels)
+        for joints in sorted(orders - {same})
+        for channels in (("q", "dq", "tau"), ("tau",))
+    ]
 
 
 def order(case: TorqueFit) -> Iterator[Fault]:
@@ -489,34 +494,40 @@ def order(case: TorqueFit) -> Iterator[Fault]:
     if fits(case, S):
         return
     tried = _orders(case)
+
+    def unlikeness(remedies: Sequence[Remedy]) -> float:
+        """Log of the torque's share that the nominal bodies leave, over all rows."""
+        left = unlike(case.robot, case.data.remedied(remedies))
+        return float(case.rows[[*remedies[0].joints]] @ np.log(left))
+
     judged = []
-    for other in sorted(tried, key=lambda order: order.unlike)[:4]:
-        at = other.joints
-        fit = TorqueFit(case.robot, log, other.data, case.joints)
+    for remedies in sorted(tried, key=unlikeness)[:4]:
+        at = [*remedies[0].joints]
+        fit = case.remedied(remedies)
         noise = np.minimum(case.power[at], fit.power)
         left, _ = fit.surprise(noise, case.rows[at], S)
         before, _ = case.surprise(noise[np.argsort(at)], case.rows, S)
-        judged.append((before, left, other))
+        judged.append((before, left, remedies))
     before, left, best = max(judged, key=lambda some: some[0] / max(some[1], 1e-9))
     bound = float(scipy.special.chdtri(n, ALARM / len(tried)))
     rows = float(case.rows.sum())
     dispersion = max(1.0, left / rows)  # errors of the model count as noise
     if before - left < bound * dispersion or left > HALVED * before:
         return
-    at = best.joints
+    at = [*best[0].joints]
     names = log.names(at)
     wrong = [j for j in range(n) if at[j] != j]
     words = ", ".join(f"{log.joints[j]} is recorded as {names[j]}" for j in wrong)
-    what = "columns" if len(best.channels) > 1 else "torque columns"
+    what = "columns" if len(best) > 1 else "torque columns"
     detail = (
         f"{what} are in another order: {words}; so read, the torque is that of bodies near the "
         f"given ones (sum of squares {before:.3g} → {left:.3g} in {rows:.0f} "
         "independent rows)"
     )
-    remedies = tuple(Remedy("order", channel, tuple(at)) for channel in best.channels)
     done = f"puts the {what} of {len(wrong)} joints in the order of the robot"
-    evidence = {"order": names, "channels": best.channels, "gain": before - left}
-    yield Fault("wrong_order", log.names(wrong), detail, evidence, done, remedies)
+    channels = tuple(remedy.channel for remedy in best)
+    evidence = {"order": names, "channels": channels, "gain": before - left}
+    yield Fault("wrong_order", log.names(wrong), detail, evidence, done, best)
 
 
 def position_signs(case: TorqueFit) -> Iterator[Fault]:
@@ -524,12 +535,15 @@ def position_signs(case: TorqueFit) -> Iterator[Fault]:
     n = case.robot.nv
     for j, joint in enumerate(case.log.joints):
         flip = np.where(np.arange(n) == j, -1.0, 1.0)
-        negated = TorqueFit(case.robot, case.log, case.data, case.joints, flip)
+        remedies = [
+            Remedy("scale", name, (j,), factor=-1.0) for name in ("q", "dq", "tau")
+        ]
+        negated = case.remedied(remedies[:2])
         readings = (
-            ("q", ("q", "dq"), negated.power),
-            ("q and tau", ("q", "dq", "tau"), negated.fit(sign=flip)[1]),
+            ("q", remedies[:2], negated.power),
+            ("q and tau", remedies, negated.fit(sign=flip)[1]),
         )
-        for what, channels, power in readings:
+        for what, remedies, power in readings:
             if not case.better(power, len(readings) * n):
                 continue
             detail = (
@@ -538,7 +552,6 @@ def position_signs(case: TorqueFit) -> Iterator[Fault]:
             )
             evidence = {"channel": what, "gain": case.gain(power)}
             done = f"negates {what} (and dq) of {joint}"
-            remedies = [Remedy("scale", name, (j,), factor=-1.0) for name in channels]
             yield Fault("wrong_sign", (joint,), detail, evidence, done, tuple(remedies))
 
 
@@ -594,7 +607,7 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
     says nothing where the nominal bodies, off by `BODY_STD`, might have reversed it.
     """
     model = (case.G + case.D) @ case.robot.phi
-    doubt = _gain_std(case)
+    doubt = case.gain_std
     bound = normal_bound(2 * len(case.joints))
     for j in case.joints:
         votes = _signs(case, model[:, j], j)
@@ -603,7 +616,7 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
         friction = votes.friction_z
         explained = votes.explained
         clear = [z for z in (gain, friction) if abs(z) > bound]
-        if explained < _EXPLAINED or not clear or max(clear) > 0:
+        if explained < EXPLAINED or not clear or max(clear) > 0:
             continue
         joint = case.log.joints[j]
         why = []
@@ -634,19 +647,6 @@ def spread(robot: Robot) -> Array:
     """Root of the covariance of bodies near the nominal ones, to `BODY_STD`, (10 nv, 10 nv)."""
     coordinates = link_coordinates(prior_parameters(robot))
     return read_only(coordinates / link_weights(robot.nv, BODY_STD))
-
-
-def _gain_std(case: TorqueFit) -> Array:
-    """Std of each joint's gain on the model if its bodies are off by `BODY_STD`, (nv,)."""
-    robot = case.robot
-    columns = case.G + case.D
-    std = np.zeros(robot.nv)
-    if (robot.phi[::10] > 0).all():
-        near = spread(robot)
-        for j in case.joints:
-            [Y] = without_effects(case.F[:, j], columns[:, j])
-            std[j] = gain_doubt(Y, robot.phi, near)
-    return std
 
 
 class _Signs(NamedTuple):

@@ -27,7 +27,7 @@ from excitant.identify.faults import (
     proven,
     repair,
 )
-from excitant.identify.faults.modelled import in_joint_frames
+from excitant.identify.faults.installation import in_joint_frames
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
 
