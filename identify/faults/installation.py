@@ -123,7 +123,7 @@ def physics_faults(case: TorqueFit) -> list[Fault]:
     signs = [*position_signs(case)]
     if _informative(case.robot):
         # what such bodies contradict is something that no model has
-        signs = [f for f in signs if _log_odds(case, _repaired(case, [f])) > 0]
+        signs = [f for f in signs if _log_odds(case, _installed(case, [f])) > 0]
     return sorted(signs, key=lambda fault: -fault.evidence["gain"])[:1]
 
 
@@ -153,19 +153,18 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
 
 def _proposed(case: TorqueFit) -> list[_Hypothesis]:
     """Installations that the tests of order, signs, frames and rate propose."""
-    orders = [*order(case)]
-    signs = [*torque_signs(case)]
-    rates = [*rate(case)]
-    proposed = [_repaired(case, faults) for faults in (orders, signs) if faults]
-    if _informative(case.robot) and (frames := [*wrong_frame(case)]):
-        moved = case.robot.with_parameters(in_joint_frames(case.robot))
-        proposed.append(replace(_repaired(case, frames), robot=moved))
-    return [*proposed, *(_repaired(case, [fault]) for fault in rates)]
+    frames = [*wrong_frame(case)] if _informative(case.robot) else []
+    proposals = [[*order(case)], [*torque_signs(case)], frames, [*rate(case)]]
+    return [_installed(case, faults) for faults in proposals if faults]
 
 
 def _installed(case: TorqueFit, faults: Sequence[Fault]) -> _Hypothesis:
     """The installation with the remedies of faults applied, mounted and zeroed as they say."""
-    return replace(_repaired(case, faults), robot=amended(case.robot, faults))
+    remedies = [remedy for fault in faults for remedy in fault.remedies]
+    orders = [r.joints for r in remedies if (r.action, r.channel) == ("order", "tau")]
+    order = [*orders[-1]] if orders else range(case.robot.nv)
+    data = case.data.remedied(remedies)
+    return _Hypothesis(faults, amended(case.robot, faults), data, order)
 
 
 def _likeliest(case: TorqueFit, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
@@ -255,14 +254,6 @@ def _body_spread(robot: Robot, other: int) -> Array:
     std = SEARCH.tool if other == robot.nv - 1 else SEARCH.another_body
     S[:, 10 * other : 10 * other + 10] *= std
     return S
-
-
-def _repaired(case: TorqueFit, faults: Sequence[Fault]) -> _Hypothesis:
-    """The installation in which the remedies of faults are applied."""
-    remedies = [remedy for fault in faults for remedy in fault.remedies]
-    orders = [r.joints for r in remedies if (r.action, r.channel) == ("order", "tau")]
-    order = [*orders[-1]] if orders else range(case.robot.nv)
-    return _Hypothesis(faults, case.robot, case.data.remedied(remedies), order)
 
 
 def _searched(case: TorqueFit) -> Iterator[Sequence[Fault]]:
@@ -364,11 +355,10 @@ def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
     )
 
 
-def _sharper(
-    case: TorqueFit, mixtures: _Mixtures, installation: _Hypothesis
-) -> _Mixtures:
-    """Mixtures weighted by the noise that an installation leaves."""
-    power = installation.fit(case).power
+def _sharper(case: TorqueFit, mixtures: _Mixtures, gravity: Array) -> _Mixtures:
+    """Mixtures weighted by the noise that is left under some gravity."""
+    robot = case.robot.with_gravity(gravity)
+    power = TorqueFit(robot, case.log, case.data, case.joints).power
     noise = np.minimum(power, MODEL_ERROR**2 * case.size)
     noise = np.maximum(noise, SEARCH.least_noise**2 * case.size)
     return replace(mixtures, weights=(case.rows / noise)[case.joints])
@@ -410,8 +400,7 @@ def _mounting(case: TorqueFit) -> Iterator[Sequence[Fault]]:
     best = np.argsort(squares, kind="stable")
     gravity = refined([*tried[best[: SEARCH.starts]]], mixtures)
     for _ in range(SEARCH.polished):
-        turned = replace(_repaired(case, []), robot=robot.with_gravity(gravity))
-        gravity = refined([gravity / size], _sharper(case, mixtures, turned))
+        gravity = refined([gravity / size], _sharper(case, mixtures, gravity))
     cosine = np.clip(gravity @ robot.gravity / size**2, -1, 1)
     angle = np.degrees(np.arccos(cosine))
     vector = ", ".join(f"{x:.2f}" for x in gravity)
@@ -523,12 +512,14 @@ def _zero_faults(log: Log, j: int, zero: _Zero) -> list[Fault]:
 
 
 def amended(robot: Robot, faults: Sequence[Fault]) -> Robot:
-    """The robot mounted and zeroed as faults of the installation say."""
+    """The robot mounted and zeroed, its inertias in the frames, as faults say."""
     for fault in faults:
         if fault.fault == "wrong_mounting":
             robot = robot.with_gravity(fault.evidence["gravity"])
         elif fault.fault == "wrong_zero":
             robot = robot.with_zero(fault.joints[0], fault.evidence["offset"])
+        elif fault.fault == "wrong_frame":
+            robot = robot.with_parameters(in_joint_frames(robot))
     return robot
 
 
