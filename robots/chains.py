@@ -30,7 +30,6 @@ class RobotSpec:
     )  # joints held, and where [rad or m]
     xacro_args: Mapping[str, str] = field(default_factory=dict)
     packages: tuple[str | Path, ...] = ()  # folders of packages, in which files may lie
-    trust_xacro: bool = False  # run expressions of a xacro file as Python
 
     def __fspath__(self) -> str:
         """The path, so that a spec stands where a path does."""

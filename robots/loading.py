@@ -51,7 +51,6 @@ def load_robot(
     lock: Mapping[str, float] | None = None,
     xacro_args: Mapping[str, str] | None = None,
     packages: Sequence[str | Path] = (),
-    trust_xacro: bool = False,
 ) -> Robot:
     """Robot by built-in name, URDF, xacro, MJCF or ``robot.yaml``.
 
@@ -67,8 +66,6 @@ def load_robot(
         packages: Folders of packages, or folders that hold them, in which ``$(find name)`` of a
             xacro file looks, and in which files that the description names may lie beside its
             own folder.
-        trust_xacro: Run the expressions of a xacro file as Python, with access to all files and
-            the environment, as ROS does; otherwise they are only evaluated.
 
     Raises:
         UnknownName: Neither a built-in arm nor a file, or a joint or link that the robot does
@@ -85,7 +82,6 @@ def load_robot(
         lock={**spec.lock, **(lock or {})},
         xacro_args={**spec.xacro_args, **(xacro_args or {})},
         packages=(*spec.packages, *packages),
-        trust_xacro=spec.trust_xacro or trust_xacro,
     )
     name = str(spec)
     path = Path(spec)
@@ -176,7 +172,6 @@ def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
         {**(record.lock or {}), **spec.lock},
         {**arguments, **spec.xacro_args},
         (*folders, *spec.packages),
-        spec.trust_xacro,
     )
 
 
@@ -250,9 +245,7 @@ def _described(path: Path, spec: RobotSpec) -> Description:
     """The description in a file, whatever it is written in."""
     text = read_description(path)
     if is_xacro(text):
-        urdf, notes = urdf_from_xacro(
-            path, spec.xacro_args, spec.packages, trust=spec.trust_xacro
-        )
+        urdf, notes = urdf_from_xacro(path, spec.xacro_args, spec.packages)
         return Description(urdf, notes=notes)
     if spec.xacro_args:
         raise BadRobot(

@@ -4,7 +4,7 @@ Elements ``xacro:...`` define properties, arguments and macros, include files, a
 what they build; ``${...}`` and ``$(...)`` in attributes and text are replaced by their values.
 Comments, and names of other XML namespaces, are left out. Files of others are read in a child
 process of bounded time and memory, within the folders that they may reach, in an environment that
-is empty; a file that is trusted is read as ROS does.
+is empty.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ from excitant.robots.schema import Loader, parsed_yaml
 SECONDS = 10  # of processor time that a file may take
 MEMORY = 1 << 30  # bytes of address space that reading it may take
 _NESTED = 50  # files that include one another
-_TRUST = "if you trust the file, --trust-xacro runs it as Python"
 _TEXT = re.compile(
     r"(?P<escaped>\$\$+[{(])|\$\{(?P<expression>[^}]*)\}|\$\((?P<command>[^)]*)\)"
     r"|[^$]+|\$[^{($]+|\$$"
@@ -69,8 +68,6 @@ def urdf_from_xacro(
     path: str | Path,
     arguments: Mapping[str, str],
     packages: Sequence[str | Path] = (),
-    *,
-    trust: bool = False,
 ) -> tuple[str, tuple[str, ...]]:
     """URDF text of a xacro file, and what it was denied, as sentences.
 
@@ -79,21 +76,14 @@ def urdf_from_xacro(
         arguments: Values of its ``<xacro:arg>`` by name.
         packages: Folders in which ``$(find name)`` looks: the package itself, or a folder that
             holds it. Folders around the file are searched without being named.
-        trust: Whether its expressions run as Python, with all files and the environment.
     """
     folders = [str(folder) for folder in packages]
-    task = (str(path), dict(arguments), folders, trust)
+    task = (str(path), dict(arguments), folders)
     try:
-        answer = (
-            process(*task)
-            if trust
-            else in_child(process, *task, seconds=SECONDS, memory=MEMORY)
-        )
+        answer = in_child(process, *task, seconds=SECONDS, memory=MEMORY)
     except Exceeded as error:
-        raise BadRobot(
-            path,
-            f"this xacro file {error}, perhaps in macros that call one another; {_TRUST}",
-        ) from None
+        why = f"this xacro file {error}, perhaps in macros that call one another"
+        raise BadRobot(path, why) from None
     except ValueError as error:
         raise BadRobot(path, f"xacro cannot read it: {error}") from None
     result = json.loads(answer)
@@ -106,11 +96,9 @@ def urdf_from_xacro(
     return result["urdf"], tuple(result["notes"])
 
 
-def process(
-    path: str, arguments: Mapping[str, str], packages: Sequence[str], trust: bool
-) -> bytes:
+def process(path: str, arguments: Mapping[str, str], packages: Sequence[str]) -> bytes:
     """Answer to `urdf_from_xacro` as JSON: ``urdf``, ``notes``, ``declared``; or ``why`` not."""
-    reading = _Reading(Path(path), dict(arguments), packages, trust)
+    reading = _Reading(Path(path), dict(arguments), packages)
     try:
         root = reading.document(path)
         built = ET.Element(root.tag)
@@ -203,12 +191,10 @@ class _Reading:
         path: Path,
         arguments: dict[str, str],
         packages: Sequence[str],
-        trust: bool,
     ) -> None:
         self.path = path
         self.arguments = arguments
         self.packages = packages
-        self.trust = trust
         self.declared: set[str] = set()
         self.packages_found: list[Path] = []
         self.files: list[str] = []  # that include one another, the innermost last
@@ -295,19 +281,18 @@ class _Reading:
         scope.macros[name] = _Macro(parameters, element)
 
     def _build_if(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
-        self._condition(element, out, scope, True)
+        if self._holds(element, scope):
+            self.build_content(element, out, scope)
 
     def _build_unless(
         self, element: ET.Element, out: ET.Element, scope: _Scope
     ) -> None:
-        self._condition(element, out, scope, False)
-
-    def _condition(
-        self, element: ET.Element, out: ET.Element, scope: _Scope, wanted: bool
-    ) -> None:
-        condition = _required(element, "value")
-        if _truth(self.value(condition, scope), condition) == wanted:
+        if not self._holds(element, scope):
             self.build_content(element, out, scope)
+
+    def _holds(self, element: ET.Element, scope: _Scope) -> bool:
+        condition = _required(element, "value")
+        return _truth(self.value(condition, scope), condition)
 
     def _build_insert_block(
         self, element: ET.Element, out: ET.Element, scope: _Scope
@@ -443,15 +428,13 @@ class _Reading:
     def _evaluated(self, expression: str, names: Names) -> Any:
         short = _shortened(expression, 80)
         try:
-            if self.trust:
-                return eval(expression.strip(), names)
             return evaluate(expression, names)
         except (ExcitantError, RecursionError, MemoryError):
             raise
         except Refused as error:
             raise self._error(
                 f"the expression '{short}'{self._line(expression)} is refused: {error}; only "
-                f"plain values of bounded size are evaluated; {_TRUST}"
+                "plain values of bounded size are evaluated"
             ) from None
         except Exception as error:  # an expression of the file may raise any
             why = _shortened(str(error) or type(error).__name__, 300)
@@ -501,15 +484,12 @@ class _Reading:
         return self.arguments[name]
 
     def environment(self, name: str, default: str | None = None) -> str:
-        """An environment variable: there is none, whatever is set, unless the file is trusted."""
-        if self.trust and name in os.environ:
-            return os.environ[name]
+        """An environment variable: there is none, whatever is set."""
         if default is None:
-            raise self._error(f"$(env {name}) asks for the environment; {_TRUST}")
+            why = "asks for the environment, which is not read; write the value instead"
+            raise self._error(f"$(env {name}) {why}")
         if name in os.environ:
-            self.notes.append(
-                f"$(optenv {name}) is taken as not set; --trust-xacro reads it"
-            )
+            self.notes.append(f"$(optenv {name}) is taken as not set")
         return default
 
     def _functions(self) -> dict[str, Any]:
@@ -572,9 +552,9 @@ class _Reading:
         """Files of an ``<xacro:include>``, whose name may hold ``*`` and the like."""
         path = self._beside(named)
         folder = os.path.dirname(path)
-        if glob.has_magic(folder) and not self.trust:
+        if glob.has_magic(folder):
             raise self._error(
-                f"it includes {path}: only the last part of a name may hold * or ?; {_TRUST}"
+                f"it includes {path}: only the last part of a name may hold * or ?"
             )
         for file in sorted(glob.glob(path)) if glob.has_magic(path) else [path]:
             self._require_allowed(file)
@@ -582,9 +562,8 @@ class _Reading:
 
     def _require_allowed(self, file: str) -> None:
         """Refuse a file that the one that is read may not name."""
-        if not self.trust:
-            known = [self.path.parent, *map(Path, self.packages), *self.packages_found]
-            within(file, self.files[-1], known)
+        allowed = [self.path.parent, *map(Path, self.packages), *self.packages_found]
+        within(file, self.files[-1], allowed)
 
     def yaml(self, file: str) -> Any:
         """Content of a YAML file."""
@@ -604,18 +583,15 @@ class _Reading:
         class WithUnits(Loader):
             pass
 
-        for unit, factor in _UNITS.items():
-            WithUnits.add_constructor(f"!{unit}", self._quantity(factor))
-        return WithUnits
-
-    def _quantity(self, factor: float) -> Callable[[Any, Any], float]:
         names = Names(self.functions, self._look_up(_Scope()))
 
-        def construct(loader: Any, node: Any) -> float:
-            expression = loader.construct_scalar(node)
-            return float(self._evaluated(expression, names)) * factor
+        def quantity(loader: Any, node: Any) -> float:
+            value = self._evaluated(loader.construct_scalar(node), names)
+            return float(value) * _UNITS[node.tag.removeprefix("!")]
 
-        return construct
+        for unit in _UNITS:
+            WithUnits.add_constructor(f"!{unit}", quantity)
+        return WithUnits
 
     # Messages
 

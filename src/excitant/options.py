@@ -91,13 +91,11 @@ class Part:
     "Argument of a xacro file, NAME:=VALUE; once for each."
     package: Files = None
     "Folder of a package or of other files that the description asks for; once for each."
-    trust_xacro: bool = False
-    "Run a xacro file of your own as ROS does, as Python that reads any file and the environment."
 
     def spec(self, path: str) -> Any:
         """The robot to load, with the part of it that is meant."""
         given = next(
-            (name for name, value in vars(self).items() if value not in (None, False)),
+            (name for name, value in vars(self).items() if value is not None),
             "",
         )
         if given and isdir(path) and not isfile(Path(path) / "metadata.yaml"):
@@ -113,7 +111,6 @@ class Part:
             dict(_position(word) for word in self.lock or ()),
             dict(_assignment(word) for word in self.xacro_arg or ()),
             tuple(self.package or ()),
-            self.trust_xacro,
         )
 
     def robot(self, path: str) -> Robot:

@@ -59,9 +59,9 @@ XACRO: dict[str, tuple[str, str]] = {  # what stands before the links, what is s
     "command": (
         "${[c for c in ().__class__.__base__.__subclasses__() if c.__name__ == 'catch_warnings']"
         "[0]()._module.__builtins__['__import__']('os').system('touch ran')}",
-        r"in line 1 of .*arm\.xacro is refused: .*--trust-xacro",
+        r"in line 1 of .*arm\.xacro is refused: .*plain values",
     ),
-    "environment": ("$(env SECRET)", "asks for the environment; .*--trust-xacro"),
+    "environment": ("$(env SECRET)", "asks for the environment, which is not read"),
     "environment evaluated": ("$(eval env)", "no data"),
     "power": ("${9**9**8}", "refused"),
     "powers": ("${9**9**9**9}", "refused"),
@@ -142,26 +142,21 @@ def test_what_the_environment_holds_is_taken_as_not_set(folder: Path) -> None:
     path.write_text(arm(name="$(optenv SECRET plain)"))
     robot = load_robot(path)
     assert robot.name == "plain"
-    assert any("$(optenv SECRET) is taken as not set; --trust-xacro" in n for n in robot.notes)
+    assert any("$(optenv SECRET) is taken as not set" in n for n in robot.notes)
     path.write_text(arm(name="$(optenv ABSENT_HERE plain)"))
     assert load_robot(path).notes == ()
 
 
-def test_files_of_ones_own_run_as_ros_runs_them(
+def test_no_option_and_no_file_makes_expressions_run(
     folder: Path, excitant: Callable[..., object]
 ) -> None:
     path = folder / "arm.xacro"
-    path.write_text(
-        arm(name="${(lambda: xacro.load_yaml('../secret.yaml')['key'])()}$(env SECRET)")
-    )
-    assert load_robot(path, trust_xacro=True).name == "hiddenhidden"
-    (folder / "robot.yaml").write_text("model: arm.xacro\n")
-    assert load_robot(folder / "robot.yaml", trust_xacro=True).name == "hiddenhidden"
+    path.write_text(arm(name="${(lambda: xacro.load_yaml('../secret.yaml')['key'])()}"))
     (folder / "robot.yaml").write_text("model: arm.xacro\ntrust_xacro: true\n")
-    with pytest.raises(BadRobot, match="--trust-xacro"):  # a file cannot vouch for itself
+    with pytest.raises(BadRobot, match="plain values|trust_xacro"):
         load_robot(folder / "robot.yaml")
     ran = excitant("robots --trust-xacro --json", path)
-    assert ran.status == 0  # type: ignore[attr-defined]
+    assert ran.status == 2  # type: ignore[attr-defined]
 
 
 def test_files_of_a_package_that_is_given_are_read(folder: Path) -> None:
