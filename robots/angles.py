@@ -14,6 +14,7 @@ from itertools import permutations
 import numpy as np
 import pinocchio as pin
 
+from excitant.names import listed
 from excitant.robots.motion import Array
 
 STEP = np.pi / 12
@@ -107,11 +108,10 @@ class Angles:
     def notes(self) -> tuple[str, ...]:
         """A sentence on what was changed, if anything."""
         shown = [f"{text} as {angle:.4g}°" for text, angle in self.changed.items()]
-        more = f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else ""
         if not shown:
             return ()
-        listed = ", ".join(shown[:_SHOWN]) + more
-        return (f"angles rounded in the file are taken as multiples of 15°: {listed}",)
+        changes = listed(shown, _SHOWN)
+        return (f"angles rounded in the file are taken as multiples of 15°: {changes}",)
 
 
 def _angle(R: Array) -> float:

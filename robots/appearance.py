@@ -11,6 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from excitant.names import listed
 from excitant.robots.geometry import readable_solids, zero_pose
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -110,25 +111,19 @@ class Appearance:
     @property
     def notes(self) -> list[str]:
         """What is not drawn by collision shapes, and which meshes are missing; a sentence each."""
-        said = []
+        notes: list[str] = []
         for kind, how in _INSTEAD.items():
             links = [
                 self._link(j)
                 for j in sorted({piece.joint for piece in self._shown[kind]})
             ]
-            more = f" and {len(links) - _LISTED} more" if len(links) > _LISTED else ""
-            said += [f"{how}: {', '.join(links[:_LISTED])}{more}"] * bool(links)
-        kinds = ("collision", "visual") if said else ("collision",)
-        counts = {
-            kind: self.robot.format.count_shapes(self.robot, kind) for kind in kinds
-        }
-        lost = {kind: missing for kind, (_, missing, _) in counts.items()}
-        said += [
-            f"{count} {kind} meshes were not found"
-            for kind, count in lost.items()
-            if count
-        ]
-        return said
+            if links:
+                notes.append(f"{how}: {listed(links, _LISTED)}")
+        for kind in ("collision", "visual") if notes else ("collision",):
+            _, missing, _ = self.robot.format.count_shapes(self.robot, kind)
+            if missing:
+                notes.append(f"{missing} {kind} meshes were not found")
+        return notes
 
     def _link(self, joint: int) -> str:
         return self.robot.links[joint - 1] if joint else "base"
@@ -176,13 +171,12 @@ class Appearance:
 
     def meshes(self) -> dict[str, Array]:
         """Of shape k that is a mesh ``mesh<k>_points`` (n, 3) [m] and ``mesh<k>_faces`` (m, 3)."""
-        found = {}
+        arrays: dict[str, Array] = {}
         for k, piece in enumerate(self._pieces):
             if _measures(piece.shape)["kind"] == "mesh":
-                found[f"mesh{k}_points"], found[f"mesh{k}_faces"] = _triangles(
-                    piece.shape
-                )
-        return found
+                points, faces = _triangles(piece.shape)
+                arrays |= {f"mesh{k}_points": points, f"mesh{k}_faces": faces}
+        return arrays
 
 
 def _turned(axis: Array) -> Array:

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.names import listed
 
 _SINGLE = ("revolute", "continuous", "prismatic")
 _SEVERAL = ("floating", "planar")
@@ -251,16 +252,11 @@ def _notes(
             group = uncoupled if joint.mimic[0] in moving else with_master
             group.append(f"{name} at {value:g}")
     if with_master:
-        yield f"mimic joints held as the joints they mimic: {_listed(with_master)}"
+        yield f"mimic joints held as the joints they mimic: {listed(with_master, _SHOWN)}"
     if uncoupled:
         yield (
             "mimic joints held, whose motion with the joints they mimic is not modelled: "
-            f"{_listed(uncoupled)}"
+            f"{listed(uncoupled, _SHOWN)}"
         )
     if at_zero:
-        yield f"held at 0, as they are not chosen: {_listed(at_zero)}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - _SHOWN
-    return ", ".join(names[:_SHOWN]) + f" and {more} more" * (more > 0)
+        yield f"held at 0, as they are not chosen: {listed(at_zero, _SHOWN)}"

@@ -23,6 +23,7 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import PLACEHOLDER, elements, violations
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
+from excitant.robots.urdf_writer import child_attribute, floats
 
 _MASS = 0.05  # relative deviation from the stated mass that goes unsaid
 _BASE = 0.4  # of the stated mass: what a base that the model leaves out may weigh
@@ -239,10 +240,9 @@ def _link(body: Body) -> dict[str, Any]:
 def _axes(robot: Robot, root: ET.Element) -> Warnings:
     """Axes that are no unit vectors."""
     for joint in root.findall("joint"):
-        axis = joint.find("axis")
         name = str(joint.get("name"))
-        text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
-        length = float(np.linalg.norm([float(x) for x in text.split()]))
+        text = child_attribute(joint, "axis", "xyz", "1 0 0")
+        length = float(np.linalg.norm(floats(text)))
         if name in robot.joints and abs(length - 1) > _UNIT:
             sentence = f'its axis "{text}" has length {length:.4g}; write a unit vector'
             yield ModelWarning("joint_axis", (name,), sentence)

@@ -14,6 +14,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
+from excitant.names import listed
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -468,7 +469,7 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
     solid = robot.format.carriers(robot, "collision")
     drawn = robot.format.carriers(robot, "visual")
     shapeless = [link or "base" for link in ("", *robot.links) if link in drawn - solid]
-    left = []
+    gaps = []
     if missing or not solid - {""} or scene is None:
         why = f", {missing} of {stated} collision meshes not found" if missing else ""
         if outside:
@@ -478,23 +479,20 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
             if solid - {""}
             else f", no {'moving ' * bool(stated)}link has a collision shape"
         )
-        left.append(f"self-collision{why or lack}")
+        gaps.append(f"self-collision{why or lack}")
     elif shapeless:
-        more = (
-            f" and {len(shapeless) - _LISTED} more" if len(shapeless) > _LISTED else ""
-        )
-        left.append(f"{', '.join(shapeless[:_LISTED])}{more}, without collision shapes")
+        gaps.append(f"{listed(shapeless, _LISTED)}, without collision shapes")
     if scene is not None and (scene.scale > 1).any():
         most = int(np.argmax(scene.scale))
         count = int((scene.scale > 1).sum()) - 1
         more = f", and {count} more pair{'s' * (count > 1)} alike" if count else ""
-        left.append(
+        gaps.append(
             f"full clearance between {' and '.join(scene.pairs[most])}, never far apart (half of "
             f"their largest distance is kept{more})"
         )
     if scene is None or all(obstacle.name != _FLOOR for obstacle in scene.obstacles):
-        left.append(_FLOOR)
-    return "; ".join(left)
+        gaps.append(_FLOOR)
+    return "; ".join(gaps)
 
 
 def _paired(

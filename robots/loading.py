@@ -32,7 +32,7 @@ from excitant.robots.parameters import base_estimate_from_csv
 from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
 from excitant.robots.urdf import number, robot_from_urdf
-from excitant.robots.urdf_writer import limits_in_urdf
+from excitant.robots.urdf_writer import child_attribute, limits_in_urdf
 from excitant.robots.xacro import is_xacro, urdf_from_xacro
 
 
@@ -263,8 +263,7 @@ def _effects(robot: Robot, found: Description) -> Iterator[Effect]:
     for kind, key in ((ViscousFriction, "damping"), (CoulombFriction, "friction")):
         values = {}
         for name in robot.joints:
-            dynamics = stated[name].find("dynamics")
-            text = "0" if dynamics is None else dynamics.get(key, "0")
+            text = child_attribute(stated[name], "dynamics", key, "0")
             values[name] = number(text, key, stated[name], robot.source)
         values = {name: value for name, value in values.items() if value}
         if values:

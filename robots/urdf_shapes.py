@@ -21,7 +21,12 @@ from excitant.robots.geometry import Body, Shape
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.urdf_model import build_model, held_pose, quietly
-from excitant.robots.urdf_writer import current_urdf
+from excitant.robots.urdf_writer import (
+    child_attribute,
+    current_urdf,
+    floats,
+    stated_place,
+)
 
 _LARGEST_MESH = 500_000_000  # bytes
 
@@ -36,7 +41,29 @@ class UrdfFormat:
 
     def bodies(self, robot: Robot) -> tuple[Body, ...]:
         """Links that the joints move or that stand under them, from the base outward."""
-        return _bodies(robot)
+        root = ET.fromstring(robot.description)
+        named = tree(root, robot.source)
+        under = [joint.parent for joint in named.ancestors(robot.links[0])]
+        origins: dict[str, list[Array]] = {}
+        for joint in root.findall("joint"):
+            parent = named.joints[str(joint.get("name"))].parent
+            origins.setdefault(parent, [np.zeros(3)]).append(
+                stated_place(joint).translation
+            )
+        bodies = []
+        for link in root.findall("link"):
+            name = str(link.get("name"))
+            carrier = named.carrier(name, robot.links)
+            if carrier or name in under:
+                points = np.array(origins.get(name, [np.zeros(3)]))
+                kinds = (
+                    map(_shape, link.findall(kind)) for kind in ("collision", "visual")
+                )
+                solids = (tuple(filter(None, shapes)) for shapes in kinds)
+                shapes = next(filter(None, solids), ())
+                bodies.append(Body(name, carrier, *_inertia(link), points, shapes))
+        order = {link: k for k, link in enumerate(robot.links)}
+        return tuple(sorted(bodies, key=lambda body: order.get(body.carrier, -1)))
 
     def solids(self, robot: Robot, kind: str) -> Any:
         """Collision or visual shapes, meshes as hulls; never edited."""
@@ -59,63 +86,21 @@ class UrdfFormat:
 URDF = UrdfFormat()
 
 
-def _bodies(robot: Robot) -> tuple[Body, ...]:
-    """The links of an arm that its joints move or that stand under it, from the base outward."""
-    root = ET.fromstring(robot.description)
-    named = tree(root, robot.source)
-    under = [joint.parent for joint in named.ancestors(robot.links[0])]
-    origins: dict[str, list[Array]] = {}
-    for joint in root.findall("joint"):
-        parent = named.joints[str(joint.get("name"))].parent
-        origins.setdefault(parent, [np.zeros(3)]).append(_origin(joint).translation)
-    found = []
-    for link in root.findall("link"):
-        name = str(link.get("name"))
-        carrier = named.carrier(name, robot.links)
-        if carrier or name in under:
-            points = np.array(origins.get(name, [np.zeros(3)]))
-            kinds = (
-                map(_shape, link.findall(kind)) for kind in ("collision", "visual")
-            )
-            solids = (tuple(filter(None, shapes)) for shapes in kinds)
-            shapes = next(filter(None, solids), ())
-            found.append(Body(name, carrier, *_inertia(link), points, shapes))
-    order = {link: k for k, link in enumerate(robot.links)}
-    return tuple(sorted(found, key=lambda body: order.get(body.carrier, -1)))
-
-
 def _inertia(link: ET.Element) -> tuple[bool, float, Array, Array]:
     """Whether a link states one, its mass, centre and tensor about it in the link's axes."""
     inertial = link.find("inertial")
     if inertial is None:
         return False, 0.0, np.zeros(3), np.zeros((3, 3))
-    place = _origin(inertial)
-    mass = float(_attribute(inertial, "mass", "value", "0"))
+    place = stated_place(inertial)
+    mass = float(child_attribute(inertial, "mass", "value", "0"))
     tensor = [
         [
-            float(_attribute(inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0"))
+            float(child_attribute(inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0"))
             for b in "xyz"
         ]
         for a in "xyz"
     ]
     return True, mass, place.translation, place.rotation @ tensor @ place.rotation.T
-
-
-def _attribute(element: ET.Element, child: str, key: str, default: str) -> str:
-    found = element.find(child)
-    return default if found is None else found.get(key) or default
-
-
-def _origin(element: ET.Element) -> pin.SE3:
-    """Placement that an element's ``<origin xyz rpy>`` states; none is the identity."""
-    xyz, rpy = (
-        _floats(_attribute(element, "origin", key, "0 0 0")) for key in ("xyz", "rpy")
-    )
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
-
-
-def _floats(text: str) -> Array:
-    return np.array(text.split(), float)
 
 
 def _shape(element: ET.Element) -> Shape | None:
@@ -125,7 +110,7 @@ def _shape(element: ET.Element) -> Shape | None:
         return None
     r = float(solid.get("radius", "0"))
     length = float(solid.get("length", "0"))
-    box = _floats(solid.get("size", "0 0 0")) / 2
+    box = floats(solid.get("size", "0 0 0")) / 2
     variance = np.array([r * r / 4, r * r / 4, length**2 / 12])
     bar = np.array([r, r, length / 2]), np.pi * r * r * length, variance, length, r
     known = {  # half the extents, volume, variances, length of the axis, radius
@@ -139,7 +124,7 @@ def _shape(element: ET.Element) -> Shape | None:
     )
     if volume <= 0:
         return None
-    place = _origin(element)
+    place = stated_place(element)
     R = place.rotation
     c = place.translation
     corners = c + (np.array(list(product((-1, 1), repeat=3))) * half) @ R.T

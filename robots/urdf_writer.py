@@ -1,4 +1,4 @@
-"""URDF text: of an arm as it is now, of its limits, and elements of new descriptions."""
+"""URDF text: of an arm as it is now, of its limits, and elements of descriptions."""
 
 from __future__ import annotations
 
@@ -90,18 +90,35 @@ def _fix(joint: ET.Element, model: pin.Model) -> None:
 
 def _turn(joint: ET.Element, angle: float) -> None:
     """Turn a joint's zero position about its axis [rad]."""
-    found = joint.find("origin")
-    axis = joint.find("axis")
-    origin = ET.SubElement(joint, "origin") if found is None else found
-    rpy, place = (
-        np.array([float(x) for x in str(origin.get(key, "0 0 0")).split()])
-        for key in ("rpy", "xyz")
+    place = stated_place(joint)
+    axis = floats(child_attribute(joint, "axis", "xyz", "1 0 0"))
+    about = pin.AngleAxis(angle, axis / np.linalg.norm(axis)).toRotationMatrix()
+    turned = origin_element(place.rotation @ about, place.translation)
+    origin = joint.find("origin")
+    if origin is None:
+        joint.append(turned)
+    else:
+        origin.attrib |= turned.attrib
+
+
+def child_attribute(element: ET.Element, child: str, key: str, default: str) -> str:
+    """Attribute of an element's child, or a default where there is none."""
+    inner = element.find(child)
+    return default if inner is None else inner.get(key) or default
+
+
+def stated_place(element: ET.Element) -> pin.SE3:
+    """Placement that an element's ``<origin xyz rpy>`` states; none is the identity."""
+    xyz, rpy = (
+        floats(child_attribute(element, "origin", key, "0 0 0"))
+        for key in ("xyz", "rpy")
     )
-    along = np.array(
-        [float(x) for x in str("1 0 0" if axis is None else axis.get("xyz")).split()]
-    )
-    about = pin.AngleAxis(angle, along / np.linalg.norm(along)).toRotationMatrix()
-    origin.attrib |= origin_element(pin.rpy.rpyToMatrix(rpy) @ about, place).attrib
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+
+
+def floats(text: str) -> Array:
+    """Numbers of a text."""
+    return np.array(text.split(), float)
 
 
 def urdf_text(root: ET.Element) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 
 _LONGEST = 300  # characters of a word that is shown whole
 _FOLDER = 40  # characters of a name that becomes part of a folder's
@@ -28,6 +29,12 @@ def shortened(text: str) -> str:
     """Text with words of absurd length cut in the middle."""
     half = _LONGEST // 2
     return _ENDLESS.sub(lambda found: f"{found[0][:half]}…{found[0][-half:]}", text)
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """The first of some names, and how many more there are."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + f" and {more} more" * (more > 0)
 
 
 def in_folder(name: str) -> str:
