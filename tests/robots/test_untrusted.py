@@ -72,7 +72,7 @@ XACRO: dict[str, tuple[str, str]] = {  # what stands before the links, what is s
     "lists of lists": ("${list(python.map(list, python.map(range, [99999]*99999)))}", "too"),
     "product of numbers": ("${7**9999 * 7**9999}", "digits"),
     "digits": ("${round(5, -10**9)}", "too much"),
-    "width": ("${'%1000000000d' % 1}", "too large"),
+    "width": ("${'%100000000000d' % 1}", "too large"),
     "join": ("${('a'*90000).join(['b']*90000)}", "too large"),
     "replace": ("${('a'*90000).replace('a', 'b'*90000)}", "too large"),
     "factorial": ("${math.factorial(10**7)}", "too much"),
