@@ -17,7 +17,7 @@ and steady, anything at all is said in at most 5 % of fleets.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -65,7 +65,7 @@ class Examined:
     day: date | None = None
     kind: str = ""
     failed: str = ""
-    values: Mapping[str, Value] | None = None
+    values: Mapping[str, Value] = field(default_factory=dict)
     found: tuple[str, ...] = ()
 
 
@@ -148,21 +148,17 @@ class Fleet:
 
     def series(self) -> dict[str, Array]:
         """Dates [days since 1970], values and standard deviations behind each drift."""
-        found: dict[str, Array] = {}
+        arrays: dict[str, Array] = {}
         for k, drift in enumerate(self.drifts):
-            own = [
-                e for e in self.examined if e.arm == drift.arm and e.day and e.values
-            ]
             rows = [
                 (_days(e.day), *e.values[drift.parameter][:2])
-                for e in own
-                if e.day and e.values and drift.parameter in e.values
+                for e in self.examined
+                if e.arm == drift.arm and e.day and drift.parameter in e.values
             ]
-            for name, column in zip(
-                ("days", "value", "std"), np.array(sorted(rows)).T, strict=True
-            ):
-                found[f"drift{k}/{name}"] = column
-        return found
+            columns = np.array(sorted(rows)).T
+            for name, column in zip(("days", "value", "std"), columns, strict=True):
+                arrays[f"drift{k}/{name}"] = column
+        return arrays
 
 
 def _entry(each: Examined) -> dict[str, Any]:
@@ -263,13 +259,14 @@ class _Group:
         place = np.array(
             [names.index(arm) if arm in names else -1 for arm in self.arms]
         )
-        kept = place[self.arm] >= 0
-        arm = place[self.arm][kept]
-        days = self.days
-        x = self.x
-        variance = self.variance
-        return _Group(
-            self.name, self.unit, names, arm, days[kept], x[kept], variance[kept]
+        rows = place[self.arm] >= 0
+        return replace(
+            self,
+            arms=names,
+            arm=place[self.arm][rows],
+            days=self.days[rows],
+            x=self.x[rows],
+            variance=self.variance[rows],
         )
 
     def fit(self, more: float) -> _Fit:
@@ -396,12 +393,8 @@ def _groups(examined: Sequence[Examined]) -> Iterator[_Group]:
             (each for each in examined if each.kind == kind),
             key=lambda each: (each.arm, each.day or date.max, each.name),
         )
-        for name in dict.fromkeys(name for each in own for name in each.values or ()):
-            having = [
-                (each, each.values[name])
-                for each in own
-                if each.values and name in each.values
-            ]
+        for name in dict.fromkeys(name for each in own for name in each.values):
+            having = [(each, each.values[name]) for each in own if name in each.values]
             arms = tuple(dict.fromkeys(each.arm for each, _ in having))
             place = {arm: k for k, arm in enumerate(arms)}
             x, std = np.array([value[:2] for _, value in having], float).T

@@ -116,7 +116,7 @@ def test_types_are_not_compared_with_each_other() -> None:
     one = fleet(rng, 6, 1)
     other = [
         Examined(e.name + "b", e.arm + "b", e.day, "other", values={
-            k: Value(x.value + 10, x.std, x.unit) for k, x in (e.values or {}).items()
+            k: Value(x.value + 10, x.std, x.unit) for k, x in e.values.items()
         })
         for e in fleet(rng, 4, 1)
     ]  # fmt: skip
