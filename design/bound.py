@@ -195,7 +195,7 @@ def bound_of(
     """Lower bound for motions of a design's kind, whose states are those to begin with."""
     trajectory = design.trajectory
     return lower_bound(
-        design.robot.using(design.use),
+        design.robot.with_limits(design.robot.limits.used(design.use)),
         period=trajectory.period,
         harmonics=None if trajectory.series.name == "spline" else design.harmonics,
         columns=design.information.columns,

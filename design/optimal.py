@@ -155,7 +155,7 @@ def design_trajectory(
     """
     asked = Search(**options)
     began = time.time()
-    used = robot.using(asked.use)
+    used = robot.with_limits(robot.limits.used(asked.use))
     with effort_of(asked) as effort:
         first = build_design(
             used,

@@ -117,7 +117,7 @@ def _approach_and_return(
     """Motions from the present pose to the first of the design, and back."""
     there = design.trajectory(0.0)[0]
     here = np.array(start)
-    robot = design.robot.using(design.use)
+    robot = design.robot.with_limits(design.robot.limits.used(design.use))
     options: dict[str, Any] = {
         "scene": design.scene,
         "clearance": clearance,

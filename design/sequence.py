@@ -190,7 +190,7 @@ def design_link_by_link(
     """
     asked = Search(**options)
     began = time.time()
-    held = robot.using(asked.use)
+    held = robot.with_limits(robot.limits.used(asked.use))
     common = motion_options(asked) | {"clearance": clearance}
     motions: dict[int, Design] = {}
     with effort_of(asked, _STARTS) as effort:

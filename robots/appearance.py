@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.names import listed
-from excitant.robots.geometry import readable_solids, zero_pose
+from excitant.robots.geometry import joint_axes, readable_solids, zero_pose
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -96,7 +96,7 @@ class Appearance:
     def _axes(self) -> Array:
         """Axis of each joint in its own frame, shape (nv, 3)."""
         data = self.robot.model.createData()
-        axes = self.robot.axes(zero_pose(self.robot), data)
+        axes = joint_axes(self.robot, zero_pose(self.robot), data)
         turns = [np.asarray(place.rotation) for place in list(data.oMi)[1:]]
         own: Array = np.einsum("jki,jk->ji", turns, axes)
         return own

@@ -125,6 +125,14 @@ def _points(robot: Robot, q: Array) -> Array:
     return np.array([place.translation for place in places])
 
 
+def joint_axes(robot: Robot, q: Array, data: Any) -> Array:
+    """Directions of the joints in the base frame in a pose, shape (nv, 3)."""
+    # Pinocchio gives the Jacobian of a single joint as a vector, here and elsewhere
+    J = np.reshape(pin.computeJointJacobians(robot.model, data, q), (6, -1))
+    directions: Array = np.where(robot.revolute[:, None], J[3:].T, J[:3].T)
+    return directions
+
+
 def sketch(robot: Robot, q: Array) -> dict[str, Array]:
     """An arm in a pose, shape (nv,) [rad or m], in the base frame.
 
@@ -135,7 +143,7 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
     """
     model = robot.model
     data = robot.model.createData()
-    axes = robot.axes(q, data)
+    axes = joint_axes(robot, q, data)
     pin.updateFramePlacements(model, data)
     solids = []
     for body in robot.format.bodies(robot):

@@ -134,14 +134,6 @@ class Robot(Shown):
             named[0] if named else max(k for k, f in bodies if f.parentJoint == self.nv)
         )
 
-    def axes(self, q: Array, data: Any = None) -> Array:
-        """Directions of the joints in the base frame in a pose, shape (nv, 3)."""
-        # Pinocchio gives the Jacobian of a single joint as a vector, here and elsewhere
-        J = pin.computeJointJacobians(self.model, data or self.model.createData(), q)
-        J = np.reshape(J, (6, -1))
-        directions: Array = np.where(self.revolute[:, None], J[3:].T, J[:3].T)
-        return directions
-
     def torque_unit(self, measured: str = "N·m", joint: int | None = None) -> str:
         """Unit of torque measured in N·m (or A) at a joint, or at all: slides have N."""
         turns = self.revolute if joint is None else self.revolute[[joint]]
@@ -189,10 +181,6 @@ class Robot(Shown):
     def with_limits(self, limits: Limits) -> Robot:
         """The same arm with other limits."""
         return replace(self, limits=limits)
-
-    def using(self, share: float) -> Robot:
-        """The robot with a share of its limits on velocity, acceleration, jerk and torque."""
-        return self.with_limits(self.limits.used(share))
 
     def random_motion(
         self, rng: np.random.Generator, n: int

@@ -230,6 +230,12 @@ class _Reading:
         if prefix != "xacro":
             self.build(element, ET.SubElement(out, element.tag), scope)
             return
+        if kind in ("if", "unless"):
+            condition = _required(element, "value")
+            holds = _truth(self.value(condition, scope), condition)
+            if holds == (kind == "if"):
+                self.build_content(element, out, scope)
+            return
         action = getattr(self, f"_build_{kind}", None)
         if action is None:
             self._call(kind, element, out, scope)
@@ -279,20 +285,6 @@ class _Reading:
             raise self._error(f"a macro cannot be called '{name}'")
         parameters = dict(_parameters(element.get("params", "")))
         scope.macros[name] = _Macro(parameters, element)
-
-    def _build_if(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
-        if self._holds(element, scope):
-            self.build_content(element, out, scope)
-
-    def _build_unless(
-        self, element: ET.Element, out: ET.Element, scope: _Scope
-    ) -> None:
-        if not self._holds(element, scope):
-            self.build_content(element, out, scope)
-
-    def _holds(self, element: ET.Element, scope: _Scope) -> bool:
-        condition = _required(element, "value")
-        return _truth(self.value(condition, scope), condition)
 
     def _build_insert_block(
         self, element: ET.Element, out: ET.Element, scope: _Scope

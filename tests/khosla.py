@@ -29,6 +29,7 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.robots import DHChain, Robot
+from excitant.robots.geometry import joint_axes
 from excitant.robots.parameters import moved_parameters
 
 Array = np.ndarray
@@ -58,7 +59,7 @@ def dh_from_robot(robot: Robot) -> DHChain:
     """
     model, data = robot.model, robot.model.createData()
     assert list(model.parents)[1:] == list(range(robot.nv)), f"{robot.name} branches"
-    axes = robot.axes(np.zeros(robot.nv), data)
+    axes = joint_axes(robot, np.zeros(robot.nv), data)
     pin.updateFramePlacements(model, data)
     poses = np.array([pose.homogeneous for pose in list(data.oMi)[1:]])
     points, tip = poses[:, :3, 3], data.oMf[robot.tip].homogeneous

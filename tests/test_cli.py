@@ -112,7 +112,8 @@ def test_a_first_run_beyond_a_limit_is_not_written_and_the_design_kept(
 ) -> None:
     """What holds the arm is no less at a lower speed; here, its limits are a hundredth."""
     monkeypatch.setattr(
-        "excitant.design.played.check", lambda arm, path: check(arm.using(0.01), path)
+        "excitant.design.played.check",
+        lambda arm, path: check(arm.with_limits(arm.limits.used(0.01)), path),
     )
     ran = excitant(f"design planar_2r {WORKING['design']} --formats ros2_client,npz --json -o out")
     [note] = [n for n in ran.result["notes"] if "first_run.csv" in n]

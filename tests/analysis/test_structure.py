@@ -34,6 +34,7 @@ from excitant.robots.base_parameters import LENGTH_POWERS, TOLERANCE, arm_length
 from excitant.robots.chains import RobotSpec
 from excitant.robots.dh import joint_frames
 from excitant.robots.effects import standard_effects
+from excitant.robots.geometry import joint_axes
 from excitant.robots.urdf import robot_from_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -366,7 +367,7 @@ def test_distal_frames_of_any_arm(name: str) -> None:
     """x of frame i meets the axis of joint i at a right angle; z is the axis of joint i + 1."""
     arm = load_robot(name)
     placed, data = distal_frames(arm), arm.model.createData()
-    axes = arm.axes(np.zeros(arm.nv), data)
+    axes = joint_axes(arm, np.zeros(arm.nv), data)
     for j, T in enumerate(placed):
         world = data.oMi[j + 1].homogeneous @ T
         origin = world[:3, 3] - data.oMi[j + 1].translation

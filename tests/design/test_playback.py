@@ -18,7 +18,10 @@ QUANTITIES = ("position", "velocity", "acceleration", "torque")
 def played(request: pytest.FixtureRequest) -> Playback:
     robot = load_robot(request.param)
     path = random_trajectory(robot, np.random.default_rng(1), 6.0, 3)
-    cell, strict = scene(robot, (floor(-0.4),)), robot.using(0.15)  # some limits are exceeded
+    cell, strict = (
+        scene(robot, (floor(-0.4),)),
+        robot.with_limits(robot.limits.used(0.15)),
+    )  # some limits are exceeded
     near = None if cell is None else clearance(cell, path)
     return Playback(strict, path, check(strict, path), cell, near)
 
