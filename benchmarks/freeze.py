@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -134,8 +134,7 @@ def leaves(content: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 def perform(words: list[str], folder: Path, before: list[Future[Any]]) -> Any:
     """What a command comes to, once others are done."""
-    for other in before:
-        other.result()
+    wait(before)
     line = [sys.executable, "-m", "excitant", *words]
     began = time.monotonic()
     ran = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
@@ -162,6 +161,7 @@ def run(out: Path, *, jobs: int = 2, only: str = "", quick: bool = False) -> Non
     for name in chosen:
         chosen += [each for each in every if each in reads[name] and each not in chosen]
     print(f"{len(chosen)} commands of {find_spec('excitant')}", flush=True)
+    os.environ["LOKY_MAX_CPU_COUNT"] = "1"  # commands run side by side, not their parts
     known: dict[str, Future[Any]] = {}
     with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(jobs) as pool:
         folder = Path(made).resolve()
