@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
@@ -29,7 +28,6 @@ from excitant.robots.torque import effect_values, torque
 
 _DENSE_HZ = 100.0  # samples of the figures reported: rate
 _DENSE = 1000  # and at least so many
-_POSES = 4  # of the arm, drawn along the motion
 _WEAKEST = 10  # base parameters listed
 
 
@@ -194,21 +192,15 @@ class Design(Shown):
         }
 
     def series(self) -> dict[str, Array]:
-        """Curves: one period of the motion with its torque, path and eigenvalues.
+        """Curves: one period of the motion with its torque, and eigenvalues.
 
         Returns:
-            ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), ``eigenvalues_initial``,
-            ``eigenvalues_final`` (r,), ascending, and in the base frame [m] ``tool`` (n, 3) and
-            ``arm`` (poses, nodes, 3), a line from the base through the joints to the tool at
-            ``arm_t`` (poses,). A branched arm has ``other_tools`` (n, ends − 1, 3) too, and its
-            lines are parted by NaN. With a limit on jerk also ``dddq`` (n, nv). And the series of
-            the `Playback`.
+            ``t`` (n,), ``q``, ``dq``, ``ddq``, ``tau`` (n, nv), ``eigenvalues_initial`` and
+            ``eigenvalues_final`` (r,), ascending. With a limit on jerk also ``dddq`` (n, nv). And
+            the series of the `Playback`.
         """
         robot = self.robot
         motion = dense_motion(self.trajectory)
-        tool, others, arm = _skeleton(robot, motion.q)
-        near = None if self.clearance is None else self.clearance.time
-        poses = _telling_poses(tool, motion.t, near)
         series: dict[str, Array] = {
             "t": motion.t,
             "q": motion.q,
@@ -217,12 +209,7 @@ class Design(Shown):
             "tau": torque(robot, motion),
             "eigenvalues_initial": np.asarray(np.linalg.eigvalsh(self.before), float),
             "eigenvalues_final": np.asarray(np.linalg.eigvalsh(self.after), float),
-            "tool": tool,
-            "arm": arm[poses],
-            "arm_t": motion.t[poses],
         }
-        if others.size:
-            series["other_tools"] = others
         if robot.limits.orders > 3:
             series["dddq"] = self.trajectory(motion.t, 3)
         return series | self.playback.series()
@@ -420,49 +407,6 @@ def lone_torque(M: Array) -> Array:
     floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
     lone: Array = 1 / np.sqrt((V**2 / np.maximum(values, floor)).sum(axis=1))
     return lone
-
-
-def _skeleton(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
-    model = robot.model
-    data = robot.model.createData()
-    leaves = sorted(set(range(1, robot.nv + 1)) - set(list(model.parents)[1:]))
-    chains = [(list(model.supports[leaf]), _last_body(robot, leaf)) for leaf in leaves]
-    gap = np.full(3, np.nan)
-    tool = []
-    others = []
-    arm = []
-    for pose in q:
-        pin.framesForwardKinematics(model, data, pose)
-        frames = {end: data.oMf[end].translation.copy() for _, end in chains}
-        lines = [
-            [*(data.oMi[j].translation.copy() for j in chain), frames[end], gap]
-            for chain, end in chains
-        ]
-        arm.append(np.concatenate(lines)[:-1])
-        tool.append(data.oMf[robot.tip].translation.copy())
-        others.append([at for end, at in frames.items() if end != robot.tip])
-    return np.array(tool), np.array(others), np.array(arm)
-
-
-def _last_body(robot: Robot, joint: int) -> int:
-    frames = list(robot.model.frames)
-    if frames[robot.tip].parentJoint == joint:
-        return robot.tip
-    fixed = [k for k, f in enumerate(frames) if f.parentJoint == joint]
-    return max(
-        (k for k in fixed if frames[k].type == pin.FrameType.BODY), default=max(fixed)
-    )
-
-
-def _telling_poses(tool: Array, t: Array, near: float | None) -> list[int]:
-    """Indices of the first instant, that of an event, and few with the tool far from those."""
-    chosen = [0]
-    if near is not None:
-        chosen.append(int(np.abs(t - near).argmin()))
-    while len(chosen) < _POSES + (near is not None):
-        away = np.linalg.norm(tool[:, None] - tool[chosen], axis=2).min(axis=1)
-        chosen.append(int(away.argmax()))
-    return sorted(set(chosen))
 
 
 def _plain(values: npt.ArrayLike) -> Any:

@@ -147,9 +147,7 @@ class LinkByLinkDesign:
         start = 0.0
         for design in self.motions.values():
             part = design.series()
-            parts.append(
-                part | {key: part[key] + start for key in ("t", "arm_t", "play_t")}
-            )
+            parts.append(part | {key: part[key] + start for key in ("t", "play_t")})
             start += design.trajectory.period
         curves = [key for key in parts[0] if not key.startswith("mesh")]
         return parts[0] | {

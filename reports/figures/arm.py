@@ -25,7 +25,7 @@ from excitant.reports.values import Series
 from excitant.robots.motion import Array
 
 _ROUND = np.linspace(0, 2 * np.pi, 33)
-CIRCLE = np.column_stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)])
+_CIRCLE = np.column_stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)])
 _AXIS = 0.13  # of the picture: length of a joint's axis
 _HEAD = 0.028  # of the picture: length of its arrow's head
 _TOGETHER = 0.09  # of the picture: joints nearer than this share a label
@@ -98,12 +98,14 @@ def _oblique(azimuth: float, elevation: float) -> Array:
     return np.array([right, np.cross(eye, right), eye])
 
 
-SIDE = View("from the side", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), ("x", "z"))
+_SIDE = View(
+    "from the side", np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), ("x", "z")
+)
 _FRONT = View(
     "from the front", np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), ("y", "z")
 )
-ABOVE = View("from above", np.eye(3), ("x", "y"))
-CORNER = View("obliquely", _oblique(-50.0, 22.0))
+_ABOVE = View("from above", np.eye(3), ("x", "y"))
+_CORNER = View("obliquely", _oblique(-50.0, 22.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +135,11 @@ def arm_figure(series: Series) -> Figure | None:
     bent = _arm(series, "bent")
     if zero is None:
         return None
-    views = [SIDE, _FRONT, ABOVE]
+    views = [_SIDE, _FRONT, _ABOVE]
     views.remove(min(views, key=zero.area))
     panels = [_arm_panel(zero, view, f"at zero, {view.name}") for view in views]
     if bent is not None:
-        panels.append(_arm_panel(bent, CORNER, f"bent, {CORNER.name}"))
+        panels.append(_arm_panel(bent, _CORNER, f"bent, {_CORNER.name}"))
     solids = "and its collision solids" if len(zero.solids) else "as lines"
     caption = (
         f"The arm with its {len(zero.axes)} joints numbered from the base, {solids}: at zero, or "
@@ -195,7 +197,7 @@ def _outline(ends: Array, radius: float) -> Array:
     z = along / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
     x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)
-    circle = radius * CIRCLE @ np.array([x, np.cross(z, x), z])
+    circle = radius * _CIRCLE @ np.array([x, np.cross(z, x), z])
     rim = (ends[:, None] + circle)[..., :2].reshape(-1, 2)
     outline: Array = rim[ConvexHull(rim).vertices]
     return outline

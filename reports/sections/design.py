@@ -12,7 +12,6 @@ from excitant.reports.figures.motion import (
     share_of_limit,
 )
 from excitant.reports.figures.search import convergence_figure, spectrum_figure
-from excitant.reports.figures.space import space_figure
 from excitant.reports.figures.torque import tracking_figure
 from excitant.reports.player import FULL, moments, player
 from excitant.reports.values import NONE, Series
@@ -282,7 +281,6 @@ def _motion(result: Motion, series: Series) -> p.Parts:
     motion = motion_figure(result.joints, limits, series)
     return [
         ("Motion against limits", [*_limits(result), motion]),
-        ("Path of the tool", [space_figure(result, series)]),
         ("Excitation of the parameters", [spectrum_figure(series)]),
     ]
 

@@ -198,17 +198,6 @@ def test_what_parameters_are_seen_is_that_of_weighted_least_squares(weighted: De
     np.testing.assert_allclose(np.linalg.eigvalsh(weighted.after), sizes[::-1] ** 2, rtol=1e-6)
 
 
-def test_tool_ends_the_arm_at_every_pose(weighted: Design) -> None:
-    series = weighted.series()
-    assert "other_tools" not in series
-    assert series["arm"].shape == (len(series["arm_t"]), weighted.robot.nv + 2, 3)
-    at = np.searchsorted(series["t"], series["arm_t"])
-    np.testing.assert_allclose(series["arm"][:, -1], series["tool"][at])
-    np.testing.assert_allclose(series["arm"][:, 0], 0.0)
-    lengths = np.linalg.norm(np.diff(series["arm"], axis=1), axis=2)
-    np.testing.assert_allclose(lengths, lengths[:1].repeat(len(lengths), axis=0), atol=1e-12)
-
-
 @pytest.mark.slow
 def test_a_cluster_finds_what_processes_find(planar: Robot) -> None:
     options = {"duration": 5.0, "harmonics": 3, "starts": 2, "seed": 2}

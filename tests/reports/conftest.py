@@ -70,14 +70,6 @@ OBSTACLES = [
 ]
 
 
-def _space(q: np.ndarray) -> dict[str, np.ndarray]:
-    """A tool's path and an arm in five poses, as curved as real ones."""
-    tool = 0.6 * np.stack([np.cos(q[:, 0]), np.sin(q[:, 0]), 1 + 0.4 * np.sin(q[:, 1])], axis=1)
-    share = np.linspace(0, 1, 9)[None, :, None]
-    arm = share * tool[::500][:, None] + 0.1 * np.sin(np.pi * share) * np.array([0, 0, 1.0])
-    return {"tool": tool, "arm": arm, "arm_t": np.linspace(0.0, 10.0, 5)}
-
-
 def _played(t: np.ndarray, *derivatives: np.ndarray) -> Run:
     """Frames of an arm with a shape of every kind; its last joint slides."""
     up, turned = [0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0], [0.0, 0.1, 0.2, 0.5, 0.5, 0.5, 0.5]
@@ -173,7 +165,7 @@ def design_run() -> Run:
     result |= {"certified": certified, "weakest": weakest, "starts": starts}
     result |= {"obstacles": OBSTACLES, "clearance_m": 0.043, "revolute": [True, True, True, False]}
     tau = SIZE * (0.5 * np.sin(q) + 0.05 * ddq) + 0.1 * SIZE * np.sign(dq)
-    series = {"t": t, "q": q, "dq": dq, "ddq": ddq, "tau": tau, **_space(q)}
+    series = {"t": t, "q": q, "dq": dq, "ddq": ddq, "tau": tau}
     series["dddq"] = np.gradient(ddq, t, axis=0)
     for key, least in (("initial", -4.2), ("final", -1.9)):
         series[f"eigenvalues_{key}"] = np.sort(10 ** rng.uniform(least, 0, 57))[::-1]

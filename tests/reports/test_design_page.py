@@ -1,4 +1,4 @@
-"""The page of a design: what the motion does, what it shows worst, and where the tool goes."""
+"""The page of a design: what the motion does, and what it shows worst."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,8 @@ from excitant.design import design_trajectory
 from excitant.reports import brief, page_of, summary
 from excitant.reports.figures.motion import Limits as Drawn
 from excitant.reports.figures.motion import motion_figure
-from excitant.reports.figures.space import solid_of, space_figure
 from excitant.reports.run import as_saved
-from excitant.results import Box, HalfSpace, record_of
+from excitant.results import record_of
 from excitant.robots import Limits, load_robot
 
 
@@ -25,7 +24,7 @@ def saved():
 
 def test_every_part_is_there_with_its_figure(written):
     page = written("design")
-    assert page.headings[1:7] == ["The arm in motion", "Motion against limits", "Path of the tool",
+    assert page.headings[1:6] == ["The arm in motion", "Motion against limits",
                                   "Excitation of the parameters", "Least excited parameters",
                                   "The search"]  # fmt: skip
     said = " ".join(page.labels)
@@ -33,8 +32,6 @@ def test_every_part_is_there_with_its_figure(written):
         assert word in said
     for own in ("velocity [rad/s]", "velocity [m/s]", "jerk [rad/s³]", "jerk [m/s³]"):
         assert f">{own}<" in page.source
-    for view in ("obliquely", "from above", "from the side"):
-        assert any(label.startswith(view) for label in page.labels)
 
 
 def test_worst_parameters_are_named(make, written):
@@ -45,41 +42,6 @@ def test_worst_parameters_are_named(make, written):
         assert row["expression"].replace("−", "-") in summary(page)
     assert result["weakest"][0]["name"] in brief(page)
     assert all("6.21" in text for text in (said, summary(page)))
-
-
-def test_obstacles_are_drawn_and_those_out_of_sight_named(make):
-    result, series = make["design"]()
-    figure = space_figure(record_of(result), series)
-    without = space_figure(record_of({**result, "obstacles": []}), series)
-    for shown, expected in ((figure, True), (without, False)):
-        for panel in shown.panels:
-            colours = {getattr(mark, "colour", "") for mark in panel.axes[0].marks}
-            assert ("amber" in colours) == expected
-    more = {key.label for key in figure.legend} - {key.label for key in without.legend}
-    assert more == {"obstacle", "workspace of the tool"}
-    assert "far wall" in figure.caption
-    assert "43.4" in figure.caption
-
-
-def test_solids_have_the_shape_of_their_obstacles_and_end_where_the_picture_does(make):
-    pillar, ball = record_of(make["design"]()[0]).obstacles[1:3]
-    block = (-np.ones(3), np.ones(3))
-    box = solid_of(pillar, np.zeros(3), 3.0, *block)
-    corners = np.unique(np.concatenate(box.faces).round(9), axis=0)
-    assert len(box.faces) == 6
-    assert len(box.edges) == 12
-    assert len(corners) == 8
-    turned = np.array([np.cos(0.4), np.sin(0.4), 0.0])
-    across = (corners - pillar.position) @ turned
-    np.testing.assert_allclose(np.abs(across), 0.1, atol=1e-8)
-    for circle in solid_of(ball, np.zeros(3), 3.0, *block).edges:
-        np.testing.assert_allclose(np.linalg.norm(circle - ball.position, axis=1), 0.2)
-    tilted = HalfSpace("tilted", (0.0, 3.0, 4.0), 1.0)
-    (face,) = solid_of(tilted, np.zeros(3), 3.0, *block).faces
-    np.testing.assert_allclose(face @ tilted.normal, 1.0)
-    hall = Box("hall", (90.0, 90.0, 0.1), (0.0, 0.0, -0.2))
-    solid = solid_of(hall, np.zeros(3), 2.0, -np.ones(3), np.ones(3))
-    assert np.abs(np.concatenate(solid.faces)).max() == pytest.approx(2.0)
 
 
 def test_curves_touch_the_certified_envelope_and_stay_inside(saved):
@@ -110,8 +72,6 @@ def test_page_of_a_design_without_a_limit_on_torque_or_a_scene(saved, show):
     assert result["obstacles"] == []
     assert result["closest"] is None
     assert "obstacle" not in " ".join(page.labels)
-    assert not any(label.startswith("from above") for label in page.labels)  # a plane on edge
-    assert any(label.startswith("from the side") for label in page.labels)
 
 
 def test_unlimited_joints_are_drawn_without_lines(make):
@@ -127,12 +87,9 @@ def test_twelve_joints_fit_on_a_small_page(make, show):
     names = [f"{side}_{k}" for side in ("left", "right") for k in range(1, 7)]
     wide = {key: np.tile(series[key][::4], 3) for key in ("q", "dq", "ddq", "tau")}
     wide["t"] = series["t"][::4]
-    series["arm"][:, len(series["arm"][0]) // 2] = np.nan
-    wide["other_tools"] = series["tool"][:, None] + 1.0
     entries = {"joints": names, "certified": None, "limit_values": None, "revolute": [True] * 12}
     page = show(result | entries, series | wide)
     assert sum("over time" in label for label in page.labels) == 12
-    assert "period of the tools" in page.words
     assert len(page.source.encode()) < 1_000_000
 
 
