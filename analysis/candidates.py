@@ -32,7 +32,9 @@ class Observed:
     robot: Robot  # effects that depend on torque take that of this model
     segments: tuple[Segment, ...]
     links: Array  # columns of the standard parameters, shape (n, nv, 10 nv)
-    _by_motion: dict[Effect, ActingColumns] = field(default_factory=dict, repr=False)
+    _by_motion: dict[Effect, ActingColumns] = field(
+        default_factory=dict, repr=False
+    )
     _by_robot: dict[Effect, ActingColumns] = field(default_factory=dict, repr=False)
 
     def by(self, robot: Robot, keep: Set[Effect] = frozenset()) -> Observed:
@@ -40,7 +42,9 @@ class Observed:
 
         Columns of some effects are kept as they are with the present ones.
         """
-        kept = {effect: own for effect, own in self._by_robot.items() if effect in keep}
+        kept = {
+            effect: own for effect, own in self._by_robot.items() if effect in keep
+        }
         return Observed(robot, self.segments, self.links, self._by_motion, kept)
 
     def columns(self, effect: Effect) -> Array:
@@ -53,7 +57,10 @@ class Observed:
 
     def acting(self, effect: Effect) -> ActingColumns:
         """Columns of one effect on the joints where they act."""
-        if effect.link(self.robot) is None and len(singles := effect.singles()) == 1:
+        if (
+            effect.link(self.robot) is None
+            and len(singles := effect.singles()) == 1
+        ):
             return self._once(singles[0])
         return ActingColumns.of(self.columns(effect))
 
@@ -176,7 +183,11 @@ def coefficient_sizes(
 
 
 def _coordinates(
-    robot: Robot, effect: Effect, bodies: Array, columns: ActingColumns, torque: Array
+    robot: Robot,
+    effect: Effect,
+    bodies: Array,
+    columns: ActingColumns,
+    torque: Array,
 ) -> tuple[Array, Array]:
     if effect.role == "link":
         return link_coordinates(bodies[effect.rows(robot)]), link_weights(

@@ -191,9 +191,7 @@ class Extension:
 
     evidence: Evidence  # by which the causes were chosen
     chosen: tuple[Candidate, ...]
-    model: (
-        Robot  # with re-identified inertias and effects, those of the causes included
-    )
+    model: Robot  # with re-identified inertias and effects, those of the causes included
     names: tuple[str, ...]  # of its parameters
     covariance: Array  # of them
     observed: Observed  # columns of that model at the rows of the hold-out
@@ -221,12 +219,16 @@ def unextended(evidence: Evidence, holdout: Holdout) -> Extension:
 class Extender:
     """Fits the nominal robot with added causes: these are free, all else keeps its tolerance."""
 
-    prior: Array  # standard parameters of the nominal robot as prior, shape (nv, 10)
+    prior: (
+        Array  # standard parameters of the nominal robot as prior, shape (nv, 10)
+    )
     train: Observed  # columns to fit, of the model so far
     tau: Array  # measured torque at the rows, shape (n, nv) [N·m]
     holdout: Holdout
     evidence: Evidence  # noise levels, and the tolerance that the data support
-    gains: Array | None = None  # covariance of the logarithms of drive gains, (nv, nv)
+    gains: Array | None = (
+        None  # covariance of the logarithms of drive gains, (nv, nv)
+    )
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
@@ -251,7 +253,9 @@ class Extender:
             rows,
             rows.torque() / self.holdout.gains,
         )
-        return replace(extension, findings=_findings(robot, extension, self.holdout))
+        return replace(
+            extension, findings=_findings(robot, extension, self.holdout)
+        )
 
     def _body_prior(self, chosen: Sequence[Candidate]) -> BodyPrior:
         """Prior of every link, and of a payload if there is one."""
@@ -276,13 +280,19 @@ class Extender:
         scalar = [e for e in effects if e.role != "body"]
         parameters = [p for e in scalar for p in e.parameters(robot)]
         mean = np.array(
-            [v for e in scalar for v in e.values or (0.0,) * len(e.parameters(robot))]
+            [
+                v
+                for e in scalar
+                for v in e.values or (0.0,) * len(e.parameters(robot))
+            ]
         )
         tolerance = self.evidence.tolerance[1] * EVIDENCE.tolerance
         known = np.maximum(tolerance * np.abs(mean), 1e-9)
         names = {p.name for c in chosen for p in c.effect.parameters(robot)}
         free = np.array([p.name in names for p in parameters], dtype=bool)
-        std = np.where(free, coefficient_sizes(parameters, columns, self.tau), known)
+        std = np.where(
+            free, coefficient_sizes(parameters, columns, self.tau), known
+        )
         return EffectPrior(mean, std, np.array([p.lower for p in parameters]))
 
 
@@ -290,7 +300,9 @@ def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
     present = {p.name for e in robot.effects for p in e.parameters(robot)}
     bodies = [c.effect for c in chosen if c.effect.role == "body"]
     causes = [c.effect for c in chosen if c.effect.role == "torque"]
-    added = [e for e in causes if not {p.name for p in e.parameters(robot)} <= present]
+    added = [
+        e for e in causes if not {p.name for p in e.parameters(robot)} <= present
+    ]
     return [*bodies, *robot.effects, *merged(added)]
 
 
@@ -314,8 +326,12 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
     return replace(fit, refuted=frozenset(refuted))
 
 
-def _weakest(robot: Robot, fit: Extension, needed: set[Candidate]) -> Candidate | None:
-    for k in np.argsort([finding.margin for finding in fit.findings], kind="stable"):
+def _weakest(
+    robot: Robot, fit: Extension, needed: set[Candidate]
+) -> Candidate | None:
+    for k in np.argsort(
+        [finding.margin for finding in fit.findings], kind="stable"
+    ):
         candidate: Candidate = fit.chosen[k]
         if fit.findings[k].significant:
             return None
@@ -325,7 +341,9 @@ def _weakest(robot: Robot, fit: Extension, needed: set[Candidate]) -> Candidate 
     return None
 
 
-def _findings(robot: Robot, fit: Extension, holdout: Holdout) -> tuple[Finding, ...]:
+def _findings(
+    robot: Robot, fit: Extension, holdout: Holdout
+) -> tuple[Finding, ...]:
     findings = []
     for candidate in fit.chosen:
         finding = _refitted(robot, fit, holdout, candidate.effect)
@@ -348,7 +366,9 @@ def _refitted(
     )
 
 
-def off_effects(robot: Robot, fit: Extension, holdout: Holdout) -> Iterator[Finding]:
+def off_effects(
+    robot: Robot, fit: Extension, holdout: Holdout
+) -> Iterator[Finding]:
     """The nominal effects, joint by joint, whose values the data correct noticeably."""
     least = _noticed(fit.evidence.tolerance[1])
     chosen = {candidate.key for candidate in fit.chosen}
@@ -413,7 +433,9 @@ def finding_of(
     power = float(((holdout.error * weight) ** 2).sum())
     joints = effect.affected(robot)
     fall = ((without**2 - error**2) * weight**2)[:, joints]
-    scale = holdout_scale((without * weight)[:, joints], (torque * weight)[:, joints])
+    scale = holdout_scale(
+        (without * weight)[:, joints], (torque * weight)[:, joints]
+    )
     lead = effect.rows(robot)[0]
     if not effect.jointwise:
         lead = int(np.argmax(rows.rms(torque) / rows.rms(error)))
@@ -458,7 +480,9 @@ def _contradicted(robot: Robot, effect: Effect, error: Array, torque: Array) -> 
             against.append(joint)
     if not against:
         return ""
-    return f"all joints have it, and the error of {', '.join(against)} grows with it"
+    return (
+        f"all joints have it, and the error of {', '.join(against)} grows with it"
+    )
 
 
 def _coefficients(
@@ -478,7 +502,9 @@ def _coefficients(
     return value, before, fit.covariance_of(names)
 
 
-def errors_by_gains(finding: Finding, robot: Robot, drive: DriveGains | None) -> Array:
+def errors_by_gains(
+    finding: Finding, robot: Robot, drive: DriveGains | None
+) -> Array:
     """Errors of a finding's coefficients by one standard deviation of the drive gains.
 
     It is of their logarithms: a value far below the nominal one is as unsure as that.

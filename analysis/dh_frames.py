@@ -27,12 +27,17 @@ def distal_frames(robot: Robot) -> Array:
         raise BadInput(
             f"{robot.name} branches: Denavit-Hartenberg frames are those of one chain"
         )
-    motions = [np.reshape(joint.createData().S, 6) for joint in list(model.joints)[1:]]
+    motions = [
+        np.reshape(joint.createData().S, 6) for joint in list(model.joints)[1:]
+    ]
     own = [
         s[3:] if turns else s[:3]
         for s, turns in zip(motions, robot.revolute, strict=True)
     ]
-    places = [*list(model.jointPlacements)[2:], list(model.frames)[robot.tip].placement]
+    places = [
+        *list(model.jointPlacements)[2:],
+        list(model.frames)[robot.tip].placement,
+    ]
     frames = np.tile(np.eye(4), (nv, 1, 1))
     for T, place, here, beyond in zip(
         frames, places, own, [*own[1:], np.eye(3)[2]], strict=True

@@ -278,7 +278,9 @@ def diagnose(
             joints, data.validate, nominal_error, nominal_error, holdout.simulated
         ),
         residuals=left,
-        waterfall=_waterfall(holdout, error, [f for f in findings if f.effect.values]),
+        waterfall=_waterfall(
+            holdout, error, [f for f in findings if f.effect.values]
+        ),
         notes=tuple(notes),
         drive=drive,
         set_up=mounted,
@@ -373,7 +375,9 @@ def _of_set_up(
     nominal = (0.0,) * len(effect.values or ())
     covariance = np.diag(np.square(mounted.std_of(effect)))
     torque = fit.predicted - tau
-    return finding_of(mounted.robot, fit, holdout, effect, torque, nominal, covariance)
+    return finding_of(
+        mounted.robot, fit, holdout, effect, torque, nominal, covariance
+    )
 
 
 def _of_faults(
@@ -408,7 +412,9 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
     extender = first
     for _ in range(SEARCH.rounds):
         if best is not None:
-            train = extender.train.by(best.model, keep=idle(best.evidence, best.chosen))
+            train = extender.train.by(
+                best.model, keep=idle(best.evidence, best.chosen)
+            )
             evidence = gather(
                 robot, train, first.tau, first.prior, best.chosen, gains=first.gains
             )

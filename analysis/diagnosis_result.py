@@ -132,7 +132,10 @@ def with_repairs(
     """Faults of the recordings as `Checked.entries` tells them, with what is repaired here."""
     set_up = diagnosis.set_up
     return [
-        {**f, "repaired": f["repaired"] or (set_up is not None and set_up.amends(f))}
+        {
+            **f,
+            "repaired": f["repaired"] or (set_up is not None and set_up.amends(f)),
+        }
         for f in faults
     ]
 
@@ -180,7 +183,9 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
         "unit": diagnosis.unit(group[0].joint),
         "verdict": "named" if named else "undecided",
         "doubt": "" if named else "; ".join(reasons),
-        "rivals": [_rival(effect, rival, plan) for effect, rival in rivals.values()],
+        "rivals": [
+            _rival(effect, rival, plan) for effect, rival in rivals.values()
+        ],
     }
     if several:
         parts: dict[tuple[str, str], list[Finding]] = {}

@@ -69,9 +69,7 @@ class Contest:
     """Pairs of rival causes of one arm, to be separated by a further motion."""
 
     robot: Robot  # as given, its values correct within their tolerance
-    model: (
-        Robot  # of the diagnosis; causes that depend on torque take that of this model
-    )
+    model: Robot  # of the diagnosis; causes that depend on torque take that of this model
     pairs: tuple[Pair, ...]
     weight: Array  # Λ: 1 / (variance × autocorrelation time) of each joint's noise, shape (nv,)
     cutoff_hz: float = 10.0  # of the filter that torque and columns pass
@@ -103,7 +101,9 @@ class Contest:
     def precision(self) -> Array:
         """Prior precision of the given values, shape (p,)."""
         count = sum(len(e.values or ()) for e in self.robot.effects)
-        links = link_weights(self.robot.nv, self.tolerance * widened(self.robot)) ** 2
+        links = (
+            link_weights(self.robot.nv, self.tolerance * widened(self.robot)) ** 2
+        )
         return np.concatenate([links, np.ones(count)])
 
     @cached_property
@@ -162,9 +162,15 @@ class Contest:
         for pair, imitation in zip(self.pairs, self.imitations, strict=True):
             beside = self._beside(pair)
             ways = []
-            if pair.found.name not in pair.rival.search.contains or not imitation.any():
+            if (
+                pair.found.name not in pair.rival.search.contains
+                or not imitation.any()
+            ):
                 ways.append((pair.found, np.array(pair.found.values), pair.rival))
-            if pair.rival.name not in pair.found.search.contains and imitation.any():
+            if (
+                pair.rival.name not in pair.found.search.contains
+                and imitation.any()
+            ):
                 ways.append((pair.rival, imitation, pair.found))
             both_ways = [self._apart(R, floor, beside, *way) for way in ways]
             separations.append(min(both_ways, key=lambda s: s.delta))
@@ -216,7 +222,9 @@ class Contest:
         return list(range(at.start - skip, at.stop - skip))
 
     def _beside(self, pair: Pair) -> list[int]:
-        return [column for effect in pair.beside for column in self._indices(effect)]
+        return [
+            column for effect in pair.beside for column in self._indices(effect)
+        ]
 
     def _gram(self, segments: Sequence[Segment]) -> Array:
         """Weighted products of all columns at the rows of segments, those at rest left out."""
@@ -249,7 +257,9 @@ class Contest:
         return regressor(self.robot, segment.motion[segment.keep])
 
 
-def along(motion: Motion, cutoff_hz: float, rows_hz: float | None = None) -> Segment:
+def along(
+    motion: Motion, cutoff_hz: float, rows_hz: float | None = None
+) -> Segment:
     """Segment of an equidistant motion, at four of the cut-off by default."""
     step = float(motion.t[1] - motion.t[0])
     still = np.zeros_like(motion.q)
@@ -285,4 +295,6 @@ def _explaining(R: Array, floor: Array, columns: Sequence[int], b: Array) -> Arr
     at = list(columns)
     scale = np.sqrt(np.maximum(np.diag(R)[at], floor[at]))
     A = R[np.ix_(at, at)] / np.outer(scale, scale) + FREE * np.eye(len(at))
-    return np.asarray(np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float)
+    return np.asarray(
+        np.linalg.lstsq(A, b[at] / scale, rcond=1e-11)[0] / scale, float
+    )

@@ -16,7 +16,11 @@ from excitant.analysis.diagnosis_result import Advice, Plan, key
 from excitant.analysis.discrimination import Contest, Pair, Separation, needed
 from excitant.analysis.selection import is_plain_friction
 from excitant.analysis.thresholds import DISCRIMINATION
-from excitant.design.constraints import kinematic_limits, position_range, within_limits
+from excitant.design.constraints import (
+    kinematic_limits,
+    position_range,
+    within_limits,
+)
 from excitant.design.feasible import random_trajectory, torque_use
 from excitant.design.trajectory import (
     FourierSeries,
@@ -80,13 +84,17 @@ def discriminating_motions(
     search earlier, where depends on the machine.
     """
     deadline = time.monotonic() + time_limit
-    series = FourierSeries(DURATION_S, max(*WAVE_HARMONICS, round(TOP_HZ * DURATION_S)))
+    series = FourierSeries(
+        DURATION_S, max(*WAVE_HARMONICS, round(TOP_HZ * DURATION_S))
+    )
     robot = _within_recording(
         contest.robot, [segment.motion for segment in contest.recorded]
     )
     search = _Search(contest, robot, series, scene, rng)
     pool = search.screened(time.monotonic() + SCREENING_SHARE * time_limit)
-    highest = np.max([np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0)
+    highest = np.max(
+        [np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0
+    )
     open_ = highest > DISCRIMINATION.hopeless
     motions = list[Discriminating]()
     while open_.any() and len(motions) < MOST_MOTIONS:
@@ -154,7 +162,9 @@ class _Search:
         separations = self.contest.separations(self.information(trajectory))
         return Discriminating(trajectory, tuple(separations))
 
-    def best(self, pool: list[Discriminating], open_: Array) -> Discriminating | None:
+    def best(
+        self, pool: list[Discriminating], open_: Array
+    ) -> Discriminating | None:
         """The motion of a pool that best separates the open pairs within the limits."""
         for motion in sorted(pool, key=lambda m: -_worth(m.deltas[open_])):
             if (
@@ -185,7 +195,9 @@ class _Search:
         for motion in reversed(steps):
             if (feasible := self._shrunk(motion.trajectory)) is not None:
                 return (
-                    motion if feasible is motion.trajectory else self.judged(feasible)
+                    motion
+                    if feasible is motion.trajectory
+                    else self.judged(feasible)
                 )
         return steps[0]
 
@@ -202,7 +214,9 @@ class _Search:
     def _random(self, harmonics: int) -> FourierTrajectory | None:
         series = self.series
         try:
-            drawn = random_trajectory(self.robot, self.rng, series.period, harmonics)
+            drawn = random_trajectory(
+                self.robot, self.rng, series.period, harmonics
+            )
         except Infeasible:
             return None
         X = np.zeros((series.size, self.robot.nv))
@@ -218,7 +232,9 @@ class _Search:
         for pair in self.contest.pairs:
             for effect in (pair.found, pair.rival):
                 if len(effect.joints) < self.robot.nv:
-                    joints |= {self.robot.joint_index(joint) for joint in effect.joints}
+                    joints |= {
+                        self.robot.joint_index(joint) for joint in effect.joints
+                    }
         return joints or set(range(self.robot.nv))
 
     def _sweep(self) -> FourierTrajectory | None:
@@ -292,7 +308,9 @@ class _Search:
 def _worth(deltas: Array) -> float:
     if not len(deltas):
         return -np.inf
-    return float(np.log(np.clip(deltas, 0.1, DISCRIMINATION.plenty * needed())).sum())
+    return float(
+        np.log(np.clip(deltas, 0.1, DISCRIMINATION.plenty * needed())).sum()
+    )
 
 
 def _envelope(series: FourierSeries, rng: np.random.Generator) -> Array:
@@ -365,7 +383,9 @@ def plan(
     best = [_best(motions, index) for index in range(len(contest.pairs))]
     used = sorted((m for m in motions if m in best), key=lambda m: -best.count(m))
     experiments = {
-        key(pair.found, pair.rival): _experiment(diagnosis.robot, contest, index, used)
+        key(pair.found, pair.rival): _experiment(
+            diagnosis.robot, contest, index, used
+        )
         for index, pair in enumerate(contest.pairs)
     }
     return Plan(experiments, tuple(motion.trajectory for motion in used))
@@ -373,7 +393,9 @@ def plan(
 
 def _contest(diagnosis: Diagnosis) -> Contest:
     # set-ups that look the same do so for every motion
-    rivals = {f: any(r.candidate.size for r in f.rivals) for f in diagnosis.findings}
+    rivals = {
+        f: any(r.candidate.size for r in f.rivals) for f in diagnosis.findings
+    }
     open_ = [
         f
         for f in diagnosis.findings
@@ -386,7 +408,9 @@ def _contest(diagnosis: Diagnosis) -> Contest:
     return Contest(
         robot=diagnosis.train.robot,
         model=diagnosis.extension.model,
-        pairs=tuple(pair for finding in open_ for pair in _pairs(diagnosis, finding)),
+        pairs=tuple(
+            pair for finding in open_ for pair in _pairs(diagnosis, finding)
+        ),
         weight=1 / (np.maximum(sigma, 1e-9) ** 2 * inflation),
         cutoff_hz=diagnosis.data.cutoff_hz,
         recorded=diagnosis.data.train,
@@ -432,7 +456,8 @@ def _surroundings(diagnosis: Diagnosis) -> Scene | None:
         found = scene(diagnosis.robot)
     near = (
         found is None
-        or found.distances(q[:: max(1, len(q) // 100)]).min() <= DISCRIMINATION.nearest
+        or found.distances(q[:: max(1, len(q) // 100)]).min()
+        <= DISCRIMINATION.nearest
     )
     return None if near else found
 
@@ -473,7 +498,9 @@ def described(trajectory: FourierTrajectory, robot: Robot) -> str:
     if not 0 < len(moving) <= 2 < robot.nv:
         held = [joint for j, joint in enumerate(robot.joints) if j not in moving]
         which = (
-            f"{', '.join(held)} held, the others move" if held else "all joints move"
+            f"{', '.join(held)} held, the others move"
+            if held
+            else "all joints move"
         )
         return f"{duration}, {which}"
     parts = [duration]

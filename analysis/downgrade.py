@@ -73,16 +73,16 @@ def _below_residual(finding: Finding, residuals: Sequence[Residual]) -> str:
         return ""
     # a cause on several joints has to explain them all, so a smaller residual counts
     several = finding.torque.any(axis=0).sum() > 1
-    unknown = np.array([r.structured if r.visible else 0.0 for r in residuals]) / noise
+    unknown = (
+        np.array([r.structured if r.visible else 0.0 for r in residuals]) / noise
+    )
     size = np.sqrt((finding.torque**2).mean(axis=0)) / noise
     main = size > (0.0 if several else VERDICT.main_joint * size.max())
     share = VERDICT.residual_share if several else 1.0
     if (unknown[main] ** 2).sum() <= share * (size[main] ** 2).sum():
         return ""
     if several:
-        return (
-            "it acts on several joints at once, and the residual on some is not small"
-        )
+        return "it acts on several joints at once, and the residual on some is not small"
     return "more remains unexplained on its joints than it explains"
 
 
@@ -96,7 +96,9 @@ def _confused(finding: Finding, other: Finding) -> str:
         return ""
     minor = VERDICT.minor
     if other.effect.search.shapes and finding.explained < minor * other.explained:
-        return f"it is small compared with {name}, whose shape is only roughly known"
+        return (
+            f"it is small compared with {name}, whose shape is only roughly known"
+        )
     if minor * finding.explained < other.explained:
         if effect.curve == other.effect.curve == "velocity":
             return f"it shares the friction curve of the joint with {name}"

@@ -36,7 +36,9 @@ Key = tuple[str, tuple[str, ...]]
 """Effect and joints."""
 
 _NOISE_ITERATIONS = 3
-LEAST_LEVERAGE = 1e-3  # of a candidate's information that other blocks hold, at least
+LEAST_LEVERAGE = (
+    1e-3  # of a candidate's information that other blocks hold, at least
+)
 _ROUNDING = (
     1e-12  # of a column, below which it cannot be distinguished from those before
 )
@@ -76,8 +78,12 @@ class Evidence:
     blocks: Index  # first row of each block of time
     by_share: bool  # bound the false discovery rate (Benjamini and Gavrilov 2009), not any alarm
     sigma: Array  # noise of each joint [N·m], shape (nv,)
-    inflation: Array  # integrated autocorrelation time of the noise [rows], shape (nv,)
-    gains: range = range(0)  # columns of the nuisance: drive gains that are not known
+    inflation: (
+        Array  # integrated autocorrelation time of the noise [rows], shape (nv,)
+    )
+    gains: range = range(
+        0
+    )  # columns of the nuisance: drive gains that are not known
     # of given bodies and effects, relative to ±10 %
     tolerance: tuple[float, float] = (1.0, 1.0)
 
@@ -144,7 +150,10 @@ class Evidence:
         falls = np.empty(len(self.candidates))
         for of_size, at in self._by_size:
             part = half[:, at].transpose(1, 0, 2)
-            G = self.gram[at[:, :, None], at[:, None]] - part.transpose(0, 2, 1) @ part
+            G = (
+                self.gram[at[:, :, None], at[:, None]]
+                - part.transpose(0, 2, 1) @ part
+            )
             G += self.precision[at][:, None] * np.eye(at.shape[1])
             inverse = np.linalg.pinv(G, rcond=1e-10, hermitian=True)
             falls[of_size] = np.einsum("ck,ckl,cl->c", rest[at], inverse, rest[at])
@@ -155,9 +164,12 @@ class Evidence:
         """Candidates of the same number of coefficients k, and their columns, (c,) and (c, k)."""
         sizes = np.array([c.size for c in self.candidates], np.intp)
         starts = np.array([c.columns.start for c in self.candidates], np.intp)
-        alike = ((np.flatnonzero(sizes == k), np.arange(k)) for k in np.unique(sizes))
+        alike = (
+            (np.flatnonzero(sizes == k), np.arange(k)) for k in np.unique(sizes)
+        )
         return [
-            (of_size, starts[of_size][:, None] + columns) for of_size, columns in alike
+            (of_size, starts[of_size][:, None] + columns)
+            for of_size, columns in alike
         ]
 
     def threshold(self, candidate: Candidate, beside: int = 0) -> float:
@@ -169,7 +181,9 @@ class Evidence:
         freedom = 2 * size * (len(self.blocks) - 1)
         return float(size / scipy.special.fdtri(freedom, size, tail))
 
-    def dispersion(self, chosen: Sequence[Candidate], candidate: Candidate) -> float:
+    def dispersion(
+        self, chosen: Sequence[Candidate], candidate: Candidate
+    ) -> float:
         """λ of a candidate added to a set: variance of its score over that of white noise.
 
         Scores are scaled up by the block's share in the fit (Bell and McCaffrey 2002); few blocks
@@ -205,7 +219,9 @@ class Evidence:
         G = self.gram[np.ix_(columns, columns)] - cross.T @ solved
         k = one.size
         whiten = [_inverse_root(block) for block in (G[:k, :k], G[k:, k:])]
-        cosines = np.linalg.svd(whiten[0] @ G[:k, k:] @ whiten[1].T, compute_uv=False)
+        cosines = np.linalg.svd(
+            whiten[0] @ G[:k, k:] @ whiten[1].T, compute_uv=False
+        )
         return float(min(1.0, cosines[0])) if len(cosines) else 0.0
 
     def block_errors(self, chosen: Sequence[Candidate]) -> Array:
@@ -271,7 +287,8 @@ class Evidence:
     def _halved(self, active: Index, right: Array) -> Array:
         """L⁻¹ times a right-hand side, L Lᵀ the information of active columns."""
         return np.asarray(
-            scipy.linalg.solve_triangular(self._root(active), right, lower=True), float
+            scipy.linalg.solve_triangular(self._root(active), right, lower=True),
+            float,
         )
 
 
@@ -304,7 +321,8 @@ def cross_validation(
     bounds = itertools.pairwise([*evidence.blocks, None])
     blocks = [problem.at(slice(begin, end)) for begin, end in bounds]
     grams = [
-        np.array(each) for each in zip(*(block.grams for block in blocks), strict=True)
+        np.array(each)
+        for each in zip(*(block.grams for block in blocks), strict=True)
     ]
     whole = np.array([block.gram(evidence.weight) for block in blocks])
     folds = np.array_split(np.arange(len(blocks)), SELECTION.parts)
@@ -315,10 +333,13 @@ def cross_validation(
         squares = np.empty((len(blocks), problem.nv))
         for fold, total in zip(folds, others, strict=True):
             root = _root(
-                total[np.ix_(used, used)] + np.diag(evidence.precision[active[used]])
+                total[np.ix_(used, used)]
+                + np.diag(evidence.precision[active[used]])
             )
             coefficients = np.zeros(problem.p + 1)
-            coefficients[used] = -scipy.linalg.cho_solve((root, True), total[used, -1])
+            coefficients[used] = -scipy.linalg.cho_solve(
+                (root, True), total[used, -1]
+            )
             coefficients[-1] = 1.0
             for j, weight in enumerate(evidence.weight):
                 of_joint = coefficients[np.append(problem.index[j], problem.p)]
@@ -411,13 +432,21 @@ def widened(robot: Robot, tolerance: float = 1.0) -> Array:
 def calibrated(evidence: Evidence, robot: Robot) -> Evidence:
     """The same evidence with the tolerance of given values that the data support."""
     links = 10 * robot.nv
-    parts = np.arange(links), np.arange(links, evidence.nuisance - len(evidence.gains))
+    parts = (
+        np.arange(links),
+        np.arange(links, evidence.nuisance - len(evidence.gains)),
+    )
     bodies, effects = (_typical_deviation(evidence, part, robot) for part in parts)
-    tolerance = (EVIDENCE.placeholder if are_placeholders(robot) else bodies, effects)
+    tolerance = (
+        EVIDENCE.placeholder if are_placeholders(robot) else bodies,
+        effects,
+    )
     precision = np.array(evidence.precision)
     precision[parts[0]] /= np.repeat(widened(robot, bodies), 10) ** 2
     precision[parts[1]] /= effects**2
-    return reweighed(replace(evidence, precision=precision, tolerance=tolerance), [])
+    return reweighed(
+        replace(evidence, precision=precision, tolerance=tolerance), []
+    )
 
 
 def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
@@ -451,7 +480,10 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
     deviation = (vectors[:, determined].T @ (unit * m)) / values[determined]
     # noise alone adds the second term to the median of a squared deviation
     variance = (
-        float(np.median(deviation**2 - CHI2_MEDIAN / values[determined])) / CHI2_MEDIAN
+        float(np.median(deviation**2 - CHI2_MEDIAN / values[determined]))
+        / CHI2_MEDIAN
     )
-    least = EVIDENCE.least_off if determined.sum() >= EVIDENCE.many_directions else 1.0
+    least = (
+        EVIDENCE.least_off if determined.sum() >= EVIDENCE.many_directions else 1.0
+    )
     return float(np.clip(np.sqrt(max(variance, 0.0)), least, EVIDENCE.most_off))

@@ -71,7 +71,9 @@ def _rival(
     if not finding.rivals:
         return None
     rival = finding.rivals[0].candidate.effect
-    if not all(e.jointwise and e.family == "friction" for e in (finding.effect, rival)):
+    if not all(
+        e.jointwise and e.family == "friction" for e in (finding.effect, rival)
+    ):
         return None
     usual = standard_effects((diagnosis.robot.joints[j],))
     beside = [e for e in usual if e.export.joint_property in ("viscous", "offset")]
@@ -84,7 +86,9 @@ def _rival(
     unit = columns[:, sizes > 0] / sizes[sizes > 0]
     if not unit.shape[1]:
         return None
-    fitted: Array = unit @ np.linalg.lstsq(unit[rows], residual[rows], rcond=1e-8)[0]
+    fitted: Array = (
+        unit @ np.linalg.lstsq(unit[rows], residual[rows], rcond=1e-8)[0]
+    )
     return fitted
 
 
@@ -100,7 +104,9 @@ def _abscissa(
     torque = predicted[:, j]
     t = diagnosis.holdout.series.t
     if domain == "reversal":
-        label = f"distance since the last reversal, signed by direction [{own_unit}]"
+        label = (
+            f"distance since the last reversal, signed by direction [{own_unit}]"
+        )
         return label, explanatory(segments, predicted).reversal[:, j]
     q, dq, ddq = states(segments)
     return {

@@ -58,7 +58,10 @@ class Examination(Shown):
     @property
     def accuracies(self) -> dict[str, Accuracy]:
         """Accuracy on the hold-out of the given, the identified and the extended model."""
-        both = {"given": self.estimate.baseline, "identified": self.estimate.validate}
+        both = {
+            "given": self.estimate.baseline,
+            "identified": self.estimate.validate,
+        }
         return both | {"extended": self.diagnosis.extended}
 
     @property
@@ -105,7 +108,9 @@ class Examination(Shown):
     def sentences(self) -> list[str]:
         """The verdict in plain words."""
         if self.wrong:
-            return ["The recordings are wrong, and so is what they say of any model."]
+            return [
+                "The recordings are wrong, and so is what they say of any model."
+            ]
         given, identified, extended = map(self._misses, self.accuracies.values())
         cause = main_cause(self.diagnosis, self.results["diagnose"]["findings"])
         advice = (
@@ -114,10 +119,14 @@ class Examination(Shown):
             else "Use none of them"
         )
         if self.recommended:
-            few = self._lacking[:_NAMED] + ["and more"] * (len(self._lacking) > _NAMED)
+            few = self._lacking[:_NAMED] + ["and more"] * (
+                len(self._lacking) > _NAMED
+            )
             missed = self.accuracies[self.use].nrmse > _POOR
             poor = [
-                j for j, yes in zip(self.check.robot.joints, missed, strict=True) if yes
+                j
+                for j, yes in zip(self.check.robot.joints, missed, strict=True)
+                if yes
             ]
             advice = f"Use {self.recommended[0]}"
             advice += (
@@ -127,7 +136,9 @@ class Examination(Shown):
             )
             urdf = f"{self.use}.urdf"
             unwritten = (
-                "" if urdf in self.recommended else ", so much that it is not written"
+                ""
+                if urdf in self.recommended
+                else ", so much that it is not written"
             )
             advice += f"; {urdf} lacks {', '.join(few)}{unwritten}" if few else ""
         return [
@@ -144,7 +155,9 @@ class Examination(Shown):
         joint = self.check.robot.joints[worst]
         most = float(found.nrmse[worst])
         stands_out = most > max(_STANDS_OUT * median, _SEEN)
-        return f"{percent(median)} %" + f" ({joint}: {percent(most)} %)" * stands_out
+        return (
+            f"{percent(median)} %" + f" ({joint}: {percent(most)} %)" * stands_out
+        )
 
     @property
     def recommended(self) -> tuple[str, ...]:
@@ -205,7 +218,9 @@ class Examination(Shown):
             if e.role == "torque" and any(e.values or ())
         ]
         return list(
-            dict.fromkeys(plain(e.name) for e in own if "urdf" not in e.export.formats)
+            dict.fromkeys(
+                plain(e.name) for e in own if "urdf" not in e.export.formats
+            )
         )
 
     @cached_property
@@ -227,7 +242,9 @@ class Examination(Shown):
         """Contents of result.json."""
         findings = self.results["diagnose"]["findings"]
         lead = (
-            findings[0] if findings else {"effect": None, "joints": [], "verdict": None}
+            findings[0]
+            if findings
+            else {"effect": None, "joints": [], "verdict": None}
         )
         return {
             "verb": "go",
@@ -248,7 +265,9 @@ class Examination(Shown):
         """Arrays of the commands' figures, by ``command/key``."""
         series = {verb: noun.series() for verb, noun in self._nouns.items()}
         return {
-            f"{verb}/{key}": a for verb, own in series.items() for key, a in own.items()
+            f"{verb}/{key}": a
+            for verb, own in series.items()
+            for key, a in own.items()
         }
 
 
@@ -287,10 +306,18 @@ def examine(
     data = [fault for fault in faults if fault["fault"] not in INSTALLATION]
     publications = {
         "extended": extended_publication(found, data),
-        "identified": publication(estimate, faults=proven(faults if turned else data)),
+        "identified": publication(
+            estimate, faults=proven(faults if turned else data)
+        ),
     }
     progress(0.8, "analysing")
     known = analyze(robot, estimate=estimate, rng=np.random.default_rng(0))
     return Examination(
-        ModelCheck(robot), estimate, known, found, faults, publications, tuple(notes)
+        ModelCheck(robot),
+        estimate,
+        known,
+        found,
+        faults,
+        publications,
+        tuple(notes),
     )

@@ -96,7 +96,9 @@ class Prior:
     def size(self, w: Array) -> float:
         """Largest relative change of any link in any direction, or of an effect in its std."""
         return float(
-            np.abs(np.append(self.stretches(w), w[10 * self.links :])).max(initial=0.0)
+            np.abs(np.append(self.stretches(w), w[10 * self.links :])).max(
+                initial=0.0
+            )
         )
 
     def at_limit(self, x: Array) -> tuple[int, ...]:
@@ -121,10 +123,10 @@ class PriorInfluence:
     """Sensitivity of each parameter to the prior, by kind of perturbation (`KINDS`)."""
 
     ratio: Array  # change of each parameter over that of its prior, (3, p); NaN where that is 0
-    reach: (
-        Array  # share of each parameter's prior uncertainty that a kind reaches, (3, p)
+    reach: Array  # share of each parameter's prior uncertainty that a kind reaches, (3, p)
+    linear: (
+        Array  # ratio without the constraints of physical consistency, shape (3, p)
     )
-    linear: Array  # ratio without the constraints of physical consistency, shape (3, p)
     base_move: (
         Array  # largest change of each base parameter, in standard deviations, (r,)
     )
@@ -221,7 +223,9 @@ def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
     A /= np.abs(np.linalg.eigvalsh(A)).max(axis=1)[:, None, None]
     root = np.linalg.cholesky(prior.bodies)
     change = from_pseudo_inertia(root @ A @ root.swapaxes(1, 2)).ravel()
-    w[: len(change)] = np.linalg.solve(prior.L[: len(change), : len(change)], change)
+    w[: len(change)] = np.linalg.solve(
+        prior.L[: len(change), : len(change)], change
+    )
     return w
 
 
@@ -238,7 +242,9 @@ def refits(estimate: Estimate, rows: FitRows) -> Response:
         prior = replace(
             body_prior, bodies=phi + delta[:links].reshape(-1, 10), metric=phi
         )
-        fit = fit_physical(R, z, prior, other, estimate.knowledge, estimate.given.links)
+        fit = fit_physical(
+            R, z, prior, other, estimate.knowledge, estimate.given.links
+        )
         return np.asarray(fit.x - estimate.physical.x, float)
 
     return moved
@@ -270,7 +276,8 @@ class Experiment:
     def resting(self) -> tuple[int, ...]:
         """Joints that do not move."""
         return tuple(
-            int(j) for j in np.flatnonzero(np.ptp(self.q, axis=0) < RESOLUTION.rests)
+            int(j)
+            for j in np.flatnonzero(np.ptp(self.q, axis=0) < RESOLUTION.rests)
         )
 
 
@@ -295,7 +302,9 @@ def planned_experiment(
         size = implausible_size(
             W[:, :, 10 * robot.nv :], torque(robot, motion)[:, rows]
         )
-        nothing = EffectPrior(np.zeros_like(size), size, np.full_like(size, -np.inf))
+        nothing = EffectPrior(
+            np.zeros_like(size), size, np.full_like(size, -np.inf)
+        )
         prior = prior_of(prior_parameters(robot), nothing)
         influence = prior_influence(
             information, base.regrouping, prior, x, np.random.default_rng(0)
@@ -339,12 +348,16 @@ def recorded_experiment(
         base, rows.W, sigma, fit.covariance if complete else None
     )
     prior = prior_of(
-        estimate.physical.prior.bodies, rows.open_prior, estimate.physical.prior.sigma
+        estimate.physical.prior.bodies,
+        rows.open_prior,
+        estimate.physical.prior.sigma,
     )
     x = estimate.physical.x
     response = None if rng is None else refits(estimate, rows)
     draws = np.random.default_rng(0) if rng is None else rng
-    influence = prior_influence(information, base.regrouping, prior, x, draws, response)
+    influence = prior_influence(
+        information, base.regrouping, prior, x, draws, response
+    )
     notes = []
     if flat := prior.at_limit(x):
         names = ", ".join(robot.links[k] for k in flat)

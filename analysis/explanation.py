@@ -68,7 +68,10 @@ def grouped(diagnosis: Diagnosis) -> list[list[Finding]]:
             finding.verdict,
             effect.jointwise or effect.joints,
         )
-        if effect.family == "friction" and {*effect.joints} <= diagnosis.no_friction:
+        if (
+            effect.family == "friction"
+            and {*effect.joints} <= diagnosis.no_friction
+        ):
             cause = "friction"
         revolute = diagnosis.robot.revolute[finding.joint]
         groups.setdefault((revolute, cause), []).append(finding)
@@ -148,7 +151,9 @@ def shared_friction(diagnosis: Diagnosis) -> str:
     ]
     if not shared:
         return ""
-    names = (name for joint in shared for name in by_joint[joint] if name not in usual)
+    names = (
+        name for joint in shared for name in by_joint[joint] if name not in usual
+    )
     others = dict.fromkeys(map(plain, names))
     return (
         f"At {', '.join(shared)}, other effects ({', '.join(others)}) share the torque with the "
@@ -186,12 +191,18 @@ def headline(diagnosis: Diagnosis) -> str:
     more = f" {further} more finding{'s' * (further > 1)} below." if further else ""
     if note := placeholders(diagnosis):
         apart = _apart_from("inertias", diagnosis.groups, diagnosis)
-        return f"{note.partition('. ')[0]}. With {_everything(diagnosis)}{apart}{more}"
+        return (
+            f"{note.partition('. ')[0]}. With {_everything(diagnosis)}{apart}{more}"
+        )
     if _mostly_missing_friction(diagnosis):
         return _no_friction(diagnosis)
     before, after = diagnosis.before_and_after(lead)
-    gain = f"hold-out error {before:.2g} → {after:.2g} {diagnosis.unit(lead[0].joint)}"
-    return f"{sentence(lead, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}{more}"
+    gain = (
+        f"hold-out error {before:.2g} → {after:.2g} {diagnosis.unit(lead[0].joint)}"
+    )
+    return (
+        f"{sentence(lead, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}{more}"
+    )
 
 
 def main_cause(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
@@ -211,7 +222,9 @@ def main_cause(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> s
     cause = sentence(lead, diagnosis)
     joints = entry["joints"]
     if len(lead) > 1:
-        where = "all joints" if len(joints) == diagnosis.robot.nv else ", ".join(joints)
+        where = (
+            "all joints" if len(joints) == diagnosis.robot.nv else ", ".join(joints)
+        )
         cause = f"{plain(entry['effect'])} missing or wrong at {where}"
     rivals = entry["rivals"]
     alike = ""
@@ -343,7 +356,9 @@ def _everything(diagnosis: Diagnosis) -> str:
 def _no_friction(diagnosis: Diagnosis) -> str:
     robot = diagnosis.robot
     groups = diagnosis.groups
-    friction = [f for group in groups for f in group if f.effect.family == "friction"]
+    friction = [
+        f for group in groups for f in group if f.effect.family == "friction"
+    ]
     joints = {joint for f in friction for joint in f.effect.joints}
     kinds = list(dict.fromkeys(plain(f.effect.name) for f in friction))
     named = ", ".join(kinds[:3]) + (" and more" if len(kinds) > 3 else "")

@@ -239,7 +239,9 @@ class _Group:
     def dated(self) -> Mask:
         """Data sets through which a line is drawn."""
         known = np.isfinite(self.days)
-        pairs = np.unique(np.column_stack([self.arm[known], self.days[known]]), axis=0)
+        pairs = np.unique(
+            np.column_stack([self.arm[known], self.days[known]]), axis=0
+        )
         dates = np.bincount(pairs[:, 0].astype(np.intp), minlength=len(self.arms))
         return np.asarray(known & (dates >= FEWEST_DATES)[self.arm], bool)
 
@@ -275,7 +277,9 @@ class _Group:
         days = np.where(self.dated, self.days, 0.0)
 
         def per_arm(values: Array) -> Array:
-            return np.asarray(np.bincount(self.arm, w * values, len(self.arms)), float)
+            return np.asarray(
+                np.bincount(self.arm, w * values, len(self.arms)), float
+            )
 
         weight = per_arm(np.ones(len(w)))
         mean = per_arm(self.x) / weight
@@ -307,7 +311,9 @@ class _Group:
         for k in lines:
             days = self.days[(self.arm == k) & self.dated]
             ends = np.array([days.min(), days.max()])
-            before, after = fit.mean[k] + fit.slope[k] * (ends - fit.middle[k]) / YEAR
+            before, after = (
+                fit.mean[k] + fit.slope[k] * (ends - fit.middle[k]) / YEAR
+            )
             first, last = (date.fromordinal(_EPOCH + round(end)) for end in ends)
             yield Drift(
                 self.arms[k], self.name, self.unit, float(fit.slope[k]),
@@ -376,7 +382,9 @@ def _excess(left: Callable[[float], float], freedom: int) -> float:
     while left(high) > freedom:
         high *= 10.0
     return float(
-        scipy.optimize.brentq(lambda more: left(more) - freedom, 0.0, high, rtol=1e-6)
+        scipy.optimize.brentq(
+            lambda more: left(more) - freedom, 0.0, high, rtol=1e-6
+        )
     )
 
 
@@ -394,7 +402,9 @@ def _groups(examined: Sequence[Examined]) -> Iterator[_Group]:
             key=lambda each: (each.arm, each.day or date.max, each.name),
         )
         for name in dict.fromkeys(name for each in own for name in each.values):
-            having = [(each, each.values[name]) for each in own if name in each.values]
+            having = [
+                (each, each.values[name]) for each in own if name in each.values
+            ]
             arms = tuple(dict.fromkeys(each.arm for each, _ in having))
             place = {arm: k for k, arm in enumerate(arms)}
             x, std = np.array([value[:2] for _, value in having], float).T

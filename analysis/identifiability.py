@@ -58,24 +58,28 @@ class ParameterIdentifiability:
     unit: str
     category: str  # unique, combined or unidentifiable
     expressions: tuple[str, ...]  # base parameters that it is part of
-    margin: (
-        float  # factor on the tolerance of all rank decisions that changes its category
-    )
+    margin: float  # factor on the tolerance of all rank decisions that changes its category
     needed: str  # experiment that would show it by itself; empty where it is shown
-    value: float | None = None  # estimate, or the value of the model as given, if known
+    value: float | None = (
+        None  # estimate, or the value of the model as given, if known
+    )
     prior: float | None = None  # value before any data
     std: float | None = None  # standard deviation, prior included
     # from the data alone; inf where they do not show it by itself
     std_data: float | None = None
     influence: float | None = None  # how far it follows the prior, 0 to 1
-    decided_by: str = ""  # data, prior or physics (the limit of physical consistency)
+    decided_by: str = (
+        ""  # data, prior or physics (the limit of physical consistency)
+    )
     verdict: str = ""  # in a word, how well the motion determines it by itself
 
     @property
     def rel_std(self) -> float | None:
         """Standard deviation relative to the value; None when either is not known or zero."""
         return (
-            self.std / abs(self.value) if self.value and self.std is not None else None
+            self.std / abs(self.value)
+            if self.value and self.std is not None
+            else None
         )
 
     @property
@@ -113,7 +117,9 @@ class PracticalIdentifiability:
     condition_number: (
         float  # of the unscaled base columns, cond₂(W); inf when some are not shown
     )
-    singular_values: Array  # of the base columns scaled to unit length, greatest first
+    singular_values: (
+        Array  # of the base columns scaled to unit length, greatest first
+    )
     practical: tuple[Practical, ...]  # each base parameter
     directions: tuple[Direction, ...]  # of the base parameters, unseen or weakest
     influence: PriorInfluence | None  # None where the arm's links give no prior
@@ -230,7 +236,9 @@ class Identifiability(Shown):
                 "structural_values": self.structure.singular_values,
                 "structural_vectors": self.structure.singular_vectors,
             }
-        return {"singular_values": self.motion.singular_values} if self.motion else {}
+        return (
+            {"singular_values": self.motion.singular_values} if self.motion else {}
+        )
 
     def to_frame(
         self, of: Literal["parameters", "base_parameters"] = "parameters"
@@ -254,7 +262,9 @@ class Identifiability(Shown):
         return [
             f"Identifiability of {self.robot.name}: {len(self.base)} base parameters",
             f"of {len(kinds)} parameters, "
-            + ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)),
+            + ", ".join(
+                f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)
+            ),
             shown,
         ]
 
@@ -315,7 +325,8 @@ def analyze(
         "frames: a motion is judged in joint frames; leave one of both out": (
             frames == "dh" and judged
         ),
-        "window: give a trajectory or recording too": window is not None and not judged,
+        "window: give a trajectory or recording too": window is not None
+        and not judged,
         "moving: name at least one joint": moving is not None and not moving,
         "measured: name at least one joint": measured is not None and not measured,
     }
@@ -469,7 +480,10 @@ def _notes(
 
 
 def _units(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
-    return (*UNITS * robot.nv, *(p.unit for e in effects for p in e.parameters(robot)))
+    return (
+        *UNITS * robot.nv,
+        *(p.unit for e in effects for p in e.parameters(robot)),
+    )
 
 
 def _entries(

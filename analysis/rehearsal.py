@@ -143,9 +143,13 @@ def limit_items(situation: Situation) -> list[Item]:
         worst = float(share.max())
         speed = min(1 / max(worst, 1.0) ** (0.5 if name == "torque" else 1.0), 0.99)
         slower = f"play the motion at {100 * speed:.0f} % of its speed"
-        advice = f"make the motion of {joint} smaller" if name == "position" else slower
+        advice = (
+            f"make the motion of {joint} smaller" if name == "position" else slower
+        )
         detail = f"{100 * worst:.1f} % of the limit used"
-        items.append(_item(f"{name} limits", joint, worst <= 1 + _OVER, detail, advice))
+        items.append(
+            _item(f"{name} limits", joint, worst <= 1 + _OVER, detail, advice)
+        )
     return items
 
 
@@ -158,7 +162,9 @@ def clearance_item(scene: Scene, path: Path, required: float) -> Item:
         f"{' and '.join(near.bodies)} come within {distance_mm:.3g} mm at {near.time:.4g} s, "
         f"required {required_mm:.3g} mm"
     )
-    advice = f"keep {' and '.join(near.bodies)} apart: design the motion for this scene"
+    advice = (
+        f"keep {' and '.join(near.bodies)} apart: design the motion for this scene"
+    )
     return _item("clearance", "", near.distance >= required, detail, advice)
 
 
@@ -204,7 +210,9 @@ def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Ite
             advice = situation.faster(joint, lack)
             detail = f"planted {true:.4g}, recovered {value:.4g} ± {s:.2g} {unit}"
             item = _item(plain(effect.name), joint, lack <= 1, detail, advice)
-            items.append(replace(item, planted=true, recovered=value, std=s, unit=unit))
+            items.append(
+                replace(item, planted=true, recovered=value, std=s, unit=unit)
+            )
     return items
 
 
@@ -219,7 +227,11 @@ def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     detail = f"rms error {rms[j]:.3g} {unit}; {left}"
     advice = situation.faster(lack=float(worse[j] / _WORSE))
     return _item(
-        "torque on the hold-out", robot.joints[j], worse[j] <= _WORSE, detail, advice
+        "torque on the hold-out",
+        robot.joints[j],
+        worse[j] <= _WORSE,
+        detail,
+        advice,
     )
 
 
@@ -250,8 +262,12 @@ def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Ite
 def _undetermined(situation: Situation, error: RankDeficient) -> Item:
     names = ", ".join(error.names[:4]) + (", ..." if len(error.names) > 4 else "")
     weakest = min(situation.use, key=situation.use.__getitem__)
-    detail = f"the motion leaves {len(error.names)} parameters undetermined: {names}"
-    return _item("identification", weakest, False, detail, situation.faster(weakest))
+    detail = (
+        f"the motion leaves {len(error.names)} parameters undetermined: {names}"
+    )
+    return _item(
+        "identification", weakest, False, detail, situation.faster(weakest)
+    )
 
 
 def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item:
@@ -260,11 +276,15 @@ def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item
     planted = f"{plain(change.effect)} on {change.joint}"
     advice = situation.faster(change.joint)
     if not found.findings:
-        return _item("diagnosis", change.joint, False, f"{planted}: no finding", advice)
+        return _item(
+            "diagnosis", change.joint, False, f"{planted}: no finding", advice
+        )
     lead = found.findings[0]
     named = f"{lead.verdict} {_cause(lead)}"
     if lead.rivals:
-        named += f" (or {', '.join(_cause(rival.candidate) for rival in lead.rivals)})"
+        named += (
+            f" (or {', '.join(_cause(rival.candidate) for rival in lead.rivals)})"
+        )
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
     mass = EFFECTS[change.effect].family == "body"
     others = [
@@ -563,8 +583,11 @@ def changed(arm: VirtualArm, effect: HiddenEffect) -> VirtualArm:
 
 def planted_parameters(arm: VirtualArm, effects: tuple[Effect, ...]) -> Array:
     """True standard parameters of the links, then those of standard effects, shape (p,)."""
-    bodies = [body.toDynamicParameters() for body in list(arm.truth.model.inertias)[1:]]
+    bodies = [
+        body.toDynamicParameters() for body in list(arm.truth.model.inertias)[1:]
+    ]
     drives = [
-        getattr(arm.truth.drives, effect.export.joint_property) for effect in effects
+        getattr(arm.truth.drives, effect.export.joint_property)
+        for effect in effects
     ]
     return read_only(np.concatenate([*bodies, *drives]))

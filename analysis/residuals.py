@@ -47,7 +47,9 @@ OUTSIDE_BAND = 0.02  # of the power on either side of a motion's band
 ABOVE_MOTION = 1.5  # times the cut-off: where nothing of the motion is left
 PASSED_NOISE = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
 NEAR_CUTOFF = (0.6, 0.95)  # of the cut-off
-HIGHEST_BAND = 1.5  # times the cut-off: up to where noise of positions is looked for
+HIGHEST_BAND = (
+    1.5  # times the cut-off: up to where noise of positions is looked for
+)
 POSES = 50  # at which inertia is evaluated
 PERIODOGRAM = 512  # samples of a periodogram's stretch
 LARGEST_RATIO = 100.0  # of error to noise; larger ones are not quoted
@@ -63,15 +65,15 @@ class Explanatory:
     reversal: Array  # distance since the joint last turned back, signed by velocity [rad or m]
     lengths: tuple[int, ...]  # rows of each uninterrupted part
     steps: tuple[float, ...]  # time between the rows of each part [s]
-    bands: (
-        Array  # lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz]
-    )
+    bands: Array  # lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz]
 
 
 def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
     """Explanatory variables at the rows of segments, beside a load (n, nv)."""
     slowest = STRUCTURED.least_direction * top_speed(segments)
-    since = [since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments]
+    since = [
+        since_reversal(s.motion.q, s.motion.dq, slowest)[s.keep] for s in segments
+    ]
     motions = [s.motion[s.keep] for s in segments]
     return Explanatory(
         position=np.concatenate([m.q for m in motions]),
@@ -116,7 +118,9 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
         return np.asarray(np.searchsorted(edges, x), np.intp)
 
     distance = np.abs(by.reversal[rows, j])
-    near = np.searchsorted(np.quantile(distance, 0.5 ** np.arange(7, 0, -1)), distance)
+    near = np.searchsorted(
+        np.quantile(distance, 0.5 ** np.arange(7, 0, -1)), distance
+    )
     bins = {
         "direction": forward,
         "velocity": even(dq, BINS),
@@ -125,12 +129,18 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
         "reversal": 2 * near + forward,
     }
     for name, bin_of in bins.items():
-        means = (np.bincount(bin_of, rest) / np.maximum(np.bincount(bin_of), 1))[bin_of]
-        explained[name] = _explained(rest, means, len(np.unique(bin_of)) - 1) / total
+        means = (np.bincount(bin_of, rest) / np.maximum(np.bincount(bin_of), 1))[
+            bin_of
+        ]
+        explained[name] = (
+            _explained(rest, means, len(np.unique(bin_of)) - 1) / total
+        )
     if by.bands[j, 0] * np.dot(by.lengths, by.steps) >= STRUCTURED.trend_periods:
         trend = np.polynomial.Polynomial.fit(time, rest, TREND_DEGREE)(time)
         explained["time"] = _explained(rest, trend, TREND_DEGREE) / total
-    return {name: float(np.clip(share, 0.0, 1.0)) for name, share in explained.items()}
+    return {
+        name: float(np.clip(share, 0.0, 1.0)) for name, share in explained.items()
+    }
 
 
 def _explained(e: Array, fitted: Array | float, freedom: int) -> float:
@@ -151,7 +161,9 @@ def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
         at = np.searchsorted([low - f[1] / 2, high + f[1] / 2], f)
         power += np.bincount(at, density[:, 0], minlength=3)
     total = max(float(power.sum()), 1e-300)
-    return {name: float(part / total) for name, part in zip(BANDS, power, strict=True)}
+    return {
+        name: float(part / total) for name, part in zip(BANDS, power, strict=True)
+    }
 
 
 def _motion_bands(segments: Sequence[Segment]) -> Array:
@@ -171,7 +183,9 @@ def _motion_bands(segments: Sequence[Segment]) -> Array:
 def _spectrum(x: Array, step: float) -> tuple[Array, Array]:
     power = np.abs(np.fft.rfft(x * np.hanning(len(x))[:, None], axis=0)) ** 2
     power[0] = 0.0
-    return np.asarray(np.fft.rfftfreq(len(x), step), float), np.asarray(power, float)
+    return np.asarray(np.fft.rfftfreq(len(x), step), float), np.asarray(
+        power, float
+    )
 
 
 @dataclass(frozen=True)
@@ -326,7 +340,11 @@ def motion_noise(robot: Robot, segments: Sequence[Segment]) -> Array:
 def _fast(e: Array, rate_hz: float, cutoff_hz: float) -> float:
     """Rms of an error if its density near the cut-off held at all frequencies below it."""
     f, density = power_density(e, rate_hz, PERIODOGRAM // 4)
-    near = density[(f > NEAR_CUTOFF[0] * cutoff_hz) & (f < NEAR_CUTOFF[1] * cutoff_hz)]
+    near = density[
+        (f > NEAR_CUTOFF[0] * cutoff_hz) & (f < NEAR_CUTOFF[1] * cutoff_hz)
+    ]
     return (
-        float(np.sqrt(np.median(near) * PASSED_NOISE * cutoff_hz)) if len(near) else 0.0
+        float(np.sqrt(np.median(near) * PASSED_NOISE * cutoff_hz))
+        if len(near)
+        else 0.0
     )

@@ -32,7 +32,9 @@ def select(
     bare = frictionless(robot)
     allowed = [c for c in evidence.candidates if c.key not in refuted]
     standard = [
-        c for c in allowed if c.effect.search.standard and {*c.effect.joints} <= bare
+        c
+        for c in allowed
+        if c.effect.search.standard and {*c.effect.joints} <= bare
     ]
     evidence, chosen = _grown(evidence, robot, [], standard)
     evidence, chosen = _grown(evidence, robot, chosen, allowed)
@@ -94,7 +96,9 @@ def _best_addition(
     return None
 
 
-def _repeats(robot: Robot, chosen: Sequence[Candidate], candidate: Candidate) -> bool:
+def _repeats(
+    robot: Robot, chosen: Sequence[Candidate], candidate: Candidate
+) -> bool:
     """Whether it is common to all joints and one of a single joint is chosen, or the reverse."""
     alike = [c.effect for c in chosen if c.effect.name == candidate.effect.name]
     common = candidate.effect.is_common(robot)
@@ -163,7 +167,10 @@ def _chance(candidate: Candidate) -> float:
 
 
 def _significant(
-    evidence: Evidence, chosen: Sequence[Candidate], candidate: Candidate, fall: float
+    evidence: Evidence,
+    chosen: Sequence[Candidate],
+    candidate: Candidate,
+    fall: float,
 ) -> bool:
     spread = evidence.dispersion(chosen, candidate)
     return fall > spread * evidence.threshold(candidate, len(chosen))
@@ -192,7 +199,9 @@ def _pruned(
     return pruned
 
 
-def underlies(robot: Robot, rest: Sequence[Candidate], candidate: Candidate) -> bool:
+def underlies(
+    robot: Robot, rest: Sequence[Candidate], candidate: Candidate
+) -> bool:
     """Whether finer friction builds on this plain one (heredity: Hamada and Wu 1992)."""
     effect = candidate.effect
     if not is_plain_friction(effect) or not {*effect.joints} <= frictionless(robot):
@@ -214,11 +223,16 @@ def is_plain_friction(effect: Effect) -> bool:
 
 
 def _plausible(
-    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate], candidate: Candidate
+    evidence: Evidence,
+    robot: Robot,
+    chosen: Sequence[Candidate],
+    candidate: Candidate,
 ) -> bool:
     """Whether a candidate's coefficients are physically plausible and no cause is cancelled."""
     # a cause that is common to all joints must have the same coefficients at all
-    if candidate.effect.is_common(robot) and not _agrees(evidence, chosen, candidate):
+    if candidate.effect.is_common(robot) and not _agrees(
+        evidence, chosen, candidate
+    ):
         return False
     coordinates = evidence.coordinates(chosen)
     if any(_cancelled(evidence, cause, coordinates) for cause in chosen):
@@ -231,7 +245,9 @@ def _plausible(
     return plausible(candidate.effect, robot, value, std)
 
 
-def _agrees(evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate) -> bool:
+def _agrees(
+    evidence: Evidence, chosen: Sequence[Candidate], cause: Candidate
+) -> bool:
     """Whether separate coefficients of each joint explain no more (Cochran 1954)."""
     rest = [c for c in chosen if c is not cause]
     more, freedom = evidence.separate_joints([*rest, cause], cause)
@@ -267,7 +283,9 @@ class Rival:
     """Another cause that the data cannot distinguish from the one found."""
 
     candidate: Candidate
-    deviations: float  # standard errors by which the one found explains the data better
+    deviations: (
+        float  # standard errors by which the one found explains the data better
+    )
     cosine: float  # largest |cos| between both signatures
 
 
@@ -286,7 +304,9 @@ def rivals(
     least = SELECTION.rival_share * falls[evidence.candidates.index(cause)]
     errors = evidence.block_errors(chosen)
     standard = [
-        c for c in evidence.candidates if is_plain_friction(c.effect) and c not in rest
+        c
+        for c in evidence.candidates
+        if is_plain_friction(c.effect) and c not in rest
     ]
     best: dict[Key, Rival] = {}
     for fall, other in zip(falls, evidence.candidates, strict=True):
@@ -294,7 +314,9 @@ def rivals(
             continue
         # standard friction at the joint of a friction cause, as far as it is missing
         joints = other.effect.joints
-        missing = other.effect.family == "friction" and {*joints} <= without_friction
+        missing = (
+            other.effect.family == "friction" and {*joints} <= without_friction
+        )
         added = [c for c in standard if missing and c.effect.joints == joints]
         if fall <= least and not added:
             continue

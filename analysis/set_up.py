@@ -28,7 +28,14 @@ from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import link_coordinates, link_weights
 from excitant.identify.recording import Recording
 from excitant.identify.rows import implausible_size
-from excitant.robots.effects import EFFECTS, Acts, Effect, Size, Words, standard_effects
+from excitant.robots.effects import (
+    EFFECTS,
+    Acts,
+    Effect,
+    Size,
+    Words,
+    standard_effects,
+)
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -132,11 +139,15 @@ class SetUp:
 
     def std_of(self, effect: Effect) -> tuple[float, ...]:
         """Standard deviations of the coefficients of one of its effects."""
-        return self.std["gravity" if effect.family == "static" else effect.joints[0]]
+        return self.std[
+            "gravity" if effect.family == "static" else effect.joints[0]
+        ]
 
 
 def set_up(
-    robot: Robot, recordings: Sequence[Recording], validate: Sequence[Recording] = ()
+    robot: Robot,
+    recordings: Sequence[Recording],
+    validate: Sequence[Recording] = (),
 ) -> tuple[SetUp, list[Recording]]:
     """The installation that recordings show, not yet refined, and all of them, repaired.
 
@@ -217,7 +228,9 @@ def refined(
         turns = np.zeros((3, 0))
         for effect in installation.effects:
             own = train.columns(effect)
-            if effect.family == "static":  # of the tangents at gravity of its length
+            if (
+                effect.family == "static"
+            ):  # of the tangents at gravity of its length
                 turns = np.linalg.svd(robot.gravity[None])[2][1:].T
                 own = own @ turns
             columns.append(own)
@@ -254,7 +267,9 @@ def _step(
     k = sum(part.shape[2] for part in columns)
     free = 10.0  # std [rad or m/s²] of angles that the data alone determine
     weights = link_weights(robot.nv, BODY_STD) ** 2
-    precision = np.concatenate([np.full(k, free**-2.0), weights, np.ones(len(scale))])
+    precision = np.concatenate(
+        [np.full(k, free**-2.0), weights, np.ones(len(scale))]
+    )
     residual = tau - train.torque()
     counts = away_from_rest(train.segments)
     least = 1e-9 * np.abs(tau).max()

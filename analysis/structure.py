@@ -62,7 +62,11 @@ class Structure:
             return {"frames": "joint"}
         vectors = [_members(row, self.base.names) for row in self.singular_vectors]
         values = self.singular_values.tolist()
-        return {"frames": "dh", "singular_values": values, "singular_vectors": vectors}
+        return {
+            "frames": "dh",
+            "singular_values": values,
+            "singular_vectors": vectors,
+        }
 
     @property
     def marginal(self) -> str | None:
@@ -146,7 +150,9 @@ def _members(vector: Array, names: Sequence[str]) -> str:
     return text + " + …" * (count > LISTED)
 
 
-def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> Motion:
+def _circumstantial(
+    robot: Robot, moving: Sequence[str] | None, held: Held
+) -> Motion:
     motion = structural_motion(robot, np.random.default_rng(0))
     if moving is None:
         return motion
@@ -154,7 +160,9 @@ def _circumstantial(robot: Robot, moving: Sequence[str] | None, held: Held) -> M
     q, dq, ddq = (np.array(x) for x in (motion.q, motion.dq, motion.ddq))
     dq[:, still] = ddq[:, still] = 0.0
     if isinstance(held, Mapping):
-        q[:, still] = np.array([held.get(name, 0.0) for name in robot.joints])[still]
+        q[:, still] = np.array([held.get(name, 0.0) for name in robot.joints])[
+            still
+        ]
     return replace(motion, q=q, dq=dq, ddq=ddq)
 
 
@@ -181,7 +189,9 @@ def _circumstances(
     circumstances = ["the base is fixed", _gravity_sentence(robot.gravity)]
     if robot.locked:
         circumstances.append(f"{_joints(_positions(dict(robot.locked)))} locked")
-    still = [name for name in robot.joints if moving is not None and name not in moving]
+    still = [
+        name for name in robot.joints if moving is not None and name not in moving
+    ]
     if still and held == "any":
         circumstances.append(f"{_joints(still)} at rest in many positions")
     elif still:
@@ -190,7 +200,9 @@ def _circumstances(
             f"{_joints(_positions({name: at.get(name, 0.0) for name in still}))} held"
         )
     missing = [
-        name for name in robot.joints if measured is not None and name not in measured
+        name
+        for name in robot.joints
+        if measured is not None and name not in measured
     ]
     if missing:
         circumstances.append(f"torque of {_joints(missing)} not measured")
@@ -212,5 +224,7 @@ def _gravity_sentence(gravity: Array) -> str:
     direction = gravity / size
     k = int(np.argmax(np.abs(direction)))
     if abs(direction[k]) > 1 - 1e-12:
-        return f"gravity along {'−' if direction[k] < 0 else ''}{'xyz'[k]} of the base"
+        return (
+            f"gravity along {'−' if direction[k] < 0 else ''}{'xyz'[k]} of the base"
+        )
     return f"gravity along ({', '.join(f'{x:.4g}' for x in direction)}) of the base"

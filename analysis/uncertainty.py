@@ -35,7 +35,9 @@ Mask = npt.NDArray[np.bool_]
 
 NOT_SHOWN = "not_shown"
 ROUNDING = 1e-9  # smallest singular value of normalised columns, relative
-UNSEEN_PART = 1e-6  # of a unit vector: from here on it has a part in unseen directions
+UNSEEN_PART = (
+    1e-6  # of a unit vector: from here on it has a part in unseen directions
+)
 
 DURATION_S = 10.0  # of a further experiment
 RATE_HZ = 20.0
@@ -48,7 +50,10 @@ def torque_noise(robot: Robot, noise: Sequence[float] | None = None) -> Array:
     """Standard deviation of each joint's torque noise, 1 % of its limit by default, (nv,) [N·m]."""
     if noise is not None:
         sigma = np.asarray(noise, float)
-        if sigma.shape != (robot.nv,) or not (np.isfinite(sigma) & (sigma > 0)).all():
+        if (
+            sigma.shape != (robot.nv,)
+            or not (np.isfinite(sigma) & (sigma > 0)).all()
+        ):
             raise BadInput(
                 f"noise {', '.join(f'{s:g}' for s in sigma)}: give one positive number [N·m] for "
                 f"each of the {robot.nv} joints of {robot.name}"
@@ -131,11 +136,11 @@ class MotionInformation:
     """Information of a motion's torque on the r base parameters β of p parameters x."""
 
     R: Array  # triangular factor of the whitened columns, shape (p, p)
-    covariance: (
-        Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
-    )
+    covariance: Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
     unseen: Array  # directions of β that change no torque, each with few members, shape (d, r)
-    signal: Array  # largest rms torque per unit of each parameter over the noise, (p,)
+    signal: (
+        Array  # largest rms torque per unit of each parameter over the noise, (p,)
+    )
     condition_number: float = (
         np.nan
     )  # of the unscaled columns of β; inf when some are not shown
@@ -179,7 +184,9 @@ def unseen_directions(R: Array) -> Array:
     directions[np.abs(directions) < UNSEEN_PART] = 0.0
     directions[range(len(rest)), rest] = 1.0
     directions /= scale
-    return np.asarray(directions / directions[range(len(rest)), rest][:, None], float)
+    return np.asarray(
+        directions / directions[range(len(rest)), rest][:, None], float
+    )
 
 
 @dataclass(frozen=True)
@@ -196,7 +203,9 @@ class Practical:
     def rel_std(self) -> float | None:
         """Standard deviation relative to the value; None when the value is zero or not shown."""
         return (
-            self.std / abs(self.value) if self.value and np.isfinite(self.std) else None
+            self.std / abs(self.value)
+            if self.value and np.isfinite(self.std)
+            else None
         )
 
     @property
@@ -207,7 +216,8 @@ class Practical:
     def result(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
         figures = {
-            key: getattr(self, key) for key in ("value", "std", "rel_std", "verdict")
+            key: getattr(self, key)
+            for key in ("value", "std", "rel_std", "verdict")
         }
         return {"name": self.expression, **figures, "needed": self.needed or None}
 
@@ -274,10 +284,10 @@ class Direction:
         if not np.isfinite(self.std):
             if len(self.members) == 1:
                 return f"{name} changes no torque of this motion"
-            others = listed([f"{other} by {c:.2g}" for other, c, _ in self.members[1:]])
-            return (
-                f"{name} by 1 with {others} (SI units) changes no torque of this motion"
+            others = listed(
+                [f"{other} by {c:.2g}" for other, c, _ in self.members[1:]]
             )
+            return f"{name} by 1 with {others} (SI units) changes no torque of this motion"
         if len(self.members) == 1:
             return f"{name} may be {abs(change):.2g} {unit} off without showing above the noise"
         moves = [
@@ -292,7 +302,8 @@ class Direction:
     def result(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
         members = [
-            dict(zip(("name", "change", "unit"), m, strict=True)) for m in self.members
+            dict(zip(("name", "change", "unit"), m, strict=True))
+            for m in self.members
         ]
         return {
             "expression": self.expression,
@@ -305,7 +316,9 @@ class Direction:
 
 def listed(words: Sequence[str]) -> str:
     """Words with commas and ``and``."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+    return " and ".join(
+        [", ".join(words[:-1]), words[-1]] if len(words) > 1 else words
+    )
 
 
 def weak_directions(
@@ -322,7 +335,8 @@ def weak_directions(
     """
     names = [base.names[k] for k in base.columns]
     directions = [
-        _direction(row, row, np.inf, names, units, size) for row in information.unseen
+        _direction(row, row, np.inf, names, units, size)
+        for row in information.unseen
     ]
     values, U = np.linalg.eigh(information.covariance / np.outer(size, size))
     for k in np.argsort(-values, kind="stable")[:count]:
@@ -371,7 +385,9 @@ def candidate_experiments(
         arm: Robot, motion: Motion = every_joint, others: Sequence[int] = ()
     ) -> Array:
         rows = [*measured, *others]
-        return triangle(observation_columns(arm, effects, motion)[:, rows], sigma[rows])
+        return triangle(
+            observation_columns(arm, effects, motion)[:, rows], sigma[rows]
+        )
 
     experiments = {}
     for j in rests:
@@ -380,14 +396,16 @@ def candidate_experiments(
             robot, partly_resting
         )
     if len(rests) > 1:
-        experiments[f"moving {listed([robot.joints[j] for j in rests])} together"] = (
-            factor(robot)
-        )
+        experiments[
+            f"moving {listed([robot.joints[j] for j in rests])} together"
+        ] = factor(robot)
     elif not rests:
         experiments["a wider and faster motion of all joints"] = factor(robot)
     for j, name in enumerate(robot.joints):
         if j not in measured:
-            experiments[f"measuring the torque of {name}"] = factor(robot, others=[j])
+            experiments[f"measuring the torque of {name}"] = factor(
+                robot, others=[j]
+            )
     sensor = f"{_NEVER}; by a force and torque sensor under the base"
     tilts = _tilts(robot)
     others = sum(len(effect.parameters(robot)) for effect in effects)
@@ -406,7 +424,9 @@ def _tilts(robot: Robot) -> dict[str, Robot]:
     for name, axis in zip("xyz", np.eye(3), strict=True):
         turned = np.cross(axis, g) + axis * (axis @ g)
         if np.linalg.norm(turned - g) > 1e-6:
-            tilts[f"tilted by 90° about its {name} axis"] = robot.with_gravity(turned)
+            tilts[f"tilted by 90° about its {name} axis"] = robot.with_gravity(
+                turned
+            )
     return tilts
 
 
@@ -455,7 +475,8 @@ def experiments_needed(
     enough = np.where(size == 0, np.inf, RESOLUTION.roughly * np.abs(size))
     now = deviations(R, A)
     tried = {
-        what: deviations(np.vstack([R, more]), A) for what, more in candidates.items()
+        what: deviations(np.vstack([R, more]), A)
+        for what, more in candidates.items()
     }
     answers = []
     for k, (std, limit) in enumerate(zip(now, enough, strict=True)):
@@ -473,7 +494,9 @@ def experiments_needed(
         elif np.isfinite(std):
             answers.append("less torque noise: too uncertain in every motion tried")
         else:
-            answers.append(f"{some[0]}, but no better than to 30 %" if some else APART)
+            answers.append(
+                f"{some[0]}, but no better than to 30 %" if some else APART
+            )
     return tuple(answers)
 
 

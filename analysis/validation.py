@@ -47,7 +47,9 @@ WEAK_BODIES = 1.0  # relative std in the search for the smallest change
 
 WINDOW_S = 0.6  # fifteen time constants of the stabilising loop
 WINDOWS = 4  # at least, spread over the hold-out, where it is long enough
-LONGEST_STEP = 2e-3  # s: longest step of integration, a twentieth of that time constant
+LONGEST_STEP = (
+    2e-3  # s: longest step of integration, a twentieth of that time constant
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,9 @@ class Move:
     inertia: (
         float  # logarithm of the factor on its mean moment about the centre of mass
     )
-    deviations: dict[str, float]  # of each of the three, over the std of given values
+    deviations: dict[
+        str, float
+    ]  # of each of the three, over the std of given values
 
     @property
     def most(self) -> float:
@@ -78,9 +82,7 @@ class Refit:
 
     errors: Mapping[str, Array]
     spread: Array  # standard deviation of the measured torque, shape (nv,)
-    possible: (
-        bool  # whether the unconstrained fit is physically consistent but for chance
-    )
+    possible: bool  # whether the unconstrained fit is physically consistent but for chance
     distance: (
         float  # of that fit from consistent values, relative to what chance allows
     )
@@ -95,7 +97,9 @@ class Refit:
     def gain(self) -> float:
         """Share of the squared error that free inertias remove, joints relative to torque."""
         inertias, nominal = (
-            float(((self.errors[model] / np.maximum(self.spread, 1e-12)) ** 2).sum())
+            float(
+                ((self.errors[model] / np.maximum(self.spread, 1e-12)) ** 2).sum()
+            )
             for model in ("inertias", "given")
         )
         return 1 - inertias / max(nominal, 1e-300)
@@ -114,7 +118,10 @@ def refit(train: Observed, tau: Array, holdout: Holdout, extended: Array) -> Ref
     none = np.zeros(0)
     free, least = (
         fit_physical(
-            root @ B, root @ beta, BodyPrior(prior, std), EffectPrior(none, none, none)
+            root @ B,
+            root @ beta,
+            BodyPrior(prior, std),
+            EffectPrior(none, none, none),
         ).x
         for std in (FREE_BODIES, WEAK_BODIES)
     )
@@ -148,7 +155,9 @@ def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int
     sigma = problem.tau.std(axis=0)
     for _ in range(NOISE_ITERATIONS):
         R, z = problem.factor(1 / np.maximum(sigma, SMALLEST))
-        beta, _, rank, _ = np.linalg.lstsq(R / scale, z, rcond=PLAUSIBILITY.dependent)
+        beta, _, rank, _ = np.linalg.lstsq(
+            R / scale, z, rcond=PLAUSIBILITY.dependent
+        )
         error = problem.residual(beta / scale)
         slow = np.array([autocorrelation_time(column) for column in error.T])
         sigma = np.sqrt((error**2).sum(axis=0) / counted * slow)
@@ -158,7 +167,9 @@ def _least_squares(problem: Regression, counts: Mask) -> tuple[Array, Array, int
 def _moves(robot: Robot, prior: Array, fitted: Array) -> tuple[Move, ...]:
     moves = []
     for link, before, after in zip(robot.links, prior, fitted, strict=True):
-        spread = link_coordinates(before[None]) / link_weights(1, EVIDENCE.tolerance)
+        spread = link_coordinates(before[None]) / link_weights(
+            1, EVIDENCE.tolerance
+        )
         root = _slopes(before) @ spread
         covariance = root @ root.T
         change = _figures(after) - _figures(before)
@@ -167,7 +178,11 @@ def _moves(robot: Robot, prior: Array, fitted: Array) -> tuple[Move, ...]:
         stds = np.sqrt(
             [covariance[0, 0], way @ covariance[1:4, 1:4] @ way, covariance[4, 4]]
         )
-        size = {"mass": float(change[0]), "centre": shift, "inertia": float(change[4])}
+        size = {
+            "mass": float(change[0]),
+            "centre": shift,
+            "inertia": float(change[4]),
+        }
         deviations = {
             name: abs(x) / max(float(s), 1e-300)
             for (name, x), s in zip(size.items(), stds, strict=True)
@@ -181,7 +196,9 @@ def _figures(phi: Array) -> Array:
     P = pseudo_inertia(phi)
     centre = P[:3, 3] / P[3, 3]
     central = np.trace(P[:3, :3]) - P[3, 3] * (centre @ centre)
-    return np.array([P[3, 3], *centre, np.log(max(float(central), 1e-12 * P[3, 3]))])
+    return np.array(
+        [P[3, 3], *centre, np.log(max(float(central), 1e-12 * P[3, 3]))]
+    )
 
 
 def _slopes(phi: Array) -> Array:
@@ -225,9 +242,14 @@ def forward(
     stretches = windows(segments)
     models = {"given": nominal, "extended": extended}
     return Forward(
-        {name: _simulated(model, gains, stretches) for name, model in models.items()},
+        {
+            name: _simulated(model, gains, stretches)
+            for name, model in models.items()
+        },
         windows=len(stretches),
-        seconds=float(np.mean([motion.t[-1] - motion.t[0] for motion, _ in stretches])),
+        seconds=float(
+            np.mean([motion.t[-1] - motion.t[0] for motion, _ in stretches])
+        ),
     )
 
 

@@ -98,16 +98,12 @@ class Bound:
     """A numerical lower bound on cond₂(W): certified at every state tried, not proved."""
 
     value: float  # the bound
-    without_repair: (
-        float  # were no state to violate it; a mixture of states reaches it (to 0.1 %)
-    )
+    without_repair: float  # were no state to violate it; a mixture of states reaches it (to 0.1 %)
     relaxation: Relaxation  # what was relaxed
     multipliers: (
         Multipliers  # the certificate, repaired: P, Q ⪰ 0, tr Q = 1, value² = tr P
     )
-    assumptions: (
-        str  # for which motions it holds, and how far it is certain, in one sentence
-    )
+    assumptions: str  # for which motions it holds, and how far it is certain, in one sentence
 
     def slack(self, motion: Motion) -> Array:
         """−⟨P − Q, M(x)⟩ − y·dφ/dt over the mean tr M, shape (n,); ≥ 0 where the bound holds."""
@@ -449,7 +445,9 @@ class _Programme:
     def adjoint(self, v: Array) -> tuple[Array, Array]:
         """Aᵀ v and Lᵀ v."""
         total = (v[: self.n] @ self.flat).reshape(self.M.shape[1:])
-        return np.stack([-total, total + v[self.n] * np.eye(len(total))]), self.L.T @ v
+        return np.stack(
+            [-total, total + v[self.n] * np.eye(len(total))]
+        ), self.L.T @ v
 
     def residual(self, point: _Point) -> tuple[tuple[Array, Array], float]:
         """Dual residuals of X and of x, and the distance from optimality."""

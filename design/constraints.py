@@ -22,7 +22,9 @@ KINEMATIC = ("position", "velocity", "acceleration", "jerk")  # by derivative or
 
 _ONE_SIDED = 4 * np.pi  # width given to a range that is bounded on one side only
 
-SCALE = 0.1  # m of missing clearance that count like a limit exceeded by its own size
+SCALE = (
+    0.1  # m of missing clearance that count like a limit exceeded by its own size
+)
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,9 @@ class LimitUse:
             [self.low, self.high, self.ratios, self.times], axis=1
         ).tolist()
         return [
-            dict(zip(names, row, strict=True)) if np.isfinite(limits).all() else None
+            dict(zip(names, row, strict=True))
+            if np.isfinite(limits).all()
+            else None
             for row, limits in zip(table, self.limits, strict=True)
         ]
 
@@ -196,11 +200,14 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
             CERTIFICATION.per_harmonic * max(motion.harmonics, 1) + 1,
         )
         found = [
-            _extreme(*(part.T for part in motion.extrema_in_time(k))) for k in orders
+            _extreme(*(part.T for part in motion.extrema_in_time(k)))
+            for k in orders
         ]
     else:
         if len(motion) < 2:
-            raise BadInput(f"motion has {len(motion)} samples, at least two are needed")
+            raise BadInput(
+                f"motion has {len(motion)} samples, at least two are needed"
+            )
         path = HermiteTrajectory(motion)
         share = np.arange(CERTIFICATION.per_sample) / CERTIFICATION.per_sample
         t = (motion.t[:-1, None] + share * np.diff(motion.t)[:, None]).ravel()
@@ -227,14 +234,19 @@ def shares_of_limits(robot: Robot, motion: Motion) -> Array:
     middle, bound = kinematic_limits(robot.limits)
     kinematic = np.stack([motion.q, motion.dq, motion.ddq], axis=1) - middle[:3]
     bounds = np.vstack([bound[:3], robot.limits.torque])
-    values = np.concatenate([kinematic, largest_torque(robot, motion)[:, None]], axis=1)
+    values = np.concatenate(
+        [kinematic, largest_torque(robot, motion)[:, None]], axis=1
+    )
     with np.errstate(over="ignore"):  # of a limit that is hardly any
         shares: Array = np.abs(values) / bounds
     return shares
 
 
 def within_limits(
-    robot: Robot, trajectory: Trajectory, scene: Scene | None = None, least: float = 0.0
+    robot: Robot,
+    trajectory: Trajectory,
+    scene: Scene | None = None,
+    least: float = 0.0,
 ) -> Trajectory | None:
     """The trajectory, shrunk towards its middle by what it exceeds a limit; None if that fails.
 
@@ -360,7 +372,8 @@ def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
         bound = ((left + right - approach * length) / 2).min(axis=1)
         open_ = bound < best.distance - CERTIFICATION.resolution
         certified = min(
-            best.distance - CERTIFICATION.resolution, float(bound.min(initial=np.inf))
+            best.distance - CERTIFICATION.resolution,
+            float(bound.min(initial=np.inf)),
         )
         if not open_.any() or evaluated > CERTIFICATION.poses:
             return replace(best, certified=certified)

@@ -19,7 +19,9 @@ from excitant.robots.torque import observation_columns
 COLUMNS = ("friction", "inertial")
 CRITERIA = ("condition", "d", "a", "e")
 
-_SIGN_WIDTH = 0.02  # of the speed scale: where the smooth sign of the derivatives turns
+_SIGN_WIDTH = (
+    0.02  # of the speed scale: where the smooth sign of the derivatives turns
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +36,7 @@ class Information:
     columns: str
     base: BaseParameters  # of these columns
     weights: Array  # of each joint's equations, 1 / its noise relative to the others, shape (nv,)
-    earlier: (
-        Array  # information of earlier recordings per sample of the new motion, (r, r)
-    )
+    earlier: Array  # information of earlier recordings per sample of the new motion, (r, r)
 
     def __post_init__(self) -> None:
         freeze(self, "weights", "earlier")
@@ -44,7 +44,11 @@ class Information:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Whose columns follow those of the links."""
-        return standard_effects(self.robot.joints) if self.columns == "friction" else ()
+        return (
+            standard_effects(self.robot.joints)
+            if self.columns == "friction"
+            else ()
+        )
 
     def observation(self, motion: Motion, *, smooth: bool = False) -> Array:
         """Base columns at every instant, shape (n, nv, r).
@@ -76,7 +80,8 @@ class Information:
         if self.columns == "friction":
             added = _friction_derivatives(self.robot, motion)
             parts = [
-                np.concatenate(pair, axis=-1) for pair in zip(parts, added, strict=True)
+                np.concatenate(pair, axis=-1)
+                for pair in zip(parts, added, strict=True)
             ]
         keep = list(self.base.columns)
         return RegressorDerivatives(
@@ -119,7 +124,9 @@ def information(
     effects = standard_effects(robot.joints) if columns == "friction" else ()
     base = base_parameters(robot, effects)
     known = np.zeros((len(base), len(base)))
-    new = Information(robot, columns, base, np.exp(np.log(sigma).mean()) / sigma, known)
+    new = Information(
+        robot, columns, base, np.exp(np.log(sigma).mean()) / sigma, known
+    )
     for motion in earlier:
         if motion.nv != robot.nv:
             raise BadInput(
@@ -132,7 +139,9 @@ def information(
 def condition_number(M: Array) -> float:
     """cond₂(W) from M = WᵀW / n: √(λmax / λmin)."""
     eigenvalues = np.linalg.eigvalsh(M)
-    return float(np.sqrt(eigenvalues[-1]) / np.sqrt(max(float(eigenvalues[0]), 1e-300)))
+    return float(
+        np.sqrt(eigenvalues[-1]) / np.sqrt(max(float(eigenvalues[0]), 1e-300))
+    )
 
 
 def speed_scale(robot: Robot) -> Array:
@@ -156,7 +165,9 @@ def _friction_derivatives(
     sign = np.tanh(motion.dq / width)
     Y = np.zeros((n, nv, 4 * nv))
     by_q, by_dq, by_ddq = np.zeros((3, nv, n, nv, 4 * nv))
-    for block, values in enumerate((motion.dq, sign, np.ones_like(sign), motion.ddq)):
+    for block, values in enumerate(
+        (motion.dq, sign, np.ones_like(sign), motion.ddq)
+    ):
         Y[:, j, block * nv + j] = values
     by_dq[j, :, j, j] = 1.0
     by_dq[j, :, j, nv + j] = ((1 - sign**2) / width).T

@@ -153,7 +153,9 @@ def _from_json(path: Path, robot: Robot) -> Trajectory:
 
 def _from_csv(text: str, path: Path, robot: Robot) -> Motion:
     lines = [
-        [cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row
+        [cell.strip() for cell in row]
+        for row in csv.reader(text.splitlines())
+        if row
     ]
     if fault := _csv_fault(lines, robot):
         raise BadInput(f"trajectory {path}: {fault}")
@@ -223,7 +225,8 @@ def write_formats(
             found[suffix] = ros2_client(motions, robot)
         else:
             found |= {
-                stem + suffix: write(motion, robot) for stem, motion in motions.items()
+                stem + suffix: write(motion, robot)
+                for stem, motion in motions.items()
             }
     return found
 
@@ -247,12 +250,20 @@ def ros2_client(motions: Mapping[str, Motion], robot: Robot) -> str:
     It needs ROS 2 and nothing of excitant; see its own first lines.
     """
     text = (
-        files("excitant.design").joinpath("ros2_client.py").read_text(encoding="utf-8")
+        files("excitant.design")
+        .joinpath("ros2_client.py")
+        .read_text(encoding="utf-8")
     )
     rows = ["MOTIONS = {"]
     for name, motion in motions.items():
-        table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq]).tolist()
-        rows += [f"    {name!r}: [", *(f"        {row}," for row in table), "    ],"]
+        table = np.column_stack(
+            [motion.t, motion.q, motion.dq, motion.ddq]
+        ).tolist()
+        rows += [
+            f"    {name!r}: [",
+            *(f"        {row}," for row in table),
+            "    ],",
+        ]
     held = {
         "JOINTS": f"JOINTS = {list(robot.joints)}",
         "MOTIONS": "\n".join([*rows, "}"]),
@@ -372,7 +383,9 @@ def _points(
         raise BadInput(
             f"samples {k} and {k + 1} of the motion are less than 1 ns apart"
         )
-    rows = zip(motion.q.tolist(), motion.dq.tolist(), motion.ddq.tolist(), strict=True)
+    rows = zip(
+        motion.q.tolist(), motion.dq.tolist(), motion.ddq.tolist(), strict=True
+    )
     for tick, values in zip(ticks, rows, strict=True):
         yield *divmod(tick, 10**9), *values
 

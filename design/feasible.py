@@ -135,9 +135,12 @@ def _draw(robot: Robot, rng: np.random.Generator, series: Series) -> Trajectory:
     X = series.nearest(waves.trajectory(X))
     moved = series.trajectory(X)
     reach = [
-        np.maximum(*(np.abs(e) for e in moved.extrema(k))) for k in range(len(bound))
+        np.maximum(*(np.abs(e) for e in moved.extrema(k)))
+        for k in range(len(bound))
     ]
-    shift = rng.uniform(0.0, 0.6, robot.nv) * rng.choice([-1.0, 1.0], robot.nv) * half
+    shift = (
+        rng.uniform(0.0, 0.6, robot.nv) * rng.choice([-1.0, 1.0], robot.nv) * half
+    )
     room = [half - np.abs(shift), *bound[1:]]
     share = np.min(
         [b / np.maximum(r, 1e-12) for b, r in zip(room, reach, strict=True)], axis=0

@@ -13,7 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.design.constraints import check, within_limits
-from excitant.design.criterion import CRITERIA, condition_number, information, objective
+from excitant.design.criterion import (
+    CRITERIA,
+    condition_number,
+    information,
+    objective,
+)
 from excitant.design.options import Search
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
@@ -35,7 +40,9 @@ CANDIDATES = 4  # best searches whose exact figures decide
 
 STARTS = 16  # of a search without a time limit
 FEWEST_HARMONICS = 5  # that a search for their number begins with
-CLEARANCE_MARGIN = 0.004  # m, for what happens between the instants of the optimiser
+CLEARANCE_MARGIN = (
+    0.004  # m, for what happens between the instants of the optimiser
+)
 
 SceneOption = Scene | tuple[()] | None
 """What to keep clear of; None: the arm's bodies and its floor; an empty tuple: nothing."""
@@ -97,9 +104,13 @@ def build_design(
         1 if periods == "search" else periods,
         FEWEST_HARMONICS if harmonics == "search" else harmonics,
     )
-    seen = information(robot, columns, noise=noise, earlier=after, duration=duration)
+    seen = information(
+        robot, columns, noise=noise, earlier=after, duration=duration
+    )
     around = usual_scene(robot, clearance) if scene is None else scene or None
-    return DesignProblem(seen, criterion, begun, around, clearance + CLEARANCE_MARGIN)
+    return DesignProblem(
+        seen, criterion, begun, around, clearance + CLEARANCE_MARGIN
+    )
 
 
 def _series(name: str, duration: float, periods: int, harmonics: int) -> Series:
@@ -190,7 +201,14 @@ def design_trajectory(
     wall_s = time.time() - began
     seen = replace(problem.information, robot=robot)
     return Design(
-        seen, asked.criterion, initial, chosen, first.scene, asked.use, searches, wall_s
+        seen,
+        asked.criterion,
+        initial,
+        chosen,
+        first.scene,
+        asked.use,
+        searches,
+        wall_s,
     )
 
 
@@ -206,7 +224,9 @@ class _Teller:
         self.condition = np.inf
         self.done = 0
 
-    def __call__(self, problem: DesignProblem, states: Sequence[SearchState]) -> None:
+    def __call__(
+        self, problem: DesignProblem, states: Sequence[SearchState]
+    ) -> None:
         state = min(states, key=lambda s: s.best_value)
         if state.best is not None and state.best_value < self.told:
             self.told = state.best_value

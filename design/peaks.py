@@ -48,7 +48,9 @@ class TorquePeaks:
     def above(self, share: float) -> TorquePeaks:
         """Those whose use exceeds a share."""
         k = self.use > share
-        return TorquePeaks(*(getattr(self, field.name)[k] for field in fields(self)))
+        return TorquePeaks(
+            *(getattr(self, field.name)[k] for field in fields(self))
+        )
 
     def motion(self, problem: DesignProblem, z: Array) -> Motion:
         """The motion at the instants, creeping where it turns."""
@@ -60,7 +62,9 @@ class TorquePeaks:
 
 def torque_peaks(problem: DesignProblem, z: Array) -> TorquePeaks:
     """Peaks of every joint's torque along a trajectory, located between samples by a parabola."""
-    motion = Motion(problem.instants, *(basis @ z for basis in problem.grid_bases[:3]))
+    motion = Motion(
+        problem.instants, *(basis @ z for basis in problem.grid_bases[:3])
+    )
     tau = largest_torque(problem.robot, motion)
     if not problem.robot.effects:
         candidates = [_smooth_peaks(problem, z, tau, 0.0)]
@@ -174,7 +178,9 @@ def _own(
     return values
 
 
-def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, Array]:
+def torque_rows(
+    problem: DesignProblem, z: Array, share: float
+) -> tuple[Array, Array]:
     """Derivatives of the use at peaks above a share, shape (m, unknowns), and the use, (m,)."""
     if np.all(np.isinf(problem.torque_bound)):
         return np.zeros((0, problem.size)), np.zeros(0)
@@ -188,7 +194,9 @@ def torque_rows(problem: DesignProblem, z: Array, share: float) -> tuple[Array, 
     rows = np.zeros((len(m), *z.shape))
     jerk = problem.basis(peaks.t, 3) @ z
     rate = np.zeros(len(m))
-    for phi, D, speed in zip(bases, parts, (motion.dq, motion.ddq, jerk), strict=True):
+    for phi, D, speed in zip(
+        bases, parts, (motion.dq, motion.ddq, jerk), strict=True
+    ):
         rows += phi[:, :, None] * D[m, joint][:, None, :]
         rate += np.einsum("kj,kj->k", D[m, joint], speed)
     rows[m, :, joint] -= bases[1] * _delay(peaks, motion, rate)[:, None]
@@ -237,7 +245,9 @@ def _worst_bodies(robot: Robot, motion: Motion, joint: Joints) -> list[Robot]:
         * np.where(total < 0, -1, 1)[:, None]
     )
     shares = 1 + robot.limits.mass_uncertainty * way
-    return [robot.with_parameters(robot.phi * np.repeat(share, 10)) for share in shares]
+    return [
+        robot.with_parameters(robot.phi * np.repeat(share, 10)) for share in shares
+    ]
 
 
 def _effect_derivatives(robot: Robot, motion: Motion) -> Array:
@@ -263,7 +273,9 @@ def _difference(
     change = np.zeros((3, *motion.q.shape))
     change[order] = _STEP * way
     state = np.stack([motion.q, motion.dq, motion.ddq])
-    ahead, behind = (Motion(motion.t, *(state + sign * change)) for sign in (1.0, -1.0))
+    ahead, behind = (
+        Motion(motion.t, *(state + sign * change)) for sign in (1.0, -1.0)
+    )
     total = np.zeros(motion.q.shape)
     for effect in effects:
         total += effect.torque(robot, ahead) - effect.torque(robot, behind)
@@ -273,7 +285,9 @@ def _difference(
 
 def worst_use(problem: DesignProblem, z: Array) -> float:
     """Worst use of the torque bounds at the peaks, and of the clearance at the grid's instants."""
-    apart = pose_use(problem.scene, problem.required, problem.grid_bases[0] @ z).max()
+    apart = pose_use(
+        problem.scene, problem.required, problem.grid_bases[0] @ z
+    ).max()
     if np.all(np.isinf(problem.torque_bound)):
         return float(apart)
     return max(float(torque_peaks(problem, z).use.max(initial=0.0)), float(apart))

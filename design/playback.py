@@ -60,7 +60,9 @@ class Playback:
 
     def result(self) -> dict[str, Any]:
         """For ``result.json``: the arm's ``appearance``, and its pairs of ``bodies``."""
-        pairs = [] if self.scene is None else [list(pair) for pair in self.scene.pairs]
+        pairs = (
+            [] if self.scene is None else [list(pair) for pair in self.scene.pairs]
+        )
         return {"appearance": Appearance(self.robot).entries(), "bodies": pairs}
 
     def series(self) -> dict[str, Array]:
@@ -74,11 +76,15 @@ class Playback:
         """
         motion = self.motion
         shares = shares_of_limits(self.robot, motion)
-        for k, use in enumerate(getattr(self.limits, name) for name in LIMIT_NAMES[:4]):
+        for k, use in enumerate(
+            getattr(self.limits, name) for name in LIMIT_NAMES[:4]
+        ):
             for j in np.flatnonzero(
                 use.ratios >= TOUCHED
             ):  # friction jumps where a joint turns
-                shares[np.searchsorted(motion.t, use.times[j]), k, j] = use.ratios[j]
+                shares[np.searchsorted(motion.t, use.times[j]), k, j] = use.ratios[
+                    j
+                ]
         series = {"play_t": motion.t, "play_q": motion.q, "play_dq": motion.dq}
         series["play_shares"] = shares
         if self.scene is not None:

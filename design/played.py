@@ -48,9 +48,13 @@ def require_playable(
 ) -> None:
     """Refuse, as BadInput or UnknownName, what `play` could not write of any design."""
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
-        raise BadInput(f"--rate {rate:g} Hz: give a control rate from 1 to 10000 Hz")
+        raise BadInput(
+            f"--rate {rate:g} Hz: give a control rate from 1 to 10000 Hz"
+        )
     if repeat < 1:
-        raise BadInput(f"--repeat {repeat}: give how often the motion runs, at least 1")
+        raise BadInput(
+            f"--repeat {repeat}: give how often the motion runs, at least 1"
+        )
     still = np.zeros((2, robot.nv))
     write_formats(
         {"": Motion(np.arange(2.0), still, still, still)}, robot, formats or ()
@@ -140,7 +144,11 @@ def _add_first_run(
     """Add the same path at a share of the speed; whether it is within all limits."""
     slow = design.trajectory.slowed(speed)
     used = check(design.robot, slow).worst
-    played.first_run = {"speed": speed, "duration": slow.duration, "limit": used.ratio}
+    played.first_run = {
+        "speed": speed,
+        "duration": slow.duration,
+        "limit": used.ratio,
+    }
     note = (
         f"the same path in {slow.duration:.4g} s; it uses up to {100 * used.ratio:.3g} % of a "
         f"limit ({used.quantity} of {used.joint})"

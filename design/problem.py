@@ -34,7 +34,9 @@ class DesignProblem:
 
     information: Information  # what is to be made visible, on which robot
     criterion: str  # ``"condition"``, ``"d"``, ``"a"`` or ``"e"``
-    series: Series  # functions of time that the motion is a combination of; c of them
+    series: (
+        Series  # functions of time that the motion is a combination of; c of them
+    )
     # the arm's bodies and obstacles; None to leave clearance out
     scene: Scene | None = None
     required: float = 0.0  # smallest distance between bodies [m]
@@ -82,9 +84,9 @@ class DesignProblem:
     @cached_property
     def bound(self) -> Array:
         """Largest distance of q, q̇, q̈ (and jerk) from the middle, less a margin."""
-        return kinematic_limits(self.robot.limits)[1][: self.robot.limits.orders] * (
-            1 - _MARGIN
-        )
+        return kinematic_limits(self.robot.limits)[1][
+            : self.robot.limits.orders
+        ] * (1 - _MARGIN)
 
     @cached_property
     def torque_bound(self) -> Array:
@@ -142,6 +144,8 @@ class DesignProblem:
         spacing = self.period / len(use)
         shift = -slope / np.where(curve == 0.0, np.inf, curve)
         shift = np.clip(shift, -spacing, spacing)
-        rise = np.abs(shift * (slope + 0.5 * curve * shift)) / self.bound[order, joint]
+        rise = (
+            np.abs(shift * (slope + 0.5 * curve * shift)) / self.bound[order, joint]
+        )
         high = use[k, joint] + rise > share
         return (self.instants[k] + shift)[high], joint[high]

@@ -69,7 +69,9 @@ class StateSpace:
         """States of points of the cube, shape (n, 3 nv), numbered instead of timed."""
         u1, u2, u3 = np.split(u, 3, axis=1)
         dq = self._speeds(u1) * u2
-        return numbered(self.middle + self.half * u1, dq, self._accelerations(dq) * u3)
+        return numbered(
+            self.middle + self.half * u1, dq, self._accelerations(dq) * u3
+        )
 
     def cube(self, motion: Motion) -> Array:
         """Points of the cube for states, the nearest where a state is outside."""
@@ -173,7 +175,9 @@ class TestFunctions:
     reverse count alike.
     """
 
-    table: npt.NDArray[np.intp]  # j, kind of f, and i of each function, shape (m, 3)
+    table: npt.NDArray[
+        np.intp
+    ]  # j, kind of f, and i of each function, shape (m, 3)
     scale: Array  # that divides them
 
     def rates(self, motion: Motion) -> Array:
@@ -292,14 +296,22 @@ class Relaxation:
                 there = np.clip(u + (factor * reach)[:, None] * d, -1, 1)
                 merit = self._merit(multipliers, there)
                 up = merit > top
-                best[up], top[up], used[up] = there[up], merit[up], factor * reach[up]
+                best[up], top[up], used[up] = (
+                    there[up],
+                    merit[up],
+                    factor * reach[up],
+                )
             u = best
             value = top
             reach = np.clip(used, 1e-5, 2.0)
         return u, value
 
     def promising(
-        self, multipliers: Multipliers, known: Array, rng: np.random.Generator, n: int
+        self,
+        multipliers: Multipliers,
+        known: Array,
+        rng: np.random.Generator,
+        n: int,
     ) -> Array:
         """The n best-priced of many points of the cube: random ones and mutants of known ones."""
         count = SAMPLING.draws * n
@@ -349,12 +361,15 @@ def relaxation(
     odd = np.abs(Y + back).max(axis=(0, 1)) < np.abs(Y - back).max(axis=(0, 1))
     factors = [(0, _ONE)]
     for j, unit in enumerate(np.eye(robot.nv)):
-        moved = visible.observation(numbered(motion.q + unit, motion.dq, motion.ddq))
+        moved = visible.observation(
+            numbered(motion.q + unit, motion.dq, motion.ddq)
+        )
         if (
             np.abs(moved - Y).max() > SAMPLING.same * np.abs(Y).max()
         ):  # not a first joint along gravity
             factors += [
-                (j, kind) for kind in ((_SIN, _COS) if robot.revolute[j] else (_X, _XX))
+                (j, kind)
+                for kind in ((_SIN, _COS) if robot.revolute[j] else (_X, _XX))
             ]
     table = (
         [(*factor, i) for factor in factors for i in range(robot.nv)]
@@ -365,4 +380,6 @@ def relaxation(
         np.reshape(np.array(table, np.intp), (-1, 3)), np.ones(len(table))
     )
     tests = replace(tests, scale=np.sqrt((tests.rates(motion) ** 2).mean(axis=0)))
-    return Relaxation(visible, space, odd, tests, float((Y**2).sum(axis=(1, 2)).mean()))
+    return Relaxation(
+        visible, space, odd, tests, float((Y**2).sum(axis=(1, 2)).mean())
+    )

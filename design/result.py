@@ -123,7 +123,9 @@ class Design(Shown):
     @cached_property
     def clearance(self) -> Clearance | None:
         """Smallest distance over the continuous motion; None without a scene."""
-        return None if self.scene is None else clearance(self.scene, self.trajectory)
+        return (
+            None if self.scene is None else clearance(self.scene, self.trajectory)
+        )
 
     @property
     def playback(self) -> Playback:
@@ -186,7 +188,8 @@ class Design(Shown):
             "notes": [
                 *["interrupted: this is the best motion found by then"]
                 * self.interrupted,
-                *[_TIMED] * any(start.status == "time limit" for start in self.starts),
+                *[_TIMED]
+                * any(start.status == "time limit" for start in self.starts),
             ],
             "files": [],
         }
@@ -207,7 +210,9 @@ class Design(Shown):
             "dq": motion.dq,
             "ddq": motion.ddq,
             "tau": torque(robot, motion),
-            "eigenvalues_initial": np.asarray(np.linalg.eigvalsh(self.before), float),
+            "eigenvalues_initial": np.asarray(
+                np.linalg.eigvalsh(self.before), float
+            ),
             "eigenvalues_final": np.asarray(np.linalg.eigvalsh(self.after), float),
         }
         if robot.limits.orders > 3:
@@ -234,7 +239,8 @@ class Design(Shown):
 
     def _table(self) -> Table:
         rows = [
-            (use.quantity, use.joint, use.ratio, use.time) for use in self.limits.uses
+            (use.quantity, use.joint, use.ratio, use.time)
+            for use in self.limits.uses
         ]
         return ("limit", "joint that comes closest", "share of it", "at [s]"), rows
 
@@ -242,10 +248,15 @@ class Design(Shown):
         base = self.base
         robot = self.robot
         root = math.sqrt(max(_DENSE, round(_DENSE_HZ * self.duration)) + 1)
-        lone = {"initial": lone_torque(self.before), "final": lone_torque(self.after)}
+        lone = {
+            "initial": lone_torque(self.before),
+            "final": lone_torque(self.after),
+        }
         known = dict(zip(robot.parameter_names, robot.phi.tolist(), strict=True))
         known |= effect_values(robot)
-        beta = base.regrouping @ np.array([known.get(name, 0.0) for name in base.names])
+        beta = base.regrouping @ np.array(
+            [known.get(name, 0.0) for name in base.names]
+        )
         added = (
             p.unit
             for effect in self.information.effects
@@ -271,13 +282,16 @@ class TrajectoryCheck(Shown):
     path: Trajectory | HermiteTrajectory  # what it is between them
     scene: Scene | None  # what it is to keep clear of
     least: float  # distance required [m]
-    information: Information | None = None  # what it is to make visible, if anything
+    information: Information | None = (
+        None  # what it is to make visible, if anything
+    )
 
     @cached_property
     def limits(self) -> LimitReport:
         """Worst use of every limit over the continuous motion."""
         return check(
-            self.robot, self.path if isinstance(self.path, Trajectory) else self.motion
+            self.robot,
+            self.path if isinstance(self.path, Trajectory) else self.motion,
         )
 
     @cached_property
@@ -299,7 +313,9 @@ class TrajectoryCheck(Shown):
     @property
     def playback(self) -> Playback:
         """The motion to watch."""
-        return Playback(self.robot, self.path, self.limits, self.scene, self.clearance)
+        return Playback(
+            self.robot, self.path, self.limits, self.scene, self.clearance
+        )
 
     @property
     def verdicts(self) -> list[str]:
@@ -326,7 +342,9 @@ class TrajectoryCheck(Shown):
         ]
 
     def _table(self) -> Table:
-        rows = [(use.quantity, use.joint, share(use.ratio)) for use in self.limits.uses]
+        rows = [
+            (use.quantity, use.joint, share(use.ratio)) for use in self.limits.uses
+        ]
         return ("limit", "joint", "used"), rows
 
     def result(self) -> dict[str, Any]:

@@ -107,7 +107,9 @@ class Client:
             f"no message on {self.states} within {PATIENCE:g} s that holds {JOINTS}"
         )
         self.wait(lambda: self.state is not None, PATIENCE, missing)
-        self.wait(self.rests, PATIENCE, f"the arm still moves; {name} begins at rest")
+        self.wait(
+            self.rests, PATIENCE, f"the arm still moves; {name} begins at rest"
+        )
         stands = dict(zip(self.state.name, self.state.position, strict=False))
         for joint, wanted in zip(JOINTS, row[1:], strict=False):
             if not abs(stands[joint] - wanted) <= START:
@@ -129,7 +131,9 @@ class Client:
         lasts = LEAD + (rows[-1][0] - rows[0][0]) / scale
         try:
             self.wait(
-                result.done, 2 * lasts + PATIENCE, f"{name} does not come to its end"
+                result.done,
+                2 * lasts + PATIENCE,
+                f"{name} does not come to its end",
             )
         except (KeyboardInterrupt, Refused):
             cancelled = handle.cancel_goal_async()
@@ -162,7 +166,9 @@ def main() -> int:
     parser.add_argument(
         "--scale", type=share, default=0.2, help="share of the speed (0.2)"
     )
-    parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS))
+    parser.add_argument(
+        "--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS)
+    )
     parser.add_argument("--controller", default="/joint_trajectory_controller")
     parser.add_argument(
         "--states", default="/joint_states", help="topic of JointState messages"
@@ -199,7 +205,9 @@ def main() -> int:
         print(f"stopped: {why}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("stopped: interrupted; what was running is cancelled", file=sys.stderr)
+        print(
+            "stopped: interrupted; what was running is cancelled", file=sys.stderr
+        )
         return 130
     finally:
         node.destroy_node()

@@ -172,7 +172,9 @@ class SearchState:
 
     def exhausted(self) -> SearchState:
         """The search at a point that it cannot improve."""
-        return replace(self, status="infeasible" if self.best is None else "converged")
+        return replace(
+            self, status="infeasible" if self.best is None else "converged"
+        )
 
 
 Searches = tuple[SearchState, ...]
@@ -248,7 +250,9 @@ def _iterate(problem: DesignProblem, state: SearchState) -> SearchState:
 class Effort:
     """Budget of a design: starts, processes, time."""
 
-    starts: int | None  # number of starts; None for as many as fit until the deadline
+    starts: (
+        int | None
+    )  # number of starts; None for as many as fit until the deadline
     jobs: int  # number of processes
     seed: int  # seed of start k is (seed, k)
     deadline: float = np.inf  # `time.time` at which to stop [s]
@@ -287,7 +291,9 @@ def search(
     return _grow(first.problem, first.run(), effort, periods, top_hz)
 
 
-def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _MultiStart:
+def _most_telling(
+    problem: DesignProblem, effort: Effort, top_hz: float
+) -> _MultiStart:
     """A few starts on the motion in one period, in two and more while that is better.
 
     They go on with the whole effort.
@@ -305,7 +311,9 @@ def _most_telling(problem: DesignProblem, effort: Effort, top_hz: float) -> _Mul
             if effort.starts is None
             else max(1, effort.starts // SERIES_CHOICE.period_starts)
         )
-        tried = _MultiStart(candidate, effort.share(starts, SERIES_CHOICE.period_time))
+        tried = _MultiStart(
+            candidate, effort.share(starts, SERIES_CHOICE.period_time)
+        )
         searches = tried.begin()
         loss = -np.inf if best is None else _value(searches) - _value(best.searches)
         if best is None or loss < -SERIES_CHOICE.gain:
@@ -377,7 +385,9 @@ def _seeds(
     )
     kept = (within_limits(problem.robot, trajectory) for trajectory in near)
     return tuple(
-        problem.unknowns(trajectory) for trajectory in kept if trajectory is not None
+        problem.unknowns(trajectory)
+        for trajectory in kept
+        if trajectory is not None
     )
 
 
@@ -471,7 +481,9 @@ class _MultiStart:
 
     def random_starts(self) -> None:
         first = len(self.states)
-        count = int(min(self.room, max(3, min(RESTARTS.random_starts, self.room / 2))))
+        count = int(
+            min(self.room, max(3, min(RESTARTS.random_starts, self.room / 2)))
+        )
         begun: dict[int, Array] = {}
         if first < len(self.seeds):
             count = len(self.seeds)

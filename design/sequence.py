@@ -94,7 +94,8 @@ class LinkByLinkDesign:
         when = {}
         for quantity in single[0]["limits"]:
             k = max(
-                range(len(single)), key=lambda k: single[k]["limits"][quantity] or 0.0
+                range(len(single)),
+                key=lambda k: single[k]["limits"][quantity] or 0.0,
             )
             limits[quantity], row = (
                 single[k]["limits"][quantity],
@@ -113,7 +114,9 @@ class LinkByLinkDesign:
                 "determines": list(design.base.expressions),
                 **{key: one[key] for key in _OWN},
             }
-            for (joint, design), one in zip(self.motions.items(), single, strict=True)
+            for (joint, design), one in zip(
+                self.motions.items(), single, strict=True
+            )
         ]
         return {
             "verb": "design",
@@ -212,7 +215,9 @@ def design_link_by_link(
                 initial,
                 *map(problem.trajectory, best_solutions(searches, CANDIDATES)),
             ]
-            kept = _keeping(held, [_whole(x, pose) for x in drawn], around, clearance)
+            kept = _keeping(
+                held, [_whole(x, pose) for x in drawn], around, clearance
+            )
             seen = _of_link(goal, joint, last == joint)
             values = [
                 objective(seen.matrix(dense_motion(motion)), asked.criterion)
@@ -220,7 +225,14 @@ def design_link_by_link(
             ]
             chosen = kept[int(np.argmin(values))]
             motions[joint] = Design(
-                seen, asked.criterion, kept[0], chosen, around, asked.use, searches, 0.0
+                seen,
+                asked.criterion,
+                kept[0],
+                chosen,
+                around,
+                asked.use,
+                searches,
+                0.0,
             )
     wall_s = time.time() - began
     return LinkByLinkDesign(
@@ -229,7 +241,11 @@ def design_link_by_link(
 
 
 def _problem(
-    robot: Robot, joint: int, pose: Array, scene: Scene | None, options: dict[str, Any]
+    robot: Robot,
+    joint: int,
+    pose: Array,
+    scene: Scene | None,
+    options: dict[str, Any],
 ) -> DesignProblem:
     arm = _held(robot, joint, pose)
     around = None if scene is None else scene_of(arm, scene.obstacles)
@@ -251,11 +267,16 @@ def _of_link(
         regrouping=read_only(base.regrouping[chosen]),
     )
     blank = np.zeros((len(part), len(part)))
-    return Information(robot, information.columns, part, np.eye(robot.nv)[joint], blank)
+    return Information(
+        robot, information.columns, part, np.eye(robot.nv)[joint], blank
+    )
 
 
 def _keeping(
-    robot: Robot, motions: Sequence[Trajectory], scene: Scene | None, clearance: float
+    robot: Robot,
+    motions: Sequence[Trajectory],
+    scene: Scene | None,
+    clearance: float,
 ) -> list[Trajectory]:
     shrunk = (within_limits(robot, motion, scene, clearance) for motion in motions)
     kept = [motion for motion in shrunk if motion is not None]
@@ -326,7 +347,9 @@ def _kept(effect: Effect, joints: Sequence[str]) -> Effect:
     if values is not None:
         each = np.reshape(values, (len(effect.joints), -1))
         values = tuple(each[rows].ravel().tolist())
-    return replace(effect, joints=tuple(effect.joints[k] for k in rows), values=values)
+    return replace(
+        effect, joints=tuple(effect.joints[k] for k in rows), values=values
+    )
 
 
 def _whole(trajectory: Trajectory, pose: Array) -> Trajectory:

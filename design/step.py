@@ -60,7 +60,9 @@ class LocalModel:
     blocks: tuple[Block, ...]  # eigenvalue subspaces, for ``condition`` and ``e``
     gradient: Array  # of the smooth criteria, shape (k,)
     hessian: Array  # of the smooth criteria, shape (k, k)
-    rows: Array  # use of torque bounds and of clearance by the unknowns, shape (m, k)
+    rows: (
+        Array  # use of torque bounds and of clearance by the unknowns, shape (m, k)
+    )
     use: Array  # their use at z, shape (m,)
 
 
@@ -85,7 +87,8 @@ def local_model(problem: DesignProblem, z: Array) -> LocalModel:
             scale = eigenvalues[0 if sign < 0 else -1]
             value = np.diag(eigenvalues[span]) / scale
             dM = (
-                information_derivative(linear, problem.sample_bases, V[:, span]) / scale
+                information_derivative(linear, problem.sample_bases, V[:, span])
+                / scale
             )
             blocks.append(Block(value, dM, sign))
     torque = torque_rows(problem, z, STEP.near_torque)
@@ -204,7 +207,9 @@ def _solved(
         settings.direct_solve_method = "qdldl"
         settings.tol_gap_abs = settings.tol_gap_rel = 1e-6
         settings.tol_feas = 1e-7
-        solution = clarabel.DefaultSolver(*cost, sparse, right, cones, settings).solve()
+        solution = clarabel.DefaultSolver(
+            *cost, sparse, right, cones, settings
+        ).solve()
         if str(solution.status) in ("Solved", "AlmostSolved"):
             return np.array(solution.x)
     return None

@@ -24,7 +24,15 @@ HOLDING = 0.95
 
 # between checked poses: rad of a revolute joint, m of a prismatic one
 _RESOLUTION = (0.02, 0.005)
-_SPACINGS = (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01)  # rad or m between control points
+_SPACINGS = (
+    1.0,
+    0.5,
+    0.25,
+    0.1,
+    0.05,
+    0.02,
+    0.01,
+)  # rad or m between control points
 
 
 @dataclass(frozen=True)
@@ -151,7 +159,9 @@ def _end_pose(
             f"{low[j]:.6g} to {high[j]:.6g}"
         )
     if unheld := _unheld(robot, _still(pose, np.zeros(1))):
-        raise Infeasible(name, f"{unheld[0]} in the {which} pose; choose another pose")
+        raise Infeasible(
+            name, f"{unheld[0]} in the {which} pose; choose another pose"
+        )
     distance = np.inf if scene is None else float(scene.distances(pose[None]).min())
     if not distance >= clearance:
         raise Infeasible(
@@ -207,7 +217,9 @@ def rounded_path(waypoints: Array, spacing: float = 1.0) -> Path:
     [rad or m], at the Greville abscissae: it has the same ends and stays in the corners' hull.
     """
     length = _lengths(waypoints)
-    pieces = 1 if len(waypoints) == 2 else max(4, int(np.ceil(length[-1] / spacing)))
+    pieces = (
+        1 if len(waypoints) == 2 else max(4, int(np.ceil(length[-1] / spacing)))
+    )
     knots = np.concatenate([np.zeros(3), np.linspace(0, 1, pieces + 1), np.ones(3)])
     greville = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
     control = _between(waypoints, length / length[-1], greville)
@@ -227,7 +239,9 @@ def _free_path(
     """The straight path, else one around what obstructs it, else what obstructs it."""
 
     def blocking(waypoints: Array, spacing: float = 1.0) -> str | None:
-        return _obstruction(robot, rounded_path(waypoints, spacing), scene, clearance)
+        return _obstruction(
+            robot, rounded_path(waypoints, spacing), scene, clearance
+        )
 
     def free(a: Array, b: Array) -> bool:
         return np.array_equal(a, b) or blocking(np.stack([a, b])) is None
@@ -247,7 +261,9 @@ def _obstruction(
     robot: Robot, path: Path, scene: Scene | None, clearance: float
 ) -> str | None:
     coarse = path(np.linspace(0.0, 1.0, 20 * path.pieces + 1))
-    travel = np.abs(np.diff(coarse, axis=0)) / np.where(robot.revolute, *_RESOLUTION)
+    travel = np.abs(np.diff(coarse, axis=0)) / np.where(
+        robot.revolute, *_RESOLUTION
+    )
     s = np.linspace(0.0, 1.0, max(8, int(np.ceil(travel.max(axis=1).sum()))) + 1)
     q = path(s)
     if unheld := _unheld(robot, _creeping(q, path(s, 1))):
@@ -268,16 +284,22 @@ def static_torque(robot: Robot, q: Array, direction: Array) -> Array:
 
 
 def _creeping(q: Array, direction: Array) -> Motion:
-    creep = 1e-6 * direction / max(float(np.abs(direction).max(initial=0.0)), 1e-300)
+    creep = (
+        1e-6 * direction / max(float(np.abs(direction).max(initial=0.0)), 1e-300)
+    )
     return Motion(np.arange(float(len(q))), q, creep, np.zeros_like(q))
 
 
 def _lengths(waypoints: Array) -> Array:
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1)))
+    return np.append(
+        0.0, np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1))
+    )
 
 
 def _between(waypoints: Array, length: Array, at: Array) -> Array:
-    return np.stack([np.interp(at, length, column) for column in waypoints.T], axis=1)
+    return np.stack(
+        [np.interp(at, length, column) for column in waypoints.T], axis=1
+    )
 
 
 def _detour(
@@ -336,7 +358,9 @@ def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
             before = waypoints[length < cut[0]]
             after = waypoints[length > cut[1]]
             waypoints = np.vstack([before, a, b, after])
-    kept = np.append(True, np.linalg.norm(np.diff(waypoints, axis=0), axis=1) > 1e-9)
+    kept = np.append(
+        True, np.linalg.norm(np.diff(waypoints, axis=0), axis=1) > 1e-9
+    )
     shortened: Array = waypoints[kept]
     return shortened
 
@@ -348,7 +372,9 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
     excess; where that leaves no solution, the motion is slowed down as a whole.
     """
     tightened = robot
-    first = profile = time_optimal(robot, path, blur=TIMING.blur / rate_hz, name=name)
+    first = profile = time_optimal(
+        robot, path, blur=TIMING.blur / rate_hz, name=name
+    )
     for _ in range(TIMING.tightenings):
         motion = profile.motion(path, rate_hz)
         uses = check(robot, motion).uses[1:4]  # of speed, acceleration and torque
@@ -445,11 +471,13 @@ def time_optimal(
     limits = robot.limits
     unlimited = np.isinf(limits.acceleration) & np.isinf(limits.torque)
     acceleration = np.where(unlimited, DEFAULT_ACCELERATION, limits.acceleration)
-    way = np.abs(np.diff(path(np.linspace(0, 1, 20 * path.pieces + 1)), axis=0)).sum(
-        axis=0
-    )
+    way = np.abs(
+        np.diff(path(np.linspace(0, 1, 20 * path.pieces + 1)), axis=0)
+    ).sum(axis=0)
     finite = np.where(np.isinf(acceleration), DEFAULT_ACCELERATION, acceleration)
-    unit = float(np.max(np.maximum(way / limits.velocity, 2 * np.sqrt(way / finite))))
+    unit = float(
+        np.max(np.maximum(way / limits.velocity, 2 * np.sqrt(way / finite)))
+    )
     profile = None
     for _ in range(TIMING.passes):
         speed = None if profile is None else profile.speed
@@ -557,6 +585,8 @@ def _linear_constraint(dynamics: Dynamics, bound: Array, unit: float) -> Any:
     constraint.identical = True
     constraint.set_discretization_type(DiscretizationType.Interpolation)
     constraint.compute_constraint_params = lambda path, grid: (
-        canlinear_colloc_to_interpolate(a, b, c, F, g, None, None, grid, identical=True)
+        canlinear_colloc_to_interpolate(
+            a, b, c, F, g, None, None, grid, identical=True
+        )
     )
     return constraint

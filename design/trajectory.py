@@ -84,7 +84,9 @@ class Series(ABC):
     def rest(self) -> Array:
         """Orthonormal basis of the coefficients at rest at both ends, shape (c, c − 2)."""
         ends = np.vstack([self.basis(0.0, order) for order in (1, 2)])
-        return scipy.linalg.null_space(ends / np.abs(ends).max(axis=1, keepdims=True))
+        return scipy.linalg.null_space(
+            ends / np.abs(ends).max(axis=1, keepdims=True)
+        )
 
     def constant(self, pose: Array) -> Array:
         """Coefficients of standing still, shape (c, nv)."""
@@ -130,7 +132,10 @@ class Trajectory(_Curve, Shown):
 
     def __post_init__(self) -> None:
         freeze(self, "coefficients")
-        if self.coefficients.ndim != 2 or len(self.coefficients) != self.series.size:
+        if (
+            self.coefficients.ndim != 2
+            or len(self.coefficients) != self.series.size
+        ):
             raise ValueError(
                 f"coefficients have shape {self.coefficients.shape}, expected "
                 f"({self.series.size}, number of joints)"
@@ -165,7 +170,9 @@ class Trajectory(_Curve, Shown):
         """Whether q̇ = q̈ = 0 at t = 0 and t = period."""
         w = 2 * np.pi * self.harmonics / self.period
         size = np.abs(self.coefficients).max()
-        return all(np.abs(self(0.0, k)).max() <= _REST * w**k * size for k in (1, 2))
+        return all(
+            np.abs(self(0.0, k)).max() <= _REST * w**k * size for k in (1, 2)
+        )
 
     def sample(self, n: int) -> Motion:
         """One period at ``n`` equidistant instants, first and last included."""
@@ -258,7 +265,9 @@ class FourierSeries(Series):
         """
         # in the angle θ = ωt high derivatives keep their size
         scaled = FourierSeries(2 * np.pi, self.harmonics)
-        theta = np.stack([_root_angles(x, order + 1) for x in coefficients.T], axis=1)
+        theta = np.stack(
+            [_root_angles(x, order + 1) for x in coefficients.T], axis=1
+        )
         for _ in range(4):
             slope, curve = (
                 scaled.along(theta, coefficients, order + k) for k in (1, 2)
@@ -311,7 +320,11 @@ class FourierTrajectory(Trajectory):
     ) -> None:
         parts = [np.asarray(part, float) for part in (offset, cosine, sine)]
         shapes = [part.shape for part in parts]
-        if len(shapes[0]) != 1 or shapes[1] != shapes[2] or shapes[1][1:] != shapes[0]:
+        if (
+            len(shapes[0]) != 1
+            or shapes[1] != shapes[2]
+            or shapes[1][1:] != shapes[0]
+        ):
             names = zip(("offset", "cosine", "sine"), shapes, strict=True)
             raise ValueError(
                 "shapes differ: " + ", ".join(f"{n} {shape}" for n, shape in names)
@@ -370,7 +383,9 @@ class SplineSeries(Series):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.pieces <= _DEGREE:
-            raise ValueError(f"{self.pieces} pieces: at least {_DEGREE + 1} are needed")
+            raise ValueError(
+                f"{self.pieces} pieces: at least {_DEGREE + 1} are needed"
+            )
 
     @property
     def size(self) -> int:
@@ -406,7 +421,9 @@ class SplineSeries(Series):
                 (spline.t, spline.c, _DEGREE)
             ).derivative(order + 1)
             roots = slope.roots(extrapolate=False)
-            inside = roots[np.isfinite(roots) & (roots >= 0) & (roots <= self.period)]
+            inside = roots[
+                np.isfinite(roots) & (roots >= 0) & (roots <= self.period)
+            ]
             found.append(np.concatenate([knots, inside]))
         length = max(map(len, found))
         return np.stack(

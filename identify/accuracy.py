@@ -22,8 +22,12 @@ from excitant.robots.motion import Array, freeze, read_only
 LEVEL = 0.95  # share of readings that an interval is to hold
 BLOCKS = 10  # of time, whose means are as good as independent
 FEWEST_FREEDOM = 3.0  # degrees of freedom of the noise that are taken at least
-LARGEST_SHARE = 0.5  # of the residual's variance that a fit is taken to have explained
-COVERAGE_MARGIN = 0.02  # of the readings outside that are no shortcoming of the model
+LARGEST_SHARE = (
+    0.5  # of the residual's variance that a fit is taken to have explained
+)
+COVERAGE_MARGIN = (
+    0.02  # of the readings outside that are no shortcoming of the model
+)
 COVERAGE_STDS = 2.0  # standard deviations that chance is allowed beyond that
 
 
@@ -75,7 +79,8 @@ class Series:
     def counted(self, values: Array) -> list[Array]:
         """Values of each joint, shape (n, nv), at its rows that count."""
         return [
-            column[rows] for column, rows in zip(values.T, self.counts.T, strict=True)
+            column[rows]
+            for column, rows in zip(values.T, self.counts.T, strict=True)
         ]
 
     def in_motion(self, values: Array) -> Array:

@@ -96,7 +96,9 @@ class Dataset:
         paths = self.paths(names, without=without)
         return read_recordings(paths, self.robot, mapping=self.mapping)
 
-    def paths(self, names: Sequence[str], *, without: Sequence[str] = ()) -> list[Path]:
+    def paths(
+        self, names: Sequence[str], *, without: Sequence[str] = ()
+    ) -> list[Path]:
         """Files of recordings; see `recordings`."""
         holdout = {self._path(name).resolve() for name in without}
         for name in names:
@@ -249,7 +251,9 @@ def origin(folder: Path, name: str) -> tuple[str, date | None]:
     for match in _DATE.finditer(name):
         with suppress(ValueError):
             day = date(*map(int, match.groups()))
-            arm = (name[: match.start()] + name[match.end() :]).strip("/_-. ") or name
+            arm = (name[: match.start()] + name[match.end() :]).strip(
+                "/_-. "
+            ) or name
     return record.arm or arm, record.date or day
 
 
@@ -263,7 +267,10 @@ def _with_drive(mapping: ColumnMap, model: Path) -> ColumnMap:
 
 
 def read_recordings(
-    paths: Sequence[str | Path], robot: Robot | int, *, mapping: ColumnMap | None = None
+    paths: Sequence[str | Path],
+    robot: Robot | int,
+    *,
+    mapping: ColumnMap | None = None,
 ) -> list[Recording]:
     """Recordings from logs, in order; see `load_recording`.
 
@@ -313,7 +320,9 @@ def _samples(path: Path) -> int:
             with path.open("rb") as file:
                 start = file.read(1 << 16)  # whose lines stand for all
             packed = suffix.endswith(".gz")
-            text = zlib.decompressobj(wbits=31).decompress(start) if packed else start
+            text = (
+                zlib.decompressobj(wbits=31).decompress(start) if packed else start
+            )
             return int(size * text.count(b"\n") / max(len(start), 1))
     except (OSError, pa.ArrowException, zlib.error):
         pass  # said where it is read
@@ -335,7 +344,8 @@ def excerpt(pieces: Iterable[Recording], share: float) -> Recording:
     first = min(parts, key=lambda part: len(part.channels()))
     names = ("t", *(name for name, _ in first.channels()))
     arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in names
     }
     t = arrays["t"]
     starts = tuple(every * np.arange(1, 1 + t[-1] // every))

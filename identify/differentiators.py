@@ -129,7 +129,9 @@ def causal_polynomials(spectrum: Spectrum) -> list[LocalPolynomial]:
     """Polynomials worth a try at this rate, windows in geometric steps."""
     shortest = max(_SHORTEST_S * spectrum.rate_hz / 2, 2)
     longest = max(_LONGEST_S * spectrum.rate_hz / 2, 4)
-    widths = np.unique(np.geomspace(shortest, longest, _WINDOWS).astype(int)).tolist()
+    widths = np.unique(
+        np.geomspace(shortest, longest, _WINDOWS).astype(int)
+    ).tolist()
     fitting = [m for m in widths if m <= (spectrum.samples - 2) // 4]
     sizes = [(m, degree) for m in fitting for degree in (2, 4) if degree < 2 * m]
     others = [size for size in sizes if size != (2, 2)]
@@ -158,5 +160,7 @@ def causal_polynomial(spectrum: Spectrum) -> Choice:
         f"{spectrum.noise[j]:.3g} of joint {j + 1}, the joint where it weighs most"
     )
     if others:
-        why += f"; next, {total[others[0], j]:.3g} with {candidates[others[0]].name}"
+        why += (
+            f"; next, {total[others[0], j]:.3g} with {candidates[others[0]].name}"
+        )
     return Choice(candidates[best], total[best], why)

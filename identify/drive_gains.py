@@ -54,7 +54,9 @@ MOST_ALTERNATIONS = 200  # between gains and parameters
 CONVERGED = 1e-6  # change of the logarithm of a gain that ends them
 BODY_STD = 0.3  # relative std assumed for given bodies
 PLACEHOLDER_STD = 3.0  # the same where all links weigh the same
-MOVING_TOGETHER = 0.5  # of a joint's rows with another one moving: rows then compare
+MOVING_TOGETHER = (
+    0.5  # of a joint's rows with another one moving: rows then compare
+)
 LARGEST_SCALE_STD = 0.2  # of the common scale, above which a payload is refused
 PAYLOAD_ROUNDS = 30  # of re-weighting with a known payload, at most
 SETTLED = 1e-8  # change of gains and noise that ends them
@@ -176,7 +178,9 @@ def current_gains(
     links = 10 * robot.nv
     # links that all weigh the same are placeholders
     sigma = BODY_STD if np.ptp(robot.phi[::10]) > 0 else PLACEHOLDER_STD
-    spread = link_coordinates(prior_parameters(robot)) / link_weights(robot.nv, sigma)
+    spread = link_coordinates(prior_parameters(robot)) / link_weights(
+        robot.nv, sigma
+    )
     if moves is not None:
         several = moves.sum(axis=1) > 1
         share = (moves & several[:, None]).sum(axis=0) / np.maximum(
@@ -204,7 +208,8 @@ def _compared(
         pairs = zip(effects, alike, strict=True)
         effects = [np.delete(F_j, k, axis=1) for F_j, k in pairs if k is not None]
     parts = [
-        without_effects(F_j, Y[:, j], current[:, j]) for j, F_j in enumerate(effects)
+        without_effects(F_j, Y[:, j], current[:, j])
+        for j, F_j in enumerate(effects)
     ]
     Y, current = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
     W = Y[:, :, shown]
@@ -237,7 +242,9 @@ def _compared(
     information[: nv - 1, : nv - 1] += np.eye(nv - 1) / GAIN_STD**2
     apart = np.linalg.pinv(information, hermitian=True)[: nv - 1, : nv - 1]
     # the common scale, by the uncertainty of the given links
-    pull = np.einsum("nj,njp->p", model / gains / sigma**2, Y, optimize=True) @ spread
+    pull = (
+        np.einsum("nj,njp->p", model / gains / sigma**2, Y, optimize=True) @ spread
+    )
     unsure = float(np.linalg.norm(pull) / size)
     covariance = contrasts @ apart @ contrasts.T + unsure**2
     return DriveGains(gains * abs(scale), covariance, unsure, True)
@@ -277,13 +284,19 @@ def _each_alone(
     nv = robot.nv
     pairs = [
         _log_gain(
-            W[rows, j, :links], W[rows, j, links:], current[rows, j], robot.phi, spread
+            W[rows, j, :links],
+            W[rows, j, links:],
+            current[rows, j],
+            robot.phi,
+            spread,
         )
         for j, rows in enumerate(moves.T)
     ]
     own, variance = np.array(pairs).T
     if not np.isfinite(variance).any():
-        return DriveGains(np.ones(nv), np.full((nv, nv), GAIN_STD**2), GAIN_STD, False)
+        return DriveGains(
+            np.ones(nv), np.full((nv, nv), GAIN_STD**2), GAIN_STD, False
+        )
     weight = 1 / (variance + GAIN_STD**2)
     common = float(weight @ own / weight.sum())
     gains = np.exp(common + GAIN_STD**2 * weight * (own - common))
@@ -329,7 +342,9 @@ class KnownPayload:
 
     mass: float  # [kg]
     mass_std: float = 0.0  # [kg]
-    centre: Sequence[float] | None = None  # in the last joint's frame [m], where known
+    centre: Sequence[float] | None = (
+        None  # in the last joint's frame [m], where known
+    )
 
     def __post_init__(self) -> None:
         if not self.mass > 0 or self.mass_std < 0:
@@ -409,7 +424,9 @@ def _solved(exact: Array, current: Array) -> tuple[Array, Array, Mask]:
     sigma = np.maximum(current.std(axis=0), 1e-12)
     for _ in range(PAYLOAD_ROUNDS):
         weight = 1 / (k * sigma)
-        gains, theta, shown = _eliminated(triangles, weight, n * (weight * sigma) ** 2)
+        gains, theta, shown = _eliminated(
+            triangles, weight, n * (weight * sigma) ** 2
+        )
         rest = [
             np.linalg.norm(gains[j] * T[:, -1] - T[:, :-1] @ theta)
             for j, T in enumerate(triangles)

@@ -124,12 +124,16 @@ class Estimate(Shown):
     @cached_property
     def predicted(self) -> Array:
         """Torque of the model at the rows of the hold-out, shape (n, nv) [torque unit]."""
-        return read_only(predicted_torque(self.model, self.data.validate) / self.gains)
+        return read_only(
+            predicted_torque(self.model, self.data.validate) / self.gains
+        )
 
     @cached_property
     def predicted_given(self) -> Array:
         """Torque of the given robot at these rows, shape (n, nv) [torque unit]."""
-        return read_only(predicted_torque(self.given, self.data.validate) / self.gains)
+        return read_only(
+            predicted_torque(self.given, self.data.validate) / self.gains
+        )
 
     @cached_property
     def validate(self) -> Accuracy:
@@ -149,7 +153,9 @@ class Estimate(Shown):
     @cached_property
     def holdout_columns(self) -> Array:
         """Columns of the base parameters at the rows of the hold-out, shape (n, nv, r)."""
-        regression = regression_of(self.model, self.model.effects, self.data.validate)
+        regression = regression_of(
+            self.model, self.model.effects, self.data.validate
+        )
         return read_only(regression.select(self.base.columns).W)
 
     @cached_property
@@ -161,7 +167,8 @@ class Estimate(Shown):
         if lengths is not None:
             W = np.concatenate([W, lengths.columns(self.data.validate)], axis=2)
             residuals = [
-                e / gain for e, gain in zip(lengths.residuals, self.gains, strict=True)
+                e / gain
+                for e, gain in zip(lengths.residuals, self.gains, strict=True)
             ]
             return prediction_interval(
                 W, fit, residuals, self.gains, lengths.of_prediction(fit)
@@ -220,7 +227,9 @@ class Estimate(Shown):
 
     def to_frame(
         self,
-        of: Literal["parameters", "base_parameters", "joints", "links"] = "parameters",
+        of: Literal[
+            "parameters", "base_parameters", "joints", "links"
+        ] = "parameters",
     ) -> pd.DataFrame:
         """Records of ``result.json`` of one kind, a row each."""
         names = {"parameters": "name", "base_parameters": "expression"}
@@ -234,7 +243,8 @@ class Estimate(Shown):
 
     def _lines(self) -> list[str]:
         errors = (
-            share(float(np.nanmedian(x.nrmse))) for x in (self.baseline, self.validate)
+            share(float(np.nanmedian(x.nrmse)))
+            for x in (self.baseline, self.validate)
         )
         below = f"{self.data.cutoff_hz:.3g} Hz"
         broken = violations(self.phi, self.given.links)
@@ -320,7 +330,9 @@ def identify_robot(
         if shapes is not None:
             rows = shapes.rows(rows) if shapes.better else rows
             notes += (shapes.sentence,)
-        fit, name, remarks = estimated(rows, fitted(recordings, validate), estimator)
+        fit, name, remarks = estimated(
+            rows, fitted(recordings, validate), estimator
+        )
         R, z = rows.regression.factor(fit.weight)
         if name != "wls":
             z = R[:, rows.base.columns] @ fit.beta
@@ -365,12 +377,16 @@ def _moved_by_rate(rows: FitRows, fit: LeastSquares, x: Array) -> float:
     """
     if all(s.thin is s for s in rows.data.train):
         return 0.0
-    bodies = partial(rigid_body_torque, identified_robot(rows.robot, rows.effects, x))
+    bodies = partial(
+        rigid_body_torque, identified_robot(rows.robot, rows.effects, x)
+    )
     lacking = [s.rows(bodies) - s.thin.rows(bodies) for s in rows.data.train]
     G = rows.reduced.with_torque(np.concatenate(lacking)).gram(fit.weight**2)
     change = np.abs(np.linalg.lstsq(G[:-1, :-1], G[:-1, -1], rcond=None)[0])
     std = np.sqrt(np.diag(fit.covariance))
-    return float(np.max(change / np.maximum(std, np.finfo(float).tiny), initial=0.0))
+    return float(
+        np.max(change / np.maximum(std, np.finfo(float).tiny), initial=0.0)
+    )
 
 
 def judged(
@@ -494,5 +510,7 @@ def with_own_torque(rows: FitRows, prior: Array, knowledge: Knowledge) -> FitRow
         )
         reference = identified_robot(robot, current.effects, fit.x)
         regression = regression_of(reference, effects, rows.data.train)
-        current = replace(rows, robot=reference, regression=rows.fitting(regression))
+        current = replace(
+            rows, robot=reference, regression=rows.fitting(regression)
+        )
     return current

@@ -66,7 +66,9 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 
 FALSE_ALARM = 0.01  # of the test for errors in the motion
 NORMAL_MEDIAN = 0.6744897501960817  # median magnitude of a standard normal variable
-MOTION_ERROR = 1e-6  # of a column's length: smaller errors are those of interpolation
+MOTION_ERROR = (
+    1e-6  # of a column's length: smaller errors are those of interpolation
+)
 RATE_SHARE = (
     0.2  # highest cut-off over the rate: 0.8 of what every second sample can show
 )
@@ -211,7 +213,9 @@ def _scale(residuals: Sequence[Array], r: int) -> Array:
     return believed(np.maximum(medians / NORMAL_MEDIAN * freedom, least))
 
 
-def _settled(start: Factor, beta: Array, influence: Callable[[Array], Array]) -> Array:
+def _settled(
+    start: Factor, beta: Array, influence: Callable[[Array], Array]
+) -> Array:
     """β at which reweighting rests; steps are taken in the orthonormal columns of the start."""
     problem = start.problem
     inverse = start.inverse / start.norms[:, None]
@@ -346,7 +350,9 @@ def every_second(recording: Recording, first: int) -> Recording:
         values = np.array(channel)
         for part in parts:
             half = part[first::2]
-            spline = scipy.interpolate.make_interp_spline(t[half], values[half], k=5)
+            spline = scipy.interpolate.make_interp_spline(
+                t[half], values[half], k=5
+            )
             values[part] = spline(t[part])
         return values
 
@@ -400,7 +406,9 @@ class OutputError(NamedTuple):
         low = bandwidth_hz.min()
         high = bandwidth_hz.max()
         width = (
-            f"{low:.3g} Hz" if high - low < 0.1 * low else f"{low:.3g} to {high:.3g} Hz"
+            f"{low:.3g} Hz"
+            if high - low < 0.1 * low
+            else f"{low:.3g} to {high:.3g} Hz"
         )
         moved = np.abs(self.fit.beta - self.start.beta) / self.fit.std
         return (
@@ -521,7 +529,9 @@ def _with_recordings(
     return pairs
 
 
-def _reference(segment: Segment, recording: Recording) -> tuple[Segment, Motion, Array]:
+def _reference(
+    segment: Segment, recording: Recording
+) -> tuple[Segment, Motion, Array]:
     """Rows away from the edges of the filter, positions up to the bandwidth, and it, (nv,)."""
     rate = segment.rate_hz
     t = segment.motion.t

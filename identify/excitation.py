@@ -37,7 +37,9 @@ ROWS_PER_SECOND = 20.0  # independent rows of torque filtered at 10 Hz
 # noise of a row in parts of the torque of a reference motion, when not known
 _NOISE_SHARE = 0.01
 _ENOUGH = 1.0  # the window knows as much as the prior
-_VISIBLE = 10.0  # level of a reference motion that makes a direction worth asking for
+_VISIBLE = (
+    10.0  # level of a reference motion that makes a direction worth asking for
+)
 _LISTED = 6  # weak directions that are spelt out
 _SHORTEST = 4  # samples of a window
 
@@ -154,7 +156,9 @@ class ExcitationJudge:
             WeakDirection(self._leading(v), *rest) for v, *rest in weakest
         )
         count = Counter(name for names in helpers for name in names)
-        joints = sorted(filter(count.get, robot.joints), key=lambda name: -count[name])
+        joints = sorted(
+            filter(count.get, robot.joints), key=lambda name: -count[name]
+        )
         return replace(window, weak=directions[:_LISTED], joints=tuple(joints))
 
     def _levels_if_livelier(self, motion: Motion, V: Array) -> Array:
@@ -290,12 +294,16 @@ def persistency(
     """
     duration = float(motion.t[-1] - motion.t[0])
     if not duration > 0:
-        raise BadInput(f"excitation: a motion of {duration:.4g} s; give one that lasts")
+        raise BadInput(
+            f"excitation: a motion of {duration:.4g} s; give one that lasts"
+        )
     effects = effects_of(robot, effects)
     base = base_parameters(robot, effects)
     prior = base_prior(robot, effects, base)
     length = duration if window is None else window
-    thin = motion[:: max(1, int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND)))]
+    thin = motion[
+        :: max(1, int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND)))
+    ]
     if not _SHORTEST * duration / len(thin) <= length <= duration:
         least = _SHORTEST * duration / len(thin)
         raise BadInput(
@@ -308,7 +316,9 @@ def persistency(
     rows = judge.rows(thin)
     if window is not None:
         windows = list(_windows(judge, thin, rows, window))
-        weakest = min(windows, key=lambda part: (part.enough, part.shown, part.level))
+        weakest = min(
+            windows, key=lambda part: (part.enough, part.shown, part.level)
+        )
         return Persistency(**vars(weakest), windows=len(windows))
     whole = judge.judge(thin, rows)
     shortest = None

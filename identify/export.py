@@ -90,7 +90,9 @@ def model_files(
         description: _urdf(arm, yaml_name, alone=urdf),
         yaml_name: _yaml(arm, {"model": description} | beside, gains),
     }
-    if model.estimate is not None:  # the same with or without bodies folded into links
+    if (
+        model.estimate is not None
+    ):  # the same with or without bodies folded into links
         files[table] = model.estimate.csv()
     if "mjcf" in formats:
         files[f"{stem}.xml"] = _mjcf(arm, yaml_name, gains)
@@ -171,7 +173,9 @@ def held_by(arm: Robot, file_format: str) -> Robot:
 def _drives(held: Robot) -> Mapping[str, Array]:
     """Values of the joint properties that a format holds, each of shape (nv,)."""
     drives = dict.fromkeys(JOINT_PROPERTIES, np.zeros(held.nv))
-    return drives | {e.export.joint_property: np.array(e.values) for e in held.effects}
+    return drives | {
+        e.export.joint_property: np.array(e.values) for e in held.effects
+    }
 
 
 def comment(robot: Robot, file_format: str, complete: str) -> str:
@@ -180,10 +184,13 @@ def comment(robot: Robot, file_format: str, complete: str) -> str:
     own = [
         note
         for effect in robot.effects
-        if (note := effect.export.formats.get(file_format)) and any(effect.values or ())
+        if (note := effect.export.formats.get(file_format))
+        and any(effect.values or ())
     ]
     if file_format == "sdf" and not np.allclose(robot.gravity, DEFAULT_GRAVITY):
-        own.append("gravity is that of the world, which Drake wants to be told in code")
+        own.append(
+            "gravity is that of the world, which Drake wants to be told in code"
+        )
     missing = [f"not in this file: {name}" for name in left_out]
     last = [f"{complete} holds everything"] if left_out else []
     return _commented(["identified by excitant", *missing, *own, *last])
@@ -201,7 +208,10 @@ def _urdf(arm: Robot, complete: str, *, alone: bool) -> str:
     remark = comment(arm, "urdf", complete)
     if not alone:
         remark = _commented(
-            [f"links and joints of {complete}", "no model without the effects there"]
+            [
+                f"links and joints of {complete}",
+                "no model without the effects there",
+            ]
         )
     root.insert(0, ET.Comment(remark))
     return _text_of(root, declared=True)
@@ -236,7 +246,8 @@ def _ros2_control(arm: Robot, complete: str) -> str:
         for link, body in zip(arm.links, bodies, strict=True)
     }
     gains = {
-        joint: {"ff_velocity_scale": own["viscous"]} for joint, own in friction.items()
+        joint: {"ff_velocity_scale": own["viscous"]}
+        for joint, own in friction.items()
     }
     parameters = {"gains": gains, "friction": friction, "links": links}
     parameters |= {"gravity": arm.gravity.tolist()}
@@ -251,7 +262,9 @@ def _mjcf(arm: Robot, complete: str, gains: Array | None) -> str:
     drives = _drives(held_by(arm, "mjcf"))
     root = ET.Element("mujoco", model=arm.name)
     root.append(ET.Comment(comment(arm, "mjcf", complete)))
-    _add(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
+    _add(
+        root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true"
+    )
     _add(root, "option", gravity=arm.gravity, integrator="implicitfast")
     _add(_add(root, "default"), "geom", contype="0", conaffinity="0", group="1")
     elements = [_add(root, "worldbody")]  # by Pinocchio's number of the joint
@@ -266,7 +279,11 @@ def _mjcf(arm: Robot, complete: str, gains: Array | None) -> str:
         ):  # a line to look at, no more
             line = f"0 0 0 {_written(place.translation)}"
             _add(
-                parent, "geom", type="capsule", size=0.1 * min(length, 0.5), fromto=line
+                parent,
+                "geom",
+                type="capsule",
+                size=0.1 * min(length, 0.5),
+                fromto=line,
             )
         name = link if link != "world" else "world_"  # that of MuJoCo's own root
         body = _add(parent, "body", name=name, **_pose(place))
@@ -356,7 +373,9 @@ def _sdf(arm: Robot, complete: str) -> str:
     return _text_of(root, declared=True)
 
 
-def _sdf_link(model: ET.Element, name: str, joint: str, central: pin.Inertia) -> None:
+def _sdf_link(
+    model: ET.Element, name: str, joint: str, central: pin.Inertia
+) -> None:
     link = _add(model, "link", name=name)
     _add(link, "pose", relative_to=joint)
     inertial = _add(link, "inertial")
@@ -418,7 +437,9 @@ def _add(
     content: str | npt.ArrayLike | None = None,
     **attributes: Any,
 ) -> ET.Element:
-    own = {k: v if isinstance(v, str) else _written(v) for k, v in attributes.items()}
+    own = {
+        k: v if isinstance(v, str) else _written(v) for k, v in attributes.items()
+    }
     element = ET.SubElement(parent, tag, own)
     if content is not None:
         element.text = content if isinstance(content, str) else _written(content)
@@ -616,9 +637,13 @@ def published(
             f"it predicts the hold-out worse than no model at {'; '.join(useless)}"
         )
     if whole:
-        why.append(f"it predicts the hold-out worse than the model as given, {whole}")
+        why.append(
+            f"it predicts the hold-out worse than the model as given, {whole}"
+        )
     where = (
-        [f"worst at {'; '.join(worse)}"] if whole and worse and len(why) == 1 else []
+        [f"worst at {'; '.join(worse)}"]
+        if whole and worse and len(why) == 1
+        else []
     )
     reasons = "; ".join([*why, *where])
     if why and not force:
@@ -637,7 +662,9 @@ def published(
             f"the model as given predicts the hold-out better at {'; '.join(worse)}"
         )
     if refused:
-        notes.append(_unwritten([file for file in exported if file.refused], yaml_name))
+        notes.append(
+            _unwritten([file for file in exported if file.refused], yaml_name)
+        )
     written = {name: text for name, text in files.items() if name not in refused}
     return Publication(written, True, "; ".join(notes), exported)
 
@@ -691,7 +718,9 @@ def _shortcoming(files: Sequence[ExportedFile]) -> str:
     """What files lack that predict the hold-out worse than something else."""
     common = [x for x in files[0].lacks if all(x in file.lacks for file in files)]
     few = [*common[:LISTED_EFFECTS], *["and more"] * (len(common) > LISTED_EFFECTS)]
-    without = f"without {', '.join(few)}" if few else "without what its format lacks"
+    without = (
+        f"without {', '.join(few)}" if few else "without what its format lacks"
+    )
     return f"{without}, the hold-out is predicted worse than by {files[0].refused}"
 
 
@@ -713,7 +742,8 @@ def _against(
         for j, (joint, first, then) in enumerate(
             zip(joints, nominal.nrmse, model.nrmse, strict=True)
         )
-        if chance_of_loss(losses[rows.counts[:, j], j]) < CHANCE_OF_LOSS / len(joints)
+        if chance_of_loss(losses[rows.counts[:, j], j])
+        < CHANCE_OF_LOSS / len(joints)
     ]
     first, then = (float(np.nansum(x.nrmse)) for x in (nominal, model))
     whole = f"nrmse summed over the joints {first:.4g} → {then:.4g}"

@@ -46,7 +46,8 @@ class FrictionCurve:
     def entry(self) -> dict[str, Any]:
         """What is not an array, for ``result.json``."""
         return {
-            key: getattr(self, key) for key in ("unit", "velocity_unit", "per_reading")
+            key: getattr(self, key)
+            for key in ("unit", "velocity_unit", "per_reading")
         }
 
 
@@ -55,7 +56,8 @@ def friction_curves(estimate: Estimate) -> tuple[FrictionCurve | None, ...]:
     _, velocity, _ = states(estimate.data.validate)
     velocity = estimate.holdout.in_motion(velocity)
     return tuple(
-        _friction_curve(estimate, j, velocity[:, j]) for j in range(estimate.given.nv)
+        _friction_curve(estimate, j, velocity[:, j])
+        for j in range(estimate.given.nv)
     )
 
 

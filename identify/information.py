@@ -66,7 +66,9 @@ def combined(parts: Sequence[Information]) -> Information:
     A = np.vstack([part.R for part in parts])
     b = np.concatenate([part.z for part in parts])
     total = information_of(A, b)
-    return Information(total.R, total.z, total.rest + sum(part.rest for part in parts))
+    return Information(
+        total.R, total.z, total.rest + sum(part.rest for part in parts)
+    )
 
 
 def square_root(covariance: Array) -> Array:
@@ -111,7 +113,9 @@ class InformationFilter:
         """Take the rows that wait."""
         if self.waiting:
             stacked = np.asfortranarray(self._rows[: self.waiting])
-            factor = self._factor if self._scale == 1.0 else self._scale * self._factor
+            factor = (
+                self._factor if self._scale == 1.0 else self._scale * self._factor
+            )
             panel = min(_PANEL, self._size)
             self._factor = lapack.dtpqrt(0, panel, factor, stacked, 1, 1)[0]
             self._scale = 1.0

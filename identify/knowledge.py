@@ -75,7 +75,9 @@ class LinkKnowledge(Record, frozen=True, omit_defaults=True):
     def regions(self) -> list[str]:
         """Names of the regions known."""
         return [
-            key for key in self.__struct_fields__[1:] if getattr(self, key) is not None
+            key
+            for key in self.__struct_fields__[1:]
+            if getattr(self, key) is not None
         ]
 
 
@@ -125,7 +127,9 @@ class Knowledge:
         """Description of the knowledge used beside the given bodies; empty where there is none."""
         masses = self.masses
         parts = (
-            [f"total mass {masses['total_mass']} kg"] if "total_mass" in masses else []
+            [f"total mass {masses['total_mass']} kg"]
+            if "total_mass" in masses
+            else []
         )
         for name, link in self.links.items():
             mass = (
@@ -135,13 +139,17 @@ class Knowledge:
             )
             parts.append(f"{name}: {', '.join([*mass, *link.regions])}")
         return (
-            f"taken for known from {self.source}: {'; '.join(parts)}" if parts else ""
+            f"taken for known from {self.source}: {'; '.join(parts)}"
+            if parts
+            else ""
         )
 
     def entry(self) -> dict[str, Any]:
         """As in the file, without what is not known."""
         known = {"total_mass": self.total_mass, "links": dict(self.links)}
-        known = {key: value for key, value in known.items() if value not in (None, {})}
+        known = {
+            key: value for key, value in known.items() if value not in (None, {})
+        }
         return dict(msgspec.json.decode(msgspec.json.encode(known)))
 
 
@@ -181,10 +189,13 @@ def known_rows(
     """
     for name in knowledge.links:
         if name not in links:
-            raise BadInput(f"{knowledge.source}: links: the arm has no link '{name}'")
+            raise BadInput(
+                f"{knowledge.source}: links: the arm has no link '{name}'"
+            )
     p = 10 * len(links)
     of_link = {
-        f"mass of {name}": row for name, row in zip(links, np.eye(p)[::10], strict=True)
+        f"mass of {name}": row
+        for name, row in zip(links, np.eye(p)[::10], strict=True)
     }
     mass_rows = {"total_mass": np.sum(list(of_link.values()), axis=0)} | of_link
     rows = [np.zeros((0, p))]
@@ -197,7 +208,9 @@ def known_rows(
             values.append(np.array([mass.value / mass.std]))
         else:
             what = f"{name} = {mass.value:g} kg"
-            restrictions.append(Restriction("zero", row, np.array([mass.value]), what))
+            restrictions.append(
+                Restriction("zero", row, np.array([mass.value]), what)
+            )
     regions = [
         (name, LinkKnowledge(com_box=box))
         for name, box in knowledge.regions.items()
@@ -226,10 +239,16 @@ def _regions(known: LinkKnowledge, name: str) -> Iterator[Restriction]:
             ("zero", G[0, flat]),
         ):
             if len(rows):
-                yield Restriction(cone, rows, np.zeros(len(rows)), f"com_box of {name}")
+                yield Restriction(
+                    cone, rows, np.zeros(len(rows)), f"com_box of {name}"
+                )
     if known.com_ellipsoid is not None:
-        G = np.vstack([mass, known.com_ellipsoid.to_unit() @ np.vstack([first, mass])])
-        yield Restriction("second_order", G, np.zeros(4), f"com_ellipsoid of {name}")
+        G = np.vstack(
+            [mass, known.com_ellipsoid.to_unit() @ np.vstack([first, mass])]
+        )
+        yield Restriction(
+            "second_order", G, np.zeros(4), f"com_ellipsoid of {name}"
+        )
     if known.body_ellipsoid is not None:
         to_unit = known.body_ellipsoid.to_unit()
         E = np.diag([0.0, 0.0, 0.0, 1.0]) - to_unit.T @ to_unit

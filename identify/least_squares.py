@@ -147,7 +147,9 @@ def weighted_least_squares(problem: Regression) -> LeastSquares:
         beta = factor.solve()
         residual = problem.residual(beta)
         sigma = noise_of(problem.counted(residual), len(beta))
-    return replace(with_covariance(factor, beta, residual, factor.weight), sigma=sigma)
+    return replace(
+        with_covariance(factor, beta, residual, factor.weight), sigma=sigma
+    )
 
 
 def noise_of(residuals: Sequence[Array], r: int) -> Array:

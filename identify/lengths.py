@@ -26,7 +26,11 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.least_squares import LeastSquares, factorised, with_covariance
+from excitant.identify.least_squares import (
+    LeastSquares,
+    factorised,
+    with_covariance,
+)
 from excitant.identify.physical import PhysicalFit
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import FitRows, identified_robot
@@ -119,7 +123,9 @@ class LengthErrors:
         """Fits with the covariance that counts these errors."""
         return (
             replace(fit, covariance=self.by_noise + self.base @ self.base.T),
-            replace(physical, covariance=physical.covariance + self.full @ self.full.T),
+            replace(
+                physical, covariance=physical.covariance + self.full @ self.full.T
+            ),
         )
 
     def of_prediction(self, fit: LeastSquares) -> Array:
@@ -145,7 +151,10 @@ def length_errors(
     base = scipy.linalg.solve_triangular(R[:r, :r], R[:r, r:])
     # what neither parameters nor lengths explain, the latter as far as they may be off
     R, z = wide.factor(fit.weight)
-    likely = np.vstack([R, np.eye(r + size)[r:]]), np.concatenate([z, np.zeros(size)])
+    likely = (
+        np.vstack([R, np.eye(r + size)[r:]]),
+        np.concatenate([z, np.zeros(size)]),
+    )
     residual = wide.residual(np.linalg.lstsq(*likely)[0])
     noise = with_covariance(
         factorised(problem, fit.sigma), fit.beta, residual, fit.sigma

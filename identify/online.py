@@ -40,7 +40,12 @@ from excitant.identify.information import (
     combined,
 )
 from excitant.identify.least_squares import LeastSquares, autocorrelation_time
-from excitant.identify.preprocessing import Mask, dry_joints, resampled, uninterrupted
+from excitant.identify.preprocessing import (
+    Mask,
+    dry_joints,
+    resampled,
+    uninterrupted,
+)
 from excitant.identify.prior import (
     BasePrior,
     base_prior,
@@ -70,7 +75,9 @@ RANDOM_STATES = 100  # that show which columns act on which joint
 MONITOR_WINDOW_S = 8.0  # of motion that the monitor judges
 PERIOD = 0.5  # between two looks of the monitor [s]
 SAVED_LOOKS = 100  # in result.json, at most
-REFERENCE_S = 10.0  # of reference motion, over which the uncertainty of torque is taken
+REFERENCE_S = (
+    10.0  # of reference motion, over which the uncertainty of torque is taken
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +134,9 @@ class OnlineEstimator:
         self.effects = effects_of(robot, effects)
         self.base = base_parameters(robot, self.effects) if base is None else base
         half = max(2, round(HALF_WINDOW_S * rate_hz))
-        self.differentiator = differentiator or LocalPolynomial(half, min(4, 2 * half))
+        self.differentiator = differentiator or LocalPolynomial(
+            half, min(4, 2 * half)
+        )
         self.block = max(1, round(BLOCK_S * rate_hz)) if block is None else block
         if self.block < 1:
             raise BadInput(
@@ -144,7 +153,9 @@ class OnlineEstimator:
         self._sigma = None if sigma is None else np.array(sigma, float)
         self._last_sigma: Array | None = None
         self._fade = (
-            1.0 if forgetting is None else float(np.exp(-self.row_period / forgetting))
+            1.0
+            if forgetting is None
+            else float(np.exp(-self.row_period / forgetting))
         )
         noise = np.broadcast_to(
             np.maximum(position_noise, POSITION_ROUNDING), (robot.nv,)
@@ -295,13 +306,17 @@ class OnlineEstimator:
             if counts:
                 grown.add(row)
         middle = (self._start + self._clock - self.delay) / 2
-        self._recent.append((middle, self._states[self.block // 2].copy(), rows, used))
+        self._recent.append(
+            (middle, self._states[self.block // 2].copy(), rows, used)
+        )
         self.rows += 1
 
     def _goes_one_way(self) -> Mask:
         corners = self._samples[self._corners, : self.robot.nv]
         steps = corners[1:] - corners[:-1]
-        return (steps.min(axis=0) > self._still) | (steps.max(axis=0) < -self._still)
+        return (steps.min(axis=0) > self._still) | (
+            steps.max(axis=0) < -self._still
+        )
 
     def recent(self) -> RecentRows:
         """Rows of the last ten seconds; refuses when there are none yet."""
@@ -351,7 +366,9 @@ class OnlineEstimator:
         )
         floor = 1e-9 * torque + 1e-12  # data without noise
         rest = np.array([part.rest for part in parts])
-        sigma = np.sqrt(rest / count) if self._last_sigma is None else self._last_sigma
+        sigma = (
+            np.sqrt(rest / count) if self._last_sigma is None else self._last_sigma
+        )
         for _ in range(NOISE_ROUNDS):
             sigma = np.maximum(sigma, floor)
             total = self._total(parts, sigma)[1]
@@ -359,7 +376,8 @@ class OnlineEstimator:
             half = np.linalg.pinv(total.R, rcond=1e-12)
             squares = np.array([part.squares(beta) for part in parts])
             taken = (
-                np.array([np.sum((part.R @ half) ** 2) for part in parts]) / sigma**2
+                np.array([np.sum((part.R @ half) ** 2) for part in parts])
+                / sigma**2
             )
             freedom = count - taken
             sigma = np.where(
@@ -416,10 +434,13 @@ def replayable(
         end = float(times[-1][-1]) + PAUSE_S
     file = recordings[0].file
     q, tau = (
-        np.concatenate([getattr(r, name) for r in recordings]) for name in ("q", "tau")
+        np.concatenate([getattr(r, name) for r in recordings])
+        for name in ("q", "tau")
     )
     recording = Recording(file, file, np.concatenate(times), q, tau)
-    parts = [part for part in uninterrupted(recording.t) if len(part) >= FEWEST_SAMPLES]
+    parts = [
+        part for part in uninterrupted(recording.t) if len(part) >= FEWEST_SAMPLES
+    ]
     if not parts:
         raise BadRecording(file, "no five samples without a gap", column="t")
     pieces = zip(*(resampled(recording, part)[:3] for part in parts), strict=True)
@@ -438,7 +459,9 @@ def replayable(
         base=base,
     )
     if len(longest) < estimator.span:
-        raise BadRecording(file, "too short or interrupted too often for on-line rows")
+        raise BadRecording(
+            file, "too short or interrupted too often for on-line rows"
+        )
     return estimator, (t, q, tau * gains), choice.why
 
 
@@ -495,9 +518,7 @@ class Monitor:
             self._converged = look.converged
             text = "no longer converged"
             if look.converged:
-                text = (
-                    "converged: the estimate is surer of the torque than a row of data"
-                )
+                text = "converged: the estimate is surer of the torque than a row of data"
             self.messages.append((estimate.t, text))
         if excitation is not None and excitation.enough != self._enough:
             self._enough = excitation.enough
@@ -624,4 +645,6 @@ def identify_online(
     whitened = fit.data.R @ base.regrouping, fit.data.z
     estimate = estimate_by(robot, rows, fit, whitened, (data.holdout, why))
     messages = tuple(monitor.messages)
-    return OnlineIdentification(estimate, tuple(looks), messages, estimator.delay, why)
+    return OnlineIdentification(
+        estimate, tuple(looks), messages, estimator.delay, why
+    )

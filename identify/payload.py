@@ -124,7 +124,9 @@ class PayloadEstimate:
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json."""
-        rows = zip(STANDARD, self.phi.tolist(), self.std.tolist(), UNITS, strict=True)
+        rows = zip(
+            STANDARD, self.phi.tolist(), self.std.tolist(), UNITS, strict=True
+        )
         parameters = [
             dict(zip(("name", "value", "std", "unit"), row, strict=True))
             for row in rows
@@ -190,7 +192,9 @@ class PayloadEstimator:
         return estimate_payload(self.arm.robot, self.arm.base, known, self._known)
 
 
-def _own_effects(robot: Robot, effects: Sequence[Effect] | None) -> tuple[Effect, ...]:
+def _own_effects(
+    robot: Robot, effects: Sequence[Effect] | None
+) -> tuple[Effect, ...]:
     if effects is None and robot.estimate is not None:
         return robot.effects
     return effects_of(robot, effects)

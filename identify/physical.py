@@ -152,8 +152,12 @@ def fit_physical(
     squares = (R[:, len(nominal) :] ** 2).sum(axis=0)
     units = np.sqrt(len(R) / (squares + effects.std**-2.0))
     scale = scipy.linalg.block_diag(prior.T, np.diag(units))
-    centre = np.concatenate([np.linalg.solve(prior.T, nominal), effects.mean / units])
-    C, d, restrictions = _known(knowledge, names, prior, effects.lower / units, centre)
+    centre = np.concatenate(
+        [np.linalg.solve(prior.T, nominal), effects.mean / units]
+    )
+    C, d, restrictions = _known(
+        knowledge, names, prior, effects.lower / units, centre
+    )
     program = Program(
         A=R @ scale,
         z=z,
@@ -196,13 +200,17 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
         whitened = scipy.linalg.solve_triangular(root, block, lower=True)
         U, s, _ = np.linalg.svd(whitened)
         power = np.pad(s, (0, len(U) - len(s)))
-        seen = (U.T @ scipy.linalg.solve_triangular(root, residual, lower=True)) ** 2
+        seen = (
+            U.T @ scipy.linalg.solve_triangular(root, residual, lower=True)
+        ) ** 2
 
         def surprise(log_sigma: float) -> float:
             variance = 1 + (np.exp(log_sigma) * power) ** 2
             return float((np.log(variance) + seen / variance).sum())
 
-        grid = np.log(np.geomspace(AGREEMENT.least, AGREEMENT.largest, AGREEMENT.grid))
+        grid = np.log(
+            np.geomspace(AGREEMENT.least, AGREEMENT.largest, AGREEMENT.grid)
+        )
         log_sigma, least = grid_minimum(surprise, grid)
         log_det = float(np.log(np.abs(np.diag(root))).sum())
         return float(np.exp(log_sigma)), least + 2 * log_det
@@ -230,7 +238,10 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
         for k in common:
             value, trial = with_own([*own, k], sigma)
             significant = least - value > scipy.special.chdtri(1, chance[k])
-            if significant and trial[k] > trial[[j for j in common if j != k]].max():
+            if (
+                significant
+                and trial[k] > trial[[j for j in common if j != k]].max()
+            ):
                 better.append((value, k, trial))
         if not better:
             break
@@ -284,7 +295,9 @@ def _contradictory(names: Sequence[str]) -> str:
     """What is wrong with these restrictions, and what to do."""
     *most, last = names
     if not most:
-        return f"{last} cannot be: no body near the given one fulfils it; correct it"
+        return (
+            f"{last} cannot be: no body near the given one fulfils it; correct it"
+        )
     return (
         f"{', '.join(most)} and {last} contradict each other: no body near the given one "
         "fulfils them together; correct one of them"
@@ -310,7 +323,9 @@ def _uncertainty(program: Program, y: Array, scale: Array) -> tuple[Array, Array
     prior, _ = program.prior(y)
     both = np.vstack([program.A, prior])
     factors = (triangle(rows @ N) for rows in (both, prior))
-    after, root = (scipy.linalg.solve_triangular(F, S.T, trans=1).T for F in factors)
+    after, root = (
+        scipy.linalg.solve_triangular(F, S.T, trans=1).T for F in factors
+    )
     exactly = _ROUNDING * np.linalg.norm(scale, axis=1)
     root[np.linalg.norm(root, axis=1) <= exactly] = 0.0
     return after @ after.T, root

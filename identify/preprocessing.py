@@ -194,7 +194,9 @@ def _decimation(rate_hz: float, cutoff_hz: float) -> int:
 
 
 def prepare(
-    recording: Recording, cutoff_hz: float | None = None, band_hz: float | None = None
+    recording: Recording,
+    cutoff_hz: float | None = None,
+    band_hz: float | None = None,
 ) -> list[Segment]:
     """Segments of a recording, split at gaps, filtered and differentiated.
 
@@ -351,7 +353,9 @@ def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
     """
     limit = robot.limits.velocity
     limit = np.where(limit < 1e3, limit, REST.free_speed)
-    slow = np.maximum(REST.moving_share * top_speed(segments), REST.creep_share * limit)
+    slow = np.maximum(
+        REST.moving_share * top_speed(segments), REST.creep_share * limit
+    )
     masks = []
     for segment in segments:
         width = 2 * round(segment.rate_hz / (2 * segment.cutoff_hz)) + 1
@@ -367,7 +371,9 @@ def top_speed(segments: Sequence[Segment]) -> Array:
     return np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
 
 
-def away_from_rest(segments: Sequence[Segment], fastest: Array | float = 0.0) -> Mask:
+def away_from_rest(
+    segments: Sequence[Segment], fastest: Array | float = 0.0
+) -> Mask:
     """Rows that no rest of a joint affects through the filter, shape (rows, nv).
 
     A joint rests while slow relative to its top speed, here or, if given, elsewhere, or so slow

@@ -202,7 +202,9 @@ class BodyPrior:
         draws = self.draws[:, None]
         weight = draws + barrier
         scale = np.sqrt(weight / 2)
-        roots = self._roots @ np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
+        roots = self._roots @ np.linalg.cholesky(
+            pseudo_inertia(phi.reshape(-1, 10))
+        )
         # the nominal body relative to φ
         Q = (roots.swapaxes(1, 2) @ roots)[:, *UPPER]
         residual = scale * NORMS * (draws / weight * Q - np.eye(4)[UPPER])
@@ -299,7 +301,8 @@ def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
     size = rng.uniform(0.5, 1.0, phase.shape) / omega
     angle = omega * t[:, None, None] + phase
     q, dq, ddq = (
-        (size * omega**k * np.sin(angle + k * np.pi / 2)).sum(axis=1) for k in range(3)
+        (size * omega**k * np.sin(angle + k * np.pi / 2)).sum(axis=1)
+        for k in range(3)
     )
     limits = robot.limits
     low, high = np.clip(limits.position, -np.pi, np.pi).T
@@ -346,7 +349,9 @@ def reached(L: Array, directions: Array, x: Array, links: int) -> Array:
     spread = np.linalg.norm(L @ directions.T, axis=1)
     size = np.linalg.norm(L, axis=1)
     effects = slice(10 * links, None)
-    size[effects] = np.minimum(size[effects], np.abs(x[effects]) + 1e-6 * size[effects])
+    size[effects] = np.minimum(
+        size[effects], np.abs(x[effects]) + 1e-6 * size[effects]
+    )
     return np.minimum(_share(spread, size), 1.0)
 
 

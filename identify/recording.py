@@ -51,7 +51,9 @@ class Recording(Shown):
     dq: Array | None = None
     notes: tuple[str, ...] = ()
     extras: Mapping[str, Array] = field(default_factory=dict)
-    columns: tuple[str, ...] = ()  # names in the file, of time, positions and torque
+    columns: tuple[
+        str, ...
+    ] = ()  # names in the file, of time, positions and torque
     # of time as logged, whole and remaining seconds
     start: tuple[float, float] = (0.0, 0.0)
     unreadable: Mapping[tuple[int, str], str] = field(
@@ -130,7 +132,13 @@ class Recording(Shown):
             for edge in (np.min, np.max)
         )
         rows = zip(range(1, self.nv + 1), *ranges, strict=True)
-        heads = ("joint", "q from", "q to", f"torque from [{self.unit}]", "torque to")
+        heads = (
+            "joint",
+            "q from",
+            "q to",
+            f"torque from [{self.unit}]",
+            "torque to",
+        )
         return heads, rows
 
 
@@ -143,7 +151,9 @@ def recordings_of(recordings: Recordings, robot: Robot) -> list[Recording]:
     Raises:
         BadRecording: One of another number of joints than the robot's.
     """
-    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    several = (
+        [recordings] if isinstance(recordings, Recording) else list(recordings)
+    )
     for recording in several:
         if recording.nv != robot.nv:
             why = f"has {recording.nv} joints, but {robot.name} has {robot.nv}"

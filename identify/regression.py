@@ -43,7 +43,9 @@ class ActingColumns(NamedTuple):
     values: Array  # shape (n, m, k)
 
     @classmethod
-    def of(cls, columns: Array, joints: Sequence[int] | None = None) -> ActingColumns:
+    def of(
+        cls, columns: Array, joints: Sequence[int] | None = None
+    ) -> ActingColumns:
         """Columns of all joints or some, shape (n, m, k)."""
         acts = live(columns).any(axis=1)
         names = np.arange(columns.shape[1]) if joints is None else np.array(joints)
@@ -82,7 +84,9 @@ class Regression:
 
     def __post_init__(self) -> None:
         freeze(self, "tau")
-        if not all(np.isfinite(values).all() for values in (*self.columns, self.tau)):
+        if not all(
+            np.isfinite(values).all() for values in (*self.columns, self.tau)
+        ):
             raise BadInput(
                 "regression: values that are no finite numbers; remove their instants"
             )
@@ -168,7 +172,9 @@ class Regression:
         used = rows if self.used is None else rows & self.used
         columns = (v * used[:, [j]] for j, v in enumerate(self.columns))
         tau = self.tau * used
-        return replace(self, columns=tuple(map(frozen, columns)), tau=tau, used=used)
+        return replace(
+            self, columns=tuple(map(frozen, columns)), tau=tau, used=used
+        )
 
     def at(self, instants: slice) -> Regression:
         """The problem at some instants."""
@@ -197,7 +203,9 @@ class Regression:
         for w, index, gram in zip(weight, self.index, self.grams, strict=True):
             target = place[np.append(index, self.p)]
             here = np.flatnonzero(target >= 0)
-            total[np.ix_(target[here], target[here])] += w * gram[np.ix_(here, here)]
+            total[np.ix_(target[here], target[here])] += (
+                w * gram[np.ix_(here, here)]
+            )
         return total
 
     @cached_property
@@ -312,7 +320,9 @@ def effect_columns(
     def columns(motion: Motion) -> Array:
         return effect.columns(robot, motion)[:, joints]
 
-    parts = [(s.thin if effect.physics.smooth else s).rows(columns) for s in segments]
+    parts = [
+        (s.thin if effect.physics.smooth else s).rows(columns) for s in segments
+    ]
     return ActingColumns.of(frozen(np.concatenate(parts)), joints)
 
 

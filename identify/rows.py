@@ -29,8 +29,12 @@ from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
-NAMED_SHARE = 0.05  # of a joint's rows that is left out, from which on it is reported
-HARMONICS_FACTOR = 2.0  # centrifugal torque has twice the highest harmonic of a motion
+NAMED_SHARE = (
+    0.05  # of a joint's rows that is left out, from which on it is reported
+)
+HARMONICS_FACTOR = (
+    2.0  # centrifugal torque has twice the highest harmonic of a motion
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,9 @@ class Data:
     @property
     def whole(self) -> Data:
         """The data with smooth columns at every sample, too."""
-        return replace(self, train=tuple(replace(s, whole=True) for s in self.train))
+        return replace(
+            self, train=tuple(replace(s, whole=True) for s in self.train)
+        )
 
     @property
     def sensors(self) -> SensorNoise | None:
@@ -244,7 +250,9 @@ class FitRows:
     @property
     def open_prior(self) -> EffectPrior:
         """Nothing known of coefficients of effects but their signs."""
-        effects = self.regression.select(range(10 * self.robot.nv, self.regression.p))
+        effects = self.regression.select(
+            range(10 * self.robot.nv, self.regression.p)
+        )
         std = implausible_size(effects.W, self.tau)
         lower = np.array(
             [p.lower for e in self.effects for p in e.parameters(self.robot)]
@@ -252,7 +260,9 @@ class FitRows:
         return EffectPrior(np.zeros_like(std), std, lower)
 
 
-def effects_of(robot: Robot, effects: Sequence[Effect] | None) -> tuple[Effect, ...]:
+def effects_of(
+    robot: Robot, effects: Sequence[Effect] | None
+) -> tuple[Effect, ...]:
     """Effects to estimate; friction, offset and rotor inertia of each joint when None."""
     return standard_effects(robot.joints) if effects is None else tuple(effects)
 
@@ -272,7 +282,9 @@ def fit_rows(
 
 def gains_of(robot: Robot, data: Data, drive: DriveGains | None) -> Array:
     """Torque per reading, shape (nv,): ones where torque was read, or made of currents before."""
-    return drive.gains if drive is not None and data.unit == "A" else np.ones(robot.nv)
+    return (
+        drive.gains if drive is not None and data.unit == "A" else np.ones(robot.nv)
+    )
 
 
 def told(

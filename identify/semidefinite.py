@@ -211,7 +211,9 @@ def solve(program: Program, centre: Array) -> Solution:
     unexplained = np.sqrt(max(1.0, path.squares(solution) / len(solution)))
     way = float(np.linalg.norm(path.U @ (solution - start)))
     settled = error <= max(PATH.precise * unexplained, PATH.near * way)
-    return Solution(solution, path.multipliers(solution, least), error, bool(settled))
+    return Solution(
+        solution, path.multipliers(solution, least), error, bool(settled)
+    )
 
 
 class _CentralPath:
@@ -222,7 +224,9 @@ class _CentralPath:
         self.bodies = program.bodies
         self.cones = [r for r in program.restrictions if r.cone != "zero"]
         self.links = len(self.bodies.bodies)
-        self.orders = [2 if r.cone == "second_order" else len(r.h) for r in self.cones]
+        self.orders = [
+            2 if r.cone == "second_order" else len(r.h) for r in self.cones
+        ]
         self.logarithms = 4 * self.links + sum(self.orders)
         J, residual = program.prior(start)
         # rows of the quadratic part, which do not change
@@ -308,7 +312,9 @@ class _CentralPath:
         rates += [_rates(r, y, step) for r in self.cones]
         weights = [np.repeat(weight, 4), np.full(sum(self.orders), barrier)]
         square = 2 * float(np.sum((self.U @ step) ** 2))
-        return step, *_length(square, np.concatenate(weights), np.concatenate(rates))
+        return step, *_length(
+            square, np.concatenate(weights), np.concatenate(rates)
+        )
 
 
 def _length(square: float, weights: Array, rates: Array) -> tuple[float, float]:
@@ -390,7 +396,9 @@ def interior(program: Program, centre: Array) -> Array:
     )
 
 
-def _narrowed(restrictions: Sequence[Restriction], margin: float) -> list[Restriction]:
+def _narrowed(
+    restrictions: Sequence[Restriction], margin: float
+) -> list[Restriction]:
     """The restrictions with slacks of at least a margin."""
     narrowed = []
     for r in restrictions:
@@ -416,7 +424,9 @@ def free_directions(restrictions: Sequence[Restriction], p: int) -> Array:
 def _equal(y: Array, restrictions: Sequence[Restriction]) -> Array:
     """The nearest point at which what holds exactly does, shape (p,)."""
     G = _equalities(restrictions, len(y))
-    h = np.concatenate([np.zeros(0), *(r.h for r in restrictions if r.cone == "zero")])
+    h = np.concatenate(
+        [np.zeros(0), *(r.h for r in restrictions if r.cone == "zero")]
+    )
     return y - np.linalg.pinv(G) @ (G @ y - h)
 
 

@@ -34,7 +34,12 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import RankDeficient
-from excitant.identify.estimate import Estimate, estimate_by, identify_robot, notes_on
+from excitant.identify.estimate import (
+    Estimate,
+    estimate_by,
+    identify_robot,
+    notes_on,
+)
 from excitant.identify.information import Information, gaussian, square_root
 from excitant.identify.least_squares import (
     JointRows,
@@ -59,7 +64,9 @@ INDEPENDENCE = (0.3, 0.1, 1e-2, 1e-4, 1e-7)
 NEGLIGIBLE_COEFFICIENT = 1e-6  # in units of the parameters' scale
 ROUNDING = 1e-8  # of the clearest direction: what rounding and interpolation leave
 NEGLIGIBLE_STDS = 0.05  # of a combination: terms that matter less are not written
-RARE = 0.1  # of the time that a joint moves: what happens more rarely is not mentioned
+RARE = (
+    0.1  # of the time that a joint moves: what happens more rarely is not mentioned
+)
 TRIED_STATES = 40  # of a motion that is tried, beyond the parameters sought
 VISIBLE = 1e-6  # of the largest singular value
 MOST_JOINTS_FOR_PAIRS = 10  # up to which pairs of them are tried
@@ -105,7 +112,9 @@ class Cascade:
 def beginning(prior: BasePrior) -> Cascade:
     """Nothing known but the given robot."""
     L = square_root(prior.covariance)
-    return Cascade(prior.mean, L, np.zeros((len(L), 0)), np.zeros(0), np.zeros((0, 0)))
+    return Cascade(
+        prior.mean, L, np.zeros((len(L), 0)), np.zeros(0), np.zeros((0, 0))
+    )
 
 
 def further(known: Cascade, W: Array, tau: Array) -> tuple[Cascade, float, float]:
@@ -153,7 +162,9 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
     floor = (
         1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12
     )  # data without noise
-    sigma = max(float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor)
+    sigma = max(
+        float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor
+    )
     scores, freedom = score_covariances(
         [JointRows(np.arange(m), every)], [residual / sigma], np.eye(m)
     )
@@ -172,7 +183,9 @@ def _led_combinations(
     rest = (rows - rows[:, led] @ F) * scale
     rest[:, led] = 0.0
     Q = np.linalg.qr(rest.T)[0].T
-    order = [k for k in dict.fromkeys((*preferred, *range(len(scale)))) if k not in led]
+    order = [
+        k for k in dict.fromkeys((*preferred, *range(len(scale)))) if k not in led
+    ]
     added = _clearly_independent(Q, order)
     new = np.linalg.solve(Q[:, added], Q)
     new[np.abs(new) < NEGLIGIBLE_COEFFICIENT] = 0.0
@@ -208,7 +221,9 @@ class LinkRows(FitRows):
     def recordings(self, joint: int) -> tuple[str, ...]:
         """Recordings in which rows of a joint count."""
         train = self.data.train
-        parts = np.split(self.used[:, joint], np.cumsum([len(s.t) for s in train])[:-1])
+        parts = np.split(
+            self.used[:, joint], np.cumsum([len(s.t) for s in train])[:-1]
+        )
         names = (s.name for s, used in zip(train, parts, strict=True) if used.any())
         return tuple(dict.fromkeys(names))
 
@@ -280,7 +295,9 @@ class Stage:
     recordings: tuple[str, ...]  # that have such rows
     mode: str  # which joints moved with it, in words
     determined: tuple[Determined, ...]  # what the row adds to the links further out
-    missing: tuple[str, ...] = ()  # base parameters of the link that no recording shows
+    missing: tuple[
+        str, ...
+    ] = ()  # base parameters of the link that no recording shows
     needed: tuple[str, ...] = ()  # the motion that would show them, as sentences
 
     def result(self, robot: Robot) -> dict[str, Any]:
@@ -301,9 +318,7 @@ class LinkByLink:
     cascade: Cascade  # the base parameters with their covariance
     stages: tuple[Stage, ...]  # the links, last one first
     all_at_once: Estimate  # all links from all rows together, for comparison
-    refusal: (
-        str  # why weighted least squares of all rows was not possible; empty if it was
-    )
+    refusal: str  # why weighted least squares of all rows was not possible; empty if it was
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json: those of `identify`, and the stages under ``link_by_link``."""
@@ -371,14 +386,20 @@ def identify_link_by_link(
     estimate = estimate_by(robot, rows, fit, whitened, _notes(rows, stages, prior))
     try:
         whole = identify_robot(
-            robot, recordings, validate=validate, effects=effects, cutoff_hz=cutoff_hz
+            robot,
+            recordings,
+            validate=validate,
+            effects=effects,
+            cutoff_hz=cutoff_hz,
         )
         refusal = ""
     except (
         RankDeficient
     ) as error:  # then with the given robot as prior, the noise of the stages
         refusal = str(error)
-        weight = replace(fit, sigma=np.where(np.isfinite(noise), noise, np.inf)).weight
+        weight = replace(
+            fit, sigma=np.where(np.isfinite(noise), noise, np.inf)
+        ).weight
         whole = estimate_by(robot, rows, fit, rows.regression.factor(weight), ())
     return LinkByLink(estimate, cascade, stages, whole, refusal)
 
@@ -421,7 +442,9 @@ def _determined(
     return tuple(entries)
 
 
-def _completed(rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage) -> Stage:
+def _completed(
+    rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage
+) -> Stage:
     own = np.flatnonzero(rows.last == stage.joint)
     missing = [k for k in own if k not in leading]
     if not missing:
@@ -468,7 +491,9 @@ def _needed_motion(
     return f"move {name} together with all joints before it, at several positions of those after it"
 
 
-def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
+def _changes(
+    nv: int, joint: int
+) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
     """Joints that move too and those at several positions."""
     yield (), ()
     others = [k for k in range(nv) if k != joint]
@@ -478,7 +503,9 @@ def _changes(nv: int, joint: int) -> Iterator[tuple[tuple[int, ...], tuple[int, 
     yield tuple(range(joint)), ()
 
 
-def _notes(rows: LinkRows, stages: Sequence[Stage], prior: Array) -> tuple[str, ...]:
+def _notes(
+    rows: LinkRows, stages: Sequence[Stage], prior: Array
+) -> tuple[str, ...]:
     count = sum(len(stage.determined) for stage in stages)
     r = len(rows.base)
     rest = "" if count == r else "; the rest stays at the given robot"

@@ -147,7 +147,9 @@ class Shapes:
         )
 
 
-def refined_shapes(rows: FitRows, prior: Array, knowledge: Knowledge) -> Shapes | None:
+def refined_shapes(
+    rows: FitRows, prior: Array, knowledge: Knowledge
+) -> Shapes | None:
     """Shapes that fit better together with bodies and coefficients; None where none can be found.
 
     The prior has shape (nv, 10). Knowledge of the bodies counts at the nominal shapes only.
@@ -212,7 +214,8 @@ class _Search:
         """Whitened columns of an effect at the rows, shape (rows, k)."""
         segments = self.fitted.data.train
         parts = [
-            s.rows(lambda motion: effect.columns(self.robot, motion)) for s in segments
+            s.rows(lambda motion: effect.columns(self.robot, motion))
+            for s in segments
         ]
         columns = np.concatenate(parts) * self.fitted.used[:, :, None]
         weighted = columns[self.instants] * self.weight[:, None]
@@ -313,7 +316,8 @@ class _Search:
             slopes = []
             for place, log_shape in zip(self.places, x[p:], strict=True):
                 own = slice(
-                    self.links + place.columns.start, self.links + place.columns.stop
+                    self.links + place.columns.start,
+                    self.links + place.columns.stop,
                 )
                 ahead = self._shaped(place, log_shape + REFINEMENT.difference)
                 change = (ahead - columns[:, own]) @ x[own]
@@ -355,10 +359,14 @@ class _Search:
             tuned = effect.search.tuned
             assert tuned is not None
             unit = effect.shape_unit(self.robot, tuned)
-            shape = Shape(effect.name, effect.joints[0], place.field, unit, *numbers)
+            shape = Shape(
+                effect.name, effect.joints[0], place.field, unit, *numbers
+            )
             effects[place.effect] = effect.reshaped(place.field, shape.value)
             refined.append(shape)
-        return Shapes(tuple(refined), tuple(effects), before, after, read_only(spread))
+        return Shapes(
+            tuple(refined), tuple(effects), before, after, read_only(spread)
+        )
 
 
 def _factor(A: Array, z: Array) -> tuple[Array, Array]:

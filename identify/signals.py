@@ -38,7 +38,9 @@ MEMORY_PERIODS = 6.0  # periods of its cut-off, after which the filter has forgo
 FLOOR_SHARE = 1 / 3  # upper end of the frequency axis, where arms do not move
 _CHUNK_VALUES = 60_000  # filtered together: they fit into the processor's cache
 _ROUNDING = 1e-9  # of the range of a channel
-_VARIANCE_RATIOS = np.log(np.geomspace(1e-12, 1e12, 97))  # white noise over random walk
+_VARIANCE_RATIOS = np.log(
+    np.geomspace(1e-12, 1e12, 97)
+)  # white noise over random walk
 
 
 def low_pass(
@@ -58,7 +60,9 @@ def low_pass(
     return passed.reshape(len(passed), *np.shape(values)[1:])
 
 
-def _low_passed(values: Array, cutoff_hz: float, rate_hz: float, rows: slice) -> Array:
+def _low_passed(
+    values: Array, cutoff_hz: float, rate_hz: float, rows: slice
+) -> Array:
     """Filtered columns, shape (n, k), as rows, at some instants."""
     n = len(values)
     before = min(n - 1, int(MEMORY_PERIODS * rate_hz / cutoff_hz))
@@ -94,7 +98,9 @@ def _gain(size: int, cutoff: float) -> Array:
 def differentiated(t: Array, q: Array, cutoff_hz: float) -> Motion:
     """Motion at regular instants: positions (n, nv) low-passed, then a quintic spline."""
     rate_hz = (len(t) - 1) / float(t[-1] - t[0])
-    spline = scipy.interpolate.make_interp_spline(t, low_pass(q, cutoff_hz, rate_hz), 5)
+    spline = scipy.interpolate.make_interp_spline(
+        t, low_pass(q, cutoff_hz, rate_hz), 5
+    )
     return Motion(t, spline(t), spline(t, 1), spline(t, 2))
 
 
@@ -114,7 +120,9 @@ def detrended(values: Array) -> Array:
     return centred - np.multiply.outer(along, slope)
 
 
-def power_density(values: Array, rate_hz: float, longest: int) -> tuple[Array, Array]:
+def power_density(
+    values: Array, rate_hz: float, longest: int
+) -> tuple[Array, Array]:
     """Frequencies (m,) [Hz] and one-sided power density (m, ...) of columns, shape (n, ...).
 
     Mean over parts of at most ``longest`` samples that overlap by half, each less its own mean and
@@ -228,7 +236,9 @@ class SensorNoise:
             return "motion from positions alone: no speeds were recorded for all joints"
         crossover = dict(zip(joints, self.crossover_hz.tolist(), strict=True))
         nyquist = self.rate_hz / 2
-        fused = [f"{joint} {f:.3g}" for joint, f in crossover.items() if f < nyquist]
+        fused = [
+            f"{joint} {f:.3g}" for joint, f in crossover.items() if f < nyquist
+        ]
         alone = [joint for joint, f in crossover.items() if f >= nyquist]
         parts = []
         if fused:
@@ -236,7 +246,9 @@ class SensorNoise:
         if alone:
             listed = ", ".join(alone)
             parts.append(f"positions count more at every frequency at {listed}")
-        heading = "motion from positions and recorded speeds, weighed by their noise"
+        heading = (
+            "motion from positions and recorded speeds, weighed by their noise"
+        )
         return f"{heading}: {'; '.join(parts)}"
 
     def speed_share(self, f: Array | float) -> Array:
@@ -299,7 +311,9 @@ def smoothed(
     refined = np.empty_like(q)
     for j, measured in enumerate(q.T):
         # offset, offset of the speed, its gain, its delay
-        causes = np.column_stack([np.ones_like(t), t - t.mean(), path[:, j], dq[:, j]])
+        causes = np.column_stack(
+            [np.ones_like(t), t - t.mean(), path[:, j], dq[:, j]]
+        )
         calibration = np.linalg.lstsq(causes, measured, rcond=None)[0]
         residual = measured - causes @ calibration
         walk, white = _variances(np.diff(residual), period, band_hz)

@@ -155,7 +155,11 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "effects": [effect.name for effect in estimate.model.effects],
         "cutoff_hz": estimate.data.cutoff_hz,
         **({} if estimate.shapes is None else {"shapes": estimate.shapes.entry()}),
-        **({} if estimate.lengths is None else {"lengths": estimate.lengths.entry()}),
+        **(
+            {}
+            if estimate.lengths is None
+            else {"lengths": estimate.lengths.entry()}
+        ),
         "unit": robot.torque_unit(estimate.data.unit),
         "holdout": estimate.data.holdout,
         **(drive if estimate.drive is None else estimate.drive.result()),
@@ -254,7 +258,9 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
 
 def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
     beta = estimate.least_squares.beta.tolist()
-    rows = zip(estimate.base.expressions, beta, estimate.base_std.tolist(), strict=True)
+    rows = zip(
+        estimate.base.expressions, beta, estimate.base_std.tolist(), strict=True
+    )
     return [
         {
             "expression": text,

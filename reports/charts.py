@@ -32,7 +32,10 @@ def packed(figure: Figure) -> Markup:
     store = _Store(most)
     content = {
         "panels": [
-            {"shared": panel.shared, "axes": [store.axes(one) for one in panel.axes]}
+            {
+                "shared": panel.shared,
+                "axes": [store.axes(one) for one in panel.axes],
+            }
             for panel in figure.panels
         ],
         "arrays": store.arrays,

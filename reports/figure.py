@@ -172,7 +172,9 @@ class Axes:
         axis = self.x if along == "x" else self.y
         if axis.low is not None and axis.high is not None:
             return axis.low, axis.high
-        values = np.concatenate([np.empty(0), *(_along(m, along) for m in self.marks)])
+        values = np.concatenate(
+            [np.empty(0), *(_along(m, along) for m in self.marks)]
+        )
         values = values[np.isfinite(values)]
         if axis.log:
             values = np.log10(values[values > 0])

@@ -207,7 +207,9 @@ def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
                 yield from _tables(block.blocks)
             case Facts():
                 known = [fact for fact in block.facts if not fact.timing]
-                rows = [(Cell(x.label), Cell(x.value, value=x.number)) for x in known]
+                rows = [
+                    (Cell(x.label), Cell(x.value, value=x.number)) for x in known
+                ]
                 yield Table((("Figure", "name"), ("", "number")), tuple(rows))
             case Table():
                 yield block
@@ -236,7 +238,8 @@ def table(
         return None
     present = [column for column in columns if column is not None]
     heads = tuple(
-        (column[0].partition(":")[2], column[0].partition(":")[0]) for column in present
+        (column[0].partition(":")[2], column[0].partition(":")[0])
+        for column in present
     )
     cells = tuple(tuple(_cell(row, *column) for column in present) for row in rows)
     return Table(heads, cells, caption, folded, brief)
@@ -336,7 +339,11 @@ def notes(
 
 
 def section(
-    title: str, lead: str, parts: Parts, brief: Brief = (), closed: Parts | None = None
+    title: str,
+    lead: str,
+    parts: Parts,
+    brief: Brief = (),
+    closed: Parts | None = None,
 ) -> Section:
     """A section without the blocks that are None and the parts that are left empty.
 
@@ -348,5 +355,9 @@ def section(
 
 
 def _part(title: str, blocks: Blocks, closed: bool = False) -> Folded:
-    built = [_part(*block) if isinstance(block, tuple) else block for block in blocks]
-    return Folded(title, tuple(block for block in built if block is not None), closed)
+    built = [
+        _part(*block) if isinstance(block, tuple) else block for block in blocks
+    ]
+    return Folded(
+        title, tuple(block for block in built if block is not None), closed
+    )

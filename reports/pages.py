@@ -61,8 +61,14 @@ _SECTIONS: dict[str, Callable[[Any, Series], Section]] = {
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _APART = 2.0  # standard deviations of a difference from which on estimates disagree
 _STD = "± std"  # in the heading of a column that belongs to the one before
-_PAIRED = 3  # runs up to which differences have columns; of more, result.json has them
-_HEADINGS = {"difference": "{} − A", "ratio": "{} / A", "deviations": "{} − A [std]"}
+_PAIRED = (
+    3  # runs up to which differences have columns; of more, result.json has them
+)
+_HEADINGS = {
+    "difference": "{} − A",
+    "ratio": "{} / A",
+    "deviations": "{} − A [std]",
+}
 _ERROR = re.compile(
     r"\b(rms|nrmse)\b|r²|error"
 )  # what depends on the filter and on the rows
@@ -128,7 +134,9 @@ def _examination_page(result: Go | Demo, series: Series) -> Page:
         section = build(record, arrays)
         if isinstance(record, Analyze):
             section = links_folded(section, record)
-        if isinstance(record, Robots):  # the verdict comes first, and what it rests on
+        if isinstance(
+            record, Robots
+        ):  # the verdict comes first, and what it rests on
             parts = tuple(replace(part, closed=True) for part in section.parts)
             section = replace(section, parts=parts)
         sections[verb] = section
@@ -208,9 +216,9 @@ def _remarks(runs: Sequence[SavedRun]) -> list[str]:
 def _same_rows(series: Sequence[Series]) -> bool:
     """Whether all runs were judged on the same instants and readings, as far as is known."""
     for key in ("t", "measured"):
-        first, *others = [np.asarray(each[key]) for each in series if key in each] or [
-            np.empty(0)
-        ]
+        first, *others = [
+            np.asarray(each[key]) for each in series if key in each
+        ] or [np.empty(0)]
         for other in others:
             if other.shape != first.shape or not np.allclose(
                 first, other, 1e-5, 1e-9, True
@@ -245,7 +253,9 @@ def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
     return [
         {
             "title": title,
-            "tables": [{"part": p, "of": o, "rows": r} for (p, o), r in found.items()],
+            "tables": [
+                {"part": p, "of": o, "rows": r} for (p, o), r in found.items()
+            ],
         }
         for title, found in sections.items()
     ]
@@ -274,9 +284,13 @@ def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
                     if k + 1 < len(row) and _STD in heads[k + 1]
                     else Cell(NONE)
                 )
-                both = f"{cell.text} ± {std.text}" if std.text != NONE else cell.text
+                both = (
+                    f"{cell.text} ± {std.text}" if std.text != NONE else cell.text
+                )
                 found = replace(cell, text=both), None if prior else std.value
-                figures.setdefault((title, part, heads[names[0]], name, head), found)
+                figures.setdefault(
+                    (title, part, heads[names[0]], name, head), found
+                )
     return figures
 
 
@@ -304,7 +318,9 @@ def _comparison_page(result: Compare) -> Page:
         order = list(parts.items())
         count = _count(section)
         brief = ((section.title, count),)
-        sections.append(p.section(section.title, count, order[:1], brief, order[1:]))
+        sections.append(
+            p.section(section.title, count, order[:1], brief, order[1:])
+        )
     blocks = (
         p.notes(legend),
         p.notes([v.sentence(remark) for remark in result.remarks], p.POOR),
@@ -370,7 +386,10 @@ def _table(table: ComparedTable, letters: Sequence[str]) -> p.Table | None:
         [
             (f"name:{table.of}", "name"),
             ("name:Quantity", "figure") if some else None,
-            *((f"{kind(k)}:{letter}", written(k)) for k, letter in enumerate(letters)),
+            *(
+                (f"{kind(k)}:{letter}", written(k))
+                for k, letter in enumerate(letters)
+            ),
             *(column(key, k, x) for k, x in pairs for key in _HEADINGS),
         ],
     )

@@ -74,7 +74,9 @@ def moments(result: Motion) -> list[Moment]:
     for quantity, rows in (result.certified or {}).items():
         for joint, row in zip(result.joints, rows, strict=True):
             if row is not None and row.ratio >= TOUCHED:
-                words = f"{joint}: {v.percent(row.ratio, 4)} of its {quantity} limit"
+                words = (
+                    f"{joint}: {v.percent(row.ratio, 4)} of its {quantity} limit"
+                )
                 tone = p.FAIR if row.ratio <= FULL else p.POOR
                 instants.append(Moment(row.t, words, tone))
     if (closest := result.closest) is not None:
@@ -95,10 +97,13 @@ def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
     n = 0 if t is None else len(t)
     shapes = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
     found = {
-        name: v.array(series, f"play_{name}", n, *rest) for name, rest in shapes.items()
+        name: v.array(series, f"play_{name}", n, *rest)
+        for name, rest in shapes.items()
     }
     known = {
-        name: x for name, x in found.items() if x is not None and np.isfinite(x).all()
+        name: x
+        for name, x in found.items()
+        if x is not None and np.isfinite(x).all()
     }
     if t is None or n < 2 or len(known) < len(shapes):
         return None
@@ -132,4 +137,7 @@ def _mesh(series: Series, k: int) -> dict[str, Any]:
 def _packed(values: npt.NDArray[Any]) -> dict[str, str]:
     """An array as the script reads it: its kind (``f4``, ``f8``, ``u2``, ``u4``) and its bytes."""
     little = values.astype(values.dtype.newbyteorder("<"))
-    return {"kind": little.dtype.str[1:], "bytes": b64encode(little.tobytes()).decode()}
+    return {
+        "kind": little.dtype.str[1:],
+        "bytes": b64encode(little.tobytes()).decode(),
+    }

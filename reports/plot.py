@@ -58,7 +58,9 @@ def friction(
 ) -> list[Axes]:
     """Friction over velocity with its 95 % interval, and the readings of the hold-out."""
     result, series = _of_joints(estimate, joints)
-    return _drawn(friction_figure(msgspec.convert(result, Identify).joints, series), ax)
+    return _drawn(
+        friction_figure(msgspec.convert(result, Identify).joints, series), ax
+    )
 
 
 def residuals(estimate: Estimate, joints: Names = None) -> list[Axes]:
@@ -126,7 +128,9 @@ def _of_joints(noun: Reportable, joints: Names) -> _Drawn:
 def _chosen(result: Mapping[str, Any], series: Series, joints: Names) -> _Drawn:
     """Result and series of some joints, in the order in which they are named."""
     result = as_saved(result, {})[0]
-    names = [row["name"] if isinstance(row, dict) else row for row in result["joints"]]
+    names = [
+        row["name"] if isinstance(row, dict) else row for row in result["joints"]
+    ]
     wanted = (
         names
         if joints is None
@@ -146,7 +150,8 @@ def _chosen(result: Mapping[str, Any], series: Series, joints: Names) -> _Drawn:
 
     result |= {key: of_joints(result[key]) for key in _BY_JOINT if key in result}
     arrays = {
-        key: x[:, rows] if np.shape(x)[1:] == (nv,) else x for key, x in series.items()
+        key: x[:, rows] if np.shape(x)[1:] == (nv,) else x
+        for key, x in series.items()
     }
     return result, arrays
 

@@ -58,7 +58,8 @@ def draw(figure: Figure) -> list[Drawn]:
 
     columns = min(len(figure.panels), _COLUMNS)
     rows = [
-        figure.panels[k : k + columns] for k in range(0, len(figure.panels), columns)
+        figure.panels[k : k + columns]
+        for k in range(0, len(figure.panels), columns)
     ]
     heights = [max(map(_height, row)) for row in rows]
     with mpl.rc_context():
@@ -170,7 +171,12 @@ def _draw_mark(mark: Mark, ax: Drawn, order: float) -> None:
         case Polygon():
             edge = COLOURS[mark.edge][0] if mark.edge else "none"
             fill = COLOURS[mark.colour][0]
-            look = {"facecolor": fill, "edgecolor": edge, "lw": 0.7, "zorder": order}
+            look = {
+                "facecolor": fill,
+                "edgecolor": edge,
+                "lw": 0.7,
+                "zorder": order,
+            }
             ax.fill(mark.x, mark.y, alpha=mark.opacity, **look)
         case Span():
             span = ax.axvspan if mark.along == "x" else ax.axhspan
@@ -227,4 +233,6 @@ def tick(value: float, _position: float | None = None) -> str:
     if 1e-3 <= abs(value) < 1e5:
         return f"{value:.6g}".replace("-", "−")
     exponent = math.floor(math.log10(abs(value)) + 1e-9)
-    return f"{value / 10.0**exponent:.3g}×{power_of_ten(exponent)}".replace("-", "−")
+    return f"{value / 10.0**exponent:.3g}×{power_of_ten(exponent)}".replace(
+        "-", "−"
+    )

@@ -113,7 +113,9 @@ def _breakable(words: str) -> Markup:
     from markupsafe import Markup, escape
 
     def broken(word: re.Match[str]) -> str:
-        return word[0].replace("_", "_<wbr>") if len(word[0]) > _UNBROKEN else word[0]
+        return (
+            word[0].replace("_", "_<wbr>") if len(word[0]) > _UNBROKEN else word[0]
+        )
 
     written = re.sub(r"\S+", broken, str(escape(words)))
     return Markup(
@@ -154,9 +156,13 @@ def _drawn(table: Table, terminal: bool) -> str:
 
     drawn = Drawn(box=None, pad_edge=False, header_style="bold")
     for head, kind in table.columns:
-        drawn.add_column(Text(head), justify="right" if kind == "number" else "left")
+        drawn.add_column(
+            Text(head), justify="right" if kind == "number" else "left"
+        )
     for row in table.rows:
-        drawn.add_row(*(Text(cell.text, _STYLES.get(cell.tone, "")) for cell in row))
+        drawn.add_row(
+            *(Text(cell.text, _STYLES.get(cell.tone, "")) for cell in row)
+        )
     console = Console(force_terminal=terminal, width=None if terminal else _WIDE)
     with console.capture() as captured:
         console.print(drawn)
@@ -176,20 +182,29 @@ def _brief(section: Section) -> Iterator[tuple[str, str]]:
                     label = row[0].text
                     cells = cells[1:]
                 written = [
-                    (kind, cell.text) for (_, kind), cell in cells if cell.text != NONE
+                    (kind, cell.text)
+                    for (_, kind), cell in cells
+                    if cell.text != NONE
                 ]
-                names = ", ".join(words for kind, words in written if kind == "name")
+                names = ", ".join(
+                    words for kind, words in written if kind == "name"
+                )
                 yield (
                     label,
                     ": ".join(
-                        [names, *(words for kind, words in written if kind != "name")]
+                        [
+                            names,
+                            *(words for kind, words in written if kind != "name"),
+                        ]
                     ),
                 )
 
 
 def plain(line: str) -> str:
     """A line in letters that tools compare: ASCII minus signs, spaces and powers of ten."""
-    line = re.sub(r"×10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda e: "e" + e[1].translate(_ASCII), line)
+    line = re.sub(
+        r"×10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda e: "e" + e[1].translate(_ASCII), line
+    )
     return re.sub(r"[\s\u00a0]", " ", line).replace("−", "-").rstrip()
 
 
@@ -214,12 +229,16 @@ def _block(block: Block) -> list[str]:
                 if not fact.timing
             ]
         case Player():
-            return [f"    {moment.t:.4g} s  {moment.words}" for moment in block.moments]
+            return [
+                f"    {moment.t:.4g} s  {moment.words}" for moment in block.moments
+            ]
         case Matrix():
             return [
                 f"    {name:<{_LABEL}}   "
                 + ", ".join(
-                    f"{c} {k}" for c, k in zip(block.columns, kinds, strict=True) if k
+                    f"{c} {k}"
+                    for c, k in zip(block.columns, kinds, strict=True)
+                    if k
                 )
                 for name, kinds in block.rows
             ]
@@ -231,12 +250,16 @@ def _block(block: Block) -> list[str]:
         case Table():
             rows = [[cell.text for cell in row] for row in block.rows]
             kinds = [kind for _, kind in block.columns]
-            return table_lines(list(zip(block.heads, kinds, strict=True)), rows, "    ")
+            return table_lines(
+                list(zip(block.heads, kinds, strict=True)), rows, "    "
+            )
     return []
 
 
 def table_lines(
-    columns: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], indent: str = ""
+    columns: Sequence[tuple[str, str]],
+    rows: Sequence[Sequence[str]],
+    indent: str = "",
 ) -> list[str]:
     """A table as text, its head (heading and kind) first; expressions stand last."""
     order = sorted(range(len(columns)), key=lambda k: columns[k][1] == "expression")

@@ -141,7 +141,9 @@ def read_result(directory: str | Path) -> dict[str, Any]:
     try:
         result: dict[str, Any] = parsed_json(_content(path), finite)
     except (ValueError, RecursionError) as error:
-        raise BadInput(f"{path}: not JSON ({error}); run the command again") from None
+        raise BadInput(
+            f"{path}: not JSON ({error}); run the command again"
+        ) from None
     return result
 
 
@@ -168,10 +170,15 @@ def _content(path: Path) -> bytes:
 def _refuse_name(name: str) -> None:
     path = PurePosixPath(name)
     inside = (
-        name and not path.is_absolute() and ".." not in path.parts and "\\" not in name
+        name
+        and not path.is_absolute()
+        and ".." not in path.parts
+        and "\\" not in name
     )
     if not inside or not path.parts:
-        raise BadInput(f"artefact '{name}': its name must stay inside the run's folder")
+        raise BadInput(
+            f"artefact '{name}': its name must stay inside the run's folder"
+        )
     if str(path) in (RESULT, SERIES, SUMMARY, REPORT):
         raise BadInput(f"artefact '{name}': this name is taken by the run itself")
 
@@ -197,7 +204,9 @@ def _plain(value: Any, where: str) -> Any:
     if isinstance(value, np.ndarray):
         return _plain(value.tolist(), where)
     if isinstance(value, Mapping):
-        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
+        return {
+            str(key): _plain(item, f"{where}.{key}") for key, item in value.items()
+        }
     if isinstance(value, list | tuple):
         return [_plain(item, f"{where}[{k}]") for k, item in enumerate(value)]
     raise BadInput(f"{where}: a {type(value).__name__} cannot be saved as JSON")
@@ -255,7 +264,9 @@ class Report:
         return f'<iframe srcdoc="{escape(self.html)}" style="{frame}"></iframe>'
 
 
-def save(noun: Reportable, folder: str | Path, *, force: bool = False) -> list[Path]:
+def save(
+    noun: Reportable, folder: str | Path, *, force: bool = False
+) -> list[Path]:
     """Write a folder as the command does that makes such a noun.
 
     A model is left out, with a warning, where the hold-out speaks against it, unless by ``force``.
@@ -301,4 +312,6 @@ def _require_reportable(noun: object) -> None:
 def report(noun: Reportable) -> Report:
     """The page of a design, estimate, identifiability, ...; BadInput for anything else."""
     _require_reportable(noun)
-    return Report(html(page_of(*as_saved(noun.result(), noun.series())), saved=False))
+    return Report(
+        html(page_of(*as_saved(noun.result(), noun.series())), saved=False)
+    )

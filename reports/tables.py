@@ -53,7 +53,8 @@ def table_files(page: Page, form: Format) -> dict[str, str]:
     for section, part, table in page.tables():
         name = _name(f"{section} {part}" if several else part)
         k = sum(
-            bool(re.fullmatch(rf"{FOLDER}/{name}(-\d+)?\.\w+", each)) for each in files
+            bool(re.fullmatch(rf"{FOLDER}/{name}(-\d+)?\.\w+", each))
+            for each in files
         )
         files[f"{FOLDER}/{name}{f'-{k + 1}' if k else ''}.{suffix}"] = write(table)
     return files
@@ -71,7 +72,9 @@ def csv_table(table: Table) -> str:
 def latex_table(table: Table) -> str:
     r"""A table as a LaTeX ``tabular``; it needs ``\usepackage{booktabs}``."""
     aligned = "".join("r" if kind == "number" else "l" for _, kind in table.columns)
-    written = _frame(table).to_latex(index=False, escape=True, column_format=aligned)
+    written = _frame(table).to_latex(
+        index=False, escape=True, column_format=aligned
+    )
     written = re.sub(
         r"(?<=\d)e(-?\d+)", lambda e: rf"$\cdot 10^{{{int(e[1])}}}$", written
     )

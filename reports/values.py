@@ -59,11 +59,15 @@ def curve(
         return array(series, key, rows)
     table = array(series, key, rows, None)
     return (
-        None if table is None or joint >= table.shape[1] else _finite(table[:, joint])
+        None
+        if table is None or joint >= table.shape[1]
+        else _finite(table[:, joint])
     )
 
 
-def curves(series: Series, joint: int, first: str, *keys: str) -> list[Array | None]:
+def curves(
+    series: Series, joint: int, first: str, *keys: str
+) -> list[Array | None]:
     """Columns of a joint: the first, and those of the others that have as many rows."""
     known = curve(series, first, joint)
     rows = -1 if known is None else len(known)
@@ -137,7 +141,9 @@ def percent(value: object, digits: int = 2) -> str:
 
 def quantity(value: object, unit: str, digits: int = 3) -> str:
     """A number with its unit."""
-    return number(value, digits) + (f"\u00a0{unit}" if real(value) is not None else "")
+    return number(value, digits) + (
+        f"\u00a0{unit}" if real(value) is not None else ""
+    )
 
 
 def unit_of(unit: str, digits: int = 3) -> Callable[[object], str]:
@@ -161,7 +167,9 @@ def sentence(words: str) -> str:
 
     A name with an underscore keeps its small letter.
     """
-    words = re.sub(r"(?<=\d)e([+-]\d+)", lambda e: f"×{power_of_ten(int(e[1]))}", words)
+    words = re.sub(
+        r"(?<=\d)e([+-]\d+)", lambda e: f"×{power_of_ten(int(e[1]))}", words
+    )
     words = re.sub(r"(?<![\w.])-(?=\d)", "−", words)
     capital = "_" not in words.split(" ", 1)[0]
     first = words[:1].upper() if capital else words[:1]

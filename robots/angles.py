@@ -19,7 +19,9 @@ from excitant.robots.motion import Array
 
 STEP = np.pi / 12
 _FURTHEST = 2e-3  # rad
-_UNSEEN = 1e-8  # rad: too little for a decision on what torque shows, and so for a note
+_UNSEEN = (
+    1e-8  # rad: too little for a decision on what torque shows, and so for a note
+)
 _SHOWN = 4
 _TURNS = 1e3  # beyond which no number is an angle
 _RPY = re.compile(r"""(?<=\srpy=)(["'])([^"']*)\1""")
@@ -53,7 +55,9 @@ class Angles:
         """Angles that were read as numbers, with the digits that these need [rad]."""
         given = [float(value) for value in values]
         found = ((self.meant(repr(value)), value) for value in given)
-        return np.array([value if exact is None else exact for exact, value in found])
+        return np.array(
+            [value if exact is None else exact for exact, value in found]
+        )
 
     def urdf(self, text: str) -> str:
         """A URDF whose ``rpy`` are exact; what they are not is left as it is."""
@@ -70,7 +74,8 @@ class Angles:
         if all(angle is None for angle in exact):
             return text
         return " ".join(
-            word if a is None else repr(a) for word, a in zip(words, exact, strict=True)
+            word if a is None else repr(a)
+            for word, a in zip(words, exact, strict=True)
         )
 
     def quaternion(self, wxyz: Array) -> Array:
@@ -92,8 +97,12 @@ class Angles:
                 break
         else:  # perhaps the digits are those of an angle that was rounded before
             words = [f"{angle:.{digits}f}" for digits in (2, 3, 4)]
-            near = (w for w in words if abs(float(w) - angle) <= min(4 * unit, 1e-5))
-            meant = next((a for a in map(Angles().meant, near) if a is not None), None)
+            near = (
+                w for w in words if abs(float(w) - angle) <= min(4 * unit, 1e-5)
+            )
+            meant = next(
+                (a for a in map(Angles().meant, near) if a is not None), None
+            )
             if meant is None:
                 return wxyz
             exact = pin.exp3(turn * meant / angle)
@@ -111,7 +120,9 @@ class Angles:
         if not shown:
             return ()
         changes = listed(shown, _SHOWN)
-        return (f"angles rounded in the file are taken as multiples of 15°: {changes}",)
+        return (
+            f"angles rounded in the file are taken as multiples of 15°: {changes}",
+        )
 
 
 def _angle(R: Array) -> float:

@@ -73,18 +73,24 @@ class Appearance:
                 joint, self._along(joint), coal.Cylinder(1.6 * radius, 5 * radius)
             )
         elif joint:
-            yield _Piece(joint, self._along(joint), coal.Box(*np.full(3, 3.2 * radius)))
+            yield _Piece(
+                joint, self._along(joint), coal.Box(*np.full(3, 3.2 * radius))
+            )
             low, high = robot.limits.position[joint - 1]
             if np.isfinite(high - low):
                 rail = places[joint] * self._along(joint, (low + high) / 2)
                 shape = coal.Cylinder(radius / 2, float(high - low))
                 yield _Piece(model.parents[joint], rail, shape)
-        ends = [places[k] for k in range(1, robot.nv + 1) if model.parents[k] == joint]
+        ends = [
+            places[k] for k in range(1, robot.nv + 1) if model.parents[k] == joint
+        ]
         ends += [tool.placement] * (tool.parentJoint == joint)
         for end in (np.array(place.translation) for place in ends):
             if (length := float(np.linalg.norm(end))) > radius:
                 yield _Piece(
-                    joint, pin.SE3(_turned(end), end / 2), coal.Cylinder(radius, length)
+                    joint,
+                    pin.SE3(_turned(end), end / 2),
+                    coal.Cylinder(radius, length),
                 )
 
     def _along(self, joint: int, shift: float = 0.0) -> pin.SE3:
@@ -105,8 +111,13 @@ class Appearance:
     def _extent(self) -> float:
         """Length of the arm along its joints [m]; 1 of an arm without any."""
         model = self.robot.model
-        places = [*list(model.jointPlacements), model.frames[self.robot.tip].placement]
-        return float(sum(np.linalg.norm(place.translation) for place in places)) or 1.0
+        places = [
+            *list(model.jointPlacements),
+            model.frames[self.robot.tip].placement,
+        ]
+        return (
+            float(sum(np.linalg.norm(place.translation) for place in places)) or 1.0
+        )
 
     @property
     def notes(self) -> list[str]:
@@ -167,7 +178,12 @@ class Appearance:
             for piece in self._pieces
         ]
         tool = {"joint": int(frame.parentJoint), "place": _place(frame.placement)}
-        return {"joints": joints, "tool": tool, "shapes": shapes, "notes": self.notes}
+        return {
+            "joints": joints,
+            "tool": tool,
+            "shapes": shapes,
+            "notes": self.notes,
+        }
 
     def meshes(self) -> dict[str, Array]:
         """Of shape k that is a mesh ``mesh<k>_points`` (n, 3) [m] and ``mesh<k>_faces`` (m, 3)."""

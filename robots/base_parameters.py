@@ -199,7 +199,9 @@ def _units(norms: Array, p: int) -> Array:
     return units
 
 
-def regroup(observation: Observation, tolerance: float = TOLERANCE) -> BaseParameters:
+def regroup(
+    observation: Observation, tolerance: float = TOLERANCE
+) -> BaseParameters:
     """Base parameters of what was observed.
 
     ``tolerance`` is the length of the part outside the columns before it from which on a column
@@ -225,7 +227,9 @@ def regroup(observation: Observation, tolerance: float = TOLERANCE) -> BaseParam
     )
 
 
-def independent_columns(R: Array, tolerance: float) -> tuple[tuple[int, ...], Array]:
+def independent_columns(
+    R: Array, tolerance: float
+) -> tuple[tuple[int, ...], Array]:
     """Columns that do not depend on those before, and the length of each outside them.
 
     The longest column has length one; from a length of ``tolerance`` on one is independent.

@@ -30,7 +30,9 @@ class RobotSpec:
         default_factory=dict
     )  # joints held, and where [rad or m]
     xacro_args: Mapping[str, str] = field(default_factory=dict)
-    packages: tuple[str | Path, ...] = ()  # folders of packages, in which files may lie
+    packages: tuple[
+        str | Path, ...
+    ] = ()  # folders of packages, in which files may lie
 
     def __fspath__(self) -> str:
         """The path, so that a spec stands where a path does."""
@@ -42,7 +44,9 @@ class RobotSpec:
     @property
     def is_part(self) -> bool:
         """Whether a part of the robot is chosen, other than by holding single joints."""
-        return any(value is not None for value in (self.joints, self.base, self.tip))
+        return any(
+            value is not None for value in (self.joints, self.base, self.tip)
+        )
 
 
 @dataclass(frozen=True)
@@ -125,9 +129,13 @@ def tree(root: ET.Element, source: str) -> Tree:
                 why = f"joint '{name}': its mimic numbers are no numbers"
                 raise BadRobot(source, why) from None
             follows = (str(mimic.get("joint")), *numbers)
-        joints[name] = TreeJoint(name, str(element.get("type")), parent, child, follows)
+        joints[name] = TreeJoint(
+            name, str(element.get("type")), parent, child, follows
+        )
     return Tree(
-        source, joints, tuple(str(link.get("name")) for link in root.findall("link"))
+        source,
+        joints,
+        tuple(str(link.get("name")) for link in root.findall("link")),
     )
 
 
@@ -168,7 +176,9 @@ def _kept(
             )
         both = [name for name in spec.joints if name in spec.lock]
         if both:
-            raise BadInput(f"joint '{both[0]}' is both kept and locked; do one of them")
+            raise BadInput(
+                f"joint '{both[0]}' is both kept and locked; do one of them"
+            )
         return [joint for joint in movable if joint.name in spec.joints]
     free = [j for j in movable if j.mimic is None and j.name not in spec.lock]
     kept = [joint for joint in robot.chain(spec.base, spec.tip) if joint in free]
@@ -203,7 +213,9 @@ def _refuse_dependent(
                 "held; leave it out of the joints to keep",
             )
     for ends in loops:
-        one, other = ({joint.name for joint in robot.ancestors(end)} for end in ends)
+        one, other = (
+            {joint.name for joint in robot.ancestors(end)} for end in ends
+        )
         inside = sorted((one ^ other) & {joint.name for joint in kept})
         if inside:
             raise BadRobot(

@@ -28,7 +28,9 @@ from excitant.robots.urdf_writer import child_attribute, floats
 _MASS = 0.05  # relative deviation from the stated mass that goes unsaid
 _BASE = 0.4  # of the stated mass: what a base that the model leaves out may weigh
 _SPOILS_WEIGHT = ("inertia_not_physical", "centre_of_mass")
-_POSES = 600  # random ones that the search for the largest gravity torque starts from
+_POSES = (
+    600  # random ones that the search for the largest gravity torque starts from
+)
 _STEPS = 24  # positions that it tries of each joint in turn
 _ROUNDS = 2
 _UNIT = 1e-3  # deviation of an axis from length one that digits left out explain
@@ -199,7 +201,9 @@ class ModelCheck:
             "base_parameters": len(base_parameters(robot)),
             "effects": [effect.name for effect in robot.effects],
             "effect_values": values,
-            "warnings": [{**asdict(w), "where": list(w.where)} for w in self.warnings],
+            "warnings": [
+                {**asdict(w), "where": list(w.where)} for w in self.warnings
+            ],
             "joints": joints,
             "links": [_link(body) for body in self.bodies],
             "locked": dict(robot.locked),
@@ -244,7 +248,9 @@ def _axes(robot: Robot, root: ET.Element) -> Warnings:
         text = child_attribute(joint, "axis", "xyz", "1 0 0")
         length = float(np.linalg.norm(floats(text)))
         if name in robot.joints and abs(length - 1) > _UNIT:
-            sentence = f'its axis "{text}" has length {length:.4g}; write a unit vector'
+            sentence = (
+                f'its axis "{text}" has length {length:.4g}; write a unit vector'
+            )
             yield ModelWarning("joint_axis", (name,), sentence)
 
 
@@ -255,7 +261,9 @@ def _limits(robot: Robot, root: ET.Element) -> Warnings:
         ("effort", robot.limits.torque, "N·m or N"),
     ):
         absent = [
-            j for j, x in zip(robot.joints, values, strict=True) if not np.isfinite(x)
+            j
+            for j, x in zip(robot.joints, values, strict=True)
+            if not np.isfinite(x)
         ]
         if absent:
             yield ModelWarning(
@@ -307,7 +315,9 @@ def _inertias(robot: Robot, stated: Sequence[Body]) -> Warnings:
     moving = [body for body in stated if body.carrier]
     for link, mass in zip(robot.links, robot.phi[::10], strict=True):
         if mass == 0 and not any(b.given and b.carrier == link for b in moving):
-            sentence = "has no mass, and nothing fixed to it has; add its <inertial>"
+            sentence = (
+                "has no mass, and nothing fixed to it has; add its <inertial>"
+            )
             yield ModelWarning("no_inertia", (link,), sentence)
     # a marker or a point mass fixed to a moving link needs no tensor of its own
     points = [
@@ -348,14 +358,18 @@ def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
         sentence = ""
         if _in_a_row(robot, links) > 2:
             sentence = f"have one and the same inertia ({value}), perhaps a placeholder; {advice}"
-        elif ball and _power_of_ten(body.mass) and _power_of_ten(float(moments[-1])):
+        elif (
+            ball and _power_of_ten(body.mass) and _power_of_ten(float(moments[-1]))
+        ):
             sentence = (
                 f"{value} alike about all axes looks like a placeholder; {advice}"
             )
         if sentence:
             yield ModelWarning("placeholder_inertia", links, sentence)
     arm = float(robot.phi[::10].sum())
-    masses = {body.link: robot.phi[10 * robot.links.index(body.link)] for body in own}
+    masses = {
+        body.link: robot.phi[10 * robot.links.index(body.link)] for body in own
+    }
     light = {
         link: mass for link, mass in masses.items() if 0 < mass < PLACEHOLDER * arm
     }
@@ -394,7 +408,9 @@ def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
                     "centre of mass"
                 )
             elif spread[0] > -_ROUNDING * spread[-1]:
-                advice = "rounding may do this to a flat or thin link; give more digits"
+                advice = (
+                    "rounding may do this to a flat or thin link; give more digits"
+                )
         yield f"{found.removeprefix(f'{body.link}: ')}; {advice}"
 
 
@@ -404,7 +420,9 @@ def _centre_outside(robot: Robot, body: Body) -> Iterator[str]:
     arm = _arm_size(robot)
     if size > _EXTENT:
         least = (
-            _OUTSIDE[bool(body.shapes)] * size + _EXTENT + (not body.shapes) * 0.1 * arm
+            _OUTSIDE[bool(body.shapes)] * size
+            + _EXTENT
+            + (not body.shapes) * 0.1 * arm
         )
         where = f"{_length(gap)} outside the link, which measures {_length(size)}"
     else:
@@ -423,7 +441,8 @@ def _length(metres: float) -> str:
 def _arm_size(robot: Robot) -> float:
     return float(
         sum(
-            np.linalg.norm(p.translation) for p in list(robot.model.jointPlacements)[1:]
+            np.linalg.norm(p.translation)
+            for p in list(robot.model.jointPlacements)[1:]
         )
     )
 
@@ -490,11 +509,13 @@ def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
     k = robot.links.index(body.link)
     phi = robot.phi.copy()
     phi[10 * k + 4 : 10 * k + 10] -= elements(np.trace(moment) * np.eye(3) - moment)
-    motion = Motion(np.arange(5.0), *robot.random_motion(np.random.default_rng(0), 5))
-    before = rigid_body_torque(robot, motion)
-    change = np.abs(rigid_body_torque(robot.with_parameters(phi), motion) - before).max(
-        axis=0
+    motion = Motion(
+        np.arange(5.0), *robot.random_motion(np.random.default_rng(0), 5)
     )
+    before = rigid_body_torque(robot, motion)
+    change = np.abs(
+        rigid_body_torque(robot.with_parameters(phi), motion) - before
+    ).max(axis=0)
     return bool((change <= _SLIGHT * np.abs(before).max(axis=0)).all())
 
 
@@ -508,7 +529,9 @@ def _across(robot: Robot, body: Body) -> Iterator[str]:
     )
     axis = axis[:, -1]
     inertia = inertia[:, -1]
-    long = own[-1] > _ELONGATED[0] * own[-2] and other[-1] > _ELONGATED[1] * other[-2]
+    long = (
+        own[-1] > _ELONGATED[0] * own[-2] and other[-1] > _ELONGATED[1] * other[-2]
+    )
     angle = float(np.degrees(np.arccos(min(1.0, abs(float(axis @ inertia))))))
     if long and angle >= _ACROSS:
         along, lie = ("xyz"[int(np.argmax(np.abs(x)))] for x in (inertia, axis))

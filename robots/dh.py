@@ -48,7 +48,12 @@ from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, freeze
 from excitant.robots.parameters import elements, moved_parameters, steiner
 from excitant.robots.robot import Robot
-from excitant.robots.schema import CylinderRecord, DHRecord, PlaceRecord, RobotRecord
+from excitant.robots.schema import (
+    CylinderRecord,
+    DHRecord,
+    PlaceRecord,
+    RobotRecord,
+)
 from excitant.robots.urdf import GRAVITY, robot_from_urdf
 from excitant.robots.urdf_writer import (
     collision,
@@ -129,7 +134,9 @@ class DHChain:
             T[..., axis, axis] = T[..., 3, 3] = 1.0
             T[..., axis, 3] = shift
         pose: Array = (
-            about_z @ about_x if self.convention == "standard" else about_x @ about_z
+            about_z @ about_x
+            if self.convention == "standard"
+            else about_x @ about_z
         )
         return pose
 
@@ -169,7 +176,9 @@ def urdf_of_chain(chain: DHChain, source: str) -> str:
     steps = chain.poses(np.zeros((1, chain.nv)))[0]
     inner = joint_frames(chain)
     bodies = moved_parameters(chain.phi.reshape(-1, 10), inner)
-    base, tool, flange = (_unused(name, chain) for name in ("base", "tool", "flange"))
+    base, tool, flange = (
+        _unused(name, chain) for name in ("base", "tool", "flange")
+    )
     links = [ET.SubElement(root, "link", name=base)]
     place = chain.base
     for i, (joint, link) in enumerate(zip(chain.joints, chain.links, strict=True)):
@@ -216,7 +225,9 @@ def _collision(shape: CylinderRecord, frame: pin.SE3) -> ET.Element:
     y = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     y = y / np.linalg.norm(y)
     place = pin.SE3(np.column_stack([np.cross(y, z), y, z]), centre)
-    return collision(place, "cylinder", radius=repr(float(radius)), length=repr(length))
+    return collision(
+        place, "cylinder", radius=repr(float(radius)), length=repr(length)
+    )
 
 
 def chain_from_record(record: RobotRecord, source: str, angles: Angles) -> DHChain:
@@ -232,13 +243,19 @@ def chain_from_record(record: RobotRecord, source: str, angles: Angles) -> DHCha
     """
     rows = record.dh or ()
     if record.convention is None:
-        raise BadRobot(source, "'convention: None' must be one of standard, modified")
+        raise BadRobot(
+            source, "'convention: None' must be one of standard, modified"
+        )
 
     def radians(values: Iterable[float]) -> Array:
         given = tuple(values)
-        return np.radians(given) if record.angles == "degrees" else angles.exact(given)
+        return (
+            np.radians(given) if record.angles == "degrees" else angles.exact(given)
+        )
 
-    links = tuple(str(row.link or f"link{i}") for i, row in enumerate(rows, start=1))
+    links = tuple(
+        str(row.link or f"link{i}") for i, row in enumerate(rows, start=1)
+    )
     base = record.base if isinstance(record.base, PlaceRecord) else PlaceRecord()
     tool = record.tool or PlaceRecord()
     return DHChain(
@@ -282,7 +299,9 @@ def _phi(row: DHRecord, link: str, source: str) -> Array:
         if row.com is None
         else row.m * np.array(row.com)
     )
-    about = np.array([tensor.xx, tensor.xy, tensor.yy, tensor.xz, tensor.yz, tensor.zz])
+    about = np.array(
+        [tensor.xx, tensor.xy, tensor.yy, tensor.xz, tensor.yz, tensor.zz]
+    )
     if row.I is None:
         about = about + elements(steiner(row.m, mc / row.m))
     return np.concatenate([[row.m], mc, about])

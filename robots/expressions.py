@@ -16,7 +16,19 @@ from typing import Any
 
 from simpleeval import EvalWithCompoundTypes, InvalidExpression, NameNotDefined
 
-_DATA = (str, bool, int, float, complex, type(None), list, tuple, dict, set, frozenset)
+_DATA = (
+    str,
+    bool,
+    int,
+    float,
+    complex,
+    type(None),
+    list,
+    tuple,
+    dict,
+    set,
+    frozenset,
+)
 
 
 class Refused(ValueError):
@@ -140,5 +152,7 @@ PYTHON: dict[str, Any] = {
 }
 """Functions of Python without effects."""
 
-MATH = {name: value for name, value in vars(math).items() if not name.startswith("_")}
+MATH = {
+    name: value for name, value in vars(math).items() if not name.startswith("_")
+}
 """Functions and constants of ``math``."""

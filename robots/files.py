@@ -125,14 +125,18 @@ def within(
     around = next(
         (f for f in (folder, *folder.parents) if isfile(f / "package.xml")), folder
     )
-    if not any(map(real.is_relative_to, (folder, around, *map(real_path, packages)))):
+    if not any(
+        map(real.is_relative_to, (folder, around, *map(real_path, packages)))
+    ):
         raise BadRobot(
             named_by,
             f"it asks for {path}, which is outside its folder; if you trust it, allow that with "
             f"{allow}",
         )
     if exists(real) and not isfile(real):
-        raise BadRobot(named_by, f"it asks for {path}, which is no file; name a file")
+        raise BadRobot(
+            named_by, f"it asks for {path}, which is no file; name a file"
+        )
     return real
 
 
@@ -165,9 +169,9 @@ def is_exposed(folder: Path) -> bool:
 def _package_name(folder: Path) -> str:
     """Name that a folder's package.xml gives it, if any."""
     try:
-        name = parse_xml(read_text(folder / "package.xml", LARGEST), folder).findtext(
-            "name"
-        )
+        name = parse_xml(
+            read_text(folder / "package.xml", LARGEST), folder
+        ).findtext("name")
     except (OSError, UnicodeDecodeError, BadRobot):
         name = None
     return (name or "").strip()

@@ -27,7 +27,9 @@ _MOVING = 1e-3  # m: distances that change less do not change
 _AROUND = 0.1  # of the size of a link's shapes: cables and covers
 _TOOL = "tool point"
 _FLOOR = "floor"
-_UPRIGHT = 0.99  # cosine between the base's axis and up, at least, of an arm on a floor
+_UPRIGHT = (
+    0.99  # cosine between the base's axis and up, at least, of an arm on a floor
+)
 _STANDS = 0.25  # of all poses: above the plane that an arm stands on
 _BASE = 0.05  # m: shapes of a base that end so near its frame stand on it
 _LISTED = 3  # links without collision shapes, by name
@@ -56,7 +58,9 @@ class Body:
     mass: float  # [kg]
     com: Array  # centre of mass, shape (3,) [m]
     inertia: Array  # tensor about the centre of mass as given, shape (3, 3) [kg·m²]
-    points: Array  # its origin and the origins of the joints on it, shape (k, 3) [m]
+    points: (
+        Array  # its origin and the origins of the joints on it, shape (k, 3) [m]
+    )
     shapes: tuple[
         Shape, ...
     ]  # of the collision elements if they have solids; no meshes
@@ -64,7 +68,9 @@ class Body:
     @property
     def box(self) -> tuple[Array, Array]:
         """Least and greatest coordinates of joints and solids, each of shape (3,) [m]."""
-        every = np.concatenate([self.points, *(shape.corners for shape in self.shapes)])
+        every = np.concatenate(
+            [self.points, *(shape.corners for shape in self.shapes)]
+        )
         return every.min(axis=0), every.max(axis=0)
 
     @property
@@ -112,7 +118,9 @@ def _clarity(points: Array) -> float:
         np.triu_indices(len(points), 2)
     ]
     size = max(float(gaps.max(initial=0.0)), 1e-9)
-    meant = gaps[gaps > 1e-3 * size]  # joints that meet in a point do so in every pose
+    meant = gaps[
+        gaps > 1e-3 * size
+    ]  # joints that meet in a point do so in every pose
     below = float(min(points[:, 2].min(), 0.0))
     return (float(meant.min(initial=size)) + _BELOW * below) / size
 
@@ -151,7 +159,12 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
         joint = robot.links.index(body.carrier) + 1 if body.carrier else 0
         for shape in body.shapes:
             solids.append(
-                [joint, *frame.act(shape.start), *frame.act(shape.end), shape.radius]
+                [
+                    joint,
+                    *frame.act(shape.start),
+                    *frame.act(shape.end),
+                    shape.radius,
+                ]
             )
     return {
         "pose": np.asarray(q, float),
@@ -209,7 +222,9 @@ class Obstacle:
     def plain(self) -> dict[str, Any]:
         """Name, shape and values for JSON, with the keys of an obstacle file."""
         values = msgspec.to_builtins(self.values)
-        lists = {k: list(x) if isinstance(x, tuple) else x for k, x in values.items()}
+        lists = {
+            k: list(x) if isinstance(x, tuple) else x for k, x in values.items()
+        }
         return {"name": self.name, "shape": self.shape, **lists}
 
 
@@ -278,11 +293,14 @@ class Scene:
             for i in (ends.first, ends.second)
         ]
         first, second = (
-            _velocity(model, data, j, p) for j, p in zip(bodies, points, strict=True)
+            _velocity(model, data, j, p)
+            for j, p in zip(bodies, points, strict=True)
         )
         normal = np.array(result.normal)  # from the first body to the second
         scale = float(self.scale[pair])
-        return scale * float(result.min_distance), scale * (normal @ (second - first))
+        return scale * float(result.min_distance), scale * (
+            normal @ (second - first)
+        )
 
     def speeds(self) -> Array:
         """Bound on the change of each pair's distance by each joint, (pairs, nv) [m/rad].
@@ -323,7 +341,8 @@ def _reaches(scene: Scene) -> Array:
         body.geometry.computeLocalAABB()
         length = float(np.linalg.norm(body.placement.translation))
         length += (
-            float(np.linalg.norm(body.geometry.aabb_center)) + body.geometry.aabb_radius
+            float(np.linalg.norm(body.geometry.aabb_center))
+            + body.geometry.aabb_radius
         )
         for j in reversed(list(model.supports[body.parentJoint])[1:]):
             reach[i, j - 1] = length
@@ -350,7 +369,10 @@ def scene(
     """
     geometry = robot.format.solids(robot, "collision").copy()
     boxed = {
-        name for o in obstacles if o.shape == "workspace" for name, _, _ in o.bodies()
+        name
+        for o in obstacles
+        if o.shape == "workspace"
+        for name, _, _ in o.bodies()
     }
     if not len(geometry.geometryObjects) and not boxed:
         return None
@@ -411,7 +433,9 @@ def base_plane(robot: Robot) -> float | None:
     last = geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, here, plane))
     pairs = [pair for pair in _pairs(robot, geometry, set()) if last in pair]
     above = _paired(robot, geometry, pairs, (), np.ones(len(pairs)))
-    distance = above.distances(robot.random_motion(np.random.default_rng(0), _POSES)[0])
+    distance = above.distances(
+        robot.random_motion(np.random.default_rng(0), _POSES)[0]
+    )
     return height if (distance > 0).all(axis=1).mean() >= _STANDS else None
 
 
@@ -422,7 +446,9 @@ def _corners(body: Any) -> Array:
     corners = np.array(
         list(product(*zip(box.aabb_local.min_, box.aabb_local.max_, strict=True)))
     )
-    return np.asarray(corners @ body.placement.rotation.T + body.placement.translation)
+    return np.asarray(
+        corners @ body.placement.rotation.T + body.placement.translation
+    )
 
 
 def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
@@ -436,7 +462,9 @@ def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
     """
     model = robot.model
     places = [np.array(place.translation) for place in list(model.jointPlacements)]
-    longest = max((float(np.linalg.norm(place)) for place in places[2:]), default=0.0)
+    longest = max(
+        (float(np.linalg.norm(place)) for place in places[2:]), default=0.0
+    )
     points = [[np.zeros(3), np.array(body.lever)] for body in list(model.inertias)]
     for joint, place in enumerate(places[1:], start=1):
         points[model.parents[joint]].append(place)
@@ -476,10 +504,14 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
     stated, missing, outside = robot.format.count_shapes(robot, "collision")
     solid = robot.format.carriers(robot, "collision")
     drawn = robot.format.carriers(robot, "visual")
-    shapeless = [link or "base" for link in ("", *robot.links) if link in drawn - solid]
+    shapeless = [
+        link or "base" for link in ("", *robot.links) if link in drawn - solid
+    ]
     gaps = []
     if missing or not solid - {""} or scene is None:
-        why = f", {missing} of {stated} collision meshes not found" if missing else ""
+        why = (
+            f", {missing} of {stated} collision meshes not found" if missing else ""
+        )
         if outside:
             why += f" ({outside} outside the description's folder: --package FOLDER allows them)"
         lack = (
@@ -498,7 +530,9 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
             f"full clearance between {' and '.join(scene.pairs[most])}, never far apart (half of "
             f"their largest distance is kept{more})"
         )
-    if scene is None or all(obstacle.name != _FLOOR for obstacle in scene.obstacles):
+    if scene is None or all(
+        obstacle.name != _FLOOR for obstacle in scene.obstacles
+    ):
         gaps.append(_FLOOR)
     return "; ".join(gaps)
 
@@ -524,7 +558,8 @@ def _pairs(robot: Robot, geometry: Any, boxed: set[str]) -> list[tuple[int, int]
     joints = [body.parentJoint for body in geometry.geometryObjects]
     parents = list(robot.model.parents)
     alone = [
-        body.name in boxed or body.name == _TOOL for body in geometry.geometryObjects
+        body.name in boxed or body.name == _TOOL
+        for body in geometry.geometryObjects
     ]
     return [
         (i, k)

@@ -32,7 +32,9 @@ def load_limits(path: str | Path, robot: Robot) -> Limits:
     return limits_from(read_yaml(path, dict[str, Any], "limits"), robot, path)
 
 
-def limits_from(content: Mapping[str, Any], robot: Robot, path: str | Path) -> Limits:
+def limits_from(
+    content: Mapping[str, Any], robot: Robot, path: str | Path
+) -> Limits:
     """Limits from the content of a file; see `load_limits`."""
     if (by_joint := _joint_limits(content)) is not None:
         record = convert(
@@ -51,7 +53,9 @@ def _joint_limits(content: Mapping[str, Any]) -> Mapping[str, Any] | None:
     if isinstance(found := content.get("joint_limits"), dict):
         return found
     inner = (
-        _joint_limits(value) for value in content.values() if isinstance(value, dict)
+        _joint_limits(value)
+        for value in content.values()
+        if isinstance(value, dict)
     )
     return next((value for value in inner if value is not None), None)
 
@@ -75,7 +79,8 @@ def _by_quantity(
         found[name] = {j: row.get(f"max_{word}") for j, row in known.items()}
         if name == "position":
             found[name] = {
-                j: [row.get("min_position"), found[name][j]] for j, row in known.items()
+                j: [row.get("min_position"), found[name][j]]
+                for j, row in known.items()
             }
     return found
 
@@ -97,10 +102,14 @@ def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
             if joint not in robot.joints:
                 unknown = UnknownName("joint", joint, robot.joints)
                 raise BadInput(f"{source}: {name} limits: {unknown}")
-        own = dict(zip(robot.joints, getattr(robot.limits, name).tolist(), strict=True))
+        own = dict(
+            zip(robot.joints, getattr(robot.limits, name).tolist(), strict=True)
+        )
         value = list((own | value).values())
     try:
-        limit = np.broadcast_to(np.asarray(value, float), (robot.nv, 2)[: 1 + ranges])
+        limit = np.broadcast_to(
+            np.asarray(value, float), (robot.nv, 2)[: 1 + ranges]
+        )
     except ValueError:
         raise BadInput(
             f"{source}: {name} limits: expected one {'pair of numbers' if ranges else 'number'}, "

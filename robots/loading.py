@@ -38,7 +38,9 @@ from excitant.robots.xacro import is_xacro, urdf_from_xacro
 
 def builtin_robots() -> tuple[str, ...]:
     """Names of the arms that come with excitant."""
-    files = (Path(f.name) for f in resources.files("excitant.robots.library").iterdir())
+    files = (
+        Path(f.name) for f in resources.files("excitant.robots.library").iterdir()
+    )
     return tuple(sorted({f.stem for f in files if f.suffix in (".urdf", ".yaml")}))
 
 
@@ -162,7 +164,8 @@ def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
     for folder in folders:
         if is_exposed(real_path(folder)):
             raise BadRobot(
-                path, f"packages: {folder} is too wide; name the package, or --package"
+                path,
+                f"packages: {folder} is too wide; name the package, or --package",
             )
     return RobotSpec(
         path,
@@ -180,7 +183,9 @@ def _from_dh(record: RobotRecord, spec: RobotSpec) -> Robot:
     source = str(spec)
     angles = Angles()
     chain = chain_from_record(record, source, angles)
-    robot = robot_from_urdf(urdf_of_chain(chain, source), spec, gravity=chain.gravity)
+    robot = robot_from_urdf(
+        urdf_of_chain(chain, source), spec, gravity=chain.gravity
+    )
     robot = replace(robot, notes=(*angles.notes, *robot.notes))
     return limits_in_urdf(_supplemented(robot, record, source))
 
@@ -192,17 +197,22 @@ def _supplemented(robot: Robot, record: RobotRecord, source: str) -> Robot:
     if record.effects is not None:
         stated = effects_from_entries(record.effects, robot, source)
         robot = _with_stated_effects(robot, stated, source)
-    return replace(robot, length_std=record.length_std) if record.length_std else robot
+    return (
+        replace(robot, length_std=record.length_std) if record.length_std else robot
+    )
 
 
-def _with_stated_effects(robot: Robot, stated: Sequence[Effect], source: str) -> Robot:
+def _with_stated_effects(
+    robot: Robot, stated: Sequence[Effect], source: str
+) -> Robot:
     """The robot with more effects; one that its model has too replaces that of the model."""
     names = {effect.name for effect in stated}
     others = [effect for effect in robot.effects if effect.name not in names]
     replaced = [
         plain(effect.name)
         for effect in robot.effects
-        if effect.name in names and not any(_states(entry, effect) for entry in stated)
+        if effect.name in names
+        and not any(_states(entry, effect) for entry in stated)
     ]
     note = f"{', '.join(replaced)}: as in {Path(source).name}, not as in its model"
     changed = robot.with_effects([*others, *stated])
@@ -218,7 +228,9 @@ def _states(entry: Effect, effect: Effect) -> bool:
 
 
 def _values_by_joint(effect: Effect) -> dict[str, list[float]]:
-    values = np.reshape(effect.values or (), (max(len(effect.joints), 1), -1)).tolist()
+    values = np.reshape(
+        effect.values or (), (max(len(effect.joints), 1), -1)
+    ).tolist()
     return dict(zip(effect.joints, values, strict=False))
 
 

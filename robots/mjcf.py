@@ -77,7 +77,9 @@ def description_from_mjcf(
     _check_files(Path(path), tuple(packages))
     angles = Angles()
     warned = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)  # else it writes a log where it stands
+    mujoco.set_mju_user_warning(
+        lambda _: None
+    )  # else it writes a log where it stands
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if not len(spec.worldbody.bodies):
@@ -115,7 +117,11 @@ def description_from_mjcf(
 
 _FILES = 200  # that one MJCF may consist of
 _COPIES = 300  # that <replicate> may make, over all levels
-_SIZES = {"count": 10_000, "nrow": 2_000, "ncol": 2_000}  # products of these attributes
+_SIZES = {
+    "count": 10_000,
+    "nrow": 2_000,
+    "ncol": 2_000,
+}  # products of these attributes
 
 
 def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
@@ -131,7 +137,8 @@ def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
         size += len(text)
         if len(parts) > _FILES or size > LARGEST:
             raise BadRobot(
-                path, f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB"
+                path,
+                f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB",
             )
         root = parse_xml(text, part, "MJCF")
         here = real_path(part).parent
@@ -142,13 +149,18 @@ def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
                 element.get(key, "") for key in keys if element.tag == "compiler"
             }
             files = [
-                name for key, name in element.attrib.items() if key.startswith("file")
+                name
+                for key, name in element.attrib.items()
+                if key.startswith("file")
             ]
             if element.tag not in ("include", "model", "attach"):
                 named += [(here, name) for name in files]
                 continue
             for file in {base / name for base in (main, here) for name in files}:
-                if isfile(file) and (real := within(file, path, packages)) not in seen:
+                if (
+                    isfile(file)
+                    and (real := within(file, path, packages)) not in seen
+                ):
                     seen.add(real)
                     parts.append(real)
     for here, name in named:
@@ -215,7 +227,9 @@ def _check_numbers(model: Any, path: str | Path) -> None:
                 path, f"a number is not finite or beyond any arm's size ({what})"
             )
     if not np.abs(model.opt.gravity).max() < 1e9:
-        raise BadRobot(path, "gravity is not finite or beyond reason; give it in m/s²")
+        raise BadRobot(
+            path, "gravity is not finite or beyond reason; give it in m/s²"
+        )
 
 
 _TAKEN = (
@@ -277,7 +291,9 @@ def _mesh_path(spec: Any, mesh: Any, path: str | Path) -> Path:
 
 def _pose(position: Array, quaternion: Array) -> pin.SE3:
     w, x, y, z = quaternion
-    return pin.SE3(pin.Quaternion(w, x, y, z).normalized().matrix(), np.array(position))
+    return pin.SE3(
+        pin.Quaternion(w, x, y, z).normalized().matrix(), np.array(position)
+    )
 
 
 @dataclass
@@ -294,7 +310,9 @@ class _Writer:
     def __post_init__(self) -> None:
         model = self.model
         self.robot = ET.Element("robot", name=self.spec.modelname or "robot")
-        self.bodies = [model.body(b).name or f"body_{b}" for b in range(model.nbody)]
+        self.bodies = [
+            model.body(b).name or f"body_{b}" for b in range(model.nbody)
+        ]
         self.joints = []
         for j, b in enumerate(model.jnt_bodyid.tolist()):
             k = j - int(model.body_jntadr[b]) + 1
@@ -317,8 +335,12 @@ class _Writer:
                 place = _pose(model.body_ipos[b], model.body_iquat[b])
                 R = place.rotation
                 tensor = R @ np.diag(model.body_inertia[b]) @ R.T
-                body = pin.Inertia(float(model.body_mass[b]), place.translation, tensor)
-                link.append(inertial_element(frames[b].act(body).toDynamicParameters()))
+                body = pin.Inertia(
+                    float(model.body_mass[b]), place.translation, tensor
+                )
+                link.append(
+                    inertial_element(frames[b].act(body).toDynamicParameters())
+                )
             for g in range(
                 model.body_geomadr[b], model.body_geomadr[b] + model.body_geomnum[b]
             ):
@@ -364,10 +386,14 @@ class _Writer:
             turned = pin.SE3(pin.exp3(back), np.zeros(3))
         else:
             pose = place.homogeneous
-            joint_element(self.robot, self.joints[j], "floating", above, child, pose)
+            joint_element(
+                self.robot, self.joints[j], "floating", above, child, pose
+            )
             return pin.SE3.Identity()
         start = (place * at * turned).homogeneous
-        element = joint_element(self.robot, self.joints[j], word, above, child, start)
+        element = joint_element(
+            self.robot, self.joints[j], word, above, child, start
+        )
         ET.SubElement(element, "axis", xyz=numbers_text(axis))
         self._facts(element, j)
         return at.inverse()
@@ -421,7 +447,9 @@ class _Writer:
         for a in np.flatnonzero(here):
             gear = float(model.actuator_gear[a, 0])
             gain = float(model.actuator_gainprm[a, 0])
-            force = _range(model.actuator_forcerange[a], model.actuator_forcelimited[a])
+            force = _range(
+                model.actuator_forcerange[a], model.actuator_forcelimited[a]
+            )
             plain = model.actuator_gaintype[a] == int(mj.mjtGain.mjGAIN_FIXED)
             plain &= model.actuator_biastype[a] == int(mj.mjtBias.mjBIAS_NONE)
             if plain and gain:
@@ -498,7 +526,9 @@ class _Writer:
         model = self.model
         place = frame * _pose(model.geom_pos[g], model.geom_quat[g])
         kind = (
-            self.mujoco.mjtGeom(model.geom_type[g]).name.removeprefix("mjGEOM_").lower()
+            self.mujoco.mjtGeom(model.geom_type[g])
+            .name.removeprefix("mjGEOM_")
+            .lower()
         )
         x, y, z = model.geom_size[g].tolist()
         if kind == "mesh":
@@ -513,7 +543,9 @@ class _Writer:
             back = turn.rotation.T
             moved = pin.SE3(back, -scale * (back @ turn.translation))
             place = (
-                place * _pose(model.mesh_pos[m], model.mesh_quat[m]).inverse() * moved
+                place
+                * _pose(model.mesh_pos[m], model.mesh_quat[m]).inverse()
+                * moved
             )
             file = _mesh_path(
                 self.spec, mesh, Path(self.spec.modelfiledir) / "model.xml"

@@ -58,7 +58,10 @@ class Motion:
     def __post_init__(self) -> None:
         freeze(self, "t", "q", "dq", "ddq")
         if not (
-            self.q.shape == self.dq.shape == self.ddq.shape == (len(self.t), self.nv)
+            self.q.shape
+            == self.dq.shape
+            == self.ddq.shape
+            == (len(self.t), self.nv)
         ):
             raise ValueError(
                 f"shapes differ: t {self.t.shape}, q {self.q.shape}, "

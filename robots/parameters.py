@@ -30,7 +30,10 @@ UNITS = ("kg", "kg·m", "kg·m", "kg·m", *("kg·m²",) * 6)
 
 
 PSEUDO_INERTIA_BASIS = np.array(
-    [pin.PseudoInertia.FromDynamicParameters(unit).toMatrix() for unit in np.eye(10)]
+    [
+        pin.PseudoInertia.FromDynamicParameters(unit).toMatrix()
+        for unit in np.eye(10)
+    ]
 )
 """P(φ) = Σ_k φ_k · PSEUDO_INERTIA_BASIS[k], shape (10, 4, 4)."""
 
@@ -51,8 +54,12 @@ def from_pseudo_inertia(P: npt.ArrayLike) -> Array:
     """Standard parameters, shape (..., 10), of pseudo-inertias, shape (..., 4, 4)."""
     P = np.asarray(P, float)
     sigma = P[..., :3, :3]
-    inertia = np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
-    return np.concatenate([P[..., 3, 3:], P[..., :3, 3], elements(inertia)], axis=-1)
+    inertia = (
+        np.trace(sigma, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - sigma
+    )
+    return np.concatenate(
+        [P[..., 3, 3:], P[..., :3, 3], elements(inertia)], axis=-1
+    )
 
 
 def moved_parameters(phi: npt.ArrayLike, T: npt.ArrayLike) -> Array:
@@ -101,7 +108,9 @@ def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:
         One sentence per offending link.
     """
     found = []
-    for link, P in zip(links, pseudo_inertia(np.reshape(phi, (-1, 10))), strict=True):
+    for link, P in zip(
+        links, pseudo_inertia(np.reshape(phi, (-1, 10))), strict=True
+    ):
         if P[3, 3] <= 0:
             found.append(f"{link}: mass {P[3, 3]:.4g} kg is not positive")
             continue
@@ -176,7 +185,9 @@ class BaseEstimate:
     covariance: Array
 
     def __post_init__(self) -> None:
-        symmetric = (self.covariance + self.covariance.T) / 2  # but for rounding it is
+        symmetric = (
+            self.covariance + self.covariance.T
+        ) / 2  # but for rounding it is
         object.__setattr__(self, "covariance", symmetric)
         freeze(self, "value", "covariance")
 

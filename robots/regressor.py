@@ -159,4 +159,6 @@ def gravity_torque(robot: Robot, motion: Motion, gravity: Array) -> Array:
     """Static torque of the bodies under a gravity vector in the base frame, shape (n, nv) [N·m]."""
     model = robot.with_gravity(gravity).model
     data = model.createData()
-    return np.array([pin.computeGeneralizedGravity(model, data, q) for q in motion.q])
+    return np.array(
+        [pin.computeGeneralizedGravity(model, data, q) for q in motion.q]
+    )

@@ -85,7 +85,9 @@ class Robot(Shown):
     packages: tuple[
         str, ...
     ] = ()  # folders, beside its own, in which its meshes may lie
-    described: bool = True  # whether the description states its inertias and friction
+    described: bool = (
+        True  # whether the description states its inertias and friction
+    )
     # of each coordinate of each joint's place in its parent link [m]
     length_std: float = 0.0
     # of its base parameters, where it was identified
@@ -128,10 +130,14 @@ class Robot(Shown):
     def tip(self) -> int:
         """Pinocchio's frame of the tool: the link named so, or the last that the last joint has."""
         frames = list(enumerate(list(self.model.frames)))
-        bodies = [(k, frame) for k, frame in frames if frame.type == pin.FrameType.BODY]
+        bodies = [
+            (k, frame) for k, frame in frames if frame.type == pin.FrameType.BODY
+        ]
         named = [k for k, frame in bodies if frame.name == self.tool]
         return (
-            named[0] if named else max(k for k, f in bodies if f.parentJoint == self.nv)
+            named[0]
+            if named
+            else max(k for k, f in bodies if f.parentJoint == self.nv)
         )
 
     def torque_unit(self, measured: str = "N·m", joint: int | None = None) -> str:
@@ -222,7 +228,12 @@ class Robot(Shown):
 
     def _table(self) -> Table:
         limits = self.limits
-        columns = (*limits.position.T, limits.velocity, limits.torque, self.phi[::10])
+        columns = (
+            *limits.position.T,
+            limits.velocity,
+            limits.torque,
+            self.phi[::10],
+        )
         values = np.column_stack(columns).tolist()
         rows = [
             (*names, *row)

@@ -257,7 +257,9 @@ def _refuse_depth(content: object) -> None:
     raise ValueError(f"nested more than {_DEEPEST} deep")
 
 
-def convert(content: object, kind: type[T], source: str | Path, where: str = "") -> T:
+def convert(
+    content: object, kind: type[T], source: str | Path, where: str = ""
+) -> T:
     """Content of a file as a type.
 
     Args:
@@ -309,9 +311,13 @@ def _in_words(types: str) -> str:
 def _known(place: str) -> tuple[str, ...]:
     """Names that an entry may have, of the records that have a field of the place's name."""
     owner = re.sub(r"\[.*?\]", "", place).rpartition(".")[2]
-    kinds = (_RECORDS[owner],) if owner in _RECORDS else tuple(Record.__subclasses__())
+    kinds = (
+        (_RECORDS[owner],) if owner in _RECORDS else tuple(Record.__subclasses__())
+    )
     return tuple(
-        dict.fromkeys(name for kind in kinds for name in kind.__struct_encode_fields__)
+        dict.fromkeys(
+            name for kind in kinds for name in kind.__struct_encode_fields__
+        )
     )
 
 
@@ -335,7 +341,9 @@ def _fault(error: Exception) -> str:
     if isinstance(error, json.JSONDecodeError):
         return f"line {error.lineno}: {error.msg}"
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
-        return f"line {error.problem_mark.line + 1}: {error.problem or error.context}"
+        return (
+            f"line {error.problem_mark.line + 1}: {error.problem or error.context}"
+        )
     return str(error).partition("\n")[0] or type(error).__name__
 
 

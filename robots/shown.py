@@ -28,7 +28,9 @@ class Shown:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        lines = (printable(" ".join(line.split())) for line in self._lines() if line)
+        lines = (
+            printable(" ".join(line.split())) for line in self._lines() if line
+        )
         return "\n  ".join(
             cut(line) for line, _ in zip(lines, range(_LINES), strict=False)
         )

@@ -39,7 +39,9 @@ PROBES = (
 REVERSAL_STEPS = 4.0  # steps within which a reversal is near
 REFINEMENT = 8  # most parts of a step near a reversal
 MOST_STEPS = 2.0  # in all, relative to those without refinement
-GAMMA = 1 + np.sqrt(0.5)  # of the two that make ROS2 L-stable, that without overshoot
+GAMMA = 1 + np.sqrt(
+    0.5
+)  # of the two that make ROS2 L-stable, that without overshoot
 DIVERGED = 2 * np.pi  # rad or m beyond the range of the commanded motion
 DIVERGENCE_STEPS = 16  # between two checks for divergence
 
@@ -72,7 +74,9 @@ class StateTorque:
     coulomb: Array  # shape (nv,) [N·m]
     offset: Array  # shape (nv,) [N·m]
     others: tuple[Torque, ...]  # torque of all other effects
-    steppers: tuple[Stepper, ...]  # effects among these that have a state of their own
+    steppers: tuple[
+        Stepper, ...
+    ]  # effects among these that have a state of their own
 
     def __post_init__(self) -> None:
         freeze(self, "viscous", "coulomb", "offset")
@@ -109,7 +113,8 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
         BadInput: An effect without values, or one that depends on the past but has no stepper.
     """
     drives = {
-        name: np.zeros(robot.nv) for name in ("rotor", "viscous", "coulomb", "offset")
+        name: np.zeros(robot.nv)
+        for name in ("rotor", "viscous", "coulomb", "offset")
     }
     loaded = robot
     inertia = np.zeros((robot.nv, robot.nv))
@@ -126,14 +131,18 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
         elif effect.physics.on_torque:
             continue
         elif effect.export.joint_property:
-            drives[effect.export.joint_property][effect.rows(robot)] += effect.values
+            drives[effect.export.joint_property][effect.rows(robot)] += (
+                effect.values
+            )
         elif (stepper := effect.stepper(robot)) is not None:
             steppers.append(stepper)
             others.append(stepper)
         else:
             part = _inertia(robot, effect)
             inertia += part
-            others.append(_by_law(robot, effect) or _at_an_instant(robot, effect, part))
+            others.append(
+                _by_law(robot, effect) or _at_an_instant(robot, effect, part)
+            )
     inertia += np.diag(drives.pop("rotor"))
     state = StateTorque(**drives, others=tuple(others), steppers=tuple(steppers))
     return loaded.model, inertia, state
@@ -269,7 +278,8 @@ def simulate(
     inner = _between(command, counts)
     if applied is not None:
         columns = [
-            np.interp(inner.t, command.t, column) for column in np.asarray(applied).T
+            np.interp(inner.t, command.t, column)
+            for column in np.asarray(applied).T
         ]
         forward = np.column_stack(columns)
     elif controller is None:
@@ -309,7 +319,9 @@ def forward_error(
     return simulate(robot, motion, loop, applied=tau, step=step)
 
 
-def _check(robot: Robot, command: Motion, applied: Array | None, step: float) -> None:
+def _check(
+    robot: Robot, command: Motion, applied: Array | None, step: float
+) -> None:
     if command.nv != robot.nv or len(command) < 2:
         raise BadInput(
             f"simulation: a motion of {command.nv} joints at {len(command)} instants for "
@@ -331,7 +343,9 @@ def _steps(command: Motion, step: float) -> npt.NDArray[np.intp]:
     dt = np.diff(command.t)
     counts = np.maximum(1, np.ceil(dt / step - 1e-9)).astype(np.intp)
     reach = REVERSAL_STEPS * (dt / counts)[:, None] * np.abs(command.ddq)[1:]
-    turns = (np.abs(command.dq[1:]) < reach) | (command.dq[1:] * command.dq[:-1] < 0)
+    turns = (np.abs(command.dq[1:]) < reach) | (
+        command.dq[1:] * command.dq[:-1] < 0
+    )
     near = scipy.ndimage.maximum_filter1d(turns.any(axis=1), 3)
     finer = np.clip(MOST_STEPS / max(float(near.mean()), 1e-9), 1, REFINEMENT)
     return np.where(near, counts * int(finer), counts)

@@ -57,6 +57,8 @@ def link_torques(robot: Robot, motion: Motion) -> Array:
     """Torque that each link's own inertial parameters need, shape (n, nv, links)."""
     Y = regressor(robot, motion)
     parts: Array = np.einsum(
-        "njlp,lp->njl", Y.reshape(*Y.shape[:2], robot.nv, 10), robot.phi.reshape(-1, 10)
+        "njlp,lp->njl",
+        Y.reshape(*Y.shape[:2], robot.nv, 10),
+        robot.phi.reshape(-1, 10),
     )
     return parts

@@ -54,7 +54,9 @@ def robot_from_urdf(
     _check(root, source)
     weight = np.asarray(gravity, float)
     if not (np.isfinite(weight).all() and (np.abs(weight) < _LARGEST).all()):
-        raise BadRobot(source, f"gravity {weight.tolist()} is none; give it in m/s²")
+        raise BadRobot(
+            source, f"gravity {weight.tolist()} is none; give it in m/s²"
+        )
     named = tree(root, source)
     held, notes = held_joints(named, spec, loops)
     title = name or root.get("name") or Path(source).stem
@@ -78,7 +80,9 @@ def robot_from_urdf(
         revolute=np.array([joint.kind != "prismatic" for joint in moving]),
         limits=_limits(model),
         description=text,
-        locked=tuple(sorted((joint, value or 0.0) for joint, value in held.items())),
+        locked=tuple(
+            sorted((joint, value or 0.0) for joint, value in held.items())
+        ),
         source=source,
         tool=spec.tip or "",
         notes=(*angles.notes, *notes),
@@ -131,10 +135,10 @@ def _check(root: ET.Element, source: str) -> None:
                 count = 3 if key in _VECTORS else 1
                 words = text.split()
                 if len(words) != count:
-                    what = (
-                        f'{key}="{text}" holds {len(words)} numbers instead of {count}'
+                    what = f'{key}="{text}" holds {len(words)} numbers instead of {count}'
+                    raise BadRobot(
+                        source, f"{owner.tag} '{owner.get('name')}': {what}"
                     )
-                    raise BadRobot(source, f"{owner.tag} '{owner.get('name')}': {what}")
                 for word in words:
                     number(word, key, owner, source)
 

@@ -74,7 +74,9 @@ def quietly(source: str) -> Iterator[None]:
                 *str(error).splitlines(),
             )
             told = [
-                line.partition("message:")[2] for line in lines if "message:" in line
+                line.partition("message:")[2]
+                for line in lines
+                if "message:" in line
             ]
             first = next(
                 (s for line in (*told, *lines) if (s := line.strip())), repr(error)

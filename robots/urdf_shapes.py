@@ -57,7 +57,8 @@ class UrdfFormat:
             if carrier or name in under:
                 points = np.array(origins.get(name, [np.zeros(3)]))
                 kinds = (
-                    map(_shape, link.findall(kind)) for kind in ("collision", "visual")
+                    map(_shape, link.findall(kind))
+                    for kind in ("collision", "visual")
                 )
                 solids = (tuple(filter(None, shapes)) for shapes in kinds)
                 shapes = next(filter(None, solids), ())
@@ -95,7 +96,11 @@ def _inertia(link: ET.Element) -> tuple[bool, float, Array, Array]:
     mass = float(child_attribute(inertial, "mass", "value", "0"))
     tensor = [
         [
-            float(child_attribute(inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0"))
+            float(
+                child_attribute(
+                    inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0"
+                )
+            )
             for b in "xyz"
         ]
         for a in "xyz"
@@ -129,7 +134,9 @@ def _shape(element: ET.Element) -> Shape | None:
     c = place.translation
     corners = c + (np.array(list(product((-1, 1), repeat=3))) * half) @ R.T
     tip = R[:, 2] * axis / 2
-    return Shape(c - tip, c + tip, radius, corners, float(volume), (R * variance) @ R.T)
+    return Shape(
+        c - tip, c + tip, radius, corners, float(volume), (R * variance) @ R.T
+    )
 
 
 @lru_cache(maxsize=8)
@@ -195,14 +202,18 @@ def _mesh_file(name: str, robot: Robot) -> Path | None:
     """
     if not name.startswith("package://"):
         path = real_path(robot.source).parent / name.removeprefix("file://")
-        return within(path, robot.source, robot.packages) if _is_mesh(path) else None
+        return (
+            within(path, robot.source, robot.packages) if _is_mesh(path) else None
+        )
     package, _, inside = name.removeprefix("package://").partition("/")
     inside = os.path.normpath(inside)
     roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
     split = (
         (os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots
     )
-    shared = [Path(path) / inner for paths, inner in split for path in paths if path]
+    shared = [
+        Path(path) / inner for paths, inner in split for path in paths if path
+    ]
     installed = [each / package for each in shared]
     installed += [each for each in shared if each.name == package]
     if inside.startswith(("..", os.sep)) or package in ("", ".", ".."):
@@ -211,7 +222,9 @@ def _mesh_file(name: str, robot: Robot) -> Path | None:
         path = real_path(folder / inside)
         if _is_mesh(path) and path.is_relative_to(folder):
             return path
-    return next((each / inside for each in installed if _is_mesh(each / inside)), None)
+    return next(
+        (each / inside for each in installed if _is_mesh(each / inside)), None
+    )
 
 
 def _is_mesh(path: Path) -> bool:

@@ -169,7 +169,9 @@ def numbers_text(values: Iterable[float]) -> str:
 def origin_element(rotation: Array, translation: Array) -> ET.Element:
     """``<origin>`` of a pose."""
     rpy = pin.rpy.matrixToRpy(np.asarray(rotation))
-    return ET.Element("origin", xyz=numbers_text(translation), rpy=numbers_text(rpy))
+    return ET.Element(
+        "origin", xyz=numbers_text(translation), rpy=numbers_text(rpy)
+    )
 
 
 def collision(place: pin.SE3, shape: str, **attributes: str) -> ET.Element:

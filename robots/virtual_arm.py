@@ -45,7 +45,9 @@ __all__ = [
     "virtual_arm",
 ]
 
-FRICTION_TOLERANCE = 0.05  # largest relative deviation of friction and rotor inertia
+FRICTION_TOLERANCE = (
+    0.05  # largest relative deviation of friction and rotor inertia
+)
 VISIBLE_NOISE = (
     4.0  # least torque of a drawn effect, in standard deviations of its noise
 )
@@ -58,7 +60,9 @@ class VirtualArm:
     nominal: Robot  # what is known, and what the controller believes
     truth: Truth  # the physics
     bare: Truth  # the physics without what is hidden
-    hidden: tuple[HiddenEffect, ...]  # what the truth has beside the nominal effects
+    hidden: tuple[
+        HiddenEffect, ...
+    ]  # what the truth has beside the nominal effects
     sensors: Sensors  # what is recorded
 
     def run(
@@ -110,7 +114,9 @@ class VirtualArm:
         offset = truth.drives.offset
 
         def motor_torque(t: Array) -> Array:
-            return np.asarray(np.linalg.solve(gain, (torque(t) - offset).T).T, float)
+            return np.asarray(
+                np.linalg.solve(gain, (torque(t) - offset).T).T, float
+            )
 
         return simulate(
             self.nominal,
@@ -279,7 +285,10 @@ def _spring(x: Numbers) -> dict[str, float]:
     """K q + c, or a cos q + b sin q, by the angle at which the torque vanishes."""
     if "spring_cos" in x:
         moment = math.hypot(x["spring_cos"], x["spring_sin"])
-        return {"moment": moment, "rest": -math.atan2(x["spring_cos"], x["spring_sin"])}
+        return {
+            "moment": moment,
+            "rest": -math.atan2(x["spring_cos"], x["spring_sin"]),
+        }
     return {"stiffness": x["k"], "rest": -x["moment"] / x["k"] if x["k"] else 0.0}
 
 
@@ -308,7 +317,9 @@ _TRANSLATION: dict[str, Callable[[Numbers], Numbers]] = {
     "spring": _spring,
     "torque_gain": lambda x: {"gain": 1 + x["gain"]},
     "payload": lambda x: {name: x[f"payload_{name}"] for name in STANDARD},
-    "inertial_parameters": lambda x: {name: x[f"delta_{name}"] for name in STANDARD},
+    "inertial_parameters": lambda x: {
+        name: x[f"delta_{name}"] for name in STANDARD
+    },
 }
 _COMMON = ("friction_coupling", "inertia_coupling", "torque_gain", "time_delay")
 _SHAPES = ("velocity", "exponent", "distance", "time", "order", "ratio")
@@ -385,10 +396,13 @@ def draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     """A box at the frame farthest out on the last link."""
     model = robot.model
     reach = sum(
-        float(np.linalg.norm(p.translation)) for p in list(model.jointPlacements)[1:]
+        float(np.linalg.norm(p.translation))
+        for p in list(model.jointPlacements)[1:]
     )
     fixed = [
-        f.placement.translation for f in list(model.frames) if f.parentJoint == robot.nv
+        f.placement.translation
+        for f in list(model.frames)
+        if f.parentJoint == robot.nv
     ]
     centre = np.array(model.inertias[robot.nv].lever)
     flange = max([centre, *fixed], key=lambda x: float(np.linalg.norm(x - centre)))
@@ -422,7 +436,9 @@ def _bearable(robot: Robot, payload: Array) -> float:
     """Share of a payload that loads no joint with more than 0.9 of its typical torque."""
     noise = industrial_sensors(robot).torque_noise
     bearable = 0.9 * np.maximum(typical_torque(robot), 6 * noise)
-    return min(1.0, float((bearable / np.maximum(_load(robot, payload), 1e-12)).min()))
+    return min(
+        1.0, float((bearable / np.maximum(_load(robot, payload), 1e-12)).min())
+    )
 
 
 def separable_rotors(robot: Robot) -> list[str]:

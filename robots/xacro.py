@@ -35,7 +35,12 @@ from excitant.robots.expressions import (
     Refused,
     evaluate,
 )
-from excitant.robots.files import package_folders, parse_xml, read_description, within
+from excitant.robots.files import (
+    package_folders,
+    parse_xml,
+    read_description,
+    within,
+)
 from excitant.robots.schema import Loader, parsed_yaml
 
 SECONDS = 10  # of processor time that a file may take
@@ -96,7 +101,9 @@ def urdf_from_xacro(
     return result["urdf"], tuple(result["notes"])
 
 
-def process(path: str, arguments: Mapping[str, str], packages: Sequence[str]) -> bytes:
+def process(
+    path: str, arguments: Mapping[str, str], packages: Sequence[str]
+) -> bytes:
     """Answer to `urdf_from_xacro` as JSON: ``urdf``, ``notes``, ``declared``; or ``why`` not."""
     reading = _Reading(Path(path), dict(arguments), packages)
     try:
@@ -169,7 +176,9 @@ class _Scope:
         around = list(self.chain())[1:] or [self]
         if self.is_namespace:
             return around[0]
-        return next((scope for scope in around if not scope.is_namespace), around[-1])
+        return next(
+            (scope for scope in around if not scope.is_namespace), around[-1]
+        )
 
     def macro(self, name: str) -> tuple[_Macro, _Scope]:
         """A macro, and the scope around its own: its namespace, or that of the call."""
@@ -224,7 +233,9 @@ class _Reading:
         for child in element:
             self.build_child(child, out, scope)
 
-    def build_child(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
+    def build_child(
+        self, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
         """Add to an element what another builds."""
         prefix, _, kind = element.tag.rpartition(":")
         if prefix != "xacro":
@@ -263,11 +274,15 @@ class _Reading:
         if value is None:
             name = f"**{name}"
             value = element
-        lazy = _truth(self.value(element.get("lazy_eval", "true"), scope), "lazy_eval")
+        lazy = _truth(
+            self.value(element.get("lazy_eval", "true"), scope), "lazy_eval"
+        )
         target = scope
         if (reach := element.get("scope")) in ("global", "parent"):
             lazy = False
-            target = list(scope.chain())[-1] if reach == "global" else scope.caller()
+            target = (
+                list(scope.chain())[-1] if reach == "global" else scope.caller()
+            )
         if not lazy and isinstance(value, str):
             value = self.value(value, scope)
         self._set(target, name, value, lazy)
@@ -279,7 +294,9 @@ class _Reading:
         if name not in self.arguments:
             self.arguments[name] = str(self.value(default, scope))
 
-    def _build_macro(self, element: ET.Element, _: ET.Element, scope: _Scope) -> None:
+    def _build_macro(
+        self, element: ET.Element, _: ET.Element, scope: _Scope
+    ) -> None:
         name = _required(element, "name").removeprefix("xacro:")
         if name == "call" or "." in name:
             raise self._error(f"a macro cannot be called '{name}'")
@@ -310,11 +327,14 @@ class _Reading:
         self, element: ET.Element, out: ET.Element, scope: _Scope
     ) -> None:
         name, value = (
-            str(self.value(_required(element, key), scope)) for key in ("name", "value")
+            str(self.value(_required(element, key), scope))
+            for key in ("name", "value")
         )
         out.set(name, value)
 
-    def _build_call(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
+    def _build_call(
+        self, element: ET.Element, out: ET.Element, scope: _Scope
+    ) -> None:
         call = copy.copy(element)
         name = str(self.value(_required(element, "macro"), scope))
         del call.attrib["macro"]
@@ -393,7 +413,9 @@ class _Reading:
             if name in owner.unevaluated:
                 if name in self.evaluating:
                     names = " -> ".join([*self.evaluating, name])
-                    raise self._error(f"properties need one another in a loop: {names}")
+                    raise self._error(
+                        f"properties need one another in a loop: {names}"
+                    )
                 self.evaluating.append(name)
                 found = _literal(self.value(owner.properties[name], owner))
                 self.evaluating.pop()
@@ -444,7 +466,11 @@ class _Reading:
             return os.getcwd()
         if name == "optenv" and words:
             return self.environment(words[0], " ".join(words[1:]))
-        commands = {"arg": self.argument, "find": self.find, "env": self.environment}
+        commands = {
+            "arg": self.argument,
+            "find": self.find,
+            "env": self.environment,
+        }
         if name in commands and len(words) == 1:
             return commands[name](words[0])
         raise self._error(f"xacro does not know $({command})")
@@ -497,7 +523,9 @@ class _Reading:
             "arg": self.argument,
             "tokenize": _tokenize,
             "fatal": _fatal,
-            **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
+            **dict.fromkeys(
+                ("message", "warning", "error", "print_location"), silent
+            ),
         }
 
     # Files
@@ -507,9 +535,7 @@ class _Reading:
         """Read a file, which others are named relative to."""
         self.files.append(file)
         if len(self.files) > _NESTED:
-            why = (
-                f"files include one another more than {_NESTED} deep, perhaps in a loop"
-            )
+            why = f"files include one another more than {_NESTED} deep, perhaps in a loop"
             raise self._error(why)
         yield
         self.files.pop()
@@ -519,7 +545,9 @@ class _Reading:
         try:
             text = read_text(file)
         except OSError as error:
-            raise self._error(f"xacro cannot read {file}: {error.strerror}") from None
+            raise self._error(
+                f"xacro cannot read {file}: {error.strerror}"
+            ) from None
         except UnicodeDecodeError:
             text = read_description(file)
         self.texts[file] = text
@@ -554,7 +582,11 @@ class _Reading:
 
     def _require_allowed(self, file: str) -> None:
         """Refuse a file that the one that is read may not name."""
-        allowed = [self.path.parent, *map(Path, self.packages), *self.packages_found]
+        allowed = [
+            self.path.parent,
+            *map(Path, self.packages),
+            *self.packages_found,
+        ]
         within(file, self.files[-1], allowed)
 
     def yaml(self, file: str) -> Any:

@@ -76,7 +76,9 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     """
     log = Log.of(robot, recording)
     faults: list[Fault] = []
-    rows = np.arange(len(log))  # of the log as it came, by row of the log as repaired
+    rows = np.arange(
+        len(log)
+    )  # of the log as it came, by row of the log as repaired
 
     def note(*new: Fault) -> None:
         nonlocal log, rows
@@ -93,7 +95,12 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     if len(log) >= _ROWS:
         note(*gap_faults(log, parts))
     note(*missing_values(log))
-    for test in (repeated_rows, wrapped_counters, held_channels, jumps_and_outliers):
+    for test in (
+        repeated_rows,
+        wrapped_counters,
+        held_channels,
+        jumps_and_outliers,
+    ):
         if len(log) >= _ROWS:
             note(*test(log))
     if len(log) < _ROWS:
@@ -187,7 +194,9 @@ def supported(
     An arm is mounted one way: what a recording shows in which one joint moves, or a hand pushes, is
     no installation where the others speak against it.
     """
-    of_data = {n: [f for f in some if not f.of_the_arm] for n, some in faults.items()}
+    of_data = {
+        n: [f for f in some if not f.of_the_arm] for n, some in faults.items()
+    }
     confirmed = {}
     for name, mine in faults.items():
         installed = [fault for fault in mine if fault.fault in INSTALLATION]
@@ -231,7 +240,10 @@ def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         f"{fault['recording']}: {fault['detail']}"
         for fault in entries
         if not fault["repaired"]
-        and (fault["fault"] in PROVEN or (fault["fault"], _channel(fault)) == NO_TORQUE)
+        and (
+            fault["fault"] in PROVEN
+            or (fault["fault"], _channel(fault)) == NO_TORQUE
+        )
     ]
 
 
@@ -255,7 +267,9 @@ def check_recordings(
     copies = find_copies({recording.name: recording for recording in recordings})
     exchanged, swaps = find_swapped(robot, recordings)
     by_name = {recording.name: recording for recording in exchanged}
-    alone = {name: faults_of(robot, recording) for name, recording in by_name.items()}
+    alone = {
+        name: faults_of(robot, recording) for name, recording in by_name.items()
+    }
     faults = dict[str, tuple[Fault, ...]]()
     for name, mine in supported(robot, by_name, alone).items():
         among = [found[name] for found in (copies, swaps) if name in found]
@@ -269,7 +283,9 @@ def check_recordings(
             if "unclear" in fault.evidence:
                 row = int(fault.evidence["rows"][0])
                 column = recording.columns[0]
-                raise BadRecording(recording.file, fault.detail, row=row, column=column)
+                raise BadRecording(
+                    recording.file, fault.detail, row=row, column=column
+                )
         better, done = repair(recording, faults[name])
         notes += [f"{name}: {sentence}" for sentence in done]
         usable.append(checked(better))

@@ -37,7 +37,9 @@ from excitant.robots.robot import Robot
 _COUNTERS = (2.0**8, 2.0**10, 2.0**12, 2.0**16, 2.0**32)
 _OUTLIER = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])
 """Distances from the cubic through the four neighbours, around one outlier."""
-_AT_EXTREME = 5  # samples at an extreme value, from which on a channel may be cut off
+_AT_EXTREME = (
+    5  # samples at an extreme value, from which on a channel may be cut off
+)
 _MOST_JOINTS = 0.5  # of the joints: one that bears mainly weight proves nothing
 _MEDIAN_ROWS = 11  # of the running median that a value is compared with
 _Evidence = tuple[str, dict[str, Any]] | None
@@ -222,7 +224,9 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
             continue
         jumps = int((np.abs(np.diff(x)) > size / 2).sum())
         high = int((x > x.min() + size / 2).sum())
-        what = "are a turn off" if name == "q" else "are negative ones logged unsigned"
+        what = (
+            "are a turn off" if name == "q" else "are negative ones logged unsigned"
+        )
         detail = (
             f"{name} of {log.joints[j]} jumps {jumps} times by {size:.6g}, the range of a counter: "
             f"{high} of {len(log)} values {what}"
@@ -230,7 +234,9 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         evidence = {"channel": name, "range": size, "jumps": jumps, "count": high}
         done = f"takes {size:.6g} off where the counter wrapped"
         remedy = Remedy("unwrap", name, (j,), factor=size)
-        yield Fault("corrupt_rows", log.names([j]), detail, evidence, done, (remedy,))
+        yield Fault(
+            "corrupt_rows", log.names([j]), detail, evidence, done, (remedy,)
+        )
 
 
 def _wrap(x: Array, position: bool) -> float | None:
@@ -264,7 +270,9 @@ def missing_values(log: Log) -> Iterator[Fault]:
     """Rows with values that are no finite numbers."""
     bad = np.any([~np.isfinite(x) for _, x in log.channels()], axis=0)
     if len(rows := np.flatnonzero(bad.any(axis=1))):
-        what = f"{len(rows)} of {len(log)} rows hold values that are no finite numbers"
+        what = (
+            f"{len(rows)} of {len(log)} rows hold values that are no finite numbers"
+        )
         joints = log.names(np.flatnonzero(bad.any(axis=0)))
         yield dropped(joints, rows, f"{what}, {log.first(rows)}")
 
@@ -311,7 +319,9 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
     """
     r = {name: _distance(log.t, x) for name, x in log.channels()}
     if jumps is not None:
-        around = np.clip(np.asarray(jumps)[:, None] + np.arange(-2, 4), 0, len(log) - 1)
+        around = np.clip(
+            np.asarray(jumps)[:, None] + np.arange(-2, 4), 0, len(log) - 1
+        )
         for values in r.values():
             values[around] = 0.0
     alarm = ALARM / (log.nv * len(r))
@@ -353,7 +363,9 @@ def _jolts(log: Log, dq: Array, r: Array, far: dict[str, Mask]) -> Mask:
 
 def _near(mask: Mask, reach: int = 1) -> Mask:
     """Whether a mask, shape (n, k), is true within so many rows."""
-    wide = scipy.ndimage.maximum_filter1d(mask.astype(np.uint8), 2 * reach + 1, axis=0)
+    wide = scipy.ndimage.maximum_filter1d(
+        mask.astype(np.uint8), 2 * reach + 1, axis=0
+    )
     return np.asarray(wide, bool)
 
 
@@ -377,7 +389,9 @@ def _far(x: Array, r: Array, step: Array, alarm: float, alike: bool) -> Mask:
     usual = np.maximum(_running_median(size, 101), 0.2 * typical)
     z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
     bound = [tail_bound(column[column > 0], alarm) for column in z.T]
-    single = float(np.finfo(np.float32).eps)  # rounding of a log in single precision
+    single = float(
+        np.finfo(np.float32).eps
+    )  # rounding of a log in single precision
     floor = np.maximum(step, single * np.abs(x).max(axis=0))
     if alike and typical.any():
         floor = np.maximum(floor, typical[typical > 0].min())
@@ -425,7 +439,9 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
     missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     span = np.ptp(log.tau, axis=0)
     # no drive is known to a hundredth of its torque, or as free of noise as to a thousandth
-    ideal = [j for j in case.joints if noise[j] < 1e-3 * span[j] and missed[j] < 0.01]
+    ideal = [
+        j for j in case.joints if noise[j] < 1e-3 * span[j] and missed[j] < 0.01
+    ]
     if len(ideal) > _MOST_JOINTS * len(case.joints):
         worst = max(ideal, key=lambda j: missed[j])
         names = log.names(ideal)
@@ -501,9 +517,7 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
         window = persistency(robot, data.motion)
     except ExcitantError:
         return  # the arm has no inertia to compare with
-    least = (
-        0.1  # of the prior's information: less makes nothing more certain by even 5 %
-    )
+    least = 0.1  # of the prior's information: less makes nothing more certain by even 5 %
     missing = int((window.levels < least).sum())
     if not missing:
         return

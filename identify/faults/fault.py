@@ -61,7 +61,8 @@ class Log(Recording):
     def of(cls, robot: Robot, recording: Recording) -> Log:
         """A recording as logged, of the arm's joints."""
         known = {
-            name: getattr(recording, name) for name in ("t", "q", "tau", "dq", "unit")
+            name: getattr(recording, name)
+            for name in ("t", "q", "tau", "dq", "unit")
         }
         return cls(recording.name, recording.file, **known, joints=robot.joints)
 
@@ -83,7 +84,9 @@ class Log(Recording):
     @cached_property
     def quanta(self) -> dict[str, Array]:
         """Smallest step between two values of each joint, shape (nv,), by channel."""
-        return {name: np.array(list(map(quantum, x.T))) for name, x in self.channels()}
+        return {
+            name: np.array(list(map(quantum, x.T))) for name, x in self.channels()
+        }
 
     @cached_property
     def grain(self) -> Array:
@@ -120,7 +123,9 @@ class Remedy:
     channel: str = ""  # t, q, dq or tau; empty for whole rows
     joints: tuple[int, ...] = ()
     rows: Rows = field(default_factory=lambda: np.zeros(0, np.intp))
-    factor: float = 1.0  # of values; or the range of the counter, or what is added [s]
+    factor: float = (
+        1.0  # of values; or the range of the counter, or what is added [s]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +155,9 @@ class Fault:
             "fault": self.fault,
             "joints": list(self.joints),
             "detail": self.detail,
-            "evidence": {name: _plain(value) for name, value in self.evidence.items()},
+            "evidence": {
+                name: _plain(value) for name, value in self.evidence.items()
+            },
             "repair": self.repair,
         }
 
@@ -235,7 +242,9 @@ def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
     return replace(ordered, **values).take(kept), order[kept]
 
 
-def _apply(values: dict[str, Array], remedy: Remedy, rows: Rows, kept: Mask) -> None:
+def _apply(
+    values: dict[str, Array], remedy: Remedy, rows: Rows, kept: Mask
+) -> None:
     """Do what a remedy says to channels by name, in place; rows not kept do not count."""
     x = values[remedy.channel]
     if remedy.channel == "t":

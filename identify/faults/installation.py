@@ -161,13 +161,17 @@ def _proposed(case: TorqueFit) -> list[_Hypothesis]:
 def _installed(case: TorqueFit, faults: Sequence[Fault]) -> _Hypothesis:
     """The installation with the remedies of faults applied, mounted and zeroed as they say."""
     remedies = [remedy for fault in faults for remedy in fault.remedies]
-    orders = [r.joints for r in remedies if (r.action, r.channel) == ("order", "tau")]
+    orders = [
+        r.joints for r in remedies if (r.action, r.channel) == ("order", "tau")
+    ]
     order = [*orders[-1]] if orders else range(case.robot.nv)
     data = case.data.remedied(remedies)
     return _Hypothesis(faults, amended(case.robot, faults), data, order)
 
 
-def _likeliest(case: TorqueFit, hypotheses: Sequence[_Hypothesis]) -> list[_Hypothesis]:
+def _likeliest(
+    case: TorqueFit, hypotheses: Sequence[_Hypothesis]
+) -> list[_Hypothesis]:
     """Those of most evidence by one measure of noise, the least that any leaves."""
     fits = [hypothesis.fit(case) for hypothesis in hypotheses]
     noise = np.min([fit.power for fit in fits], axis=0)
@@ -186,7 +190,9 @@ def _rank(hypothesis: _Hypothesis) -> tuple[int, int]:
     first = hypothesis.faults[0]
     turns = hypothesis.faults[-1].evidence.get("offset", 0.0) / SEARCH.right
     odd = abs(turns - round(turns)) > 1e-9  # beyond rounding
-    place = {"wrong_order": 0, "wrong_sign": 1, "wrong_mounting": 2}.get(first.fault, 3)
+    place = {"wrong_order": 0, "wrong_sign": 1, "wrong_mounting": 2}.get(
+        first.fault, 3
+    )
     return len(hypothesis.faults), place + odd
 
 
@@ -207,7 +213,9 @@ def _with_alternatives(
     if not alike:
         return [*faults]
     last = faults[-1]
-    detail = f"{last.detail}; the torque would be the same if {' or if '.join(words)}"
+    detail = (
+        f"{last.detail}; the torque would be the same if {' or if '.join(words)}"
+    )
     evidence = {**last.evidence, "alike": alike}
     return [*faults[:-1], replace(last, detail=detail, evidence=evidence)]
 
@@ -236,7 +244,9 @@ def _evidence(case: TorqueFit, other: _Hypothesis) -> float:
     rows = float(case.rows.sum())
     noise = np.minimum(case.power[other.order], fit.power)
     own_rows = case.rows[other.order]
-    squares, surprise = fit.surprise(noise, own_rows, _body_spread(robot, robot.nv - 1))
+    squares, surprise = fit.surprise(
+        noise, own_rows, _body_spread(robot, robot.nv - 1)
+    )
     as_it_stands = [
         case.surprise(noise[back], case.rows, _body_spread(robot, link))
         for link in range(robot.nv)
@@ -341,7 +351,9 @@ def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
     moments = np.zeros((m, joints, p))
     squares = []
     for k, j in enumerate(case.joints):
-        later = slice(10 * j, None)  # no joint's torque depends on the links before it
+        later = slice(
+            10 * j, None
+        )  # no joint's torque depends on the links before it
         own = basis[later, later]
         X = np.concatenate([part[rows, j, later] @ own for part in parts], axis=1)
         X, y = without_effects(case.F[rows, j], X, case.tau[rows, j])
@@ -378,7 +390,9 @@ def _mounting(case: TorqueFit) -> Iterator[Sequence[Fault]]:
     mixtures = _mixtures(case, [case.filtered(regressor(*part)) for part in parts])
 
     def scaled(x: Array) -> Array:
-        return np.asarray(size * x / np.linalg.norm(x, axis=-1, keepdims=True), float)
+        return np.asarray(
+            size * x / np.linalg.norm(x, axis=-1, keepdims=True), float
+        )
 
     def squares_under(gravity: Array, at: _Mixtures) -> Array:
         return at.left(np.insert(gravity, 0, 1.0, axis=-1))
@@ -500,8 +514,12 @@ def _zero_faults(log: Log, j: int, zero: _Zero) -> list[Fault]:
         detail = f"{what} of {joint} count the other way than the robot's"
         done = f"negates {what}{' (and dq)' * (zero.sign < 0)} of {joint}"
         evidence: dict[str, Any] = {"channel": what}
-        remedies = tuple(Remedy("scale", name, (j,), factor=-1.0) for name in channels)
-        faults.append(Fault("wrong_sign", (joint,), detail, evidence, done, remedies))
+        remedies = tuple(
+            Remedy("scale", name, (j,), factor=-1.0) for name in channels
+        )
+        faults.append(
+            Fault("wrong_sign", (joint,), detail, evidence, done, remedies)
+        )
     if zero.offset:
         side = "+" if zero.offset > 0 else "−"
         angle = f"{side} {abs(np.degrees(zero.offset)):.3g}°"
@@ -524,7 +542,10 @@ def amended(robot: Robot, faults: Sequence[Fault]) -> Robot:
 
 
 def support(
-    robot: Robot, recording: Recording, faults: Sequence[Fault], others: Sequence[Fault]
+    robot: Robot,
+    recording: Recording,
+    faults: Sequence[Fault],
+    others: Sequence[Fault],
 ) -> float:
     """Twice the log evidence ratio of an installation in a recording, its other faults repaired.
 
@@ -566,7 +587,9 @@ def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, in
     return exchanged
 
 
-def _with_torque_of(robot: Robot, log: Log, data: Smooth | None, other: Log) -> float:
+def _with_torque_of(
+    robot: Robot, log: Log, data: Smooth | None, other: Log
+) -> float:
     """Twice the log evidence ratio of a log with another's torque; see `_evidence`."""
     moved = smooth(replace(log, tau=other.tau))
     if data is None or moved is None:

@@ -160,7 +160,9 @@ class TorqueFit:
         return 14 * self.robot.nv
 
     def _part(self, j: int) -> tuple[Array, ...]:
-        later = slice(10 * j, None)  # no joint's torque depends on the links before it
+        later = slice(
+            10 * j, None
+        )  # no joint's torque depends on the links before it
         columns = self.G[:, j, later], self.D[:, j, later]
         return without_effects(self.F[:, j], *columns, self.tau[:, j])
 
@@ -218,7 +220,9 @@ class TorqueFit:
         x = self.fit()[0]
         for j, (still, moving, tau) in zip(self.joints, self.parts, strict=True):
             error = tau - (still + moving) @ x[10 * j :]
-            rows[j] = len(error) / autocorrelation_time(error) if error.any() else 1.0
+            rows[j] = (
+                len(error) / autocorrelation_time(error) if error.any() else 1.0
+            )
         return rows
 
     def _readings_per_torque(self) -> Array:
@@ -226,7 +230,9 @@ class TorqueFit:
         phi = self.robot.phi
         per = np.ones(self.robot.nv)
         doubt = self.gain_std
-        for j, (still, moving, current) in zip(self.joints, self.parts, strict=True):
+        for j, (still, moving, current) in zip(
+            self.joints, self.parts, strict=True
+        ):
             model = (still + moving) @ phi[10 * j :]
             least = 1e-12  # N·m: bodies that need no more need none
             squares = max(float(model @ model), len(model) * least**2)
@@ -304,7 +310,9 @@ class TorqueFit:
         reach = reach - (along * share)[:, None] * v
         power = power - along * share * t - reach @ x
         variance = variance / weight + along**2 * share / weight
-        variance += np.einsum("jp,pj->j", reach @ S, np.linalg.solve(H, (reach @ S).T))
+        variance += np.einsum(
+            "jp,pj->j", reach @ S, np.linalg.solve(H, (reach @ S).T)
+        )
         driving = np.minimum(power, 0.0) ** 2 / np.maximum(variance, 1e-300)
         total = left + float(z @ z) + float(driving.sum())
         occam = float(np.linalg.slogdet(H)[1] + np.log1p(information).sum())
@@ -395,14 +403,17 @@ def degrees(case: TorqueFit) -> Iterator[Fault]:
     log = case.log
     largest = np.abs(log.q).max(axis=0)
     turning = np.asarray(case.robot.revolute)
-    beyond = turning & (largest > 1.2 * 2 * np.pi)  # more than joints turn to one side
+    beyond = turning & (
+        largest > 1.2 * 2 * np.pi
+    )  # more than joints turn to one side
     if not beyond.any():
         return
     readings = []
     for mask in [turning] if beyond.all() else [turning, beyond]:
         turned = tuple(np.flatnonzero(mask).tolist())
         scaled = [
-            Remedy("scale", name, turned, factor=np.pi / 180) for name in ("q", "dq")
+            Remedy("scale", name, turned, factor=np.pi / 180)
+            for name in ("q", "dq")
         ]
         power = case.remedied(scaled).power
         readings.append((case.gain(power), scaled, power))
@@ -552,7 +563,9 @@ def position_signs(case: TorqueFit) -> Iterator[Fault]:
             )
             evidence = {"channel": what, "gain": case.gain(power)}
             done = f"negates {what} (and dq) of {joint}"
-            yield Fault("wrong_sign", (joint,), detail, evidence, done, tuple(remedies))
+            yield Fault(
+                "wrong_sign", (joint,), detail, evidence, done, tuple(remedies)
+            )
 
 
 def rate(case: TorqueFit) -> Iterator[Fault]:

@@ -165,7 +165,9 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
     whole = (samples >= 1) & (np.abs(m - samples) < 0.25)
     beside = np.maximum(np.abs(np.roll(m, 1)), np.abs(np.roll(m, -1)))
     alone = np.abs(m) > 2 * beside
-    several = ((np.abs(s) > 3).sum(axis=1) >= 2) if log.nv > 1 else np.zeros(n, bool)
+    several = (
+        ((np.abs(s) > 3).sum(axis=1) >= 2) if log.nv > 1 else np.zeros(n, bool)
+    )
     clear = (z > tail_bound(z)) & (shared > 0.95)
     rows = np.flatnonzero(clear & whole & alone & several)
     rows = rows[(rows > 5) & (rows < n - 6)]
@@ -220,14 +222,18 @@ def _order_of(log: Log) -> _Order:
         return _Order()
     import pandas as pd
 
-    values = pd.DataFrame(np.column_stack([t, *(x for _, x in log.channels())])[rows])
+    values = pd.DataFrame(
+        np.column_stack([t, *(x for _, x in log.channels())])[rows]
+    )
     again = rows[values.duplicated()]
     rows = np.setdiff1d(rows, again)
     if len(rows) < 2:
         return _Order(again)
     step = float(np.median(np.abs(np.diff(t[rows]))))
     settled = _settled(log, rows, step)
-    return _cut(log, rows, again, step) if settled is None else _Order(again, *settled)
+    return (
+        _cut(log, rows, again, step) if settled is None else _Order(again, *settled)
+    )
 
 
 def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
@@ -272,7 +278,9 @@ def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
         last = end == len(t)
         needed = REPAIRABLE.room * step * (count + 1)
         room = first or last or t[end] - t[start - 1] >= needed
-        beside = (not first and not gap[start - 1]) or (not last and not gap[end - 1])
+        beside = (not first and not gap[start - 1]) or (
+            not last and not gap[end - 1]
+        )
         near = count > REPAIRABLE.run or beside
         fits = room and near and joined[max(start - 1, 0) : end].all()
         unfit[start:end] |= not fits
@@ -351,10 +359,14 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
             "of them all its values too"
         )
     if len(again):
-        parts.append(f"{len(again)} of {n} rows repeat time and values of earlier ones")
+        parts.append(
+            f"{len(again)} of {n} rows repeat time and values of earlier ones"
+        )
     detail = f"{'; '.join(parts)}; {log.first(rows)}"
     identical += len(again)
-    fault = dropped(log.joints, rows, detail, "duplicate_samples", identical=identical)
+    fault = dropped(
+        log.joints, rows, detail, "duplicate_samples", identical=identical
+    )
     done = f"keeps the first of each and leaves {len(rows)} rows out"
     yield replace(fault, repair=done)
 
@@ -378,7 +390,9 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
         )
 
     def fall(row: int) -> str:
-        return f"first from {log.t[timed[timed < row][-1]]:.6g} to {log.t[row]:.6g} s"
+        return (
+            f"first from {log.t[timed[timed < row][-1]]:.6g} to {log.t[row]:.6g} s"
+        )
 
     first = int(rows[0])
     n = len(log)
@@ -396,7 +410,9 @@ def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
             f"the clock starts anew in {_listed(starts)}, {fall(int(starts[0]))}, and runs "
             f"on at the same rate, as in recordings written one after the other"
         )
-        done = f"cuts the recording into {len(starts) + 1} parts at {_listed(starts)}"
+        done = (
+            f"cuts the recording into {len(starts) + 1} parts at {_listed(starts)}"
+        )
         remedies = [
             Remedy("shift", "t", rows=starts[k : k + 1], factor=shift)
             for k, shift in enumerate(order.shifts)
@@ -437,12 +453,12 @@ def velocity_faults(log: Log) -> list[Fault]:
     of_clock = shared is not None and shared > 0
     if len(log) > 3 and (np.diff(log.t) == 1.0).all():
         first, last = log.t[[0, -1]]
-        detail = (
-            f"every time step is exactly 1, so t counts samples ({first:g} to {last:g})"
-        )
+        detail = f"every time step is exactly 1, so t counts samples ({first:g} to {last:g})"
         if shared is None or not of_clock:
             return [Fault("wrong_sample_rate", log.joints, detail, {"step": 1.0})]
-        detail += f"; q and dq agree at a step of {1 / shared:.4g} s ({shared:.4g} Hz)"
+        detail += (
+            f"; q and dq agree at a step of {1 / shared:.4g} s ({shared:.4g} Hz)"
+        )
         return [slow_clock(log, shared, detail, step=1.0)]
     if wrong and (change := _rate_change(log)) is not None:
         return [change]
@@ -532,7 +548,9 @@ def _unit_slope(slope: float) -> float | None:
     return next(near, None)
 
 
-def slow_clock(log: Log, factor: float, detail: str, /, **evidence: object) -> Fault:
+def slow_clock(
+    log: Log, factor: float, detail: str, /, **evidence: object
+) -> Fault:
     """The fault of a clock that runs so many times too slow."""
     done = f"divides the time by {factor:.5g}"
     remedy = Remedy("scale", "t", factor=1 / factor)

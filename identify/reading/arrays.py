@@ -37,7 +37,9 @@ def read_arrays(source: Path | bytes) -> dict[str, Any]:
                 not dtype.hasobject
                 and math.prod(shape) * dtype.itemsize > member.file_size
             ):
-                raise ValueError(f"{member.filename} is shorter than its header says")
+                raise ValueError(
+                    f"{member.filename} is shorter than its header says"
+                )
             with archive.open(member) as stream:
                 found = np.lib.format.read_array(stream, allow_pickle=False)
             arrays[member.filename.removesuffix(".npy")] = found

@@ -57,7 +57,9 @@ def described(path: Path) -> Described | None:
         for _, state in islice(_messages(reader, states), _FEW):
             joints |= dict.fromkeys(state.name)
         texts = [c for c in reader.connections if c.msgtype == _TEXT]
-        described_by = {topic: text.data for topic, text in _messages(reader, texts)}
+        described_by = {
+            topic: text.data for topic, text in _messages(reader, texts)
+        }
         limits = parsed_yaml(described_by.get("joint_limits", "{}")).get(
             "joint_limits", {}
         )
@@ -109,11 +111,15 @@ def bag_table(path: Path, topic: str | None = None) -> Table:
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         for part in table.frames(rows, columns):
-            values = [as_numbers(x) for name, x in part.items() if name != "stamp_ns"]
+            values = [
+                as_numbers(x) for name, x in part.items() if name != "stamp_ns"
+            ]
             of_arm = np.any(~np.isnan(values), axis=0)
             yield {name: x[of_arm] for name, x in part.items()}
 
-    return replace(table, frames=frames, labels=dict(enumerate(joints)), joined=True)
+    return replace(
+        table, frames=frames, labels=dict(enumerate(joints)), joined=True
+    )
 
 
 @contextmanager
@@ -132,14 +138,18 @@ def _opened(path: Path) -> Iterator[Any]:
         raise unreadable(path, error) from None
 
 
-def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str, ...]]:
+def _topic(
+    reader: Any, wanted: str | None, path: Path
+) -> tuple[str, tuple[str, ...]]:
     """The topic of the arm's states, and a note where there was a choice."""
     topics = sorted({c.topic for c in reader.connections if c.msgtype == _STATE})
     names = ", ".join(topics)
     if wanted is not None:
         if wanted in topics:
             return wanted, ()
-        why = f"has no joint states on {wanted}; topics with them: {names or 'none'}"
+        why = (
+            f"has no joint states on {wanted}; topics with them: {names or 'none'}"
+        )
         raise BadRecording(path, why)
     if not topics:
         kinds = sorted({str(c.msgtype) for c in reader.connections})
@@ -154,9 +164,13 @@ def _topic(reader: Any, wanted: str | None, path: Path) -> tuple[str, tuple[str,
     raise BadRecording(path, f"joint states are on {names}: {advice}")
 
 
-def _cells_of_messages(reader: Any, topic: str, path: Path) -> Iterator[dict[str, Any]]:
+def _cells_of_messages(
+    reader: Any, topic: str, path: Path
+) -> Iterator[dict[str, Any]]:
     """Time of recording and of the header [ns], and values by column, of each message."""
-    wanted = [c for c in reader.connections if c.topic == topic and c.msgtype == _STATE]
+    wanted = [
+        c for c in reader.connections if c.topic == topic and c.msgtype == _STATE
+    ]
     for row, (connection, logged, data) in enumerate(reader.messages(wanted)):
         message = reader.deserialize(data, connection.msgtype)
         joints = message.name
@@ -165,13 +179,17 @@ def _cells_of_messages(reader: Any, topic: str, path: Path) -> Iterator[dict[str
             raise BadRecording(
                 path, "names a joint twice; repair the recorder", row=row
             )
-        cells = {"": logged, "stamp_ns": int(stamp.sec * 1_000_000_000 + stamp.nanosec)}
+        cells = {
+            "": logged,
+            "stamp_ns": int(stamp.sec * 1_000_000_000 + stamp.nanosec),
+        }
         for what in ("position", "velocity", "effort"):
             numbers = getattr(message, what)
             if len(numbers) not in (0, len(joints)):
                 why = f"{len(numbers)} values of {what} for {len(joints)} joints"
                 raise BadRecording(path, why, row=row)
             cells |= {
-                f"{j}.{what}": value for j, value in zip(joints, numbers, strict=False)
+                f"{j}.{what}": value
+                for j, value in zip(joints, numbers, strict=False)
             }
         yield cells

@@ -30,7 +30,9 @@ _FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
 
 def framed(names: Sequence[str], columns: Iterable[Cells]) -> Frame:
     """Columns by name, those left out whose name is there twice."""
-    return {n: c for n, c in zip(names, columns, strict=True) if names.count(n) == 1}
+    return {
+        n: c for n, c in zip(names, columns, strict=True) if names.count(n) == 1
+    }
 
 
 def cells(series: pd.Series) -> Cells:
@@ -57,7 +59,8 @@ def as_numbers(values: Cells) -> Array:
     if not isinstance(values.dtype, pd.StringDtype):
         real = (str, Real, Decimal)
         plain = [
-            isinstance(v, real) and not isinstance(v, bool | np.bool_) for v in values
+            isinstance(v, real) and not isinstance(v, bool | np.bool_)
+            for v in values
         ]
         values = values.astype(object).where(np.array(plain, bool), None)
     numbers = pd.to_numeric(values, errors="coerce")

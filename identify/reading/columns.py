@@ -47,8 +47,12 @@ class Channel:
     """The columns of one quantity, in the order of the robot's joints."""
 
     columns: tuple[str, ...]
-    factors: tuple[float, ...]  # SI units, with sign and drive gain, per logged unit
-    note: str = ""  # how the columns were understood; empty where there was no choice
+    factors: tuple[
+        float, ...
+    ]  # SI units, with sign and drive gain, per logged unit
+    note: str = (
+        ""  # how the columns were understood; empty where there was no choice
+    )
 
 
 @dataclass(frozen=True)
@@ -117,10 +121,16 @@ def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
         pairs = zip(tau.factors, gains, strict=True)
         factors = tuple(amperes * gain for amperes, gain in pairs)
         unit = "N·m"
-        tau = Channel(tau.columns, factors, f"{tau.note or 'i'}, × drive gain = N·m")
-    notes = [note for note in (t_note, q.note, dq.note if dq else "", tau.note) if note]
+        tau = Channel(
+            tau.columns, factors, f"{tau.note or 'i'}, × drive gain = N·m"
+        )
+    notes = [
+        note for note in (t_note, q.note, dq.note if dq else "", tau.note) if note
+    ]
     understood = [f"columns: {'; '.join(notes)}"] if notes else []
-    columns = Columns(t, search.t_unit, q, dq, tau, unit, (*understood, *search.notes))
+    columns = Columns(
+        t, search.t_unit, q, dq, tau, unit, (*understood, *search.notes)
+    )
     for name in columns.names:
         if table.names.count(name) > 1:
             why = "is there twice; rename or remove one"
@@ -154,7 +164,9 @@ class _Group:
         self.doubles = [m for key, m in members if self.members[key] is not m]
         plain = re.compile(rf"{re.escape(prefix)}[1-9]\d*", re.ASCII)
         named = any(isinstance(key, str) for key in self.members)
-        self.exact = not named and all(plain.fullmatch(m.column) for _, m in members)
+        self.exact = not named and all(
+            plain.fullmatch(m.column) for _, m in members
+        )
         first = 0 if 0 in self.members else 1
         self.keys: list[_Key] = [*range(first, first + count)]
         if named:
@@ -179,10 +191,14 @@ class _Group:
         gapless = from_zero or numbers == [*range(1, len(numbers) + 1)]
         expected = len(self.keys)
         if self.doubles:
-            why = "names a joint that another column names too; rename or remove one"
+            why = (
+                "names a joint that another column names too; rename or remove one"
+            )
             return BadRecording(file, why, column=self.doubles[-1].column)
         if self.role == "q" and gapless and 0 < len(numbers) != expected:
-            first, last = (self.members[k].column for k in (numbers[0], numbers[-1]))
+            first, last = (
+                self.members[k].column for k in (numbers[0], numbers[-1])
+            )
             span = f"s ({first}..{last})" if len(numbers) > 1 else f" ({first})"
             why = (
                 f"has {len(numbers)} joint{span}, the robot has {expected}; "
@@ -204,7 +220,9 @@ class _Group:
 class _Search:
     """What the names of a table, the joints of a robot and a map say of the columns."""
 
-    def __init__(self, table: Table, robot: Robot | int, mapping: ColumnMap) -> None:
+    def __init__(
+        self, table: Table, robot: Robot | int, mapping: ColumnMap
+    ) -> None:
         self.table = table
         self.mapping = mapping
         if isinstance(robot, int):
@@ -219,9 +237,7 @@ class _Search:
         self.notes = list[str]()
         if self.aliases:
             example = next(iter(self.aliases))
-            note = (
-                f"joints: the prefix '{prefix}' is taken off the names, as in {example}"
-            )
+            note = f"joints: the prefix '{prefix}' is taken off the names, as in {example}"
             self.notes.append(note)
         logged_as = {joint: name for name, joint in self.aliases.items()}
         self.logged_as = [logged_as.get(label, label) for label in self.labels]
@@ -303,7 +319,9 @@ class _Search:
             if torque := re.fullmatch(form, column, re.ASCII):
                 role = "i" if self.prefix == "i" else "tau"
                 return Meaning(column, role, int(torque[1]))
-        name = f"{self.aliases[joint]}.{quantity}" if joint in self.aliases else column
+        name = (
+            f"{self.aliases[joint]}.{quantity}" if joint in self.aliases else column
+        )
         return replace(meaning(name, self.joints), column=column)
 
     def time(self) -> tuple[tuple[str, ...], str]:
@@ -323,7 +341,10 @@ class _Search:
             raise self.missing("t")
         if columns == ("t",) and self.t_unit is None:
             return columns, ""
-        return columns, f"t = {' + '.join(columns)}{_in_unit(self.t_unit, columns[0])}"
+        return (
+            columns,
+            f"t = {' + '.join(columns)}{_in_unit(self.t_unit, columns[0])}",
+        )
 
     def channel(self, role: str, *, optional: bool = False) -> Channel | None:
         """Columns of a quantity; None when there are none, or not of all joints if optional."""
@@ -428,13 +449,15 @@ class _Search:
         signs = self.mapping.sign.get("tau" if role == "i" else role, {})
         for joint in signs:
             if joint not in self.labels:
-                why = (
-                    f"sign of unknown joint '{joint}'; known: {', '.join(self.labels)}"
-                )
+                why = f"sign of unknown joint '{joint}'; known: {', '.join(self.labels)}"
                 raise BadInput(f"{source}: {why}")
         factors = []
-        for unit, joint, turns in zip(units, self.labels, self.revolute, strict=True):
-            size = factor(role, unit, turns) if isinstance(unit, str) else unit or 1.0
+        for unit, joint, turns in zip(
+            units, self.labels, self.revolute, strict=True
+        ):
+            size = (
+                factor(role, unit, turns) if isinstance(unit, str) else unit or 1.0
+            )
             if size is None:
                 kind = "turns" if turns else "slides"
                 why = f"joint {joint} {kind}: its {role} is not in {unit}"
@@ -492,7 +515,9 @@ class _Search:
         times = self.times[0]
         t = [*times[0]] if times else ["?"]
         content: dict[str, object] = {"t": t[0] if len(t) == 1 else t}
-        torque = next((role for role in ("tau", "i") if self.groups.get(role)), "tau")
+        torque = next(
+            (role for role in ("tau", "i") if self.groups.get(role)), "tau"
+        )
         for role in ("q", torque):
             full = [g.columns for g in self.groups.get(role, ()) if g.full]
             content[role] = (self._pattern(full[0]) or [*full[0]]) if full else "?"
@@ -506,7 +531,9 @@ class _Search:
         return f"{_ADVICE} {text.strip()}"
 
     def _ambiguous(self, role: str, spans: Sequence[str]) -> BadRecording:
-        why = f"{_PLURALS[role]} could be {'; or '.join(spans)}: {self._suggestion()}"
+        why = (
+            f"{_PLURALS[role]} could be {'; or '.join(spans)}: {self._suggestion()}"
+        )
         return BadRecording(self.table.file, why)
 
     def missing(self, role: str) -> BadRecording:

@@ -132,7 +132,9 @@ def read_chunks(
 
 def suffix_of(path: Path) -> str:
     """What the name of a file says of its format: its end, with that of what is packed in it."""
-    ends = path.suffixes[-2:] if path.suffix.lower() == ".gz" else path.suffixes[-1:]
+    ends = (
+        path.suffixes[-2:] if path.suffix.lower() == ".gz" else path.suffixes[-1:]
+    )
     return "".join(ends).lower()
 
 
@@ -222,7 +224,9 @@ def _in_si_units(
     if origin is None:
         first = usable[0] if len(usable) else None
         origin = (
-            (0.0, 0.0) if first is None else (float(whole[first]), float(rest[first]))
+            (0.0, 0.0)
+            if first is None
+            else (float(whole[first]), float(rest[first]))
         )
     with np.errstate(invalid="ignore", over="ignore"):
         t = (whole - origin[0]) + (rest - origin[1])

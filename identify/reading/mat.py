@@ -36,7 +36,8 @@ def load(path: str, size: int) -> bytes:
     import scipy.io
 
     variables = [
-        (name, math.prod(shape), kind) for name, shape, kind in scipy.io.whosmat(path)
+        (name, math.prod(shape), kind)
+        for name, shape, kind in scipy.io.whosmat(path)
     ]
     refuse_size(sum(count * _BYTES.get(kind, 0) for _, count, kind in variables))
     for name, count, kind in variables:

@@ -15,7 +15,9 @@ from excitant.identify.reading.units import spelled, units_of
 
 
 def _by_word(rows: Mapping[str, str]) -> dict[str, str]:
-    return {word: meaning for meaning, words in rows.items() for word in words.split()}
+    return {
+        word: meaning for meaning, words in rows.items() for word in words.split()
+    }
 
 
 _QUANTITIES = _by_word(
@@ -43,11 +45,19 @@ _QUALIFIERS = _by_word(
 )
 _DOTS = {"dot": 1, "ddot": 2}
 _DERIVATIVES = ("q", "dq", "ddq")
-_LENGTHS_AND_ANGLES = ("rad", "deg", "rev", "m", "mm")  # that a next word makes a speed
+_LENGTHS_AND_ANGLES = (
+    "rad",
+    "deg",
+    "rev",
+    "m",
+    "mm",
+)  # that a next word makes a speed
 _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 _SEPARATORS = re.compile(r"[\W_]+(?<!°)")
 _EXACT = re.compile(r"(q|dq|ddq|tau|i)(\d+)", re.ASCII)
-_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z°µ]+|\d+|[^\W\d_]+")  # of camel case
+_WORDS = re.compile(
+    r"[A-Z]+(?![a-z])|[A-Z]?[a-z°µ]+|\d+|[^\W\d_]+"
+)  # of camel case
 
 
 @dataclass(frozen=True)
@@ -129,7 +139,11 @@ def _split(column: str) -> tuple[list[str], str | None]:
             words += [word.lower() for word in _WORDS.findall(chunk)]
     words = " ".join(words).replace("nano sec", "nanosec").split()
     last = words[-1] if len(words) > 1 else ""
-    if unit is None and len(last) > 1 and last not in {*_QUANTITIES, *PARTS_OF_TIME}:
+    if (
+        unit is None
+        and len(last) > 1
+        and last not in {*_QUANTITIES, *PARTS_OF_TIME}
+    ):
         unit = spelled(last)
         words = words[:-1] if unit else words
     return words, unit
@@ -143,7 +157,9 @@ def _joint_named_in(
     Neutral words of a joint's name may be missing where what is left tells it from the others.
     """
     forms = [(joint, _split(joint)[0]) for joint in joints]
-    short = [[w for w in form if _QUALIFIERS.get(w) != "neutral"] for _, form in forms]
+    short = [
+        [w for w in form if _QUALIFIERS.get(w) != "neutral"] for _, form in forms
+    ]
     for joint, form in zip(joints, short, strict=True):
         telling = any(len(word) > 1 and not word.isdecimal() for word in form)
         if telling and short.count(form) == 1:

@@ -81,13 +81,18 @@ def table_of_frame(
 
 
 def _table(
-    names: tuple[str, ...], columns: Sequence[Cells], file: str, notes: tuple[str, ...]
+    names: tuple[str, ...],
+    columns: Sequence[Cells],
+    file: str,
+    notes: tuple[str, ...],
 ) -> Table:
     whole = framed(names, columns)
     n = max(len(columns[0]), 1) if columns else 1
 
     def frames(rows: int | None, asked: Sequence[str] | None) -> Iterator[Frame]:
-        kept = {name: x for name, x in whole.items() if asked is None or name in asked}
+        kept = {
+            name: x for name, x in whole.items() if asked is None or name in asked
+        }
         for start in range(0, n, rows or n):
             some = slice(start, start + (rows or n))
             yield {
@@ -119,7 +124,9 @@ def parquet_table(path: Path) -> Table:
                     refuse_size(8 * file.metadata.num_rows * kept)
                     yield frame(file.read(columns=wanted, use_threads=False))
                     return
-                for batch in file.iter_batches(rows, columns=wanted, use_threads=False):
+                for batch in file.iter_batches(
+                    rows, columns=wanted, use_threads=False
+                ):
                     yield frame(batch)
         except (pa.ArrowException, OSError, ValueError) as error:
             raise unreadable(path, error) from None
@@ -128,11 +135,15 @@ def parquet_table(path: Path) -> Table:
         return framed(table.schema.names, map(column, table.columns))
 
     def column(values: Any) -> Cells:
-        plain = pa.types.is_integer(values.type) or pa.types.is_floating(values.type)
+        plain = pa.types.is_integer(values.type) or pa.types.is_floating(
+            values.type
+        )
         if values.null_count or not plain:
             return cells(values.to_pandas())
         whole = (
-            values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
+            values.combine_chunks()
+            if isinstance(values, pa.ChunkedArray)
+            else values
         )
         return np.from_dlpack(whole)  # to_numpy would import pandas
 
@@ -168,7 +179,9 @@ def json_table(path: Path) -> Table:
             why = "is missing; write it, or null"
             raise BadRecording(path, why, row=row, column=missing[0])
     names = records[0]
-    arrays = {name: _stacked([record[name] for record in records]) for name in names}
+    arrays = {
+        name: _stacked([record[name] for record in records]) for name in names
+    }
     return _table_of_arrays(arrays, path)
 
 
@@ -222,7 +235,9 @@ def _mat_bytes(path: Path) -> int:
             unpacker = zlib.decompressobj()
             left = length
             while (
-                left > 0 and size <= MOST and (packed := stream.read(min(left, _PIECE)))
+                left > 0
+                and size <= MOST
+                and (packed := stream.read(min(left, _PIECE)))
             ):
                 left -= len(packed)
                 while packed and size <= MOST:
@@ -259,7 +274,9 @@ def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
     for name, array in arrays.items():
         telling = meanings[name].role and not meanings[name].words
         if name not in numbers and array.size > 1 and telling:
-            kind = {"S": "bytes", "U": "text"}.get(array.dtype.kind, str(array.dtype))
+            kind = {"S": "bytes", "U": "text"}.get(
+                array.dtype.kind, str(array.dtype)
+            )
             why = f"holds {kind} instead of numbers; save it as numbers, in rows or columns"
             raise BadRecording(path, why, column=name)
     if not numbers:
@@ -282,7 +299,9 @@ def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
                 columns[f"{name}[{k}]" if width > 1 else name] = column
         elif m.role in ("q", "tau", "i") and not m.words and not m.commanded:
             shape = " × ".join(map(str, array.shape))
-            why = f"is {shape}, but there are {n} samples; save arrays of one length"
+            why = (
+                f"is {shape}, but there are {n} samples; save arrays of one length"
+            )
             raise BadRecording(path, why, column=name)
         else:
             others.append(name)

@@ -32,7 +32,9 @@ _POINT = re.compile(
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
 _CLOCK = re.compile(r"\d:\d\d")  # in cells that hold a time of day
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
-_NAME_OF_JOINT = re.compile(r"(?:.*[^A-Za-z])?names?[\s_.\[]*(\d+)\]?", re.IGNORECASE)
+_NAME_OF_JOINT = re.compile(
+    r"(?:.*[^A-Za-z])?names?[\s_.\[]*(\d+)\]?", re.IGNORECASE
+)
 _CUT = "last line left out: it has no end, so it may have been cut"
 
 
@@ -41,7 +43,9 @@ class _Dialect:
     encoding: str
     separator: str  # between cells; a space stands for any white space
     decimal: str
-    names: tuple[str, ...]  # of the columns; numbers from 0 where there is no header
+    names: tuple[
+        str, ...
+    ]  # of the columns; numbers from 0 where there is no header
     skipped: int  # lines before the first row
     quoted: bool = False
     cut: bool = False  # the file ends within a line
@@ -92,7 +96,11 @@ def text_table(path: Path) -> Table:
                 raise lines.refusal or unreadable(path, error) from None
 
     return Table(
-        str(path), dialect.names, frames, dialect.labels, (_CUT,) if dialect.cut else ()
+        str(path),
+        dialect.names,
+        frames,
+        dialect.labels,
+        (_CUT,) if dialect.cut else (),
     )
 
 
@@ -103,7 +111,9 @@ def _write_points(frame: pd.DataFrame) -> None:
     for column in frame.columns:
         if pd.api.types.is_string_dtype(frame[column]):
             text = frame[column].astype(str)
-            pointed = text.str.contains(".", regex=False) & ~text.str.contains(_CLOCK)
+            pointed = text.str.contains(".", regex=False) & ~text.str.contains(
+                _CLOCK
+            )
             frame[column] = text.str.replace(",", ".", regex=False).mask(
                 pointed, text + " (a point among decimal commas)"
             )
@@ -135,9 +145,7 @@ class _Lines:
             if self._left < 0:
                 refuse_size(MOST + 1)
             if len(text) >= _LONGEST and "\n" not in text[-_LONGEST:]:
-                why = (
-                    f"a line holds more than {_LONGEST} characters; cut the file there"
-                )
+                why = f"a line holds more than {_LONGEST} characters; cut the file there"
                 self.refusal = BadRecording(self._file, why)
                 raise ValueError(why)
             if kept := [line for line in io.StringIO(text) if self._is_row(line)]:
@@ -154,7 +162,9 @@ class _Lines:
         if line.isspace() or line.startswith(_COMMENTS) or cut:
             return False
         parsed = separator == " " or (self._dialect.quoted and '"' in line)
-        count = len(_cells(line, separator)) if parsed else line.count(separator) + 1
+        count = (
+            len(_cells(line, separator)) if parsed else line.count(separator) + 1
+        )
         what = ""
         if count != expected:
             what = f"{count} cells where the header names {expected}"
@@ -233,14 +243,18 @@ def _head(path: Path) -> tuple[str, str, bool]:
     marked = head[:2] in (b"\xff\xfe", b"\xfe\xff")
     for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
         try:
-            text = head.decode(encoding, "strict" if whole or not marked else "ignore")
+            text = head.decode(
+                encoding, "strict" if whole or not marked else "ignore"
+            )
         except UnicodeDecodeError:
             continue
         first = text.splitlines()[:1]
         if text.strip() and not (first and _CONTROL.search(first[0])):
             return encoding, text, end not in b"\n\r\0"
     why = "it is empty" if not head.strip() else "it is no text"
-    raise BadRecording(path, f"cannot be read ({why}); give a table with named columns")
+    raise BadRecording(
+        path, f"cannot be read ({why}); give a table with named columns"
+    )
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -263,10 +277,16 @@ def _first_row(lines: Sequence[str], separator: str) -> int | None:
     for k, line in enumerate(lines):
         cells = _cells(line, separator)
         numbers = sum(map(_is_number, cells))
-        if line.startswith(_COMMENTS) or len(cells) < 2 or 2 * numbers <= len(cells):
+        if (
+            line.startswith(_COMMENTS)
+            or len(cells) < 2
+            or 2 * numbers <= len(cells)
+        ):
             continue
         names = _header(lines[:k], separator)
-        width, expected = (len(some) - (some[-1:] == [""]) for some in (cells, names))
+        width, expected = (
+            len(some) - (some[-1:] == [""]) for some in (cells, names)
+        )
         return k if not names or width == expected or separator == "," else None
     return None
 
@@ -276,7 +296,12 @@ def _echoed(cells: Sequence[str]) -> list[str]:
     n, rest = divmod(len(cells) - 3, 4)
     texts = [k for k, cell in enumerate(cells) if cell and not _is_number(cell)]
     named = [*range(3, 3 + n)]
-    if n < 1 or rest or texts not in (named, [2, *named]) or not cells[1].isdecimal():
+    if (
+        n < 1
+        or rest
+        or texts not in (named, [2, *named])
+        or not cells[1].isdecimal()
+    ):
         return []
     parts = [
         f"{what}_{k}"

@@ -60,7 +60,9 @@ def error_bars(
             bars.append(Bar(pieces, words))
         rows.append((joint, tuple(bars)))
     measure = (
-        "as a share of the measured torque's standard deviation" if shares else "as rms"
+        "as a share of the measured torque's standard deviation"
+        if shares
+        else "as rms"
     )
     return Bars(
         tuple(rows),

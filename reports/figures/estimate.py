@@ -31,7 +31,9 @@ _ROW = 17  # px of a parameter in the forest
 _LONG = 20  # letters of a name there
 
 
-def friction_figure(joints: Sequence[IdentifiedJoint], series: Series) -> Figure | None:
+def friction_figure(
+    joints: Sequence[IdentifiedJoint], series: Series
+) -> Figure | None:
     """Friction of every joint over its velocity, with the readings of the hold-out."""
     panels = [_friction(k, row, series) for k, row in enumerate(joints)]
     caption = (
@@ -70,9 +72,7 @@ def _friction(k: int, row: IdentifiedJoint, series: Series) -> Panel | None:
     abscissa = Axis(f"velocity [{law.velocity_unit}]")
     ordinate = Axis(f"friction [{law.unit}]")
     joint = row.name
-    label = (
-        f"{joint}: friction over velocity, hold-out readings and the identified curve"
-    )
+    label = f"{joint}: friction over velocity, hold-out readings and the identified curve"
     return Panel((Axes(tuple(marks), abscissa, ordinate, 210),), label, joint)
 
 
@@ -100,14 +100,18 @@ def _kind(symbol: str) -> str:
     if symbol in STANDARD:
         return _GROUPS[STANDARD.index(symbol)]
     kinds = (
-        v.plain(e.name) for e in EFFECTS.values() if symbol in [p.name for p in e.terms]
+        v.plain(e.name)
+        for e in EFFECTS.values()
+        if symbol in [p.name for p in e.terms]
     )
     return next(kinds, symbol)
 
 
 def forest_figure(parameters: Sequence[Parameter]) -> Figure | None:
     """Every identified parameter with its interval beside the given value, by kind."""
-    panels = [_forest(name, rows) for name, rows in forest_groups(parameters).items()]
+    panels = [
+        _forest(name, rows) for name, rows in forest_groups(parameters).items()
+    ]
     caption = (
         "Identified parameters with their 95\u00a0% intervals beside the given values; a "
         "value that the prior decides says nothing that was not given."

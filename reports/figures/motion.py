@@ -96,7 +96,9 @@ def motion_figure(
     if t is None:
         return None
     curves = [_curves_of(k, series, len(t)) for k in range(len(joints))]
-    rows = [row for row in _QUANTITIES if any(row.name in joint for joint in curves)]
+    rows = [
+        row for row in _QUANTITIES if any(row.name in joint for joint in curves)
+    ]
     panels = [
         _panel(k, joint, rows, curves[k], t, limits)
         for k, joint in enumerate(joints)
@@ -104,7 +106,9 @@ def motion_figure(
     ]
     every = [(row.name, k) for row in rows for k in range(len(joints))]
     if not any(limits.of(name, k) for name, k in every):
-        caption = "The motion of every joint; the arm has no limits to compare it with."
+        caption = (
+            "The motion of every joint; the arm has no limits to compare it with."
+        )
         return fig.figure(panels, caption)
     legend = [Key("dash", fig.MEASURED, "limit")]
     caption = _SAMPLED
@@ -116,7 +120,9 @@ def motion_figure(
 
 
 def _curves_of(joint: int, series: Series, rows: int) -> dict[str, Array]:
-    curves = {row.name: v.curve(series, row.key, joint, rows) for row in _QUANTITIES}
+    curves = {
+        row.name: v.curve(series, row.key, joint, rows) for row in _QUANTITIES
+    }
     return {name: values for name, values in curves.items() if values is not None}
 
 
@@ -145,7 +151,9 @@ def _panel(
         last = row is rows[-1]
         abscissa = timeline.axis("time [s]" if last else "")
         height = _HEIGHT + _BELOW * last
-        axes = Axes(tuple(marks), abscissa, Axis(), height, title, remark, row.colour)
+        axes = Axes(
+            tuple(marks), abscissa, Axis(), height, title, remark, row.colour
+        )
         stack.append(axes)
     label = f"{joint} over time: {', '.join(remarks)}"
     return Panel(tuple(stack), label, v.shorten(joint, 60))
@@ -177,7 +185,9 @@ def _context(
         touched = low if abs(y[near] - low) < abs(y[near] - high) else high
         at = np.array([envelope.t + timeline.t[0] - t[0]])
         edge = np.array([touched])
-        marks.append(Points(at, edge, quantity.colour, "envelope touched", 5.5, "ring"))
+        marks.append(
+            Points(at, edge, quantity.colour, "envelope touched", 5.5, "ring")
+        )
     if ends is None:
         return marks, "no limit" if ratio is None else _of_limit(ratio)
     lower, upper = ends

@@ -10,7 +10,16 @@ import numpy.typing as npt
 
 from excitant.reports import figure as fig
 from excitant.reports import values as v
-from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points
+from excitant.reports.figure import (
+    Axes,
+    Axis,
+    Figure,
+    Key,
+    Line,
+    Mark,
+    Panel,
+    Points,
+)
 from excitant.reports.values import Series
 from excitant.results import Identify, Online, Payload
 from excitant.robots.motion import Array
@@ -38,14 +47,17 @@ def estimates_figure(result: Identify, series: Series) -> Figure | None:
     if t is None or len(t) < 2:
         return None
     value, std = (
-        v.array(series, f"online_{key}", len(t), len(rows)) for key in ("value", "std")
+        v.array(series, f"online_{key}", len(t), len(rows))
+        for key in ("value", "std")
     )
     if value is None or std is None:
         return None
     units = {row.name: row.unit for row in result.parameters}
     names = [_first_parameter(row.expression, units) for row in rows]
     panels = [
-        _estimate_panel(t, value[:, k], std[:, k], names[k], units.get(names[k], ""))
+        _estimate_panel(
+            t, value[:, k], std[:, k], names[k], units.get(names[k], "")
+        )
         for k in _most_informed(value, std, names)
     ]
     caption = (
@@ -91,7 +103,9 @@ def _most_informed(value: Array, std: Array, names: Sequence[str]) -> list[int]:
     return [*sorted(inertial[:_SHOWN]), *sorted(others[:_SHOWN])]
 
 
-def _estimate_panel(t: Array, value: Array, std: Array, name: str, unit: str) -> Panel:
+def _estimate_panel(
+    t: Array, value: Array, std: Array, name: str, unit: str
+) -> Panel:
     """One estimate; the ordinate shows the second half of the time and room about it."""
     low = value - _BAND * std
     high = value + _BAND * std
@@ -144,7 +158,9 @@ def excitation_figure(online: Online) -> Figure | None:
 
 
 def _too_little(spans: Sequence[tuple[float, float]]) -> str:
-    since = ", ".join(f"{first:.1f} s to {last:.1f} s" for first, last in spans[:_FEW])
+    since = ", ".join(
+        f"{first:.1f} s to {last:.1f} s" for first, last in spans[:_FEW]
+    )
     lacking = v.quantity(sum(last - first for first, last in spans), "s")
     more = " and later again" if len(spans) > _FEW else ""
     return (
@@ -155,7 +171,9 @@ def _too_little(spans: Sequence[tuple[float, float]]) -> str:
 
 def _spans(t: Array, bad: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Intervals in which a condition held, from the look that saw it to the next that did not."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], bad, [False]]).astype(int))
+    )
     return [
         (float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in edges.reshape(-1, 2)
     ]

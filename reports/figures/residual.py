@@ -11,7 +11,16 @@ import numpy.typing as npt
 from excitant.identify.signals import power_density
 from excitant.reports import figure as fig
 from excitant.reports import values as v
-from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points
+from excitant.reports.figure import (
+    Axes,
+    Axis,
+    Figure,
+    Key,
+    Line,
+    Mark,
+    Panel,
+    Points,
+)
 from excitant.reports.values import Series
 from excitant.results import Finding, IdentifiedJoint, Identify
 from excitant.robots.motion import Array
@@ -19,7 +28,9 @@ from excitant.robots.motion import Array
 _CLOUD = 1000  # points drawn of a cloud
 _MEDIANS = 24  # bins of a cloud, whose medians are drawn
 _CURVE = 60  # points along a fitted effect
-_WIDE = 0.08  # of the abscissa: across wider stretches without data no curve is drawn
+_WIDE = (
+    0.08  # of the abscissa: across wider stretches without data no curve is drawn
+)
 _SHOWN = 2.0  # times the cut-off: frequencies up to there are drawn
 _WINDOWS = 8  # at least, of which a spectrum is the mean
 _DECADES = 4.0  # below the highest density, what is drawn of a spectrum
@@ -82,7 +93,8 @@ def evidence_figure(
         return None
     order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
     fit, rival = (
-        y[order] if y is not None and len(y) == len(x) else None for y in (fit, rival)
+        y[order] if y is not None and len(y) == len(x) else None
+        for y in (fit, rival)
     )
     x = x[order]
     effect = v.plain(finding.effect)
@@ -140,7 +152,9 @@ def agreement_figure(
     return fig.figure(panels, caption, [*keys, Key("dash", fig.MEASURED, "equal")])
 
 
-def _agreement(k: int, row: IdentifiedJoint, series: Series, unit: str) -> Panel | None:
+def _agreement(
+    k: int, row: IdentifiedJoint, series: Series, unit: str
+) -> Panel | None:
     keys = ("measured", "given", "identified", "velocity")
     measured, given, identified, dq = v.curves(series, k, *keys)
     if measured is None or identified is None:
@@ -152,7 +166,9 @@ def _agreement(k: int, row: IdentifiedJoint, series: Series, unit: str) -> Panel
         if model is not None:
             points = Points(model[rows], measured[rows], colour, name, 2.5, "cloud")
             marks.append(points)
-    ends = np.array([measured[moving].min(initial=0), measured[moving].max(initial=0)])
+    ends = np.array(
+        [measured[moving].min(initial=0), measured[moving].max(initial=0)]
+    )
     marks.append(Line(ends, ends, fig.MEASURED, "equal", 1.0, dashed=True))
     axes = Axes(
         tuple(marks), Axis(f"predicted [{unit}]"), Axis(f"measured [{unit}]"), 220

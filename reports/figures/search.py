@@ -6,7 +6,16 @@ import numpy as np
 
 from excitant.reports import figure as fig
 from excitant.reports import values as v
-from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Mark, Panel, Points
+from excitant.reports.figure import (
+    Axes,
+    Axis,
+    Figure,
+    Key,
+    Line,
+    Mark,
+    Panel,
+    Points,
+)
 from excitant.reports.values import Series
 from excitant.results import Design
 from excitant.robots.motion import Array
@@ -43,7 +52,9 @@ def spectrum_figure(series: Series) -> Figure | None:
         ratios.append(f"{name}: {len(sizes)} values, ratio {ratio}")
         legend.append(Key("dot" if final else "ring", colour, name))
     unit = "N·m" if designed else "–"
-    direction = Axis("direction in parameter space, best seen first", 0.0, whole=True)
+    direction = Axis(
+        "direction in parameter space, best seen first", 0.0, whole=True
+    )
     axes = Axes(
         tuple(marks), direction, Axis(f"singular value [{unit}]", log=True), 190
     )
@@ -69,10 +80,14 @@ def convergence_figure(result: Design) -> Figure | None:
     starts = [(row, h) for row, h in starts if np.isfinite(h).any() and len(h) > 1]
     if not starts:
         return None
-    ends = [row.condition_number or float(h[np.isfinite(h)][-1]) for row, h in starts]
+    ends = [
+        row.condition_number or float(h[np.isfinite(h)][-1]) for row, h in starts
+    ]
     best = int(np.argmin(ends))
     marks: list[Mark] = []
-    for k, (_, history) in sorted(enumerate(starts), key=lambda pair: pair[0] == best):
+    for k, (_, history) in sorted(
+        enumerate(starts), key=lambda pair: pair[0] == best
+    ):
         colour = fig.FITTED if k == best else fig.LIGHT
         iteration = np.arange(len(history), dtype=float)
         name = f"start {k + 1}"

@@ -25,7 +25,8 @@ from excitant.results import Tracking
 
 INTERVAL = "95\u00a0% interval of a reading"
 _INTERVAL_CAPTION = (
-    " The band holds 95\u00a0% of readings if noise and parameters are all that is off."
+    " The band holds 95\u00a0% of readings if noise and parameters are all that "
+    "is off."
 )
 GIVEN_MODEL = "model as given"
 _MODELS = {
@@ -60,7 +61,8 @@ def torque_figure(
 ) -> Figure | None:
     """Measured torque against the model before and after, the residual below, per joint."""
     panels = [
-        _torque_panel(k, joint, series, unit, curves) for k, joint in enumerate(joints)
+        _torque_panel(k, joint, series, unit, curves)
+        for k, joint in enumerate(joints)
     ]
 
     def drawn(key: str) -> bool:

@@ -68,7 +68,9 @@ def links_folded(page: p.Section, result: Analyze) -> p.Section:
     """A section whose links stand in one part, each behind a line until it is opened."""
     titles = {_title(link) for link in result.links}
     folds = tuple(
-        p.Folded(part.title, part.blocks) for part in page.parts if part.title in titles
+        p.Folded(part.title, part.blocks)
+        for part in page.parts
+        if part.title in titles
     )
     others = tuple(part for part in page.parts if part.title not in titles)
     one = p.Folded("Link by link", folds, closed=True)
@@ -86,7 +88,9 @@ def _lead_and_brief(result: Analyze) -> tuple[str, p.Brief]:
         f"at all; the others appear only in combinations, {base} base parameters together."
     )
     counts = f"{unique} parameters uniquely, {none} not at all"
-    lines = [("identifiable", f"{base} combinations of {total} parameters; {counts}")]
+    lines = [
+        ("identifiable", f"{base} combinations of {total} parameters; {counts}")
+    ]
     verdicts = [row.verdict for row in result.practical]
     if weak := verdicts.count("hardly"):
         lines.append(
@@ -95,7 +99,9 @@ def _lead_and_brief(result: Analyze) -> tuple[str, p.Brief]:
     elif verdicts and "not_shown" not in verdicts:
         better = result.persistency and result.persistency.shown
         than = "" if better is None else f", {better} better than they were known"
-        lines.append(("", f"this motion shows all {len(verdicts)} combinations{than}"))
+        lines.append(
+            ("", f"this motion shows all {len(verdicts)} combinations{than}")
+        )
     return lead, tuple(lines)
 
 
@@ -133,7 +139,9 @@ def _facts(result: Analyze) -> p.Facts | None:
             of,
             p.POOR if hidden else p.GOOD,
         ),
-        p.fact("Decided by the prior", decided if judged else None, v.whole, decisive),
+        p.fact(
+            "Decided by the prior", decided if judged else None, v.whole, decisive
+        ),
     )
 
 
@@ -160,12 +168,16 @@ def _matrix(links: list[LinkIdentifiability]) -> p.Matrix | None:
             return "none"
         return "combined" if names & shared else ""
 
-    rows = ((link.link, tuple(shown_as(link, s) for s in STANDARD)) for link in links)
+    rows = (
+        (link.link, tuple(shown_as(link, s) for s in STANDARD)) for link in links
+    )
     caption = (
         "Each link's ten parameters: mass m [kg], first moment mc [kg·m], inertia I [kg·m²] about "
         "the joint frame; links near the base show few of theirs because they move little."
     )
-    return p.Matrix("Link", STANDARD, tuple(rows), caption, _LEGEND) if links else None
+    return (
+        p.Matrix("Link", STANDARD, tuple(rows), caption, _LEGEND) if links else None
+    )
 
 
 def _singular(result: Analyze) -> p.Table | None:
@@ -201,7 +213,10 @@ def _motion(result: Analyze, series: Series) -> p.Blocks:
     resting = result.resting_joints
     missing = p.table(
         result.not_shown,
-        [("expression:Not shown by this motion", "name"), ("text:Shown by", "needed")],
+        [
+            ("expression:Not shown by this motion", "name"),
+            ("text:Shown by", "needed"),
+        ],
         "These base parameters make no torque of their own in this motion: they keep their prior "
         f"values{f'; at rest: {v.listing(resting)}' if resting else ''}.",
     )
@@ -305,7 +320,13 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
         "Torque depends on these sums alone, not on how they divide among their members.",
         p.folded(f"Its {len(combined)} combinations", len(combined), 1),
     )
-    return [p.notes([said]), _parameters(link), combinations, needed, p.notes(follow)]
+    return [
+        p.notes([said]),
+        _parameters(link),
+        combinations,
+        needed,
+        p.notes(follow),
+    ]
 
 
 def _symbol(row: ParameterIdentifiability) -> str:

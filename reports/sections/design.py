@@ -181,7 +181,9 @@ def rehearse_section(result: Rehearse, series: Series) -> p.Section:
         "up to 5 %; one more effect changes later. The motion must show all of it.",
         brief="",
     )
-    planted = {"diagnosis": hidden}  # of that requirement, the change that it must name
+    planted = {
+        "diagnosis": hidden
+    }  # of that requirement, the change that it must name
     table = p.table(
         recovered,
         [
@@ -189,7 +191,8 @@ def rehearse_section(result: Rehearse, series: Series) -> p.Section:
             ("name:Joint", "joint"),
             ("number:Planted", "planted", v.number4),
             *p.estimates(
-                "number:Recovered", of=lambda r: Determined(r.name, r.recovered, r.std)
+                "number:Recovered",
+                of=lambda r: Determined(r.name, r.recovered, r.std),
             ),
             ("text:Unit", "unit"),
             ("number:Error", _error),
@@ -221,7 +224,10 @@ def _closer(result: Rehearse) -> p.Brief:
     if tracking is None:
         return ()
     phrases = []
-    for rows, model in ((tracking.before, "identified"), (tracking.after, "extended")):
+    for rows, model in (
+        (tracking.before, "identified"),
+        (tracking.after, "extended"),
+    ):
         ratios = [row.ratio for row in rows if row.ratio]
         if ratios:
             ends = dict.fromkeys(v.number(x, 2) for x in (min(ratios), max(ratios)))

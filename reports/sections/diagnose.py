@@ -75,7 +75,9 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
     notes = [v.sentence(note) for note in result.notes if note not in lead]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
     wrong = (
-        "What is wrong with the given model" if findings else "Error of the given model"
+        "What is wrong with the given model"
+        if findings
+        else "Error of the given model"
     )
     shares = [
         _shares(result.error.joints, extended, unit)
@@ -126,7 +128,10 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
 def _first_lines(findings: list[Finding]) -> list[tuple[str, str]]:
     """The first findings, a line each, where there is more than the headline."""
     lines = [
-        (f"{k}{' (undecided)' * (finding.verdict == 'undecided')}", finding.sentence)
+        (
+            f"{k}{' (undecided)' * (finding.verdict == 'undecided')}",
+            finding.sentence,
+        )
         for k, finding in enumerate(findings[:_FIRST], start=1)
     ]
     return lines if len(lines) > 1 else []
@@ -158,7 +163,9 @@ def _facts(result: Diagnose) -> p.Facts | None:
     faults = result.faults
     verdicts = [finding.verdict for finding in findings]
     counts = [
-        f"{n} {word}" for word in dict.fromkeys(verdicts) if (n := verdicts.count(word))
+        f"{n} {word}"
+        for word in dict.fromkeys(verdicts)
+        if (n := verdicts.count(word))
     ]
     before = v.median(row.nrmse for row in result.simulation.joints)
     after = None
@@ -178,7 +185,9 @@ def _facts(result: Diagnose) -> p.Facts | None:
             v.whole,
             ", ".join(counts) or "nothing stands out",
         ),
-        p.fact("Data faults", len(faults), v.whole, "", p.POOR if faults else p.GOOD),
+        p.fact(
+            "Data faults", len(faults), v.whole, "", p.POOR if faults else p.GOOD
+        ),
         p.fact("Cut-off", result.cutoff_hz, v.unit_of("Hz"), CUTOFF_REMARK),
     )
 
@@ -293,7 +302,9 @@ def _sentence(finding: Finding, unit: str) -> str:
     if finding.doubt:
         return f"{sentence} It is not decided: {finding.doubt}."
     if finding.verdict == "undecided":
-        sentence += " It is not decided: the effects below explain these data as well."
+        sentence += (
+            " It is not decided: the effects below explain these data as well."
+        )
     return sentence
 
 
@@ -342,7 +353,9 @@ def _rivals(finding: Finding) -> p.Table | None:
     )
 
 
-def _shares(joints: list[JointResidual], extended: bool, unit: str) -> p.Table | None:
+def _shares(
+    joints: list[JointResidual], extended: bool, unit: str
+) -> p.Table | None:
     def of(row: JointResidual) -> Residual:
         return row.left if extended else row
 
@@ -350,7 +363,9 @@ def _shares(joints: list[JointResidual], extended: bool, unit: str) -> p.Table |
         def cell(row: JointResidual) -> p.Cell:
             residual = of(row)
             x = residual.bands.get(key, residual.shares.get(key))
-            return p.cell(x, v.percent, p.POOR if residual.telling == key else p.PLAIN)
+            return p.cell(
+                x, v.percent, p.POOR if residual.telling == key else p.PLAIN
+            )
 
         return f"number:{key}", cell
 
@@ -378,13 +393,20 @@ def _refit(refit: Refit, unit: str) -> p.Blocks:
     def inertia(row: MovedLink) -> Number:
         return None if row.inertia is None else 100 * math.expm1(row.inertia)
 
-    models = {"given": "Given", "inertias": "Inertias free", "bodies": "Nearest bodies"}
+    models = {
+        "given": "Given",
+        "inertias": "Inertias free",
+        "bodies": "Nearest bodies",
+    }
     models["extended"] = "With the findings"
     errors = p.table(
         refit.joints,
         [
             ("name:Joint", "name"),
-            *((f"number:{name}, rms [{unit}]", key) for key, name in models.items()),
+            *(
+                (f"number:{name}, rms [{unit}]", key)
+                for key, name in models.items()
+            ),
         ],
         "What inertias alone would explain on the hold-out while joints move, all given effects "
         "being kept: fitted freely, and as the closest physically consistent inertias.",
@@ -500,7 +522,10 @@ def _unexplained(rows: list[Unexplained]) -> p.Blocks:
                 ("name:Joint", "joint"),
                 ("number:Share", "share", v.percent),
                 ("text:Against the noise", "against_noise") if sized else None,
-                ("text:Structure", lambda r: r.structure.removeprefix("structured: ")),
+                (
+                    "text:Structure",
+                    lambda r: r.structure.removeprefix("structured: "),
+                ),
             ],
             "What everything found leaves: share of the measured torque's variance, its size "
             "against the noise while the joint moves, and what it varies with.",

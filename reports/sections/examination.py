@@ -9,16 +9,24 @@ from excitant.reports import values as v
 from excitant.reports.values import NONE
 from excitant.results import Demo, Finding, Go, IdentifiedJoint, Number, Verdict
 
-_FEW = 3  # parameters of a hidden effect, and warnings or faults, that are written out
+_FEW = (
+    3  # parameters of a hidden effect, and warnings or faults, that are written out
+)
 _TRUTH: dict[str | None, tuple[str, str, str]] = {
     None: (NONE, p.PLAIN, "not judged"),
     "named": ("✓ yes", p.GOOD, "named"),
-    "undecided": ("◐ among what is undecided", p.FAIR, "among what is left undecided"),
+    "undecided": (
+        "◐ among what is undecided",
+        p.FAIR,
+        "among what is left undecided",
+    ),
     "missed": ("✗ no", p.POOR, "not found"),
 }
 
 
-def examination_page(result: Go | Demo, sections: Mapping[str, p.Section]) -> p.Page:
+def examination_page(
+    result: Go | Demo, sections: Mapping[str, p.Section]
+) -> p.Page:
     """The page of ``go``, or of a demonstration of it, with the sections of its commands."""
     verdict = result.verdict
     title = "Examination"
@@ -34,7 +42,10 @@ def examination_page(result: Go | Demo, sections: Mapping[str, p.Section]) -> p.
         )
         mark, tone, words = _TRUTH[verdict.truth]
         effect = _hidden(result)
-        hidden = [effect, p.Fact("Named by the diagnosis", mark, _named(verdict), tone)]
+        hidden = [
+            effect,
+            p.Fact("Named by the diagnosis", mark, _named(verdict), tone),
+        ]
         last = (("hidden", f"{effect.value} (seed {result.seed}): {words}"),)
     joints = _joints(result)
     blocks = (
@@ -86,7 +97,9 @@ def _cause_at(joint: str, findings: Sequence[Finding]) -> str:
     for finding in findings:
         if joint in finding.joints:
             kinds = [part for part in finding.parts if joint in part.joints]
-            names = dict.fromkeys(v.plain(part.effect) for part in kinds or [finding])
+            names = dict.fromkeys(
+                v.plain(part.effect) for part in kinds or [finding]
+            )
             undecided = " (undecided)" * (finding.verdict == "undecided")
             more = " and more" * (len(names) > 2)
             return v.listing([*names][:2]) + more + undecided

@@ -29,7 +29,9 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
         f"{_counted(changing, 'changes', 'change')} with time"
     )
     if failed:
-        lead += f"; {_counted(len(failed), 'data set has', 'data sets have')} no model"
+        lead += (
+            f"; {_counted(len(failed), 'data set has', 'data sets have')} no model"
+        )
     return p.section(
         "Fleet",
         f"{lead}.",
@@ -37,7 +39,10 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
             ("Key figures", [_facts(result, arms, changing, len(failed))]),
             (
                 "Arms that differ",
-                [p.notes([_differs(row) for row in odd], brief="differs"), _odd(odd)],
+                [
+                    p.notes([_differs(row) for row in odd], brief="differs"),
+                    _odd(odd),
+                ],
             ),
             (
                 "What changes with time",
@@ -107,9 +112,14 @@ def _odd(odd: list[Deviation]) -> p.Table | None:
             ("number:It has", lambda r: _interval(r.value, r.std)),
             (
                 "number:Its siblings",
-                lambda r: f"{_interval(r.siblings, r.spread).text} ({r.count} arms)",
+                lambda r: (
+                    f"{_interval(r.siblings, r.spread).text} ({r.count} arms)"
+                ),
             ),
-            ("number:Difference", lambda r: _interval(r.difference, r.difference_std)),
+            (
+                "number:Difference",
+                lambda r: _interval(r.difference, r.difference_std),
+            ),
             ("name:Unit", "unit"),
         ],
         "The most certain first. Of the siblings: mean and standard deviation from arm to arm. A "
@@ -151,7 +161,9 @@ def _panel(k: int, row: Drift, series: Series) -> Panel | None:
     days = v.array(series, f"drift{k}/days", None)
     if days is None:
         return None
-    x, std = (v.array(series, f"drift{k}/{key}", len(days)) for key in ("value", "std"))
+    x, std = (
+        v.array(series, f"drift{k}/{key}", len(days)) for key in ("value", "std")
+    )
     if x is None or std is None:
         return None
     ends = np.array([np.nanmin(days), np.nanmax(days)])
@@ -160,7 +172,9 @@ def _panel(k: int, row: Drift, series: Series) -> Panel | None:
     marks = (
         Line(np.repeat(days, 3), bars, fig.MEASURED, width=1.0),
         Points(days, x, fig.MEASURED, "data set"),
-        Line(ends, v.reals([row.before, row.after]), fig.FITTED, "line through all"),
+        Line(
+            ends, v.reals([row.before, row.after]), fig.FITTED, "line through all"
+        ),
     )
     ticks = np.linspace(ends[0], ends[1], 3).tolist()
     dates = [(day, str(np.datetime64(0, "D") + round(day))) for day in ticks]

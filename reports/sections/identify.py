@@ -107,10 +107,16 @@ def identify_section(result: Identify, series: Series) -> p.Section:
             ),
             ("In MuJoCo", _in_mujoco(result.mujoco, joints, series, unit)),
             *_online(result, series),
-            ("Parameters, given and identified", [forest_figure(result.parameters)]),
+            (
+                "Parameters, given and identified",
+                [forest_figure(result.parameters)],
+            ),
             ("Base parameters", _base_parameters(result)),
             ("Standard parameters", [_parameter_table(result)]),
-            ("How it was fitted", [_how(result), _physical(result), p.notes(notes)]),
+            (
+                "How it was fitted",
+                [_how(result), _physical(result), p.notes(notes)],
+            ),
         ],
     )
 
@@ -205,7 +211,9 @@ def _facts(result: Identify) -> p.Facts | None:
     given, identified = _errors_of(result)
     physical = ("yes", p.GOOD) if result.physical.consistent else ("no", p.POOR)
     faults = Counter(v.plain(fault.fault) for fault in result.faults or [])
-    kinds = v.listing([f"{n} {kind}" for kind, n in faults.items()], "none was found")
+    kinds = v.listing(
+        [f"{n} {kind}" for kind, n in faults.items()], "none was found"
+    )
     remark = "given → identified; nrmse, median over joints"
     count = None if result.faults is None else len(result.faults)
     return p.facts(
@@ -228,7 +236,9 @@ def _facts(result: Identify) -> p.Facts | None:
 
 def _how(result: Identify) -> p.Facts | None:
     joints = Counter(v.plain(effect) for effect in result.effects)
-    effects = [name if n == 1 else f"{name} ({n} joints)" for name, n in joints.items()]
+    effects = [
+        name if n == 1 else f"{name} ({n} joints)" for name, n in joints.items()
+    ]
     count = len(result.base_parameters)
     return p.facts(
         p.Fact("Estimator", v.plain(result.estimator)),
@@ -403,7 +413,10 @@ def _bodies(result: Identify) -> p.Table | None:
                 "number:Centre of mass [mm]|± std",
                 shift,
             ),
-            ("text:Centre of mass [mm]|by", lambda r: p.decided(r.centre.decided_by)),
+            (
+                "text:Centre of mass [mm]|by",
+                lambda r: p.decided(r.centre.decided_by),
+            ),
         ],
         "Centres of mass: x, y, z in the frame of the link's joint. What the prior decides "
         "completes the model, but was not measured.",
@@ -427,13 +440,18 @@ def _effects(result: Identify) -> p.Table | None:
         known = any(row.given is not None for row in rows.values())
         return [
             *[(f"number:{name}|given", given)] * known,
-            *p.estimates(f"number:{name}|identified", f"number:{name}|± std", rows.get),
+            *p.estimates(
+                f"number:{name}|identified", f"number:{name}|± std", rows.get
+            ),
         ]
 
     owners = dict.fromkeys(owner for rows in groups.values() for owner in rows)
     return p.table(
         list(owners),
-        [("name:Joint", str), *(column for name in groups for column in columns(name))],
+        [
+            ("name:Joint", str),
+            *(column for name in groups for column in columns(name)),
+        ],
         "The given model has none where no given value stands.",
     )
 
@@ -461,7 +479,10 @@ def _link_by_link(fit: LinkByLink | None, unit: str) -> p.Blocks:
         fit.comparison.joints,
         [
             ("name:Joint", "name"),
-            *((f"number:{name}, rms [{unit}]", key) for key, name in models.items()),
+            *(
+                (f"number:{name}, rms [{unit}]", key)
+                for key, name in models.items()
+            ),
         ],
         "Prediction error on the hold-out, fitted to the same recordings. All links at once: "
         f"{fit.comparison.all_at_once}.",
@@ -475,7 +496,9 @@ def _stage(stage: Stage) -> p.Blocks:
     if stage.recordings:
         recordings = v.listing(stage.recordings)
         moves = f"{stage.joint} {stage.mode}"
-        source = f"Torque of {stage.joint}: {stage.rows} rows of {recordings}; {moves}."
+        source = (
+            f"Torque of {stage.joint}: {stage.rows} rows of {recordings}; {moves}."
+        )
     missing = [Determined(expression, None, None) for expression in stage.missing]
 
     def verdict(row: Determined) -> p.Cell:
@@ -495,7 +518,9 @@ def _stage(stage: Stage) -> p.Blocks:
             "What the joint's own torque adds to what the links further out have shown; "
             f"{len(missing) or 'no'} combinations of this link keep the given value.",
         ),
-        p.notes([f"To identify the rest, {need}." for need in stage.needed], p.FAIR),
+        p.notes(
+            [f"To identify the rest, {need}." for need in stage.needed], p.FAIR
+        ),
     ]
 
 
@@ -537,7 +562,9 @@ def _payload_facts(payload: Payload) -> p.Facts:
         tone = p.GOOD if 2 * std <= 3e-3 else p.FAIR
         value = f"{' ± '.join(v.value_and_std(1e3 * c, 1e3 * std))}\u00a0mm"
         label = f"Centre of mass, {axis}"
-        facts.append(p.Fact(label, value, "in the frame of its joint", tone, 1e3 * c))
+        facts.append(
+            p.Fact(label, value, "in the frame of its joint", tone, 1e3 * c)
+        )
     return p.Facts(tuple(facts))
 
 
@@ -566,7 +593,9 @@ def _online_facts(online: Online) -> p.Facts | None:
     share = float((level[judged] >= ENOUGH).mean()) if judged.any() else None
     span = np.ptp(t) if len(t) else None
     aged = "age of the newest instant"
-    converging = "every joint's torque is known better than one row of data shows it"
+    converging = (
+        "every joint's torque is known better than one row of data shows it"
+    )
     return p.facts(
         p.Fact("Converged", state[0], converging, state[1]),
         p.fact(

@@ -28,9 +28,13 @@ def robot_section(result: Robots, series: Series) -> p.Section:
     verdict = "Nothing in its description looks wrong."
     if warnings:
         things = _count(len(warnings), "thing")
-        verdict = f"{things} in its description look{'s' * (len(warnings) == 1)} wrong."
+        verdict = (
+            f"{things} in its description look{'s' * (len(warnings) == 1)} wrong."
+        )
     elif hints:
-        verdict = f"No warning, and {_count(len(hints), 'hint')} about its description."
+        verdict = (
+            f"No warning, and {_count(len(hints), 'hint')} about its description."
+        )
     size = "" if hints else " and of the links' size"
     sound = (
         f"No warning: inertias are physical{size}, axes and "
@@ -70,7 +74,9 @@ def _count(n: int, what: str) -> str:
 
 def _facts(result: Robots, warnings: int, hints: int) -> p.Facts | None:
     stated = result.stated_mass
-    mass = f"{v.quantity(result.total_mass, 'kg', 4)} with the base, as far as given"
+    mass = (
+        f"{v.quantity(result.total_mass, 'kg', 4)} with the base, as far as given"
+    )
     mass += "" if stated is None else f"; stated: {v.quantity(stated, 'kg', 4)}"
     tone = p.POOR if warnings else p.GOOD
     return p.facts(
@@ -142,7 +148,8 @@ def _range(joint: RobotJoint) -> str:
     if not _turns(joint):
         return f"{v.number(ends[0])} to {v.quantity(ends[1], 'm')}"
     low, high = (
-        f"{math.degrees(end):.1f}".removesuffix(".0").replace("-", "−") for end in ends
+        f"{math.degrees(end):.1f}".removesuffix(".0").replace("-", "−")
+        for end in ends
     )
     return f"{low}° to {high}°"
 

@@ -164,9 +164,7 @@ def usual_sentence(
     """Statement of a diagnosis on an effect at joints, its own first."""
     label = effect.label
     if len(joints) > 1:
-        return (
-            f"{label[0].upper()}{label[1:]} of {len(joints)} joints is missing or wrong"
-        )
+        return f"{label[0].upper()}{label[1:]} of {len(joints)} joints is missing or wrong"
     several = len(sizes) > 1
     words = (f"{s.name} " * several + str(s) for s in sizes)
     size = ", ".join(words).replace("_", " ")
@@ -302,7 +300,9 @@ class Effect(ABC):
 
     def shape_unit(self, robot: Robot, shape: Shape) -> str:
         """Unit of a shape, that of the joint it belongs to."""
-        return _unit(shape.unit, not robot.revolute[robot.joint_index(self.joints[0])])
+        return _unit(
+            shape.unit, not robot.revolute[robot.joint_index(self.joints[0])]
+        )
 
     @abstractmethod
     def columns(self, robot: Robot, motion: Motion) -> Array:
@@ -502,7 +502,9 @@ def proposals(
     return proposed + [pair for pair in again.items() if pair[0] not in known]
 
 
-def _places(kind: type[Effect], joints: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
+def _places(
+    kind: type[Effect], joints: tuple[str, ...]
+) -> Iterable[tuple[str, ...]]:
     """Sets of joints at which to look for a kind of effect."""
     if kind.search.places is not None:
         return kind.search.places(joints)
@@ -523,7 +525,9 @@ def merged(effects: Iterable[Effect]) -> list[Effect]:
             kinds.setdefault(kind, []).extend(effect.joints)
         else:
             others.append(effect)
-    together = [replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()]
+    together = [
+        replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()
+    ]
     return [*together, *others]
 
 

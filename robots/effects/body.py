@@ -33,7 +33,10 @@ _BODY = tuple(zip(STANDARD, UNITS, strict=True))
 
 
 def _distance(
-    effect: KinematicError, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+    effect: KinematicError,
+    robot: Robot,
+    joints: Sequence[str],
+    sizes: Sequence[Size],
 ) -> str:
     distance = f"{1e3 * sizes[0].value:.0f} ± {1e3 * sizes[0].std:.2g} mm"
     return f"The axis of {joints[0]} seems {distance} off where the model has it"
@@ -95,7 +98,10 @@ def _is_gravity(
 
 
 def _true_gravity(
-    effect: GravityDirection, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+    effect: GravityDirection,
+    robot: Robot,
+    joints: Sequence[str],
+    sizes: Sequence[Size],
 ) -> str:
     gravity = ", ".join(f"{x:.2f}" for x in robot.gravity + effect.coefficients)
     spread = ", ".join(f"{size.std:.2g}" for size in sizes)
@@ -210,13 +216,18 @@ class InertialParameters(AddedInertia):
 
 
 def _masses(
-    effect: GivenInertias, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
+    effect: GivenInertias,
+    robot: Robot,
+    joints: Sequence[str],
+    sizes: Sequence[Size],
 ) -> str:
     nominal = robot.phi[::10][effect.rows(robot)]
     change = effect.coefficients[::10]
     masses = ", ".join(
         f"{link} {mass:.3g} → {mass + added:.3g} kg"
-        for link, mass, added in zip(effect.owners(robot), nominal, change, strict=True)
+        for link, mass, added in zip(
+            effect.owners(robot), nominal, change, strict=True
+        )
     )
     return f"The given inertias are off at several links, so they were re-identified ({masses})"
 

@@ -60,7 +60,10 @@ class TorqueOffset(JointEffect):
             ),
             ("repeat the motion without the load: an offset stays", "payload"),
             (by.STATIC, "spring torque_ripple"),
-            (f"{by.TURNED}: an offset stays, tilt turns along", "gravity_direction"),
+            (
+                f"{by.TURNED}: an offset stays, tilt turns along",
+                "gravity_direction",
+            ),
             (f"{by.ZERO}; {by.UNPOWERED}", "encoder_offset"),
         ),
     )
@@ -175,7 +178,9 @@ def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
     determinant = power**2 - np.abs(square) ** 2
     least = 4 * DEPENDENT * n**2
     fall = 2 * (power * np.abs(own) ** 2 - (square.conj() * own**2).real)
-    gains = np.where(determinant > least, fall / np.maximum(determinant, least), 0.0)
+    gains = np.where(
+        determinant > least, fall / np.maximum(determinant, least), 0.0
+    )
     return np.asarray(gains, float)
 
 
@@ -204,12 +209,16 @@ def _finer_orders(
     """Orders at thirds of the way to the next ones that would be looked at, and at ninths."""
     finer: list[Effect] = []
     for step in (_step(facts), _step(facts) / 3):
-        ends = [replace(ripple, order=ripple.order + sign * step) for sign in (-1, 1)]
+        ends = [
+            replace(ripple, order=ripple.order + sign * step) for sign in (-1, 1)
+        ]
         finer += between(ripple, ends, facts)
     return finer
 
 
-def _within_a_period(ripple: TorqueRipple, label: str, q: Array) -> tuple[str, Array]:
+def _within_a_period(
+    ripple: TorqueRipple, label: str, q: Array
+) -> tuple[str, Array]:
     period = 2 * np.pi / ripple.order
     return "joint position within one period of the ripple [rad]", np.mod(q, period)
 
@@ -286,7 +295,8 @@ class Spring(JointEffect):
     @property
     def own_terms(self) -> tuple[Parameter, ...]:
         lever = tuple(
-            Parameter(f"spring_{s}", "N·m", vector="amplitude") for s in ("cos", "sin")
+            Parameter(f"spring_{s}", "N·m", vector="amplitude")
+            for s in ("cos", "sin")
         )
         return lever if self.lever else self.terms
 
@@ -316,7 +326,10 @@ class JointElasticity(_Lag):
     terms = (Parameter("compliance", "rad/(N·m)", 0.0),)
     words = Words(
         separated_by=(
-            (f"{by.LOCKED}: play yields at once, a spring in proportion", "backlash"),
+            (
+                f"{by.LOCKED}: play yields at once, a spring in proportion",
+                "backlash",
+            ),
             (by.UNLOADED, "payload"),
         )
     )
@@ -357,7 +370,9 @@ class Backlash(_Lag):
         _, _, by_ddq = torque_derivatives(robot, motion)
         inertia = np.diagonal(by_ddq, axis1=1, axis2=2)
         if inertia[:, j].min() <= MASSLESS * inertia.max():
-            return np.zeros((*motion.q.shape, 1))  # such a link is never left behind
+            return np.zeros(
+                (*motion.q.shape, 1)
+            )  # such a link is never left behind
         acceleration = rigid_torque(robot, motion)[:, j] / inertia[:, j]
         lag = play(motion.t, acceleration, self.trial)
         return torque_along(robot, motion, j, -(lag / self.trial))[:, :, None]

@@ -24,24 +24,18 @@ HOLD_OTHER = (
     "move one of the two joints while the other is held, then the other way round"
 )
 UNLOADED = "repeat the motion with and without the load and subtract"
-KINEMATICS = "measure poses of the tip (kinematic calibration) before fitting torque"
-LEVEL = "put a spirit level on the base"
-ZERO = (
-    "move the joint to its mechanical zero mark and compare with the encoder's reading"
+KINEMATICS = (
+    "measure poses of the tip (kinematic calibration) before fitting torque"
 )
+LEVEL = "put a spirit level on the base"
+ZERO = "move the joint to its mechanical zero mark and compare with the encoder's reading"
 STATIC = "hold the joint at several angles, each approached from both sides"
 SECOND = "repeat the motion at another frequency"
-ORDERS = (
-    "turn the joint slowly at two constant speeds and at two loads and track the orders"
-)
+ORDERS = "turn the joint slowly at two constant speeds and at two loads and track the orders"
 CLOCK = "record a sharp torque step with one clock for torque and encoder"
 LEVER = "hang a known mass at a known lever on the joint"
-SAME = (
-    "hold one of the joints in question and move the others, then the other way round"
-)
-GENERAL = (
-    "repeat with a motion that moves this joint faster, slower and in other postures"
-)
+SAME = "hold one of the joints in question and move the others, then the other way round"
+GENERAL = "repeat with a motion that moves this joint faster, slower and in other postures"
 BACKWARDS = "repeat the motion backwards in time: friction turns its sign"
 POSTURE = "repeat the motion in another posture"
 STRETCHED = "turn the first joint slowly with the arm stretched"

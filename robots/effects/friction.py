@@ -32,10 +32,14 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import rigid_torque
 from excitant.robots.robot import Robot
 
-STRIBECK_SPEED = 0.4  # of a joint's highest: beyond it Stribeck friction is Coulomb's
+STRIBECK_SPEED = (
+    0.4  # of a joint's highest: beyond it Stribeck friction is Coulomb's
+)
 PRESLIDING_REACH = 0.1  # of a joint's range: beyond it such friction is a spring
 LEAST_PRESLIDING = 0.25  # of dry friction: less is a blurred reversal
-REVERSAL_DISTANCES = 8.0  # break-away distances from a reversal that show hysteresis
+REVERSAL_DISTANCES = (
+    8.0  # break-away distances from a reversal that show hysteresis
+)
 
 
 class _Friction:
@@ -166,7 +170,9 @@ class StribeckFriction(_Friction, JointEffect):
             Shape(
                 "velocity",
                 "rad/s",
-                grid=lambda facts: facts.speed * np.geomspace(0.01, STRIBECK_SPEED, 8),
+                grid=lambda facts: (
+                    facts.speed * np.geomspace(0.01, STRIBECK_SPEED, 8)
+                ),
                 most=lambda facts: STRIBECK_SPEED * facts.speed,
             ),
         )
@@ -196,7 +202,9 @@ class NonlinearViscousFriction(_Friction, JointEffect):
     terms = (Parameter("Fn", "N·m·(s/rad)^a"),)
     search = Search(
         shapes=(
-            Shape("exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)),
+            Shape(
+                "exponent", "1", grid=lambda facts: (0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
+            ),
         ),
         contains=("viscous_friction",),  # exponent one
     )
@@ -229,7 +237,9 @@ class LoadDependentFriction(_Friction, JointwiseEffect):
     )
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
-        return (np.abs(rigid_torque(robot, motion)[:, j]) * np.sign(motion.dq[:, j]),)
+        return (
+            np.abs(rigid_torque(robot, motion)[:, j]) * np.sign(motion.dq[:, j]),
+        )
 
 
 def _is_dry(
@@ -325,11 +335,15 @@ def bristles(q: Array, distance: float) -> Array:
     signs = np.append(0.0, np.sign(steps[first]))
     starts = np.append(0.0, way[first])
     kept = np.exp(-np.diff(starts)).tolist()
-    states = [0.0]  # at the start of each run, the first of which is before any motion
+    states = [
+        0.0
+    ]  # at the start of each run, the first of which is before any motion
     for sign, keeps in zip(signs[:-1].tolist(), kept, strict=True):
         states.append(sign + (states[-1] - sign) * keeps)
     run = np.append(0, np.searchsorted(first, np.arange(len(steps)), "right"))
-    z = signs[run] + (np.array(states)[run] - signs[run]) * np.exp(starts[run] - way)
+    z = signs[run] + (np.array(states)[run] - signs[run]) * np.exp(
+        starts[run] - way
+    )
     return np.asarray(z, float)
 
 

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 REST_SPEED = 1e-3  # rad/s or m/s: slower joints rest
-BOUND_STDS = 2.0  # standard deviations by which a value may violate a physical bound
+BOUND_STDS = (
+    2.0  # standard deviations by which a value may violate a physical bound
+)
 REVERSAL_STDS = 4.0  # standard deviations of position noise that hide a reversal
 TRIAL_RATIOS = (0.3, 2.5)  # of a trial value, for which its columns hold
 MOST_OF_TYPICAL = 2.0  # largest coefficient relative to its typical size
@@ -204,7 +206,9 @@ class Search:
     @property
     def tuned(self) -> Shape | None:
         """The shape that a fit may refine, if any."""
-        tunable = (shape for shape in self.shapes if shape.positive and not shape.trial)
+        tunable = (
+            shape for shape in self.shapes if shape.positive and not shape.trial
+        )
         return next(tunable, None)
 
 

@@ -52,7 +52,9 @@ class Controller:
     position: Array  # desired q_d, shape (n, nv)
     velocity: Array  # desired q̇_d, shape (n, nv)
     feedforward: Array  # τ_ff of the model for the desired motion, shape (n, nv)
-    gain: Array  # B, the mass matrix with a floor on its diagonal, shape (n, nv, nv)
+    gain: (
+        Array  # B, the mass matrix with a floor on its diagonal, shape (n, nv, nv)
+    )
     limit: Array  # largest torque of each motor, shape (nv,)
 
     def __call__(self, k: int, q: Array, dq: Array) -> Array:
@@ -113,7 +115,8 @@ def tracking_controller(
     at 0.01 rad. The controller will be asked at instants t, shape (n,) [s].
     """
     q, dq, ddq = (
-        np.ascontiguousarray(trajectory(t, order), dtype=float) for order in range(3)
+        np.ascontiguousarray(trajectory(t, order), dtype=float)
+        for order in range(3)
     )
     model = believed.model
     limit = robot.limits.torque
@@ -198,7 +201,8 @@ def simulate(
             progress((first + count) / steps)
     samples.append(arm.seen(state, control, 2 * count))
     channels = (
-        np.array(values).reshape(-1, robot.nv) for values in zip(*samples, strict=True)
+        np.array(values).reshape(-1, robot.nv)
+        for values in zip(*samples, strict=True)
     )
     return Run(np.arange(len(samples)) / rate_hz * every / substeps, *channels)
 
@@ -249,7 +253,9 @@ class Arm:
         )
         self.constant = self.rotors + h / 2 * self.drag
         self.constant[self.motor, self.motor] += h / 2 * truth.drives.viscous
-        self.shaft_friction = h * np.array([shaft.coulomb for shaft in truth.shafts])
+        self.shaft_friction = h * np.array(
+            [shaft.coulomb for shaft in truth.shafts]
+        )
         self.bristles = [0.0] * len(truth.presliding)
 
     def inertia(self, x: Array) -> Array:
@@ -282,7 +288,13 @@ class Arm:
         return q, dq, control(k, q, dq), state[0][: self.n]
 
     def step(
-        self, x: Array, v: Array, a: Array, control: Controller, k: int, t: float = 0.0
+        self,
+        x: Array,
+        v: Array,
+        a: Array,
+        control: Controller,
+        k: int,
+        t: float = 0.0,
     ) -> tuple[Array, Array, Array]:
         """Position, velocity and mean acceleration one step later."""
         h = self.h

@@ -124,7 +124,9 @@ class Gear:
     stiffness: float  # [N·m/rad]
     damping: float  # [N·m·s/rad]
     gap: float  # play between the flanks, from one contact to the other [rad]
-    inertia: float  # what the motor has beside the rotor inertia of its drive [kg·m²]
+    inertia: (
+        float  # what the motor has beside the rotor inertia of its drive [kg·m²]
+    )
 
     def torque(self, deflection: float, rate: float) -> tuple[float, float, float]:
         """Torque on the link, and its derivatives by motor minus link angle and its rate."""
@@ -136,7 +138,9 @@ class Gear:
 
     def deflection(self, torque: float) -> float:
         """Deflection at rest under a torque on the link [rad]."""
-        return torque / self.stiffness + (self.gap / 2) * ((torque > 0) - (torque < 0))
+        return torque / self.stiffness + (self.gap / 2) * (
+            (torque > 0) - (torque < 0)
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,7 +62,11 @@ class HiddenEffect:
     def entry(self) -> dict[str, Any]:
         """Entry of result.json."""
         parameters = dict(self.parameters)
-        return {"effect": self.effect, "joint": self.joint, "parameters": parameters}
+        return {
+            "effect": self.effect,
+            "joint": self.joint,
+            "parameters": parameters,
+        }
 
 
 def parameters_of(kind: str) -> dict[str, float | None]:
@@ -124,7 +128,11 @@ NUMBERS: dict[str, dict[str, tuple[str, str, Callable[[Array, float], Array]]]] 
     "coulomb_friction": {"Fc": ("drives", "coulomb", np.add)},
     "stribeck_friction": {
         "Fs": ("drives", "stribeck", np.add),
-        "velocity": ("drives", "stribeck_velocity", lambda old, value: 0 * old + value),
+        "velocity": (
+            "drives",
+            "stribeck_velocity",
+            lambda old, value: 0 * old + value,
+        ),
     },
     "rotor_inertia": {"Ia": ("drives", "rotor", np.add)},
     "torque_offset": {"offset": ("drives", "offset", np.add)},
@@ -172,7 +180,9 @@ def _asymmetric(
 
 def _power_law(joint: int, *, Fn: float, exponent: float) -> DryFriction:
     """F_n |q̇|^a: drag of grease."""
-    return DryFriction(joint, lambda speed, t, load: float(Fn * abs(speed) ** exponent))
+    return DryFriction(
+        joint, lambda speed, t, load: float(Fn * abs(speed) ** exponent)
+    )
 
 
 def _load_dependent(joint: int, *, Fl: float) -> DryFriction:
@@ -278,7 +288,9 @@ def _shaft(
     Fc: float = 0.0,
     ratio: float = 1.0,
 ) -> Truth:
-    return _with(truth, "shafts", CoupledShaft((joints[0], joints[1]), ratio, Fv, Fc))
+    return _with(
+        truth, "shafts", CoupledShaft((joints[0], joints[1]), ratio, Fv, Fc)
+    )
 
 
 def _coupled_rotors(truth: Truth, joints: list[int], *, Ic: float) -> Truth:

@@ -97,7 +97,9 @@ def as_recordings(recordings: Recordings, robot: Robot) -> list[Recording]:
             nouns.append(next(logs))
         else:
             label = f"table {k}"
-            nouns.append(recording_from_table(source, robot, file=label, name=label))
+            nouns.append(
+                recording_from_table(source, robot, file=label, name=label)
+            )
     return identify.recordings_of(nouns, robot)
 
 
@@ -116,7 +118,9 @@ def as_effects(effects: EffectsLike, robot: Robot) -> list[Effect] | None:
     """Effects as they are, and those of names, of all joints; None as it is."""
     if effects is None:
         return None
-    kinds = {name: kind for name, kind in EFFECTS.items() if kind.acts_on is Acts.EACH}
+    kinds = {
+        name: kind for name, kind in EFFECTS.items() if kind.acts_on is Acts.EACH
+    }
     names = [effect for effect in effects if isinstance(effect, str)]
     UnknownName.refuse("effect", names, kinds)
     return [
@@ -141,7 +145,9 @@ def within(robot: RobotLike, surroundings: Surroundings) -> Robot:
     return arm.with_limits(replace(arm.limits, mass_uncertainty=uncertainty / 100))
 
 
-def obstacles_around(robot: Robot, surroundings: Surroundings) -> tuple[Obstacle, ...]:
+def obstacles_around(
+    robot: Robot, surroundings: Surroundings
+) -> tuple[Obstacle, ...]:
     """Obstacles and the floor, if it is known."""
     if surroundings.no_floor and surroundings.floor is not None:
         raise BadInput("--floor and --no-floor exclude each other; leave one out")
@@ -328,7 +334,9 @@ def show(
     arm = within(robot, surroundings)
     motion, path = as_path(trajectory, arm)
     around = scene_around(arm, surroundings)
-    return design.TrajectoryCheck(arm, motion, path, around, clearance_of(surroundings))
+    return design.TrajectoryCheck(
+        arm, motion, path, around, clearance_of(surroundings)
+    )
 
 
 class Simulation(NamedTuple):
@@ -418,7 +426,9 @@ def identify_robot(
         cutoff_hz=cutoff,
         estimator=estimator,
         knowledge=knowledge,
-        harmonics_hz=None if trajectory is None else highest_harmonic(trajectory, arm),
+        harmonics_hz=None
+        if trajectory is None
+        else highest_harmonic(trajectory, arm),
         length_std=length_std,
     )
 
@@ -634,7 +644,9 @@ def go(
     logs = as_recordings(recordings, arm)
     checked = identify.check_recordings(arm, logs, repaired=repair)
     holdout = as_recordings(validate, arm)
-    return examined(arm, checked, validate=holdout, cutoff=cutoff, progress=progress)
+    return examined(
+        arm, checked, validate=holdout, cutoff=cutoff, progress=progress
+    )
 
 
 def examined(

@@ -51,7 +51,9 @@ class _Grouped(DefaultFormatter):
             rare = [entry for entry in panel.entries if entry not in daily]
             titled = (("Options", daily), ("Rare options", rare))
             parts = [
-                panel.copy(title=title, entries=some) for title, some in titled if some
+                panel.copy(title=title, entries=some)
+                for title, some in titled
+                if some
             ]
         for part in parts:
             super().__call__(console, options, part)
@@ -89,7 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warnings.filterwarnings("ignore", ".* tasks which .* cancelled")
     try:
         rest = [word for word in words if word != "--debug"]
-        command, bound, _ = app.parse_args(rest, print_error=False, exit_on_error=False)
+        command, bound, _ = app.parse_args(
+            rest, print_error=False, exit_on_error=False
+        )
     except CycloptsError as error:
         verb = next((f" {word}" for word in words[:1] if word in app), "")
         print(
@@ -119,7 +123,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def demo(
-    *, seed: Seed = 0, robot: RobotName = "ur10", part: Part = Part(), run: Run = Run()
+    *,
+    seed: Seed = 0,
+    robot: RobotName = "ur10",
+    part: Part = Part(),
+    run: Run = Run(),
 ) -> None:
     """The main job on a virtual arm that hides an effect.
 
@@ -243,7 +251,11 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
         "go ur10 run1.csv --validate run2.csv --repair",
     ),
     demo: ("demo --seed 3 -o runs/demo", "demo --robot panda"),
-    robots: ("robots", "robots panda", "robots my_arm.urdf --mass 18.4 -o runs/my_arm"),
+    robots: (
+        "robots",
+        "robots panda",
+        "robots my_arm.urdf --mass 18.4 -o runs/my_arm",
+    ),
     motions.design: (
         "design ur10 --duration 10 --harmonics 5 --time-limit 30",
         "design my_arm.urdf --limits limits.yaml --criterion a -o runs/motion",

@@ -58,7 +58,11 @@ def run_demo(
     )  # fmt: skip
     advance(0.95, "writing the report")
     [hidden] = arm.hidden
-    result = examined.result() | {"verb": "demo", "seed": seed, "truth": hidden.entry()}
+    result = examined.result() | {
+        "verb": "demo",
+        "seed": seed,
+        "truth": hidden.entry(),
+    }
     result["design"] = found.result()
     truth = truth_of(hidden, result["diagnose"]["findings"])
     result["verdict"] |= {"truth": truth, "correct": truth == "named"}
@@ -84,7 +88,9 @@ def truth_of(hidden: HiddenEffect, findings: Sequence[Mapping[str, Any]]) -> str
         )
 
     entries = [
-        part for finding in findings for part in (finding, *finding.get("parts", ()))
+        part
+        for finding in findings
+        for part in (finding, *finding.get("parts", ()))
     ]
     if any(is_it(entry) and entry["verdict"] == "named" for entry in entries):
         return "named"

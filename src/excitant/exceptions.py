@@ -32,7 +32,9 @@ class UnknownName(ExcitantError):
         self.name, self.known = name, tuple(known)
         near = difflib.get_close_matches(name.lower(), self.known, n=1, cutoff=0.4)
         hint = (
-            f"did you mean '{near[0]}'?" if near else f"known: {', '.join(self.known)}"
+            f"did you mean '{near[0]}'?"
+            if near
+            else f"known: {', '.join(self.known)}"
         )
         super().__init__(f"unknown {kind} '{name}': {hint}")
 
@@ -71,7 +73,9 @@ class BadRecording(ExcitantError):
         self.column = column
         where = [f"column '{column}'"] if column is not None else []
         where += [f"row {row}"] if row is not None else []
-        super().__init__(f"recording {file}{''.join(', ' + w for w in where)}: {why}")
+        super().__init__(
+            f"recording {file}{''.join(', ' + w for w in where)}: {why}"
+        )
 
 
 class FaultWarning(UserWarning):

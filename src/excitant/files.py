@@ -137,7 +137,9 @@ def _put_aside(target: Path) -> Iterator[Path]:
     Ctrl-C and SIGTERM wait until then.
     """
     missing = [folder for folder in target.parents if not exists(folder)]
-    prefix = f".excitant-{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
+    prefix = (
+        f".excitant-{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
+    )
     with deferred(f"{target} was written"):
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -160,10 +162,14 @@ def _put_aside(target: Path) -> Iterator[Path]:
             why = error.strerror or str(error)
             full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
             what = (
-                error.filename if full and prefix not in str(error.filename) else None
+                error.filename
+                if full and prefix not in str(error.filename)
+                else None
             )
             advice = (
-                "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+                "free some space"
+                if error.errno in (errno.ENOSPC, errno.EDQUOT)
+                else ""
             )
             advice = f"{advice} or choose another folder".removeprefix(" or ")
             raise BadInput(
@@ -189,7 +195,9 @@ def _write(path: Path, content: str | bytes, said: Path) -> None:
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        raise OSError(error.errno, error.strerror or str(error), str(said)) from None
+        raise OSError(
+            error.errno, error.strerror or str(error), str(said)
+        ) from None
 
 
 def _link(source: str, target: str) -> str:

@@ -51,7 +51,10 @@ class _DataSet(NamedTuple):
 
 
 def fleet(
-    *folders: str, jobs: int | None = None, cluster: str | None = None, run: Run = Run()
+    *folders: str,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    run: Run = Run(),
 ) -> int:
     """Many arms at many dates: each identified and diagnosed, which differ, what changes.
 
@@ -123,7 +126,9 @@ def _data_sets(folders: Sequence[str | Path], root: Path) -> dict[str, str]:
             if name in sets:
                 name = f"{top}/{name}"
             if name in sets:
-                raise BadInput(f"{path}: another data set is called {name}; rename one")
+                raise BadInput(
+                    f"{path}: another data set is called {name}; rename one"
+                )
             sets[name] = str(path.resolve())  # workers may be in another folder
     if not sets:
         raise BadInput("no folder given; name folders of data sets")
@@ -158,9 +163,13 @@ def _examine_all(
     try:
         for apart, alone in ((False, False), (True, False), (True, True)):
             for batch in [[data_set] for data_set in sets] if alone else [sets]:
-                tasks = [tuple(data_set) for data_set in batch if data_set.name in left]
+                tasks = [
+                    tuple(data_set) for data_set in batch if data_set.name in left
+                ]
                 try:
-                    for name in unordered(_examine, tasks, jobs, client, apart=apart):
+                    for name in unordered(
+                        _examine, tasks, jobs, client, apart=apart
+                    ):
                         left.remove(name)
                         advance(1 - len(left) / len(sets), name)
                 except WorkerDied:
@@ -238,7 +247,9 @@ def _examined(data_set: _DataSet) -> Examined:
             return examined
         model: Any
         diagnosis: Any
-        model, diagnosis = (ex.reports.load_run(Path(out) / verb)[0] for verb in _VERBS)
+        model, diagnosis = (
+            ex.reports.load_run(Path(out) / verb)[0] for verb in _VERBS
+        )
     except ExcitantError as error:
         return replace(examined, failed=examined.failed or str(error))
     examined = replace(examined, kind=model.robot)
@@ -255,7 +266,9 @@ def _values(model: Identify) -> dict[str, Value]:
     for row in model.base_parameters:
         if row.value is None or row.std is None:
             continue
-        name = sys.intern(row.expression)  # held once, however many data sets have it
+        name = sys.intern(
+            row.expression
+        )  # held once, however many data sets have it
         unit = sys.intern(units.get(_leading(name), ""))
         values[name] = ex.analysis.Value(row.value, row.std, unit)
     return values

@@ -120,7 +120,9 @@ def design(
         )
     result = designed.result() | {"repeat": play.repeat}
     if bound and not designed.interrupted:
-        result["condition_number"]["lower_bound"], note = _bound(designed, search.seed)
+        result["condition_number"]["lower_bound"], note = _bound(
+            designed, search.seed
+        )
         result["notes"].append(note)
     played = ex.design.play(
         designed, clearance=ex.api.clearance_of(surroundings), **vars(play)
@@ -141,16 +143,18 @@ def _teller(advance: Advance, time_limit: float | None) -> Any:
     def tell(done: int, total: int | None, condition: float, ratio: float) -> None:
         spent = time.monotonic() - began
         share = done / total if total else min(spent / (time_limit or spent), 1.0)
-        words = (
-            f"{done} starts, best κ {condition:.4g}, worst limit {100 * ratio:.1f} %"
-        )
+        words = f"{done} starts, best κ {condition:.4g}, worst limit {100 * ratio:.1f} %"
         advance(share, words)
 
     return tell
 
 
 def _design_link_by_link(
-    robot: ex.Robot, search: Search, surroundings: Surroundings, play: Play, run: Run
+    robot: ex.Robot,
+    search: Search,
+    surroundings: Surroundings,
+    play: Play,
+    run: Run,
 ) -> None:
     with progress_bar("design") as advance:
         links = ex.design_link_by_link(
@@ -234,7 +238,9 @@ def show(
         json: Print the result as JSON and nothing else.
     """
     arm = part.robot(robot)
-    target = Path(output or f"{Run().folder({'verb': 'show', 'robot': arm.name})}.html")
+    target = Path(
+        output or f"{Run().folder({'verb': 'show', 'robot': arm.name})}.html"
+    )
     if target.suffix != ".html":
         raise BadInput(f"{target}: name a .html file")
     checked = ex.show(arm, trajectory, surroundings=surroundings)

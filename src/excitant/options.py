@@ -39,7 +39,9 @@ def _effects(_: object) -> Iterator[str]:
 
 
 def _words(_: Any, tokens: Sequence[Token]) -> list[str]:
-    return [word for token in tokens for word in token.value.replace(",", " ").split()]
+    return [
+        word for token in tokens for word in token.value.replace(",", " ").split()
+    ]
 
 
 def _numbers(_: Any, tokens: Sequence[Token]) -> list[float]:
@@ -55,7 +57,8 @@ RobotName = Annotated[str, Parameter(completer=_arms, help=f"{_ROBOT}.")]
 RobotOrFolder = Annotated[
     str,
     Parameter(
-        completer=_arms, help=f"{_ROBOT}, a folder of a robot and recordings, or a bag."
+        completer=_arms,
+        help=f"{_ROBOT}, a folder of a robot and recordings, or a bag.",
     ),
 ]
 TrajectoryFile = Annotated[str, Parameter(help="CSV or JSON.")]
@@ -235,7 +238,12 @@ class Run:
                 told = ex.reports.brief(
                     page, terminal=bool(sys.stdout and sys.stdout.isatty())
                 )
-                print(*([one_line(first)] if first else []), told, sep="\n", end="\n\n")
+                print(
+                    *([one_line(first)] if first else []),
+                    told,
+                    sep="\n",
+                    end="\n\n",
+                )
                 print_paths(
                     [path for path in paths if shown is None or path.name in shown]
                 )

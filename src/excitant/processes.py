@@ -95,7 +95,10 @@ def unordered(
                 results = parallel(joblib.delayed(perform)(*task) for task in tasks)
             yield from results
     except Exception as error:
-        if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
+        if (
+            isinstance(error, BrokenExecutor)
+            or type(error).__name__ == "KilledWorker"
+        ):
             raise WorkerDied() from None
         raise
 
@@ -118,7 +121,9 @@ def owned(function: Callable[P, T]) -> Callable[P, T]:
     return partial(_run, os.getpid(), function)
 
 
-def _run(owner: int, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+def _run(
+    owner: int, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs
+) -> T:
     if os.getpid() != owner:
         _end_with(owner)
     return function(*args, **kwargs)

@@ -32,13 +32,18 @@ def progress_bar(label: str) -> Iterator[Advance]:
 
     def update(fraction: float, words: str) -> None:
         check()
-        bar.update(task, total=1.0, completed=fraction, words=escape(printable(words)))
+        bar.update(
+            task, total=1.0, completed=fraction, words=escape(printable(words))
+        )
 
     columns = (
         *("{task.description}", show.BarColumn(), show.TimeElapsedColumn()),
         *("left", show.TimeRemainingColumn(), "{task.fields[words]}"),
     )
-    options: Any = {"console": Console(stderr=True), "speed_estimate_period": _LONGEST}
+    options: Any = {
+        "console": Console(stderr=True),
+        "speed_estimate_period": _LONGEST,
+    }
     with show.Progress(*columns, transient=True, **options) as bar:
         task = bar.add_task(label, total=None, words="")
         yield update

@@ -58,7 +58,10 @@ class Load:
     "Its centre of mass in the frame of the last joint [m], X,Y,Z."
 
     def drive(
-        self, dataset: Dataset, recordings: Sequence[Recording], options: dict[str, Any]
+        self,
+        dataset: Dataset,
+        recordings: Sequence[Recording],
+        options: dict[str, Any],
     ) -> DriveGains | None:
         """Drive gains from recordings with a known payload; None where none is given."""
         if not self.payload_recording or self.payload_mass is None:
@@ -168,7 +171,9 @@ class Fit:
         for name in ("estimator", "knowledge", "trajectory", "length_std"):
             why = "is for all rows at once; leave the other way out"
             option = name.replace("_", "-")
-            refused.append((getattr(self, name) and self.by_parts, f"--{option} {why}"))
+            refused.append(
+                (getattr(self, name) and self.by_parts, f"--{option} {why}")
+            )
         for wrong, why in refused:
             if wrong:
                 raise BadInput(why)
@@ -179,7 +184,10 @@ class Fit:
         )
 
     def identified(
-        self, robot: ex.Robot, recordings: Sequence[Recording], options: dict[str, Any]
+        self,
+        robot: ex.Robot,
+        recordings: Sequence[Recording],
+        options: dict[str, Any],
     ) -> Any:
         """The estimate, on-line or link by link where that is asked for."""
         with progress_bar("identify") as advance:
@@ -262,7 +270,9 @@ def go(
         examined.result() | {"import": read.entries["import"]},
         examined.series(),
         examined.files,
-        first="" if use else f"use no model of these recordings: {examined.refusal}",
+        first=""
+        if use
+        else f"use no model of these recordings: {examined.refusal}",
         shown=(*examined.recommended, "report.html"),
     )
     return 0 if use else 1
@@ -366,7 +376,9 @@ def analyze(
             (distal) as in Khosla (1987).
     """
     if trajectory and recording:
-        raise BadInput("--trajectory and --recording exclude each other; leave one out")
+        raise BadInput(
+            "--trajectory and --recording exclude each other; leave one out"
+        )
     estimate = None
     notes = list[str]()
     entries = dict[str, Any]()
@@ -441,7 +453,9 @@ def diagnose(
                 "that those found depend on the machine"
             )
     entries["faults"] = ex.analysis.with_repairs(diagnosis, entries["faults"])
-    model = ex.analysis.extended_publication(diagnosis, entries["faults"], force=force)
+    model = ex.analysis.extended_publication(
+        diagnosis, entries["faults"], force=force
+    )
     files: dict[str, str | bytes] = dict(model.files)
     result = diagnosis.result(plan) | entries
     folder = run.folder(result)
@@ -450,5 +464,7 @@ def diagnose(
     model.note_in(result)
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = ex.design.trajectory_csv(motion)
-        files[f"separate-{k}.json"] = ex.design.trajectory_json(motion, dataset.robot)
+        files[f"separate-{k}.json"] = ex.design.trajectory_json(
+            motion, dataset.robot
+        )
     run.finish(result, diagnosis.series(), files, folder, first=model.note)

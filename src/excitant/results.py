@@ -914,7 +914,9 @@ class Mujoco(Record):
     "Remarks."
 
 
-class Identify(Record, tag_field="verb", tag="identify", rename={"imported": "import"}):
+class Identify(
+    Record, tag_field="verb", tag="identify", rename={"imported": "import"}
+):
     """``excitant identify``: a physically consistent model from recordings."""
 
     robot: str
@@ -1114,7 +1116,9 @@ class Structure(Record):
     "Right singular vectors by their largest members."
 
 
-class Analyze(Record, tag_field="verb", tag="analyze", rename={"imported": "import"}):
+class Analyze(
+    Record, tag_field="verb", tag="analyze", rename={"imported": "import"}
+):
     """``excitant analyze``: identifiability of every parameter."""
 
     robot: str
@@ -1407,7 +1411,9 @@ class Extended(Simulation):
     "Its files."
 
 
-class Diagnose(Record, tag_field="verb", tag="diagnose", rename={"imported": "import"}):
+class Diagnose(
+    Record, tag_field="verb", tag="diagnose", rename={"imported": "import"}
+):
     """``excitant diagnose``: what the nominal model gets wrong, by cause."""
 
     robot: str
