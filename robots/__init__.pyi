@@ -1,4 +1,3 @@
-from . import effects
 from .base_parameters import BaseParameters, base_parameters
 from .chains import RobotSpec
 from .check import ModelCheck
@@ -30,7 +29,6 @@ __all__ = [
     "builtin_robots",
     "catalogue",
     "catalogue_rows",
-    "effects",
     "load_limits",
     "load_robot",
     "regressor",

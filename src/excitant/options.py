@@ -35,7 +35,9 @@ def _arms(_: object) -> Iterator[str]:
 
 
 def _effects(_: object) -> Iterator[str]:
-    yield from ("auto", *ex.robots.effects.EFFECTS)
+    from excitant.robots.effects import EFFECTS
+
+    yield from ("auto", *EFFECTS)
 
 
 def _words(_: Any, tokens: Sequence[Token]) -> list[str]:
