@@ -307,14 +307,13 @@ def read_checked(
 
 def _samples(path: Path) -> int:
     """Number of samples of a Parquet file, about that of a text file, else 0; 0 if unreadable."""
-    import pyarrow as pa
     import pyarrow.parquet
 
     suffix = suffix_of(path)
     try:
         size = size_of(path)
         if suffix in (".parquet", ".pq"):
-            with pa.parquet.ParquetFile(path) as file:
+            with pyarrow.parquet.ParquetFile(path) as file:
                 return int(file.metadata.num_rows)
         if suffix in TEXTS:
             with path.open("rb") as file:
@@ -324,7 +323,7 @@ def _samples(path: Path) -> int:
                 zlib.decompressobj(wbits=31).decompress(start) if packed else start
             )
             return int(size * text.count(b"\n") / max(len(start), 1))
-    except (OSError, pa.ArrowException, zlib.error):
+    except (OSError, pyarrow.ArrowException, zlib.error):
         pass  # said where it is read
     return 0
 

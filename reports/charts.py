@@ -5,15 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 from base64 import b64encode
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from excitant.reports.figure import Axes, Axis, Band, Figure, Line, Mark, thin
 from excitant.robots.motion import Array
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 _SAMPLES = 200_000  # of all curves of a figure; longer ones are thinned
 _SHORT = 8  # values that are written as numbers
@@ -22,8 +20,6 @@ _DIGITS = 7
 
 def packed(figure: Figure) -> Markup:
     """A figure as JSON for a script element; what many marks share is in it once."""
-    from markupsafe import Markup
-
     axes = [one for panel in figure.panels for one in panel.axes]
     curves = [
         mark for one in axes for mark in one.marks if isinstance(mark, Line | Band)

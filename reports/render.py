@@ -10,6 +10,8 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+from markupsafe import Markup, escape
+
 from excitant.names import shortened
 from excitant.reports.charts import packed
 from excitant.reports.figure import COLOURS, Figure
@@ -28,7 +30,6 @@ from excitant.reports.values import NONE
 
 if TYPE_CHECKING:
     import jinja2
-    from markupsafe import Markup
 
 _FIGURE = 14  # characters of a number in text
 _LABEL = 32
@@ -78,8 +79,6 @@ def _blocks(blocks: Sequence[Block]) -> Iterator[Block]:
 
 def _script(name: str) -> dict[str, str]:
     """A script, and the digest by which the page allows it alone."""
-    from markupsafe import Markup
-
     text = _template(name)
     if name.startswith("uplot"):
         text = f"/*\n{_template('uplot.LICENSE')}\n*/\n{text}"
@@ -110,7 +109,6 @@ def _environment() -> jinja2.Environment:
 
 def _breakable(words: str) -> Markup:
     """Words, escaped; only long ones may break, after an underscore, where lines are short."""
-    from markupsafe import Markup, escape
 
     def broken(word: re.Match[str]) -> str:
         return (

@@ -281,21 +281,24 @@ def _leading(expression: str) -> str:
 
 def _parameters(examined: Sequence[Examined]) -> bytes:
     """All base parameters of all data sets with their 95 % intervals, as a Parquet file."""
-    import pyarrow as pa
     import pyarrow.parquet
 
-    schema = pa.schema(
-        [("data_set", pa.string()), ("arm", pa.string()), ("date", pa.date32())]
-        + [(name, pa.string()) for name in ("type", "joint", "parameter")]
-        + [(name, pa.float64()) for name in ("value", "std", "low", "high")]
-        + [("unit", pa.string())]
+    schema = pyarrow.schema(
+        [
+            ("data_set", pyarrow.string()),
+            ("arm", pyarrow.string()),
+            ("date", pyarrow.date32()),
+        ]
+        + [(name, pyarrow.string()) for name in ("type", "joint", "parameter")]
+        + [(name, pyarrow.float64()) for name in ("value", "std", "low", "high")]
+        + [("unit", pyarrow.string())]
     )
     buffer = io.BytesIO()
-    with pa.parquet.ParquetWriter(buffer, schema) as writer:
+    with pyarrow.parquet.ParquetWriter(buffer, schema) as writer:
         for start in range(0, len(examined), _AT_ONCE):
             batch = examined[start : start + _AT_ONCE]
             rows = [row for data_set in batch for row in _rows(data_set)]
-            writer.write_table(pa.Table.from_pylist(rows, schema))
+            writer.write_table(pyarrow.Table.from_pylist(rows, schema))
     return buffer.getvalue()
 
 

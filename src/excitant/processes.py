@@ -10,6 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager, nullcontext
 from functools import cache, partial
 from typing import Any, ParamSpec, TypeVar
@@ -73,8 +74,6 @@ def unordered(
     Raises:
         WorkerDied: A process ended; tasks without a result may have been done or not.
     """
-    from concurrent.futures import BrokenExecutor
-
     import joblib
 
     if not tasks:
