@@ -140,9 +140,8 @@ def gather(
     ):
         if identified and not effect.search.addable:
             continue
-        if (
-            gains is not None and effect.physics.on_given_torque
-        ):  # is no other than the drive's gain
+        # is no other than the drive's gain
+        if gains is not None and effect.physics.on_given_torque:
             continue
         acting = cause_columns(effect, nominal, train)
         if not len(acting.joints):

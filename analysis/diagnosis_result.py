@@ -59,9 +59,8 @@ class Plan:
     """Experiments that decide an undecided diagnosis; general actions when empty."""
 
     experiments: Mapping[Pairing, Advice] = field(default_factory=dict)
-    motions: tuple[
-        FourierTrajectory, ...
-    ] = ()  # in the order of their files separate-1, …
+    # in the order of their files separate-1, …
+    motions: tuple[FourierTrajectory, ...] = ()
 
     def of(self, found: Effect, rival: Effect) -> Advice:
         """Experiment for a pair; the general action where no motion was looked for."""

@@ -59,9 +59,8 @@ class Pair:
 
     found: Effect  # its values relative to those of the given model
     rival: Effect  # its values are ignored
-    beside: tuple[
-        Effect, ...
-    ] = ()  # further causes, whose coefficients the data decide
+    # further causes, whose coefficients the data decide
+    beside: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +73,8 @@ class Contest:
     weight: Array  # Λ: 1 / (variance × autocorrelation time) of each joint's noise, shape (nv,)
     cutoff_hz: float = 10.0  # of the filter that torque and columns pass
     recorded: tuple[Segment, ...] = ()  # the recording, which both causes explain
-    tolerance: float = (
-        EVIDENCE.tolerance
-    )  # relative standard deviation of the given values
+    # relative standard deviation of the given values
+    tolerance: float = EVIDENCE.tolerance
 
     @cached_property
     def causes(self) -> dict[Effect, slice]:

@@ -81,9 +81,8 @@ class Evidence:
     inflation: (
         Array  # integrated autocorrelation time of the noise [rows], shape (nv,)
     )
-    gains: range = range(
-        0
-    )  # columns of the nuisance: drive gains that are not known
+    # columns of the nuisance: drive gains that are not known
+    gains: range = range(0)
     # of given bodies and effects, relative to ±10 %
     tolerance: tuple[float, float] = (1.0, 1.0)
 

@@ -260,17 +260,15 @@ class Experiment:
     known: tuple[bool, ...]  # which of them are known
     beta: Array  # values of the base parameters, shape (r,)
     prior: Prior | None  # knowledge without data; None where a link has no mass
-    std: (
-        Array | None
-    )  # standard deviation of each parameter as told, prior included, shape (p,)
+    # standard deviation of each parameter as told, prior included, shape (p,)
+    std: Array | None
     influence: PriorInfluence | None
     motion: Motion  # or the longest stretch of a recording
     q: Array  # positions at all rows, shape (n, nv) [rad or m]
     basis: str  # where the standard deviations come from, as a sentence
     notes: Sequence[str] = ()
-    told: Sequence[
-        tuple[float, str]
-    ] = ()  # factor and unit of each parameter, if not its own
+    # factor and unit of each parameter, if not its own
+    told: Sequence[tuple[float, str]] = ()
 
     @property
     def resting(self) -> tuple[int, ...]:

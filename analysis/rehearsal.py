@@ -50,12 +50,13 @@ Path = Trajectory | HermiteTrajectory
 Progress = Callable[[float, str], None]
 
 _CHANGES = ("payload", "viscous_friction", "coulomb_friction")
+# of the torque limit
 _SHARE = {
     "viscous": 0.1,
     "coulomb": 0.04,
     "rotor": 0.1,
     "offset": 0.01,
-}  # of the torque limit
+}
 _TOLERANCE = 0.05  # of masses, centres of mass and inertias
 _SLOWER = 0.8  # speed of the hold-out
 _READINGS = 6
@@ -541,9 +542,8 @@ def _drives(robot: Robot, rng: np.random.Generator) -> list[Effect]:
     known = robot.with_effects([e for e in robot.effects if e.search.standard])
     given = nominal_truth(known).drives
     strength = with_strength(robot).limits.torque
-    _, dq, ddq = (
-        2 * np.abs(x).max(axis=0) for x in typical_motion(robot)
-    )  # close to the limits
+    # close to the limits
+    _, dq, ddq = (2 * np.abs(x).max(axis=0) for x in typical_motion(robot))
     per_unit = {
         "viscous": dq,
         "rotor": ddq,

@@ -228,9 +228,8 @@ def refined(
         turns = np.zeros((3, 0))
         for effect in installation.effects:
             own = train.columns(effect)
-            if (
-                effect.family == "static"
-            ):  # of the tangents at gravity of its length
+            # of the tangents at gravity of its length
+            if effect.family == "static":
                 turns = np.linalg.svd(robot.gravity[None])[2][1:].T
                 own = own @ turns
             columns.append(own)

@@ -39,9 +39,8 @@ class Structure:
     """Structural identifiability of each parameter, under stated circumstances."""
 
     base: BaseParameters  # of links and effects
-    category: tuple[
-        str, ...
-    ]  # unique, combined or unidentifiable, of each of ``base.names``
+    # unique, combined or unidentifiable, of each of ``base.names``
+    category: tuple[str, ...]
     margin: Array  # factor on `TOLERANCE` that changes the category, at most `MARGIN`, shape (p,)
     circumstances: tuple[str, ...]  # under which it holds, as sentences
     close: tuple[str, ...]  # names of those whose margin is below `MARGIN`

@@ -141,9 +141,8 @@ class MotionInformation:
     signal: (
         Array  # largest rms torque per unit of each parameter over the noise, (p,)
     )
-    condition_number: float = (
-        np.nan
-    )  # of the unscaled columns of β; inf when some are not shown
+    # of the unscaled columns of β; inf when some are not shown
+    condition_number: float = np.nan
 
     def std(self, C: Array) -> Array:
         """Standard deviation of combinations C β, C (m, r), shape (m,); inf where unseen."""

@@ -62,9 +62,8 @@ class Move:
     inertia: (
         float  # logarithm of the factor on its mean moment about the centre of mass
     )
-    deviations: dict[
-        str, float
-    ]  # of each of the three, over the std of given values
+    # of each of the three, over the std of given values
+    deviations: dict[str, float]
 
     @property
     def most(self) -> float:
@@ -221,9 +220,8 @@ class Simulated:
     position: Array  # [rad or m]; NaN where it diverges
     velocity: Array  # [rad/s or m/s]
     diverged: str  # why the simulation was stopped; empty when it was not
-    along: tuple[
-        str, ...
-    ]  # effects of sensors or with memory, evaluated on the recorded motion
+    # effects of sensors or with memory, evaluated on the recorded motion
+    along: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,9 +48,8 @@ class Certification:
 CERTIFICATION = Certification()
 
 
-Extrema = tuple[
-    Array, Array, Array, Array
-]  # smallest values, when; largest values, when; (nv,)
+# smallest values, when; largest values, when; (nv,)
+Extrema = tuple[Array, Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,9 +57,8 @@ class Information:
         """
         Y = observation_columns(self.robot, self.effects, motion)
         if smooth and self.effects:
-            j = np.arange(
-                self.robot.nv
-            )  # Coulomb columns, one per joint, follow the viscous ones
+            # Coulomb columns, one per joint, follow the viscous ones
+            j = np.arange(self.robot.nv)
             Y[:, j, 11 * len(j) + j] = np.tanh(motion.dq / sign_width(self.robot))
         return Y[:, :, list(self.base.columns)] * self.weights[:, None]
 

@@ -176,9 +176,8 @@ def design_trajectory(
             clearance=clearance,
             **motion_options(asked),
         )
-        initial = first.random(
-            np.random.default_rng([asked.seed, 0])
-        )  # refuses what no motion keeps
+        # refuses what no motion keeps
+        initial = first.random(np.random.default_rng([asked.seed, 0]))
         if progress is not None:
             effort = replace(effort, report=_Teller(effort.starts, progress))
         problem, searches = search(
@@ -236,7 +235,6 @@ class _Teller:
             if exact < self.exact:
                 self.exact, self.condition = exact, condition_number(M)
                 self.ratio = check(problem.robot, trajectory).worst.ratio
-        self.done = max(
-            self.done, sum(state.ended for state in states)
-        )  # periods are tried anew
+        # periods are tried anew
+        self.done = max(self.done, sum(state.ended for state in states))
         self.progress(self.done, self.total, self.condition, self.ratio)

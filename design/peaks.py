@@ -30,9 +30,8 @@ _SLOW = 0.05  # of the speed scale, below which a joint almost turns
 _STILL = 1e-6  # acceleration, as a share of the largest, below which a turn stays where it is
 
 Joints = npt.NDArray[np.intp]
-Candidates = tuple[
-    Array, Joints, Array, Array
-]  # instants, joints, sides and weights, each (k,)
+# instants, joints, sides and weights, each (k,)
+Candidates = tuple[Array, Joints, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +143,8 @@ def _almost_turns(problem: DesignProblem, z: Array, dq: Array) -> Candidates:
     joint = np.append(joint, slow[1])
     t = np.append(t, problem.instants[slow[0]])
     side = -np.sign(dq[k, joint])
-    short = -side * _own(
-        problem, z, t, joint, 1
-    )  # below 0 it turns twice between two samples
+    # below 0 it turns twice between two samples
+    short = -side * _own(problem, z, t, joint, 1)
     return (
         t,
         joint,

@@ -79,9 +79,8 @@ class Playback:
         for k, use in enumerate(
             getattr(self.limits, name) for name in LIMIT_NAMES[:4]
         ):
-            for j in np.flatnonzero(
-                use.ratios >= TOUCHED
-            ):  # friction jumps where a joint turns
+            # friction jumps where a joint turns
+            for j in np.flatnonzero(use.ratios >= TOUCHED):
                 shares[np.searchsorted(motion.t, use.times[j]), k, j] = use.ratios[
                     j
                 ]

@@ -175,9 +175,8 @@ class TestFunctions:
     reverse count alike.
     """
 
-    table: npt.NDArray[
-        np.intp
-    ]  # j, kind of f, and i of each function, shape (m, 3)
+    # j, kind of f, and i of each function, shape (m, 3)
+    table: npt.NDArray[np.intp]
     scale: Array  # that divides them
 
     def rates(self, motion: Motion) -> Array:
@@ -364,9 +363,8 @@ def relaxation(
         moved = visible.observation(
             numbered(motion.q + unit, motion.dq, motion.ddq)
         )
-        if (
-            np.abs(moved - Y).max() > SAMPLING.same * np.abs(Y).max()
-        ):  # not a first joint along gravity
+        # not a first joint along gravity
+        if np.abs(moved - Y).max() > SAMPLING.same * np.abs(Y).max():
             factors += [
                 (j, kind)
                 for kind in ((_SIN, _COS) if robot.revolute[j] else (_X, _XX))

@@ -113,9 +113,8 @@ class SearchState:
     index: int  # number of the start
     z: Array  # unknowns, shape (c − 2, nv); before the first iteration those to begin from, if any
     value: float = np.inf  # criterion to be minimised, at z
-    excess: float = (
-        np.inf
-    )  # torque beyond its bound at z, as a share of it; or clearance missing
+    # torque beyond its bound at z, as a share of it; or clearance missing
+    excess: float = np.inf
     # unknowns of the lowest value within all limits, if there is one yet
     best: Array | None = None
     best_value: float = np.inf  # that value
@@ -125,9 +124,8 @@ class SearchState:
     status: str = "running"
     # start whose solution, mixed with a random one, this began from
     parent: int | None = None
-    history: tuple[
-        float, ...
-    ] = ()  # condition number at the beginning and after every iteration
+    # condition number at the beginning and after every iteration
+    history: tuple[float, ...] = ()
     merits: tuple[float, ...] = field(default=(), repr=False)  # merit likewise
 
     @property
@@ -250,9 +248,8 @@ def _iterate(problem: DesignProblem, state: SearchState) -> SearchState:
 class Effort:
     """Budget of a design: starts, processes, time."""
 
-    starts: (
-        int | None
-    )  # number of starts; None for as many as fit until the deadline
+    # number of starts; None for as many as fit until the deadline
+    starts: int | None
     jobs: int  # number of processes
     seed: int  # seed of start k is (seed, k)
     deadline: float = np.inf  # `time.time` at which to stop [s]
@@ -563,9 +560,8 @@ def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchSta
     problem: DesignProblem = _unpacked(packed)
     if not task.state.history:
         if task.state.index >= RESTARTS.fewest_starts and time.time() > deadline:
-            return replace(
-                task.state, status="time limit"
-            )  # a pose takes long in a big scene
+            # a pose takes long in a big scene
+            return replace(task.state, status="time limit")
         try:
             task = replace(task, state=_begun(problem, task.state, seed))
         except Infeasible:

@@ -195,10 +195,11 @@ def _solved(
     cost: tuple[sp.csc_matrix, Array], A: Array, right: Array, cones: list[Any]
 ) -> Array | None:
     sparse = sp.csc_matrix(A)
+    # refinement costs a fifth of the time and is rarely needed
     for refined in (
         False,
         True,
-    ):  # refinement costs a fifth of the time and is rarely needed
+    ):
         settings = clarabel.DefaultSettings()
         settings.iterative_refinement_enable = refined
         settings.verbose = False

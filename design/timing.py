@@ -24,6 +24,7 @@ HOLDING = 0.95
 
 # between checked poses: rad of a revolute joint, m of a prismatic one
 _RESOLUTION = (0.02, 0.005)
+# rad or m between control points
 _SPACINGS = (
     1.0,
     0.5,
@@ -32,7 +33,7 @@ _SPACINGS = (
     0.05,
     0.02,
     0.01,
-)  # rad or m between control points
+)
 
 
 @dataclass(frozen=True)

@@ -80,9 +80,8 @@ class DriveGains:
     scale_std: float  # relative standard deviation of their common scale
     # whether joints were compared; else each is judged by its own rows
     compared: bool = True
-    shown: tuple[
-        bool, ...
-    ] = ()  # of a known payload: whether the recordings show each gain
+    # of a known payload: whether the recordings show each gain
+    shown: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "gains", "covariance")
@@ -202,9 +201,8 @@ def _compared(
     nv = Y.shape[1]
     effects = [F[:, j] for j in range(nv)]
     alike = [_stand_in(F_j, Y[:, j] @ phi) for j, F_j in enumerate(effects)]
-    if (
-        None not in alike
-    ):  # as on a gantry without gravity, where rotors are like masses
+    # as on a gantry without gravity, where rotors are like masses
+    if None not in alike:
         pairs = zip(effects, alike, strict=True)
         effects = [np.delete(F_j, k, axis=1) for F_j, k in pairs if k is not None]
     parts = [

@@ -60,12 +60,10 @@ class WindowExcitation:
     start: float
     end: float
     levels: Array  # of each visible direction, ascending, shape (v,)
-    weak: tuple[
-        WeakDirection, ...
-    ] = ()  # those below level 1, the weakest first, at most six
-    joints: tuple[
-        str, ...
-    ] = ()  # whose motion is missing, that which would help most first
+    # those below level 1, the weakest first, at most six
+    weak: tuple[WeakDirection, ...] = ()
+    # whose motion is missing, that which would help most first
+    joints: tuple[str, ...] = ()
     # of all combinations, those better known from the window than from the prior
     shown: int = 0
     # base parameters of links and effects, whether a motion can show them

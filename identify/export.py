@@ -90,9 +90,8 @@ def model_files(
         description: _urdf(arm, yaml_name, alone=urdf),
         yaml_name: _yaml(arm, {"model": description} | beside, gains),
     }
-    if (
-        model.estimate is not None
-    ):  # the same with or without bodies folded into links
+    # the same with or without bodies folded into links
+    if model.estimate is not None:
         files[table] = model.estimate.csv()
     if "mjcf" in formats:
         files[f"{stem}.xml"] = _mjcf(arm, yaml_name, gains)
@@ -274,9 +273,8 @@ def _mjcf(arm: Robot, complete: str, gains: Array | None) -> str:
         place = arm.model.jointPlacements[j + 1]
         parent = elements[arm.model.parents[j + 1]]
         length = float(np.linalg.norm(place.translation))
-        if (
-            parent is not elements[0] and length > SHORTEST_LINE
-        ):  # a line to look at, no more
+        # a line to look at, no more
+        if parent is not elements[0] and length > SHORTEST_LINE:
             line = f"0 0 0 {_written(place.translation)}"
             _add(
                 parent,

@@ -40,9 +40,8 @@ def mujoco_torque(
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     data = mujoco.MjData(model)
     gear = model.actuator_gear[:, 0]
-    order = [
-        model.joint(joint).dofadr[0] for joint in robot.joints
-    ]  # one branch after the other
+    # one branch after the other
+    order = [model.joint(joint).dofadr[0] for joint in robot.joints]
 
     def controls(motion: Motion) -> Array:
         force = np.empty(motion.q.shape)

@@ -170,9 +170,8 @@ class OnlineEstimator:
         self._kernels = np.array(
             [self.differentiator.kernel(k) * rate_hz**k for k in range(3)]
         )
-        self.span = (
-            self._kernels.shape[1] + self.block - 1
-        )  # samples that a row depends on
+        # samples that a row depends on
+        self.span = self._kernels.shape[1] + self.block - 1
         self._samples = np.zeros((self.span, 2 * robot.nv))
         self._filled = 0
         self._corners = np.linspace(-self.span, -1, CORNERS).astype(int)
@@ -470,9 +469,8 @@ class Look:
     """Reading of the monitor at an instant."""
 
     estimate: OnlineEstimate
-    excitation: (
-        WindowExcitation | None
-    )  # of the last seconds; None before a whole window
+    # of the last seconds; None before a whole window
+    excitation: WindowExcitation | None
     uncertainty: (
         Array  # of torque on a reference motion, rms, shape (nv,) [torque unit]
     )
@@ -499,9 +497,8 @@ class Monitor:
         self.estimator = estimator
         self.prior = prior
         self.window = window
-        self.messages: list[
-            tuple[float, str]
-        ] = []  # what changed from look to look, time [s]
+        # what changed from look to look, time [s]
+        self.messages: list[tuple[float, str]] = []
         self._enough = True
         self._converged = False
         motion = reference_motion(estimator.robot, REFERENCE_S, ROWS_PER_SECOND)

@@ -63,9 +63,8 @@ class PayloadEstimate:
     notes: tuple[str, ...] = ()
     # relative, of the scale of drive gains on which its mass rests
     scale_std: float = 0.0
-    history: tuple[
-        tuple[float, PayloadEstimate], ...
-    ] = ()  # time [s] and estimate on the way
+    # time [s] and estimate on the way
+    history: tuple[tuple[float, PayloadEstimate], ...] = ()
 
     @property
     def phi(self) -> Array:

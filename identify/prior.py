@@ -110,9 +110,8 @@ def prior_parameters(robot: Robot) -> Array:
     total = float(mass.sum())
     described = total > 1e-3 * robot.nv  # kg
     least = PLACEHOLDER * total if described else 1.0
-    ball = np.diag(
-        [0.1**2, 0.1**2, 0.1**2, 1.0]
-    )  # radius of gyration about an axis [m]
+    # radius of gyration about an axis [m]
+    ball = np.diag([0.1**2, 0.1**2, 0.1**2, 1.0])
     phi[mass == 0] = from_pseudo_inertia(least * ball)
     phi *= np.maximum(1.0, least / phi[:, 0])[:, None]
     return np.array([nearest_consistent(body) for body in phi])

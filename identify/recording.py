@@ -51,14 +51,12 @@ class Recording(Shown):
     dq: Array | None = None
     notes: tuple[str, ...] = ()
     extras: Mapping[str, Array] = field(default_factory=dict)
-    columns: tuple[
-        str, ...
-    ] = ()  # names in the file, of time, positions and torque
+    # names in the file, of time, positions and torque
+    columns: tuple[str, ...] = ()
     # of time as logged, whole and remaining seconds
     start: tuple[float, float] = (0.0, 0.0)
-    unreadable: Mapping[tuple[int, str], str] = field(
-        default_factory=dict
-    )  # by row and column
+    # by row and column
+    unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)
     drive: DriveGains | None = None
     starts: tuple[float, ...] = ()
 

@@ -159,9 +159,8 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
     """Covariance of scores Uᵀε, size of ε, inflation; U lies in the span of every, (n, m)."""
     n, m = every.shape
     residual = target - every @ (every.T @ target)
-    floor = (
-        1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12
-    )  # data without noise
+    # data without noise
+    floor = 1e-9 * float(np.linalg.norm(target)) / np.sqrt(n) + 1e-12
     sigma = max(
         float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor
     )
@@ -210,12 +209,10 @@ def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
 class LinkRows(FitRows):
     """Rows of recordings; a joint still in all of a segment is held exactly."""
 
-    moves: tuple[
-        Mask, ...
-    ]  # instants at which joints move, per segment at its full rate, (n, nv)
-    last: npt.NDArray[
-        np.intp
-    ]  # joint, the last whose row holds each base parameter, shape (r,)
+    # instants at which joints move, per segment at its full rate, (n, nv)
+    moves: tuple[Mask, ...]
+    # joint, the last whose row holds each base parameter, shape (r,)
+    last: npt.NDArray[np.intp]
     scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
 
     def recordings(self, joint: int) -> tuple[str, ...]:
@@ -295,9 +292,8 @@ class Stage:
     recordings: tuple[str, ...]  # that have such rows
     mode: str  # which joints moved with it, in words
     determined: tuple[Determined, ...]  # what the row adds to the links further out
-    missing: tuple[
-        str, ...
-    ] = ()  # base parameters of the link that no recording shows
+    # base parameters of the link that no recording shows
+    missing: tuple[str, ...] = ()
     needed: tuple[str, ...] = ()  # the motion that would show them, as sentences
 
     def result(self, robot: Robot) -> dict[str, Any]:

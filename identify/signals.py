@@ -38,9 +38,8 @@ MEMORY_PERIODS = 6.0  # periods of its cut-off, after which the filter has forgo
 FLOOR_SHARE = 1 / 3  # upper end of the frequency axis, where arms do not move
 _CHUNK_VALUES = 60_000  # filtered together: they fit into the processor's cache
 _ROUNDING = 1e-9  # of the range of a channel
-_VARIANCE_RATIOS = np.log(
-    np.geomspace(1e-12, 1e12, 97)
-)  # white noise over random walk
+# white noise over random walk
+_VARIANCE_RATIOS = np.log(np.geomspace(1e-12, 1e12, 97))
 
 
 def low_pass(

@@ -69,9 +69,8 @@ _HEADINGS = {
     "ratio": "{} / A",
     "deviations": "{} − A [std]",
 }
-_ERROR = re.compile(
-    r"\b(rms|nrmse)\b|r²|error"
-)  # what depends on the filter and on the rows
+# what depends on the filter and on the rows
+_ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")
 _REMARKS = {
     "robot": "The runs are of different arms: {}.",
     "cutoff_hz": "Torque was filtered at different cut-offs, {} Hz: errors do not compare.",
@@ -134,9 +133,8 @@ def _examination_page(result: Go | Demo, series: Series) -> Page:
         section = build(record, arrays)
         if isinstance(record, Analyze):
             section = links_folded(section, record)
-        if isinstance(
-            record, Robots
-        ):  # the verdict comes first, and what it rests on
+        # the verdict comes first, and what it rests on
+        if isinstance(record, Robots):
             parts = tuple(replace(part, closed=True) for part in section.parts)
             section = replace(section, parts=parts)
         sections[verb] = section

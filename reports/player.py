@@ -108,9 +108,8 @@ def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
     if t is None or n < 2 or len(known) < len(shapes):
         return None
     shares = np.round(known["shares"] / _SHARE)
-    shares += (known["shares"] > FULL) & (
-        shares * _SHARE <= 1
-    )  # exceeded by less than a step
+    # exceeded by less than a step
+    shares += (known["shares"] > FULL) & (shares * _SHARE <= 1)
     kept = {"t": t} | {name: known[name].astype("<f4") for name in ("q", "dq")}
     kept["shares"] = np.minimum(shares, 65535).astype("<u2")
     pair, distance = (

@@ -29,9 +29,8 @@ TOLERANCE = 1e-6
 _ABSENT = 1e-8  # of the longest column: a column of zeros
 _STATES = 600
 _PRESENT = 1e-10  # of a column's largest entry: the torque contains it
-_SLOWEST = (
-    -3.0
-)  # decades below the limit, so that friction at low speed shows its shape
+# decades below the limit, so that friction at low speed shows its shape
+_SLOWEST = -3.0
 _DIGITS = 12  # of a coefficient that random states leave certain
 _DENOMINATOR = 12  # largest of a fraction in an expression
 

@@ -26,13 +26,11 @@ class RobotSpec:
     base: str | None = None
     # link that the chain ends at; links beyond it are carried along
     tip: str | None = None
-    lock: Mapping[str, float] = field(
-        default_factory=dict
-    )  # joints held, and where [rad or m]
+    # joints held, and where [rad or m]
+    lock: Mapping[str, float] = field(default_factory=dict)
     xacro_args: Mapping[str, str] = field(default_factory=dict)
-    packages: tuple[
-        str | Path, ...
-    ] = ()  # folders of packages, in which files may lie
+    # folders of packages, in which files may lie
+    packages: tuple[str | Path, ...] = ()
 
     def __fspath__(self) -> str:
         """The path, so that a spec stands where a path does."""

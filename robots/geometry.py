@@ -61,9 +61,8 @@ class Body:
     points: (
         Array  # its origin and the origins of the joints on it, shape (k, 3) [m]
     )
-    shapes: tuple[
-        Shape, ...
-    ]  # of the collision elements if they have solids; no meshes
+    # of the collision elements if they have solids; no meshes
+    shapes: tuple[Shape, ...]
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -118,9 +117,8 @@ def _clarity(points: Array) -> float:
         np.triu_indices(len(points), 2)
     ]
     size = max(float(gaps.max(initial=0.0)), 1e-9)
-    meant = gaps[
-        gaps > 1e-3 * size
-    ]  # joints that meet in a point do so in every pose
+    # joints that meet in a point do so in every pose
+    meant = gaps[gaps > 1e-3 * size]
     below = float(min(points[:, 2].min(), 0.0))
     return (float(meant.min(initial=size)) + _BELOW * below) / size
 

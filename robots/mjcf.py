@@ -45,18 +45,14 @@ class Description:
 
     urdf: str
     gravity: tuple[float, float, float] = GRAVITY  # in the root's frame [m/s²]
-    armature: Mapping[str, float] = field(
-        default_factory=dict
-    )  # by joint [kg·m² or kg]
-    springs: Mapping[str, tuple[float, float]] = field(
-        default_factory=dict
-    )  # stiffness, rest
-    lock: Mapping[str, float] = field(
-        default_factory=dict
-    )  # joints held, and where [rad or m]
-    loops: tuple[
-        tuple[str, str], ...
-    ] = ()  # pairs of links that a constraint ties together
+    # by joint [kg·m² or kg]
+    armature: Mapping[str, float] = field(default_factory=dict)
+    # stiffness, rest
+    springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # joints held, and where [rad or m]
+    lock: Mapping[str, float] = field(default_factory=dict)
+    # pairs of links that a constraint ties together
+    loops: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()  # what was left out
 
 
@@ -77,9 +73,8 @@ def description_from_mjcf(
     _check_files(Path(path), tuple(packages))
     angles = Angles()
     warned = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(
-        lambda _: None
-    )  # else it writes a log where it stands
+    # else it writes a log where it stands
+    mujoco.set_mju_user_warning(lambda _: None)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if not len(spec.worldbody.bodies):
@@ -89,9 +84,8 @@ def description_from_mjcf(
         _leave_out_drawing(spec, path)
         _take_exact_angles(spec, angles, mujoco.mjtOrientation)
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", UserWarning
-            )  # of attributes that MuJoCo will drop
+            # of attributes that MuJoCo will drop
+            warnings.simplefilter("ignore", UserWarning)
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         why = " ".join(
@@ -117,11 +111,12 @@ def description_from_mjcf(
 
 _FILES = 200  # that one MJCF may consist of
 _COPIES = 300  # that <replicate> may make, over all levels
+# products of these attributes
 _SIZES = {
     "count": 10_000,
     "nrow": 2_000,
     "ncol": 2_000,
-}  # products of these attributes
+}
 
 
 def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:

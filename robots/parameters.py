@@ -185,9 +185,8 @@ class BaseEstimate:
     covariance: Array
 
     def __post_init__(self) -> None:
-        symmetric = (
-            self.covariance + self.covariance.T
-        ) / 2  # but for rounding it is
+        # but for rounding it is
+        symmetric = (self.covariance + self.covariance.T) / 2
         object.__setattr__(self, "covariance", symmetric)
         freeze(self, "value", "covariance")
 

@@ -79,12 +79,10 @@ class Robot(Shown):
     source: str = ""
     tool: str = ""
     notes: tuple[str, ...] = ()
-    zeros: tuple[
-        tuple[str, float], ...
-    ] = ()  # angles added to the readings of joints [rad]
-    packages: tuple[
-        str, ...
-    ] = ()  # folders, beside its own, in which its meshes may lie
+    # angles added to the readings of joints [rad]
+    zeros: tuple[tuple[str, float], ...] = ()
+    # folders, beside its own, in which its meshes may lie
+    packages: tuple[str, ...] = ()
     described: bool = (
         True  # whether the description states its inertias and friction
     )

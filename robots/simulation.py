@@ -39,9 +39,8 @@ PROBES = (
 REVERSAL_STEPS = 4.0  # steps within which a reversal is near
 REFINEMENT = 8  # most parts of a step near a reversal
 MOST_STEPS = 2.0  # in all, relative to those without refinement
-GAMMA = 1 + np.sqrt(
-    0.5
-)  # of the two that make ROS2 L-stable, that without overshoot
+# of the two that make ROS2 L-stable, that without overshoot
+GAMMA = 1 + np.sqrt(0.5)
 DIVERGED = 2 * np.pi  # rad or m beyond the range of the commanded motion
 DIVERGENCE_STEPS = 16  # between two checks for divergence
 
@@ -74,9 +73,8 @@ class StateTorque:
     coulomb: Array  # shape (nv,) [N·m]
     offset: Array  # shape (nv,) [N·m]
     others: tuple[Torque, ...]  # torque of all other effects
-    steppers: tuple[
-        Stepper, ...
-    ]  # effects among these that have a state of their own
+    # effects among these that have a state of their own
+    steppers: tuple[Stepper, ...]
 
     def __post_init__(self) -> None:
         freeze(self, "viscous", "coulomb", "offset")

@@ -60,9 +60,8 @@ class VirtualArm:
     nominal: Robot  # what is known, and what the controller believes
     truth: Truth  # the physics
     bare: Truth  # the physics without what is hidden
-    hidden: tuple[
-        HiddenEffect, ...
-    ]  # what the truth has beside the nominal effects
+    # what the truth has beside the nominal effects
+    hidden: tuple[HiddenEffect, ...]
     sensors: Sensors  # what is recorded
 
     def run(

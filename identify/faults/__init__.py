@@ -62,9 +62,8 @@ __all__ = [
 __all__ += ["faults_of", "repair"]
 
 _ROWS = 50  # fewer prove nothing
-_known = WeakKeyDictionary[
-    Recording, tuple[Robot, tuple[Fault, ...]]
-]()  # what was told
+# what was told
+_known = WeakKeyDictionary[Recording, tuple[Robot, tuple[Fault, ...]]]()
 
 
 def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -76,9 +75,8 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     """
     log = Log.of(robot, recording)
     faults: list[Fault] = []
-    rows = np.arange(
-        len(log)
-    )  # of the log as it came, by row of the log as repaired
+    # of the log as it came, by row of the log as repaired
+    rows = np.arange(len(log))
 
     def note(*new: Fault) -> None:
         nonlocal log, rows

@@ -389,9 +389,8 @@ def _far(x: Array, r: Array, step: Array, alarm: float, alike: bool) -> Mask:
     usual = np.maximum(_running_median(size, 101), 0.2 * typical)
     z = size / np.maximum(usual, 1e-12 * np.where(span > 0, span, 1.0))
     bound = [tail_bound(column[column > 0], alarm) for column in z.T]
-    single = float(
-        np.finfo(np.float32).eps
-    )  # rounding of a log in single precision
+    # rounding of a log in single precision
+    single = float(np.finfo(np.float32).eps)
     floor = np.maximum(step, single * np.abs(x).max(axis=0))
     if alike and typical.any():
         floor = np.maximum(floor, typical[typical > 0].min())

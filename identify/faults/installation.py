@@ -332,9 +332,8 @@ class _Mixtures:
         A[..., :-1, :-1] += np.eye(b.shape[-1] - 1)
         A[..., -1, -1] += y.sum(axis=-1) - 2 * b[..., -1]
         A[..., -1, :-1] -= b[..., :-1]
-        A[..., *np.diag_indices(b.shape[-1])] *= (
-            1 + 1e-12
-        )  # rounding, where the prior hardly bounds a body
+        # rounding, where the prior hardly bounds a body
+        A[..., *np.diag_indices(b.shape[-1])] *= 1 + 1e-12
         return np.asarray(np.linalg.cholesky(A)[..., -1, -1] ** 2, float)
 
 
@@ -351,9 +350,8 @@ def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
     moments = np.zeros((m, joints, p))
     squares = []
     for k, j in enumerate(case.joints):
-        later = slice(
-            10 * j, None
-        )  # no joint's torque depends on the links before it
+        # no joint's torque depends on the links before it
+        later = slice(10 * j, None)
         own = basis[later, later]
         X = np.concatenate([part[rows, j, later] @ own for part in parts], axis=1)
         X, y = without_effects(case.F[rows, j], X, case.tau[rows, j])

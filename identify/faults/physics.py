@@ -160,9 +160,8 @@ class TorqueFit:
         return 14 * self.robot.nv
 
     def _part(self, j: int) -> tuple[Array, ...]:
-        later = slice(
-            10 * j, None
-        )  # no joint's torque depends on the links before it
+        # no joint's torque depends on the links before it
+        later = slice(10 * j, None)
         columns = self.G[:, j, later], self.D[:, j, later]
         return without_effects(self.F[:, j], *columns, self.tau[:, j])
 
@@ -403,9 +402,8 @@ def degrees(case: TorqueFit) -> Iterator[Fault]:
     log = case.log
     largest = np.abs(log.q).max(axis=0)
     turning = np.asarray(case.robot.revolute)
-    beyond = turning & (
-        largest > 1.2 * 2 * np.pi
-    )  # more than joints turn to one side
+    # more than joints turn to one side
+    beyond = turning & (largest > 1.2 * 2 * np.pi)
     if not beyond.any():
         return
     readings = []

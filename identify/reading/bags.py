@@ -37,9 +37,8 @@ class Described:
     """What a bag says of the arm whose states it holds."""
 
     urdf: str
-    limits: Mapping[
-        str, Mapping[str, Any]
-    ]  # by joint, as in a joint_limits.yaml of MoveIt
+    # by joint, as in a joint_limits.yaml of MoveIt
+    limits: Mapping[str, Mapping[str, Any]]
     joints: tuple[str, ...]  # of which it holds states
 
 

@@ -47,9 +47,8 @@ class Channel:
     """The columns of one quantity, in the order of the robot's joints."""
 
     columns: tuple[str, ...]
-    factors: tuple[
-        float, ...
-    ]  # SI units, with sign and drive gain, per logged unit
+    # SI units, with sign and drive gain, per logged unit
+    factors: tuple[float, ...]
     note: str = (
         ""  # how the columns were understood; empty where there was no choice
     )

@@ -45,19 +45,19 @@ _QUALIFIERS = _by_word(
 )
 _DOTS = {"dot": 1, "ddot": 2}
 _DERIVATIVES = ("q", "dq", "ddq")
+# that a next word makes a speed
 _LENGTHS_AND_ANGLES = (
     "rad",
     "deg",
     "rev",
     "m",
     "mm",
-)  # that a next word makes a speed
+)
 _BRACKETS = re.compile(r"[\[({]([^\])}]*)[\])}]")
 _SEPARATORS = re.compile(r"[\W_]+(?<!°)")
 _EXACT = re.compile(r"(q|dq|ddq|tau|i)(\d+)", re.ASCII)
-_WORDS = re.compile(
-    r"[A-Z]+(?![a-z])|[A-Z]?[a-z°µ]+|\d+|[^\W\d_]+"
-)  # of camel case
+# of camel case
+_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z°µ]+|\d+|[^\W\d_]+")
 
 
 @dataclass(frozen=True)

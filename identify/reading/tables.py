@@ -33,9 +33,8 @@ def opened(path: Path) -> BinaryIO:
 
 Frames = Callable[[int | None, Sequence[str] | None], Iterator[Frame]]
 
-_BUFFER = (
-    1 << 18
-)  # bytes of a Parquet column at a time: row groups may be larger than memory
+# bytes of a Parquet column at a time: row groups may be larger than memory
+_BUFFER = 1 << 18
 _PIECE = 1 << 20  # bytes unpacked at a time
 _COMPRESSED = 15  # type of an element of a MAT file
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -54,9 +53,8 @@ class Table:
     file: str
     names: tuple[str, ...]  # of columns, in order; a name may be there twice
     frames: Frames
-    labels: Mapping[int, str] = field(
-        default_factory=dict
-    )  # joints' names by number, if any
+    # joints' names by number, if any
+    labels: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     # columns are joint.quantity; messages without any asked for are left out
     joined: bool = False
@@ -219,10 +217,11 @@ def _mat_bytes(path: Path) -> int:
     """Bytes of a MAT file once its compressed variables are unpacked, counted up to `MOST`."""
     with path.open("rb") as stream:
         head = stream.read(128)
+        # version 4 compresses nothing
         if len(head) < 128 or head[126:128] not in (
             b"IM",
             b"MI",
-        ):  # version 4 compresses nothing
+        ):
             return path.stat().st_size
         tag = struct.Struct("<II" if head[126:128] == b"IM" else ">II")
         size = 0

@@ -43,15 +43,13 @@ class _Dialect:
     encoding: str
     separator: str  # between cells; a space stands for any white space
     decimal: str
-    names: tuple[
-        str, ...
-    ]  # of the columns; numbers from 0 where there is no header
+    # of the columns; numbers from 0 where there is no header
+    names: tuple[str, ...]
     skipped: int  # lines before the first row
     quoted: bool = False
     cut: bool = False  # the file ends within a line
-    labels: Mapping[int, str] = field(
-        default_factory=dict
-    )  # joints' names, where columns hold them
+    # joints' names, where columns hold them
+    labels: Mapping[int, str] = field(default_factory=dict)
 
 
 def text_table(path: Path) -> Table:
@@ -234,9 +232,8 @@ def _head(path: Path) -> tuple[str, str, bool]:
         end = head[-1:]
         whole = len(head) < _HEAD
         if not whole:
-            if (
-                path.suffix.lower() != ".gz"
-            ):  # the end of which is behind all that is packed
+            # the end of which is behind all that is packed
+            if path.suffix.lower() != ".gz":
                 stream.seek(-1, 2)
                 end = stream.read(1)
             head = head[: head.rfind(b"\n") + 1] or head

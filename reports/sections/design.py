@@ -181,9 +181,8 @@ def rehearse_section(result: Rehearse, series: Series) -> p.Section:
         "up to 5 %; one more effect changes later. The motion must show all of it.",
         brief="",
     )
-    planted = {
-        "diagnosis": hidden
-    }  # of that requirement, the change that it must name
+    # of that requirement, the change that it must name
+    planted = {"diagnosis": hidden}
     table = p.table(
         recovered,
         [

@@ -165,9 +165,8 @@ def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
     along = np.empty((columns.shape[1], m), complex)
     for k in range(0, m, ORDERS_AT_ONCE):
         part = slice(k, k + ORDERS_AT_ONCE)
-        z = (
-            np.exp(1j * orders[k] * q)[:, None] * waves[:, : len(orders[part])]
-        )  # e^{i N q}
+        # e^{i N q}
+        z = np.exp(1j * orders[k] * q)[:, None] * waves[:, : len(orders[part])]
         along[:, part] = (columns.T @ z.view(float)).view(complex)
         squares[part] = np.einsum("no,no->o", z, z)
     known = along[:-1]
@@ -370,9 +369,8 @@ class Backlash(_Lag):
         _, _, by_ddq = torque_derivatives(robot, motion)
         inertia = np.diagonal(by_ddq, axis1=1, axis2=2)
         if inertia[:, j].min() <= MASSLESS * inertia.max():
-            return np.zeros(
-                (*motion.q.shape, 1)
-            )  # such a link is never left behind
+            # such a link is never left behind
+            return np.zeros((*motion.q.shape, 1))
         acceleration = rigid_torque(robot, motion)[:, j] / inertia[:, j]
         lag = play(motion.t, acceleration, self.trial)
         return torque_along(robot, motion, j, -(lag / self.trial))[:, :, None]

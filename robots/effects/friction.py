@@ -335,9 +335,8 @@ def bristles(q: Array, distance: float) -> Array:
     signs = np.append(0.0, np.sign(steps[first]))
     starts = np.append(0.0, way[first])
     kept = np.exp(-np.diff(starts)).tolist()
-    states = [
-        0.0
-    ]  # at the start of each run, the first of which is before any motion
+    # at the start of each run, the first of which is before any motion
+    states = [0.0]
     for sign, keeps in zip(signs[:-1].tolist(), kept, strict=True):
         states.append(sign + (states[-1] - sign) * keeps)
     run = np.append(0, np.searchsorted(first, np.arange(len(steps)), "right"))

@@ -41,9 +41,8 @@ def arm_entry(name: str) -> ArmEntry:
     file = resources.files("excitant.robots.library") / f"{name}.urdf"
     assert about is not None
     text = file.read_text("utf-8") if file.is_file() else ""
-    heading = text.partition("<!--")[2].partition("-->")[
-        0
-    ]  # what the URDF says of itself
+    # what the URDF says of itself
+    heading = text.partition("<!--")[2].partition("-->")[0]
     return ArmEntry(
         name=name,
         kind=about.kind,

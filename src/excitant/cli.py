@@ -239,9 +239,8 @@ def report(
 def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
     """A script that completes commands at the TAB key."""
     script = app.generate_completion(prog_name="excitant", shell=shell)
-    print(
-        script.replace("\ncomplete -F", "\ncomplete -o default -F")
-    )  # bash: names of files, too
+    # bash: names of files, too
+    print(script.replace("\ncomplete -F", "\ncomplete -o default -F"))
 
 
 _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
@@ -313,8 +312,7 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
 """The commands in the order of the work, each with examples."""
 
 for _order, (_verb, _examples) in enumerate(_VERBS.items()):
-    _verb.__doc__ = re.sub(
-        r"\n {8}", " ", inspect.getdoc(_verb) or ""
-    )  # help breaks lines itself
+    # help breaks lines itself
+    _verb.__doc__ = re.sub(r"\n {8}", " ", inspect.getdoc(_verb) or "")
     _lines = "\n".join(f"  excitant {line}" for line in _examples)
     app.command(_verb, sort_key=_order, help_epilogue=f"examples:\n{_lines}")

@@ -266,9 +266,8 @@ def _values(model: Identify) -> dict[str, Value]:
     for row in model.base_parameters:
         if row.value is None or row.std is None:
             continue
-        name = sys.intern(
-            row.expression
-        )  # held once, however many data sets have it
+        # held once, however many data sets have it
+        name = sys.intern(row.expression)
         unit = sys.intern(units.get(_leading(name), ""))
         values[name] = ex.analysis.Value(row.value, row.std, unit)
     return values
