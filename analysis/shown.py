@@ -15,8 +15,8 @@ from excitant.identify.preprocessing import certain_rows
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
-from excitant.identify.rows import fit_rows, split
-from excitant.robots.effects import Effect, standard_effects
+from excitant.identify.rows import effects_of, fit_rows, split
+from excitant.robots.effects import Effect
 from excitant.robots.robot import Robot
 from excitant.robots.torque import column_names
 
@@ -41,7 +41,7 @@ def identify_shown(
         BadRobot: A link of negative mass.
     """
     prior = prior_parameters(robot)
-    effects = standard_effects(robot.joints) if effects is None else tuple(effects)
+    effects = effects_of(robot, effects)
     data = split(recordings, validate, cutoff_hz)
     used = certain_rows(effects, robot.joints, data.train)
     W = without_rounding(regression_of(robot, effects, data.train).counting(used).W)

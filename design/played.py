@@ -13,6 +13,7 @@ from excitant.design.export import FIRST_SPEED, PROGRAMS, motion_csv, write_form
 from excitant.design.result import Design
 from excitant.design.timing import approach
 from excitant.exceptions import BadInput, Infeasible
+from excitant.robots.geometry import CLEARANCE
 from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
 
@@ -77,7 +78,7 @@ def play(
     rate: float = 100.0,
     repeat: int = 1,
     speed: float | None = None,
-    clearance: float = 0.0,
+    clearance: float = CLEARANCE,
 ) -> Played:
     """Files with which a design is played.
 
@@ -89,7 +90,17 @@ def play(
         repeat: How often the motion runs.
         speed: Share of the speed of a first run; a fifth with a program among the formats.
         clearance: Least distance on the way there and back [m].
+
+    Errors are those of `require_playable`.
     """
+    require_playable(
+        design.robot,
+        start=start,
+        formats=formats,
+        rate=rate,
+        repeat=repeat,
+        speed=speed,
+    )
     played = Played(dict(design.files(rate, repeat)))
     motions = {"trajectory": design.trajectory.motion(rate, repeat)}
     names = list(formats or ())

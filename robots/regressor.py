@@ -144,11 +144,10 @@ def torque_along(robot: Robot, motion: Motion, joint: int, shift: Array) -> Arra
         Shape (n, nv) [N·m per unit].
     """
     changed = np.zeros(motion.q.shape)
+    lasts = np.ptp(motion.t) > 0  # else it is one instant, where nothing changes
     rate = shift
     for order, by in enumerate(torque_derivatives(robot, motion)):
         if order:
-            # else it is one instant, where nothing changes
-            lasts = np.ptp(motion.t) > 0
             rate = np.gradient(rate, motion.t) if lasts else np.zeros_like(rate)
         changed += by[:, :, joint] * rate[:, None]
     return changed

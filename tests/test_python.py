@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 import excitant as ex
+from excitant.design import play
 from excitant.exceptions import BadInput, BadRecording, UnknownName
 from excitant.identify import Estimate, Recording
 from excitant.identify.export import save_model
@@ -260,6 +261,12 @@ def test_a_saved_design_is_the_motion(tmp_path: Path) -> None:
     assert names[:2] == ["trajectory.csv", "trajectory.json"]
     again = ex.load_trajectory(tmp_path / "trajectory.json", "planar_2r")
     np.testing.assert_array_equal(again.coefficients, design.trajectory.coefficients)
+    played = play(design, start=(0.1, -0.2), formats=("npz",), speed=0.5)
+    assert {"approach.csv", "return.npz", "first_run.csv"} <= {*played.files}
+    assert played.complete
+    for wrong in ({"rate": 0.0}, {"repeat": 0}, {"speed": 2.0}, {"start": (0.1,)}):
+        with pytest.raises(BadInput, match=next(iter(wrong)).replace("start", "from")):
+            play(design, **wrong)  # type: ignore[arg-type]
 
 
 def test_a_model_that_got_worse_is_left_out_with_a_warning(

@@ -66,10 +66,6 @@ class View:
         projected: Array = points @ self.screen[:2].T
         return projected
 
-    def line(self, points: Array, colour: str, **look: Any) -> Line:
-        """A line through points (n, 3)."""
-        return line(self.flat(points), colour, **look)
-
     def axes(self, marks: list[Mark], points: Array, room: float) -> Axes:
         """Axes with one scale that show ``room`` times the box of these points (n, 3)."""
         flat = self.flat(points)
