@@ -39,7 +39,6 @@ from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import frictionless, idle, rivals, select
 from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
-from excitant.analysis.validation import Forward, Refit, forward, refit
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.preprocessing import Segment, certain_rows
@@ -113,19 +112,6 @@ class Diagnosis(Shown):
     def extended(self) -> Accuracy:
         """Accuracy of the extended model on the hold-out."""
         return self.holdout.series.accuracy(self.extension.predicted)
-
-    @cached_property
-    def refit(self) -> Refit:
-        """Fit of the inertias alone."""
-        tau = series(self.data.train).measured * self.holdout.gains
-        return refit(self.train, tau, self.holdout, self.extension.predicted)
-
-    @cached_property
-    def forward(self) -> Forward:
-        """Both models simulated forward over short windows of the hold-out."""
-        extended = self.extension.model
-        gains = self.holdout.gains
-        return forward(self.robot, extended, self.data.validate, gains)
 
     @cached_property
     def headline(self) -> str:

@@ -15,7 +15,6 @@ from excitant.analysis.explanation import (
     at_rest,
     explained_by,
     placeholders,
-    refit_sentence,
     sentence,
     share_of,
     shared_friction,
@@ -26,13 +25,9 @@ from excitant.analysis.explanation import (
 from excitant.analysis.residuals import Residual
 from excitant.analysis.selection import Rival
 from excitant.analysis.thresholds import VERDICT
-from excitant.analysis.validation import Forward, Move, Refit
-from excitant.exceptions import ExcitantError
 from excitant.identify.accuracy import Accuracy
 from excitant.identify.rows import told
-from excitant.robots.effects import Effect, plain, separating_experiment
-from excitant.robots.robot import Robot
-from excitant.robots.simulation import LOOP_HZ
+from excitant.robots.effects import Effect, separating_experiment
 
 if TYPE_CHECKING:
     from excitant.analysis.diagnosis import Diagnosis
@@ -116,8 +111,6 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
                 for nominal, extended in residuals
             ]
         },
-        "refit": _refit(diagnosis),
-        "forward": _forward(diagnosis),
         "waterfall": [
             {"label": label, "rms": rms} for label, rms in diagnosis.waterfall
         ],
@@ -287,74 +280,3 @@ def _beyond_noise(residual: Residual) -> Entry:
         "structure": residual.structure,
         "shows": dict(residual.shares),
     }
-
-
-def _refit(diagnosis: Diagnosis) -> Entry:
-    try:
-        refit: Refit = diagnosis.refit
-    except ExcitantError as error:
-        return {"sentence": f"Re-fitting the inertias alone failed: {error}"}
-    joints = enumerate(diagnosis.robot.joints)
-    moves = sorted(refit.moves, key=lambda move: -move.most)
-    return {
-        "sentence": refit_sentence(refit, diagnosis),
-        "joints": [
-            {"name": joint}
-            | {model: float(rms[j]) for model, rms in refit.errors.items()}
-            for j, joint in joints
-        ],
-        "possible": refit.possible,
-        "distance": refit.distance,
-        "most_moved": refit.most_moved.link,
-        "links": [_move(move) for move in moves],
-    }
-
-
-def _move(move: Move) -> Entry:
-    return {
-        "link": move.link,
-        "mass_kg": move.mass,
-        "centre_mm": 1e3 * move.centre,
-        "inertia": move.inertia,
-        "deviations": move.deviations,
-    }
-
-
-def _forward(diagnosis: Diagnosis) -> Entry:
-    try:
-        forward: Forward = diagnosis.forward
-    except ExcitantError as error:
-        return {"joints": [], "notes": [f"Forward simulation failed: {error}"]}
-    notes = []
-    for name, model in forward.models.items():
-        if model.diverged:
-            notes.append(
-                f"Simulation of the {name} model was stopped: {model.diverged}."
-            )
-        elif model.along:
-            along = ", ".join(map(plain, model.along))
-            notes.append(
-                f"In the {name} model, torque of {along} was evaluated on the recorded motion."
-            )
-    return {
-        "joints": _forward_joints(forward, diagnosis.robot),
-        "windows": forward.windows,
-        "window_s": forward.seconds,
-        "bandwidth_hz": LOOP_HZ,
-        "notes": notes,
-    }
-
-
-def _forward_joints(forward: Forward, robot: Robot) -> list[Entry]:
-    rows = []
-    for j, joint in enumerate(robot.joints):
-        unit = "rad" if robot.revolute[j] else "m"
-        models = forward.models.items()
-        position = {name: float(model.position[j]) for name, model in models}
-        velocity = {name: float(model.velocity[j]) for name, model in models}
-        rows.append(
-            {"name": joint}
-            | position
-            | {"unit": unit, "velocity": {**velocity, "unit": f"{unit}/s"}}
-        )
-    return rows

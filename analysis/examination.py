@@ -311,7 +311,7 @@ def examine(
         ),
     }
     progress(0.8, "analysing")
-    known = analyze(robot, estimate=estimate, rng=np.random.default_rng(0))
+    known = analyze(robot, estimate=estimate)
     return Examination(
         ModelCheck(robot),
         estimate,

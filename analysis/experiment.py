@@ -1,13 +1,8 @@
-"""A planned or recorded experiment, and the influence of the prior on its result.
-
-The prior is perturbed along the null space of the observation matrix, along its weakest directions
-and in random ones, always to physically consistent bodies; the fit is repeated, and the change of
-each parameter divided by that of its prior: 1, the prior alone decides; 0, the data do.
-"""
+"""A planned or recorded experiment, and the influence of the prior on its result."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -25,39 +20,24 @@ from excitant.analysis.uncertainty import (
     without_rounding,
 )
 from excitant.exceptions import BadRobot
-from excitant.identify.physical import fit_physical
 from excitant.identify.prior import (
-    KINDS,
     PRIOR_SIGMA,
-    UNSEEN,
-    WEAKEST,
     BodyPrior,
     EffectPrior,
-    decided_by,
-    follows,
+    linear_influence,
     prior_parameters,
-    reached,
-    silent_columns,
 )
 from excitant.identify.regression import dense
 from excitant.identify.rows import FitRows, fit_rows, implausible_size, units_of
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
-from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
+from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns, torque
 
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
-
-_IGNORED_REACH = (
-    0.01  # of a parameter's uncertainty: a kind that reaches less is ignored
-)
-_PERTURBATIONS = 8  # in the null space, and random ones
-
-Response = Callable[[Array], Array]
-"""Change of the estimate, shape (p,), when the prior is changed by δ, shape (p,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +59,10 @@ class Prior:
         return np.asarray(
             np.linalg.norm(self.L @ Vt.T / np.sqrt(1 + s**2), axis=1), float
         )
+
+    def influence(self, R: Array, x: Array) -> Array:
+        """How far each parameter x follows the prior in linear theory, 0 to 1, shape (p,)."""
+        return linear_influence(R, self.L, x, self.links)
 
     def stretches(self, w: Array) -> Array:
         """Eigenvalues of P̄⁻¹ P − 1 of each link, P̄ that of the prior, ascending, (links, 4)."""
@@ -119,138 +103,6 @@ def prior_of(
 
 
 @dataclass(frozen=True, eq=False)
-class PriorInfluence:
-    """Sensitivity of each parameter to the prior, by kind of perturbation (`KINDS`)."""
-
-    ratio: Array  # change of each parameter over that of its prior, (3, p); NaN where that is 0
-    reach: Array  # share of each parameter's prior uncertainty that a kind reaches, (3, p)
-    linear: (
-        Array  # ratio without the constraints of physical consistency, shape (3, p)
-    )
-    base_move: (
-        Array  # largest change of each base parameter, in standard deviations, (r,)
-    )
-    refits: int  # number of refits; 0 where the change follows from linear theory
-
-    @property
-    def overall(self) -> Array:
-        """Largest ratio of the kinds with a material reach, shape (p,)."""
-        return follows(self.ratio, self.reach)
-
-    @property
-    def decided_by(self) -> tuple[str, ...]:
-        """Source of each parameter: ``data``, ``prior``, ``both``, or ``physics`` for the prior.
-
-        There the body is at the limit of what is possible, and stays so for any prior.
-        """
-        free = decided_by(follows(self.linear, self.reach))
-        return tuple(
-            "physics" if loose == "prior" != bound else bound
-            for bound, loose in zip(decided_by(self.overall), free, strict=True)
-        )
-
-
-def prior_influence(
-    information: MotionInformation,
-    regrouping: Array,
-    prior: Prior,
-    x: Array,
-    rng: np.random.Generator,
-    response: Response | None = None,
-) -> PriorInfluence:
-    """Change of the estimate x (p,) when the prior is perturbed in directions of each kind.
-
-    Regrouping (r, p) gives base parameters; without a response by refits, linear theory is used.
-    """
-    s, Vt = prior.directions(information.R)
-    silent = s <= UNSEEN * s.max(initial=0.0)
-    null = Vt[silent]
-    weak = Vt[~silent][-WEAKEST:]
-    p = len(prior.mean)
-    steps = {  # projected, so that they do not depend on the basis of the null space
-        "null space": [
-            rng.normal(size=p) @ null.T @ null
-            for _ in range(_PERTURBATIONS)
-            if len(null)
-        ],
-        "weakly seen": list(weak),
-        "random": [_random_bodies(prior, rng) for _ in range(_PERTURBATIONS)],
-    }
-    ratio, linear, reach = (np.full((len(KINDS), p), np.nan) for _ in range(3))
-    base_move = np.zeros(len(regrouping))
-    base_std = information.std(np.eye(len(regrouping)))
-    for k, kind in enumerate(KINDS):
-        w = np.array(
-            [RESOLUTION.prior_step * w / prior.size(w) for w in steps[kind]]
-        ).reshape(-1, p)
-        steps_of_prior = w @ prior.L.T
-        free = (w @ Vt.T / (1 + s**2)) @ Vt @ prior.L.T
-        moves = (
-            free
-            if response is None
-            else np.array([response(delta) for delta in steps_of_prior])
-        )
-        moves = moves.reshape(-1, p)
-        ratio[k], linear[k] = (
-            _ratio(each, steps_of_prior, prior) for each in (moves, free)
-        )
-        relative = np.abs(moves @ regrouping.T) / np.where(
-            base_std > 0, base_std, np.inf
-        )
-        base_move = np.maximum(base_move, relative.max(axis=0, initial=0.0))
-    reach[:2] = [reached(prior.L, part, x, prior.links) for part in (null, weak)]
-    reach[0, silent_columns(information.R)] = 1.0
-    reach[2] = np.arange(p) < 10 * prior.links
-    ratio[reach < _IGNORED_REACH] = linear[reach < _IGNORED_REACH] = np.nan
-    fits = 0 if response is None else sum(map(len, steps.values()))
-    return PriorInfluence(ratio, reach, linear, base_move, fits)
-
-
-def _ratio(moves: Array, steps: Array, prior: Prior) -> Array:
-    """Change of parameters over that of their prior; NaN where that is unchanged, (p,)."""
-    moved, size = (np.sqrt((values**2).sum(axis=0)) for values in (moves, steps))
-    unmoved = np.full(len(size), np.nan)
-    std = np.linalg.norm(prior.L, axis=1)
-    return np.asarray(
-        np.divide(moved, size, out=unmoved, where=size > 1e-9 * std), float
-    )
-
-
-def _random_bodies(prior: Prior, rng: np.random.Generator) -> Array:
-    w = np.zeros(len(prior.mean))
-    A = rng.normal(size=(prior.links, 4, 4))
-    A = A + A.transpose(0, 2, 1)
-    A /= np.abs(np.linalg.eigvalsh(A)).max(axis=1)[:, None, None]
-    root = np.linalg.cholesky(prior.bodies)
-    change = from_pseudo_inertia(root @ A @ root.swapaxes(1, 2)).ravel()
-    w[: len(change)] = np.linalg.solve(
-        prior.L[: len(change), : len(change)], change
-    )
-    return w
-
-
-def refits(estimate: Estimate, rows: FitRows) -> Response:
-    """Response of an estimate to another prior by a refit, in the metric of the original one."""
-    R, z = rows.regression.factor(estimate.least_squares.weight)
-    phi = estimate.physical.prior.bodies
-    effects = rows.open_prior
-    links = phi.size
-    body_prior = estimate.physical.prior
-
-    def moved(delta: Array) -> Array:
-        other = replace(effects, mean=effects.mean + delta[links:])
-        prior = replace(
-            body_prior, bodies=phi + delta[:links].reshape(-1, 10), metric=phi
-        )
-        fit = fit_physical(
-            R, z, prior, other, estimate.knowledge, estimate.given.links
-        )
-        return np.asarray(fit.x - estimate.physical.x, float)
-
-    return moved
-
-
-@dataclass(frozen=True, eq=False)
 class Experiment:
     """A motion with its noise, and what is known of the p parameters."""
 
@@ -262,7 +114,8 @@ class Experiment:
     prior: Prior | None  # knowledge without data; None where a link has no mass
     # standard deviation of each parameter as told, prior included, shape (p,)
     std: Array | None
-    influence: PriorInfluence | None
+    # how far each parameter follows the prior, 0 to 1, shape (p,)
+    influence: Array | None
     motion: Motion  # or the longest stretch of a recording
     q: Array  # positions at all rows, shape (n, nv) [rad or m]
     basis: str  # where the standard deviations come from, as a sentence
@@ -304,9 +157,7 @@ def planned_experiment(
             np.zeros_like(size), size, np.full_like(size, -np.inf)
         )
         prior = prior_of(prior_parameters(robot), nothing)
-        influence = prior_influence(
-            information, base.regrouping, prior, x, np.random.default_rng(0)
-        )
+        influence = prior.influence(information.R, x)
     except BadRobot as error:
         notes.append(f"the prior is left out: {error.why}")
     how = (
@@ -331,12 +182,9 @@ def planned_experiment(
 
 
 def recorded_experiment(
-    robot: Robot,
-    base: BaseParameters,
-    estimate: Estimate,
-    rng: np.random.Generator | None = None,
+    robot: Robot, base: BaseParameters, estimate: Estimate
 ) -> Experiment:
-    """Experiment of an estimate; with a generator, the prior's influence is from refits."""
+    """Experiment of an estimate."""
     fit = estimate.least_squares
     effects = estimate.model.effects
     rows = cleaned(fit_rows(robot, effects, estimate.base, estimate.data))
@@ -351,11 +199,6 @@ def recorded_experiment(
         estimate.physical.prior.sigma,
     )
     x = estimate.physical.x
-    response = None if rng is None else refits(estimate, rows)
-    draws = np.random.default_rng(0) if rng is None else rng
-    influence = prior_influence(
-        information, base.regrouping, prior, x, draws, response
-    )
     notes = []
     if flat := prior.at_limit(x):
         names = ", ".join(robot.links[k] for k in flat)
@@ -378,7 +221,7 @@ def recorded_experiment(
         prior=prior,
         std=estimate.std,
         told=units_of(estimate.given, effects, estimate.drive),
-        influence=influence,
+        influence=prior.influence(information.R, x),
         motion=max((s.motion for s in estimate.data.train), key=len),
         q=np.concatenate([s.motion.q[s.keep] for s in estimate.data.train]),
         basis="from the residual of the recording, with its autocorrelation",

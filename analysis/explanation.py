@@ -10,14 +10,13 @@ import numpy as np
 
 from excitant.analysis.evidence import are_placeholders
 from excitant.analysis.residuals import Residual
-from excitant.analysis.thresholds import EVIDENCE, PLAUSIBILITY, VERDICT
+from excitant.analysis.thresholds import EVIDENCE, VERDICT
 from excitant.identify.rows import told
 from excitant.robots.effects import Size, plain, standard_effects
 
 if TYPE_CHECKING:
     from excitant.analysis.confirmation import Finding
     from excitant.analysis.diagnosis import Diagnosis
-    from excitant.analysis.validation import Move, Refit
 
 
 @dataclass(frozen=True, eq=False)
@@ -384,48 +383,3 @@ def _apart_from(
         words = words[0].lower() + words[1:]
     verdict = "" if all(f.verdict == "named" for f in groups[0]) else " (undecided)"
     return f" Besides {cause}: {words}{verdict}."
-
-
-def refit_sentence(refit: Refit, diagnosis: Diagnosis) -> str:
-    """What a fit of the inertias alone would gain, and its plausibility."""
-    robot = diagnosis.robot
-    worst = int(np.argmax(refit.errors["given"] / np.maximum(refit.spread, 1e-12)))
-    nominal, free, extended = (
-        f"{refit.errors[model][worst]:.3g}"
-        for model in ("given", "inertias", "extended")
-    )
-    figures = f"{robot.joints[worst]} from {nominal} to {free} {diagnosis.unit()}"
-    if diagnosis.findings:
-        figures += f"; with the findings {extended}"
-    if refit.gain < PLAUSIBILITY.hardly:
-        what = "would not help" if refit.gain < 0 else "would hardly help"
-        return (
-            f"Re-fitting the inertias alone {what} on the hold-out "
-            f"({figures}): the cause is not in their values."
-        )
-    gain = (
-        f"Re-fitting the inertias alone would remove {100 * refit.gain:.0f} % of the squared "
-        f"error on the hold-out ({figures})"
-    )
-    if not refit.possible:
-        impossible = "only physically inconsistent inertias would achieve this"
-        return f"{gain}, but {impossible}: the cause is elsewhere."
-    move = refit.most_moved
-    if move.most <= PLAUSIBILITY.likely:
-        return f"{gain}, within the tolerance of the given values."
-    far = f"{move.most:.0f} standard deviations of a given value"
-    but = f"{gain}, but {_change(move)} ({far})"
-    effects = [f.effect for f in diagnosis.findings if f.effect.role != "torque"]
-    if move.link in {robot.links[row] for e in effects for row in e.rows(robot)}:
-        return f"{but}: that link is among the findings."
-    return f"{but}: unless that link is that far off, the cause is elsewhere."
-
-
-def _change(move: Move) -> str:
-    """The change of a link that deviates most."""
-    would = f"of {move.link} would have to"
-    return {
-        "mass": f"the mass {would} change by {move.mass:+.2g} kg",
-        "centre": f"the centre of mass {would} move {1e3 * move.centre:.0f} mm",
-        "inertia": f"the inertia {would} change by {100 * np.expm1(move.inertia):+.0f} %",
-    }[max(move.deviations, key=move.deviations.__getitem__)]

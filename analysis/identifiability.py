@@ -11,7 +11,6 @@ import numpy as np
 from excitant.analysis.dh_frames import distal_frames
 from excitant.analysis.experiment import (
     Experiment,
-    PriorInfluence,
     planned_experiment,
     recorded_experiment,
 )
@@ -32,7 +31,7 @@ from excitant.analysis.uncertainty import (
 )
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.excitation import Persistency, persistency
-from excitant.identify.prior import base_prior
+from excitant.identify.prior import base_prior, decided_by
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, read_only
@@ -68,9 +67,7 @@ class ParameterIdentifiability:
     # from the data alone; inf where they do not show it by itself
     std_data: float | None = None
     influence: float | None = None  # how far it follows the prior, 0 to 1
-    decided_by: str = (
-        ""  # data, prior or physics (the limit of physical consistency)
-    )
+    decided_by: str = ""  # data, both or prior
     verdict: str = ""  # in a word, how well the motion determines it by itself
 
     @property
@@ -122,7 +119,6 @@ class PracticalIdentifiability:
     )
     practical: tuple[Practical, ...]  # each base parameter
     directions: tuple[Direction, ...]  # of the base parameters, unseen or weakest
-    influence: PriorInfluence | None  # None where the arm's links give no prior
     noise: Array  # of each measured joint's torque, assumed or estimated [N·m]
     resting: tuple[str, ...]  # joints that do not move
     basis: str  # where the standard deviations come from, as a sentence
@@ -288,7 +284,6 @@ def analyze(
     measured: Sequence[str] | None = None,
     frames: Literal["joint", "dh"] = "joint",
     window: float | None = None,
-    rng: np.random.Generator | None = None,
 ) -> Identifiability:
     """Identifiability of an arm's parameters.
 
@@ -303,8 +298,6 @@ def analyze(
         frames: Frames that the links' parameters are about: those of their joints, or those of the
             standard Denavit-Hartenberg convention, in which Khosla (1987) counts.
         window: Length [s] of the windows in which excitation is judged; the whole motion if None.
-        rng: Draws perturbed priors for refits of an estimate; without it, the influence of the
-            prior follows from linear theory.
 
     Raises:
         BadInput: A motion is to be judged, but a joint has no torque limit to scale noise by;
@@ -349,7 +342,7 @@ def analyze(
     R = base.regrouping
     experiment: Experiment | None = None
     if estimate is not None:
-        experiment = recorded_experiment(robot, base, estimate, rng)
+        experiment = recorded_experiment(robot, base, estimate)
     elif motion is not None:
         experiment = planned_experiment(robot, base, effects, motion, noise, rows)
     if experiment is not None:
@@ -426,7 +419,6 @@ def _practical(
         directions=weak_directions(
             base, [units[k] for k in columns], information, size
         ),
-        influence=experiment.influence,
         noise=sigma,
         resting=tuple(robot.joints[j] for j in experiment.resting),
         basis=experiment.basis,
@@ -455,26 +447,12 @@ def _notes(
             f"({len(names)} of {len(base)} base parameters); "
             f"shown {'' if what.startswith('never') else 'by '}{what}"
         )
-    if (influence := under.influence) is None:
-        return tuple(notes)
-    named = [entry for entry in table if entry.category != "unidentifiable"]
-    prior, physics = (
-        sum(e.decided_by == who for e in named) for who in ("prior", "physics")
-    )
-    notes.append(
-        f"apart from unidentifiable ones, {prior} of {len(table)} parameters follow the prior "
-        "rather than the data: that two sets of initial values agree proves nothing there"
-    )
-    if influence.refits:
-        step = 100 * RESOLUTION.prior_step
+    decided = [e.decided_by for e in table if e.category != "unidentifiable"]
+    if any(decided):
         notes.append(
-            f"{influence.refits} fits with priors changed by up to {step:g} % moved no base "
-            f"parameter by more than {influence.base_move.max():.2g} of its standard deviation"
-        )
-    if physics:
-        notes.append(
-            f"for {physics} more, whose bodies are at the limit of physical consistency, that "
-            "limit decides for any prior; without it they would follow the prior"
+            f"apart from unidentifiable ones, {decided.count('prior')} of {len(table)} parameters "
+            "follow the prior rather than the data: that two sets of initial values agree proves "
+            "nothing there"
         )
     return tuple(notes)
 
@@ -553,6 +531,6 @@ def _judged(
     if experiment.std is not None:
         columns["std"] = experiment.std.tolist()
     if experiment.influence is not None:
-        columns["influence"] = experiment.influence.overall.tolist()
-        columns["decided_by"] = experiment.influence.decided_by
+        columns["influence"] = experiment.influence.tolist()
+        columns["decided_by"] = decided_by(experiment.influence)
     return size, columns

@@ -1,8 +1,7 @@
 """`rehearse`: a motion tried on a virtual arm, and the parameters recovered from it.
 
 The arm runs the motion, and again at 80 % of the speed as hold-out; its true values must be
-recovered. Then it changes, and the diagnosis of the identified model must name the change. Last,
-the arm follows another motion by each of the models, which is what they are for.
+recovered. Then it changes, and the diagnosis of the identified model must name the change.
 """
 
 from __future__ import annotations
@@ -17,12 +16,10 @@ import numpy.typing as npt
 from excitant.analysis.confirmation import Finding
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.evidence import Candidate
-from excitant.analysis.tracking import BANDWIDTH_HZ, Tracking, track
 from excitant.design.constraints import clearance as clearance_along
-from excitant.design.feasible import random_trajectory
 from excitant.design.optimal import SceneOption
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
-from excitant.exceptions import Infeasible, RankDeficient
+from excitant.exceptions import RankDeficient
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.reading.logs import recording_from_table
 from excitant.identify.recording import Recording
@@ -61,9 +58,6 @@ _TOLERANCE = 0.05  # of masses, centres of mass and inertias
 _SLOWER = 0.8  # speed of the hold-out
 _READINGS = 6
 _CASES = 300  # noisy recordings of the same run, and intervals to judge, at least
-
-_TEST = 3.0  # s
-_HARMONICS = 3  # of the motion that is followed last
 
 _OVER = 0.05  # of a limit: an arm that tracks a motion overshoots it a little
 _KNOWN = 0.1  # of a friction coefficient: accuracy required
@@ -321,8 +315,6 @@ class Rehearsal(Shown):
         items: Requirements, in order.
         estimate: Identified model; None where the motion leaves parameters undetermined.
         diagnosis: Diagnosis of that model after the change; None without an estimate.
-        tracking: Of a motion that nothing was identified from, before and after the change; None
-            where there is no estimate, or no such motion within the limits.
     """
 
     robot: Robot
@@ -333,7 +325,6 @@ class Rehearsal(Shown):
     items: tuple[Item, ...]
     estimate: Estimate | None = None
     diagnosis: Diagnosis | None = None
-    tracking: tuple[Tracking, Tracking] | None = None
 
     @property
     def passed(self) -> bool:
@@ -353,38 +344,15 @@ class Rehearsal(Shown):
             "items": [asdict(item) for item in self.items],
             "advice": list(dict.fromkeys(item.advice for item in failed)),
             "effect": self.change.entry(),
-            "tracking": self._tracking(),
             "limit_values": {
                 x: getattr(self.robot.limits, x)
                 for x in ("position", "velocity", "torque")
             },
         }
 
-    def _tracking(self) -> dict[str, Any] | None:
-        if self.tracking is None:
-            return None
-        before, after = (each.entries(self.robot) for each in self.tracking)
-        test = {
-            "duration": _TEST,
-            "harmonics": _HARMONICS,
-            "bandwidth_hz": BANDWIDTH_HZ,
-        }
-        return test | {"before": before, "after": after}
-
     def series(self) -> dict[str, Array]:
-        """The run of the motion on the virtual arm: t [s], q, dq, tau in SI units, (n, nv).
-
-        Tracking errors are called ``before_`` or ``after_`` and the model, at ``tracking_t``.
-        """
-        found = {name: getattr(self.run, name) for name in ("t", "q", "dq", "tau")}
-        if self.tracking is not None:
-            before, after = self.tracking
-            found |= (
-                {"tracking_t": before.t}
-                | before.series("before")
-                | after.series("after")
-            )
-        return found
+        """The run of the motion on the virtual arm: t [s], q, dq, tau in SI units, (n, nv)."""
+        return {name: getattr(self.run, name) for name in ("t", "q", "dq", "tau")}
 
     @property
     def headline(self) -> str:
@@ -491,31 +459,7 @@ def rehearse(
     planted = planted_parameters(arm, standard_effects(robot.joints))
     items += _recovered(situation, estimates, planted)
     items.append(_named(situation, found, change))
-    tell(0.9, "following another motion by each model")
-    followed = _followed((arm, later), estimates[0], found, rng)
-    return Rehearsal(*common, tuple(items), estimates[0], found, followed)
-
-
-def _followed(
-    arms: tuple[VirtualArm, VirtualArm],
-    estimate: Estimate,
-    diagnosis: Diagnosis,
-    rng: np.random.Generator,
-) -> tuple[Tracking, Tracking] | None:
-    """How arms before and after the change follow a motion by the models there are by then."""
-    robot = estimate.given
-    try:
-        path = random_trajectory(robot, rng, _TEST, _HARMONICS)
-    except Infeasible:
-        return None
-    known = with_strength(robot)
-    models = {"given": robot, "identified": estimate.model}
-    later = models | {"extended": diagnosis.extension.model}
-    before, after = (
-        track(replace(arm, nominal=known), by, path, _TEST, rng)
-        for arm, by in zip(arms, (models, later), strict=True)
-    )
-    return before, after
+    return Rehearsal(*common, tuple(items), estimates[0], found)
 
 
 def _recording(

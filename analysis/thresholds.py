@@ -280,9 +280,6 @@ class ResolutionThresholds:
     sensor_noise: float = 0.01
     """Noise of a sensor under the base over its largest force and torque. Convention."""
 
-    prior_step: float = 0.2
-    """Perturbation of the prior, relative to a link's inertia in any direction. Convention."""
-
     rests: float = 0.01
     """Range of a joint < this [rad or m]: it rests. Convention."""
 

@@ -162,8 +162,8 @@ class PredictionInterval(NamedTuple):
     residuals know it from ν = n / Σ ρ_k² independent samples (Bartlett): quantiles are Student's.
 
     Attributes:
-        parameters: Standard deviation of the predicted torque by parameters, and by lengths where
-            these may be off, shape (n, nv) [torque unit].
+        parameters: Standard deviation of the predicted torque by parameters, shape (n, nv)
+            [torque unit].
         noise: Standard deviation of the noise, shape (nv,) [torque unit].
         freedom: Degrees of freedom that the noise is known with, shape (nv,).
     """

@@ -22,7 +22,6 @@ from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.lengths import LengthErrors, length_deviations, length_errors
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import prepare
 from excitant.identify.prior import prior_parameters
@@ -97,7 +96,6 @@ class Estimate(Shown):
     estimator: str = ESTIMATORS["wls"]
     knowledge: Knowledge = field(default_factory=Knowledge)
     shapes: Shapes | None = None
-    lengths: LengthErrors | None = None
 
     @property
     def gains(self) -> Array:
@@ -163,16 +161,6 @@ class Estimate(Shown):
         """95 % intervals of readings at the rows of the hold-out."""
         W = self.holdout_columns
         fit = self.least_squares
-        lengths = self.lengths
-        if lengths is not None:
-            W = np.concatenate([W, lengths.columns(self.data.validate)], axis=2)
-            residuals = [
-                e / gain
-                for e, gain in zip(lengths.residuals, self.gains, strict=True)
-            ]
-            return prediction_interval(
-                W, fit, residuals, self.gains, lengths.of_prediction(fit)
-            )
         rows, predicted = self._fitted
         residuals = rows.counted(rows.measured - predicted)
         return prediction_interval(W, fit, residuals, self.gains)
@@ -281,7 +269,6 @@ def identify_robot(
     estimator: str = "wls",
     knowledge: Knowledge | None = None,
     harmonics_hz: float | None = None,
-    length_std: float | Sequence[float] | None = None,
 ) -> Estimate:
     """Identify a robot from recordings.
 
@@ -299,12 +286,9 @@ def identify_robot(
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
         knowledge: What is known of the bodies beforehand.
         harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
-        length_std: Standard deviation of where each joint sits in its parent link, along x, y and
-            z, one for all joints or one per joint [m]; that of the robot when None.
 
     Raises:
-        BadInput: Knowledge that no body fulfils, or of links that the arm does not have; lengths
-            with no standard deviation that can be.
+        BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
         BadRecording: Recordings that cannot be used.
         BadRobot: A link of negative mass.
         UnknownName: There is no such estimator.
@@ -314,9 +298,6 @@ def identify_robot(
     UnknownName.refuse("estimator", [estimator], ESTIMATORS)
     recordings = recordings_of(recordings, robot)
     validate = recordings_of(validate, robot)
-    unsure = length_deviations(
-        robot.length_std if length_std is None else length_std, robot
-    )
     prior = prior_parameters(robot)
     known = (knowledge or Knowledge()).of(robot)
     effects = effects_of(robot, effects)
@@ -339,11 +320,6 @@ def identify_robot(
         physical = fit_physical(
             R, z, prior, rows.open_prior, knowledge=known, links=robot.links
         )
-        lengths = None
-        if unsure[1:].any():
-            lengths = length_errors(rows, fit, physical, unsure)
-            fit, physical = lengths.widened(fit, physical)
-            remarks += (lengths.sentence,)
         if shapes is not None and shapes.better:
             fit, physical = shapes.widened(fit, physical, rows.base)
         estimate = replace(
@@ -351,7 +327,6 @@ def identify_robot(
             estimator=ESTIMATORS[name],
             knowledge=known,
             shapes=shapes,
-            lengths=lengths,
         )
         return estimate, _moved_by_rate(rows, fit, physical.x)
 

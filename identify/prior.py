@@ -81,7 +81,6 @@ class ReferenceMotion:
 
 REFERENCE = ReferenceMotion()
 
-KINDS = ("null space", "weakly seen", "random")
 DOMINATED = 0.5  # influence from which an entry counts as the prior's
 SHARED = 0.1  # from which it lies between data and prior
 WEAKEST = 4  # directions seen worst, of all seen

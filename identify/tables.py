@@ -155,11 +155,6 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "effects": [effect.name for effect in estimate.model.effects],
         "cutoff_hz": estimate.data.cutoff_hz,
         **({} if estimate.shapes is None else {"shapes": estimate.shapes.entry()}),
-        **(
-            {}
-            if estimate.lengths is None
-            else {"lengths": estimate.lengths.entry()}
-        ),
         "unit": robot.torque_unit(estimate.data.unit),
         "holdout": estimate.data.holdout,
         **(drive if estimate.drive is None else estimate.drive.result()),

@@ -2,7 +2,6 @@ from . import plot
 from .pages import SavedRun, compare, page_of
 from .render import brief, html, summary, table_lines
 from .run import as_saved, load_run, read_result, report, save, save_run
-from .tables import table_files
 
 __all__ = [
     "SavedRun",
@@ -18,6 +17,5 @@ __all__ = [
     "save",
     "save_run",
     "summary",
-    "table_files",
     "table_lines",
 ]

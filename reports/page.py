@@ -288,7 +288,6 @@ _DECIDED = {
     "data": Cell("data", GOOD),
     "both": Cell("both", FAIR),
     "prior": Cell("prior", POOR),
-    "physics": Cell("limit of physics", FAIR),
 }
 
 

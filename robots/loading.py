@@ -191,15 +191,13 @@ def _from_dh(record: RobotRecord, spec: RobotSpec) -> Robot:
 
 
 def _supplemented(robot: Robot, record: RobotRecord, source: str) -> Robot:
-    """The robot with limits, effects and uncertain lengths as a YAML file gives them."""
+    """The robot with limits and effects as a YAML file gives them."""
     if record.limits is not None:
         robot = robot.with_limits(merge_limits(robot, record.limits, source))
     if record.effects is not None:
         stated = effects_from_entries(record.effects, robot, source)
         robot = _with_stated_effects(robot, stated, source)
-    return (
-        replace(robot, length_std=record.length_std) if record.length_std else robot
-    )
+    return robot
 
 
 def _with_stated_effects(
@@ -313,6 +311,4 @@ def _kept(whole: Robot, held: Robot) -> Robot:
         joints = tuple(effect.joints[k] for k in kept)
         effects.append(replace(effect, joints=joints).with_values(values[kept]))
     limits = whole.limits.of([whole.joint_index(joint) for joint in held.joints])
-    return replace(
-        held.with_limits(limits).with_effects(effects), length_std=whole.length_std
-    )
+    return held.with_limits(limits).with_effects(effects)

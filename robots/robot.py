@@ -86,8 +86,6 @@ class Robot(Shown):
     described: bool = (
         True  # whether the description states its inertias and friction
     )
-    # of each coordinate of each joint's place in its parent link [m]
-    length_std: float = 0.0
     # of its base parameters, where it was identified
     estimate: BaseEstimate | None = None
 

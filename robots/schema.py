@@ -117,7 +117,6 @@ class RobotRecord(msgspec.Struct, frozen=True):
     effects: list[dict[str, Any]] | None = None
     estimate: str | None = None
     drive: Any = None
-    length_std: Annotated[float, msgspec.Meta(ge=0, le=1e9)] = 0.0
     about: AboutRecord | None = None
     sources: str = ""
     tables: list[dict[str, Any]] | None = None

@@ -29,9 +29,6 @@ from excitant.robots.torque import torque
 
 REST = 1e-3  # rad/s or m/s: v₀
 STEP = 1e-3  # s: a twenty-fifth of the time constant of the default controller
-LOOP_HZ = (
-    4.0  # holds a model on a recorded motion, slower than the arm's own controller
-)
 ROUNDING = 1e-9  # of the largest torque
 PROBES = (
     6  # states in which an effect is evaluated by acceleration and in another order
@@ -138,32 +135,10 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
         else:
             part = _inertia(robot, effect)
             inertia += part
-            others.append(
-                _by_law(robot, effect) or _at_an_instant(robot, effect, part)
-            )
+            others.append(_at_an_instant(robot, effect, part))
     inertia += np.diag(drives.pop("rotor"))
     state = StateTorque(**drives, others=tuple(others), steppers=tuple(steppers))
     return loaded.model, inertia, state
-
-
-def _by_law(robot: Robot, effect: Effect) -> Torque | None:
-    """Torque of an effect that has a law: its joints at once, as if instants of one joint."""
-    law = effect.law
-    at = np.array(effect.rows(robot), np.intp)
-    if law is None:
-        return None
-    values = np.reshape(effect.values or (), (len(at), -1)).T
-
-    def torque(t: float, q: Array, speeds: Array, ddq: Array) -> Array:
-        tau = np.zeros_like(speeds)
-        states = np.tile(q[at], len(speeds)), speeds[:, at].ravel()
-        for value, column in zip(
-            values, law(*states, np.zeros_like(states[0])), strict=True
-        ):
-            tau[:, at] += value * column.reshape(len(speeds), -1)
-        return tau
-
-    return torque
 
 
 def _at_an_instant(robot: Robot, effect: Effect, inertia: Array) -> Torque:
@@ -215,15 +190,12 @@ class Controller:
     omega: Array | float = 40.0  # ω, one for all joints or shape (nv,) [rad/s]
     # gives τ_ff and B; the simulated one itself when None
     believed: Robot | None = None
-    floor: Array | float = 0.0  # smallest diagonal of B, 0 or shape (nv,) [kg·m²]
 
     def gains(self, robot: Robot, q: Array) -> tuple[Array, Array]:
         """B ω² and 2 B ω at commanded positions, each (n, nv, nv) [N·m/rad, N·m·s/rad]."""
         model, rotors, _ = forward_model(self.believed or robot)
         data = model.createData()
         B = np.array([pin.crba(model, data, pose) + rotors for pose in q])
-        j = np.arange(robot.nv)
-        B[:, j, j] = np.maximum(B[:, j, j], self.floor)
         omega = np.broadcast_to(np.asarray(self.omega, float), robot.nv)
         return B * omega**2, 2 * B * omega
 
@@ -255,7 +227,6 @@ def simulate(
     command: Motion,
     controller: Controller | None = None,
     *,
-    applied: Array | None = None,
     step: float = STEP,
 ) -> Simulation:
     """Let a model with its effects follow a motion, from that motion's first state.
@@ -263,28 +234,21 @@ def simulate(
     Args:
         robot: The model; effects need values.
         command: The motion; quintic polynomials between its instants.
-        controller: None lets the robot move under ``applied`` alone, or no torque.
-        applied: Feed-forward instead of the controller's own, shape (n, nv) [N·m].
+        controller: None lets the robot move without torque.
         step: Longest step of integration, shorter where joints turn back [s].
 
     Raises:
         BadInput: Effects that cannot be simulated, or shapes and times that do not fit.
         Diverged: The simulation left the commanded motion for good, or holds no numbers any more.
     """
-    _check(robot, command, applied, step)
+    _check(robot, command, step)
     counts = _steps(command, step)
     inner = _between(command, counts)
-    if applied is not None:
-        columns = [
-            np.interp(inner.t, command.t, column)
-            for column in np.asarray(applied).T
-        ]
-        forward = np.column_stack(columns)
-    elif controller is None:
-        forward = np.zeros_like(inner.q)
-    else:
+    forward = np.zeros_like(inner.q)
+    gains = None
+    if controller is not None:
         forward = torque(controller.believed or robot, inner)
-    gains = None if controller is None else controller.gains(robot, inner.q)
+        gains = controller.gains(robot, inner.q)
     # a diverging simulation is refused
     with np.errstate(over="ignore", invalid="ignore"):
         q, dq, tau = _integrated(robot, inner, forward, gains)
@@ -294,32 +258,7 @@ def simulate(
     return Simulation(command, motion, tau[at])
 
 
-def forward_error(
-    robot: Robot,
-    motion: Motion,
-    tau: Array,
-    *,
-    bandwidth_hz: float = LOOP_HZ,
-    step: float = STEP,
-) -> Simulation:
-    """Drive the model with recorded torque, held on the recorded motion by a slow loop.
-
-    Torque that the model does not need, or lacks, δτ, moves it by about δτ / (B ω²) below the
-    bandwidth and by δτ / (M (2πf)²) at frequencies f above. Without the loop any model drifts
-    away, and in a slow one a joint that sticks for too much dry friction is left behind; compare
-    models in one and the same loop, critically damped with ω / 2π as bandwidth. A joint that moves
-    so little inertia that its rms torque would turn it by more than a radian gets the stiffness
-    for that. The recorded motion is filtered, the torque of shape (n, nv) [N·m]; see `simulate`.
-    """
-    omega = 2 * np.pi * bandwidth_hz
-    floor = np.sqrt((np.asarray(tau, float) ** 2).mean(axis=0)) / omega**2
-    loop = Controller(omega, believed=robot, floor=floor)
-    return simulate(robot, motion, loop, applied=tau, step=step)
-
-
-def _check(
-    robot: Robot, command: Motion, applied: Array | None, step: float
-) -> None:
+def _check(robot: Robot, command: Motion, step: float) -> None:
     if command.nv != robot.nv or len(command) < 2:
         raise BadInput(
             f"simulation: a motion of {command.nv} joints at {len(command)} instants for "
@@ -328,11 +267,6 @@ def _check(
     if not (np.diff(command.t) > 0).all() or not step > 0:
         raise BadInput(
             f"simulation: time of the motion must rise, and the step be positive ({step})"
-        )
-    if applied is not None and applied.shape != command.q.shape:
-        raise BadInput(
-            f"simulation: torque of shape {applied.shape} on a motion of shape "
-            f"{command.q.shape}; give one row per instant"
         )
 
 

@@ -21,7 +21,6 @@ from excitant.reports.figure import (
     Timeline,
 )
 from excitant.reports.values import Series
-from excitant.results import Tracking
 
 INTERVAL = "95\u00a0% interval of a reading"
 _INTERVAL_CAPTION = (
@@ -29,15 +28,6 @@ _INTERVAL_CAPTION = (
     "is off."
 )
 GIVEN_MODEL = "model as given"
-_MODELS = {
-    "given": (GIVEN_MODEL, fig.GIVEN),
-    "identified": ("identified", fig.FITTED),
-    "extended": ("extended by the diagnosis", fig.GREEN),
-}
-_FOLLOWED = (
-    ("before", "arm as identified", ("given", "identified")),
-    ("after", "after its change", ("given", "identified", "extended")),
-)
 
 
 @dataclass(frozen=True)
@@ -117,38 +107,3 @@ def _torque_panel(
     below = Axes(tuple(residual), timeline.axis(), ordinate, 120)
     label = f"{joint}: measured torque over time; {'; '.join(remarks)}"
     return Panel((above, below), label, joint)
-
-
-def tracking_figure(tracking: Tracking, series: Series) -> Figure | None:
-    """Tracking error of each joint over time by model, before and after the arm changed."""
-    t = series.get("tracking_t")
-    if t is None:
-        return None
-    timeline = Timeline.of(np.asarray(t, float))
-    panels = []
-    for k, row in enumerate(tracking.before):
-        unit = f"m{row.unit}"
-        remarks = []
-        stack = []
-        for when, title, models in _FOLLOWED:
-            marks = []
-            for model in models:
-                error = v.curve(series, f"{when}_{model}", k, len(t))
-                if error is None:
-                    continue
-                name, colour = _MODELS[model]
-                curve = timeline.broken(1e3 * error)
-                marks.append(Line(timeline.t, curve, colour, name, 0.9))
-                rms = 1e3 * float(np.sqrt(np.mean(error**2)))
-                remarks.append(f"{title}, {name}: rms {v.quantity(rms, unit)}")
-            abscissa = timeline.axis("time [s]" if when == "after" else "")
-            ordinate = Axis(f"error [{unit}]")
-            stack.append(Axes(tuple(marks), abscissa, ordinate, 130, title))
-        label = f"{row.name}: tracking error over time; {'; '.join(remarks)}"
-        panels.append(Panel(tuple(stack), label, row.name))
-    caption = (
-        "Desired less true position while each model gives the torque, in one and the same loop: "
-        "torque that a model gets wrong, the loop makes up for by an error of position."
-    )
-    legend = [Key("line", colour, name) for name, colour in _MODELS.values()]
-    return fig.figure(panels, caption, legend)

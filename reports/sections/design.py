@@ -12,7 +12,6 @@ from excitant.reports.figures.motion import (
     share_of_limit,
 )
 from excitant.reports.figures.search import convergence_figure, spectrum_figure
-from excitant.reports.figures.torque import tracking_figure
 from excitant.reports.player import FULL, moments, player
 from excitant.reports.values import NONE, Series
 from excitant.results import (
@@ -27,7 +26,6 @@ from excitant.results import (
     Rehearse,
     Requirement,
     Show,
-    TrackingJoint,
 )
 
 _CRITERIA = {
@@ -210,64 +208,10 @@ def rehearse_section(result: Rehearse, series: Series) -> p.Section:
             ),
             ("Requirements", [requirements]),
             ("Planted and recovered", [table]),
-            ("Tracking by each model", _tracking(result, series)),
             ("Motion of the virtual arm", [motion]),
         ],
-        (("passed" if passed else "failed", result.headline), *_closer(result)),
+        (("passed" if passed else "failed", result.headline),),
     )
-
-
-def _closer(result: Rehearse) -> p.Brief:
-    """How much closer the arm follows by the identified model, and by the extended one later."""
-    tracking = result.tracking
-    if tracking is None:
-        return ()
-    phrases = []
-    for rows, model in (
-        (tracking.before, "identified"),
-        (tracking.after, "extended"),
-    ):
-        ratios = [row.ratio for row in rows if row.ratio]
-        if ratios:
-            ends = dict.fromkeys(v.number(x, 2) for x in (min(ratios), max(ratios)))
-            phrases.append(f"{' to '.join(ends)} times less with the {model} model")
-    error = f"error {', after the change '.join(phrases)}"
-    return (("tracking", error),) if phrases else ()
-
-
-def _tracking(result: Rehearse, series: Series) -> p.Blocks:
-    tracking = result.tracking
-    if tracking is None:
-        return []
-
-    def error(row: TrackingJoint, model: str) -> p.Cell:
-        size = row.rms.get(model)
-        if size is None:
-            return p.Cell(NONE)
-        return p.Cell(v.quantity(1e3 * size, f"m{row.unit}"), value=size)
-
-    def closer(row: TrackingJoint) -> p.Cell:
-        times = v.number(row.ratio)
-        return _verdict((row.ratio or 0.0) > 1, f"{times} times", times)
-
-    table = p.table(
-        list(zip(tracking.before, tracking.after, strict=True)),
-        [
-            ("name:Joint", lambda r: r[0].name),
-            ("number:Model as given, rms", lambda r: error(r[0], "given")),
-            ("number:Identified", lambda r: error(r[0], "identified")),
-            ("number:Closer by", lambda r: closer(r[0])),
-            ("number:Changed: model as given", lambda r: error(r[1], "given")),
-            ("number:Identified before", lambda r: error(r[1], "identified")),
-            ("number:Extended", lambda r: error(r[1], "extended")),
-            ("number:Closer by", lambda r: closer(r[1])),
-        ],
-        f"Tracking error of another, random motion of {v.quantity(tracking.duration, 's')} under "
-        "computed-torque feed-forward of each model, on the virtual arm as it was identified and "
-        "after its change. The position loop is the same for all: "
-        f"{v.quantity(tracking.bandwidth_hz, 'Hz')}, critically damped, with noisy readings.",
-    )
-    return [tracking_figure(tracking, series), table]
 
 
 def _verdict(holds: bool, yes: str, no: str) -> p.Cell:

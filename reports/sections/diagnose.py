@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import replace
-from operator import attrgetter
 
 from excitant.reports import page as p
 from excitant.reports import values as v
@@ -21,14 +18,10 @@ from excitant.reports.values import Series
 from excitant.results import (
     Diagnose,
     Finding,
-    Forward,
-    ForwardJoint,
     JointAccuracy,
     JointResidual,
-    MovedLink,
     Number,
     Part,
-    Refit,
     Residual,
     Unexplained,
 )
@@ -79,7 +72,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
         if findings
         else "Error of the given model"
     )
-    shares = [
+    shares: p.Blocks = [
         _shares(result.error.joints, extended, unit)
         for extended in (False, True)[: 1 + changed]
     ]
@@ -98,11 +91,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
             ),
             (
                 wrong,
-                [
-                    *shares,
-                    *_refit(result.refit, unit),
-                    *_forward(result.forward, changed),
-                ],
+                shares,
             ),
             ("Files of the extended model", [exported_table(result.exported)]),
             *first,
@@ -381,93 +370,6 @@ def _shares(
         f"○ marks the simplest that explains it. {'' if extended else _MEANING}",
         "What the extended model leaves, joint by joint" if extended else "",
     )
-
-
-def _refit(refit: Refit, unit: str) -> p.Blocks:
-    def two_digits(value: Number) -> str:
-        return v.number(value, 2)
-
-    def deviations(key: str) -> p.Column:
-        return "number:in std", lambda row: row.deviations[key], two_digits
-
-    def inertia(row: MovedLink) -> Number:
-        return None if row.inertia is None else 100 * math.expm1(row.inertia)
-
-    models = {
-        "given": "Given",
-        "inertias": "Inertias free",
-        "bodies": "Nearest bodies",
-    }
-    models["extended"] = "With the findings"
-    errors = p.table(
-        refit.joints,
-        [
-            ("name:Joint", "name"),
-            *(
-                (f"number:{name}, rms [{unit}]", key)
-                for key, name in models.items()
-            ),
-        ],
-        "What inertias alone would explain on the hold-out while joints move, all given effects "
-        "being kept: fitted freely, and as the closest physically consistent inertias.",
-        "What re-fitting the inertias alone would bring, joint by joint",
-    )
-    links = p.table(
-        refit.links,
-        [
-            ("name:Link", "link"),
-            ("number:Mass [kg]", "mass_kg"),
-            deviations("mass"),
-            ("number:Centre of mass [mm]", "centre_mm"),
-            deviations("centre"),
-            ("number:Inertia [%]", inertia, two_digits),
-            deviations("inertia"),
-        ],
-        "How far each link would have to change for that, most changed first; a given value is "
-        "taken as right to two of these standard deviations.",
-        "Which link would have to change, and how much",
-    )
-    return [p.notes([refit.sentence] * bool(refit.sentence)), errors, links]
-
-
-def _forward(forward: Forward, changed: bool) -> p.Blocks:
-    rows = forward.joints
-    units = v.listing(list(dict.fromkeys(row.unit for row in rows)))
-    loop = v.quantity(forward.bandwidth_hz, "Hz", 1)
-    models = ("given", "extended") if changed else ("given",)
-    worse = [
-        row.name
-        for row in rows
-        if row.given is not None and (row.extended or math.inf) > row.given
-    ]
-    closer = " The extended model stays closer on every joint."
-    if worse:
-        closer = f" The extended model is no closer at {v.listing(worse)}."
-
-    def milli(field: str) -> Callable[[ForwardJoint], float | str]:
-        def error(row: ForwardJoint) -> float | str:
-            rms = attrgetter(field)(row)
-            return "diverges" if rms is None else 1e3 * rms
-
-        return error
-
-    table = p.table(
-        rows,
-        [
-            ("name:Joint", "name"),
-            *((f"number:Position, {m} [m{units}]", milli(m)) for m in models),
-            *(
-                (f"number:Velocity, {m} [m{units}/s]", milli(f"velocity.{m}"))
-                for m in models
-            ),
-        ],
-        f"Simulated forward under the recorded torque over {forward.windows or 0} windows of "
-        f"{v.quantity(forward.window_s, 's', 2)} of the hold-out: rms by which the model leaves "
-        f"the recorded motion, held on it by {'the same' if changed else 'a'} loop of {loop}."
-        f"{closer if changed else ''}",
-        "How far the simulated motion leaves the recorded one",
-    )
-    return [table, p.notes(forward.notes)]
 
 
 def _errors(result: Diagnose, changed: bool) -> p.Blocks:

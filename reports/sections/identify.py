@@ -283,7 +283,6 @@ def _names(result: Identify) -> list[str]:
 
 
 def _intervals(result: Identify, unit: str) -> p.Table | None:
-    by = "parameters and lengths" if result.lengths else "parameters"
     interval = "validate.interval95"
     return p.table(
         [row for row in result.joints if row.validate.interval95],
@@ -294,12 +293,12 @@ def _intervals(result: Identify, unit: str) -> p.Table | None:
                 f"{interval}.half_width",
             ),
             (
-                f"number:of which by the {by}, ± [{unit}]",
+                f"number:of which by the parameters, ± [{unit}]",
                 f"{interval}.half_width_parameters",
             ),
             ("number:Hold-out inside", f"{interval}.coverage", v.percent),
         ],
-        f"Interval for a new reading, from the uncertainty of the {by} and coloured noise; "
+        "Interval for a new reading, from the uncertainty of the parameters and coloured noise; "
         "far less than 95\u00a0% of the hold-out inside means that the model lacks something.",
     )
 

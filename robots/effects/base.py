@@ -98,13 +98,10 @@ class Physics:
         depends_on: What columns are computed from beside the motion: nothing (``motion``), the
             ``bodies``, all other ``torque``, or that of the given model (``given torque``).
         smooth: Whether its torque is as smooth as the motion and never jumps.
-        of_state: Whether the state of an arm determines it, so that forward dynamics has it;
-            others need a known motion.
     """
 
     depends_on: Literal["motion", "bodies", "torque", "given torque"] = "bodies"
     smooth: bool = False
-    of_state: bool = True
 
     @property
     def on_model(self) -> bool:

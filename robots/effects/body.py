@@ -52,7 +52,7 @@ class KinematicError(Effect):
     terms = tuple(
         Parameter(f"d{axis}", "m", typical=0.1, vector="distance") for axis in "xyz"
     )
-    physics = Physics(smooth=True, of_state=False)
+    physics = Physics(smooth=True)
     search = Search("diagnosis")
     words = Words(
         separated_by=(

@@ -313,7 +313,6 @@ class _Lag(Effect):
 
     family: ClassVar[str] = "transmission"
     acts_on: ClassVar[Acts] = Acts.ONE
-    physics: ClassVar[Physics] = Physics(of_state=False)
 
 
 @registered
@@ -321,7 +320,7 @@ class JointElasticity(_Lag):
     """Link angle = motor angle − c τ with the compliance c = 1/k, to first order in c."""
 
     name = "joint_elasticity"
-    physics = Physics(smooth=True, of_state=False)
+    physics = Physics(smooth=True)
     terms = (Parameter("compliance", "rad/(N·m)", 0.0),)
     words = Words(
         separated_by=(

@@ -52,7 +52,7 @@ class TorqueGain(Effect):
     name = "torque_gain"
     family = "reading"
     terms = (Parameter("gain", "1", typical=0.5),)
-    physics = Physics("given torque", of_state=False)
+    physics = Physics("given torque")
     search = Search("diagnosis", places=_each_then_all)
     words = Words(
         "torque",
@@ -91,7 +91,7 @@ class TimeDelay(Effect):
     name = "time_delay"
     family = "reading"
     terms = (Parameter("delay", "s", typical=0.05),)
-    physics = Physics("torque", of_state=False)
+    physics = Physics("torque")
     search = Search(
         shapes=(
             Shape(
@@ -138,7 +138,7 @@ class _EncoderError(Effect):
 
     family: ClassVar[str] = "geometry"
     acts_on: ClassVar[Acts] = Acts.ONE
-    physics: ClassVar[Physics] = Physics(smooth=True, of_state=False)
+    physics: ClassVar[Physics] = Physics(smooth=True)
     search: ClassVar[Search] = Search("diagnosis")
 
 

@@ -386,7 +386,6 @@ def identify_robot(
     estimator: str = "wls",
     trajectory: Trajectory | str | Path | None = None,
     knowledge: Knowledge | str | Path | None = None,
-    length_std: float | Sequence[float] | None = None,
     progress: Told = lambda share, words: None,
 ) -> Estimate:
     """Identify a physically consistent model from recordings.
@@ -403,7 +402,6 @@ def identify_robot(
         estimator: One of `excitant.identify.estimators.ESTIMATORS`.
         trajectory: Commanded trajectory: without a cut-off the filter passes its highest harmonic.
         knowledge: What is known of the bodies beforehand.
-        length_std: Standard deviation of where each joint sits in its parent link [m].
         progress: Called while effects are chosen.
 
     Errors are those of `excitant.identify.identify_robot`.
@@ -429,7 +427,6 @@ def identify_robot(
         harmonics_hz=None
         if trajectory is None
         else highest_harmonic(trajectory, arm),
-        length_std=length_std,
     )
 
 
@@ -582,7 +579,6 @@ def analyze(
         measured=measured,
         frames=frames,
         window=window,
-        rng=None if estimate is None else np.random.default_rng(0),
     )
 
 

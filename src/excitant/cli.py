@@ -192,22 +192,13 @@ def robots(
         print(ex.reports.summary(ex.reports.page_of(result, {})), end="")
 
 
-def report(
-    *folders: str, tables: Literal["csv", "latex"] | None = None, run: Run = Run()
-) -> None:
+def report(*folders: str, run: Run = Run()) -> None:
     """Render the report of a run again, or compare runs.
 
     Args:
         folders: Folder of a run; of several runs of the same command: one page with all, and what
             differs.
-        tables: Write each table of the page as a file, too, into the folder tables beside it.
     """
-
-    def written(result: Any) -> dict[str, str]:
-        if tables is None:
-            return {}
-        return ex.reports.table_files(ex.reports.page_of(result, {}), tables)
-
     if not folders:
         raise BadInput("name the folder of a run, or several to compare")
     if len(folders) > 1:
@@ -215,21 +206,16 @@ def report(
             ex.reports.SavedRun(folder, *ex.reports.load_run(folder))
             for folder in folders
         )
-        both = ex.reports.compare(*runs)
-        run.finish(both, {}, written(both))
+        run.finish(ex.reports.compare(*runs), {})
         return
     if run.output is not None:
         raise BadInput(
             "-o is where runs are compared; name a second run, or leave -o out"
         )
-    record, series = ex.reports.load_run(folders[0])
-    files = written(record)
+    _, series = ex.reports.load_run(folders[0])
     # the file's own text, so that it is written again to the byte
     result = ex.reports.read_result(folders[0])
-    if files:
-        here = (os.path.join(folders[0], name) for name in files)
-        result["files"] = list(dict.fromkeys([*record.files, *here]))
-    paths, _ = ex.reports.save_run(folders[0], result, series, files)
+    paths, _ = ex.reports.save_run(folders[0], result, series, {})
     if run.json:
         print_json(result)
     else:
@@ -301,7 +287,6 @@ _VERBS: dict[Callable[..., Any], tuple[str, ...]] = {
     report: (
         "report runs/demo",
         "report runs/before runs/after -o runs/both",
-        "report runs/model --tables latex",
     ),
     completion: (
         "completion bash > ~/.local/share/bash-completion/completions/excitant",

@@ -115,12 +115,6 @@ class Fit:
     "Commanded trajectory.json: without --cutoff the filter passes its highest harmonic."
     knowledge: str | None = None
     "YAML with what is known of the bodies: masses, their sum, where centres of mass lie."
-    length_std: Numbers = None
-    (
-        "Lengths that are assumed, not measured: standard deviation [m] of where joints sit in "
-        "their links, one for all or one per joint S1,S2,...; default: that of robot.yaml, else "
-        "0. It widens what is said of parameters and torque."
-    )
     online: bool = False
     "Sample by sample, as in a control loop: estimates over time."
     link_by_link: bool = False
@@ -168,11 +162,10 @@ class Fit:
                 "--link-by-link needs whole recordings; leave --online out",
             ),
         ]
-        for name in ("estimator", "knowledge", "trajectory", "length_std"):
+        for name in ("estimator", "knowledge", "trajectory"):
             why = "is for all rows at once; leave the other way out"
-            option = name.replace("_", "-")
             refused.append(
-                (getattr(self, name) and self.by_parts, f"--{option} {why}")
+                (getattr(self, name) and self.by_parts, f"--{name} {why}")
             )
         for wrong, why in refused:
             if wrong:
@@ -207,7 +200,6 @@ class Fit:
                 estimator=self.estimator or "wls",
                 trajectory=self.trajectory,
                 knowledge=self.knowledge,
-                length_std=self.length_std,
                 progress=advance,
                 **options,
             )
@@ -324,11 +316,6 @@ def identify(
     if load.payload:
         carried = load.carried(dataset, train, drive, named, fit)
         result["payload"] = carried.result()
-    if arm.length_std and (fit.by_parts or load.payload):
-        notes.append(
-            "length_std of the robot counts where all rows are fitted at once: not on-line, link "
-            "by link, or in a payload"
-        )
     result |= read.entries
     series = estimate.series() | identified.series()
     if model.mujoco:

@@ -18,7 +18,7 @@ Number: TypeAlias = float | None
 Three: TypeAlias = tuple[float, float, float]
 """Coordinates in the base frame."""
 Category: TypeAlias = Literal["unique", "combined", "unidentifiable"]
-Decider: TypeAlias = Literal["data", "both", "prior", "physics", "expectation"]
+Decider: TypeAlias = Literal["data", "both", "prior", "expectation"]
 
 
 class Record(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -698,15 +698,6 @@ class Shapes(Record):
     "Shape parameters."
 
 
-class Lengths(Record):
-    """Effect of assumed lengths."""
-
-    std: list[Number]
-    "Standard deviation of where each joint sits [m]."
-    widening: dict[str, Number]
-    "Factor on standard deviations, ``median`` and ``largest``."
-
-
 class Determined(Record):
     """A base parameter that one link's joint determined."""
 
@@ -959,8 +950,6 @@ class Identify(
     "Whether the motion shows each gain; null where all are shown."
     shapes: Shapes | None = None
     "Shapes of effects that were refined."
-    lengths: Lengths | None = None
-    "With --length-std."
     link_by_link: LinkByLink | None = None
     "With --link-by-link."
     online: Online | None = None
@@ -1306,88 +1295,6 @@ class ErrorStructure(Record):
     "By joint."
 
 
-class MovedLink(Record):
-    """How far a link would have to move."""
-
-    link: str
-    "Link."
-    mass_kg: Number
-    "Change of the mass [kg]."
-    centre_mm: Number
-    "Change of the centre of mass [mm]."
-    inertia: Number
-    "Change of the inertia, relative."
-    deviations: dict[str, Number]
-    "The same in standard deviations of the nominal values."
-
-
-class RefitJoint(Record):
-    """rms of one joint after re-fitting [N·m or A]."""
-
-    name: str
-    "Joint."
-    given: Number
-    "Of the nominal model."
-    inertias: Number
-    "With free base parameters."
-    bodies: Number
-    "With physically consistent bodies."
-    extended: Number
-    "Of the extended model."
-
-
-class Refit(Record):
-    """What re-fitting the inertias alone would bring."""
-
-    sentence: str
-    "In words."
-    joints: list[RefitJoint] = []
-    "Errors."
-    possible: bool | None = None
-    "Whether such bodies can exist."
-    distance: Number = None
-    "How far they are from the nominal ones, in standard deviations."
-    most_moved: str | None = None
-    "Link that would have to move most."
-    links: list[MovedLink] = []
-    "How far each link would have to move."
-
-
-class ForwardError(Record):
-    """Error in forward simulation."""
-
-    given: Number
-    "Of the nominal model."
-    extended: Number
-    "Of the extended model."
-    unit: str
-    "Unit."
-
-
-class ForwardJoint(ForwardError):
-    """Position and velocity errors of one joint."""
-
-    name: str
-    "Joint."
-    velocity: ForwardError
-    "Of the velocity."
-
-
-class Forward(Record):
-    """Errors in forward simulation on the hold-out."""
-
-    joints: list[ForwardJoint]
-    "By joint."
-    notes: list[str]
-    "Remarks."
-    windows: int | None = None
-    "Number of windows."
-    window_s: Number = None
-    "Their length [s]."
-    bandwidth_hz: Number = None
-    "Bandwidth of the controller that holds the arm [Hz]."
-
-
 class Step(Record):
     """A step of the waterfall of errors."""
 
@@ -1440,10 +1347,6 @@ class Diagnose(
     "Errors of the extended model."
     error: ErrorStructure
     "Structure of the nominal model's error."
-    refit: Refit
-    "What re-fitting the inertias alone would bring."
-    forward: Forward
-    "Errors in forward simulation."
     waterfall: list[Step]
     "Error as causes are added."
     notes: list[str]
@@ -1667,34 +1570,6 @@ class Requirement(Record):
     "Unit."
 
 
-class TrackingJoint(Record):
-    """Tracking error of one joint under feed-forward."""
-
-    name: str
-    "Joint."
-    unit: str
-    "Unit."
-    rms: dict[str, Number]
-    "Root mean square error by model."
-    ratio: Number
-    "Of the last model to the first."
-
-
-class Tracking(Record):
-    """Tracking errors of another motion under computed-torque feed-forward."""
-
-    duration: float
-    "Length of the motion [s]."
-    harmonics: int
-    "Its harmonics."
-    bandwidth_hz: float
-    "Bandwidth of the controller [Hz]."
-    before: list[TrackingJoint]
-    "Before the arm changes."
-    after: list[TrackingJoint]
-    "After it."
-
-
 class Rehearse(Record, tag_field="verb", tag="rehearse"):
     """``excitant rehearse``: a motion tried on a virtual arm."""
 
@@ -1714,8 +1589,6 @@ class Rehearse(Record, tag_field="verb", tag="rehearse"):
     "What to do."
     effect: Hidden
     "Effect to name."
-    tracking: Tracking | None
-    "What the model is good for."
     limit_values: dict[str, list[Any] | None]
     "Limits by quantity."
     trajectory: str | None = None

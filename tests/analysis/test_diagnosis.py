@@ -12,16 +12,13 @@ import numpy as np
 import pytest
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
-from excitant.analysis.confirmation import Finding, HoldoutScale, holdout_of
+from excitant.analysis.confirmation import Finding, HoldoutScale
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import are_placeholders, placeholder_links
 from excitant.analysis.explanation import at_rest, headline
 from excitant.analysis.residuals import BANDS, QUANTITIES, Residual
-from excitant.analysis.thresholds import PLAUSIBILITY
-from excitant.analysis.validation import refit, windows
 from excitant.identify import model_files
-from excitant.identify.accuracy import series
 from excitant.identify.preprocessing import away_from_rest
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import (
@@ -188,7 +185,6 @@ def test_an_error_is_the_same_wherever_it_is_told(coulomb: Diagnosis) -> None:
     result, lead = coulomb.result(), coulomb.findings[0]
     for model, key in (("simulation", "given"), ("extended", "extended")):
         rms = [row["rms"] for row in result[model]["joints"]]
-        assert [row[key] for row in result["refit"]["joints"]] == pytest.approx(rms, rel=1e-9)
         told = [row if key == "given" else row["left"] for row in result["error"]["joints"]]
         assert [row["rms"] for row in told] == pytest.approx(rms, rel=1e-9)
     assert lead.rms_after == pytest.approx(coulomb.extended.rms[lead.joint], rel=1e-9)
@@ -216,8 +212,8 @@ def test_the_result_has_the_agreed_keys(kind: str, case: Case) -> None:
     _, diagnosis = case(kind)
     result, robot = diagnosis.result(), diagnosis.robot
     accuracy = {"name", "rms", "nrmse", "r2"}
-    agreed = {"simulation": accuracy, "extended": accuracy, "refit": {"given"}, "error": {"left"}}
-    for part, keys in (agreed | {"forward": {"unit", "velocity"}}).items():
+    agreed = {"simulation": accuracy, "extended": accuracy, "error": {"left"}}
+    for part, keys in agreed.items():
         assert [row["name"] for row in result[part]["joints"]] == list(robot.joints)
         assert all(keys <= set(row) for row in result[part]["joints"])
     keys = {"effect", "joints", "parameters", "explained", "holdout", "verdict", "rivals"}
@@ -235,61 +231,8 @@ def test_the_result_has_the_agreed_keys(kind: str, case: Case) -> None:
     assert all(set(part["shares"]) <= set(QUANTITIES) for part in spectra)
     shares = [row["share"] for row in result["unexplained"]]
     assert all(0 <= s <= 1 for s in (*shares, *(x for p in spectra for x in p["shares"].values())))
-    assert {row["link"] for row in result["refit"]["links"]} == set(robot.links)
-    assert result["refit"]["most_moved"] == diagnosis.refit.most_moved.link
-    assert {row["unit"] for row in result["forward"]["joints"]} == {"rad"}
     rows = {len(values) for values in diagnosis.series().values()}
     assert rows == {len(diagnosis.holdout.series.t)}
-
-
-def test_inertias_alone_explain_a_payload(payload: Diagnosis) -> None:
-    found, last = payload.refit, payload.robot.links[-1]
-    assert found.gain > 0.95
-    assert found.possible
-    assert found.most_moved.link == last
-    assert found.most_moved.most > PLAUSIBILITY.likely
-    assert found.most_moved.mass > 0
-    said = payload.result()["refit"]["sentence"]
-    assert last in said
-    assert "among the findings" in said
-    given = np.sqrt((payload.holdout.error**2).mean(axis=0))
-    assert found.errors["given"] == pytest.approx(given, rel=0.05)
-
-
-def test_inertias_alone_do_not_explain_friction(coulomb: Diagnosis, case: Case) -> None:
-    found = coulomb.refit
-    assert found.gain < 0.3
-    j = coulomb.robot.joint_index(case("coulomb_friction")[0].joint)
-    assert found.errors["extended"][j] < 0.5 * found.errors["inertias"][j]
-    assert "the cause is" in coulomb.result()["refit"]["sentence"]
-
-
-def test_bodies_explain_no_more_than_free_parameters_where_they_are_fitted(
-    payload: Diagnosis,
-) -> None:
-    """On the data that were fitted, the unconstrained minimum is the smallest of all."""
-    tau = series(payload.data.train).measured
-    on_train = holdout_of(payload.robot, payload.data.train, payload.holdout.gains)
-    errors = refit(payload.train, tau, on_train, on_train.simulated).errors
-    assert ((errors["bodies"] / errors["inertias"]) ** 2).mean() >= 1 / (1 + 1e-3)
-
-
-def test_the_extended_model_stays_closer_to_the_motion(payload: Diagnosis) -> None:
-    given, extended = payload.forward.models.values()
-    assert not given.diverged
-    assert not extended.diverged
-    assert (extended.position < given.position).all()
-    assert extended.position.sum() < 0.3 * given.position.sum()
-
-
-def test_windows_lie_within_what_the_filter_leaves_whole(payload: Diagnosis) -> None:
-    [segment] = payload.data.validate
-    kept, found = segment.motion.t[segment.keep], windows([segment])
-    assert len(found) == 4
-    for motion, tau in found:
-        assert len(motion) == len(tau)
-        assert kept[0] <= motion.t[0]
-        assert motion.t[-1] <= kept[-1] + 25 / segment.rate_hz
 
 
 def test_a_finding_lowers_the_error_while_joints_move(coulomb: Diagnosis) -> None:

@@ -58,7 +58,6 @@ def seen(diagnosis: Diagnosis, kinds: set[str], *joints: str) -> list[str]:
 @pytest.mark.slow
 def test_ur10_rubs_in_more_than_one_way(data_folder: Path) -> None:
     diagnosis = diagnosed(data_folder / "ur10", 4, ["unisa_exciting"], [])
-    assert diagnosis.refit.gain < 0.5  # inertias alone do not explain it
     assert seen(diagnosis, FINER, "shoulder_pan_joint")
     assert seen(diagnosis, FRICTION) == [*diagnosis.robot.joints]
 

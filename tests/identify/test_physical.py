@@ -339,15 +339,12 @@ def test_identify_and_analyze_say_the_same(planar: Robot, runs: Call) -> None:
     found = identify_robot(planar, [recording])
     parameters = found.result()["parameters"]
     said = {p["name"]: p["prior_dominated"] for p in parameters}
-    analysis = identifiability.analyze(
-        planar, effects=found.model.effects, estimate=found, rng=np.random.default_rng(0)
-    )
+    analysis = identifiability.analyze(planar, effects=found.model.effects, estimate=found)
     rows = [p for link in analysis.result()["links"] for p in link["parameters"]]
     clear = [r for r in rows if r["decided_by"] and abs(r["prior_influence"] - 0.5) > 0.25]
     assert len(clear) > 15
     for row in clear:
-        if row["decided_by"] != "physics":  # which only repeated fits tell from the prior
-            assert said[row["name"]] == row["prior_dominated"], row
+        assert said[row["name"]] == row["prior_dominated"], row
     missed = {
         p["name"]
         for p, share in zip(parameters, found.physical.prior_share, strict=True)

@@ -204,19 +204,7 @@ def rehearse_run() -> Run:
     result |= {"items": items, "advice": ["Move wrist_roll_joint faster."]}
     result |= {"effect": {"effect": "payload", "joint": JOINTS[1]}}
     result |= {"limit_values": designed["limit_values"]}
-    result |= {"tracking": {"duration": 3.0, "harmonics": 3, "bandwidth_hz": 6.37}}
     shown = {key: series[key] for key in ("t", "q", "dq", "tau")}
-    shown["tracking_t"] = t = np.linspace(0, 3, 300, endpoint=False)
-    sizes = {"given": 2e-3, "identified": 1e-3, "extended": 1e-4}
-    for when, best in (("before", "identified"), ("after", "extended")):
-        rms = {name: size for name, size in sizes.items() if size >= sizes[best]}
-        ratio = rms["given"] / rms[best]
-        result["tracking"][when] = [
-            {"name": joint, "unit": "rad", "rms": rms, "ratio": ratio} for joint in JOINTS
-        ]
-        for name, size in rms.items():
-            error = size * np.sqrt(2) * np.sin(2 * np.pi * t)
-            shown[f"{when}_{name}"] = np.tile(error[:, None], (1, NV))
     return result, shown
 
 
@@ -345,17 +333,8 @@ def _given_model() -> dict[str, Any]:
     shares = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8}
     bands = {"slower": 0.0, "motion": 0.9, "faster": 0.1}
     error = {"rms": 4.0, "shares": shares, "bands": bands, "telling": "direction"}
-    velocity = {"given": 0.2, "extended": 0.02, "unit": "rad/s"}
-    left = {"given": 0.05, "extended": 0.002, "unit": "rad", "velocity": velocity}
-    refitted = {"given": 4.0, "inertias": 3.9, "bodies": 3.95, "extended": 1.0}
-    link = {"link": "forearm", "mass_kg": 0.2, "centre_mm": 31.0, "inertia": 0.1}
-    link["deviations"] = {"mass": 1.0, "centre": 9.0, "inertia": None}
-    sentence = "Re-fitting the inertias alone would hardly help."
-    windows = {"windows": 4, "window_s": 0.6, "bandwidth_hz": 4.0, "notes": []}
     return {
         "error": {"joints": _by_joint({**error, "left": error | {"rms": 1.0}})},
-        "refit": {"sentence": sentence, "joints": _by_joint(refitted), "links": [link]},
-        "forward": {**windows, "joints": _by_joint(left)},
     }
 
 

@@ -91,16 +91,3 @@ def test_twelve_joints_fit_on_a_small_page(make, show):
     page = show(result | entries, series | wide)
     assert sum("over time" in label for label in page.labels) == 12
     assert len(page.source.encode()) < 1_000_000
-
-
-def test_tracking_by_each_model_is_drawn_and_compared(make, written):
-    page, (result, series) = written("rehearse"), make["rehearse"]()
-    assert "Tracking by each model" in page.headings
-    drawings = [label for label in page.labels if "tracking error" in label]
-    assert len(drawings) == len(result["joints"])
-    for said in ("arm as identified, identified: rms 1.00", "by the diagnosis: rms 0.100"):
-        assert all(said in label.replace("\u00a0", " ") for label in drawings)
-    for word in ("2.00 times", "20.0 times", "6.37 Hz", "2.00 mrad"):
-        assert word in page.words.replace("\u00a0", " ")
-    text = summary(page_of({**result, "tracking": None}, series))
-    assert "Tracking" not in text

@@ -81,8 +81,6 @@ def test_names_cannot_break_lines():
 def test_terminal_shows_leads_and_what_is_marked(make):
     assert brief(page_of(*make["rehearse"]())).splitlines() == [
         "failed       the motion would not do: 1 of 3 requirements is not met",
-        "tracking     error 2.0 times less with the identified model, after the change "
-        "20 times less with the extended model",
         "to change    Move wrist_roll_joint faster.",
         "met          velocity limits, shoulder_pan_joint: 99 % used",
         "met          viscous friction, elbow_joint",
