@@ -28,13 +28,7 @@ from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.prior import link_coordinates, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
-from excitant.robots import (
-    Motion,
-    Robot,
-    base_parameters,
-    regressor,
-    robot_from_dh,
-)
+from excitant.robots import Motion, Robot, base_parameters, regressor, robot_from_dh
 from excitant.robots.effects import CoulombFriction, Effect, ViscousFriction
 from excitant.robots.parameters import (
     STANDARD,
@@ -232,28 +226,18 @@ def two_by_two_lines(found: TwoByTwo) -> Iterator[str]:
 def draw_two_by_two(found: TwoByTwo, path: Path) -> None:
     """Difference between motions against difference between initial values, entry by entry."""
     figure, axes = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
-    names = [entry.name for entry in dd_arm_tables()]
     for of_base, words, colour, marker in (
         (True, "base parameter of the links", "#1b4965", "x"),
         (False, "entry of Tables 2 to 4", "#ca6702", "o"),
     ):
         x, y = np.clip(100 * found.spreads(of_base), 1e-2, 1e3)
         axes.loglog(x, y, marker, color=colour, ms=5, mfc="none", label=words)
-    labelled: list[np.ndarray] = []
-    for name, u, w in zip(names, x, y, strict=True):
-        place = np.log10([u, w]) / [0.35, 0.08]  # what a label takes
-        free = all(np.abs(place - other).max() > 1 for other in labelled)
-        if u < 100 * AGREE < w and free:
-            axes.annotate(name, (u, w), (3, 3), textcoords="offset points", fontsize=7)
-            labelled.append(place)
-    for line in (axes.axvline, axes.axhline):
-        line(100 * AGREE, color="0.6", ls="--", lw=1)
-    axes.text(1.1e-2, 100 * AGREE, "5 %", fontsize=8, color="0.4", va="bottom")
+    axes.axvline(100 * AGREE, color="0.6", ls="--", lw=1)
+    axes.axhline(100 * AGREE, color="0.6", ls="--", lw=1)
     axes.set_xlabel("difference between two motions [% of the truth]")
     axes.set_ylabel("difference between two sets of initial values [%]")
     axes.legend(loc="lower right", fontsize=8)
     figure.savefig(path, dpi=150)
-    plt.close(figure)
 
 
 def null_steps(prior: np.ndarray, rows: FitRows, rng: np.random.Generator) -> list[np.ndarray]:
