@@ -30,7 +30,7 @@ from excitant.analysis.uncertainty import (
     weak_directions,
 )
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify.excitation import Persistency, persistency
+from excitant.identify.excitation import WindowExcitation, persistency
 from excitant.identify.prior import base_prior, decided_by
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
@@ -122,7 +122,7 @@ class PracticalIdentifiability:
     noise: Array  # of each measured joint's torque, assumed or estimated [N·m]
     resting: tuple[str, ...]  # joints that do not move
     basis: str  # where the standard deviations come from, as a sentence
-    persistency: Persistency | None  # None when not all torques are measured
+    persistency: WindowExcitation | None  # None when not all torques are measured
 
     def __post_init__(self) -> None:
         freeze(self, "singular_values", "noise")
@@ -283,7 +283,6 @@ def analyze(
     moving: Sequence[str] | None = None,
     measured: Sequence[str] | None = None,
     frames: Literal["joint", "dh"] = "joint",
-    window: float | None = None,
 ) -> Identifiability:
     """Identifiability of an arm's parameters.
 
@@ -297,7 +296,6 @@ def analyze(
         measured: Joints whose torque is measured; all if None, and for an estimate.
         frames: Frames that the links' parameters are about: those of their joints, or those of the
             standard Denavit-Hartenberg convention, in which Khosla (1987) counts.
-        window: Length [s] of the windows in which excitation is judged; the whole motion if None.
 
     Raises:
         BadInput: A motion is to be judged, but a joint has no torque limit to scale noise by;
@@ -318,8 +316,6 @@ def analyze(
         "frames: a motion is judged in joint frames; leave one of both out": (
             frames == "dh" and judged
         ),
-        "window: give a trajectory or recording too": window is not None
-        and not judged,
         "moving: name at least one joint": moving is not None and not moving,
         "measured: name at least one joint": measured is not None and not measured,
     }
@@ -357,7 +353,7 @@ def analyze(
         robot, effects, structural, entries, tuple(groups)
     )
     if experiment is not None:
-        practical = _practical(robot, effects, base, experiment, further, window)
+        practical = _practical(robot, effects, base, experiment, further)
         notes = (*_notes(structural, practical, entries), *experiment.notes)
         return replace(identifiability, motion=practical, notes=notes)
     if poses is not None:
@@ -393,14 +389,11 @@ def _practical(
     base: BaseParameters,
     experiment: Experiment,
     further: Mapping[str, Array],
-    window: float | None,
 ) -> PracticalIdentifiability:
     sigma = experiment.sigma
     excitation = None
     if len(sigma) == robot.nv:
-        excitation = persistency(
-            robot, experiment.motion, effects, sigma=sigma, window=window
-        )
+        excitation = persistency(robot, experiment.motion, effects, sigma=sigma)
     columns = list(base.columns)
     information = experiment.information
     R = information.R[:, columns]

@@ -10,7 +10,7 @@ from .differentiators import LocalPolynomial
 from .drive_gains import DriveGains, KnownPayload
 from .estimate import Estimate, identify_robot
 from .estimators import ESTIMATORS
-from .excitation import Persistency, persistency
+from .excitation import WindowExcitation, persistency
 from .export import (
     FORMATS,
     USUAL,
@@ -72,10 +72,10 @@ __all__ = [
     "OnlineIdentification",
     "PayloadEstimate",
     "PayloadEstimator",
-    "Persistency",
     "Publication",
     "Recording",
     "Regression",
+    "WindowExcitation",
     "check_recordings",
     "estimate_payload",
     "fitted",

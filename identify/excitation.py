@@ -11,7 +11,7 @@ to know a parameter better from the window than from the prior.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,7 +41,6 @@ _VISIBLE = (
     10.0  # level of a reference motion that makes a direction worth asking for
 )
 _LISTED = 6  # weak directions that are spelt out
-_SHORTEST = 4  # samples of a window
 
 
 @dataclass(frozen=True)
@@ -86,6 +85,43 @@ class WindowExcitation:
     def enough(self) -> bool:
         """Whether every visible direction reaches level 1."""
         return self.missing == 0
+
+    @property
+    def summary(self) -> str:
+        """The finding on a whole motion in words."""
+        if not len(self.levels):
+            return "no motion of this arm shows any parameter above the noise"
+        length = f"{self.end - self.start:.3g} s"
+        if not self.enough:
+            return (
+                f"not persistently exciting over {length}: {self.count} become better known than "
+                f"they were; of the {len(self.levels)} that a motion can show, {self.missing} are "
+                f"missing (level {self.level:.2g}), first of all "
+                f"{self.weak[0].parameters[0]}{self.advice}"
+            )
+        rest = self.combinations - self.shown
+        others = (
+            f"; of the other {rest} no motion of this arm tells more in that time"
+        )
+        return (
+            f"persistently exciting over {length} at level {self.level:.3g}: {self.count} become "
+            f"better known than they were{others if rest else ''}"
+        )
+
+    def result(self) -> dict[str, Any]:
+        """Its entry in ``result.json``."""
+        return {
+            "persistent": self.enough,
+            "level": self.level,
+            "window_s": self.end - self.start,
+            "combinations": self.combinations,
+            "shown": self.shown,
+            "visible": len(self.levels),
+            "missing": self.missing,
+            "joints": self.joints,
+            "weak": [vars(direction) for direction in self.weak],
+            "sentence": self.summary,
+        }
 
     @property
     def sentence(self) -> str:
@@ -220,75 +256,21 @@ def excitation_judge(
     return replace(judge, basis=L @ V, hidden=int((levels < _VISIBLE).sum()))
 
 
-@dataclass(frozen=True, eq=False)
-class Persistency(WindowExcitation):
-    """Excitation of a whole motion, or in the weakest of its windows where these are asked for."""
-
-    shortest: float | None = None  # length tried whose windows all suffice [s]
-    windows: int = 1  # that were looked at, of the same length
-
-    @property
-    def sentence(self) -> str:
-        """The finding in words."""
-        visible = len(self.levels)
-        length = f"{self.end - self.start:.3g} s"
-        if not visible:
-            return "no motion of this arm shows any parameter above the noise"
-        over = f"windows of {length}" if self.windows > 1 else length
-        least = "at least " * (self.windows > 1)
-        if self.enough:
-            text = (
-                f"persistently exciting over {over} at level {self.level:.3g}: {least}{self.count} "
-                "become better known than they were"
-            )
-            if rest := self.combinations - self.shown:
-                text += f"; of the other {rest} no motion of this arm tells more in that time"
-            if self.shortest is not None and self.shortest < self.end - self.start:
-                text += f"; windows of {self.shortest:.3g} s are enough"
-            return text
-        return (
-            f"not persistently exciting over {over}: from {self.start:.3g} to {self.end:.3g} s "
-            f"{self.count} become better known than they were; of the {visible} that a motion "
-            f"can show, {self.missing} are missing (level {self.level:.2g}), first of all "
-            f"{self.weak[0].parameters[0]}{self.advice}"
-        )
-
-    def result(self) -> dict[str, Any]:
-        """Its entry in ``result.json``."""
-        return {
-            "persistent": self.enough,
-            "level": self.level,
-            "window_s": self.end - self.start,
-            "shortest_window_s": self.shortest,
-            "windows": self.windows,
-            "combinations": self.combinations,
-            "shown": self.shown,
-            "visible": len(self.levels),
-            "missing": self.missing,
-            "joints": self.joints,
-            "weak": [vars(direction) for direction in self.weak],
-            "sentence": self.sentence,
-        }
-
-
 def persistency(
     robot: Robot,
     motion: Motion,
     effects: Sequence[Effect] | None = None,
     *,
     sigma: Array | None = None,
-    window: float | None = None,
-) -> Persistency:
-    """Whether a motion, evenly sampled, is persistently exciting, and over which windows.
-
-    With a window [s], the weakest of all windows of that length is told, which overlap by half.
+) -> WindowExcitation:
+    """Whether a motion, evenly sampled, is persistently exciting over its length.
 
     The robot's inertias are the prior; effects are friction, offset and rotor inertia when None;
     sigma, the noise of an independent row of torque, shape (nv,) [torque unit], is 1 % of the
     torque of a reference motion when None.
 
     Raises:
-        BadInput: A motion without duration, or a window that does not fit it.
+        BadInput: A motion without duration.
     """
     duration = float(motion.t[-1] - motion.t[0])
     if not duration > 0:
@@ -298,45 +280,9 @@ def persistency(
     effects = effects_of(robot, effects)
     base = base_parameters(robot, effects)
     prior = base_prior(robot, effects, base)
-    length = duration if window is None else window
-    thin = motion[
-        :: max(1, int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND)))
-    ]
-    if not _SHORTEST * duration / len(thin) <= length <= duration:
-        least = _SHORTEST * duration / len(thin)
-        raise BadInput(
-            f"excitation: a window of {length:g} s in a motion of {duration:.4g} s; give "
-            f"{least:.2g} to {duration:.4g} s"
-        )
+    step = int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND))
+    thin = motion[:: max(1, step)]
     judge = excitation_judge(
-        robot, effects, window=length, sigma=sigma, base=base, prior=prior
+        robot, effects, window=duration, sigma=sigma, base=base, prior=prior
     )
-    rows = judge.rows(thin)
-    if window is not None:
-        windows = list(_windows(judge, thin, rows, window))
-        weakest = min(
-            windows, key=lambda part: (part.enough, part.shown, part.level)
-        )
-        return Persistency(**vars(weakest), windows=len(windows))
-    whole = judge.judge(thin, rows)
-    shortest = None
-    for length in duration / 2.0 ** np.arange(
-        max(1, int(np.log2(len(thin) / _SHORTEST)))
-    ):
-        parts = _windows(judge, thin, rows, float(length))
-        if not all(part.enough for part in parts):
-            break
-        shortest = float(length)
-    return Persistency(**vars(whole), shortest=shortest)
-
-
-def _windows(
-    judge: ExcitationJudge, motion: Motion, rows: Array, window: float
-) -> Iterator[WindowExcitation]:
-    """Excitation in windows that overlap by half."""
-    start = float(motion.t[0])
-    end = float(motion.t[-1])
-    count = max(1, int(np.ceil(2 * (end - start) / window - 1 - 1e-9)))
-    for first in np.linspace(start, max(start, end - window), count):
-        inside = (motion.t >= first - 1e-9) & (motion.t <= first + window + 1e-9)
-        yield judge.judge(motion[inside], rows[inside])
+    return judge.judge(thin, judge.rows(thin))

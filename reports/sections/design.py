@@ -140,11 +140,7 @@ def _kept_sentence(result: Check | Show) -> str:
 def _shown(persistency: Persistency | None) -> list[str]:
     if persistency is None:
         return []
-    length = v.quantity(persistency.window_s, "s")
-    over = f" in every window of {length}" if persistency.windows > 1 else ""
-    return [
-        f"shows {persistency.shown} of {persistency.combinations} combinations{over}"
-    ]
+    return [f"shows {persistency.shown} of {persistency.combinations} combinations"]
 
 
 def _unchecked(result: Motion) -> str:

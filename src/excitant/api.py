@@ -551,7 +551,6 @@ def analyze(
     measured: Sequence[str] | None = None,
     columns: Columns = "friction",
     frames: Literal["joint", "dh"] = "joint",
-    window: float | None = None,
 ) -> Identifiability:
     """Identifiability of every parameter, link by link.
 
@@ -564,7 +563,6 @@ def analyze(
         measured: Joints whose torque is measured; all when None.
         columns: All that is estimated, or the links only.
         frames: Frames that the links' inertias are about; see `excitant.analysis.analyze`.
-        window: Length of the windows in which excitation is judged [s]; the whole motion if None.
 
     Errors are those of `excitant.analysis.analyze`.
     """
@@ -578,7 +576,6 @@ def analyze(
         moving=moving,
         measured=measured,
         frames=frames,
-        window=window,
     )
 
 

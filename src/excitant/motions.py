@@ -26,7 +26,6 @@ from excitant.options import (
     Run,
     Seed,
     TrajectoryFile,
-    Window,
     print_json,
 )
 from excitant.progress import Advance, progress_bar
@@ -195,7 +194,6 @@ def check(
     /,
     *,
     columns: Columns = "friction",
-    window: Window = None,
     surroundings: Around = Surroundings(),
     part: Part = Part(),
     run: Run = Run(),
@@ -214,7 +212,7 @@ def check(
     arm = checked.robot
     effects = ex.api.estimated_effects(columns, arm)
     motion = checked.evenly(ex.api.SAMPLE_HZ)
-    excited = ex.identify.persistency(arm, motion, effects, window=window)
+    excited = ex.identify.persistency(arm, motion, effects)
     result = checked.result()
     result |= {"trajectory": trajectory, "persistency": excited.result()}
     run.finish(result, checked.series())

@@ -71,12 +71,6 @@ Files = Annotated[list[str] | None, Parameter(consume_multiple=True)]
 Seed = Annotated[int, Parameter(validator=Number(gte=0))]
 Columns = Literal["friction", "inertial"]
 Around = Annotated[Surroundings, Parameter(name="*")]
-Window = Annotated[
-    float | None,
-    Parameter(
-        help="Judge excitation in windows of this length [s]; default: the whole motion."
-    ),
-]
 
 
 @Parameter(name="*")

@@ -22,7 +22,6 @@ from excitant.options import (
     Part,
     RobotOrFolder,
     Run,
-    Window,
 )
 from excitant.progress import progress_bar
 
@@ -346,7 +345,6 @@ def analyze(
     measured: Names = None,
     columns: Columns = "friction",
     frames: Literal["joint", "dh"] = "joint",
-    window: Window = None,
     part: Part = Part(),
     run: Run = Run(),
 ) -> None:
@@ -395,7 +393,6 @@ def analyze(
         measured=measured,
         columns=columns,
         frames=frames,
-        window=window,
     )
     result = identifiability.result() | entries
     result["notes"] += notes

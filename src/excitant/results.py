@@ -147,7 +147,7 @@ class Pair(Record):
 
 
 class Weak(Record):
-    """Base parameters that hardly show in the worst window."""
+    """Base parameters that hardly show."""
 
     parameters: list[str]
     "Their names."
@@ -158,26 +158,22 @@ class Weak(Record):
 
 
 class Persistency(Record):
-    """Persistency of excitation over windows."""
+    """Persistency of excitation over a motion."""
 
     persistent: bool
-    "Whether every window shows all combinations."
+    "Whether it shows all combinations that a motion can show."
     level: Number
     "Least excitation level."
     window_s: float
-    "Length of the worst window [s]."
-    shortest_window_s: Number
-    "Shortest window that shows all combinations [s]."
-    windows: int
-    "Number of windows."
+    "Length of the motion [s]."
     combinations: int
     "Number of base parameters."
     shown: int
-    "Number of them that all windows show."
+    "Number of them that it shows."
     visible: int
-    "Number of them that the whole motion shows."
+    "Number of them that a motion can show."
     missing: int
-    "Number of them that it does not show."
+    "Number of these that it does not show."
     joints: list[str]
     "Joints whose motion is lacking."
     weak: list[Weak]

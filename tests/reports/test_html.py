@@ -158,7 +158,10 @@ def test_series_without_values_or_of_wrong_shape_have_no_panel(make, show, writt
     [
         (lambda r: r.pop("headline"), "`headline`"),
         (lambda r: r["findings"][0].pop("verdict"), r"`verdict` - at `\$.findings\[0\]`"),
-        (lambda r: r["simulation"]["joints"][1].update(name=None), r"\$.simulation.joints\[1\].name"),
+        (
+            lambda r: r["simulation"]["joints"][1].update(name=None),
+            r"\$.simulation.joints\[1\].name",
+        ),
         (lambda r: r["faults"].append({}), r"\$.faults\[2\]"),
         (lambda r: r.update(more=1), "`more`"),
     ],
