@@ -451,15 +451,15 @@ def _friction(
 def _surroundings(diagnosis: Diagnosis) -> Scene | None:
     """The arm's own bodies, where the recording does not contradict their shapes."""
     q = states(diagnosis.data.validate)[0]
-    found = None
+    surroundings = None
     with suppress(ValueError, RuntimeError):
-        found = scene(diagnosis.robot)
+        surroundings = scene(diagnosis.robot)
     near = (
-        found is None
-        or found.distances(q[:: max(1, len(q) // 100)]).min()
+        surroundings is None
+        or surroundings.distances(q[:: max(1, len(q) // 100)]).min()
         <= DISCRIMINATION.nearest
     )
-    return None if near else found
+    return None if near else surroundings
 
 
 def _best(motions: Sequence[Discriminating], index: int) -> Discriminating | None:

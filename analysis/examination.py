@@ -148,12 +148,12 @@ class Examination(Shown):
             f"{advice}.",
         ]
 
-    def _misses(self, found: Accuracy) -> str:
+    def _misses(self, accuracy: Accuracy) -> str:
         """The error of a model in words, with that of a joint which stands out."""
-        median = float(np.nanmedian(found.nrmse))
-        worst = int(np.nanargmax(found.nrmse))
+        median = float(np.nanmedian(accuracy.nrmse))
+        worst = int(np.nanargmax(accuracy.nrmse))
         joint = self.check.robot.joints[worst]
-        most = float(found.nrmse[worst])
+        most = float(accuracy.nrmse[worst])
         stands_out = most > max(_STANDS_OUT * median, _SEEN)
         return (
             f"{percent(median)} %" + f" ({joint}: {percent(most)} %)" * stands_out
@@ -226,12 +226,12 @@ class Examination(Shown):
     @cached_property
     def results(self) -> dict[str, dict[str, Any]]:
         """Results of the commands, by name."""
-        found = {verb: noun.result() for verb, noun in self._nouns.items()}
-        found["diagnose"]["faults"] = [dict(fault) for fault in self.faults]
+        results = {verb: noun.result() for verb, noun in self._nouns.items()}
+        results["diagnose"]["faults"] = [dict(fault) for fault in self.faults]
         for model, verb in (("identified", "identify"), ("extended", "diagnose")):
             exported = self.publications[model].exported
-            found[verb]["exported"] = [file.entry() for file in exported]
-        return found
+            results[verb]["exported"] = [file.entry() for file in exported]
+        return results
 
     @property
     def _nouns(self) -> dict[str, Any]:
@@ -301,11 +301,11 @@ def examine(
     progress(0.0, "identifying")
     estimate = identify_robot(robot, recordings, **options)
     progress(0.3, "diagnosing")
-    found = diagnose(robot, recordings, **options)
-    turned = found.set_up is not None and found.set_up.robot is not robot
+    diagnosis = diagnose(robot, recordings, **options)
+    turned = diagnosis.set_up is not None and diagnosis.set_up.robot is not robot
     data = [fault for fault in faults if fault["fault"] not in INSTALLATION]
     publications = {
-        "extended": extended_publication(found, data),
+        "extended": extended_publication(diagnosis, data),
         "identified": publication(
             estimate, faults=proven(faults if turned else data)
         ),
@@ -316,7 +316,7 @@ def examine(
         ModelCheck(robot),
         estimate,
         known,
-        found,
+        diagnosis,
         faults,
         publications,
         tuple(notes),

@@ -131,17 +131,17 @@ class Fleet:
 
     def result(self) -> dict[str, Any]:
         """Entries of ``result.json``."""
-        done = [each for each in self.examined if not each.failed]
+        done = [data_set for data_set in self.examined if not data_set.failed]
         return {
             "verb": "fleet",
             "of": f"{len(self.examined)} data sets",
             "arms": len({(e.kind, e.arm) for e in done}),
             "types": sorted({e.kind for e in done}),
-            "data_sets": [_entry(each) for each in self.examined],
-            "deviations": [asdict(each) for each in self.deviations],
+            "data_sets": [_entry(data_set) for data_set in self.examined],
+            "deviations": [asdict(deviation) for deviation in self.deviations],
             "drifts": [
-                asdict(each) | {"first": str(each.first), "last": str(each.last)}
-                for each in self.drifts
+                asdict(drift) | {"first": str(drift.first), "last": str(drift.last)}
+                for drift in self.drifts
             ],
             "notes": list(_notes(done)),
         }
@@ -161,21 +161,21 @@ class Fleet:
         return arrays
 
 
-def _entry(each: Examined) -> dict[str, Any]:
+def _entry(data_set: Examined) -> dict[str, Any]:
     return {
-        "name": each.name,
-        "arm": each.arm,
-        "date": str(each.day) if each.day else None,
-        "type": each.kind or None,
-        "failed": each.failed or None,
-        "found": list(each.found),
+        "name": data_set.name,
+        "arm": data_set.arm,
+        "date": str(data_set.day) if data_set.day else None,
+        "type": data_set.kind or None,
+        "failed": data_set.failed or None,
+        "found": list(data_set.found),
     }
 
 
 def _notes(done: Sequence[Examined]) -> Iterator[str]:
-    for kind in sorted({each.kind for each in done}):
-        own = [each for each in done if each.kind == kind]
-        arms = {each.arm for each in own}
+    for kind in sorted({data_set.kind for data_set in done}):
+        own = [data_set for data_set in done if data_set.kind == kind]
+        arms = {data_set.arm for data_set in own}
         if len(arms) < FEWEST_ARMS:
             yield (
                 f"{kind}: {len(arms)} arm{'s' * (len(arms) > 1)}; from {FEWEST_ARMS} of a type on "
@@ -194,7 +194,7 @@ def _notes(done: Sequence[Examined]) -> Iterator[str]:
 
 def compare_arms(examined: Sequence[Examined]) -> Fleet:
     """The arms of a fleet beside each other and over time."""
-    groups = list(_groups([each for each in examined if each.values]))
+    groups = list(_groups([data_set for data_set in examined if data_set.values]))
     chance = CHANCE / 2
     lines = sum(len(group.lines) for group in groups)
     drifts = list[Drift]()
@@ -396,24 +396,32 @@ def _days(day: date | None) -> float:
 
 
 def _groups(examined: Sequence[Examined]) -> Iterator[_Group]:
-    for kind in sorted({each.kind for each in examined}):
+    for kind in sorted({data_set.kind for data_set in examined}):
         own = sorted(
-            (each for each in examined if each.kind == kind),
-            key=lambda each: (each.arm, each.day or date.max, each.name),
+            (data_set for data_set in examined if data_set.kind == kind),
+            key=lambda data_set: (
+                data_set.arm,
+                data_set.day or date.max,
+                data_set.name,
+            ),
         )
-        for name in dict.fromkeys(name for each in own for name in each.values):
+        for name in dict.fromkeys(
+            name for data_set in own for name in data_set.values
+        ):
             having = [
-                (each, each.values[name]) for each in own if name in each.values
+                (data_set, data_set.values[name])
+                for data_set in own
+                if name in data_set.values
             ]
-            arms = tuple(dict.fromkeys(each.arm for each, _ in having))
+            arms = tuple(dict.fromkeys(data_set.arm for data_set, _ in having))
             place = {arm: k for k, arm in enumerate(arms)}
             x, std = np.array([value[:2] for _, value in having], float).T
             yield _Group(
                 name,
                 having[0][1].unit,
                 arms,
-                np.array([place[each.arm] for each, _ in having]),
-                np.array([_days(each.day) for each, _ in having]),
+                np.array([place[data_set.arm] for data_set, _ in having]),
+                np.array([_days(data_set.day) for data_set, _ in having]),
                 x,
                 np.maximum(std, _TINY * np.abs(x).max() + 1e-300) ** 2,
             )

@@ -361,9 +361,9 @@ def analyze(
     return identifiability
 
 
-def _contained(robot: Robot, found: Structure) -> str:
+def _contained(robot: Robot, structural: Structure) -> str:
     """How many of each link's ten parameters torque contains, as a sentence."""
-    seen = np.array(found.category[: 10 * robot.nv]) != "unidentifiable"
+    seen = np.array(structural.category[: 10 * robot.nv]) != "unidentifiable"
     counts = seen.reshape(-1, 10).sum(axis=1)
     each = ", ".join(
         f"{name} {count}" for name, count in zip(robot.links, counts, strict=True)
@@ -420,11 +420,11 @@ def _practical(
 
 
 def _notes(
-    found: Structure,
+    structural: Structure,
     under: PracticalIdentifiability,
     table: Sequence[ParameterIdentifiability],
 ) -> tuple[str, ...]:
-    base = found.base
+    base = structural.base
     notes = []
     if under.resting:
         verb = "rests" if len(under.resting) == 1 else "rest"

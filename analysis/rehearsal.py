@@ -265,16 +265,18 @@ def _undetermined(situation: Situation, error: RankDeficient) -> Item:
     )
 
 
-def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item:
+def _named(
+    situation: Situation, diagnosis: Diagnosis, change: HiddenEffect
+) -> Item:
     """The change of the arm is named, on its joint, before anything else."""
     # a payload and other added inertia may explain the data equally well; that is no failure
     planted = f"{plain(change.effect)} on {change.joint}"
     advice = situation.faster(change.joint)
-    if not found.findings:
+    if not diagnosis.findings:
         return _item(
             "diagnosis", change.joint, False, f"{planted}: no finding", advice
         )
-    lead = found.findings[0]
+    lead = diagnosis.findings[0]
     named = f"{lead.verdict} {_cause(lead)}"
     if lead.rivals:
         named += (
@@ -294,12 +296,12 @@ def _named(situation: Situation, found: Diagnosis, change: HiddenEffect) -> Item
         planted=change.parameters[0][1],
         recovered=float(lead.effect.values[0] - lead.nominal[0]),
         std=float(lead.std[0]),
-        unit=lead.effect.parameters(found.robot)[0].unit,
+        unit=lead.effect.parameters(diagnosis.robot)[0].unit,
     )
 
 
-def _cause(found: Finding | Candidate) -> str:
-    return f"{plain(found.effect.name)} on {', '.join(found.effect.joints)}"
+def _cause(cause: Finding | Candidate) -> str:
+    return f"{plain(cause.effect.name)} on {', '.join(cause.effect.joints)}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -455,11 +457,13 @@ def rehearse(
         )
     ]
     tell(0.75, "diagnosing")
-    found = diagnose(estimates[0].model, recordings[:1], validate=recordings[1:])
+    diagnosis = diagnose(
+        estimates[0].model, recordings[:1], validate=recordings[1:]
+    )
     planted = planted_parameters(arm, standard_effects(robot.joints))
     items += _recovered(situation, estimates, planted)
-    items.append(_named(situation, found, change))
-    return Rehearsal(*common, tuple(items), estimates[0], found)
+    items.append(_named(situation, diagnosis, change))
+    return Rehearsal(*common, tuple(items), estimates[0], diagnosis)
 
 
 def _recording(

@@ -240,7 +240,7 @@ class _Search:
         )
         self.weights, multipliers = mixture_of(self.problem, self.states, tolerance)
         starts = self.starts(multipliers, PRICING.starts)
-        found, price = self.problem.worst(
+        states, price = self.problem.worst(
             multipliers, starts, PRICING.steps, PRICING.polished, polish
         )
         violation = float(price.max(initial=0.0))
@@ -251,17 +251,17 @@ class _Search:
             self.violation = violation
         ceiling = float(np.sqrt(multipliers.value))
         self.rounds += 1
-        self.exchange(multipliers, found[price > PRICING.added * violation])
+        self.exchange(multipliers, states[price > PRICING.added * violation])
         return ceiling
 
-    def exchange(self, multipliers: Multipliers, found: Motion) -> None:
-        self.archive = _together([self.archive, found])
+    def exchange(self, multipliers: Multipliers, states: Motion) -> None:
+        self.archive = _together([self.archive, states])
         w = self.weights
         room = 2 * int((w > PRICING.support * w.max()).sum()) + PRICING.spare_states
         if len(w) > room:
             order = np.argsort(-self.problem.price(multipliers, self.states))[:room]
             self.states = self.states[np.sort(order)]
-        self.states = _together([self.states, found])
+        self.states = _together([self.states, states])
 
     def starts(self, multipliers: Multipliers, n: int) -> Array:
         """Points of the cube: the best-priced n of all ever found, and n random ones."""
@@ -276,7 +276,7 @@ class _Search:
         """The best multipliers, repaired by the violation that a longer search finds."""
         for _ in range(PRICING.final_rounds):
             starts = self.starts(self.best, PRICING.final_starts)
-            found, price = self.problem.worst(
+            states, price = self.problem.worst(
                 self.best,
                 starts,
                 PRICING.final_steps,
@@ -286,7 +286,7 @@ class _Search:
             worst = float(price.max(initial=0.0))
             if worst <= self.violation:
                 break
-            self.violation, self.archive = worst, _together([self.archive, found])
+            self.violation, self.archive = worst, _together([self.archive, states])
         return self.best.repaired(self.violation)
 
 
@@ -332,10 +332,10 @@ def mixture_of(
     size = np.trace(M, axis1=1, axis2=2) + 1e-9 * problem.unit
     rows = problem.tests.rates(states) * (problem.unit / size)[:, None]
     M = M / size[:, None, None]
-    weights, found = best_mixture(
+    weights, mixture = best_mixture(
         M, rows, bound=PRICING.largest_multiplier, tolerance=tolerance
     )
-    return weights / size, replace(found, y=found.y * problem.unit)
+    return weights / size, replace(mixture, y=mixture.y * problem.unit)
 
 
 def best_mixture(

@@ -198,7 +198,7 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
             motion.period,
             CERTIFICATION.per_harmonic * max(motion.harmonics, 1) + 1,
         )
-        found = [
+        extrema = [
             _extreme(*(part.T for part in motion.extrema_in_time(k)))
             for k in orders
         ]
@@ -212,11 +212,11 @@ def check(robot: Robot, motion: Motion | Trajectory) -> LimitReport:
         t = (motion.t[:-1, None] + share * np.diff(motion.t)[:, None]).ravel()
         t = np.append(t, motion.t[-1])
         stops = _reversals(path, t)
-        found = [
+        extrema = [
             _extrema(partial(path, order=k), partial(path, order=k + 1), t)
             for k in orders
         ]
-    limits = zip(KINEMATIC, found, *kinematic_limits(robot.limits), strict=False)
+    limits = zip(KINEMATIC, extrema, *kinematic_limits(robot.limits), strict=False)
     position, velocity, acceleration, *jerk = (
         _use(robot, *quantity) for quantity in limits
     )
@@ -266,9 +266,9 @@ def within_limits(
 
 
 def _use(
-    robot: Robot, quantity: str, found: Extrema, middle: Array, bound: Array
+    robot: Robot, quantity: str, extrema: Extrema, middle: Array, bound: Array
 ) -> LimitUse:
-    low, t_low, high, t_high = found
+    low, t_low, high, t_high = extrema
     below = middle - low > high - middle
     with np.errstate(over="ignore"):  # of a limit that is hardly any
         ratios = np.where(below, middle - low, high - middle) / bound
@@ -328,12 +328,12 @@ def _extrema(
 
 
 def _extreme(times: Iterable[Array], values: Iterable[Array]) -> Extrema:
-    found = []
+    extremes = []
     for t, x in zip(times, values, strict=True):
         low = int(x.argmin())
         high = int(x.argmax())
-        found.append((x[low], t[low], x[high], t[high]))
-    low, t_low, high, t_high = np.array(found).T
+        extremes.append((x[low], t[low], x[high], t[high]))
+    low, t_low, high, t_high = np.array(extremes).T
     return low, t_low, high, t_high
 
 
@@ -382,8 +382,8 @@ def clearance(scene: Scene, path: Trajectory | HermiteTrajectory) -> Clearance:
         length = length / 2
         middle = scene.distances(path(begin + length))
         evaluated += len(middle)
-        found = _smallest(scene, middle, begin + length)
-        best = min(best, found, key=lambda c: c.distance)
+        smallest = _smallest(scene, middle, begin + length)
+        best = min(best, smallest, key=lambda c: c.distance)
         left = np.vstack([left, middle])
         right = np.vstack([middle, right])
         begin = np.concatenate([begin, begin + length])

@@ -218,17 +218,17 @@ def write_formats(
     UnknownName.refuse("format", names, FORMATS)
     for motion in motions.values():
         _require(motion, robot)
-    found: dict[str, bytes | str] = {}
+    files: dict[str, bytes | str] = {}
     for name in names:
         suffix, write = FORMATS[name]
         if write is None:
-            found[suffix] = ros2_client(motions, robot)
+            files[suffix] = ros2_client(motions, robot)
         else:
-            found |= {
+            files |= {
                 stem + suffix: write(motion, robot)
                 for stem, motion in motions.items()
             }
-    return found
+    return files
 
 
 def _require(motion: Motion, robot: Robot) -> None:

@@ -428,6 +428,6 @@ def lone_torque(M: Array) -> Array:
 
 
 def _plain(values: npt.ArrayLike) -> Any:
-    found = np.array(values, object)
-    found[~np.isfinite(np.asarray(values, float))] = None
-    return found.tolist()
+    entries = np.array(values, object)
+    entries[~np.isfinite(np.asarray(values, float))] = None
+    return entries.tolist()

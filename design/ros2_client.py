@@ -143,10 +143,10 @@ class Client:
                 f"{name} cannot be cancelled; stop the arm by hand",
             )
             raise
-        found = result.result().result
-        if found.error_code != found.SUCCESSFUL:
+        outcome = result.result().result
+        if outcome.error_code != outcome.SUCCESSFUL:
             raise Refused(
-                f"{name} ended with error {found.error_code}: {found.error_string}"
+                f"{name} ended with error {outcome.error_code}: {outcome.error_string}"
             )
         print(f"{name}: done", flush=True)
 

@@ -181,10 +181,10 @@ Report = Callable[[DesignProblem, Sequence[SearchState]], None]
 
 def best_solutions(searches: Iterable[SearchState], count: int) -> list[Array]:
     """Unknowns of the best that searches found within all limits, best first."""
-    found = sorted(
+    solutions = sorted(
         (s.best_value, s.index, s.best) for s in searches if s.best is not None
     )
-    return [z for _, _, z in found[:count]]
+    return [z for _, _, z in solutions[:count]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,13 +343,13 @@ def _grow(
             larger = replace(problem, series=series)
             seeds = _seeds(larger, problem, searches)
             starts = effort.starts and len(seeds)
-            found = _MultiStart(
+            grown = _MultiStart(
                 larger, effort.share(starts, SERIES_CHOICE.growth_time), seeds
             ).run()
-            gain = _value(searches) - _value(found)
+            gain = _value(searches) - _value(grown)
             if gain > 0:
                 problem = larger
-                searches = found
+                searches = grown
                 break
     seeds = _seeds(problem, problem, searches)
     if seeds and effort.starts is None and not _interrupted(searches):

@@ -483,16 +483,16 @@ def time_optimal(
     for _ in range(TIMING.passes):
         speed = None if profile is None else profile.speed
         dynamics = _dynamics(robot, path, s, speed, blur)
-        found = _topp(
+        faster = _topp(
             path, s, limits.velocity, (acceleration, limits.torque), dynamics, unit
         )
-        if found is None:
+        if faster is None:
             break
         settled = (
-            profile is not None and abs(found.duration / unit - 1) < TIMING.settled
+            profile is not None and abs(faster.duration / unit - 1) < TIMING.settled
         )
-        profile = found
-        unit = found.duration
+        profile = faster
+        unit = faster.duration
         if settled:
             break
     if profile is None:

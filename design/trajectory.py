@@ -414,7 +414,7 @@ class SplineSeries(Series):
     def extremum_times(self, coefficients: Array, order: int) -> Array:
         """Roots of the next derivative, piece by piece, and the knots, shape (k, nv) [s]."""
         knots = np.arange(self.pieces) * (self.period / self.pieces)
-        found = []
+        instants = []
         for points in coefficients.T:
             spline = self._spline(points)
             slope = scipy.interpolate.PPoly.from_spline(
@@ -424,10 +424,10 @@ class SplineSeries(Series):
             inside = roots[
                 np.isfinite(roots) & (roots >= 0) & (roots <= self.period)
             ]
-            found.append(np.concatenate([knots, inside]))
-        length = max(map(len, found))
+            instants.append(np.concatenate([knots, inside]))
+        length = max(map(len, instants))
         return np.stack(
-            [np.pad(times, (0, length - len(times))) for times in found], axis=1
+            [np.pad(times, (0, length - len(times))) for times in instants], axis=1
         )
 
     def resized(self, terms: int) -> Self:

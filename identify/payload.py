@@ -203,14 +203,14 @@ def _given_arm(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters
 ) -> tuple[Information, str]:
     """What a model says of the unloaded arm, and how sure it is taken to be, as a sentence."""
-    if (found := robot.estimate) is not None:
-        if found.names != base.leading:
+    if (estimate := robot.estimate) is not None:
+        if estimate.names != base.leading:
             raise BadInput(
                 f"payload: {robot.name} was identified with other effects "
                 f"({', '.join(effect.name for effect in robot.effects)}) or another geometry; "
                 "leave --effects out, or record the arm without load (--unloaded)"
             )
-        return gaussian(found.value, found.covariance), (
+        return gaussian(estimate.value, estimate.covariance), (
             "the given model stands for the unloaded arm, as sure as its covariance says"
         )
     prior = base_prior(robot, effects, base)

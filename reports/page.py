@@ -68,8 +68,8 @@ class Table:
     def groups(self) -> list[tuple[str, int]]:
         """Names of groups and how many columns each has; empty where there is none."""
         names = [head.rpartition("|")[0] for head, _ in self.columns]
-        found = [(name, len(list(columns))) for name, columns in groupby(names)]
-        return found if any(names) else []
+        spans = [(name, len(list(columns))) for name, columns in groupby(names)]
+        return spans if any(names) else []
 
 
 @dataclass(frozen=True)

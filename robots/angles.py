@@ -54,9 +54,9 @@ class Angles:
     def exact(self, values: Iterable[float]) -> Array:
         """Angles that were read as numbers, with the digits that these need [rad]."""
         given = [float(value) for value in values]
-        found = ((self.meant(repr(value)), value) for value in given)
+        pairs = ((self.meant(repr(value)), value) for value in given)
         return np.array(
-            [value if exact is None else exact for exact, value in found]
+            [value if exact is None else exact for exact, value in pairs]
         )
 
     def urdf(self, text: str) -> str:

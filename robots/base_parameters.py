@@ -208,8 +208,8 @@ def regroup(
     """
     R = observation.R
     units = observation.units
-    found, parts = independent_columns(R, tolerance)
-    columns = list(found)
+    leading, parts = independent_columns(R, tolerance)
+    columns = list(leading)
     dependence = np.linalg.lstsq(R[:, columns], R, rcond=None)[0]
     dependence[np.abs(dependence) < tolerance] = 0.0
     B = _rounded(
@@ -219,7 +219,7 @@ def regroup(
     rejected = np.delete(parts, columns)
     return BaseParameters(
         observation.names,
-        found,
+        leading,
         read_only(B),
         read_only(np.linalg.svd(B)[2][len(columns) :].T),
         (float(parts[columns].min(initial=1.0)), float(rejected.max(initial=0.0))),

@@ -73,11 +73,11 @@ class Tree:
 
     def ancestors(self, link: str) -> list[TreeJoint]:
         """Joints from a link to the root, the nearest first."""
-        found: list[TreeJoint] = []
-        while link in self.parents and len(found) < len(self.joints):
-            found.append(self.parents[link])
-            link = found[-1].parent
-        return found
+        joints: list[TreeJoint] = []
+        while link in self.parents and len(joints) < len(self.joints):
+            joints.append(self.parents[link])
+            link = joints[-1].parent
+        return joints
 
     def carrier(self, link: str, moving: Sequence[str]) -> str:
         """The nearest of the moving links that carries a link, itself included; else empty."""

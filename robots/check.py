@@ -131,15 +131,15 @@ class ModelCheck:
         """
         robot = self.robot
         root = ET.fromstring(self.robot.description)
-        found = [
+        warnings = [
             *_inertias(robot, self.bodies),
             *_axes(robot, root),
             *_limits(robot, root),
             *self._weight(),
         ]
-        if not any(warning.check in _SPOILS_WEIGHT for warning in found):
-            found += _gravity(robot, self.gravity_peaks)
-        return tuple(sorted(found, key=lambda warning: warning.hint))
+        if not any(warning.check in _SPOILS_WEIGHT for warning in warnings):
+            warnings += _gravity(robot, self.gravity_peaks)
+        return tuple(sorted(warnings, key=lambda warning: warning.hint))
 
     def _weight(self) -> Warnings:
         moving = self.moving_mass
@@ -332,12 +332,12 @@ def _inertias(robot: Robot, stated: Sequence[Body]) -> Warnings:
     yield from alike
     named = {link for warning in alike for link in warning.where}
     for body in moving:
-        found = (
+        doubts = (
             (k, text)
             for k, check in _LINK_CHECKS.items()
             for text in check(robot, body)
         )
-        if body.link not in named and (first := next(found, None)):
+        if body.link not in named and (first := next(doubts, None)):
             yield ModelWarning(
                 first[0], (body.link,), first[1], hint=_UNSEEN in first[1]
             )
@@ -393,7 +393,7 @@ def _power_of_ten(value: float) -> bool:
 
 
 def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
-    for found in violations(
+    for violation in violations(
         [body.mass, 0, 0, 0, *elements(body.inertia)], (body.link,)
     ):
         advice = "check its numbers and their order (ixx ixy ixz iyy iyz izz)"
@@ -411,7 +411,7 @@ def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
                 advice = (
                     "rounding may do this to a flat or thin link; give more digits"
                 )
-        yield f"{found.removeprefix(f'{body.link}: ')}; {advice}"
+        yield f"{violation.removeprefix(f'{body.link}: ')}; {advice}"
 
 
 def _centre_outside(robot: Robot, body: Body) -> Iterator[str]:

@@ -243,10 +243,10 @@ class Scene:
 
     def distances(self, q: Array) -> Array:
         """Signed distance of every pair at every pose, as it counts, shape (n, pairs) [m]."""
-        found = np.empty((len(q), len(self.pairs)))
+        distances = np.empty((len(q), len(self.pairs)))
         for k, results in enumerate(self._results(q)):
-            found[k] = [result.min_distance for result in results]
-        return found * self.scale
+            distances[k] = [result.min_distance for result in results]
+        return distances * self.scale
 
     def nearest(self, q: Array) -> tuple[npt.NDArray[np.intp], Array, Array]:
         """At every pose the pair whose distance counts least.

@@ -50,8 +50,8 @@ def limits_from(
 
 def _joint_limits(content: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """The entry ``joint_limits`` of MoveIt or ros2_control, under ``ros__parameters`` or not."""
-    if isinstance(found := content.get("joint_limits"), dict):
-        return found
+    if isinstance(limits := content.get("joint_limits"), dict):
+        return limits
     inner = (
         _joint_limits(value)
         for value in content.values()
@@ -73,16 +73,16 @@ def _by_quantity(
         raise BadInput(
             f"{path}: {UnknownName('joint', next(iter(by_joint), ''), robot.joints)}"
         )
-    found: dict[str, Any] = {}
+    limits: dict[str, Any] = {}
     for name, word in zip(LIMIT_NAMES, _ROS, strict=True):
         known = {j: row for j, row in rows.items() if row.get(f"has_{word}_limits")}
-        found[name] = {j: row.get(f"max_{word}") for j, row in known.items()}
+        limits[name] = {j: row.get(f"max_{word}") for j, row in known.items()}
         if name == "position":
-            found[name] = {
-                j: [row.get("min_position"), found[name][j]]
+            limits[name] = {
+                j: [row.get("min_position"), limits[name][j]]
                 for j, row in known.items()
             }
-    return found
+    return limits
 
 
 def merge_limits(robot: Robot, record: LimitsRecord, source: str) -> Limits:

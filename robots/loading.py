@@ -238,17 +238,17 @@ def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
 
 
 def robot_of(
-    found: Description, spec: RobotSpec, gravity: npt.ArrayLike | None = None
+    description: Description, spec: RobotSpec, gravity: npt.ArrayLike | None = None
 ) -> Robot:
     """Robot of a description that was read, wherever it was, with the effects that it states."""
     robot = robot_from_urdf(
-        found.urdf,
-        replace(spec, lock={**found.lock, **spec.lock}),
-        loops=found.loops,
-        gravity=found.gravity if gravity is None else gravity,
+        description.urdf,
+        replace(spec, lock={**description.lock, **spec.lock}),
+        loops=description.loops,
+        gravity=description.gravity if gravity is None else gravity,
     )
-    robot = replace(robot, notes=(*found.notes, *robot.notes))
-    return robot.with_effects(_effects(robot, found))
+    robot = replace(robot, notes=(*description.notes, *robot.notes))
+    return robot.with_effects(_effects(robot, description))
 
 
 def _described(path: Path, spec: RobotSpec) -> Description:
@@ -266,7 +266,7 @@ def _described(path: Path, spec: RobotSpec) -> Description:
     return Description(text)
 
 
-def _effects(robot: Robot, found: Description) -> Iterator[Effect]:
+def _effects(robot: Robot, description: Description) -> Iterator[Effect]:
     """Friction, rotor inertia and springs that a description states of the joints that move."""
     joints = ET.fromstring(robot.description).findall("joint")
     stated = {str(joint.get("name")): joint for joint in joints}
@@ -278,10 +278,16 @@ def _effects(robot: Robot, found: Description) -> Iterator[Effect]:
         values = {name: value for name, value in values.items() if value}
         if values:
             yield kind(tuple(values), tuple(values.values()))
-    armature = {j: found.armature[j] for j in robot.joints if found.armature.get(j)}
+    armature = {
+        j: description.armature[j]
+        for j in robot.joints
+        if description.armature.get(j)
+    }
     if armature:
         yield RotorInertia(tuple(armature), tuple(armature.values()))
-    springs = {j: found.springs[j] for j in robot.joints if j in found.springs}
+    springs = {
+        j: description.springs[j] for j in robot.joints if j in description.springs
+    }
     if springs:
         values_of = [
             (stiffness, -stiffness * rest) for stiffness, rest in springs.values()

@@ -107,26 +107,26 @@ def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:
     Returns:
         One sentence per offending link.
     """
-    found = []
+    sentences = []
     for link, P in zip(
         links, pseudo_inertia(np.reshape(phi, (-1, 10))), strict=True
     ):
         if P[3, 3] <= 0:
-            found.append(f"{link}: mass {P[3, 3]:.4g} kg is not positive")
+            sentences.append(f"{link}: mass {P[3, 3]:.4g} kg is not positive")
             continue
         second = np.linalg.eigvalsh(P[:3, :3] - _lever_moment(P))
         low, middle, high = np.sort(second.sum() - second)
         if low <= 0:
-            found.append(
+            sentences.append(
                 f"{link}: inertia about the centre of mass is not positive "
                 f"(smallest principal moment {low:.4g} kg·m²)"
             )
         elif second[0] <= 0:
-            found.append(
+            sentences.append(
                 f"{link}: principal moments break the triangle inequality "
                 f"({high:.4g} > {low:.4g} + {middle:.4g} kg·m²)"
             )
-    return found
+    return sentences
 
 
 def isotropic(phi: npt.ArrayLike) -> Array:

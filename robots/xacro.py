@@ -417,9 +417,9 @@ class _Reading:
                         f"properties need one another in a loop: {names}"
                     )
                 self.evaluating.append(name)
-                found = _literal(self.value(owner.properties[name], owner))
+                literal = _literal(self.value(owner.properties[name], owner))
                 self.evaluating.pop()
-                owner.properties[name] = found
+                owner.properties[name] = literal
                 owner.unevaluated.discard(name)
             return owner.properties[name]
 

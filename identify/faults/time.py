@@ -87,13 +87,13 @@ def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
     None for those where no repair brings the rows into the order of time.
     """
     order = _order_of(log)
-    found = []
+    faults = []
     timed = np.flatnonzero(np.isfinite(log.t))
     if len(rows := np.flatnonzero(~np.isfinite(log.t))):
         detail = f"{len(rows)} of {len(log)} time stamps are no numbers, first in row {rows[0]}"
-        found.append(dropped(log.joints, rows, detail, channel="t"))
-    found += [*_repeated(log, timed, order.again), *_backward(log, timed, order)]
-    return found, None if order.unclear else order.starts
+        faults.append(dropped(log.joints, rows, detail, channel="t"))
+    faults += [*_repeated(log, timed, order.again), *_backward(log, timed, order)]
+    return faults, None if order.unclear else order.starts
 
 
 def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:

@@ -41,8 +41,8 @@ def read_arrays(source: Path | bytes) -> dict[str, Any]:
                     f"{member.filename} is shorter than its header says"
                 )
             with archive.open(member) as stream:
-                found = np.lib.format.read_array(stream, allow_pickle=False)
-            arrays[member.filename.removesuffix(".npy")] = found
+                values = np.lib.format.read_array(stream, allow_pickle=False)
+            arrays[member.filename.removesuffix(".npy")] = values
     return arrays
 
 

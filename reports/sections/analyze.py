@@ -279,7 +279,7 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
     )
     mass = next((row.value for row in inertial if _symbol(row) == "m"), None)
     where = place if mass is None else f"{place}, {v.quantity(mass, 'kg')}"
-    said = (
+    summary = (
         f"{where}. Of its ten parameters, {unique} are identifiable individually, {in_sums} only "
         f"in combination and {none} not at all."
     )
@@ -321,7 +321,7 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
         p.folded(f"Its {len(combined)} combinations", len(combined), 1),
     )
     return [
-        p.notes([said]),
+        p.notes([summary]),
         _parameters(link),
         combinations,
         needed,
@@ -337,11 +337,11 @@ def _parameters(link: LinkIdentifiability) -> p.Table | None:
     rows = link.parameters
     motion = any(row.std is not None for row in rows)
     influence = any(row.prior_influence is not None for row in rows)
-    said = "Inertia about the joint's frame; friction, offset and rotor inertia of its joint."
+    caption = "Inertia about the joint's frame; friction, offset and rotor inertia of its joint."
     if motion:
-        said += " The prior of the link is counted in the standard deviation."
+        caption += " The prior of the link is counted in the standard deviation."
     if influence:
-        said += (
+        caption += (
             " Follows prior: how far the value moves when its prior is moved, from 0, the data "
             "decide, to 1, the prior alone does."
         )
@@ -363,7 +363,7 @@ def _parameters(link: LinkIdentifiability) -> p.Table | None:
             ("number:Follows prior", "prior_influence") if influence else None,
             ("text:Decided by", decided) if influence else None,
         ],
-        said,
+        caption,
     )
 
 

@@ -273,7 +273,7 @@ def _facts(result: Design) -> p.Facts | None:
     criterion = result.criterion
     name, meaning = _CRITERIA.get(criterion, (v.plain(criterion), ""))
     starts = len(result.starts)
-    effort = f"{starts} starts, {result.iterations} iterations"
+    effort = f"{starts} start{'s' * (starts != 1)}, {result.iterations} iterations"
     if not starts:
         effort = f"{result.iterations} iterations"
     pieces = f"{result.harmonics} harmonics"

@@ -35,16 +35,16 @@ def run_demo(
     rng = np.random.default_rng(seed)
     arm = virtual_arm(robot, rng)
     advance(0.02, "designing the excitation")
-    found = design_trajectory(
+    design = design_trajectory(
         robot, duration=_DURATION, harmonics=_HARMONICS, starts=_STARTS, seed=seed,
         progress=lambda done, total, kappa, ratio: advance(
             0.02 + 0.5 * done / (total or 1), f"designing the excitation, κ {kappa:.4g}"
         ),
     )  # fmt: skip
-    if found.interrupted:
+    if design.interrupted:
         raise KeyboardInterrupt
     advance(0.55, "running it on the virtual arm")
-    excitation = arm.record(found.trajectory, _PERIODS * _DURATION, rng)
+    excitation = arm.record(design.trajectory, _PERIODS * _DURATION, rng)
     holdout = arm.record(
         random_trajectory(robot, rng, _DURATION, _HARMONICS), _DURATION, rng
     )
@@ -63,15 +63,15 @@ def run_demo(
         "seed": seed,
         "truth": hidden.entry(),
     }
-    result["design"] = found.result()
+    result["design"] = design.result()
     truth = truth_of(hidden, result["diagnose"]["findings"])
     result["verdict"] |= {"truth": truth, "correct": truth == "named"}
     series = examined.series() | {
-        f"design/{key}": a for key, a in found.series().items()
+        f"design/{key}": a for key, a in design.series().items()
     }
     files: dict[str, str | bytes] = {
-        "trajectory.csv": trajectory_csv(found.trajectory),
-        "trajectory.json": trajectory_json(found.trajectory, robot),
+        "trajectory.csv": trajectory_csv(design.trajectory),
+        "trajectory.json": trajectory_json(design.trajectory, robot),
         "excitation.parquet": table_bytes(excitation, ".parquet"),
         "holdout.parquet": table_bytes(holdout, ".parquet"),
         **examined.files,

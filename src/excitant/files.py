@@ -31,12 +31,12 @@ def size_of(path: str | Path) -> int:
     Raises:
         OSError: There is none, or it is a folder, pipe, device or socket.
     """
-    found = os.stat(path)
-    if stat.S_ISDIR(found.st_mode):
+    status = os.stat(path)
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is a pipe, device or socket", str(path))
-    return found.st_size
+    return status.st_size
 
 
 def read_bytes(path: str | Path, most: int = LARGEST) -> bytes:
@@ -188,7 +188,7 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _write(path: Path, content: str | bytes, said: Path) -> None:
+def _write(path: Path, content: str | bytes, shown: Path) -> None:
     try:
         with path.open("xb") as file:
             file.write(content.encode() if isinstance(content, str) else content)
@@ -196,7 +196,7 @@ def _write(path: Path, content: str | bytes, said: Path) -> None:
             os.fsync(file.fileno())
     except OSError as error:
         raise OSError(
-            error.errno, error.strerror or str(error), str(said)
+            error.errno, error.strerror or str(error), str(shown)
         ) from None
 
 
