@@ -7,13 +7,9 @@ from typing import Any
 
 from excitant.analysis.diagnosis import Diagnosis
 from excitant.identify.estimate import Estimate
-from excitant.identify.export import (
-    HoldOut,
-    Publication,
-    publication,
-    published,
-)
+from excitant.identify.export import Publication, publication, published
 from excitant.identify.faults import proven
+from excitant.identify.objections import HoldOut
 
 
 def publication_of(noun: object, *, force: bool = False) -> Publication | None:

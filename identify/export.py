@@ -23,8 +23,15 @@ import yaml
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import write_file
-from excitant.identify.accuracy import Accuracy, Series, chance_of_loss
-from excitant.identify.preprocessing import Segment
+from excitant.identify.accuracy import Accuracy
+from excitant.identify.objections import (
+    HoldOut,
+    Objection,
+    got_worse,
+    objections,
+    useless_joints,
+    worse_joints,
+)
 from excitant.identify.rows import predicted_torque
 from excitant.robots.effects import Effect, effect_entries, plain
 from excitant.robots.motion import Array
@@ -55,9 +62,6 @@ _STIFF_FRICTION = {  # with its default, a slow joint has half of its dry fricti
     "solimpfriction": (0.999, 0.999),
 }
 LISTED_EFFECTS = 3  # in a sentence on files that are not written
-CHANCE_OF_LOSS = (
-    0.01  # of a model as good as the given one that is taken for a worse one
-)
 
 
 def model_files(
@@ -454,25 +458,6 @@ def _text_of(root: ET.Element, declared: bool = False) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class HoldOut:
-    """Torque of a model and of the nominal one on the hold-out, by which files are judged.
-
-    Attributes:
-        segments: The hold-out.
-        rows: Its rows, with the measured torque.
-        gains: Torque per reading, shape (nv,) [N·m per reading].
-        predicted: Torque of the model at its rows, shape (n, nv) [torque unit].
-        nominal: Torque of the model as given, shape (n, nv) [torque unit].
-    """
-
-    segments: Sequence[Segment]
-    rows: Series
-    gains: Array
-    predicted: Array
-    nominal: Array
-
-
-@dataclass(frozen=True, eq=False)
 class ExportedFile:
     """How well a program that reads one file of a model predicts the hold-out.
 
@@ -617,35 +602,16 @@ def published(
     Gains are written, shape (nv,) [N·m/A], where torque was measured as current.
     """
     UnknownName.refuse("format", formats, FORMATS)
-    useless, worse, whole = _against(model.joints, judged)
-    why = [*faults]
-    advice = list[str]()
-    if faults:
-        advice = ["correct the recording, with --repair where it says so"]
-    elif useless:
-        advice = [
-            "look at the torque and position columns there: order, sign, unit, resolution"
-        ]
-    elif whole:
-        advice = [
-            "see whether fit and hold-out are of the same arm and load, or excite more"
-        ]
-    if useless:
-        why.append(
-            f"it predicts the hold-out worse than no model at {'; '.join(useless)}"
-        )
-    if whole:
-        why.append(
-            f"it predicts the hold-out worse than the model as given, {whole}"
-        )
-    where = (
-        [f"worst at {'; '.join(worse)}"]
-        if whole and worse and len(why) == 1
-        else []
-    )
-    reasons = "; ".join([*why, *where])
-    if why and not force:
-        note = f"the {kind} model is not published: {reasons}; {advice[0]}, or give --force"
+    correct = "correct the recording, with --repair where it says so"
+    against = [Objection(fault, correct) for fault in faults]
+    against += objections(model, judged)
+    worse = worse_joints(model.joints, judged)
+    reasons = "; ".join(objection.why for objection in against)
+    if len(against) == 1 and worse and got_worse(judged):
+        reasons += f"; worst at {'; '.join(worse)}"
+    if against and not force:
+        advice = against[0].advice
+        note = f"the {kind} model is not published: {reasons}; {advice}, or give --force"
         return Publication({}, False, note)
     exported = exported_files(model, kind, yaml_name, judged, formats)
     if force:
@@ -654,8 +620,8 @@ def published(
     files = model_files(
         model, kind, yaml_name, formats, gains, urdf=f"{kind}.urdf" not in refused
     )
-    notes = [f"published because it was forced: {reasons}"] if why else []
-    if worse and not why:
+    notes = [f"published because it was forced: {reasons}"] if against else []
+    if worse and not against:
         notes.append(
             f"the model as given predicts the hold-out better at {'; '.join(worse)}"
         )
@@ -692,7 +658,7 @@ def exported_files(
                 predictions[held.effects] = tau
             reduced = replace(judged, predicted=predictions[held.effects])
             accuracy = judged.rows.accuracy(reduced.predicted)
-            useless, _, _ = _against(model.joints, reduced)
+            useless = useless_joints(model.joints, reduced)
             error = float(np.nansum(accuracy.nrmse))
             why = f"no model at {'; '.join(useless)}" if useless else ""
             if error > nominal and not useless:
@@ -720,33 +686,3 @@ def _shortcoming(files: Sequence[ExportedFile]) -> str:
         f"without {', '.join(few)}" if few else "without what its format lacks"
     )
     return f"{without}, the hold-out is predicted worse than by {files[0].refused}"
-
-
-def _against(
-    joints: Sequence[str], judged: HoldOut
-) -> tuple[list[str], list[str], str]:
-    """Joints of no use and joints that got worse, with figures; all joints if these got worse."""
-    rows = judged.rows
-    model = rows.accuracy(judged.predicted)
-    nominal = rows.accuracy(judged.nominal)
-    losses = rows.losses(judged.predicted, judged.nominal)
-    useless = [
-        f"{joint} (r² = {r2:.3g})"
-        for joint, r2, judged in zip(joints, model.r2, rows.judged, strict=True)
-        if judged and r2 < 0
-    ]
-    worse = [
-        f"{joint} (nrmse {first:.3g} → {then:.3g})"
-        for j, (joint, first, then) in enumerate(
-            zip(joints, nominal.nrmse, model.nrmse, strict=True)
-        )
-        if chance_of_loss(losses[rows.counts[:, j], j])
-        < CHANCE_OF_LOSS / len(joints)
-    ]
-    first, then = (float(np.nansum(x.nrmse)) for x in (nominal, model))
-    whole = f"nrmse summed over the joints {first:.4g} → {then:.4g}"
-    return (
-        useless,
-        worse,
-        whole if chance_of_loss(losses.sum(axis=1)) < CHANCE_OF_LOSS else "",
-    )

@@ -263,7 +263,9 @@ def identify_payload(
             "payload: recordings in N·m and in A; use recordings of one unit"
         )
     if unit == "A":
-        drive = fit_rows(robot, effects, base, split(unloaded, unloaded)).drive
+        halves = split(unloaded)
+        whole = replace(halves, train=(*halves.train, *halves.validate))
+        drive = fit_rows(robot, effects, base, whole).drive
     gains = drive.gains if drive is not None and unit == "A" else np.ones(robot.nv)
     replay: dict[str, Any] = {"gains": gains, "prior": False}
     if unloaded:

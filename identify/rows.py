@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.drive_gains import DriveGains, current_gains
@@ -31,6 +32,9 @@ from excitant.robots.torque import torque
 FIT_SHARE = 0.7  # of each recording is fitted when no hold-out is named
 NAMED_SHARE = (
     0.05  # of a joint's rows that is left out, from which on it is reported
+)
+SEEN_ROWS = (
+    50  # in a row, in motion: so many of a coarse servo never repeat by chance
 )
 HARMONICS_FACTOR = (
     2.0  # centrifugal torque has twice the highest harmonic of a motion
@@ -88,7 +92,8 @@ def split(
 
     Raises:
         BadInput: No recording.
-        BadRecording: Recordings in different units, or too short to split.
+        BadRecording: Recordings in different units, too short to split, or a hold-out that shares
+            rows with what is fitted.
     """
     if not recordings:
         raise BadInput("no recording given; give at least one")
@@ -100,6 +105,7 @@ def split(
                 f"torque is in {recording.unit}, but in {first.unit} in {first.file}; "
                 "use recordings of one unit",
             )
+    _refuse_seen(recordings, validate)
     why = "as given"
     if cutoff_hz is None:
         parts = _parts(recordings, validate)
@@ -120,6 +126,41 @@ def split(
         cutoff_why=f"cut-off: {cutoff_hz:.3g} Hz ({why})",
         drive=first.drive,
     )
+
+
+def _refuse_seen(
+    recordings: Sequence[Recording], validate: Sequence[Recording]
+) -> None:
+    """Refuse a hold-out that repeats `SEEN_ROWS` rows in a row of what is fitted, in motion."""
+    fitted_runs = [(r, _runs(r)) for r in recordings] if validate else []
+    for held in validate:
+        runs = _runs(held)
+        for recording, others in fitted_runs:
+            seen = np.flatnonzero(np.isin(runs, others[others != 0]))
+            if len(seen):
+                raise BadRecording(
+                    held.file,
+                    f"{len(seen) + SEEN_ROWS - 1} of its {len(held)} rows are those of "
+                    f"{recording.file}, which is fitted: a hold-out must be unseen; name another",
+                    row=int(seen[0]),
+                )
+
+
+def _runs(recording: Recording) -> npt.NDArray[np.uint64]:
+    """A number for every `SEEN_ROWS` consecutive rows of positions and torques, 0 at rest."""
+    if len(recording) < SEEN_ROWS:
+        return np.zeros(0, np.uint64)
+    values = np.column_stack([recording.q, recording.tau])
+    words = np.ascontiguousarray(values).view(np.uint64)
+    rng = np.random.default_rng(0)
+    columns, places = (
+        2 * rng.integers(2**62, size=size, dtype=np.uint64) + 1
+        for size in (words.shape[1], SEEN_ROWS)
+    )
+    rows = (words * columns).sum(axis=1, dtype=np.uint64)
+    changes = np.append(0, np.cumsum(np.diff(rows) != 0))
+    moving = changes[SEEN_ROWS - 1 :] - changes[: 1 - SEEN_ROWS] >= SEEN_ROWS / 2
+    return np.where(moving, np.convolve(rows, places, "valid"), np.uint64(0))
 
 
 def _cutoff(harmonics_hz: float, highest: float) -> tuple[float, str]:

@@ -26,6 +26,7 @@ PROVEN = (
     "wrong_unit",
     "wrong_sample_rate",
     "swapped_recordings",
+    "not_measured",
 )
 """Faults after which every figure is wrong, so that nothing is published from such data."""
 FAULTS = (
@@ -35,7 +36,6 @@ FAULTS = (
     "dropped_samples",
     "corrupt_rows",
     "saturation",
-    "not_measured",
     "wrong_frame",
     "poor_excitation",
 )

@@ -41,6 +41,7 @@ from excitant.identify.faults.physics import (
     fits,
     order,
     position_signs,
+    positions_beyond_limits,
     rate,
     scaled_least_squares,
     smooth,
@@ -117,7 +118,12 @@ class _Hypothesis:
 
 def physics_faults(case: TorqueFit) -> list[Fault]:
     """The faults of unit, installation and rate that the torque shows."""
-    for test in (torque_unit, degrees, installation_faults):
+    for test in (
+        torque_unit,
+        degrees,
+        positions_beyond_limits,
+        installation_faults,
+    ):
         if faults := [*test(case)]:
             return faults
     signs = [*position_signs(case)]

@@ -433,6 +433,27 @@ def degrees(case: TorqueFit) -> Iterator[Fault]:
     yield Fault("wrong_unit", names, detail, evidence, done, tuple(remedies))
 
 
+def positions_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
+    """Joints whose positions leave their limits by more than a turn, or by their whole range."""
+    robot = case.robot
+    low, high = robot.limits.position.T
+    margin = np.where(robot.revolute, 2 * np.pi, high - low)
+    reach = np.maximum(case.log.q.max(axis=0) - high, low - case.log.q.min(axis=0))
+    beyond = np.flatnonzero(reach > margin)
+    if not len(beyond):
+        return
+    names = case.log.names(beyond)
+    worst = int(beyond[np.argmax((reach / margin)[beyond])])
+    largest = float(np.abs(case.log.q[:, worst]).max())
+    detail = (
+        f"q of {', '.join(names)} leaves the joints' limits by more than "
+        f"{'a turn' if robot.revolute[worst] else 'their range'}: {case.log.joints[worst]} reaches "
+        f"{largest:.4g}, its limits are {low[worst]:.4g} and {high[worst]:.4g}: motor positions, "
+        "counts or another unit"
+    )
+    yield Fault("wrong_unit", names, detail, {"channel": "q", "largest": largest})
+
+
 def torque_unit(case: TorqueFit) -> Iterator[Fault]:
     """Torques far beyond what the drives can do, or where no limit is known, beyond the model's."""
     log = case.log

@@ -122,13 +122,13 @@ def identify_section(result: Identify, series: Series) -> p.Section:
 
 
 def _brief(result: Identify) -> p.Brief:
-    """Error, hold-out, and the links whose mass or centre of mass moved by half."""
+    """Error, hold-out, and links of a published model whose mass or centre moved by half."""
     consistent = result.physical.consistent
     error = (
         f"hold-out error {v.change(*_errors_of(result), v.percent)} (nrmse, median over joints), "
         f"{'physically consistent' if consistent else 'not physical'}"
     )
-    moved = [row.moved for row in result.links if row.moved]
+    moved = [row.moved for row in result.links if row.moved and not result.refusal]
     if len(moved) > _FEW:
         moved = [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
     lines = [("" if k else "moved", words) for k, words in enumerate(moved)]
@@ -183,8 +183,10 @@ def _remedy(fault: Fault) -> str:
     """What was done about a fault, or can be."""
     if fault.repaired:
         return "repaired"
-    repair = f"--repair {fault.repair}" if fault.repair else "record again"
-    return f"not repaired; {repair}"
+    if fault.repair:
+        return f"not repaired; --repair {fault.repair}"
+    known = fault.fault == "wrong_unit"
+    return f"not repaired; {'state it in --map' if known else 'record again'}"
 
 
 def _errors_of(result: Identify) -> tuple[float | None, float | None]:

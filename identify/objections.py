@@ -1,0 +1,146 @@
+"""Objections to a model on the hold-out: what cannot be true of an arm, or predicts too badly.
+
+A model with an objection is not published, and where it is the extended one, its causes are no
+more than undecided: an engineer would look at the columns of the recording first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from excitant.identify.accuracy import Series, chance_of_loss
+from excitant.identify.preprocessing import Segment
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
+
+MISSED = 0.6  # nrmse of a joint: beyond it, more than a third of its variance is not explained
+CHANCE_OF_LOSS = (
+    0.01  # of a model as good as the given one that is taken for a worse one
+)
+
+
+@dataclass(frozen=True, eq=False)
+class HoldOut:
+    """Torque of a model and of the nominal one on the hold-out, by which files are judged.
+
+    Attributes:
+        segments: The hold-out.
+        rows: Its rows, with the measured torque.
+        gains: Torque per reading, shape (nv,) [N·m per reading].
+        predicted: Torque of the model at its rows, shape (n, nv) [torque unit].
+        nominal: Torque of the model as given, shape (n, nv) [torque unit].
+    """
+
+    segments: Sequence[Segment]
+    rows: Series
+    gains: Array
+    predicted: Array
+    nominal: Array
+
+
+class Objection(NamedTuple):
+    """Why a model is not to be used, and what to do about it."""
+
+    why: str
+    advice: str
+
+
+_COLUMNS = (
+    "look at the torque and position columns there: order, sign, unit, resolution"
+)
+
+
+def objections(model: Robot, judged: HoldOut) -> list[Objection]:
+    """Objections to a model, what is impossible first."""
+    found = []
+    if useless := useless_joints(model.joints, judged):
+        why = (
+            f"it predicts the hold-out worse than no model at {'; '.join(useless)}"
+        )
+        found.append(Objection(why, _COLUMNS))
+    elif missed := _missed(model.joints, judged):
+        found.append(Objection(f"it misses {'; '.join(missed)}", _COLUMNS))
+    if not judged.rows.judged.any():
+        why = "no joint moves in the hold-out, or its torque is noise: nothing judges the model"
+        found.append(Objection(why, "name a recording with motion for --validate"))
+    if strained := _strained(model, judged):
+        why = f"its friction is more than the drive can give: {'; '.join(strained)}"
+        advice = "look at the unit of the torque and at the drive gains there"
+        found.append(Objection(why, advice))
+    if whole := got_worse(judged):
+        why = f"it predicts the hold-out worse than the model as given, {whole}"
+        advice = "see whether fit and hold-out are of the same arm and load, or excite more"
+        found.append(Objection(why, advice))
+    return found
+
+
+def useless_joints(joints: Sequence[str], judged: HoldOut) -> list[str]:
+    """Joints whose mean torque predicts the hold-out better than the model, with r²."""
+    r2 = judged.rows.accuracy(judged.predicted).r2
+    return [
+        f"{joints[j]} (r² = {r2[j]:.3g})"
+        for j in np.flatnonzero(judged.rows.judged).tolist()
+        if r2[j] < 0
+    ]
+
+
+def _missed(joints: Sequence[str], judged: HoldOut) -> list[str]:
+    nrmse = judged.rows.accuracy(judged.predicted).nrmse
+    return [
+        f"{100 * nrmse[j]:.0f} % of the torque of {joints[j]}"
+        for j in np.flatnonzero(judged.rows.judged).tolist()
+        if nrmse[j] > MISSED
+    ]
+
+
+def _strained(model: Robot, judged: HoldOut) -> list[str]:
+    """Joints whose friction in the hold-out exceeds their effort limit, with both."""
+    friction = [effect for effect in model.effects if effect.family == "friction"]
+
+    def torque(motion: Motion) -> Array:
+        none = np.zeros((len(motion), model.nv))
+        return sum((effect.torque(model, motion) for effect in friction), none)
+
+    parts = [
+        np.abs(segment.rows(torque)).max(axis=0) for segment in judged.segments
+    ]
+    largest = np.max(parts, axis=0)
+    limits = model.limits.torque
+    beyond = np.flatnonzero((largest > limits) & (limits > 0)).tolist()
+    return [
+        f"{largest[j]:.4g} {model.torque_unit(joint=j)} of {limits[j]:.4g} at "
+        f"{model.joints[j]}"
+        for j in beyond
+    ]
+
+
+def got_worse(judged: HoldOut) -> str:
+    """Errors of all joints together where they got worse beyond chance; else empty."""
+    rows = judged.rows
+    losses = rows.losses(judged.predicted, judged.nominal)
+    if chance_of_loss(losses.sum(axis=1)) >= CHANCE_OF_LOSS:
+        return ""
+    first, then = (
+        float(np.nansum(rows.accuracy(torque).nrmse))
+        for torque in (judged.nominal, judged.predicted)
+    )
+    return f"nrmse summed over the joints {first:.4g} → {then:.4g}"
+
+
+def worse_joints(joints: Sequence[str], judged: HoldOut) -> list[str]:
+    """Joints that the model as given predicts better beyond chance, with both errors."""
+    rows = judged.rows
+    losses = rows.losses(judged.predicted, judged.nominal)
+    first, then = (
+        rows.accuracy(torque).nrmse for torque in (judged.nominal, judged.predicted)
+    )
+    return [
+        f"{joint} (nrmse {first[j]:.3g} → {then[j]:.3g})"
+        for j, joint in enumerate(joints)
+        if chance_of_loss(losses[rows.counts[:, j], j])
+        < CHANCE_OF_LOSS / len(joints)
+    ]

@@ -1,0 +1,104 @@
+"""What forbids to publish a model: a joint that is not explained, friction that no drive has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plant_recordings import PENDULUM
+
+from excitant.exceptions import BadRecording
+from excitant.identify import Estimate, Recording, identify_robot, split
+from excitant.identify.export import hold_out
+from excitant.identify.objections import MISSED, HoldOut, objections
+from excitant.robots import Robot
+
+TIME = np.arange(0, 12, 1 / 100)
+Exact = Callable[..., Recording]
+
+
+@pytest.fixture(scope="module")
+def estimate(planar: Robot, exact: Exact) -> Estimate:
+    return identify_robot(planar, [exact(planar, TIME)], validate=[exact(planar, TIME, 1)])
+
+
+def with_error(judged: HoldOut, joint: int, share: float) -> HoldOut:
+    """The hold-out with an error of some share of a joint's variation, without mean."""
+    rows = judged.rows
+    wave = np.sin(7.1 * rows.t)
+    wave = (wave - wave.mean()) / wave.std()
+    predicted = np.array(rows.measured)
+    predicted[:, joint] += share * rows.std[joint] * wave
+    return replace(judged, predicted=predicted, nominal=predicted)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_joint_that_is_not_explained_forbids_it(estimate: Estimate, joint: int) -> None:
+    judged, model = hold_out(estimate), estimate.model
+    assert objections(model, with_error(judged, joint, MISSED - 0.05)) == []
+    [missed] = objections(model, with_error(judged, joint, MISSED + 0.05))
+    assert f"% of the torque of {model.joints[joint]}" in missed.why
+    useless = objections(model, with_error(judged, joint, 1.5))
+    assert "worse than no model" in useless[0].why
+
+
+def test_friction_beyond_the_effort_limit_forbids_it(estimate: Estimate) -> None:
+    model, judged = estimate.model, with_error(hold_out(estimate), 0, 0.1)
+    weak = replace(model.limits, torque=np.array([np.inf, 1e-6]))
+    [strained] = objections(model.with_limits(weak), judged)
+    assert model.joints[1] in strained.why
+    assert model.joints[0] not in strained.why
+    assert objections(model.with_limits(replace(weak, torque=np.zeros(2))), judged) == []
+
+
+def test_nothing_judged_is_nothing_known(estimate: Estimate) -> None:
+    judged = with_error(hold_out(estimate), 0, 0.1)
+    still = replace(judged.rows, moves=np.zeros_like(judged.rows.moves))
+    [unjudged] = objections(estimate.model, replace(judged, rows=still))
+    assert "nothing judges the model" in unjudged.why
+
+
+@pytest.mark.parametrize(
+    ("seen", "first"), [(slice(None), 0), (slice(300, 700), 0), (slice(900, None), 0)]
+)
+def test_a_hold_out_that_was_fitted_is_refused(
+    planar: Robot, exact: Exact, seen: slice, first: int
+) -> None:
+    """A copy with other times, or a part."""
+    run = exact(planar, TIME)
+    copy = run.take(np.arange(len(run))[seen])
+    copy = replace(copy, name="copy", file="copy.csv", t=copy.t + 100.0)
+    with pytest.raises(BadRecording, match=rf"copy.csv, row {first}.* must be unseen"):
+        split([exact(planar, TIME, 2), run], [copy])
+
+
+def test_overlap_is_found_within_and_rests_are_none(planar: Robot, exact: Exact) -> None:
+    one, other = exact(planar, TIME), exact(planar, TIME, 1)
+    joined = {name: np.concatenate([x[:500], getattr(one, name)[200:400]])
+              for name, x in other.channels()}  # fmt: skip
+    mixed = replace(other, t=0.01 * np.arange(700), **joined)
+    with pytest.raises(BadRecording, match="row 500: 200 of its 700 rows"):
+        split([one], [mixed])
+    parked = [
+        replace(run, **{name: np.concatenate([x, np.tile(x[:1] * 0, (100, 1))])
+                        for name, x in run.channels()},
+                t=0.01 * np.arange(len(run) + 100))
+        for run in (one, other)
+    ]  # fmt: skip
+    assert split(parked[:1], parked[1:]).validate
+
+
+def test_coarse_readings_that_repeat_are_no_copy(exact: Exact) -> None:
+    """A servo of 4096 ticks a turn and 20 steps of torque, the same motion twice."""
+    rng = np.random.default_rng(0)
+
+    def read(run: Recording) -> Recording:
+        q = run.q + 2e-4 * rng.standard_normal(run.q.shape)
+        tau = run.tau + 0.02 * np.ptp(run.tau) * rng.standard_normal(run.tau.shape)
+        tick, step = 2 * np.pi / 4096, np.ptp(run.tau) / 20
+        return replace(run, q=tick * np.round(q / tick), tau=step * np.round(tau / step), dq=None)
+
+    runs = [read(exact(PENDULUM, np.arange(0, 60, 0.01))) for _ in range(2)]
+    assert split(runs[:1], runs[1:]).validate
