@@ -94,6 +94,31 @@ class Search:
 
 SEARCH = Search()
 
+UNITS = {
+    8.851: "lb·in",
+    10.2: "kgf·cm",
+    100.0: "N·cm",
+    1000.0: "N·mm",
+    0.102: "kgf·m",
+}
+"""Readings per N·m."""
+CLEAR_GAIN = 0.5  # relative std of a gain by bodies near the nominal ones, below which it is one
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Factors between readings and torque that are taken for another unit."""
+
+    least: float = 3.0
+    "Smallest: bodies off by `BODY_STD` do not make it at any joint (3.7 std of its logarithm)."
+    choices: float = 30.0
+    "Of each joint that data tell apart: factors of 1e-3 to 1e3, known to about a half."
+    alike: float = 3.0
+    "Standard deviations within which factors of joints are one."
+
+
+SCALES = Scales()
+
 
 @dataclass(frozen=True, eq=False)
 class _Hypothesis:
@@ -122,6 +147,7 @@ def physics_faults(case: TorqueFit) -> list[Fault]:
         torque_unit,
         degrees,
         positions_beyond_limits,
+        torque_scale,
         installation_faults,
     ):
         if faults := [*test(case)]:
@@ -137,6 +163,52 @@ def _informative(robot: Robot) -> bool:
     """Whether the nominal bodies say anything: each has a mass, and not all the same."""
     mass = robot.phi[::10]
     return bool((mass > 0).all() and np.ptp(mass) > 1e-6 * mass.max())
+
+
+def torque_scale(case: TorqueFit) -> Iterator[Fault]:
+    """Readings that are the torque of bodies near the nominal ones by a factor of each joint.
+
+    As they stand, any one link may be another body; with a factor of each joint, as for currents,
+    only the last one may, which carries a tool. Factors are prior anywhere within `SCALES`.
+    """
+    robot = case.robot
+    if case.log.unit != "N·m" or not _informative(robot):
+        return
+    loose = TorqueFit(robot, replace(case.log, unit="A"), case.data, case.joints)
+    joints = [j for j in case.joints if loose.loose[j] < CLEAR_GAIN]
+    gains = loose.per[joints]
+    if not joints or np.abs(np.log(gains)).min() < np.log(SCALES.least):
+        return
+    noise = np.minimum(case.power, loose.power)
+    tool = _body_spread(robot, robot.nv - 1)
+    left, after = loose.surprise(noise, case.rows, tool)
+    before = min(
+        case.surprise(noise, case.rows, _body_spread(robot, link))[1]
+        for link in range(robot.nv)
+    )
+    dispersion = max(1.0, left / float(case.rows.sum()))
+    price = odds_against(robot) + 2 * len(joints) * np.log(SCALES.choices)
+    if (before - after) / dispersion < price:
+        return
+    names = case.log.names(joints)
+    typical = float(np.exp(np.log(gains).mean()))
+    spread = np.log(gains / typical) / loose.loose[joints]
+    of_one = (np.abs(spread) < SCALES.alike).all()
+    near = [
+        f"{f:g} in {u}" for f, u in UNITS.items() if abs(np.log(typical / f)) < 0.3
+    ]
+    factors = ", ".join(
+        f"{name} {gain:.3g}" for name, gain in zip(names, gains, strict=True)
+    )
+    meant = (
+        f"as in {unit}" if of_one and unit else "another unit, currents or per cent"
+    )
+    detail = (
+        f"tau is {f'{typical:.3g} times' if of_one else 'not'} the torque of bodies near the given "
+        f"ones{'' if of_one else f', but that by a factor of each joint ({factors})'}: {meant}, or "
+        "inertias of the model in another unit"
+    )
+    yield Fault("wrong_unit", names, detail, {"channel": "tau", "factor": gains})
 
 
 def installation_faults(case: TorqueFit) -> list[Fault]:

@@ -119,6 +119,7 @@ class TorqueFit:
         tau: Torque, shape (N, nv).
         loose: Where currents were recorded, columns of the links are in ampere, by the drive gains
             that suit the nominal bodies best; their relative standard deviation, shape (nv,).
+        per: Those gains, shape (nv,) [A/(N·m)]; else 1.
         size: Mean square of each torque, shape (nv,).
         parts: Of each of ``joints`` the columns of G and D of the links behind it, and the torque,
             less what its own effects explain.
@@ -141,12 +142,13 @@ class TorqueFit:
         self.F = self.filtered(data.effects)
         self.tau = self.filtered(data.tau)
         self.loose: Array = np.zeros(robot.nv)
+        self.per: Array = np.ones(robot.nv)
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         self.parts = [self._part(j) for j in joints]
         if log.unit != "N·m":
-            per = self._readings_per_torque()
-            self.G *= per[:, None]
-            self.D *= per[:, None]
+            self.per = self._readings_per_torque()
+            self.G *= self.per[:, None]
+            self.D *= self.per[:, None]
             self.parts = [self._part(j) for j in joints]
         self._normal_equations()
         A = self._A.sum(axis=0)
