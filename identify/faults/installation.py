@@ -200,12 +200,13 @@ def torque_scale(case: TorqueFit) -> Iterator[Fault]:
     factors = ", ".join(
         f"{name} {gain:.3g}" for name, gain in zip(names, gains, strict=True)
     )
-    meant = (
-        f"as in {unit}" if of_one and unit else "another unit, currents or per cent"
-    )
+    what = "not the torque of bodies near the given ones, but that by a factor of each joint"
+    like = factors
+    if of_one:
+        what = f"{typical:.3g} times the torque of bodies near the given ones"
+        like = ", ".join(near)
     detail = (
-        f"tau is {f'{typical:.3g} times' if of_one else 'not'} the torque of bodies near the given "
-        f"ones{'' if of_one else f', but that by a factor of each joint ({factors})'}: {meant}, or "
+        f"tau is {what}{f' ({like})' if like else ''}: another unit, currents or per cent, or "
         "inertias of the model in another unit"
     )
     yield Fault("wrong_unit", names, detail, {"channel": "tau", "factor": gains})
