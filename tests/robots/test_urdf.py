@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close
 
-from excitant.exceptions import BadRobot, ExcitantError
+from excitant.exceptions import BadRobot
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots.chains import RobotSpec
 from excitant.robots.geometry import bent_pose, scene, sketch
@@ -192,76 +192,3 @@ def test_meshes_beside_the_file_are_found_from_anywhere(
     monkeypatch.delenv("AMENT_PREFIX_PATH")
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(elsewhere))  # the package itself
     assert scene(load_robot(path)) is not None
-
-
-VALUES = ("nan", "inf", "-inf", "-1", "0", "1e308", "1e-308", "", "abc", "1,5", "0x10", "٣")
-NUMBER, WORD, LINE = r'(?<=["\s])-?\d+\.?\d*(?=["\s])', "[A-Za-z_]+", ".*\n"
-
-
-@st.composite
-def damaged(draw: st.DrawFn, text: str) -> bytes:
-    """A description with up to three numbers, words or lines changed, then a byte, or cut off."""
-    for _ in range(draw(st.integers(0, 3))):
-        pattern = draw(st.sampled_from((NUMBER, WORD, LINE)))
-        at, other = (draw(st.sampled_from([*re.finditer(pattern, text)])) for _ in range(2))
-        lines = ("", 2 * at.group(), other.group())
-        new = {NUMBER: VALUES, WORD: (other.group(),), LINE: lines}[pattern]
-        text = text[: at.start()] + draw(st.sampled_from(new)) + text[at.end() :]
-    raw, end = bytearray(text.encode()), draw(st.sampled_from(("whole", "whole", "byte", "cut")))
-    place = draw(st.integers(0, len(raw) - 1))
-    if end == "byte":
-        raw[place] = draw(st.integers(0, 255))
-    return bytes(raw[:place] if end == "cut" else raw)
-
-
-def check(path: Path, content: bytes) -> None:
-    """Refused in one line that names the file, or an arm that works."""
-    path.write_bytes(content)
-    try:
-        robot = load_robot(path)
-    except ExcitantError as error:
-        said = str(error)
-        assert str(path) in said, said
-        assert "\n" not in said, said
-        return
-    assert len(set(robot.joints)) == robot.nv >= 1
-    motion = Motion(np.arange(5.0), *np.random.default_rng(0).uniform(-1, 1, (3, 5, robot.nv)))
-    assert np.isfinite(robot.phi).all()
-    assert np.isfinite(torque(robot, motion)).all()
-    low, high = robot.limits.position.T
-    assert not (low > high).any()
-    assert not (robot.limits.velocity < 0).any()
-    assert not (robot.limits.torque < 0).any()
-
-
-@pytest.fixture
-def whole(gantry_urdf: str) -> str:
-    """The gantry with everything that a description can have."""
-    axis, dynamics = '<axis xyz="0 0 -1"/>', '<dynamics damping="1" friction="2"/>'
-    text = gantry_urdf.replace(axis, axis + dynamics)
-    shape = '<collision><geometry><cylinder radius="0.05" length="0.3"/></geometry></collision>'
-    return text.replace('<link name="hand">', f'<link name="hand">{shape}')
-
-
-@given(data=st.data())
-@settings(max_examples=60, suppress_health_check=list(HealthCheck))
-def test_damaged_descriptions_are_refused_or_work(
-    tmp_path: Path, whole: str, data: st.DataObject
-) -> None:
-    check(tmp_path / "arm.urdf", data.draw(damaged(whole)))
-
-
-@pytest.mark.slow
-@given(data=st.data())
-@settings(max_examples=2000, suppress_health_check=list(HealthCheck))
-def test_many_damaged_descriptions_are_refused_or_work(
-    tmp_path: Path, whole: str, data: st.DataObject
-) -> None:
-    check(tmp_path / "arm.urdf", data.draw(damaged(whole)))
-
-
-def test_the_undamaged_description_works(whole: str, tmp_path: Path) -> None:
-    path = tmp_path / "whole.urdf"
-    path.write_text(whole)
-    names = [effect.name for effect in load_robot(path).effects]
-    assert names == ["viscous_friction", "coulomb_friction"]

@@ -113,39 +113,6 @@ def test_what_is_no_arm_in_xacro_is_refused(arm: Path, refused: Refused) -> None
     refused("no xacro arguments", load_robot, plain, xacro_args={"length": "1"}, error=BadRobot)
 
 
-ESCAPES = {
-    "frame": "${(x for x in [1]).gi_frame}",
-    "frames of a run": "${[g.gi_frame.f_back for g in [(x for x in [1])]]}",
-    "class in a nested scope": "${[c for c in [().__class__]][0].__base__}",
-    "class of a substitution": "$(eval [c for c in [[].__class__]][0].__base__)",
-    "lambda": "${(lambda: ().__class__.__bases__)()}",
-    "name": "${__builtins__}",
-    "name in a substitution": "$(eval __builtins__)",
-    "format": "${'x'.format(1)}",
-    "format in a substitution": "$(eval 'x'.format)",
-    "type": "${python.type(1)}",
-    "vars": "${python.vars(1)}",
-    "vars by key": "${python['vars']}",
-    "method of a function": "${python.abs.__self__}",
-    "function of a substitution": "$(eval radians.__self__)",
-    "builtin": "${exec('import os; os.system(&quot;touch ran&quot;)')}",
-    "module": "${math.__loader__}",
-}
-
-
-@pytest.mark.parametrize("escape", ESCAPES)
-def test_an_expression_reaches_nothing_but_values(
-    arm: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch, escape: str
-) -> None:
-    """Each stands for the robot's name, which could be any text."""
-    monkeypatch.chdir(arm.parent)
-    write(arm, 'name="bars"', f'name="{ESCAPES[escape]}"')
-    refused(
-        "plain values of bounded size|no data|vars|not defined", load_robot, arm, error=BadRobot
-    )
-    assert not (arm.parent / "ran").exists()
-
-
 @pytest.mark.parametrize(
     "expression",
     [
