@@ -28,20 +28,12 @@ from planted import hidden
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
 from excitant.robots import Motion, Robot, base_parameters, torque
+from excitant.robots import virtual_arm as va
 from excitant.robots.effects import EFFECTS, RotorInertia
 from excitant.robots.parameters import violations
 from excitant.robots.plant import arm as plant_arm
 from excitant.robots.plant.physics import Gear
 from excitant.robots.plant.planting import KINDS, parameters_of, plant
-from excitant.robots.virtual_arm import (
-    HiddenEffect,
-    Sensors,
-    draw_hidden_effect,
-    industrial_sensors,
-    nominal_truth,
-    typical_torque,
-    virtual_arm,
-)
 
 
 def without_gravity(robot: Robot, strength: float) -> Robot:
@@ -123,7 +115,7 @@ def test_a_stuck_joint_stays_while_the_others_move(planar: Robot) -> None:
 def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter(planar: Robot) -> None:
     """With its motor off, a pendulum with dry friction stops, and then never moves again."""
     bare = without_gravity(planar, 1e-9)
-    nominal = nominal_truth(bare)
+    nominal = va.nominal_truth(bare)
     friction = hidden("viscous_friction", Fv=0.6), hidden("coulomb_friction", Fc=0.8)
     step = plant_arm.Arm(plant(nominal, bare.joints, friction), 5e-4)
     believed = plant_arm.Believed(nominal.model, nominal.drives)
@@ -337,8 +329,8 @@ def test_a_gear_with_play_never_pulls() -> None:
         assert gear.torque(gear.deflection(load), 0.0)[0] == pytest.approx(load)
 
 
-def draw_payload(robot: Robot) -> HiddenEffect:
-    drawn = (draw_hidden_effect(robot, np.random.default_rng(seed)) for seed in range(100))
+def draw_payload(robot: Robot) -> va.HiddenEffect:
+    drawn = (va.draw_hidden_effect(robot, np.random.default_rng(seed)) for seed in range(100))
     return next(effect for effect in drawn if effect.effect == "payload")
 
 
@@ -360,14 +352,16 @@ def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
 
 def test_same_seed_same_recording(planar: Robot) -> None:
     rngs = (np.random.default_rng(seed) for seed in (3, 3, 4))
-    one, again, other = (virtual_arm(planar, rng).record(swing(planar), 0.5, rng) for rng in rngs)
+    one, again, other = (
+        va.virtual_arm(planar, rng).record(swing(planar), 0.5, rng) for rng in rngs
+    )
     pd.testing.assert_frame_equal(one, again, check_exact=True)
     assert not one.equals(other)
 
 
 def test_truth_is_near_the_nominal_arm_and_possible(arm: Robot) -> None:
     for seed in range(10):
-        truth = virtual_arm(arm, np.random.default_rng(seed), hidden=()).truth
+        truth = va.virtual_arm(arm, np.random.default_rng(seed), hidden=()).truth
         phi = np.concatenate([b.toDynamicParameters() for b in list(truth.model.inertias)[1:]])
         assert violations(phi, arm.links) == []
         masses = phi[::10] / arm.phi[::10] - 1
@@ -385,12 +379,12 @@ def test_impossible_nominal_inertia_still_runs(planar: Robot) -> None:
 
 def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
     """Rotor inertia only where its column is no combination of the columns of the links."""
-    drawn = [draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60)]
+    drawn = [va.draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60)]
     friction = {f"{kind}_friction" for kind in ("viscous", "coulomb", "stribeck")}
     assert {e.effect for e in drawn} == {*friction, "torque_offset", "rotor_inertia", "payload"}
     q, dq, ddq = planar.random_motion(np.random.default_rng(1), 200)
     half, slow = (Motion(np.arange(200.0), q, dq / n, ddq / 2) for n in (2, 40))
-    typical, noise = typical_torque(planar), industrial_sensors(planar).torque_noise
+    typical, noise = va.typical_torque(planar), va.industrial_sensors(planar).torque_noise
     for one in drawn:
         parameters = dict(one.parameters)
         shape = {k: parameters.pop(k) for k in ("velocity",) if k in parameters}
@@ -407,12 +401,12 @@ def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
 
 def test_a_payload_on_the_axis_of_the_only_joint_is_drawn_again() -> None:
     """No joint would feel it, and nobody could find it."""
-    drawn = (draw_hidden_effect(PENDULUM, np.random.default_rng(seed)) for seed in range(40))
+    drawn = (va.draw_hidden_effect(PENDULUM, np.random.default_rng(seed)) for seed in range(40))
     assert "payload" not in {effect.effect for effect in drawn}
 
 
 def test_recording_has_the_columns_rate_and_noise_of_its_sensors(planar: Robot) -> None:
-    sensors = Sensors(200.0, 1e-3, 0.01, np.full(2, 0.2), np.full(2, 0.05))
+    sensors = va.Sensors(200.0, 1e-3, 0.01, np.full(2, 0.2), np.full(2, 0.05))
     true, told = true_arm(planar, rate=200.0), list[float]()
     run = true.run(swing(planar), 2.0, np.random.default_rng(1), told.append)
     assert told == sorted(told)
@@ -430,7 +424,7 @@ def test_recording_has_the_columns_rate_and_noise_of_its_sensors(planar: Robot) 
 
 
 def test_torque_never_exceeds_the_limits(planar: Robot) -> None:
-    weak = replace(planar.limits, torque=0.5 * typical_torque(planar))
+    weak = replace(planar.limits, torque=0.5 * va.typical_torque(planar))
     tau = np.abs(Recorded(planar.with_limits(weak), duration=0.5).tau)
     assert (tau <= weak.torque).all()
     assert (tau == weak.torque).any()
@@ -455,7 +449,7 @@ def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str) -> 
         ([hidden("backlash", "joint1", stiffness=1e3, motor=0.1)] * 2, "two elastic gears"),
     ],
 )
-def test_effects_refused(planar: Robot, effects: list[HiddenEffect], message: str) -> None:
+def test_effects_refused(planar: Robot, effects: list[va.HiddenEffect], message: str) -> None:
     with pytest.raises(ExcitantError, match=message):
         true_arm(planar.with_effects(()), *effects)
 
@@ -467,7 +461,7 @@ def test_motions_and_arms_refused(planar: Robot) -> None:
     with pytest.raises(BadInput, match="shorter than one sample"):
         arm.record(moving, 0.0, rng)
     with pytest.raises(BadRobot, match="viscous_friction has no values"):
-        virtual_arm(planar.with_effects([EFFECTS["viscous_friction"](planar.joints)]), rng)
+        va.virtual_arm(planar.with_effects([EFFECTS["viscous_friction"](planar.joints)]), rng)
     weightless = [*planar.phi[:10], 1e-16, *np.zeros(9)]
     empty = planar.with_effects(()).with_parameters(weightless)
     with pytest.raises(BadRobot, match="joint2 moves nothing"):

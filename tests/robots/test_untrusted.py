@@ -25,10 +25,8 @@ from excitant.robots.geometry import scene, unchecked
 
 Refuse = Callable[..., str]
 DATA = Path(__file__).parent / "data"
-BODY = (
-    '<inertial><mass value="1"/>'
-    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-)
+BODY = """<inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 SECONDS = 15.0  # of processor time: what no file may take
 
 
@@ -46,16 +44,13 @@ def arm(name: str = "arm", before: str = "", shape: str = "", origin: str = 'xyz
 
 def properties(first: str, twice: str, levels: int = 60) -> str:
     """Each property is made of the one before, twice; then the last is used."""
-    chain = "".join(
-        f'<xacro:property name="p{k + 1}" value="{twice.replace("P", f"p{k}")}"/>'
-        for k in range(levels)
-    )
-    return f'<xacro:property name="p0" value="{first}"/>{chain}<a b="${{p{levels}}}"/>'
+    values = [first, *(twice.replace("P", f"p{k}") for k in range(levels))]
+    chain = (f'<xacro:property name="p{k}" value="{value}"/>' for k, value in enumerate(values))
+    return f'{"".join(chain)}<a b="${{p{levels}}}"/>'
 
 
-CALLS = "".join(
-    f'<xacro:macro name="m{k + 1}"><xacro:m{k}/><xacro:m{k}/></xacro:macro>' for k in range(60)
-)
+CALL = '<xacro:macro name="m{}"><xacro:m{}/><xacro:m{}/></xacro:macro>'
+CALLS = "".join(CALL.format(k + 1, k, k) for k in range(60))
 OUTSIDE = "plain values of bounded size|no data|vars|not defined"
 XACRO: dict[str, tuple[str, str]] = {  # what stands before the links, what is said
     "command": (
@@ -146,8 +141,7 @@ def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(
     monkeypatch.setattr(xacro, "SECONDS", 2)
     before, words = XACRO[name]
     path, start = folder / "arm.xacro", _processor_time()
-    element = before if before.startswith("<") else f'<a b="{before}"/>'
-    path.write_text(arm(before=element))
+    path.write_text(arm(before=before if before.startswith("<") else f'<a b="{before}"/>'))
     said = refused(words, load_robot, path, error=BadRobot)
     assert _processor_time() - start < SECONDS
     assert "hidden" not in said
@@ -165,12 +159,11 @@ def test_what_the_environment_holds_is_taken_as_not_set(folder: Path) -> None:
     assert load_robot(path).notes == ()
 
 
-def test_no_file_makes_expressions_run(folder: Path) -> None:
+def test_no_file_makes_expressions_run(folder: Path, refused: Refuse) -> None:
     path = folder / "arm.xacro"
     path.write_text(arm(name="${(lambda: xacro.load_yaml('../secret.yaml')['key'])()}"))
     (folder / "robot.yaml").write_text("model: arm.xacro\ntrust_xacro: true\n")
-    with pytest.raises(BadRobot, match="plain values"):
-        load_robot(folder / "robot.yaml")
+    refused("plain values", load_robot, folder / "robot.yaml", error=BadRobot)
 
 
 def test_files_of_a_package_that_is_given_are_read(folder: Path) -> None:
@@ -313,35 +306,28 @@ def test_meshes_elsewhere_count_as_not_found_and_how_to_allow_them_is_said(folde
         assert said.startswith("self-collision;")
 
 
-def test_a_data_set_names_no_robot_elsewhere(folder: Path) -> None:
+def test_a_data_set_names_no_robot_elsewhere(folder: Path, refused: Refuse) -> None:
     sidecar = folder / "dataset.json"
     sidecar.write_text('{"kinematics": {"urdf": "../arm.urdf"}}')
-    with pytest.raises(ExcitantError, match=r"outside its folder.*ROBOT and the paths"):
-        load_dataset(folder)
+    refused("outside its folder.*ROBOT and the paths", load_dataset, folder)
     (folder / "robot.urdf").symlink_to(folder.parent / "arm.urdf")  # its owner's, whatever it names
     sidecar.write_text("{}")
     assert load_dataset(folder).robot.nv == 1
     sidecar.write_text("[" * 100_000)
-    with pytest.raises(BadInput, match=r"dataset\.json"):
-        load_dataset(folder)
+    refused(r"dataset\.json", load_dataset, folder, error=BadInput)
 
 
 # Damaged at random
 
-DAMAGED = [name for name in READERS if name.startswith("data/")]
+CASES = [(name, 100) for name in READERS if name.startswith("data/")]
+CASES += [pytest.param("data/gantry.urdf", 2000, marks=pytest.mark.slow)]
 MORE = {  # of what a description can have, in the gantry
     b'<axis xyz="0 0 -1"/>': b'<dynamics damping="1" friction="2"/>',
     b'<link name="hand">': SHAPE.format('<cylinder radius="0.05" length="0.3"/>').encode(),
 }
 
 
-@pytest.mark.parametrize(
-    ("file", "count"),
-    [
-        *((file, 100) for file in DAMAGED),
-        pytest.param("data/gantry.urdf", 2000, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("file", "count"), CASES)
 def test_a_damaged_description_is_an_arm_that_works_or_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, count: int
 ) -> None:
