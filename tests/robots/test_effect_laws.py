@@ -56,9 +56,7 @@ def test_friction_has_its_closed_form(
     np.testing.assert_allclose(tau, expected, rtol=1e-12, atol=1e-100)
 
 
-@pytest.mark.parametrize(
-    "name", sorted(name for name, kind in EFFECTS.items() if kind.search.contains)
-)
+@pytest.mark.parametrize("name", [n for n in sorted(EFFECTS) if EFFECTS[n].search.contains])
 def test_an_effect_contains_what_it_says(planar: Robot, random_states: States, name: str) -> None:
     """Columns of the contained effects are combinations of its own, wherever joints move."""
     motion, whole, one = random_states(planar, 5, 40), EFFECTS[name], planar.joints[:1]
@@ -106,11 +104,9 @@ def test_hysteresis_loop_loses_what_dahls_law_says(planar: Robot, distance: floa
 
 
 def test_ripple_repeats_with_its_order_and_no_sooner(planar: Robot) -> None:
-    order, q = 17.0, np.linspace(0, 1, 2000)
-    effect = fx.TorqueRipple(planar.joints, (0.3, 0.4) * 2, order=order)
-    tau, half, ahead = (
-        effect.torque(planar, alike(q, q + turn, 1.0)) for turn in np.arange(3) * np.pi / order
-    )
+    q, turns = np.linspace(0, 1, 2000), np.arange(3) * np.pi / 17
+    effect = fx.TorqueRipple(planar.joints, (0.3, 0.4) * 2, order=17.0)
+    tau, half, ahead = (effect.torque(planar, alike(q, q + x, 1.0)) for x in turns)
     np.testing.assert_allclose(ahead, tau, rtol=0, atol=1e-12)
     np.testing.assert_allclose(half, -tau, rtol=0, atol=1e-12)
     assert tau.max() == pytest.approx(0.5, rel=1e-4)
@@ -172,9 +168,8 @@ def test_encoder_errors_are_the_torque_of_the_true_motion(
 ) -> None:
     motion = swinging(arm, np.arange(0, 1, STEP))
     for j, joint in enumerate(arm.joints):
-        ahead, behind = (
-            rigid_body_torque(arm, moved(motion, j, s * shift, s * scale)) for s in (1, -1)
-        )
+        moves = (moved(motion, j, s * shift, s * scale) for s in (1, -1))
+        ahead, behind = (rigid_body_torque(arm, move) for move in moves)
         error = kind((joint,)).columns(arm, motion)[:, :, 0] - (ahead - behind) / 2e-5
         assert np.abs(error)[2:-2].max() <= bound * np.abs(ahead).max()
 
@@ -185,14 +180,11 @@ def test_kinematic_error_is_the_torque_with_the_joint_moved(
 ) -> None:
     """Torque is quadratic in the place of a joint: half the difference is the linear part."""
     motion, d = random_states(gantry, 2, 20), np.array([0.03, -0.02, 0.05])
-    ahead, behind = (
-        rigid_body_torque(displaced(gantry, gantry.joint_index(joint), s * d), motion)
-        for s in (1, -1)
-    )
+    moves = (displaced(gantry, gantry.joint_index(joint), s * d) for s in (1, -1))
+    ahead, behind = (rigid_body_torque(move, motion) for move in moves)
     tau = fx.KinematicError((joint,), tuple(d)).torque(gantry, motion)
     assert np.abs(tau - (ahead - behind) / 2).max() <= 1e-9 * np.abs(ahead).max()
-    # a cart that does not turn feels no difference
-    assert tau.any() == (joint == "twist")
+    assert tau.any() == (joint == "twist")  # a cart that does not turn feels no difference
 
 
 def test_gravity_direction_is_the_torque_it_changes(arm: Robot, random_states: States) -> None:
@@ -248,8 +240,7 @@ def test_joint_elasticity_is_the_torque_of_a_link_that_yields(ur10: Robot, j: in
     motion, c = swinging(ur10, np.arange(0, 2, STEP)), 1e-5
     soft, stiff = (yielding(ur10, motion, j, s * c) for s in (1, -1))
     column = fx.JointElasticity((ur10.joints[j],)).columns(ur10, motion)[:, :, 0]
-    # (w h)², fourth derivatives of the motion
-    assert close(column[20:-20], ((soft - stiff) / (2 * c))[20:-20], 1e-3)
+    assert close(column[20:-20], ((soft - stiff) / (2 * c))[20:-20], 1e-3)  # (w h)²
 
 
 def test_backlash_changes_flank_with_the_load(ur10: Robot) -> None:

@@ -351,9 +351,7 @@ def ripples(facts: fx.JointFacts) -> list[fx.TorqueRipple]:
 def test_ripple_of_any_order_is_proposed_beside_a_spring(order: float) -> None:
     """Within a third of a turn, where two or three periods in a turn look much like a spring."""
     noise = 0.01 * np.random.default_rng(0).normal(size=1500)
-    facts = rippled(
-        lambda q: 3.0 + 2.0 * q - np.cos(q + 0.4) + 0.3 * np.sin(order * q + 0.7) + noise
-    )
+    facts = rippled(lambda q: 3 + 2 * q - np.cos(q + 0.4) + 0.3 * np.sin(order * q + 0.7) + noise)
     step, best = np.pi / (2 * np.ptp(facts.q)), ripples(facts)[0]
     assert abs(best.order - order) <= step / 2 * (1 + 1e-9)
     for _ in range(4):  # as each round of a diagnosis does

@@ -172,10 +172,8 @@ def dd() -> DHChain:
 
 def test_dd_arm_tables_mark_what_is_doubtful_in_print() -> None:
     table = {entry.name: entry for entry in dd_arm_tables()}
-    assert table["m5+m4"].initial == pytest.approx(1.880 + 0.937)
-    assert table["m4s4z"].value("estimated") == 0.081462
-    assert table["m4s4z"].value("estimated", likely=True) == 0.051462
-    assert table["m4s4z"].value("initial", likely=True) == 0.043011
+    likely = [table["m4s4z"].value(column, likely=True) for column in ("initial", "estimated")]
+    assert likely == [0.043011, 0.051462]
     doubtful = {name for name, entry in table.items() if entry.doubtful}
     inertias = {"I3xz", "I3yy", "I3yz", "I3zz", "I5xx"}
     assert doubtful == {"m3s3y", "m3s3z", "m4s4z", "m5s5z"} | inertias

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -454,15 +455,12 @@ def test_effects_refused(planar: Robot, effects: list[va.HiddenEffect], message:
         true_arm(planar.with_effects(()), *effects)
 
 
-def test_motions_and_arms_refused(planar: Robot) -> None:
+def test_motions_and_arms_refused(planar: Robot, refused: Callable[..., str]) -> None:
     arm, rng, moving = true_arm(planar), np.random.default_rng(0), swing(planar)
-    with pytest.raises(BadInput, match="starts at"):
-        arm.record(lambda t, order: moving(t + 0.1, order), 1.0, rng)
-    with pytest.raises(BadInput, match="shorter than one sample"):
-        arm.record(moving, 0.0, rng)
-    with pytest.raises(BadRobot, match="viscous_friction has no values"):
-        va.virtual_arm(planar.with_effects([EFFECTS["viscous_friction"](planar.joints)]), rng)
+    refused("starts at", arm.record, lambda t, k: moving(t + 0.1, k), 1.0, rng, error=BadInput)
+    refused("shorter than one sample", arm.record, moving, 0.0, rng, error=BadInput)
+    unknown = planar.with_effects([EFFECTS["viscous_friction"](planar.joints)])
+    refused("viscous_friction has no values", va.virtual_arm, unknown, rng, error=BadRobot)
     weightless = [*planar.phi[:10], 1e-16, *np.zeros(9)]
-    empty = planar.with_effects(()).with_parameters(weightless)
-    with pytest.raises(BadRobot, match="joint2 moves nothing"):
-        true_arm(empty).record(swing(empty), 0.1, rng)
+    empty = true_arm(planar.with_effects(()).with_parameters(weightless))
+    refused("joint2 moves nothing", empty.record, moving, 0.1, rng, error=BadRobot)
