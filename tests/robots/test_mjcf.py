@@ -141,24 +141,21 @@ def test_any_compiler_gives_the_torque_of_mujoco(
     rng, size = np.random.default_rng(seed), 1.0 if angle == "radian" else 57.0
     bodies = "".join(geom_body(rng, k, size) for k in range(3)) + "</body>" * 3
     path = tmp_path / "arm.xml"
-    path.write_text(
-        f"""<mujoco><compiler angle="{angle}" eulerseq="{sequence}" inertiafromgeom="{geoms}"
-        {bounds}/><worldbody>{bodies}</worldbody></mujoco>"""
-    )
+    compiler = f'angle="{angle}" eulerseq="{sequence}" inertiafromgeom="{geoms}" {bounds}'
+    path.write_text(f"<mujoco><compiler {compiler}/><worldbody>{bodies}</worldbody></mujoco>")
     judged(path)
 
 
 @pytest.mark.parametrize("frame", ["", 'refpos="0.1 0.2 -0.1" refquat="1 0.5 0.2 0.1"'])
 def test_inertia_of_a_mesh_is_that_of_its_volume(tmp_path: Path, frame: str) -> None:
     path = tmp_path / "mesh.xml"
-    path.write_text(
-        f"""<mujoco><compiler meshdir="{DATA}"/>
+    text = f"""<mujoco><compiler meshdir="{DATA}"/>
         <asset><mesh file="wedge.stl" scale="1 1.5 0.8" inertia="exact" {frame}/></asset>
         <worldbody><body name="a"><joint name="j" axis="0 1 0"/>
         <geom type="mesh" mesh="wedge" pos="0.1 0.2 0.3" euler="10 20 30"/>
         <body name="b" pos="0 0 1"><joint name="k" axis="1 0 0"/>
         <geom type="mesh" mesh="wedge" mass="2"/></body></body></worldbody></mujoco>"""
-    )
+    path.write_text(text)
     judged(path, packages=[DATA])
 
 
@@ -187,10 +184,9 @@ def test_a_loop_is_refused_where_it_moves(tmp_path: Path, refused: Refused) -> N
 def test_missing_drawings_are_left_out(tmp_path: Path) -> None:
     """A mesh that only shows a body, and its texture, need not be there."""
     path = tmp_path / "arm.xml"
-    path.write_text(
-        """<mujoco><asset><mesh name="m" file="m.stl"/><texture name="t" type="2d" file="t.png"/>
+    text = """<mujoco><asset><mesh name="m" file="m.stl"/><texture name="t" type="2d" file="t.png"/>
         <material name="paint" texture="t"/></asset><worldbody><body name="a"><joint name="j"/>
         <inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
         <geom type="mesh" mesh="m" material="paint"/></body></worldbody></mujoco>"""
-    )
+    path.write_text(text)
     assert load_robot(path).phi[0] == 2.0
