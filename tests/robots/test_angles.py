@@ -80,10 +80,9 @@ def test_every_form_of_description_is_read_alike(tmp_path: Path) -> None:
     assert load_robot(path).notes == ()
     path = tmp_path / "arm.xml"
     for turn in ('euler="1.57 0 0"', 'axisangle="1 0 0 1.57"', 'quat="0.7071 0.707 0 0"'):
-        path.write_text(
-            f"""<mujoco><compiler angle="radian"/><worldbody><body><joint/><geom size="1"/>
-            <body {turn}><joint/><geom size="1"/></body></body></worldbody></mujoco>"""
-        )
+        inner = f'<body {turn}><joint/><geom size="1"/></body>'
+        body = f'<worldbody><body><joint/><geom size="1"/>{inner}</body></worldbody>'
+        path.write_text(f'<mujoco><compiler angle="radian"/>{body}</mujoco>')
         robot = load_robot(path)
         assert [note.partition(":")[0] for note in robot.notes] == [NOTE]
         poses = re.findall('rpy="([^"]*)"', robot.description)

@@ -57,11 +57,10 @@ def judged(path: Path, **given: Any) -> Robot:
 
 
 def test_torque_is_that_of_mujoco() -> None:
-    robot = judged(FULL)
+    robot, turns = judged(FULL), [True, True, True, False]
     assert robot.joints == ("pan", "lift", "bend", "push")
-    assert robot.revolute.tolist() == [True, True, True, False]
     assert robot.links == ("shoulder_before_lift", "shoulder", "elbow", "hand")
-    assert robot.gravity.tolist() == [0.5, -1, -9]
+    assert [robot.revolute.tolist(), robot.gravity.tolist()] == [turns, [0.5, -1, -9]]
     written = robot.with_parameters(robot.phi).urdf
     again, motion = robot_from_urdf(written, "written", gravity=robot.gravity), states(robot)
     assert close(rigid_body_torque(again, motion), rigid_body_torque(robot, motion), 1e-9)

@@ -190,14 +190,10 @@ def test_expressions_have_the_values_of_python() -> None:
     values = {"a": 2.5, "xs": [3, 1, 2], "text": "a,b"}
     names = Names(MATH | PYTHON, values.__getitem__)
     for expression in (
-        "-a ** 2 // 3 % 2 + 1e3",
-        "xs[0] if a > 2 and not xs[1] == 2 else xs[-1]",
-        "[x * y for x in xs for y in xs if x != y][1:3]",
-        "text.split(',')[1].upper() + '%5.2f' % a",
-        "1 < a <= 3 != 4",
-        "3 in xs or 'a' not in text",
-        "max(xs, key=abs) + abs(-2)",
-        "(1, 2) + (3,)",
+        *("-a ** 2 // 3 % 2 + 1e3", "xs[0] if a > 2 and not xs[1] == 2 else xs[-1]"),
+        *("[x * y for x in xs for y in xs if x != y][1:3]", "1 < a <= 3 != 4"),
+        *("text.split(',')[1].upper() + '%5.2f' % a", "3 in xs or 'a' not in text"),
+        *("max(xs, key=abs) + abs(-2)", "(1, 2) + (3,)"),
     ):
         assert evaluate(expression, names) == eval(expression, values)
     for expression in ("a.real", "text.__len__", "abs.call", "xs.append(1)", "(y := 1)", "a @ a"):

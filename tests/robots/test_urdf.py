@@ -100,10 +100,8 @@ def test_robot_yaml_says_what_the_urdf_cannot(gantry_urdf: str, tmp_path: Path) 
         "effects: [{effect: coulomb_friction, joints: [twist], values: [0.5]}]\n"
     )
     robot, spec = load_robot(path), RobotSpec("gantry.urdf", lock={"swing": 0.2})
-    assert robot.joints == ("slide", "twist")
-    assert robot.gravity.tolist() == [0, 9.81, 0]
-    assert robot.limits.torque.tolist() == [300, 20]
-    assert robot.effects[0].values == (0.5,)
+    assert (robot.joints, robot.effects[0].values) == (("slide", "twist"), (0.5,))
+    assert [x.tolist() for x in (robot.gravity, robot.limits.torque)] == [[0, 9.81, 0], [300, 20]]
     expected = robot_from_urdf(gantry_urdf, spec, gravity=[0, 9.81, 0])
     motion = Motion(np.arange(4.0), *np.random.default_rng(0).standard_normal((3, 4, 2)))
     assert same(robot, expected, motion, 1e-12)
@@ -142,9 +140,8 @@ def test_links_may_be_called_as_joints(gantry_urdf: str, random_states: States) 
     motion = random_states(part, 0, 8)
     assert same(robot, part, motion, 1e-12)
     assert same(robot_from_urdf(robot.urdf, "gantry.urdf"), part, motion, 1e-9)
-    pose = bent_pose(part)
-    for key, drawn in sketch(part, pose).items():
-        assert np.array_equal(drawn, sketch(robot, pose)[key])
+    ours, theirs = (sketch(each, bent_pose(part)) for each in (robot, part))
+    assert all(np.array_equal(ours[key], drawn) for key, drawn in theirs.items())
     named = ((gantry_urdf, "hand"), (text, "twist"))
     one, other = (robot_from_urdf(urdf, RobotSpec("arm", tip=tip)).tip for urdf, tip in named)
     assert one == other
