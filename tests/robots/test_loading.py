@@ -286,9 +286,8 @@ BAD_LIMITS = {
     "velocity: [1, 2\n": "not valid YAML .line 2: ",
     "joint_limits: {wrist: {has_velocity_limits: true, max_velocity: 1.5}}\n": "joint 'wrist'",
     "joint_limits: {joint2: {has_velocity_limits: true, max_velocity: fast}}\n": "fast|velocity",
-    **dict.fromkeys(
-        ("velocity: fast", "velocity: [[[1]]]", "velocity: {joint1: fast}"), "velocity"
-    ),
+    **dict.fromkeys(("velocity: fast\n", "velocity: [[[1]]]\n"), "velocity"),
+    "velocity: {joint1: fast}\n": "velocity",
     **dict.fromkeys(("position: [1, -1]\n", "position: [1, 1]\n"), "lower must be below upper"),
     **dict.fromkeys(("- 1\n- 2\n", ""), "expected entries"),
     **dict.fromkeys(("limits: [1, 2]\n", "limits:\n"), "limits: expected entries"),
