@@ -315,8 +315,8 @@ def test_a_data_set_names_no_robot_elsewhere(folder: Path, refused: Refuse) -> N
 
 # Damaged at random
 
-CASES = [(name, 100) for name in READERS if name.startswith("data/")]
-CASES += [pytest.param("data/gantry.urdf", 2000, marks=pytest.mark.slow)]
+CASES = [(name, 200) for name in READERS if name.startswith("data/")]
+CASES += [pytest.param("data/gantry.urdf", 4000, marks=pytest.mark.slow)]
 MORE = {  # of what a description can have, in the gantry
     b'<axis xyz="0 0 -1"/>': b'<dynamics damping="1" friction="2"/>',
     b'<link name="hand">': SHAPE.format('<cylinder radius="0.05" length="0.3"/>').encode(),
