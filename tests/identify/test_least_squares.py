@@ -52,13 +52,6 @@ MIXTURE = RNG.standard_normal((P, 2))
 PROBLEM = dense(W, TAU, NAMES)
 
 
-def test_rows_come_back() -> None:
-    np.testing.assert_array_equal(PROBLEM.W, W)
-    x = np.arange(P, dtype=float)
-    np.testing.assert_allclose(PROBLEM.residual(x), TAU - W @ x)
-    assert all((W[:, j, own] != 0).any() for j, own in enumerate(PROBLEM.index))
-
-
 def test_products_and_triangles_are_those_of_the_rows() -> None:
     weight = np.array([1.0, 2.0, 0.5])
     A = np.concatenate([W, TAU[:, :, None]], axis=2) * weight[:, None]
@@ -70,10 +63,11 @@ def test_products_and_triangles_are_those_of_the_rows() -> None:
     np.testing.assert_allclose(factor.T @ factor, products, atol=1e-10)
 
 
-def test_other_problems_are_those_of_other_rows_and_columns() -> None:
+def test_rows_come_back_and_other_problems_are_those_of_other_rows_and_columns() -> None:
     count = np.random.default_rng(3).random((N, NV)) < 0.5
     few, counted = PROBLEM.select([3, 0]), PROBLEM.counting(count)
     for problem, rows in (
+        (PROBLEM, W),
         (few, W[:, :, [3, 0]]),
         (PROBLEM.with_columns(MORE, ["f", "g"]), np.concatenate([W, MORE], axis=2)),
         (counted, W * count[:, :, None]),
@@ -82,6 +76,9 @@ def test_other_problems_are_those_of_other_rows_and_columns() -> None:
         (dense(W, TAU, NAMES, count), W * count[:, :, None]),
     ):
         np.testing.assert_array_equal(problem.W, rows)
+    x = np.arange(P, dtype=float)
+    np.testing.assert_allclose(PROBLEM.residual(x), TAU - W @ x)
+    assert all((W[:, j, own] != 0).any() for j, own in enumerate(PROBLEM.index))
     assert few.names == ("d", "a")
     np.testing.assert_array_equal(counted.tau, TAU * count)
     np.testing.assert_array_equal(PROBLEM.select([]).residual(np.zeros(0)), TAU)
