@@ -34,6 +34,7 @@ _CONE = {
     "second_order": clarabel.SecondOrderConeT,
 }
 UPPER = np.triu_indices(4)
+PLACE = {(i, j): n for n, (i, j) in enumerate(zip(*UPPER, strict=True))}
 
 
 def body(rng: np.random.Generator) -> Array:
@@ -189,7 +190,7 @@ class Reference:
             b.append(right)
             cones.append(cone)
 
-        diagonal = [k for k in range(10) if UPPER[0][k] == UPPER[1][k]]
+        diagonal = [PLACE[i, i] for i in range(4)]
         columns = [(i, j) for j in range(8) for i in range(j + 1)]  # of the upper triangle
         for k in range(links):
             Z, t = p + 14 * k, p + 14 * k + 10
@@ -197,13 +198,11 @@ class Reference:
             for r, (i, j) in enumerate(columns):
                 weight = 1.0 if i == j else np.sqrt(2.0)
                 if j < 4:
-                    at = next(n for n in range(10) if (UPPER[0][n], UPPER[1][n]) == (i, j))
-                    rows[r, 10 * k + at] = weight
+                    rows[r, 10 * k + PLACE[i, j]] = weight
                 elif i >= 4 and i == j:
                     rows[r, Z + diagonal[i - 4]] = 1.0
                 elif i < 4 and j - 4 <= i:  # Z_ij, i ≥ j, is kept at (j, i)
-                    at = next(n for n in range(10) if (UPPER[0][n], UPPER[1][n]) == (j - 4, i))
-                    rows[r, Z + at] = weight
+                    rows[r, Z + PLACE[j - 4, i]] = weight
             add(rows, np.zeros(36), clarabel.PSDTriangleConeT(8))
             for n, at in enumerate(diagonal):
                 rows = np.zeros((3, total))
