@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,9 +77,7 @@ def test_without_such_effects_or_with_a_joint_at_rest_there_are_no_shapes() -> N
         assert refined_shapes(rows, prior_parameters(KNOWN.robot), Knowledge()) is None
 
 
-def test_identify_predicts_better_with_them_and_says_so(
-    planar: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_identify_predicts_better_with_them_and_says_so(planar: Robot, monkeypatch: Any) -> None:
     fit, held = (run_of(seed, stribeck(0.04, 0.3)) for seed in (1, 2))
     effects = (*standard_effects(planar.joints), STRIBECK)
     after = identify_robot(planar, [fit], validate=[held], effects=effects)
