@@ -63,9 +63,7 @@ def named(
     return columns
 
 
-def table(
-    time: str, *names: str, first: int = 0, scale: Sequence[float] = (1, 1, 1, 1)
-) -> pd.DataFrame:
+def table(time: str, *names: str, first: int = 0, scale: Any = (1, 1, 1, 1)) -> pd.DataFrame:
     """The motion under other names and in other units."""
     t, *channels = (x * factor for x, factor in zip((T, Q, DQ, TAU), scale, strict=True))
     return pd.DataFrame(named(time, names, channels, first) | {time: t})
@@ -474,9 +472,8 @@ def test_words_before_joints_name_an_arm_but_not_its_motors(
     other: str, why: str | None, load: Call, log: Path
 ) -> None:
     """Of two arms the user says which; motors turn otherwise than joints."""
-    arm, extra = (
-        named("t", [f"{x}_{y}_{{}}" for y in ("q", "dq", "tau")]) for x in ("right", other)
-    )
+    words = ("q", "dq", "tau")
+    arm, extra = (named("t", [f"{x}_{y}_{{}}" for y in words]) for x in ("right", other))
     log.write_text(text(arm | extra))
     if why is None:
         same(load(log))
