@@ -248,9 +248,7 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
 
 
 @pytest.mark.parametrize("jitter", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
-def test_windows_of_a_long_log_give_its_estimate(
-    jitter: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_windows_of_a_long_log_give_its_estimate(jitter: float, monkeypatch: Any) -> None:
     monkeypatch.setattr("excitant.identify.dataset.WINDOW_S", 6.0)
     t = np.arange(120_000) / RATE
     whole = logged(t + jitter / RATE * np.random.default_rng(1).uniform(-0.5, 0.5, len(t)))
@@ -281,9 +279,7 @@ def test_speeds_that_end_within_a_long_log_are_left_out() -> None:
     assert (some.dq, len(some)) == (None, 8000)
 
 
-def test_long_files_are_read_in_pieces_and_bad_rows_refused(
-    save: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_files_are_read_in_pieces_and_bad_rows_refused(save: Call, monkeypatch: Any) -> None:
     whole = logged(np.arange(8000) / RATE)
     path = save(whole, "log.csv")
     known = load_dataset("planar_2r")
