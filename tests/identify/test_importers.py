@@ -476,7 +476,7 @@ def test_words_before_joints_name_an_arm_but_not_its_motors(
     arm, extra = (named("t", [f"{x}_{y}_{{}}" for y in words]) for x in ("right", other))
     log.write_text(text(arm | extra))
     if why is None:
-        same(load(log))
+        same(load(log), unit="N·m")
         log.write_text(text(extra))
     with pytest.raises(BadRecording, match=why or "no torque"):
         load(log)
@@ -618,11 +618,11 @@ def test_the_robot_may_have_the_prefix_and_two_that_fit_are_refused(load: Call, 
         other = other.replace(f'"{joint}"', f'"ur10_{joint}"')
     path = bag("mcap")
     (path.parent / "arm.urdf").write_text(other)
-    same(load_recording(path, load_robot(path.parent / "arm.urdf")))
+    same(load_recording(path, load_robot(path.parent / "arm.urdf")), unit="N·m")
     two = bag("mcap", prefix="a_", other="b_")
     with pytest.raises(BadRecording, match="holds the joints a_"):
         load(two)
-    same(load(two, {"q": "b_{joint}.position", "tau": "b_{joint}.effort"}))
+    same(load(two, {"q": "b_{joint}.position", "tau": "b_{joint}.effort"}), unit="N·m")
 
 
 def test_a_bag_brings_its_robot_and_limits(bag: Call) -> None:
