@@ -251,7 +251,6 @@ def identify_run() -> Run:
     used = {"recordings": ["r"], "rows": 100, "mode": "swings"}
     stages = [{"link": "l2", "joint": "j2", **used, **seen, **left}, {"link": "l1", "joint": "j1"}]
     errors = {"joints": [{"name": "j1", "given": 1.0, "all_at_once": 0.5, "link_by_link": 0.4}]}
-    needed = {"kept": ["m1"], "dropped": ["m2", "m3"], "nrmse_all": 0.05, "nrmse_essential": 0.049}
     by_link = {"determined": 1, "base_parameters": 2, "stages": stages, "comparison": errors}
     note = "wrist_roll_joint moved too little in the hold-out to be judged there."
     result = FILTERED | {"verb": "identify", "estimator": "physical", "notes": [note]}
@@ -260,7 +259,7 @@ def identify_run() -> Run:
     result["joints"] = _rows(name=JOINTS, train=train, validate=validate, baseline=baseline)
     result["files"] = ["identified.urdf", "identified.xml", "model.yaml"]
     result["physical"] = {"consistent": True}
-    result |= {"link_by_link": by_link, "payload": payload, "online": online, "essential": needed}
+    result |= {"link_by_link": by_link, "payload": payload, "online": online}
     series = {"t": t, "measured": measured, "given": given, "identified": identified}
     series |= {"half_width": np.full_like(measured, 0.3), "position": q}
     series["velocity"] = np.where(np.abs(dq) > 0.01, dq, np.nan)
