@@ -21,13 +21,7 @@ from excitant.analysis.residuals import BANDS, QUANTITIES, Residual
 from excitant.identify import model_files
 from excitant.identify.preprocessing import away_from_rest
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import (
-    EFFECTS,
-    StribeckFriction,
-    TorqueGain,
-    TorqueRipple,
-    ViscousFriction,
-)
+from excitant.robots.effects import EFFECTS, TorqueGain
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -36,6 +30,7 @@ FAST = ("coulomb_friction", "payload")
 CLEAN = 2  # of each arm
 Pair = tuple[float, float]
 FLOOR = 0.1
+ACTS = (1.0, 0.0)  # torque of joint 1 alone
 AS_FITTED = HoldoutScale(1.0, 0.0, 1.0)  # unseen data show as much of a cause
 PLANTED = (
     hidden("gravity_direction", roll=0.1, pitch=-0.05),
@@ -247,6 +242,19 @@ def test_a_finding_lowers_the_error_while_joints_move(coulomb: Diagnosis) -> Non
     assert after < 0.5 * before
 
 
+def cause(
+    kind: str,
+    explained: float = 0.5,
+    joint: str = "joint1",
+    torque: Pair | np.ndarray = ACTS,
+    scale: HoldoutScale = AS_FITTED,
+    **shape: float,
+) -> Finding:
+    """What stands for a finding: its effect, and its torque at each of two joints."""
+    shown = {"effect": EFFECTS[kind]((joint,), **shape), "explained": explained, "scale": scale}
+    return cast(Finding, SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0))
+
+
 @pytest.mark.parametrize(
     ("rms", "left", "own", "rough", "said"),
     [
@@ -268,11 +276,10 @@ def test_why_a_cause_that_pays_is_not_decided(
     rms: Pair, left: Pair, own: float, rough: tuple[str, float], said: str
 ) -> None:
     """Torque and slow structure left of this rms at each of two joints; what causes explain."""
-    viscous, beside = ViscousFriction(("joint2",)), StribeckFriction((rough[0],))
-    same = {"torque": np.ones((10, 1)) * rms, "share": 1.0, "scale": AS_FITTED}
-    found, *others = (
-        cast(Finding, SimpleNamespace(**same, effect=effect, explained=x))
-        for effect, x in ((viscous, own), (viscous, 0.6), (beside, rough[1]))
+    found = cause("viscous_friction", own, "joint2", rms)
+    others = (
+        cause("viscous_friction", 0.6, "joint2", rms),
+        cause("stribeck_friction", rough[1], rough[0], rms),
     )
     residuals = [
         Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {}, {})
@@ -283,93 +290,58 @@ def test_why_a_cause_that_pays_is_not_decided(
     assert bool(said) == bool(reason)
 
 
-@pytest.mark.parametrize(
-    ("own", "beside", "joint", "said"),
-    [
-        (0.6, 0.1, "joint1", "friction curve"),  # which of both it is, is open
-        (0.1, 0.6, "joint1", "friction curve"),
-        (0.6, 0.05, "joint1", ""),
-        (0.6, 0.1, "joint2", ""),
-        (0.0024, 0.0, "joint2", "smaller than the 5 % uncertainty"),  # the misfit of larger causes
-        (0.0026, 0.0, "joint2", ""),
-    ],
-)
-def test_what_shares_a_curve_or_is_faint_is_not_decided(
-    own: float, beside: float, joint: str, said: str
-) -> None:
-    kinds = EFFECTS["nonlinear_viscous_friction"](("joint1",)), StribeckFriction((joint,))
-    same = {"torque": np.ones((10, 1)) * (1.0, 0.0), "share": 1.0, "scale": AS_FITTED}
-    found, other = (
-        cast(Finding, SimpleNamespace(**same, effect=effect, explained=x))
-        for effect, x in zip(kinds, (own, beside), strict=True)
-    )
+CURVE, STRIBECK = "nonlinear_viscous_friction", "stribeck_friction"
+SLOW, FAST_RIPPLE = (cause("torque_ripple", order=order) for order in (1.4, 20.0))
+SPRING, ON_SPRING = cause("spring"), "shares the position curve"
+SWING = np.sin(np.arange(100.0))[:, None] * ACTS
+SWUNG, BACK, FAINT = cause("spring", 2.0, torque=SWING), "mostly cancel", "smaller than the 5 %"
+
+
+def reason_among(*causes: Finding) -> str:
+    """Why the first of all causes is not decided, where little is left."""
     robot = load_robot("planar_2r")
     left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
-    reason = reason_to_downgrade(robot, found, [found, other], left, 0.1)
+    return reason_to_downgrade(robot, causes[0], causes, left, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("found", "other", "said"),
+    [
+        # which of two that share a friction curve it is, is open
+        (cause(CURVE, 0.6), cause(STRIBECK, 0.1), "friction curve"),
+        (cause(CURVE, 0.1), cause(STRIBECK, 0.6), "friction curve"),
+        (cause(CURVE, 0.6), cause(STRIBECK, 0.05), ""),
+        (cause(CURVE, 0.6), cause(STRIBECK, 0.1, "joint2"), ""),
+        # the misfit of larger causes
+        (cause(CURVE, 0.0024), cause(STRIBECK, 0.0, "joint2"), f"{FAINT} uncertainty"),
+        (cause(CURVE, 0.0026), cause(STRIBECK, 0.0, "joint2"), ""),
+        # smooth curves of the position, as are a hose or a bumper, which are neither
+        (SLOW, SPRING, ON_SPRING),
+        (SPRING, SLOW, ON_SPRING),
+        (FAST_RIPPLE, SPRING, ""),
+        (SPRING, FAST_RIPPLE, ""),
+        (SLOW, cause("spring", joint="joint2"), ""),
+        (cause("spring", joint="joint2"), SLOW, ""),
+        # a spring, and a torque gain that makes some of its torque, backward or forward
+        (SWUNG, cause("torque_gain", 2.0, torque=-0.9 * SWING), BACK),
+        (SWUNG, cause("torque_gain", 2.0, torque=-0.4 * SWING), ""),
+        (SWUNG, cause("torque_gain", 2.0, torque=1.0 * SWING), ""),
+        (SWUNG, cause("torque_gain", 2.0, "joint2", -0.9 * SWING), ""),
+    ],
+)
+def test_causes_that_another_may_be_or_that_are_faint_are_not_decided(
+    found: Finding, other: Finding, said: str
+) -> None:
+    reason = reason_among(found, other)
     assert said in reason
-    assert bool(said) == bool(reason)
-
-
-@pytest.mark.parametrize(
-    ("order", "joint", "said"),
-    [(1.4, "joint1", "shares the position curve"), (20.0, "joint1", ""), (1.4, "joint2", "")],
-)
-def test_a_slow_ripple_beside_a_spring_is_not_decided(order: float, joint: str, said: str) -> None:
-    """Both are smooth curves of the position, as are a hose or a bumper, which are neither."""
-    same = {
-        "torque": np.ones((10, 1)) * (1.0, 0.0),
-        "share": 1.0,
-        "explained": 0.5,
-        "scale": AS_FITTED,
-    }
-    ripple, spring = (
-        cast(Finding, SimpleNamespace(**same, effect=effect))
-        for effect in (TorqueRipple(("joint1",), order=order), EFFECTS["spring"]((joint,)))
-    )
-    robot = load_robot("planar_2r")
-    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
-    for found in (ripple, spring):
-        reason = reason_to_downgrade(robot, found, [ripple, spring], left, 0.1)
-        assert said in reason
-        assert bool(said) == bool(reason)
-
-
-@pytest.mark.parametrize(
-    ("factor", "joint", "said"),
-    [
-        (-0.9, "joint1", "mostly cancel"),
-        (-0.4, "joint1", ""),
-        (1.0, "joint1", ""),
-        (-0.9, "joint2", ""),
-    ],
-)
-def test_causes_that_take_each_other_back_are_not_decided(
-    factor: float, joint: str, said: str
-) -> None:
-    """A spring, and a torque gain that makes some of its torque, backward or forward."""
-    torque = np.sin(np.arange(100.0))[:, None] * (1.0, 0.0)
-    same = {"share": 1.0, "explained": 2.0, "scale": AS_FITTED}
-    found, other = (
-        cast(Finding, SimpleNamespace(**same, effect=effect, torque=x))
-        for effect, x in (
-            (EFFECTS["spring"](("joint1",)), torque),
-            (TorqueGain((joint,)), factor * torque),
-        )
-    )
-    robot = load_robot("planar_2r")
-    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
-    assert said in (reason := reason_to_downgrade(robot, found, [found, other], left, 0.1))
     assert bool(said) == bool(reason)
 
 
 @pytest.mark.parametrize(("size", "open_"), [(0.12, True), (0.25, False)])
 def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, open_: bool) -> None:
-    robot = load_robot("planar_2r")
-    gain = TorqueGain(robot.joints).with_values([size])
-    shown = {"torque": np.ones((10, 2)), "share": 1.0, "explained": 0.5, "scale": AS_FITTED}
-    found = cast(Finding, SimpleNamespace(effect=gain, **shown))
-    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
-    assert bool(reason_to_downgrade(robot, found, [found], left, 0.1)) == open_
+    common = cause("torque_gain", torque=(1.0, 1.0))
+    vars(common)["effect"] = TorqueGain(("joint1", "joint2")).with_values([size])
+    assert bool(reason_among(common)) == open_
 
 
 @pytest.mark.parametrize(
@@ -385,17 +357,7 @@ def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, ope
 def test_what_unseen_data_take_back_is_not_decided(
     kind: str, size: float, error: float, said: str
 ) -> None:
-    torque = np.ones((10, 1)) * (1.0, 0.0)
-    shown = {
-        "torque": torque,
-        "share": 1.0,
-        "explained": 0.5,
-        "scale": HoldoutScale(size, error, 1.0),
-    }
-    found = cast(Finding, SimpleNamespace(effect=EFFECTS[kind](("joint1",)), **shown))
-    robot = load_robot("planar_2r")
-    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
-    assert reason_to_downgrade(robot, found, [found], left, 0.1) == said
+    assert reason_among(cause(kind, scale=HoldoutScale(size, error, 1.0))) == said
 
 
 @pytest.mark.parametrize(
