@@ -20,6 +20,8 @@ from excitant.analysis.explanation import at_rest, headline
 from excitant.analysis.residuals import BANDS, QUANTITIES, Residual
 from excitant.identify import model_files
 from excitant.identify.preprocessing import away_from_rest
+from excitant.reports.run import as_saved
+from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import EFFECTS, TorqueGain
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
@@ -27,7 +29,6 @@ from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
 WRISTS = ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 FAST = ("coulomb_friction", "payload")
-CLEAN = 2  # of each arm
 Pair = tuple[float, float]
 FLOOR = 0.1
 ACTS = (1.0, 0.0)  # torque of joint 1 alone
@@ -118,11 +119,10 @@ def test_nothing_hidden_nothing_named(name: str, seed: int, diagnosed: Diagnosed
 
 
 @pytest.mark.slow
-def test_clean_arms_have_nothing_named(ur10: Robot, diagnosed: Diagnosed) -> None:
-    arms = product((ur10, load_robot("panda")), range(CLEAN))
-    each = [diagnosed(robot, 200 + seed) for robot, seed in arms]
-    alarms = [d.headline for d in each if any(f.verdict == "named" for f in d.findings)]
-    assert len(alarms) <= 0.05 * 2 * CLEAN, alarms
+@pytest.mark.parametrize(("name", "seed"), [*product(("ur10", "panda"), (200, 201))])
+def test_clean_arms_have_nothing_named(name: str, seed: int, diagnosed: Diagnosed) -> None:
+    diagnosis = diagnosed(load_robot(name), seed)
+    assert not [f for f in diagnosis.findings if f.verdict == "named"], diagnosis.headline
 
 
 @pytest.mark.slow
@@ -203,24 +203,15 @@ def test_a_finding_is_the_extended_model_without_it(coulomb: Diagnosis) -> None:
 
 
 @pytest.mark.parametrize("kind", ["payload", "coulomb_friction"])
-def test_the_result_has_the_agreed_keys(kind: str, case: Case) -> None:
+def test_the_result_is_its_record_and_names_every_joint(kind: str, case: Case) -> None:
     _, diagnosis = case(kind)
     result, robot = diagnosis.result(), diagnosis.robot
-    accuracy = {"name", "rms", "nrmse", "r2"}
-    agreed = {"simulation": accuracy, "extended": accuracy, "error": {"left"}}
-    for part, keys in agreed.items():
+    record_of(as_saved(result, {})[0])
+    for part in ("simulation", "extended", "error"):
         assert [row["name"] for row in result[part]["joints"]] == list(robot.joints)
-        assert all(keys <= set(row) for row in result[part]["joints"])
-    keys = {"effect", "joints", "parameters", "explained", "holdout", "verdict", "rivals"}
-    for finding in result["findings"]:
-        assert keys <= set(finding)
-        assert {"rms_before", "rms_after"} == set(finding["holdout"])
-        assert all({"name", "value", "std", "unit"} <= set(p) for p in finding["parameters"])
-        assert finding["verdict"] in ("named", "undecided")
+    assert {f["verdict"] for f in result["findings"]} <= {"named", "undecided"}
     explained = [f["explained"] for f in result["findings"]]
     assert explained == sorted(explained, reverse=True)
-    assert "faults" in result
-    assert all({"joint", "share", "structure"} <= set(row) for row in result["unexplained"])
     spectra = [part for row in result["error"]["joints"] for part in (row, row["left"])]
     assert all(set(part["bands"]) == set(BANDS) for part in spectra)
     assert all(set(part["shares"]) <= set(QUANTITIES) for part in spectra)
