@@ -94,7 +94,6 @@ def prepared(kind: str) -> tuple[str, Robot]:
     return "arm.yaml", robot
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(
     "kind", [kind if kind in FAST else pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
 )
@@ -129,7 +128,6 @@ def test_currents_where_rotors_are_like_masses_get_gains_of_the_right_size(here:
     assert (found.validate.r2 > 0.99).all()
 
 
-@pytest.mark.sampled
 @pytest.mark.filterwarnings("error::RuntimeWarning", "error::scipy.linalg.LinAlgWarning")
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) for k in EVERY_VERB])
 def test_every_verb_in_every_way(kind: str, here: Path, excitant: Any) -> None:

@@ -86,7 +86,6 @@ def test_what_is_hidden_is_found(kind: str, case: Case) -> None:
         assert value == pytest.approx(dict(effect.parameters)["m"], rel=0.3)
 
 
-@pytest.mark.sampled
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", PLANTED, ids=lambda e: "-".join((e.effect, *e.acts_on)))
 def test_it_alone_is_named(effect: HiddenEffect, ur10: Robot, diagnosed: Diagnosed) -> None:

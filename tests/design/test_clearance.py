@@ -233,7 +233,6 @@ def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot, tmp_path: Path)
     assert unchecked(there, None) == "self-collision; floor"
 
 
-@pytest.mark.sampled
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["scara", "panda", "so100"])
 def test_mujoco_sees_no_contact_floor_included(name: str) -> None:

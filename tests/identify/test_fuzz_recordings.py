@@ -125,7 +125,6 @@ def test_an_undamaged_file_is_read_and_one_of_nothing_refused(log: Path) -> None
         assert attempt(log) is None
 
 
-@pytest.mark.sampled
 @examples(10, 170)
 def test_damaged_bytes(log: Path, count: int) -> None:
     content = log.read_bytes()

@@ -167,7 +167,6 @@ def test_what_is_no_record_is_refused_by_its_path(change, where, make, tmp_path)
         load_run(tmp_path)
 
 
-@pytest.mark.sampled
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_any_series_may_be_missing_or_spoilt(verb, make, show):
