@@ -26,8 +26,8 @@ def states(seed: int, n: int, nv: int) -> Motion:
     return Motion(np.arange(float(n)), *np.random.default_rng(seed).uniform(-2, 2, (3, n, nv)))
 
 
-def matrix(chain: DHChain, motion: Motion, **form: bool) -> np.ndarray:
-    return torque_matrix(chain, motion.q, motion.dq, motion.ddq, **form)
+def matrix(chain: DHChain, motion: Motion) -> np.ndarray:
+    return torque_matrix(chain, motion.q, motion.dq, motion.ddq)
 
 
 def rank(W: np.ndarray) -> int:
@@ -58,42 +58,6 @@ def test_a_chain_needs_the_torque_of_the_recursion_where_its_frames_are(
             pin.framesForwardKinematics(robot.model, data, q)
             tip = data.oMf[robot.tip].homogeneous
             assert np.allclose(placed[-1] @ one.tool, tip, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_lever_times_acceleration_belongs_to_distal_frames_only(
-    random_chain: Chains, seed: int
-) -> None:
-    """[p×]v̇: needed in the paper's frames, zero in those of An, Atkeson and Hollerbach."""
-    distal, motion = random_chain(seed, 6), states(seed, 50, 6)
-    distal = replace(distal, revolute=np.full(6, True), a=np.full(6, 0.3), d=np.full(6, 0.2))
-    proximal, expected = dh_from_robot(robot_from_dh(distal)), matrix(distal, motion) @ distal.phi
-    dropped = matrix(distal, motion, lever=False) @ distal.phi - expected
-    assert np.linalg.norm(dropped) > 0.05 * np.linalg.norm(expected)
-    assert close(matrix(proximal, motion, lever=False) @ proximal.phi, expected)
-
-
-@pytest.mark.parametrize("printed", [False, True])
-def test_the_printed_kinematic_matrix_is_wrong(random_chain: Chains, printed: bool) -> None:
-    """[p×][ω×] for [p×]([ω̇×] + [ω×][ω×]): other units, so it breaks the scaling of time."""
-    chain, motion = replace(random_chain(1, 6), gravity=np.zeros(3)), states(2, 40, 6)
-    faster = replace(motion, dq=2 * motion.dq, ddq=4 * motion.ddq)
-    once, twice = (matrix(chain, x, printed=printed) @ chain.phi for x in (motion, faster))
-    assert close(twice, 4 * once, 1e-9) != printed
-    error = np.abs(once - rigid_body_torque(robot_from_dh(chain), motion)).max()
-    assert (error > 0.1) == printed
-
-
-def test_the_printed_selection_takes_forces_for_torques(random_chain: Chains) -> None:
-    """(17) as printed: an arm twice as large needs four times the torque, and it says twice."""
-    chain, motion = replace(random_chain(1, 6), gravity=np.zeros(3)), states(2, 40, 6)
-    small = replace(chain, revolute=np.full(6, True), base=np.eye(4))
-    phi = small.phi.reshape(-1, 10) * 2.0 ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
-    large = replace(small, a=2 * small.a, d=2 * small.d, phi=phi.ravel())
-    for force, times in ((False, 4), (True, 2)):
-        one, two = (matrix(arm, motion, force=force) @ arm.phi for arm in (small, large))
-        assert close(two, times * one, 1e-9)
-    assert close(matrix(small, motion) @ small.phi, rigid_body_torque(robot_from_dh(small), motion))
 
 
 def differences(values: np.ndarray, order: int) -> float:
