@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -353,60 +352,3 @@ def autocorrelation_time(residual: Array) -> float:
     rho = autocorrelation(residual)
     end = int(np.argmax(rho <= 0)) if (rho <= 0).any() else len(rho)
     return float(max(1.0, 1 + 2 * rho[1:end].sum()))
-
-
-class Essential(NamedTuple):
-    """Base parameters kept, and dropped in order; the estimate is zero where dropped.
-
-    The p-value is the probability of data that deny the dropped ones as much, where they are zero.
-    """
-
-    kept: tuple[int, ...]
-    dropped: tuple[int, ...]
-    beta: Array
-    covariance: Array
-    p_value: float
-
-
-def essential_parameters(beta: Array, covariance: Array) -> Essential:
-    """Drop parameters one by one as long as noise may have made them: the fewest that explain all.
-
-    Backward elimination (Pham and Gautier 1991): the parameter of largest relative standard
-    deviation is set to zero and the others adapt by least squares,
-
-        β ← β − Σ e_k β_k / Σ_kk,   Σ ← Σ − Σ e_k e_kᵀ Σ / Σ_kk,
-
-    until that costs more than noise does. The squares β_k² / Σ_kk of the steps add up to Wald's
-    statistic of all that is dropped, χ² of as many degrees of freedom where these are zero indeed.
-    """
-    unit = np.sqrt(np.diag(covariance))
-    unit = np.where(unit > 0, unit, 1.0)
-    b = beta / unit
-    S = covariance / np.outer(unit, unit)
-    kept = list(range(len(beta)))
-    dropped = list[int]()
-    statistic = 0.0
-    p_value = 1.0
-    while kept:
-        variance = np.diag(S)[kept]
-        certain = np.full(len(kept), np.inf)
-        squares = np.divide(b[kept] ** 2, variance, certain, where=variance > 1e-12)
-        k = kept[int(squares.argmin())]
-        square = float(squares.min())
-        together = float(scipy.special.chdtrc(len(dropped) + 1, statistic + square))
-        alone = float(scipy.special.chdtrc(1, square))
-        # probabilities by chance: of all that is dropped, and of this one
-        if together < 0.05 or alone < 0.01:
-            break
-        column = S[:, k] / S[k, k]
-        b = b - column * b[k]
-        S = S - np.outer(column, S[k])
-        statistic += square
-        p_value = together
-        kept.remove(k)
-        dropped.append(k)
-    b[dropped] = 0.0
-    S[dropped] = 0.0
-    S[:, dropped] = 0.0
-    covariance = S * np.outer(unit, unit)
-    return Essential(tuple(kept), tuple(dropped), b * unit, covariance, p_value)

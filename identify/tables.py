@@ -10,7 +10,6 @@ import numpy as np
 
 from excitant.identify.accuracy import Coverage, coverage
 from excitant.identify.friction import curves_over_velocity, friction_curves
-from excitant.identify.least_squares import essential_parameters
 from excitant.identify.physical import centre_of_mass
 from excitant.identify.prior import decided_by
 from excitant.identify.rows import states, units_of
@@ -163,7 +162,6 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "prior_sigma": _body_std(estimate).tolist(),
         "parameters": _parameters(estimate),
         "base_parameters": _base_parameters(estimate),
-        "essential": _essential(estimate),
         "physical": {
             "consistent": not broken,
             "violations": broken,
@@ -265,25 +263,6 @@ def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
         }
         for text, value, std in rows
     ]
-
-
-def _essential(estimate: Estimate) -> dict[str, Any]:
-    """The fewest base parameters, and their accuracy on the hold-out (median over joints)."""
-    fit = estimate.least_squares
-    essential = essential_parameters(fit.beta, fit.covariance)
-    names = estimate.base.expressions
-
-    def error(beta: Array) -> float:
-        predicted = estimate.holdout_columns @ beta / estimate.gains
-        return float(np.nanmedian(estimate.holdout.accuracy(predicted).nrmse))
-
-    return {
-        "kept": [names[k] for k in essential.kept],
-        "dropped": [names[k] for k in essential.dropped],
-        "p_value": essential.p_value,
-        "nrmse_all": error(fit.beta),
-        "nrmse_essential": error(essential.beta),
-    }
 
 
 def _body_std(estimate: Estimate) -> Array:

@@ -30,7 +30,7 @@ hypothesis.settings.load_profile("excitant")
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--every", type=int, default=1, help="of slow tests marked 'sampled', each N-th case"
+        "--every", type=int, default=1, help="of a slow test of many cases, each N-th case"
     )
 
 
@@ -39,7 +39,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     number, kept, left = Counter[str](), list[pytest.Item](), list[pytest.Item]()
     for item in items:
         name = item.nodeid.partition("[")[0]
-        whole = {"sampled", "slow"} - {mark.name for mark in item.iter_markers()}
+        marks = {mark.name for mark in item.iter_markers()}
+        whole = "slow" not in marks or "whole" in marks
         (kept if whole or number[name] % config.getoption("every") == 0 else left).append(item)
         number[name] += not whole
     config.hook.pytest_deselected(items=left)

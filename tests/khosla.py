@@ -121,21 +121,11 @@ def _times(A: Array, x: Array) -> Array:
     return (A @ x[..., None])[..., 0]
 
 
-def torque_matrix(
-    chain: DHChain,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    *,
-    printed: bool = False,
-    lever: bool = True,
-    force: bool = False,
-) -> Array:
+def torque_matrix(chain: DHChain, q: Array, dq: Array, ddq: Array) -> Array:
     """M with τ = M φ, φ about the link frames of the chain, shape (n, nv, 10 nv).
 
     Row i is zero before column 10 i (Property 4: the equations of links i + 1 .. nv contain
-    nothing of link i). ``printed``: with the moment of K as printed, [p×][ω×] − [v̇×]; ``lever``:
-    with [p×]v̇; ``force``: with (17) as printed.
+    nothing of link i).
     """
     T, distal = chain.poses(q).swapaxes(0, 1), chain.convention == "standard"
     turn, back, p = T[..., :3, :3], T[..., :3, :3].swapaxes(-1, -2), T[..., :3, 3]
@@ -161,9 +151,9 @@ def torque_matrix(
         arm = distal * _cross_matrix(reach[i])
         inertial, gyroscopic = (np.einsum("ijk,nj->nik", _TENSOR, v) for v in (domega, omega))
         K = np.zeros((len(q), 6, 10))
-        K[:, :3, 0], K[:, 3:, 0] = dv, lever * _times(arm, dv)
+        K[:, :3, 0], K[:, 3:, 0] = dv, _times(arm, dv)
         K[:, :3, 1:4] = swing
-        K[:, 3:, 1:4] = arm @ (spin if printed else swing) - _cross_matrix(dv)
+        K[:, 3:, 1:4] = arm @ swing - _cross_matrix(dv)
         K[:, 3:, 4:] = inertial + spin @ gyroscopic
         axes.append(axis)
         kinematics.append(K)
@@ -175,6 +165,6 @@ def torque_matrix(
             R[:, 3:, :3] = _cross_matrix(reach[i]) @ turn[i + 1]
             stack = R @ stack
         stack[:, :, 10 * i : 10 * i + 10] = kinematics[i]
-        part = stack[:, 3:] if bool(chain.revolute[i]) != force else stack[:, :3]
+        part = stack[:, 3:] if chain.revolute[i] else stack[:, :3]
         M[:, i] = np.einsum("nj,njp->np", axes[i], part)
     return M

@@ -25,17 +25,14 @@ EXAMPLES = re.findall(r"^ +(excitant .*)$", f"{HELP}\n{README}", re.MULTILINE)
 
 
 @pytest.mark.parametrize("name", VERBS)
-def test_help_ends_with_examples_of_the_command(name: str, excitant: Any) -> None:
+def test_help_begins_with_options_of_every_day_and_ends_with_examples(
+    name: str, excitant: Any
+) -> None:
+    """A dozen options at most stand before the rare ones."""
     ran = excitant(f"{name} --help")
     assert ran.status == 0
     assert re.search(rf"\nexamples?:\n  excitant {name}\b", ran.out)
-
-
-@pytest.mark.parametrize("name", VERBS)
-def test_options_of_every_day_come_first(name: str, excitant: Any) -> None:
-    """A dozen at most stand before the rare ones."""
-    text = excitant(f"{name} --help").out
-    daily, _, rare = text.partition("Rare options")
+    daily, _, rare = ran.out.partition("Rare options")
     first, others = (re.findall(r"^│ +(--[a-z-]+) ", x, re.MULTILINE) for x in (daily, rare))
     assert len(first) <= 12
     assert not {*first} & {*others}

@@ -122,6 +122,13 @@ def test_a_full_disk_behind_the_output_is_told() -> None:
     assert (done.returncode, done.stderr) == (1, "excitant: file: No space left on device\n")
 
 
+def ran_amid(code: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """A command in whose process this code comes first."""
+    (folder / "amid.py").write_text(code)
+    command = [sys.executable, "-m", "amid", *words]
+    return subprocess.run(command, cwd=folder, check=False, capture_output=True, text=True)
+
+
 def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> None:
     """Python ends itself by the signal where that came while exec() ran a text, caught or not."""
     code = (
@@ -132,9 +139,7 @@ def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> N
         "excitant.cli.main = main\n"
         "excitant.__main__.run()\n"
     )
-    (tmp_path / "amid.py").write_text(code)
-    done = subprocess.run([sys.executable, "-m", "amid"], cwd=tmp_path, check=False)
-    assert done.returncode == 130
+    assert ran_amid(code, tmp_path).returncode == 130
 
 
 def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
@@ -150,9 +155,7 @@ def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
         "excitant.demo.run_demo = run_demo\n"
         "excitant.__main__.run()\n"
     )
-    (tmp_path / "amid.py").write_text(code)
-    words = [sys.executable, "-m", "amid", "demo", "--robot", "planar_2r"]
-    done = subprocess.run(words, cwd=tmp_path, check=False, capture_output=True, text=True)
+    done = ran_amid(code, tmp_path, "demo", "--robot", "planar_2r")
     assert done.returncode == 130
     assert done.stderr.endswith("excitant: interrupted; nothing was written\n")
 
@@ -167,9 +170,7 @@ def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
         "excitant.design.search.unordered = unordered\n"
         "excitant.__main__.run()\n"
     )
-    (tmp_path / "amid.py").write_text(code)
-    words = [sys.executable, "-m", "amid", "demo", "--robot", "planar_2r", "-o", "out"]
-    done = subprocess.run(words, cwd=tmp_path, check=False, capture_output=True, text=True)
+    done = ran_amid(code, tmp_path, "demo", "--robot", "planar_2r", "-o", "out")
     line = "excitant: interrupted; nothing was written\n"
     assert (done.returncode, done.stderr) == (130, line)
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []

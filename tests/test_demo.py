@@ -10,6 +10,7 @@ import pytest
 
 from excitant.cli import main
 from excitant.demo import run_demo, truth_of
+from excitant.results import record_of
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import HiddenEffect
 
@@ -35,15 +36,10 @@ def test_the_hidden_effect_is_named_on_its_joint(result: dict[str, Any]) -> None
         assert joint in text
 
 
-def test_the_result_holds_every_verb(result: dict[str, Any]) -> None:
-    agreed = {
-        "design": {"joints", "duration", "harmonics", "condition_number", "limits", "wall_s"},
-        "identify": {"joints", "parameters", "base_parameters", "physical"},
-        "analyze": {"links", "condition_number", "practical"},
-        "diagnose": {"simulation", "findings", "unexplained", "extended"},
-    }
-    for verb, keys in agreed.items():
-        assert keys <= set(result[verb]), verb
+def test_the_result_is_the_record_of_every_verb(result: dict[str, Any]) -> None:
+    record = record_of({key: value for key, value in result.items() if key != "folder"})
+    for verb in ("design", "identify", "analyze", "diagnose"):
+        assert getattr(record, verb).__struct_config__.tag == verb
     assert result["identify"]["physical"]["consistent"]
     assert max(v for v in result["design"]["limits"].values() if v is not None) <= 1.0
     assert all(Path(file).is_file() for file in result["files"])

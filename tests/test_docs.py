@@ -35,6 +35,7 @@ from excitant.identify.reading.mapping import ColumnMap, column_map
 from excitant.robots.effects import EFFECTS
 from excitant.robots.schema import parsed_yaml
 
+pytestmark = pytest.mark.whole  # each page says something of its own
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -60,7 +59,7 @@ def made(folder: Path) -> dict[str, float]:
 
 
 def test_it_goes_on_where_it_was_and_names_what_is_broken(
-    two: Path, here: Path, excitant: Callable[..., Any]
+    two: Path, here: Path, excitant: Any
 ) -> None:
     shutil.copytree(two, here / "all")
     ran = excitant("fleet all --jobs 1 -o out --json")
@@ -98,9 +97,7 @@ def test_it_goes_on_where_it_was_and_names_what_is_broken(
         ("fleet a/x b/x a/x", "another data set is called x/x"),
     ],
 )
-def test_what_is_no_fleet_is_refused(
-    line: str, said: str, here: Path, excitant: Callable[..., Any]
-) -> None:
+def test_what_is_no_fleet_is_refused(line: str, said: str, here: Path, excitant: Any) -> None:
     for name in ("empty", "a/x", "b/x"):
         (here / name).mkdir(parents=True)
     for name in "ab":
@@ -111,7 +108,7 @@ def test_what_is_no_fleet_is_refused(
     assert not (here / "runs").exists()
 
 
-def test_a_fleet_without_any_model_is_a_failure(here: Path, excitant: Callable[..., Any]) -> None:
+def test_a_fleet_without_any_model_is_a_failure(here: Path, excitant: Any) -> None:
     (here / "x").mkdir()
     (here / "x" / "robot.urdf").write_text("<robot>")
     assert excitant("fleet x -o out").status == 1
@@ -179,7 +176,7 @@ def test_a_data_set_that_ends_its_process_is_left_and_the_rest_is_done(
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_what_is_done(two: Path, here: Path, excitant: Callable[..., Any]) -> None:
+def test_ctrl_c_keeps_what_is_done(two: Path, here: Path, excitant: Any) -> None:
     shutil.copytree(two, here / "all")
     process = subprocess.Popen(
         [sys.executable, "-m", "excitant", *["fleet", "all", "--jobs", "1", "-o", "out"]],
@@ -200,7 +197,7 @@ def test_ctrl_c_keeps_what_is_done(two: Path, here: Path, excitant: Callable[...
 
 
 @pytest.mark.slow
-def test_a_cluster_comes_to_the_same(two: Path, here: Path, excitant: Callable[..., Any]) -> None:
+def test_a_cluster_comes_to_the_same(two: Path, here: Path, excitant: Any) -> None:
     from distributed import LocalCluster
 
     shutil.copytree(two, here / "all")

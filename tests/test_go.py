@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,12 @@ from excitant.robots.virtual_arm import HiddenEffect, ideal_sensors, virtual_arm
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cell3"
 HIDDEN = HiddenEffect("coulomb_friction", "joint2", (("Fc", 1.0),))
+Logs = dict[str, pd.DataFrame]
 SECTIONS = ("Robot", "Identification", "Identifiability", "Diagnosis")
 
 
 @pytest.fixture(scope="module")
-def logs() -> dict[str, pd.DataFrame]:
+def logs() -> Logs:
     """Two motions of an arm with more friction than its model, and of one that is its model."""
     robot, tables = load_robot("planar_2r"), {}
     for arm, hidden, tolerance in (("worn", [HIDDEN], 0.02), ("exact", [], 0.0)):
@@ -36,14 +36,14 @@ def logs() -> dict[str, pd.DataFrame]:
 
 
 @pytest.fixture
-def here(logs: dict[str, pd.DataFrame], here: Path) -> Path:
+def here(logs: Logs, here: Path) -> Path:
     for name, table in logs.items():
         table.to_csv(f"{name}.csv", index=False)
     return here
 
 
 def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(
-    here: Path, excitant: Callable[..., Any]
+    here: Path, excitant: Any
 ) -> None:
     ran = excitant("go planar_2r worn-one.csv --validate worn-two.csv -o out")
     lines = ran.out.splitlines()
@@ -67,9 +67,7 @@ def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(
     assert excitant("robots", here / "out" / verdict.files[0]).status == 0
 
 
-def test_its_figures_are_those_of_identify_and_diagnose(
-    here: Path, excitant: Callable[..., Any]
-) -> None:
+def test_its_figures_are_those_of_identify_and_diagnose(here: Path, excitant: Any) -> None:
     words = "planar_2r worn-one.csv --validate worn-two.csv --cutoff 8 --json"
     found = excitant(f"go {words} -o out").result
     alone = {
@@ -80,7 +78,7 @@ def test_its_figures_are_those_of_identify_and_diagnose(
         assert alone["diagnose"][model]["joints"] == found["diagnose"][model]["joints"]
 
 
-def test_a_model_that_is_right_is_kept(here: Path, excitant: Callable[..., Any]) -> None:
+def test_a_model_that_is_right_is_kept(here: Path, excitant: Any) -> None:
     ran = excitant("go planar_2r exact-one.csv --validate exact-two.csv -o out")
     assert ran.status == 0
     assert "Keep the given model: no other is better." in ran.out
@@ -89,7 +87,7 @@ def test_a_model_that_is_right_is_kept(here: Path, excitant: Callable[..., Any])
 
 @pytest.mark.slow
 def test_wrong_data_are_refused_first_until_they_are_repaired(
-    logs: dict[str, pd.DataFrame], here: Path, excitant: Callable[..., Any]
+    logs: Logs, here: Path, excitant: Any
 ) -> None:
     one = logs["worn-one"]
     one.assign(q2=np.degrees(one["q2"]), dq2=np.degrees(one["dq2"])).to_csv("deg.csv", index=False)
@@ -107,7 +105,7 @@ def test_wrong_data_are_refused_first_until_they_are_repaired(
 
 
 def test_a_hold_out_that_nothing_predicts_is_no_ground_for_a_model(
-    logs: dict[str, pd.DataFrame], here: Path, excitant: Callable[..., Any]
+    logs: Logs, here: Path, excitant: Any
 ) -> None:
     """As where it is of another arm: its torque is that of another motion."""
     two = logs["worn-two"]
@@ -121,7 +119,7 @@ def test_a_hold_out_that_nothing_predicts_is_no_ground_for_a_model(
 
 
 def test_a_folder_stands_for_its_robot_and_recordings(
-    logs: dict[str, pd.DataFrame], here: Path, excitant: Callable[..., Any]
+    logs: Logs, here: Path, excitant: Any
 ) -> None:
     folder = here / "cell"
     folder.mkdir()
@@ -135,7 +133,7 @@ def test_a_folder_stands_for_its_robot_and_recordings(
 
 @pytest.mark.slow
 def test_the_example_is_what_its_script_writes_and_shows_its_friction(
-    here: Path, excitant: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    here: Path, excitant: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spec = importlib.util.spec_from_file_location("cell3", EXAMPLE.with_suffix(".py"))
     assert spec is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -95,11 +94,10 @@ def prepared(kind: str) -> tuple[str, Robot]:
     return "arm.yaml", robot
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize(
     "kind", [kind if kind in FAST else pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
 )
-def test_every_command(kind: str, here: Path, excitant: Callable[..., Any]) -> None:
+def test_every_command(kind: str, here: Path, excitant: Any) -> None:
     arm, robot = prepared(kind)
     runs = "run1.csv --validate run2.csv"
     options = {
@@ -117,9 +115,7 @@ def test_every_command(kind: str, here: Path, excitant: Callable[..., Any]) -> N
     assert rubbing == {*robot.joints}
 
 
-def test_currents_where_rotors_are_like_masses_get_gains_of_the_right_size(
-    here: Path,
-) -> None:
+def test_currents_where_rotors_are_like_masses_get_gains_of_the_right_size(here: Path) -> None:
     """On a gantry without gravity, where the joints' gains are hardly told apart."""
     Path("arm.urdf").write_text(description("two sliding joints"))
     Path("arm.yaml").write_text("model: arm.urdf\ngravity: [0, 0, 0]\n")
@@ -132,16 +128,13 @@ def test_currents_where_rotors_are_like_masses_get_gains_of_the_right_size(
     assert (found.validate.r2 > 0.99).all()
 
 
-@pytest.mark.sampled
 @pytest.mark.filterwarnings("error::RuntimeWarning", "error::scipy.linalg.LinAlgWarning")
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) for k in EVERY_VERB])
-def test_every_verb_in_every_way(kind: str, here: Path, excitant: Callable[..., Any]) -> None:
+def test_every_verb_in_every_way(kind: str, here: Path, excitant: Any) -> None:
     """All verbs with all that changes their numerical core: a result each, and no warning."""
     arm, _ = prepared(kind)
-    few, runs = (
-        "--time-limit 4 --starts 1 --harmonics 3 --duration 6",
-        "run1.csv --validate run2.csv",
-    )
+    few = "--time-limit 4 --starts 1 --harmonics 3 --duration 6"
+    runs = "run1.csv --validate run2.csv"
     commands = [
         f"robots {arm}",
         f"design {arm} {few} -o motion",

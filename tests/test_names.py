@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ def test_a_folder_is_named_safely(name: str) -> None:
     assert len(safe.encode()) < 200
 
 
-def test_a_robot_of_odd_name_is_shown_and_saved(here: Path, excitant: Callable[..., Any]) -> None:
+def test_a_robot_of_odd_name_is_shown_and_saved(here: Path, excitant: Any) -> None:
     name = "../\u202egnp\x9b/x"
     text = json.dumps(
         {

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,9 +19,11 @@ from excitant.identify import Estimate, Recording
 from excitant.identify.export import save_model
 from excitant.robots import Robot, torque
 
+Tables = tuple[pd.DataFrame, pd.DataFrame]
+
 
 @pytest.fixture(scope="module")
-def tables(planar: Robot) -> tuple[pd.DataFrame, pd.DataFrame]:
+def tables(planar: Robot) -> Tables:
     """Two recordings of a virtual arm as tables."""
     rng = np.random.default_rng(4)
     arm = ex.virtual_arm("planar_2r", rng, hidden=())
@@ -29,8 +32,13 @@ def tables(planar: Robot) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 @pytest.fixture(scope="module")
-def estimate(tables: tuple[pd.DataFrame, pd.DataFrame]) -> Estimate:
+def estimate(tables: Tables) -> Estimate:
     return ex.identify_robot("planar_2r", tables[0], validate=tables[1])
+
+
+@pytest.fixture(scope="module")
+def held(tables: Tables) -> Recording:
+    return ex.recording_from_table(tables[1], 2, file="held", name="held")
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +82,7 @@ def test_shown_lines_are_cut_and_hold_nothing_a_terminal_obeys(planar: Robot) ->
 
 
 def test_tables_and_files_and_names_stand_for_recordings_and_robots(
-    estimate: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame], planar: Robot, tmp_path: Path
+    estimate: Estimate, tables: Tables, planar: Robot, tmp_path: Path
 ) -> None:
     fit, held = (ex.recording_from_table(t, planar, file="run", name="run") for t in tables)
     tables[1].to_parquet(file := tmp_path / "held.parquet", index=False)
@@ -99,7 +107,7 @@ def test_tables_and_files_and_names_stand_for_recordings_and_robots(
 
 
 def test_what_cannot_be_used_is_refused_in_one_line(
-    estimate: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame], planar: Robot, tmp_path: Path
+    estimate: Estimate, tables: Tables, planar: Robot, tmp_path: Path
 ) -> None:
     panda = ex.load_robot("panda")
     run = ex.recording_from_table(tables[0], planar, file="run.csv", name="run")
@@ -124,9 +132,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
         save_model(estimate, tmp_path / "folder")
 
 
-def test_everything_at_once_takes_a_table_and_shows_itself(
-    tables: tuple[pd.DataFrame, pd.DataFrame],
-) -> None:
+def test_everything_at_once_takes_a_table_and_shows_itself(tables: Tables) -> None:
     found = ex.go("planar_2r", tables[0], validate=tables[1])
     shown = repr(found)
     assert shown.startswith("Examination of planar_2r: use ")
@@ -142,9 +148,7 @@ def test_a_virtual_arm_records_a_file_and_motions_are_rehearsed(tmp_path: Path) 
     assert ex.simulate("planar_2r", path, seed=1).hidden == ()
 
 
-def test_scores_are_those_of_the_result(
-    estimate: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame]
-) -> None:
+def test_scores_are_those_of_the_result(estimate: Estimate, tables: Tables) -> None:
     for part, table in (("train", tables[0]), ("validate", tables[1])):
         run = ex.recording_from_table(table, 2, file=part, name=part)
         for score, joint in zip(estimate.score(run), estimate.result()["joints"], strict=True):
@@ -153,9 +157,8 @@ def test_scores_are_those_of_the_result(
 
 
 def test_prediction_is_the_models_torque_at_the_instants_of_the_recording(
-    estimate: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame]
+    estimate: Estimate, held: Recording
 ) -> None:
-    held = ex.recording_from_table(tables[1], 2, file="held", name="held")
     filtered, raw = estimate.predict(held), estimate.predict(held, filtered=False)
     assert filtered.shape == raw.shape == (len(held), 2)
     assert np.isfinite(filtered).all()
@@ -171,9 +174,8 @@ def test_prediction_is_the_models_torque_at_the_instants_of_the_recording(
 
 
 def test_samples_too_few_to_be_filtered_are_not_predicted(
-    estimate: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame]
+    estimate: Estimate, held: Recording
 ) -> None:
-    held = ex.recording_from_table(tables[1], 2, file="held", name="held")
     parted = held.take((held.t < 7.0) | (held.t > 9.0))
     known = np.isfinite(estimate.predict(parted)).all(axis=1)
     np.testing.assert_array_equal(known, parted.t < 7.0)
@@ -196,10 +198,7 @@ def test_currents_are_predicted_as_currents(
 
 
 @pytest.mark.parametrize("unit", ["N·m", "A"])
-def test_a_recording_comes_back_from_its_table(
-    unit: str, tables: tuple[pd.DataFrame, pd.DataFrame]
-) -> None:
-    held = ex.recording_from_table(tables[1], 2, file="held", name="held")
+def test_a_recording_comes_back_from_its_table(unit: str, held: Recording) -> None:
     run = replace(held, unit=unit, extras={"heat": held.t / 9})
     back = ex.recording_from_table(run.to_frame(), 2, file="back", name="back")
     assert back.unit == unit
@@ -210,7 +209,7 @@ def test_a_recording_comes_back_from_its_table(
 
 
 def test_data_frames_hold_what_the_result_holds(
-    estimate: Estimate, tables: tuple[pd.DataFrame, pd.DataFrame], planar: Robot
+    estimate: Estimate, tables: Tables, planar: Robot
 ) -> None:
     result = estimate.result()
     for kind, name in (("parameters", "name"), ("base_parameters", "expression")):
@@ -233,7 +232,7 @@ def test_data_frames_hold_what_the_result_holds(
 
 
 def test_saved_runs_are_those_of_the_command_line(
-    tables: tuple[pd.DataFrame, pd.DataFrame], here: Path, excitant: Callable[..., object]
+    tables: Tables, here: Path, excitant: Any
 ) -> None:
     for name, table in zip(("fit.csv", "held.csv"), tables, strict=True):
         table.to_csv(name, index=False)

@@ -83,7 +83,6 @@ def test_the_same_recording_gives_the_same_friction_in_three_verbs(ran: Verbs, n
     assert gains[0] == pytest.approx(gains[1], rel=1e-6) if gains[0] else gains == [None, None]
 
 
-@pytest.mark.sampled
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SETS)
 def test_no_mass_moves_by_half_without_a_line_that_says_why(ran: Verbs, name: str) -> None:

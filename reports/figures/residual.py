@@ -139,47 +139,6 @@ def _curve(
     return Line(along, np.insert(height, gaps, np.nan), colour, name, width, dashed)
 
 
-def agreement_figure(
-    joints: Sequence[IdentifiedJoint], series: Series, unit: str
-) -> Figure | None:
-    """Measured torque over what each model predicts, per joint."""
-    panels = [_agreement(k, row, series, unit) for k, row in enumerate(joints)]
-    caption = (
-        "Measured over predicted torque while the joint moves on the hold-out: a good model's "
-        "points lie on the diagonal; a slope tells of a wrong gain or mass, a step of friction."
-    )
-    keys = [Key("dot", colour, name) for _, colour, name in _MODELS]
-    return fig.figure(panels, caption, [*keys, Key("dash", fig.MEASURED, "equal")])
-
-
-def _agreement(
-    k: int, row: IdentifiedJoint, series: Series, unit: str
-) -> Panel | None:
-    keys = ("measured", "given", "identified", "velocity")
-    measured, given, identified, dq = v.curves(series, k, *keys)
-    if measured is None or identified is None:
-        return None
-    moving = np.flatnonzero(np.isfinite(measured if dq is None else measured + dq))
-    rows = moving[:: max(1, len(moving) // _CLOUD)]
-    marks: list[Mark] = []
-    for model, (_, colour, name) in zip((given, identified), _MODELS, strict=True):
-        if model is not None:
-            points = Points(model[rows], measured[rows], colour, name, 2.5, "cloud")
-            marks.append(points)
-    ends = np.array(
-        [measured[moving].min(initial=0), measured[moving].max(initial=0)]
-    )
-    marks.append(Line(ends, ends, fig.MEASURED, "equal", 1.0, dashed=True))
-    axes = Axes(
-        tuple(marks), Axis(f"predicted [{unit}]"), Axis(f"measured [{unit}]"), 220
-    )
-    share = row.validate.r2
-    remark = f", identified r² {v.number4(share)}" if share is not None else ""
-    joint = row.name
-    label = f"{joint}: measured over predicted torque{remark}"
-    return Panel((axes,), label, f"{joint}{remark}")
-
-
 def residual_figure(result: Identify, series: Series) -> Figure | None:
     """Residual of the identified model over position, velocity, load and frequency, per joint."""
     cutoff = result.cutoff_hz

@@ -25,7 +25,7 @@ from excitant.reports.figures.online import (
     excitation_levels,
     payload_figure,
 )
-from excitant.reports.figures.residual import agreement_figure, residual_figure
+from excitant.reports.figures.residual import residual_figure
 from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.values import Series
 from excitant.results import (
@@ -98,10 +98,6 @@ def identify_section(result: Identify, series: Series) -> p.Section:
                 ],
             ),
             (
-                "Measured against predicted",
-                [agreement_figure(result.joints, series, unit)],
-            ),
-            (
                 "Residual by position, velocity, load and frequency",
                 [residual_figure(result, series)],
             ),
@@ -111,7 +107,7 @@ def identify_section(result: Identify, series: Series) -> p.Section:
                 "Parameters, given and identified",
                 [forest_figure(result.parameters)],
             ),
-            ("Base parameters", _base_parameters(result)),
+            ("Base parameters", [_base_parameters(result)]),
             ("Standard parameters", [_parameter_table(result)]),
             (
                 "How it was fitted",
@@ -339,17 +335,9 @@ def _in_mujoco(
     ]
 
 
-def _base_parameters(result: Identify) -> p.Blocks:
-    essential = result.essential
-    needed = len(essential.kept)
-    total = needed + len(essential.dropped)
-    sentence = (
-        f"{needed} of {total} base parameters are essential: with the others at zero, "
-        f"least squares misses {v.percent(essential.nrmse_essential)} of the hold-out instead of "
-        f"{v.percent(essential.nrmse_all)} (median over joints)."
-    )
+def _base_parameters(result: Identify) -> p.Table | None:
     rows = result.base_parameters
-    table = p.table(
+    return p.table(
         rows,
         [
             ("expression:Base parameter", "expression"),
@@ -360,7 +348,6 @@ def _base_parameters(result: Identify) -> p.Blocks:
         "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above; near zero it is large by nature.",
         p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
-    return [p.notes([sentence] * bool(total)), table]
 
 
 def _parameter_table(result: Identify) -> p.Table | None:

@@ -627,21 +627,6 @@ class BaseParameter(Record):
     "Standard deviation over the value."
 
 
-class Essential(Record):
-    """Base parameters that the prediction needs."""
-
-    kept: list[str]
-    "Those that are needed."
-    dropped: list[str]
-    "Those without which the fit is as good."
-    p_value: Number
-    "Probability of as large a loss by chance."
-    nrmse_all: Number
-    "nrmse with all of them, median over joints."
-    nrmse_essential: Number
-    "nrmse with the essential ones."
-
-
 class Residuals(Record):
     """Karush-Kuhn-Tucker residuals of the semidefinite fit."""
 
@@ -930,8 +915,6 @@ class Identify(
     "All parameters."
     base_parameters: list[BaseParameter]
     "Base parameters."
-    essential: Essential
-    "Base parameters that the prediction needs."
     physical: Physical
     "Physical consistency."
     knowledge: dict[str, Any]

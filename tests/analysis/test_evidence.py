@@ -11,13 +11,7 @@ import scipy.signal
 import scipy.stats
 
 from excitant.analysis.effect_choice import _predictive
-from excitant.analysis.evidence import (
-    Candidate,
-    Evidence,
-    cross_validation,
-    reweighed,
-    weigh,
-)
+from excitant.analysis.evidence import Candidate, Evidence, cross_validation, reweighed, weigh
 from excitant.analysis.thresholds import EVIDENCE
 from excitant.identify.regression import dense
 from excitant.robots.effects import StribeckFriction, TorqueOffset

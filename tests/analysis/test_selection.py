@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -136,9 +135,7 @@ def test_effects_of_torque_take_it_from_the_identified_arm(
     np.testing.assert_allclose(fits[0].validate.nrmse, fits[1].validate.nrmse, rtol=0.15)
 
 
-def test_the_command_chooses_effects(
-    two: list[Recording], tmp_path: Path, excitant: Callable[..., Any]
-) -> None:
+def test_the_command_chooses_effects(two: list[Recording], tmp_path: Path, excitant: Any) -> None:
     file, out = write_csv(tmp_path / "run.csv", two[0]), tmp_path / "out"
     line = f"identify planar_2r {file} --effects auto -o {out}"
     assert excitant(line).status == 0

@@ -380,10 +380,6 @@ def test_distal_frames_of_any_arm(name: str) -> None:
 
 
 def test_frames_of_a_chain_are_its_own(random_chain: Callable[..., DHChain]) -> None:
-    for seed in range(5):
-        chain = random_chain(seed, 5)
-        np.testing.assert_allclose(
-            distal_frames(robot_from_dh(replace(chain, tool=np.eye(4)))),
-            joint_frames(chain),
-            atol=1e-9,
-        )
+    for chain in (random_chain(seed, 5) for seed in range(5)):
+        placed = distal_frames(robot_from_dh(replace(chain, tool=np.eye(4))))
+        np.testing.assert_allclose(placed, joint_frames(chain), atol=1e-9)

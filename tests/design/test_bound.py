@@ -139,10 +139,9 @@ def test_never_above_a_trajectory(planar: Robot, seed: int) -> None:
 @pytest.mark.slow
 def test_tighter_limits_never_lower_the_bound(planar: Robot) -> None:
     bounds = []
+    names = ("velocity", "acceleration")
     for harmonics, share in ((None, 1.0), (5, 1.0), (5, 0.4)):
-        rates = {
-            name: share * getattr(planar.limits, name) for name in ("velocity", "acceleration")
-        }
+        rates = {name: share * getattr(planar.limits, name) for name in names}
         robot = limited(planar, position=[-2 * share, 2 * share], **rates)
         bounds.append(lower_bound(robot, harmonics=harmonics, time_limit=5.0))
     for looser, tighter in itertools.pairwise(bounds):

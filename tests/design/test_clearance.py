@@ -15,14 +15,7 @@ import yaml
 from excitant.design import build_design, clearance, design_trajectory, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, load_robot
-from excitant.robots.geometry import (
-    Obstacle,
-    Scene,
-    base_plane,
-    floor,
-    scene,
-    unchecked,
-)
+from excitant.robots.geometry import Obstacle, Scene, base_plane, floor, scene, unchecked
 from excitant.robots.obstacles_file import load_obstacles
 from excitant.robots.schema import BoxRecord, HalfSpaceRecord, SphereRecord, WorkspaceRecord
 from excitant.robots.urdf import robot_from_urdf
@@ -167,11 +160,8 @@ def drawn_close(gap: float) -> Robot:
     """An arm whose last link, on an axis tilted a little, passes closely above its first."""
     links, joints = "", ""
     box = '<collision><origin xyz="{}"/><geometry><box size="{}"/></geometry></collision>'
-    boxes = (
-        box.format("0.05 0 0", "0.3 0.3 0.02"),
-        "",
-        box.format(f"0.1 0 {0.02 + gap}", "0.02 0.02 0.02"),
-    )
+    above = box.format(f"0.1 0 {0.02 + gap}", "0.02 0.02 0.02")
+    boxes = (box.format("0.05 0 0", "0.3 0.3 0.02"), "", above)
     inertia = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
     body = f'<inertial><origin xyz="0.05 0.02 0"/><mass value="1"/>{inertia}</inertial>'
     for k, shape in enumerate(boxes, start=1):
@@ -180,8 +170,7 @@ def drawn_close(gap: float) -> Robot:
         joints += (
             f'<joint name="joint{k}" type="revolute"><parent link="link{k - 1}"/>'
             f'<child link="link{k}"/><origin xyz="{0.05 * (k > 1)} 0 0" rpy="{tilt}"/>'
-            '<axis xyz="0 0 1"/>'
-            '<limit lower="-3" upper="3" velocity="2" effort="50"/></joint>'
+            '<axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="50"/></joint>'
         )
     text = f'<robot name="close"><link name="link0"/>{links}{joints}</robot>'
     return robot_from_urdf(text, source="close.urdf")
@@ -244,7 +233,6 @@ def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot, tmp_path: Path)
     assert unchecked(there, None) == "self-collision; floor"
 
 
-@pytest.mark.sampled
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["scara", "panda", "so100"])
 def test_mujoco_sees_no_contact_floor_included(name: str) -> None:

@@ -28,8 +28,7 @@ def test_ratios_cover_dense_sampling(ur10: Robot, kind: str, friction: bool) -> 
     exact = limit_shares(robot, trajectory.sample(100_001))
     for use in report.uses:
         # the dense samples miss the edge of a friction jump by up to one step of 60 µs
-        jumps = friction and use.quantity == "torque"
-        rtol = 2e-4 if jumps else 2e-5
+        rtol = 2e-4 if friction and use.quantity == "torque" else 2e-5
         np.testing.assert_allclose(use.ratios, exact[use.quantity], rtol=rtol)
         if kind != "sampled":
             assert np.all(use.ratios >= exact[use.quantity] * (1 - 1e-7))

@@ -20,6 +20,7 @@ from urscript import Controller
 
 from excitant.design import (
     HermiteTrajectory,
+    Trajectory,
     approach,
     load_trajectory,
     random_trajectory,
@@ -36,11 +37,12 @@ FIELDS = ("positions", "velocities", "accelerations")
 NANOSECOND = 0.5e-9 + 1e-15  # of rounding, and of adding seconds to nanoseconds
 
 
+def drawn(series: Series, nv: int, size: float = 1.0) -> Trajectory:
+    return series.trajectory(size * np.random.default_rng(0).normal(size=(series.size, nv)))
+
+
 def sampled(nv: int, rate_hz: float) -> Motion:
-    series = FourierSeries(3.0, 3)
-    return series.trajectory(np.random.default_rng(0).normal(size=(series.size, nv))).motion(
-        rate_hz
-    )
+    return drawn(FourierSeries(3.0, 3), nv).motion(rate_hz)
 
 
 def assert_same(found: Motion, expected: Motion, *names: str) -> None:
@@ -54,7 +56,7 @@ def assert_same(found: Motion, expected: Motion, *names: str) -> None:
 def test_json_and_csv_round_trips_are_the_identity(
     planar: Robot, series: Series, tmp_path: Path
 ) -> None:
-    trajectory = series.trajectory(np.random.default_rng(0).normal(size=(series.size, 2)))
+    trajectory = drawn(series, 2)
     path, table = tmp_path / "trajectory.json", tmp_path / "trajectory.csv"
     path.write_text(trajectory_json(trajectory, planar))
     loaded = load_trajectory(path, planar)
@@ -145,10 +147,6 @@ def test_files_are_read_back_equal_by_others(ur10: Robot, motion: Motion, tmp_pa
     files = write_formats({"approach": motion}, ur10, list(FORMATS))
     text, bag, _, archive = (files[f"approach.{s}"] for s in ("yaml", "mcap", "script", "npz"))
     content = yaml.load(text, Loader=yaml.CSafeLoader)
-    times = [point["time_from_start"] for point in content["points"]]
-    t = [stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in times]
-    values = [[point[field] for point in content["points"]] for field in FIELDS]
-    found = {"ros2": (content["joint_names"], Motion(t, *values))}
     assert list(content) == ["header", "joint_names", "points"]
     for point in content["points"]:
         assert list(point) == [*FIELDS, "effort", "time_from_start"]
@@ -161,12 +159,12 @@ def test_files_are_read_back_equal_by_others(ur10: Robot, motion: Motion, tmp_pa
         [(connection, _, raw)] = list(reader.messages())
         message = reader.deserialize(raw, connection.msgtype)
     assert connection.topic == TOPIC
-    times = [point.time_from_start for point in message.points]
-    t = [stamp.sec + 1e-9 * stamp.nanosec for stamp in times]
-    values = [[getattr(point, field) for point in message.points] for field in FIELDS]
-    found["mcap"] = (message.joint_names, Motion(t, *values))
-    for joints, read in found.values():
-        assert joints == list(ur10.joints)
+    written = json.loads(json.dumps(content), object_hook=lambda entry: SimpleNamespace(**entry))
+    for each in (written, message):
+        times = [point.time_from_start for point in each.points]
+        t = [stamp.sec + 1e-9 * stamp.nanosec for stamp in times]
+        read = Motion(t, *([getattr(point, x) for point in each.points] for x in FIELDS))
+        assert each.joint_names == list(ur10.joints)
         assert np.abs(read.t - (motion.t - motion.t[0])).max() <= NANOSECOND
         assert_same(read, motion, "q", "dq", "ddq")
     with np.load(io.BytesIO(archive), allow_pickle=False) as read:
@@ -180,8 +178,7 @@ def test_urscript_commands_the_motion_in_every_step_of_the_controller(
     ur10: Robot, steptime: float, scale: float
 ) -> None:
     """Slowly unless told otherwise; between poses by a line, whatever the rates are."""
-    series = FourierSeries(3.0, 3)
-    path = series.trajectory(0.5 * np.random.default_rng(0).normal(size=(series.size, 6)))
+    path = drawn(FourierSeries(3.0, 3), 6, 0.5)
     [text] = write_formats({"trajectory": path.motion(100.0)}, ur10, ["urscript"]).values()
     assert isinstance(text, str)
     assert text.count("scale = 0.2 ") == 1
@@ -249,20 +246,17 @@ def test_client_sends_the_motions_at_a_fifth_of_the_speed_unless_told_otherwise(
         t = np.array([x.sec + 1e-9 * x.nanosec for x in times])
         expected = module.LEAD + (planned.t - planned.t[0]) / scale
         assert np.abs(t - expected).max() <= NANOSECOND
-        for field, values in zip(
-            FIELDS, (planned.q, scale * planned.dq, scale**2 * planned.ddq), strict=True
-        ):
-            found = np.array([getattr(p, field) for p in goal.trajectory.points])
-            np.testing.assert_array_equal(found, values)
+        found = [[getattr(p, field) for p in goal.trajectory.points] for field in FIELDS]
+        slowed = [planned.q, scale * planned.dq, scale**2 * planned.ddq]
+        np.testing.assert_array_equal(found, slowed)
         path = HermiteTrajectory(planned)
         for now, q in arm.trace:
             since = now - sent - module.LEAD
             if 0 < since <= (planned.t[-1] - planned.t[0]) / scale:
                 wanted = path(np.array([planned.t[0] + scale * since]))[0]
                 np.testing.assert_allclose(q, wanted, rtol=0, atol=1e-9)
-        assert {x.name: x.position for x in goal.path_tolerance} == dict.fromkeys(
-            planar.joints, 0.1
-        )
+        tolerance = {x.name: x.position for x in goal.path_tolerance}
+        assert tolerance == dict.fromkeys(planar.joints, 0.1)
     np.testing.assert_allclose(arm.q, way["return"].q[-1], rtol=0, atol=1e-12)
 
 

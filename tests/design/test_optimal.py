@@ -248,16 +248,15 @@ def test_harmonics_are_added_while_they_pay(planar: Robot) -> None:
     tight = limited(planar, position=[[-0.5, 0.5], [-0.4, 0.4]])
     options = {"duration": 6.0, "periods": 1, "columns": "inertial", "starts": 4, "jobs": 1}
     few = design_trajectory(tight, harmonics=5, **options)
+    search = options | {"harmonics": "search"}
     for series in ("fourier", "spline"):
-        more = design_trajectory(
-            tight, harmonics="search", series=series, max_frequency=2.5, **options
-        )
+        more = design_trajectory(tight, series=series, max_frequency=2.5, **search)
         assert more.limits.hold
         assert more.trajectory.at_rest
         assert 5 < more.harmonics <= 15
         assert more.trajectory.series.name == series
         assert more.condition_final < 0.9 * few.condition_final
-    best = design_trajectory(tight, **options | {"harmonics": "search", "periods": "search"})
+    best = design_trajectory(tight, **search | {"periods": "search"})
     assert best.condition_final < 0.9 * few.condition_final
     assert best.trajectory.series.periods * best.trajectory.period == best.duration == 6.0
     assert best.limits.hold
@@ -265,10 +264,7 @@ def test_harmonics_are_added_while_they_pay(planar: Robot) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("duration", "columns"),
-    [(12.0, "inertial"), (8.0, "friction")],
-)
+@pytest.mark.parametrize(("duration", "columns"), [(12.0, "inertial"), (8.0, "friction")])
 def test_a_motion_has_as_many_periods_as_excite_best(
     planar: Robot, duration: float, columns: str
 ) -> None:

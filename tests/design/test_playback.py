@@ -18,10 +18,8 @@ QUANTITIES = ("position", "velocity", "acceleration", "torque")
 def played(request: pytest.FixtureRequest) -> Playback:
     robot = load_robot(request.param)
     path = random_trajectory(robot, np.random.default_rng(1), 6.0, 3)
-    cell, strict = (
-        scene(robot, (floor(-0.4),)),
-        robot.with_limits(robot.limits.used(0.15)),
-    )  # some limits are exceeded
+    cell = scene(robot, (floor(-0.4),))
+    strict = robot.with_limits(robot.limits.used(0.15))  # some limits are exceeded
     near = None if cell is None else clearance(cell, path)
     return Playback(strict, path, check(strict, path), cell, near)
 
@@ -64,9 +62,8 @@ def test_nearest_bodies_are_as_far_apart_as_their_points(played: Playback) -> No
 def test_a_long_recording_is_played_from_end_to_end_within_bounds() -> None:
     robot, t = load_robot("planar_2r"), 3.0 + np.arange(10_501) / 100
     q = np.stack([np.sin(t), np.cos(2 * t)], axis=1)
-    motion = Motion(
-        t, q, np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
-    )
+    dq = np.gradient(q, t, axis=0)
+    motion = Motion(t, q, dq, np.gradient(dq, t, axis=0))
     found = Playback(robot, HermiteTrajectory(motion), check(robot, motion), None, None)
     assert found.motion.t[[0, -1]].tolist() == t[[0, -1]].tolist()
     assert 4990 < len(found.motion) < 5010

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -181,13 +182,12 @@ def test_instruments_take_away_the_bias_that_wrong_columns_make() -> None:
 
 
 def test_wrong_columns_are_told_from_right_ones() -> None:
-    rng, W = np.random.default_rng(10), columns()
-    chances = []
-    for _ in range(60):
+    rng, W, chances = np.random.default_rng(10), columns(), np.zeros(60)
+    for k in range(60):
         again = W + 0.1 * SIZE * rng.standard_normal(W.shape)
-        chances.append(errors_in_variables(*problem(W, measured(rng, 0.5), again))[1])
-    assert np.mean(np.array(chances) < 0.05) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 60)
-    assert np.mean(np.array(chances) < 0.5) >= 0.5 - 3 * np.sqrt(0.25 / 60)
+        chances[k] = errors_in_variables(*problem(W, measured(rng, 0.5), again))[1]
+    assert np.mean(chances < 0.05) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 60)
+    assert np.mean(chances < 0.5) >= 0.5 - 3 * np.sqrt(0.25 / 60)
     for _ in range(5):
         statistic, p = errors_in_variables(*wrong_columns(rng))
         assert p < 1e-6
@@ -213,18 +213,15 @@ def test_even_and_odd_samples_see_one_motion_with_independent_noise() -> None:
         return [prepare(each, 7.0, 15.0)[0].motion.ddq[200:-200, 0] for each in logs]
 
     q = np.sin(2 * np.pi * 0.7 * t)[:, None]
-    even, odd, _ = seen(q)
+    even, odd, true = seen(q)
     np.testing.assert_allclose(even, odd, atol=1e-3)
     noise, drift = 1e-3 * np.random.default_rng(12).standard_normal((2, len(t), 1))
-    even, odd, _ = (
-        each - seen(q)[2] for each in seen(q + noise, np.gradient(q, t, axis=0) + drift)
-    )
-    assert abs(np.corrcoef(even, odd)[0, 1]) < 4 / np.sqrt(len(even) * 2 * 15 / 200)
-    a, b, both = (each - seen(q)[2] for each in seen(q + noise))
-    independent = len(a) * 2 * 15 / 200  # samples that a band of 15 Hz leaves
-    assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(independent)
+    independent = len(even) * 2 * 15 / 200  # samples that a band of 15 Hz leaves
+    for speeds in (np.gradient(q, t, axis=0) + drift, None):
+        even, odd, both = (each - true for each in seen(q + noise, speeds))
+        assert abs(np.corrcoef(even, odd)[0, 1]) < 4 / np.sqrt(independent)
     # half the samples: twice the density of noise
-    assert a.std() / both.std() == pytest.approx(np.sqrt(2), rel=0.1)
+    assert even.std() / both.std() == pytest.approx(np.sqrt(2), rel=0.1)
 
 
 KNOWN = truth("planar_2r")
@@ -245,13 +242,10 @@ def test_every_estimator_identifies_a_robot(name: str, planar: Robot, noisy: Rec
     assert np.linalg.eigvalsh(found.least_squares.covariance).min() > 0
     assert found.estimator == ESTIMATORS[name]
     said = " ".join(found.notes)
-    for words, by in (
-        (f"base parameters by {ESTIMATORS[name]}", {"irls", "iv", "oe"}),
-        ("Durbin-Wu-Hausman", {"iv"}),
-        ("simulated on the measured motion up to", {"oe"}),
-        ("converged after", {"oe"}),
-    ):
-        assert (words in said) == (name in by)
+    assert (f"base parameters by {ESTIMATORS[name]}" in said) == (name != "wls")
+    assert ("Durbin-Wu-Hausman" in said) == (name == "iv")
+    for words in ("simulated on the measured motion up to", "converged after"):
+        assert (words in said) == (name == "oe")
 
 
 def test_the_default_identifies_as_by_hand(planar: Robot, noisy: Recording) -> None:
@@ -290,9 +284,7 @@ def test_a_rate_too_low_for_every_second_sample_is_refused(planar: Robot, noisy:
 )
 def test_the_command_refuses_in_one_line(words: str, why: str, excitant: Call) -> None:
     ran = excitant(f"identify planar_2r nowhere.csv --estimator {words}")
-    assert ran.status == 1
-    assert why in ran.err
-    assert ran.err.count("\n") == 1
+    assert (ran.status, ran.err.count("\n"), why in ran.err) == (1, 1, True)
 
 
 def test_the_command_says_which_estimator(noisy: Recording, tmp_path: Path, excitant: Call) -> None:
@@ -302,22 +294,19 @@ def test_the_command_says_which_estimator(noisy: Recording, tmp_path: Path, exci
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cutoff_hz", [25.0])
-def test_noisy_encoders_bias_least_squares_not_it(planar: Robot, cutoff_hz: float) -> None:
+def test_noisy_encoders_bias_least_squares_not_it(planar: Robot) -> None:
     """One motion, draws of noise only: mean error over its standard deviation."""
     count, errors, plain, held = 5, [], [], []
     for seed in range(count):
         recording = recorded(KNOWN, MOTION, seed, encoder=5e-4)
-        rows = rows_of(planar, recording, cutoff_hz=cutoff_hz)
+        rows = rows_of(planar, recording, cutoff_hz=25.0)
         loop = closed_loop(rows, [recording])
         fit = output_error(loop.problem, loop.simulated).fit
         errors.append(fit.beta - KNOWN.beta)
         held.append(np.abs(errors[-1]) < Z95 * fit.std)
         plain.append(weighted_least_squares(rows.reduced).beta - KNOWN.beta)
-    assert biased(np.array(errors)).max() < 4
+    assert biased(np.array(errors)).max() < 4 < 15 < biased(np.array(plain)).max()
     assert np.mean(held) > 0.95 - 3 * np.sqrt(0.05 * 0.95 / count)
-    if cutoff_hz == 25.0:
-        assert biased(np.array(plain)).max() > 15
 
 
 def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) -> None:
@@ -333,8 +322,7 @@ def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) ->
     assert error < 0.2 * plain
     assert 1 <= found.iterations <= 4
     # the motion ends at 0.83 Hz; the reference goes 2.5 times as far, or a little more
-    assert (loop.bandwidth_hz >= 2.5 * 0.83).all()
-    assert (loop.bandwidth_hz < 6).all()
+    assert 2.5 * 0.83 <= loop.bandwidth_hz.min() <= loop.bandwidth_hz.max() < 6
 
 
 def test_parameters_of_no_arm_still_give_a_motion(planar: Robot) -> None:
@@ -360,16 +348,11 @@ def test_what_does_not_converge_is_refused_in_one_line() -> None:
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize(
-    "error", [np.linalg.LinAlgError("singular matrix"), RankDeficient("a", "w")]
-)
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError("singular"), RankDeficient("a", "w")])
 def test_instruments_that_show_too_little_are_left_out_with_a_note(
     error: Exception, planar: Robot, noisy: Recording, monkeypatch: Any
 ) -> None:
-    def fails(*_: object) -> None:
-        raise error
-
-    monkeypatch.setattr("excitant.identify.estimators.iv", fails)
+    monkeypatch.setattr("excitant.identify.estimators.iv", Mock(side_effect=error))
     found, plain = (identify_robot(planar, [noisy], estimator=e) for e in ("iv", "wls"))
     assert found.estimator == plain.estimator
     np.testing.assert_array_equal(found.least_squares.beta, plain.least_squares.beta)

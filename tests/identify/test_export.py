@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,17 +18,16 @@ import yaml
 from estimators import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import write_csv
+from known_arms import Call, write_csv
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.identify import Estimate, Recording, identify_robot, load_dataset
+from excitant.identify import Estimate, identify_robot, load_dataset
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.export import HoldOut, model_files, publication, published, save_model
 from excitant.identify.mujoco import mujoco_torque, side_by_side
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import predicted_torque
 from excitant.robots import (
-    DHChain,
     Motion,
     Robot,
     load_robot,
@@ -61,7 +60,6 @@ CONVENTIONS = ("standard", "modified")
 SUFFIXES = ("urdf", "xml", "sdf")
 PRECISION = {"rigid": 1e-10, "yaml": 1e-12}
 BODY = load_robot("panda").phi[10:20]
-Chains = Callable[..., DHChain]
 
 
 def states(robot: Robot, n: int, seed: int = 0) -> Motion:
@@ -100,9 +98,7 @@ Written = tuple[Robot, Motion, dict[str, str]]
     params=[*dict.fromkeys((*CONVENTIONS, *BUILT_IN)).items(), *HELD.items()],
     ids=lambda arm: f"{'held ' if arm[1] else ''}{Path(arm[0]).stem}",
 )
-def written(
-    request: pytest.FixtureRequest, random_chain: Chains, random_bodies: Callable[..., np.ndarray]
-) -> Written:
+def written(request: pytest.FixtureRequest, random_chain: Call, random_bodies: Call) -> Written:
     """An arm with inertias no table has and every effect, states of it, and its files."""
     name, held = request.param
     chain = name in CONVENTIONS
@@ -207,10 +203,8 @@ def test_mjcf_moves_as_its_controls_say(written: Written, currents: bool) -> Non
 
 def test_mjcf_puts_bodies_and_tools_where_pinocchio_does(written: Written) -> None:
     model, motion, files = written
-    (loaded, data, order), reference = (
-        loaded_model(model, files["arm.xml"]),
-        model.model.createData(),
-    )
+    loaded, data, order = loaded_model(model, files["arm.xml"])
+    reference = model.model.createData()
     frames = [f for f in model.model.frames if f.type == pin.FrameType.BODY]
     assert (loaded.nbody, loaded.nsite) == (model.nv + 1, len(frames) - model.nv)
     for q in motion.q[:5]:
@@ -297,9 +291,8 @@ def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
         rubbing[:, j] += own["offset"] + own["rotor"] * ddq
     bare = with_only(model)
     check(rubbing, torque(with_only(model, *kinds), motion) - torque(bare, motion))
-    assert [x["ff_velocity_scale"] for x in gains.values()] == [
-        x["viscous"] for x in friction.values()
-    ]
+    for joint in model.joints:
+        assert gains[joint]["ff_velocity_scale"] == friction[joint]["viscous"]
     weights = np.zeros((model.nv, 10))
     for j, link in enumerate(found["links"].values()):
         weights[j, :4] = link["mass"] * np.array([1.0, *link["centre_of_mass"]])
@@ -311,35 +304,28 @@ def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
     assert all(line.startswith("#") for line in text.partition("/**")[0].splitlines())
 
 
-LEFT_OUT = {
-    "arm.urdf": {"Stribeck friction", "torque offset", "rotor inertia"},
-    "arm.sdf": {"Stribeck friction", "torque offset"},
-    "arm.xml": {"Stribeck friction"},
-}
-
-
 def test_files_name_what_they_cannot_hold(written: Written) -> None:
-    for file, left_out in LEFT_OUT.items():
+    names = ("Stribeck friction", "torque offset", "rotor inertia", "viscous friction")
+    for file, count in (("arm.urdf", 3), ("arm.sdf", 2), ("arm.xml", 1)):
         text = written[2][file]
         assert "arm.yaml holds everything" in text
-        for name in (*LEFT_OUT["arm.urdf"], "viscous friction"):
-            assert (f"not in this file: {name}" in text) == (name in left_out), (file, name)
+        said = [f"not in this file: {name}" in text for name in names]
+        assert said == [k < count for k in range(4)], file
 
 
 @given(seed=st.integers(0, 10**6), nv=st.integers(2, 7), convention=st.sampled_from(CONVENTIONS))
 def test_any_chain_needs_the_same_torque_in_every_format(
-    random_chain: Chains, seed: int, nv: int, convention: str
+    random_chain: Call, seed: int, nv: int, convention: str
 ) -> None:
     model = with_every_effect(robot_from_dh(random_chain(seed, nv, convention)))
     motion, files = states(model, 5, seed), model_files(model, "arm", "arm.yaml")
-    rigid, smooth, sliding = (
-        torque(with_only(model, *kinds), motion)
-        for kinds in ((), SMOOTH, (*SMOOTH, CoulombFriction))
-    )
-    check(read_sdf(files["arm.sdf"])[1].torque(motion), sliding)
-    check(in_mujoco(model, files["arm.xml"], motion, BITS.mjDSBL_CONSTRAINT), smooth)
     alone = robot_from_urdf(files["arm.urdf"], source="arm.urdf", gravity=model.gravity)
-    check(torque(alone, motion), rigid)
+    for found, kinds in (
+        (read_sdf(files["arm.sdf"])[1].torque(motion), (*SMOOTH, CoulombFriction)),
+        (in_mujoco(model, files["arm.xml"], motion, BITS.mjDSBL_CONSTRAINT), SMOOTH),
+        (torque(alone, motion), ()),
+    ):
+        check(found, torque(with_only(model, *kinds), motion))
 
 
 AGREE = 0.02  # of the torque's standard deviation: MuJoCo's dry friction turns within 2 ms
@@ -379,9 +365,7 @@ def test_mujoco_agrees_on_a_real_arm(data_folder: Path) -> None:
     assert max(joint["differs"] for joint in side_by_side(found).result()["joints"]) < AGREE
 
 
-def test_a_model_that_mujoco_refuses_is_left_out_with_a_note(
-    planar: Robot, exact: Callable[..., Recording]
-) -> None:
+def test_a_model_that_mujoco_refuses_is_left_out_with_a_note(planar: Robot, exact: Call) -> None:
     phi = np.array(planar.phi)
     phi[[4, 6, 9]] = 1e-3, 1e-3, 1.0  # about x, y, z: no body has it
     recording = exact(planar, np.arange(0, 12, 1 / 100))
@@ -392,18 +376,16 @@ def test_a_model_that_mujoco_refuses_is_left_out_with_a_note(
 
 
 def test_command_draws_both_models_in_mujoco(
-    tmp_path: Path, planar: Robot, exact: Callable[..., Recording], excitant: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    tmp_path: Path, planar: Robot, exact: Call, excitant: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
     one = write_csv(tmp_path / "one.csv", exact(planar, np.arange(0, 8, 1 / 100)))
     words = ("identify planar_2r", one, "--mujoco", "-o", tmp_path / "out")
     ran = excitant(*words, "--formats", "ros2_control", "--json")
     assert ran.result["mujoco"]["version"] == mujoco.__version__
     assert len(ran.result["mujoco"]["joints"]) == planar.nv
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "In MuJoCo" in page
-    assert "identified model in MuJoCo" in page
-    assert "identified_ros2_control.yaml" in page
+    said = ("In MuJoCo", "identified model in MuJoCo", "identified_ros2_control.yaml")
+    assert all(words in page for words in said)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     ran = excitant(*words[:-1], tmp_path / "none")
     assert (ran.status, ran.out) == (1, "")
@@ -412,7 +394,7 @@ def test_command_draws_both_models_in_mujoco(
 
 
 @pytest.fixture(scope="module")
-def estimate(planar: Robot, exact: Callable[..., Recording]) -> Estimate:
+def estimate(planar: Robot, exact: Call) -> Estimate:
     """An identified arm whose description was 30 % off."""
     recording = exact(planar, np.arange(0, 12, 1 / 100))
     return identify_robot(planar.with_parameters(1.3 * planar.phi), [recording])
@@ -431,23 +413,22 @@ def erring(estimate: Estimate, *sizes: float, seed: int = 0) -> np.ndarray:
     return estimate.holdout.measured + noise * sizes * estimate.holdout.measured.std(axis=0)
 
 
+GIVEN = "worse than the model as given"
+
+
 @pytest.mark.parametrize(
     ("found", "given", "published", "said"),
     [
         ((0.1, 0.1), (0.5, 0.5), True, ()),
         ((0.1, 0.1), (0.1, 0.1), True, ()),  # chance
         ((0.2, 0.1), (0.1, 0.5), True, ("joint1", "better at")),
-        ((0.5, 0.5), (0.1, 0.1), False, ("worse than the model as given", "joint1", "joint2")),
-        ((0.1, 0.5), (0.2, 0.1), False, ("worse than the model as given", "worst at joint2")),
+        ((0.5, 0.5), (0.1, 0.1), False, (GIVEN, "joint1", "joint2")),
+        ((0.1, 0.5), (0.2, 0.1), False, (GIVEN, "worst at joint2")),
         ((0.1, 1.5), (0.2, 9.0), False, ("worse than no model at joint2 (r² = -1.",)),
     ],
 )
 def test_a_model_worse_than_another_or_none_is_published_only_when_forced(
-    estimate: Estimate,
-    found: tuple[float, float],
-    given: tuple[float, float],
-    published: bool,
-    said: Sequence[str],
+    estimate: Estimate, found: Any, given: Any, published: bool, said: Sequence[str]
 ) -> None:
     model = judged(estimate, erring(estimate, *found), erring(estimate, *given, seed=1))
     plain, forced = publication(model), publication(model, force=True)
@@ -466,10 +447,8 @@ def test_a_model_worse_than_another_or_none_is_published_only_when_forced(
 
 
 def test_a_joint_whose_torque_is_its_noise_shows_nothing_to_be_judged(estimate: Estimate) -> None:
-    rows, noise = (
-        estimate.holdout,
-        np.random.default_rng(2).standard_normal(estimate.holdout.t.size),
-    )
+    rows, rng = estimate.holdout, np.random.default_rng(2)
+    noise = rng.standard_normal(rows.t.size)
     measured = np.column_stack([rows.measured[:, 0], noise])
     model = judged(estimate, np.column_stack([measured[:, 0], 0.1 - 0.1 * noise]), measured)
     vars(model).update(holdout=replace(rows, measured=measured, raw=2 * measured))
@@ -487,9 +466,8 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
         check(rigid_body_torque(load_robot(file), motion), rigid_body_torque(model, motion))
     check(torque(load_robot(tmp_path / "arm.yaml"), motion), torque(model, motion))
     assert mujoco.MjModel.from_xml_path(str(mjcf)).nv == model.nv
-    assert {path.name for path in tmp_path.iterdir()} == {
-        *("text.urdf", "arm.xml", "arm.yaml", "arm.urdf", "arm-estimate.csv"),
-    }
+    files = {"text.urdf", "arm.xml", "arm.yaml", "arm.urdf", "arm-estimate.csv"}
+    assert {path.name for path in tmp_path.iterdir()} == files
     with pytest.raises(UnknownName, match=r"unknown format '\.step'"):
         save_model(estimate, tmp_path / "arm.step")
     carrying = model.with_effects([Payload(model.joints[-1:]).with_values(BODY)])
@@ -498,14 +476,13 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
 
 
 @pytest.fixture(scope="module")
-def beyond_formats(planar: Robot, exact: Callable[..., Recording]) -> Estimate:
+def beyond_formats(planar: Robot, exact: Call) -> Estimate:
     """An arm whose friction is of a kind that no format holds, as ``--effects auto`` may find."""
     friction = AsymmetricFriction(planar.joints)
     count = len(friction.parameters(planar))
     true = planar.with_effects([friction.with_values(np.linspace(4.0, 9.0, count))])
-    given = planar.with_effects(
-        [CoulombFriction(planar.joints, (6.0, 6.0)), ViscousFriction(planar.joints, (6.0, 6.0))]
-    )
+    rubbing = (kind(planar.joints, (6.0, 6.0)) for kind in (CoulombFriction, ViscousFriction))
+    given = planar.with_effects([*rubbing])
     recording = exact(true, np.arange(0, 12, 1 / 100))
     return identify_robot(given, [recording], effects=[friction, RotorInertia(planar.joints)])
 
@@ -546,10 +523,9 @@ def test_the_error_of_a_file_is_that_of_the_file_read_again(
 ) -> None:
     """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms."""
     rows, segments = beyond_formats.holdout, beyond_formats.data.validate
-    dry, damped = (
-        kind(beyond_formats.given.joints, (2.0, 3.0)) for kind in (CoulombFriction, ViscousFriction)
-    )
-    model = beyond_formats.model.with_effects([*beyond_formats.model.effects, dry, damped])
+    model = beyond_formats.model
+    more = [kind(model.joints, (2.0, 3.0)) for kind in (CoulombFriction, ViscousFriction)]
+    model = model.with_effects([*model.effects, *more])
     complete = predicted_torque(model, segments)
     judged = HoldOut(segments, rows, np.ones(model.nv), complete, complete)
     published_files = published(model, "identified", "model.yaml", judged, force=True)
@@ -558,9 +534,8 @@ def test_the_error_of_a_file_is_that_of_the_file_read_again(
     read = predicted_torque(load_robot(tmp_path / "identified.urdf"), segments)
     np.testing.assert_allclose(stated["identified.urdf"], rows.accuracy(read).rms, rtol=1e-9)
     in_mjcf = mujoco_torque(model, segments)
-    spread = rows.measured.std(axis=0)
     difference = np.abs(stated["identified.xml"] - rows.accuracy(in_mjcf).rms)
-    assert (difference < AGREE * spread).all()
+    assert (difference < AGREE * rows.measured.std(axis=0)).all()
     assert (np.abs(stated["identified.urdf"] - stated["identified.xml"]) > 0).any()
 
 
@@ -576,14 +551,13 @@ def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
 
 
 def test_command_writes_result_but_no_model_when_it_got_worse(
-    tmp_path: Path, planar: Robot, exact: Callable[..., Recording], excitant: Callable[..., Any]
+    tmp_path: Path, planar: Robot, exact: Call, excitant: Call
 ) -> None:
     """Of an arm with large torque offsets, judged on one that the given arm explains."""
     true = exact(planar, np.arange(0, 8, 1 / 100))
     unseen = write_csv(tmp_path / "true.csv", true)
-    misled = write_csv(
-        tmp_path / "misled.csv", replace(true, tau=true.tau + np.array([40.0, 20.0]))
-    )
+    offset = np.array([40.0, 20.0])
+    misled = write_csv(tmp_path / "misled.csv", replace(true, tau=true.tau + offset))
     words = ("identify planar_2r", misled, "--validate", unseen)
     ran = excitant(*words, "-o", tmp_path / "out")
     assert (ran.status, ran.err) == (1, "")
@@ -596,10 +570,7 @@ def test_command_writes_result_but_no_model_when_it_got_worse(
     options = ("--force", "--formats", "sdf", "--json", "-o", tmp_path / "forced")
     result = excitant(*words, *options).result
     assert result["published"] is True
-    assert {Path(file).suffix for file in result["files"]} == {
-        *(".urdf", ".yaml", ".sdf"),
-        ".csv",
-    }
+    assert {Path(file).suffix for file in result["files"]} == {".urdf", ".yaml", ".sdf", ".csv"}
 
 
 def test_an_effect_without_values_is_refused(planar: Robot) -> None:

@@ -125,7 +125,6 @@ def test_a_planted_fault_is_named(plant: str) -> None:
         assert fault.evidence["after"] == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.sampled
 @pytest.mark.slow
 @pytest.mark.parametrize("plant", sorted(ALL.keys() - NOT_IN_REAL))
 def test_a_fault_planted_in_a_real_recording_is_named(real: tuple[Robot, Log], plant: str) -> None:

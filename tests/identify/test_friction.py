@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_arms import Call
 
 from excitant.identify import Estimate, Recording, identify_robot
 from excitant.identify.friction import curves_over_velocity, friction_curves
@@ -15,7 +15,7 @@ from excitant.robots.effects import CoulombFriction, RotorInertia, StribeckFrict
 
 
 @pytest.fixture(scope="module")
-def recordings(planar: Robot, runs: Callable[..., list[Recording]]) -> list[Recording]:
+def recordings(planar: Robot, runs: Call) -> list[Recording]:
     return runs(planar, 3, duration=12.0)
 
 
@@ -57,18 +57,15 @@ def test_its_interval_is_that_of_draws_of_the_coefficients(estimate: Estimate) -
 
 
 @pytest.mark.slow
-def test_true_friction_lies_in_the_interval(
-    planar: Robot, runs: Callable[..., list[Recording]]
-) -> None:
+def test_true_friction_lies_in_the_interval(planar: Robot, runs: Call) -> None:
     inside = []
     for seed in range(8):
         fit, held = runs(planar, seed)
-        known = {
-            p: x
+        given = {
+            p.name: x
             for e in planar.effects
             for p, x in zip(e.parameters(planar), e.values, strict=True)
         }
-        given = {p.name: value for p, value in known.items()}
         for curve in friction_curves(identify_robot(planar, fit, validate=held)):
             Fv, Fc = (given[f"{curve.joint}.{symbol}"] for symbol in ("Fv", "Fc"))
             true = Fv * curve.velocity + Fc * np.sign(curve.velocity)
@@ -98,8 +95,7 @@ def test_joints_without_friction_have_no_curve(planar: Robot, recordings: list[R
     curves = friction_curves(found)
     assert curves[1] is None
     arrays = curves_over_velocity(curves)
-    assert {name: values.shape for name, values in arrays.items()} == dict.fromkeys(
-        ("friction_velocity", "friction_torque", "friction_half_width"), (100, 2)
-    )
+    names = ("friction_velocity", "friction_torque", "friction_half_width")
+    assert {name: x.shape for name, x in arrays.items()} == dict.fromkeys(names, (100, 2))
     assert np.isnan(arrays["friction_torque"][:, 1]).all()
     assert ["friction" in joint for joint in found.result()["joints"]] == [True, False]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,12 +25,20 @@ PENDULUM = """<robot name="pendulum"><link name="base"/><link name="arm"><inerti
 <axis xyz="0 1 0"/><limit lower="-3" upper="3" velocity="6" effort="20"/></joint></robot>"""
 
 
+def identified(robot: Robot, runs: list[Recording]) -> Estimate:
+    excitation, holdout = runs
+    return identify_robot(robot, [excitation], validate=[holdout])
+
+
+def by_name(found: Estimate) -> dict[str, Any]:
+    return {p["name"]: p for p in found.result()["parameters"]}
+
+
 @pytest.fixture(scope="module", params=["ur10", pytest.param("panda", marks=pytest.mark.slow)])
 def ideal(request: pytest.FixtureRequest, runs: Call) -> Estimate:
     """An arm whose values are off by some per cent, seen by true sensors."""
     robot = load_robot(request.param)
-    excitation, holdout = runs(robot, 0, tolerance=0.03)
-    return identify_robot(robot, [excitation], validate=[holdout])
+    return identified(robot, runs(robot, 0, tolerance=0.03))
 
 
 def test_a_virtual_arm_is_predicted_on_another_motion(ideal: Estimate) -> None:
@@ -67,8 +76,7 @@ def test_the_result_has_the_agreed_keys(ideal: Estimate) -> None:
     assert len(result["parameters"]) == 14 * ideal.given.nv
     assert result["physical"]["consistent"]
     unknown = [p for p in result["parameters"] if p["category"] == "unidentifiable"]
-    assert unknown
-    assert all(p["prior_dominated"] for p in unknown)
+    assert {p["prior_dominated"] for p in unknown} == {True}
     rows = {len(x) for name, x in arrays.items() if not name.startswith("friction_")}
     assert rows == {len(ideal.holdout.t)}
 
@@ -122,17 +130,16 @@ def in_amperes(runs: list[Recording], gains: np.ndarray | float) -> list[Recordi
 
 def test_drive_gains_are_recovered_from_current(ur10: Robot, nominal: list[Recording]) -> None:
     gains = 10 * np.exp(np.random.default_rng(4).uniform(-0.5, 0.5, ur10.nv))
-    excitation, holdout = in_amperes(nominal, gains)
-    found = identify_robot(ur10, [excitation], validate=[holdout])
+    currents = in_amperes(nominal, gains)
+    found = identified(ur10, currents)
     # the scale rests on the given masses, which are the true ones here; the last joint turns a
     # balanced link, whose torque its rotor could make, so its gain stays near those of the others
     np.testing.assert_allclose(found.gains[:5], gains[:5], rtol=0.02)
     assert abs(np.log(found.gains[5] / gains[5])) < 0.5
     assert any("drive gains" in note for note in found.notes)
     assert found.validate.nrmse.mean() < 0.03
-    heavier = ur10.with_parameters(1.25 * ur10.phi)
-    scaled = identify_robot(heavier, [excitation], validate=[holdout]).gains
-    np.testing.assert_allclose(scaled, 1.25 * found.gains, rtol=0.01)
+    heavier = identified(ur10.with_parameters(1.25 * ur10.phi), currents)
+    np.testing.assert_allclose(heavier.gains, 1.25 * found.gains, rtol=0.01)
 
 
 def test_what_rests_on_drive_gains_carries_their_uncertainty(
@@ -140,22 +147,15 @@ def test_what_rests_on_drive_gains_carries_their_uncertainty(
 ) -> None:
     """Bodies to 30 % fix the common scale of currents to some per cent, and all that follows it."""
     rng = np.random.default_rng(0)
-    noisy = [
-        replace(run, tau=run.tau + 0.01 * rng.standard_normal(run.tau.shape)) for run in nominal
-    ]
-    torque, current = (
-        identify_robot(ur10, [fit], validate=[held])
-        for fit, held in (noisy, in_amperes(noisy, 10.0))
-    )
+    noisy = [replace(x, tau=x.tau + 0.01 * rng.standard_normal(x.tau.shape)) for x in nominal]
+    torque, current = (identified(ur10, runs) for runs in (noisy, in_amperes(noisy, 10.0)))
     drive = current.drive
     assert drive is not None
     assert 0.05 < drive.scale_std < 0.3
     result = current.result()
     assert result["drive_gain_std_Nm_per_A"] == drive.std.tolist()
     assert (drive.std >= drive.scale_std * drive.gains).all()
-    ours, theirs = (
-        {p["name"]: p for p in found.result()["parameters"]} for found in (current, torque)
-    )
+    ours, theirs = by_name(current), by_name(torque)
     for name in (f"{joint}.Fv" for joint in ur10.joints[:5]):
         p = ours[name]
         assert p["std"] >= 0.9 * drive.scale_std * p["value"] > 3 * theirs[name]["std"]
@@ -168,23 +168,17 @@ def test_what_nothing_fixes_is_told_in_amperes(ur10: Robot, nominal: list[Record
     """Placeholders fix no scale: friction is what it is per ampere, and the model still fits."""
     like_the_arm = np.diag([0.02, 0.02, 0.02, 1.0])
     blank = ur10.with_parameters(np.tile(from_pseudo_inertia(like_the_arm), ur10.nv))
-    [torque], [current] = (
-        [identify_robot(arm, runs[:1], validate=runs[1:])]
-        for arm, runs in ((ur10, nominal), (blank, in_amperes(nominal, 10.0)))
-    )
+    torque, current = identified(ur10, nominal), identified(blank, in_amperes(nominal, 10.0))
     assert current.drive is not None
     assert not current.drive.fixed
-    ours, theirs = (
-        {p["name"]: p for p in found.result()["parameters"]} for found in (current, torque)
-    )
+    ours, theirs = by_name(current), by_name(torque)
     units = {"Fv": "A·s/rad", "Fc": "A", "offset": "A", "Ia": "A·s²/rad"}
     for joint, (name, unit) in product(ur10.joints[:5], units.items()):
         p, known = (each[f"{joint}.{name}"] for each in (ours, theirs))
         assert p["unit"] == unit
-        if name != "Ia":  # what a rotor and a link share follows the given bodies
-            assert abs(10 * p["value"] - known["value"]) <= 4 * np.hypot(
-                10 * p["std"], known["std"]
-            )
+        std = np.hypot(10 * p["std"], known["std"])
+        # what a rotor and a link share follows the given bodies
+        assert name == "Ia" or abs(10 * p["value"] - known["value"]) <= 4 * std
     assert ours[f"{ur10.links[0]}.m"]["unit"] == "kg"
     assert any("friction is told in amperes" in note for note in current.notes)
 
@@ -193,7 +187,7 @@ def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(
     ur10: Robot, nominal: list[Recording]
 ) -> None:
     link, light = 2, ur10.with_parameters(ur10.phi / 3)
-    found = identify_robot(light, nominal[:1], validate=nominal[1:])
+    found = identified(light, nominal)
     body, result = body_changes(found)[link], found.result()
     assert abs(body.mass - 3 * body.nominal_mass) < 3 * body.mass_std
     assert body.moved.startswith(f"forearm_link: mass {body.nominal_mass:.3g} → {body.mass:.3g} ± ")
@@ -204,15 +198,14 @@ def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(
     along = way / np.linalg.norm(way)
     assert told["shift_std"] == pytest.approx(np.linalg.norm(along * body.centre_std))
     assert any("moved by half" in note and body.moved in note for note in result["notes"])
-    honest = identify_robot(ur10, nominal[:1], validate=nominal[1:])
-    assert not body_changes(honest)[link].moved
+    assert not body_changes(identified(ur10, nominal))[link].moved
 
 
 def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recording]) -> None:
     """Only it is given more room: it is found, and the links around it stay as they are."""
     link, phi = 2, np.array(ur10.phi)
     phi[10 * link : 10 * link + 10] *= 3
-    found = identify_robot(ur10.with_parameters(phi), nominal[:1], validate=nominal[1:])
+    found = identified(ur10.with_parameters(phi), nominal)
     true, body = float(ur10.phi[10 * link]), body_changes(found)[link]
     assert abs(body.mass - true) < min(4 * body.mass_std, 0.15 * true)
     assert [bool(each.moved) for each in body_changes(found)] == [k == link for k in range(ur10.nv)]
@@ -223,11 +216,8 @@ def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recor
 def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, nominal: list[Recording]) -> None:
     # at rest, at both ends, the side of dry friction is a matter of rounding
     moving = [run.take(np.arange(100, len(run) - 100)) for run in nominal]
-    one, other = (
-        identify_robot(ur10, read[:1], validate=read[1:]).validate.nrmse
-        for read in (moving, in_amperes(moving, 12.0))
-    )
-    np.testing.assert_allclose(other, one, atol=1e-3)
+    one, other = (identified(ur10, read) for read in (moving, in_amperes(moving, 12.0)))
+    np.testing.assert_allclose(other.validate.nrmse, one.validate.nrmse, atol=1e-3)
 
 
 def test_real_ur10_is_no_worse_than_the_reference(data_folder: Path) -> None:

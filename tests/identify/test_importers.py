@@ -1,8 +1,15 @@
-"""Logs of any kind become the recording they hold, or are refused with what to write."""
+"""Logs of any kind and shape become the recording they hold, or are refused with what to write.
+
+Also as other programs write them, in shapes that nobody planned for: read without a word. Where
+names leave a choice, the refusal holds the map that settles it.
+"""
 
 from __future__ import annotations
 
+import gzip
 import importlib
+import json
+import re
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
@@ -13,7 +20,9 @@ import pandas as pd
 import pytest
 import scipy.io
 import yaml
+from known_arms import Call
 
+from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
 from excitant.identify import (
     ColumnMap,
@@ -26,37 +35,56 @@ from excitant.identify import (
 )
 from excitant.identify.reading import mat
 from excitant.robots import load_robot
+from excitant.robots.virtual_arm import virtual_arm
 
 T = np.arange(300) / 100
-_RATES = np.arange(1, 7)
-Q = np.sin(np.outer(T, _RATES))
-DQ = np.cos(np.outer(T, _RATES)) * _RATES
-TAU = 3 * Q + DQ + _RATES
+RATES = np.arange(1, 7)
+Q = np.sin(np.outer(T, RATES))
+DQ = np.cos(np.outer(T, RATES)) * RATES
+TAU = 3 * Q + DQ + RATES
 ARM = load_robot("ur10")
-ORDER = sorted(range(6), key=lambda k: ARM.joints[k])  # of joints in ROS
+JOINTS = ARM.joints
+ORDER = sorted(range(6), key=lambda k: JOINTS[k])  # as ROS publishes them
+STATES = [x[:, ORDER] for x in (Q, DQ, TAU)]
+DEG = 180 / np.pi
+SEC = (1_700_000_000 + T.astype(int)).tolist()
+NS = np.round(T % 1 * 1e9).astype(int).tolist()
+KEYS = ("position", "velocity", "effort")  # of joint states
+Columns = dict[str, Any]
 
 
-def table(*names: str, first: int = 0, scale: Sequence[float] = (1, 1, 1, 1)) -> pd.DataFrame:
+def named(
+    time: str, forms: Sequence[str], channels: Sequence[np.ndarray] = (Q, DQ, TAU), first: int = 1
+) -> Columns:
+    """Columns by name, a joint after the other."""
+    columns: Columns = {time: T}
+    for form, values in zip(forms, channels, strict=True):
+        columns |= {form.format(k + first): values[:, k] for k in range(6)}
+    return columns
+
+
+def table(time: str, *names: str, first: int = 0, scale: Any = (1, 1, 1, 1)) -> pd.DataFrame:
     """The motion under other names and in other units."""
-    columns: dict[str, Any] = {names[0]: T * scale[0]}
-    for name, values, factor in zip(names[1:], (Q, DQ, TAU), scale[1:], strict=True):
-        columns |= {name.format(k + first): values[:, k] * factor for k in range(6)}
-    return pd.DataFrame(columns)
+    t, *channels = (x * factor for x, factor in zip((T, Q, DQ, TAU), scale, strict=True))
+    return pd.DataFrame(named(time, names, channels, first) | {time: t})
 
 
 EXACT = table("t", "q{}", "dq{}", "tau{}", first=1)  # names that need no guess
 PLAIN = table("time", "q_{}", "qd_{}", "tau_{}")
 
 
-def same(found: Recording, tau: np.ndarray = TAU) -> Recording:
+def same(found: Recording, tau: np.ndarray = TAU, unit: str | None = None) -> Recording:
     """The recording, which must be that of the motion."""
     np.testing.assert_allclose(found.t, T, atol=1e-6)
-    for values, expected in ((found.q, Q), (found.dq, DQ), (found.tau, tau)):
+    np.testing.assert_allclose(found.tau, tau, rtol=1e-12)
+    for values, expected in ((found.q, Q), (DQ if found.dq is None else found.dq, DQ)):
         np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
+    assert unit in (None, found.unit)
     return found
 
 
-Load = Callable[..., Recording]
+def text(columns: Any, separator: str = ",", decimal: str = ".") -> str:
+    return pd.DataFrame(columns).to_csv(index=False, sep=separator, decimal=decimal)
 
 
 @pytest.fixture
@@ -65,7 +93,7 @@ def log(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def load(save: Callable[..., Path]) -> Load:
+def load(save: Call) -> Call:
     """``load(log, content, suffix)``: a table as it is read from a file, with a map of columns."""
 
     def loaded(log: Any, mapping: Any = None, suffix: str = ".csv", **options: Any) -> Recording:
@@ -96,14 +124,14 @@ NAMES: dict[str, tuple[str, str, str, str, int, str]] = {
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_common_names_are_understood_and_shown(name: str, load: Load) -> None:
+def test_common_names_are_understood_and_shown(name: str, load: Call) -> None:
     *columns, first, unit = NAMES[name]
     found = same(load(table(*columns, first=first)))
     assert found.unit == unit
     assert found.notes == () if name == "exact" else columns[1].format(first) in found.notes[0]
 
 
-def test_columns_by_number_are_shown_with_their_joints(load: Load) -> None:
+def test_columns_by_number_are_shown_with_their_joints(load: Call) -> None:
     """A controller's order is not always that of the description."""
     [note] = load(table("t", "position_{}", "velocity_{}", "effort_{}", first=0)).notes
     assert "q = position_0 → shoulder_pan_joint, position_1 → shoulder_lift_joint, " in note
@@ -113,7 +141,7 @@ COMMANDED = ["target_*", "desired_*", "commanded_*", "cmd_*", "ref_*", "setpoint
 
 
 @pytest.mark.parametrize("form", COMMANDED)
-def test_what_was_commanded_is_never_taken_for_measured(form: str, load: Load) -> None:
+def test_what_was_commanded_is_never_taken_for_measured(form: str, load: Call) -> None:
     """Nor accelerations, temperatures and speeds of the tool for anything."""
     commanded = table("x", *(form.replace("*", w) + "_{}" for w in ("q", "qd", "moment"))) * 2
     others = table("y", "ddq_logged{}", "temperature_{}", "actual_TCP_speed_{}") * 3
@@ -126,7 +154,7 @@ def test_what_was_commanded_is_never_taken_for_measured(form: str, load: Load) -
 
 @pytest.mark.parametrize("extra", ["angle_{}", "actual_pos_{}", None])
 def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(
-    extra: str | None, load: Load
+    extra: str | None, load: Call
 ) -> None:
     """Two sets of positions, or a torque of another kind."""
     log = table("time", "pos_{}", "vel_{}", "tau_{}" if extra else "tau_motor_{}")
@@ -140,65 +168,53 @@ def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(
 
 
 @pytest.mark.parametrize(
-    ("form", "labels"),
-    [
-        ("{joint}.{what}", "position velocity effort"),
-        ("/joint_states/{joint}/{what}", "position velocity effort"),
-        ("{what}_{joint}", "pos vel tau"),
-        ("{short} {what}", "position velocity effort"),
-    ],
+    "form", ["{joint}.{what}", "/joint_states/{joint}/{what}", "{kind}_{joint}", "{short} {what}"]
 )
-def test_joints_are_matched_by_name_in_any_order(form: str, labels: str, load: Load) -> None:
-    columns: dict[str, Any] = {"time": T}
-    for joint, k in [(ARM.joints[k], k) for k in ORDER] + [("gripper", 0)]:
-        short = joint.removesuffix("_joint")
-        for what, values in zip(labels.split(), (Q, DQ, TAU), strict=True):
-            columns[form.format(joint=joint, short=short, what=what)] = values[:, k]
+def test_joints_are_matched_by_name_in_any_order(form: str, load: Call) -> None:
+    columns: Columns = {"time": T}
+    for joint, k in [(JOINTS[k], k) for k in ORDER] + [("gripper", 0)]:
+        words = {"joint": joint, "short": joint.removesuffix("_joint")}
+        for what, kind, x in zip(KEYS, ("pos", "vel", "tau"), (Q, DQ, TAU), strict=True):
+            columns[form.format(what=what, kind=kind, **words)] = x[:, k]
     same(load(pd.DataFrame(columns), suffix=".parquet"))
 
 
-def test_numbered_columns_follow_the_names_that_stand_beside_them(load: Load, log: Path) -> None:
-    columns: dict[str, Any] = {"header.stamp.secs": 1_700_000_000 + T.astype(int)}
-    columns["header.stamp.nsecs"] = np.round(T % 1 * 1e9).astype(int)
-    for what, values in (("position", Q), ("velocity", DQ), ("effort", TAU)):
-        columns |= {f"{what}_{j}": values[:, k] for j, k in enumerate(ORDER)}
-    columns |= {f"name_{j}": ARM.joints[k] for j, k in enumerate(ORDER)}
+def test_numbered_columns_follow_the_names_that_stand_beside_them(load: Call, log: Path) -> None:
+    columns: Columns = {"header.stamp.secs": SEC, "header.stamp.nsecs": NS}
+    for what, values in zip(KEYS, STATES, strict=True):
+        columns |= {f"{what}_{j}": values[:, j] for j in range(6)}
+    columns |= {f"name_{j}": JOINTS[k] for j, k in enumerate(ORDER)}
     same(load(pd.DataFrame(columns)))
     with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
         load_recording(log, load_robot("panda"))
 
 
 @pytest.mark.parametrize(("separator", "decimal"), [*product(",;\t |", ".,")])
-def test_separators_and_decimal_signs(separator: str, decimal: str, load: Load) -> None:
+def test_separators_and_decimal_signs(separator: str, decimal: str, load: Call) -> None:
     quoted = separator == decimal  # as spreadsheets write it
     same(load(EXACT, sep=separator, decimal=decimal, quoting=int(quoted)))
 
 
-def test_comments_preambles_units_and_marks_of_encoding(load: Load, log: Path) -> None:
-    lines = table("t", "q{}", "dq{}", "tau{}", first=1, scale=(1e3, 180 / np.pi, 30 / np.pi, 1e3))
-    text = lines.to_csv(index=False).splitlines(keepends=True)
-    units = "ms," + ",".join(["deg"] * 6 + ["rpm"] * 6 + ["mNm"] * 6) + "\n"
-    body = [text[0], units, *text[1:100], "# operator: pause\n", "\n", *text[100:]]
-    content = "".join(["Straße 4; robot 2\n", "# rate 100 Hz\n", *body])
-    for encoding in ("utf-8", "utf-8-sig", "utf-16", "cp1252"):
-        log.write_text(content, encoding=encoding)
-        assert "[deg]" in same(load(log)).notes[0]
+def test_comments_preambles_units_and_marks_of_encoding(load: Call, log: Path) -> None:
+    """Units stand in a row of their own, as data loggers export."""
+    scaled = table("t", "q{}", "dq{}", "tau{}", first=1, scale=(1e3, DEG, 30 / np.pi, 1e3))
+    rows = text(scaled).splitlines(keepends=True)
+    units = ["ms", *["deg"] * 6, *["rpm"] * 6, *["mNm"] * 6]
+    for start, form in product(("Straße 4; robot 2\n# rate 100 Hz\n", ""), ("{}", "[{}]")):
+        second = ",".join(map(form.format, units)) + "\n"
+        body = [rows[0], second, *rows[1:100], "# operator: pause\n", "\n", *rows[100:]]
+        for encoding in ("utf-8", "utf-8-sig", "utf-16", "cp1252"):
+            log.write_text(start + "".join(body), encoding=encoding)
+            assert "[deg]" in same(load(log)).notes[0]
     np.savetxt(log, EXACT, fmt="%.17g", header=" ".join(EXACT.columns))
     same(load(log))
 
 
-def test_without_a_header_columns_are_named_by_number(load: Load) -> None:
-    with pytest.raises(BadRecording, match="--map"):
-        load(EXACT, header=False)
-    numbers = {"t": 0, "q": [*range(1, 7)], "dq": [*range(7, 13)], "tau": [*range(13, 19)]}
-    same(load(EXACT, numbers, header=False))
-
-
-def stamped(name: str, stamps: Callable[[pd.Series], Any]) -> Callable[..., pd.DataFrame]:
+def stamped(name: str, stamps: Callable[[pd.Series], Any]) -> Call:
     return lambda x: x.assign(t=stamps(x["t"])).rename(columns={"t": name})
 
 
-TIMES: dict[str, Callable[..., pd.DataFrame]] = {
+TIMES: dict[str, Call] = {
     "s": stamped("t", lambda t: t + 17.5),
     "ms": stamped("time_ms", lambda t: t * 1e3),
     "us": stamped("Time [µs]", lambda t: (t * 1e6).round().astype(int)),
@@ -211,7 +227,7 @@ TIMES: dict[str, Callable[..., pd.DataFrame]] = {
     "a zone": stamped("stamp", lambda t: [f"2026-03-01 10:00:{x:09.6f}+02:00" for x in t]),
     "far dates": stamped("t", lambda t: [f"9999-01-01T00:00:{x:09.6f}Z" for x in t]),
 }
-TYPES: dict[str, Callable[..., pd.DataFrame]] = {
+TYPES: dict[str, Call] = {
     "durations": stamped("t", lambda t: pd.to_timedelta((t * 1e9).round().astype(int))),
     "dates": stamped("t", lambda t: pd.to_datetime(17 * 10**17 + (t * 1e9).round().astype(int))),
     "categories": lambda x: x.assign(q1=x["q1"].astype(str).astype("category")),
@@ -229,7 +245,7 @@ UNUSABLE: dict[str, tuple[str, Callable[[pd.Series], Any]]] = {
 
 
 @pytest.mark.parametrize("kind", [*TIMES, *TYPES])
-def test_times_and_numbers_of_any_kind_are_read(kind: str, load: Load) -> None:
+def test_times_and_numbers_of_any_kind_are_read(kind: str, load: Call) -> None:
     log = (TIMES | TYPES)[kind](EXACT)
     for suffix in (".csv", ".parquet") if kind in TIMES else (".parquet",):
         found = same(load(log, suffix=suffix))
@@ -237,7 +253,7 @@ def test_times_and_numbers_of_any_kind_are_read(kind: str, load: Load) -> None:
             np.testing.assert_allclose(found.t, T, atol=1e-12)
 
 
-WHOLE: dict[str, Callable[..., pd.DataFrame]] = {
+WHOLE: dict[str, Call] = {
     "whole": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype("int64")),
     "whole, nullable": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype("Int64")),
     "whole, of Arrow": lambda x: WHOLE["whole"](x).convert_dtypes(dtype_backend="pyarrow"),
@@ -261,15 +277,15 @@ def test_a_value_that_is_missing_is_refused(dtype: str) -> None:
 
 
 @pytest.mark.parametrize("kind", UNUSABLE)
-def test_what_is_no_number_is_refused(kind: str, load: Load) -> None:
+def test_what_is_no_number_is_refused(kind: str, load: Call) -> None:
     column, change = UNUSABLE[kind]
     with pytest.raises(BadRecording, match="is not a finite number") as refusal:
         load(EXACT.assign(**{column: change(EXACT[column])}), suffix=".parquet")
     assert (refusal.value.row, refusal.value.column) == (0, column)
 
 
-def test_a_map_converts_units_signs_and_currents(load: Load) -> None:
-    log = table("stamp", "p{}", "v{}", "cur_{}", scale=(1e3, 180 / np.pi, 30 / np.pi, 1e3))
+def test_a_map_converts_units_signs_and_currents(load: Call) -> None:
+    log = table("stamp", "p{}", "v{}", "cur_{}", scale=(1e3, DEG, 30 / np.pi, 1e3))
     log[["p2", "v2", "cur_2", "cur_4"]] *= -1
     gains, ratios = np.arange(1, 7) / 10, np.full(6, 100)
     content = {
@@ -308,7 +324,7 @@ BAD_MAPS: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("name", BAD_MAPS)
-def test_a_bad_map_is_refused_by_what_is_wrong(name: str, load: Load) -> None:
+def test_a_bad_map_is_refused_by_what_is_wrong(name: str, load: Call) -> None:
     content, why = BAD_MAPS[name]
     with pytest.raises(ExcitantError) as refusal:
         load(PLAIN, content)
@@ -319,7 +335,197 @@ def test_a_bad_map_is_refused_by_what_is_wrong(name: str, load: Load) -> None:
         load_column_map("nothing.yaml")
 
 
-def test_npz_and_mat_hold_the_same_recording_or_are_refused(load: Load, tmp_path: Path) -> None:
+def lines(records: Sequence[Any]) -> str:
+    return "\n".join(json.dumps(record) for record in records)
+
+
+def rostopic() -> str:
+    """``rostopic echo -p``."""
+    stamp = (17 * 10**17 + np.round(T * 1e9)).astype(int)
+    columns: Columns = {"%time": stamp + 5, "field.header.seq": range(300)}
+    columns |= {"field.header.stamp": stamp, "field.header.frame_id": ""}
+    columns |= {f"field.name{k}": JOINTS[j] for k, j in enumerate(ORDER)}
+    for what, values in zip(KEYS, STATES, strict=True):
+        columns |= {f"field.{what}{k}": values[:, k] for k in range(6)}
+    return text(columns)
+
+
+def ros2_topic(frame: str = "base_link") -> str:
+    """``ros2 topic echo --csv``: no line of names."""
+    names = ",".join(JOINTS[j] for j in ORDER)
+    rows = zip(SEC, NS, np.hstack(STATES).tolist(), strict=True)
+    return "".join(f"{s},{n},{frame},{names},{','.join(map(repr, x))}\n" for s, n, x in rows)
+
+
+def libfranka() -> str:
+    """The log that libfranka writes after an error, in milliseconds, with what was commanded."""
+    forms = ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")
+    channels = (Q, Q + 1, DQ, DQ + 1, TAU, TAU / 9)
+    states = named("time", [f"state.{name}[{{}}]" for name in forms], channels, 0)
+    sent = named("time", [f"cmd.{name}[{{}}]" for name in ("q_d", "tau_J_d")], (Q, DQ), 0)
+    return text(states | sent | {"time": np.round(T * 1e3).astype(int), "success_rate": 1.0})
+
+
+def rtde() -> str:
+    """Universal Robots' RTDE example client: separated by blanks, targets beside actual values."""
+    names = ("target_q_{}", "target_qd_{}", "target_moment_{}", "actual_q_{}", "actual_qd_{}")
+    names = (*names, "actual_current_{}", "actual_TCP_speed_{}", "joint_temperatures_{}")
+    channels = (Q + 1, DQ + 1, TAU + 1, Q, DQ, TAU, DQ, Q)
+    return text(named("timestamp", names, channels, 0) | {"timestamp": T + 4e5}, " ")
+
+
+def kuka() -> str:
+    """KUKA's Sunrise data recorder: the name of the arm in every column, time in two."""
+    arm = "LBR_iiwa_7_R800_1[{}]"
+    columns = named("t", (f"axisQMsr_{arm}", f"axisTauMsr_{arm}"), (Q, TAU), 0)
+    del columns["t"]
+    return text({"ZeitInSec": SEC, "ZeitInNanoSec": NS} | columns, " ")
+
+
+def plotted() -> str:
+    """An export of a plotting program: topics in front, one of two arms that are called alike."""
+    columns: Columns = {"__time": T + 1.7e9}
+    for what, values in zip(KEYS, (Q, DQ, TAU), strict=True):
+        paths = (f"/left/joint_states/left_{joint}/{what}" for joint in JOINTS)
+        columns |= dict(zip(paths, values.T, strict=True))
+    return text(columns)
+
+
+def dated(form: str, separator: str = ",") -> str:
+    columns = named("timestamp", ("joint{}_pos", "joint{}_vel", "joint{}_eff"))
+    return text(columns | {"timestamp": [form.format(t) for t in T]}, separator)
+
+
+GERMAN = ("Position {} [rad]", "Geschw. {} speed [rad/s]", "Drehmoment {} [Nm]")
+JOINT_STATES = [
+    {"header": {"stamp": {"sec": s, "nanosec": n}, "frame_id": ""}}
+    | {"name": [JOINTS[j] for j in ORDER]}
+    | dict(zip(KEYS, values, strict=True))
+    for s, n, *values in zip(SEC, NS, *(x.tolist() for x in STATES), strict=True)
+]
+BY_JOINT = [{"pos": Q[:, k], "vel": DQ[:, k], "torque": TAU[:, k]} for k in range(6)]
+STRUCT = {"log": {"t": T, "joints": BY_JOINT}}
+LISTS = {"ts": T, "joint_pos": Q, "joint_vel": DQ, "joint_eff": TAU}
+
+WRITTEN: dict[str, tuple[str, str | bytes]] = {
+    "semicolons, decimal commas": (
+        "log.csv",
+        ("Prüfstand 3\n" + text(named("Zeit [s]", GERMAN), ";", ",")).encode("cp1252"),
+    ),
+    "UTF-16 of a spreadsheet": ("log.txt", text(PLAIN, "\t").encode("utf-16")),
+    "dates, day first": ("log.csv", dated("31.03.2026 10:00:{:09.6f}", ";")),
+    "dates, month first": ("log.csv", dated("03/31/2026 10:00:{:09.6f}")),
+    "time of day": ("log.csv", dated("10:00:{:09.6f}")),
+    "rostopic echo -p": ("log.csv", rostopic()),
+    "ros2 topic echo --csv": ("log.csv", ros2_topic()),
+    "the same without a frame": ("log.csv", ros2_topic("")),
+    "libfranka": ("log.csv", libfranka()),
+    "RTDE": ("log.csv", rtde()),
+    "Sunrise": ("log.log", kuka()),
+    "topics and an arm in front": ("log.csv", plotted()),
+    "axes": ("log.csv", text(named("Time", ("A{}_pos", "A{}_vel", "A{}_motor_current")))),
+    "gzip": ("log.csv.gz", gzip.compress(text(EXACT).encode())),
+    "JSON lines of joint states": ("log.jsonl", lines(JOINT_STATES)),
+    "JSON, a list of records": ("log.json", json.dumps(JOINT_STATES)),
+    "JSON, lists by name": ("log.json", json.dumps({k: x.tolist() for k, x in LISTS.items()})),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", WRITTEN)
+def test_text_of_any_shape_is_read_without_a_word(shape: str, tmp_path: Path) -> None:
+    name, content = WRITTEN[shape]
+    (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    found = load_recording(tmp_path / name, ARM)
+    same(found, unit="A" if shape in ("RTDE", "axes") else "N·m")
+
+
+CELLS = {k: list(x) for k, x in LISTS.items()}
+SAVED: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "arrays by samples": ("log.npz", lambda path: np.savez(path, **LISTS)),
+    "arrays by joints": ("log.npz", lambda p: np.savez(p, **{k: x.T for k, x in LISTS.items()})),
+    "a struct": ("log.mat", lambda path: scipy.io.savemat(path, {"log": LISTS})),
+    "a struct for each joint": ("log.mat", lambda path: scipy.io.savemat(path, STRUCT)),
+    "lists in Parquet": ("log.parquet", lambda path: pd.DataFrame(CELLS).to_parquet(path)),
+}
+
+
+@pytest.mark.parametrize("shape", SAVED)
+def test_arrays_of_any_shape_are_read_without_a_word(shape: str, tmp_path: Path) -> None:
+    name, save = SAVED[shape]
+    save(tmp_path / name)
+    same(load_recording(tmp_path / name, ARM), unit="N·m")
+
+
+@pytest.mark.parametrize("separator", [" ", ","])
+@pytest.mark.parametrize("channels", [(Q, DQ, TAU), (Q, TAU)])
+def test_numbers_without_names_are_refused_with_the_map_that_reads_them(
+    separator: str, channels: Sequence[np.ndarray], load: Call, log: Path
+) -> None:
+    np.savetxt(log, np.column_stack([T, *channels]), fmt="%.17g", delimiter=separator)
+    with pytest.raises(BadRecording, match="--map") as refusal:
+        load(log)
+    same(load(log, yaml.safe_load(str(refusal.value).partition("such as ")[2])), unit="N·m")
+
+
+@pytest.mark.parametrize(("other", "why"), [("left", "positions could be"), ("motor", None)])
+def test_words_before_joints_name_an_arm_but_not_its_motors(
+    other: str, why: str | None, load: Call, log: Path
+) -> None:
+    """Of two arms the user says which; motors turn otherwise than joints."""
+    words = ("q", "dq", "tau")
+    arm, extra = (named("t", [f"{x}_{y}_{{}}" for y in words]) for x in ("right", other))
+    log.write_text(text(arm | extra))
+    if why is None:
+        same(load(log), unit="N·m")
+        log.write_text(text(extra))
+    with pytest.raises(BadRecording, match=why or "no torque"):
+        load(log)
+
+
+FORMS = ("pos_{}", "vel_{}", "tau_{}")
+BY_NAME = {f"{joint}_{what}": 0.0 for joint in JOINTS for what in ("angle", "position", "torque")}
+REFUSED: dict[str, tuple[str, str]] = {
+    "no torque": ("log.csv", text(named("t", FORMS[:2], (Q, DQ)))),
+    "no position": ("log.csv", text(named("t", FORMS[2:], (TAU,)))),
+    "no time": ("log.csv", text(named("sample", FORMS))),
+    "two positions": ("log.csv", text(named("t", (*FORMS, "angle_{}"), (Q, DQ, TAU, Q)))),
+    "two by name": ("log.csv", text({"t": T} | BY_NAME)),
+    "another arm": ("log.csv", text({k: x for k, x in named("t", FORMS).items() if "6" not in k})),
+    "no names": ("log.dat", text(named("t", FORMS)).partition("\n")[2]),
+    "no numbers": ("log.csv", "a,b,c\n"),
+    "another format": ("log.xlsx", "PK"),
+    "no record": ("log.json", "{}"),
+    "text for a number": ("log.csv", text(named("t", FORMS)).replace("0.01,", "late,", 1)),
+    "a short row": ("log.csv", text(named("t", FORMS)) + "1,2\n"),
+}
+
+
+@pytest.mark.parametrize("shape", REFUSED)
+def test_a_refusal_is_short_and_says_the_path_once(shape: str, tmp_path: Path) -> None:
+    name, content = REFUSED[shape]
+    (tmp_path / name).write_text(content)
+    with pytest.raises(BadRecording) as refusal:
+        load_recording(tmp_path / name, ARM)
+    said = str(refusal.value)
+    assert said.count(str(tmp_path)) == 1
+    assert len(said.replace(str(tmp_path), "")) < 200, said
+
+
+def test_damaged_json_is_refused_by_row(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    less = {k: x for k, x in JOINT_STATES[7].items() if k != "effort"}
+    short = JOINT_STATES[7] | {"effort": [1.0]}
+    for changed, why in ((less, "'effort', row 7: is missing"), (short, "cannot be read")):
+        path.write_text(lines([*JOINT_STATES[:7], changed, *JOINT_STATES[8:]]))
+        with pytest.raises(BadRecording, match=why):
+            load_recording(path, ARM)
+    for broken in ("", "[]", "3", '{"t": 1', "[1, 2]"):
+        path.write_text(broken)
+        with pytest.raises(BadRecording):
+            load_recording(path, ARM)
+
+
+def test_npz_and_mat_hold_the_same_recording_or_are_refused(load: Call, tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", time=T, q=Q, qd=DQ.T, torque=TAU, robot="ur10")
     same(load(tmp_path / "a.npz"))
     arrays = {"t": T, "q": Q, "dq": DQ, "tau": TAU, "comment": "first run", "rate": 100.0}
@@ -343,7 +549,7 @@ def test_npz_and_mat_hold_the_same_recording_or_are_refused(load: Load, tmp_path
 
 
 def test_a_mat_file_that_ends_its_reader_is_damaged(
-    load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    load: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Some bytes make SciPy write where it must not."""
     scipy.io.savemat(tmp_path / "a.mat", {"t": T, "q": Q, "dq": DQ, "tau": TAU})
@@ -356,38 +562,43 @@ def test_a_mat_file_that_ends_its_reader_is_damaged(
         load(tmp_path / "a.mat")
 
 
-HAND = ["gripper", *(ARM.joints[k] for k in ORDER)]
-CHANNELS = [np.column_stack([0.1 + 0 * T, x[:, ORDER]]) for x in (Q, DQ, TAU)]
-Bag = Callable[..., Path]
-
-
 @pytest.fixture
-def bag(write_joint_states: Callable[..., None], tmp_path: Path) -> Bag:
+def bag(write_joint_states: Call, tmp_path: Path) -> Call:
     """``bag(kind, *topics)``: joint states with a gripper, and messages of another node."""
 
-    def written(kind: str, *topics: str, t: np.ndarray = T, channels: Any = CHANNELS) -> Path:
-        path = tmp_path / ("log.bag" if kind == "bag" else f"log{len(list(tmp_path.iterdir()))}")
-        write_joint_states(path, kind, HAND, t, channels, topics=topics, hand=True)
+    def written(
+        kind: str, *topics: str, prefix: str = "", t: Any = T, states: Any = STATES, **more: Any
+    ) -> Path:
+        path = tmp_path / f"log{len(list(tmp_path.iterdir()))}{'.bag' * (kind == 'bag')}"
+        names = [prefix + name for name in ("gripper", *(JOINTS[k] for k in ORDER))]
+        channels = [np.column_stack([0.1 + 0 * T, x]) if len(x) else x for x in states]
+        topics = topics or ("/joint_states",)
+        write_joint_states(path, kind, names, t, channels, topics=topics, hand=True, **more)
         return path
 
     return written
 
 
+@pytest.mark.parametrize("prefix", ["", "left_arm/", "ur10_"])
 @pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
-def test_bags_are_read_by_joint_name(kind: str, load: Load, bag: Bag) -> None:
-    path = bag(kind, "/joint_states", "/joint_command")
+def test_bags_are_read_by_joint_name_whatever_stands_before(
+    kind: str, prefix: str, load: Call, bag: Call
+) -> None:
+    path = bag(kind, "/joint_states", "/joint_command", prefix=prefix)
     for file in [path] if kind == "bag" else [path, next(path.glob(f"*.{kind}"))]:
-        found = same(load(file))
+        found = same(load(file), unit="N·m")
         np.testing.assert_allclose(found.t, T, atol=1e-12)
-        assert {"topic: /joint_states", "joints left out: finger, gripper"} <= set(found.notes)
-    assert same(load(path, {"i": "effort", "units": {"i": "mA"}}), TAU * 1e-3).unit == "A"
+        notes = {"topic: /joint_states", f"joints left out: finger, {prefix}gripper"}
+        assert notes <= set(found.notes)
+        assert any(f"'{prefix}'" in note for note in found.notes) == bool(prefix)
+    same(load(path, {"i": "effort", "units": {"i": "mA"}}), TAU * 1e-3, "A")
     with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
         load_recording(path, load_robot("panda"))
 
 
-def test_bags_that_leave_a_choice_or_lack_something(load: Load, bag: Bag) -> None:
+def test_bags_that_leave_a_choice_or_lack_something(load: Call, bag: Call) -> None:
     two = bag("mcap", "/left/states", "/right/states")
-    weak = bag("mcap", "/joint_states", channels=[*CHANNELS[:2], np.zeros(0)])
+    weak = bag("mcap", "/joint_states", states=[*STATES[:2], np.zeros(0)])
     for path, topic, why in (
         (two, None, "topic: /left/states"),
         (two, "/none", "states on /none; topics with them: /left"),
@@ -401,7 +612,61 @@ def test_bags_that_leave_a_choice_or_lack_something(load: Load, bag: Bag) -> Non
     assert any("that of recording" in note for note in unstamped.notes)
 
 
-def test_a_raw_recording_refuses_no_row(load: Load, save: Callable[..., Path]) -> None:
+def test_the_robot_may_have_the_prefix_and_two_that_fit_are_refused(load: Call, bag: Call) -> None:
+    other = ARM.urdf
+    for joint in JOINTS:
+        other = other.replace(f'"{joint}"', f'"ur10_{joint}"')
+    path = bag("mcap")
+    (path.parent / "arm.urdf").write_text(other)
+    same(load_recording(path, load_robot(path.parent / "arm.urdf")), unit="N·m")
+    two = bag("mcap", prefix="a_", other="b_")
+    with pytest.raises(BadRecording, match="holds the joints a_"):
+        load(two)
+    same(load(two, {"q": "b_{joint}.position", "tau": "b_{joint}.effort"}), unit="N·m")
+
+
+def test_a_bag_brings_its_robot_and_limits(bag: Call) -> None:
+    ends = '<parent link="tool0"/><child link="tip"/>'
+    ends += '<limit lower="0" upper="1" effort="1" velocity="1"/>'
+    jaw = f'<joint name="jaw" type="prismatic">{ends}</joint>'
+    urdf = ARM.urdf.replace("</robot>", f'<link name="tip"/>{jaw}</robot>')
+    elbow = {"has_velocity_limits": True, "max_velocity": 1.25}
+    limits = yaml.safe_dump({"joint_limits": {"elbow_joint": elbow}})
+    path = bag("mcap", texts={"robot_description": urdf, "joint_limits": limits})
+    for spec, names in ((path, []), (path.parent, []), (path.parent, [path.name])):
+        dataset = load_dataset(spec)
+        assert dataset.robot.joints == JOINTS
+        assert any("held at 0" in n and "jaw" in n for n in dataset.robot.notes)
+        assert dataset.robot.limits.velocity[2] == 1.25
+        [found] = dataset.recordings(names)
+        same(found, unit="N·m")
+
+
+def test_a_bag_without_a_robot_is_refused_and_one_may_be_given_beside_it(bag: Call) -> None:
+    path = bag("mcap")
+    with pytest.raises(BadInput, match="no robot_description in this bag; give ROBOT"):
+        load_dataset(path)
+    [found] = load_dataset("ur10").recordings([str(path.parent)])
+    same(found, unit="N·m")
+
+
+def test_a_bag_alone_is_enough_for_a_verdict(
+    write_joint_states: Call, excitant: Call, tmp_path: Path
+) -> None:
+    robot, rng = load_robot("planar_2r"), np.random.default_rng(1)
+    arm = virtual_arm(robot, rng, hidden=())
+    log = arm.record(random_trajectory(robot, rng, 8.0, 4), 16.0, rng)
+    channels = [log[[f"{what}2", f"{what}1"]].to_numpy() for what in ("q", "dq", "tau")]
+    path, names = tmp_path / "bag", ["left/joint2", "left/joint1"]
+    texts = {"robot_description": robot.urdf}
+    write_joint_states(path, "mcap", names, log["t"], channels, texts=texts)
+    ran = excitant("go", path, "-o", tmp_path / "out")
+    assert ran.status == 0
+    assert ran.err.count("'left/' is taken off the names") == 1
+    assert re.search("^verdict .*\n.*\n +(Use extended|Use model|Keep)", ran.out)
+
+
+def test_a_raw_recording_refuses_no_row(load: Call, save: Call) -> None:
     """Speeds with holes are left out with a note, anything else is refused where it is checked."""
     rough = EXACT.astype(object).assign(temp=30.0)
     rough.loc[5, "dq3"] = np.nan
@@ -419,7 +684,7 @@ def test_a_raw_recording_refuses_no_row(load: Load, save: Callable[..., Path]) -
     assert not any(values.flags.writeable for values in (raw.q, *raw.extras.values()))
 
 
-def test_damaged_rows_and_columns(load: Load, log: Path) -> None:
+def test_damaged_rows_and_columns(load: Call, log: Path) -> None:
     """Refused by row and column; a line that was cut is left out with a note."""
     with pytest.raises(BadRecording) as refusal:
         load(pd.concat([EXACT, EXACT[["q3"]]], axis=1))
@@ -436,7 +701,7 @@ def test_damaged_rows_and_columns(load: Load, log: Path) -> None:
     assert any("last line left out" in note for note in load(log).notes)
 
 
-def test_a_folder_brings_its_map_and_its_drives(save: Callable[..., Path], log: Path) -> None:
+def test_a_folder_brings_its_map_and_its_drives(save: Call, log: Path) -> None:
     folder = log.parent
     drive = {"gain_Nm_per_A": [0.1] * 6, "gear_ratio": [50] * 6}
     (folder / "arm.urdf").write_text(ARM.urdf, encoding="utf-8")
@@ -460,7 +725,7 @@ def test_a_folder_brings_its_map_and_its_drives(save: Callable[..., Path], log: 
 
 
 def test_the_command_takes_a_map_and_shows_what_it_understood(
-    excitant: Callable[..., Any], save: Callable[..., Path], log: Path
+    excitant: Call, save: Call, log: Path
 ) -> None:
     columns = {"clock": T, "a": Q[:, 0], "b": Q[:, 1], "tau_0": 1.0, "tau_1": TAU[:, 1]}
     save(pd.DataFrame(columns)[:100], "log.csv")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.linalg
-from known_arms import smooth_motion, write_csv
+from known_arms import Call, smooth_motion, write_csv
 
 from excitant.exceptions import BadInput
 from excitant.identify import LocalPolynomial, Monitor, OnlineEstimator, Recording
@@ -48,13 +47,10 @@ def noisy(robot: Robot, motion: Motion, sigma: Any, seed: int = 0) -> np.ndarray
     return torque(robot, motion) + noise
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        *({"block": block} for block in (1, 5, 7)),
-        {"block": 5, "forgetting": 1.5, "prior": None},  # of the data, not of the prior
-    ],
-)
+FORGETTING = {"block": 5, "forgetting": 1.5, "prior": None}  # of the data, not of the prior
+
+
+@pytest.mark.parametrize("options", [{"block": 1}, {"block": 5}, {"block": 7}, FORGETTING])
 def test_the_last_estimate_is_weighted_least_squares(
     planar: Robot, motion: Motion, options: dict[str, Any]
 ) -> None:
@@ -136,9 +132,7 @@ def test_rows_that_the_fit_can_follow_all_say_nothing_of_their_noise(
 
 
 @pytest.mark.parametrize("shift", [-1, 0, 1])
-def test_torque_and_regressor_speak_of_one_instant(
-    planar: Robot, motion: Motion, shift: int
-) -> None:
+def test_torque_and_regressor_are_of_one_instant(planar: Robot, motion: Motion, shift: int) -> None:
     online = estimator(planar, effects=(), sigma=np.ones(2))
     exact = torque(planar.with_effects(()), motion)
     online.extend(T, motion.q, np.roll(exact, shift, axis=0))
@@ -180,14 +174,13 @@ def test_what_cannot_be_is_refused(planar: Robot) -> None:
         online.push(0.0, np.zeros(2), np.zeros(2))
     with pytest.raises(BadInput, match="is not a number"):
         online.extend(T[1:100], np.full((99, 2), np.nan), np.zeros((99, 2)))
-    refused: dict[str, dict[str, Any]] = {
-        "at least 1": {"block": 0},
-        "longer time constant": {"forgetting": 1e-3},
-        "depends on the past": {"effects": (TimeDelay(planar.joints),)},
-    }
-    for why, options in refused.items():
+    for why, option, value in (
+        ("at least 1", "block", 0),
+        ("longer time constant", "forgetting", 1e-3),
+        ("depends on the past", "effects", (TimeDelay(planar.joints),)),
+    ):
         with pytest.raises(BadInput, match=why):
-            estimator(planar, **options)
+            estimator(planar, **{option: value})
 
 
 def test_the_monitor_says_since_when_and_which_joint(planar: Robot, motion: Motion) -> None:
@@ -226,7 +219,7 @@ def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion: Mot
 
 
 def test_online_writes_estimates_over_time(
-    planar: Robot, motion: Motion, tmp_path: Path, excitant: Callable[..., Any]
+    planar: Robot, motion: Motion, tmp_path: Path, excitant: Call
 ) -> None:
     run = Recording("run", "run.csv", T, motion.q, noisy(planar, motion, 0.02))
     file = write_csv(tmp_path / "run.csv", run)

@@ -24,7 +24,7 @@ import streaming
 from estimators import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import smooth_motion
+from known_arms import Call, smooth_motion
 
 from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
@@ -43,7 +43,6 @@ from excitant.identify.faults import find_faults
 from excitant.robots import load_robot
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]
-Save = Callable[..., Path]
 
 
 def with_value(row: int, column: str, value: object) -> Corruption:
@@ -71,7 +70,7 @@ CORRUPTIONS: dict[str, tuple[Corruption, int | None, str | None, str]] = {
 
 
 @pytest.mark.parametrize("name", CORRUPTIONS)
-def test_a_bad_table_is_refused_where_it_is_bad(name: str, table: pd.DataFrame, save: Save) -> None:
+def test_a_bad_table_is_refused_where_it_is_bad(name: str, table: pd.DataFrame, save: Call) -> None:
     corrupt, row, column, advice = CORRUPTIONS[name]
     bad = corrupt(table).reset_index(drop=True)
     texts = bad.map(lambda v: isinstance(v, str)).any()
@@ -125,7 +124,7 @@ def test_parts_of_a_recording_cover_it_once(cuts: list[float]) -> None:
     np.testing.assert_array_equal(np.concatenate(parts), t)
 
 
-def test_one_or_several_stand_for_recordings(table: pd.DataFrame, save: Save) -> None:
+def test_one_or_several_stand_for_recordings(table: pd.DataFrame, save: Call) -> None:
     arm, file = load_robot("planar_2r"), save(table, "log.parquet")
     for one in (table, file, str(file), load_recording(file, arm)):
         for some, count in ((one, 1), ([one], 1), ((one, one), 2), (iter([one, one]), 2)):
@@ -133,8 +132,13 @@ def test_one_or_several_stand_for_recordings(table: pd.DataFrame, save: Save) ->
     assert as_recordings((), arm) == []
 
 
+def printed(*words: str) -> str:
+    """What another Python prints."""
+    return subprocess.check_output([sys.executable, *words], text=True)
+
+
 @pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-def test_numbers_are_read_without_pandas(suffix: str, table: pd.DataFrame, save: Save) -> None:
+def test_numbers_are_read_without_pandas(suffix: str, table: pd.DataFrame, save: Call) -> None:
     code = f"""
 import sys
 from excitant.identify import load_recording, read_chunks
@@ -142,14 +146,13 @@ log = {str(save(table, f"log{suffix}"))!r}
 rows = len(load_recording(log, 2)), sum(map(len, read_chunks(log, 2, 100)))
 print(*rows, "pandas" in sys.modules)
 """
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout.split() == [str(len(table)), str(len(table)), "False"]
+    assert printed("-c", code).split() == [str(len(table)), str(len(table)), "False"]
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
 @pytest.mark.parametrize("rows", [1, 100, 210, 1000])
 def test_pieces_put_together_are_the_whole(
-    suffix: str, rows: int, table: pd.DataFrame, save: Save
+    suffix: str, rows: int, table: pd.DataFrame, save: Call
 ) -> None:
     table = table[:210]
     stamps = 1_700_000_000_000_000_000 + np.round(table.t * 1e9).astype(int)
@@ -165,7 +168,7 @@ def test_pieces_put_together_are_the_whole(
         np.testing.assert_array_equal(together, getattr(whole, name))
 
 
-def test_files_of_one_log_go_on(table: pd.DataFrame, save: Save) -> None:
+def test_files_of_one_log_go_on(table: pd.DataFrame, save: Call) -> None:
     one, other = (save(x, f"{len(x)}.csv") for x in (table[:90], table[90:]))
     parts = list(read_chunks([one, other], 2, 50))
     np.testing.assert_allclose(np.concatenate([p.t for p in parts]), table.t, atol=1e-12)
@@ -176,7 +179,7 @@ def test_files_of_one_log_go_on(table: pd.DataFrame, save: Save) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_a_bad_row_is_counted_from_the_start(suffix: str, table: pd.DataFrame, save: Save) -> None:
+def test_a_bad_row_is_counted_from_the_start(suffix: str, table: pd.DataFrame, save: Call) -> None:
     for row, column, value, why in (
         (217, "q2", np.nan, "not a finite number"),
         (100, "t", 0.99, "time repeats"),  # the first row of a piece
@@ -190,7 +193,7 @@ def test_a_bad_row_is_counted_from_the_start(suffix: str, table: pd.DataFrame, s
         assert (refusal.value.row, refusal.value.column) == (row, column)
 
 
-def test_what_only_the_whole_shows_is_refused_at_the_end(table: pd.DataFrame, save: Save) -> None:
+def test_what_only_the_whole_shows_is_refused_at_the_end(table: pd.DataFrame, save: Call) -> None:
     for bad, why in (
         (table.assign(tau2=2.0), "tau2.*dead channel: 2 in every row"),
         *((table[:rows], "too short") for rows in (0, 1, 150)),
@@ -221,14 +224,11 @@ def test_memory_is_that_of_pieces(tmp_path: Path) -> None:
     pyarrow.csv.write_csv(log, tmp_path / "log.csv")
     pyarrow.parquet.write_table(log, tmp_path / "log.parquet", row_group_size=n)
     for path in tmp_path.iterdir():
-        command = [sys.executable, "-c", PEAK, str(path)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        rows, peak = map(int, done.stdout.split())
+        rows, peak = map(int, printed("-c", PEAK, str(path)).split())
         assert rows == n
         assert peak / 1024 < 500
-    command = [sys.executable, streaming.__file__, "--samples", "1100000"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    [(megabytes, nrmse)] = re.findall(r"memory +(\d+) MB.*nrmse (\S+)", done.stdout, re.DOTALL)
+    said = printed(streaming.__file__, "--samples", "1100000")
+    [(megabytes, nrmse)] = re.findall(r"memory +(\d+) MB.*nrmse (\S+)", said, re.DOTALL)
     assert int(megabytes) < 700
     assert float(nrmse) < 0.3
 
@@ -248,9 +248,7 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
 
 
 @pytest.mark.parametrize("jitter", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
-def test_windows_of_a_long_log_give_its_estimate(
-    jitter: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_windows_of_a_long_log_give_its_estimate(jitter: float, monkeypatch: Any) -> None:
     monkeypatch.setattr("excitant.identify.dataset.WINDOW_S", 6.0)
     t = np.arange(120_000) / RATE
     whole = logged(t + jitter / RATE * np.random.default_rng(1).uniform(-0.5, 0.5, len(t)))
@@ -276,18 +274,12 @@ def test_windows_of_a_long_log_give_its_estimate(
 
 
 def test_speeds_that_end_within_a_long_log_are_left_out() -> None:
-    whole = logged(np.arange(8000) / RATE)
-    parts = [
-        replace(part, dq=part.q if k < 4 else None) for k, part in enumerate(pieces(whole, 1000))
-    ]
-    some = excerpt(parts, 0.9)
-    assert some.dq is None
-    assert len(some) == 8000
+    parts = [*pieces(logged(np.arange(8000) / RATE), 1000)]
+    some = excerpt([*(replace(part, dq=part.q) for part in parts[:4]), *parts[4:]], 0.9)
+    assert (some.dq, len(some)) == (None, 8000)
 
 
-def test_long_files_are_read_in_pieces_and_bad_rows_refused(
-    save: Save, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_files_are_read_in_pieces_and_bad_rows_refused(save: Call, monkeypatch: Any) -> None:
     whole = logged(np.arange(8000) / RATE)
     path = save(whole, "log.csv")
     known = load_dataset("planar_2r")
@@ -308,7 +300,7 @@ def test_long_files_are_read_in_pieces_and_bad_rows_refused(
 
 
 @pytest.fixture
-def folder(table: pd.DataFrame, tmp_path: Path, save: Save) -> Path:
+def folder(table: pd.DataFrame, tmp_path: Path, save: Call) -> Path:
     """A data set: a robot, recordings and a sidecar."""
     (tmp_path / "robot.urdf").write_text(PLANAR.urdf, encoding="utf-8")
     save(table.assign(i1=table.tau1 / 2, i2=table.tau2 / 2), "first.parquet")
@@ -390,8 +382,7 @@ def test_real_data_sets_read_and_what_is_held_out_is_never_fitted(data_folder: P
         assert known.robot.nv == nv
         assert {r.unit for r in known.recordings([])} == {unit}
     known = load_dataset(data_folder / "dualarm_v2")
-    names = [path.stem for path in known.paths([], without=["exc_52p2.parquet"])]
-    assert "exc_52p2" not in names
-    assert "exc_13p5" in names
+    names = {path.stem for path in known.paths([], without=["exc_52p2.parquet"])}
+    assert names & {"exc_52p2", "exc_13p5"} == {"exc_13p5"}
     with pytest.raises(BadInput, match="exc_52p2 is to be fitted and held out"):
         known.recordings(["exc_52p2"], without=["exc_52p2.parquet"])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import clarabel
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.sparse
 
 from excitant.identify.knowledge import (
@@ -33,6 +34,7 @@ _CONE = {
     "second_order": clarabel.SecondOrderConeT,
 }
 UPPER = np.triu_indices(4)
+PLACE = {(i, j): n for n, (i, j) in enumerate(zip(*UPPER, strict=True))}
 
 
 def body(rng: np.random.Generator) -> Array:
@@ -84,9 +86,8 @@ def case(seed: int) -> Case:
     if kind == "silent":
         R[:, rng.random(p) < 0.3] = R[rng.random(m) < 0.3] = 0.0
     R *= 10 ** rng.uniform(-6, 6, p) if rng.random() < 0.5 else 1.0
-    R *= 10 ** rng.uniform(-2, 9) / np.sqrt(
-        np.mean((R[:, : 10 * links] @ bodies.ravel()) ** 2) + 1e-30
-    )
+    given = R[:, : 10 * links] @ bodies.ravel()
+    R *= 10 ** rng.uniform(-2, 9) / np.sqrt(np.mean(given**2) + 1e-30)
     if e >= 3 and rng.random() < 0.7:  # one column collinear with two others
         R[:, -1] = 1e3 * R[:, -2] + 10 * R[:, -3]
         R[:, -1] += 10 ** rng.uniform(-14, -6) * np.abs(R[:, -2]).max() * rng.standard_normal(m)
@@ -141,35 +142,20 @@ class Reference:
         roots = np.linalg.cholesky(pseudo_inertia(prior.bodies))
         unit = np.zeros((10, 4, 4))
         unit[np.arange(10), *UPPER] = unit[np.arange(10), UPPER[1], UPPER[0]] = 1.0
-        self.T = np.zeros((self.n, self.n))
-        for k, L in enumerate(roots):
-            own = slice(10 * k, 10 * k + 10)
-            self.T[own, own] = from_pseudo_inertia(L @ unit @ L.T).T
+        of_bodies = (from_pseudo_inertia(L @ unit @ L.T).T for L in roots)
+        self.T = scipy.linalg.block_diag(*of_bodies)
         metric = np.linalg.inv(link_coordinates(prior.bodies))
         distance = link_weights(len(roots), prior.sigma)[:, None] * metric
         known = case.effects
         C, d, self.cones = known_rows(case.knowledge, case.links)
-        z, e = np.zeros, len(known.mean)
+        e = len(known.mean)
         self.units = np.sqrt(len(case.z) / ((case.R[:, self.n :] ** 2).sum(0) + known.std**-2.0))
-        self.scale = np.concatenate([np.ones(self.n), self.units])
-        self.rows = np.vstack(
-            [
-                case.R @ self._map(),
-                np.hstack([C @ self.T, z((len(C), e))]),
-                np.hstack([distance @ self.T, z((self.n, e))]),
-                np.hstack([z((e, self.n)), np.diag(self.units / known.std)]),
-            ]
-        )
-        self.goal = np.concatenate(
-            [case.z, d, distance @ prior.bodies.ravel(), known.mean / known.std]
-        )
+        T = scipy.linalg.block_diag(self.T, np.diag(self.units))
+        block = scipy.linalg.block_diag(distance @ self.T, np.diag(self.units / known.std))
+        self.rows = np.vstack([case.R @ T, np.hstack([C @ self.T, np.zeros((len(C), e))]), block])
+        means = distance @ prior.bodies.ravel(), known.mean / known.std
+        self.goal = np.concatenate([case.z, d, *means])
         self.draws = np.minimum(1.0, np.broadcast_to(prior.sigma, (len(roots),)) ** -2.0)
-
-    def _map(self) -> Array:
-        T = np.zeros((self.n + len(self.units),) * 2)
-        T[: self.n, : self.n] = self.T
-        T[self.n :, self.n :] = np.diag(self.units)
-        return T
 
     def coordinates(self, x: Array) -> Array:
         return np.concatenate([np.linalg.solve(self.T, x[: self.n]), x[self.n :] / self.units])
@@ -204,7 +190,7 @@ class Reference:
             b.append(right)
             cones.append(cone)
 
-        diagonal = [k for k in range(10) if UPPER[0][k] == UPPER[1][k]]
+        diagonal = [PLACE[i, i] for i in range(4)]
         columns = [(i, j) for j in range(8) for i in range(j + 1)]  # of the upper triangle
         for k in range(links):
             Z, t = p + 14 * k, p + 14 * k + 10
@@ -212,13 +198,11 @@ class Reference:
             for r, (i, j) in enumerate(columns):
                 weight = 1.0 if i == j else np.sqrt(2.0)
                 if j < 4:
-                    at = next(n for n in range(10) if (UPPER[0][n], UPPER[1][n]) == (i, j))
-                    rows[r, 10 * k + at] = weight
+                    rows[r, 10 * k + PLACE[i, j]] = weight
                 elif i >= 4 and i == j:
                     rows[r, Z + diagonal[i - 4]] = 1.0
                 elif i < 4 and j - 4 <= i:  # Z_ij, i ≥ j, is kept at (j, i)
-                    at = next(n for n in range(10) if (UPPER[0][n], UPPER[1][n]) == (j - 4, i))
-                    rows[r, Z + at] = weight
+                    rows[r, Z + PLACE[j - 4, i]] = weight
             add(rows, np.zeros(36), clarabel.PSDTriangleConeT(8))
             for n, at in enumerate(diagonal):
                 rows = np.zeros((3, total))
@@ -226,7 +210,7 @@ class Reference:
                 add(rows, np.array([0.0, 1.0, 0.0]), clarabel.ExponentialConeT())
         bounded = np.isfinite(self.case.effects.lower)
         if bounded.any():
-            rows = np.eye(p, total, 0)[self.n :][bounded]
+            rows = np.eye(p, total)[self.n :][bounded]
             add(rows, np.zeros(len(rows)), clarabel.NonnegativeConeT(len(rows)))
         for r in self.cones:
             rows = np.zeros((len(r.h), total))

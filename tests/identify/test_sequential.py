@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import pytest
 import scipy.signal
 from estimators import TrueArm
 from khosla import torque_matrix
-from known_arms import write_csv
+from known_arms import Call, write_csv
 from seed import dd_arm_chain
 
 from excitant.design import random_trajectory
@@ -114,11 +114,9 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
         claimed.append(found.covariance)
     actual, mean = np.cov(np.array(errors).T), np.mean(claimed, axis=0)
     ratio = np.sqrt(np.diag(mean) / np.diag(actual))
-    assert ratio.min() > 0.9
-    assert ratio.max() < 1.2
+    assert 0.9 < ratio.min() <= ratio.max() < 1.2
     spread = scipy.linalg.eigvalsh(actual, mean)  # one where cross terms agree
-    assert spread[0] > 0.5  # (1 ± √(13 / 400))² for 400 draws of 13 numbers
-    assert spread[-1] < 1.5
+    assert 0.5 < spread[0] <= spread[-1] < 1.5  # (1 ± √(13 / 400))² for 400 draws of 13 numbers
 
 
 @pytest.mark.parametrize(("name", "draws"), [("planar_2r", 12), *(slow(name, 6) for name in SIX)])
@@ -180,8 +178,7 @@ def literal() -> LinkByLink:
 
 def test_one_joint_at_a_time_shows_14_combinations(literal: LinkByLink) -> None:
     """Besides the Coulomb friction of each joint."""
-    counts = [len(stage.determined) - 1 for stage in literal.stages]
-    assert counts == [3, 3, 3, 3, 1, 1]
+    assert [len(stage.determined) - 1 for stage in literal.stages] == [3, 3, 3, 3, 1, 1]
     assert [len(stage.missing) for stage in literal.stages] == [4, 4, 4, 4, 2, 0]
     assert {stage.mode for stage in literal.stages} == {"moves alone, the others in one pose"}
     names = [name.split()[0] for stage in literal.stages for name in stage.recordings]
@@ -230,7 +227,7 @@ def test_a_joint_at_rest_may_hold_any_torque(planar: Robot) -> None:
 
 
 def test_command_writes_stages_and_comparison(
-    planar: Robot, tmp_path: Path, excitant: Callable[..., Any]
+    planar: Robot, tmp_path: Path, excitant: Call
 ) -> None:
     rng = np.random.default_rng(5)
     truth = truth_near(planar, rng)
@@ -240,9 +237,8 @@ def test_command_writes_stages_and_comparison(
     result = excitant("identify planar_2r", *files, *options).result
     found = result["link_by_link"]
     assert [stage["joint"] for stage in found["stages"]] == [*reversed(planar.joints)]
-    for stage in found["stages"]:
-        keys = {"link", "joint", "rows", "recordings", "determined", "missing", "needed", "mode"}
-        assert keys <= stage.keys()
+    keys = {"link", "joint", "rows", "recordings", "determined", "missing", "needed", "mode"}
+    assert all(keys <= stage.keys() for stage in found["stages"])
     assert sum(len(stage["determined"]) for stage in found["stages"]) == 12
     assert [name for stage in found["stages"] for name in stage["missing"]] == ["link2.Iyy"]
     for row, joint in zip(found["comparison"]["joints"], result["joints"], strict=True):

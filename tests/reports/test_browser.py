@@ -30,27 +30,24 @@ class Opened:
             "document.querySelector('main details')?.getBoundingClientRect().top || 0"
         )
 
-    def draw(self) -> None:
-        """Scroll through the page, whose figures are drawn when they come into view."""
-        for panel in self.page.locator(".plots").all():
-            panel.scroll_into_view_if_needed()
-        driver.expect(self.page.locator(".plot:not(:has(canvas))")).to_have_count(0)
-
     def _hear(self, message) -> None:
         """What pages say; without a graphics card its driver says how slow it is."""
         if "GL Driver Message" not in message.text:
             self.said.append(message.text)
 
-    def unfolded(self) -> Iterator["Opened"]:
+    def unfold(self) -> "Opened":
+        """Scroll through all of the page, whose figures are drawn when they come into view."""
         self.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
-        self.draw()
-        yield self
-        self.page.close()
+        for panel in self.page.locator(".plots").all():
+            panel.scroll_into_view_if_needed()
+        driver.expect(self.page.locator(".plot:not(:has(canvas))")).to_have_count(0)
+        return self
 
 
 @pytest.fixture(scope="module", params=LOOKS)
 def opened(request: pytest.FixtureRequest, browser, file: Path) -> Iterator[Opened]:
-    yield from Opened(browser, file, *request.param).unfolded()
+    yield (shown := Opened(browser, file, *request.param).unfold())
+    shown.page.close()
 
 
 def test_page_opens_alone_and_without_complaint(opened, file):
@@ -62,13 +59,12 @@ def test_page_opens_alone_and_without_complaint(opened, file):
 def test_page_is_no_wider_than_the_window(opened):
     wide, window = opened.page.evaluate(SIZES)
     assert wide <= window
-    outside = opened.page.evaluate(
-        """() => [...document.querySelectorAll("h1, h2, h3, p, li, figure, .panel, .scroll, dl")]
-          .filter((e) => e.checkVisibility() && !e.closest(".skip, .hidden"))
-          .map((e) => [e.getBoundingClientRect(), e.outerHTML.slice(0, 80)])
-          .filter(([box]) => box.left < -1 || box.right > innerWidth + 1)"""
-    )
-    assert outside == []
+    outside = """(parts) => [...document.querySelectorAll(parts)]
+      .filter((e) => e.checkVisibility() && !e.closest(".skip, .hidden"))
+      .map((e) => [e.getBoundingClientRect(), e.outerHTML.slice(0, 80)])
+      .filter(([box]) => box.left < -1 || box.right > innerWidth + 1)"""
+    parts = "h1, h2, h3, p, li, figure, .panel, .scroll, dl"
+    assert opened.page.evaluate(outside, parts) == []
 
 
 def test_what_matters_comes_before_the_first_fold(opened):
@@ -152,10 +148,9 @@ def test_text_stands_out_from_its_ground(opened):
 
 def test_contents_lead_to_their_sections_and_are_shut_on_a_phone(opened):
     assert opened.contents == (opened.page.viewport_size["width"] > 480)
-    links = opened.page.locator("nav a")
-    assert links.count() > 0
-    for k in range(links.count()):
-        link = links.nth(k)
+    links = opened.page.locator("nav a").all()
+    assert links
+    for link in links:
         link.click()
         assert opened.page.evaluate("location.hash") == link.get_attribute("href")
         heading = opened.page.evaluate(
@@ -213,16 +208,14 @@ def test_tables_that_go_on_show_it(opened):
 
 
 def test_no_cell_is_a_ladder_of_words(opened):
-    ladders = opened.page.evaluate(
-        """() => [...document.querySelectorAll("td, tbody th")].filter((cell) => {
-          const { width, height } = cell.getBoundingClientRect();
-          const line = parseFloat(getComputedStyle(cell).lineHeight);
-          const walker = document.createRange();
-          walker.selectNodeContents(cell);
-          return width < 100 && walker.getBoundingClientRect().height > 8 * line && height;
-        }).map((cell) => cell.textContent.slice(0, 60))"""
-    )
-    assert ladders == []
+    ladders = """() => [...document.querySelectorAll("td, tbody th")].filter((cell) => {
+      const { width, height } = cell.getBoundingClientRect();
+      const line = parseFloat(getComputedStyle(cell).lineHeight);
+      const walker = document.createRange();
+      walker.selectNodeContents(cell);
+      return width < 100 && walker.getBoundingClientRect().height > 8 * line && height;
+    }).map((cell) => cell.textContent.slice(0, 60))"""
+    assert opened.page.evaluate(ladders) == []
 
 
 def test_drawing_opens_and_closes_by_mouse_and_keyboard(opened):
@@ -285,10 +278,8 @@ def test_paper_shows_all_in_light_colours(browser, file):
 def test_torque_over_time_is_read_off_and_zoomed_into(browser, verb, width, written, tmp_path):
     path = tmp_path / "report.html"
     path.write_text(written(verb).source, "utf-8")
-    opened = Opened(browser, path, width, "light")
+    opened = Opened(browser, path, width, "light").unfold()
     page = opened.page
-    page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
-    opened.draw()
     panel = page.locator(".panel", has=page.locator("[aria-label*='measured torque over time']"))
     plots = panel.first.locator(".u-over")
     tips = panel.first.locator(".tip:not([hidden])")

@@ -24,12 +24,10 @@ def saved():
 
 def test_every_part_is_there_with_its_figure(written):
     page = written("design")
-    assert page.headings[1:6] == ["The arm in motion", "Motion against limits",
-                                  "Excitation of the parameters", "Least excited parameters",
-                                  "The search"]  # fmt: skip
-    said = " ".join(page.labels)
+    parts = ["The arm in motion", "Motion against limits", "Excitation of the parameters"]
+    assert page.headings[1:6] == [*parts, "Least excited parameters", "The search"]
     for word in ("velocity", "torque", "singular values", "iterations"):
-        assert word in said
+        assert word in " ".join(page.labels)
     for own in ("velocity [rad/s]", "velocity [m/s]", "jerk [rad/s³]", "jerk [m/s³]"):
         assert f">{own}<" in page.source
 
@@ -51,14 +49,13 @@ def test_curves_touch_the_certified_envelope_and_stay_inside(saved):
         limits = np.asarray(result["limit_values"][quantity], float)
         for k in range(2):
             row, curve = certified[quantity][k], series[key][:, k]
-            least, most, when = row.low, row.high, row.t
+            least, most = row.low, row.high
             size = most - least
             assert least - 1e-9 * size <= curve.min() <= least + 1e-3 * size
             assert most - 1e-3 * size <= curve.max() <= most + 1e-9 * size
             low, high = limits[k] if quantity == "position" else (-limits[k], limits[k])
-            assert low <= least
-            assert most <= high
-            there = found.trajectory(when, ("q", "dq", "ddq").index(key))[0, k]
+            assert low <= least < most <= high
+            there = found.trajectory(row.t, ("q", "dq", "ddq").index(key))[0, k]
             assert min(abs(there - least), abs(there - most)) <= 1e-6 * size
 
 
@@ -69,8 +66,7 @@ def test_page_of_a_design_without_a_limit_on_torque_or_a_scene(saved, show):
     assert any("torque no limit" in label for label in page.labels)
     assert "greatest determinant" in page.words
     assert len(page.source.encode()) < 1_000_000
-    assert result["obstacles"] == []
-    assert result["closest"] is None
+    assert (result["obstacles"], result["closest"]) == ([], None)
     assert "obstacle" not in " ".join(page.labels)
 
 

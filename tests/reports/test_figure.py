@@ -76,10 +76,9 @@ def test_long_curves_and_bands_lose_points_but_no_edge():
     content = json.loads(text)
     line, band = content["panels"][0]["axes"][0]["marks"]
     arrays = [unpacked(array) for array in content["arrays"]]
-    extremes = [y.min(), y.max()]
-    assert [arrays[line["y"]].min(), arrays[line["y"]].max()] == pytest.approx(extremes)
-    assert arrays[band["low"]].min() == pytest.approx(extremes[0] - 1)
-    assert arrays[band["high"]].max() == pytest.approx(extremes[1] + 1)
+    low, high = arrays[band["low"]].min() + 1, arrays[band["high"]].max() - 1
+    drawn = [arrays[line["y"]].min(), arrays[line["y"]].max(), low, high]
+    assert drawn == pytest.approx([y.min(), y.max()] * 2)
 
 
 def test_axes_end_beyond_their_marks_and_logarithmic_ones_stay_positive():
@@ -91,30 +90,22 @@ def test_axes_end_beyond_their_marks_and_logarithmic_ones_stay_positive():
     assert low < 0 < 10 < high < 11
     low, high = Axes((points,), Axis(), Axis(log=True)).ends("y")
     assert 0 < low < 1e-3 < 10 < high
-    assert Axes((), Axis(), Axis()).ends("x")[0] < Axes((), Axis(), Axis()).ends("x")[1]
-
-
-@pytest.mark.parametrize(
-    ("value", "written"),
-    [
-        (None, "–"),
-        (float("nan"), "–"),
-        (True, "–"),
-        (0, "0"),
-        (1234.5, "1234"),
-        (-0.012345, "−0.0123"),
-        (9.996, "10.0"),
-        (1.5e-7, "1.50×10⁻⁷"),
-        (-2e12, "−2.00×10¹²"),
-    ],
-)
-def test_numbers_have_three_digits(value, written):
-    assert number(value) == written
+    low, high = Axes((), Axis(), Axis()).ends("x")
+    assert low < high
 
 
 @pytest.mark.parametrize(
     ("found", "written"),
     [
+        (number(None), "–"),
+        (number(float("nan")), "–"),
+        (number(True), "–"),
+        (number(0), "0"),
+        (number(1234.5), "1234"),
+        (number(-0.012345), "−0.0123"),
+        (number(9.996), "10.0"),
+        (number(1.5e-7), "1.50×10⁻⁷"),
+        (number(-2e12), "−2.00×10¹²"),
         (value_and_std(12.34567, 0.0123), ("12.346", "0.012")),  # the decimals of the std
         (value_and_std(-1234.5, 56), ("−1234", "56")),
         (value_and_std(1.5, None), ("1.500", "–")),
@@ -131,5 +122,5 @@ def test_numbers_have_three_digits(value, written):
         (sentence(""), ""),
     ],
 )
-def test_values_shares_names_and_sentences_are_set_in_type(found, written):
+def test_numbers_of_three_digits_shares_names_and_sentences_are_set_in_type(found, written):
     assert found == written

@@ -107,6 +107,9 @@ class Played:
         shot = self.page.locator(".player canvas").screenshot()
         return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
 
+    def differs(self, before: np.ndarray) -> bool:
+        return (np.abs(self.picture - before).max(axis=2) > 30).sum() > 50
+
     def coloured(self, colour: tuple[int, ...]) -> int:
         """Pixels of a surface of this colour, light or in the shade."""
         seen, wanted = self.picture.astype(float), np.array(colour, float)
@@ -120,11 +123,9 @@ def open_page(browser: Any) -> Iterator[Any]:
     opened = []
 
     def played(file: Path, **look: Any) -> Played:
-        page = browser.new_page(
-            **({"viewport": {"width": 900, "height": 800}} | look), offline=True
-        )
-        opened.append(page)
-        return Played(page, file)
+        viewport = {"width": 900, "height": 800}
+        opened.append(browser.new_page(viewport=viewport, offline=True, **look))
+        return Played(opened[-1], file)
 
     yield played
     for page in opened:
@@ -132,12 +133,10 @@ def open_page(browser: Any) -> Iterator[Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ARMS)
-def test_the_arm_stands_where_forward_kinematics_puts_it(
-    name: str, tmp_path: Path, open_page: Any
-) -> None:
+@pytest.mark.parametrize("arm", ARMS)
+def test_the_arm_stands_where_its_kinematics_put_it(arm: str, tmp_path: Path, open_page: Any):
     """At any instant, scrubbed to, reached by keys, and while it plays."""
-    shown = Shown(name, tmp_path)
+    shown = Shown(arm, tmp_path)
     assert shown.status == 0
     assert shown.file.stat().st_size < 3_000_000
     played = open_page(shown.file)
@@ -150,21 +149,18 @@ def test_the_arm_stands_where_forward_kinematics_puts_it(
         played.ask(f"seek({t})")
         assert played.time == t
         assert_there()
-    played.slider.fill("1.2345")
-    assert played.time == pytest.approx(1.2345)
-    assert_there()
-    played.slider.press("ArrowRight")
-    assert played.time == pytest.approx(1.2545)
-    assert_there()
+    for act, given, t in (("fill", "1.2345", 1.2345), ("press", "ArrowRight", 1.2545)):
+        getattr(played.slider, act)(given)
+        assert played.time == pytest.approx(t)
+        assert_there()
     before = played.picture
     played.button.click()
     played.until("document.querySelector('.player').player.time() > 1.6")
     played.button.click()
     stopped = played.time
     assert_there()
-    after = played.picture
+    assert played.differs(before)
     assert stopped == played.time < 4.0
-    assert (np.abs(after - before).max(axis=2) > 30).sum() > 50
     assert played.said == []
 
 
@@ -182,18 +178,15 @@ def test_a_joint_beyond_a_limit_is_marked_when_it_is(tmp_path: Path, open_page: 
     played = open_page(shown.file)
     moments = played.page.locator(".moments button")
     driver.expect(moments).to_have_count(2)
-    for joint, words in (
-        (2, "100.0 % of its velocity limit"),
-        (3, "200.0 % of its velocity limit"),
-    ):
-        said = f"{shown.robot.joints[joint]}: {words}, at {speeds.times[joint]:.2f} s"
-        driver.expect(moments.filter(has_text=said)).to_have_count(1)
-    for joint, level, colour in ((2, "limit", LIMIT), (3, "beyond", BEYOND)):
-        moments.filter(has_text=shown.robot.joints[joint]).click()
+    for joint, used, level, colour in ((2, 100, "limit", LIMIT), (3, 200, "beyond", BEYOND)):
+        name, words = shown.robot.joints[joint], f"{used}.0 % of its velocity limit"
+        moment = moments.filter(has_text=f"{name}: {words}, at {speeds.times[joint]:.2f} s")
+        driver.expect(moment).to_have_count(1)
+        moment.click()
         assert played.time == speeds.times[joint]
         assert played.ask("levels()")[joint] == level
         said = played.page.locator(".player .said")
-        driver.expect(said).to_contain_text(shown.robot.joints[joint])
+        driver.expect(said).to_contain_text(name)
         driver.expect(said).to_contain_text("of its velocity limit")
         row = played.page.locator("tbody tr").nth(joint)
         driver.expect(row).to_have_attribute("data-level", level)
@@ -232,7 +225,7 @@ def test_keys_play_and_turn_and_nothing_moves_by_itself(tmp_path: Path, open_pag
     before = played.picture
     canvas.press("Shift+ArrowLeft")
     canvas.press("Shift+ArrowUp")
-    assert (np.abs(played.picture - before).max(axis=2) > 30).sum() > 50
+    assert played.differs(before)
     canvas.press(" ")
     played.until("document.querySelector('.player').player.time() > 0.1")
     canvas.press(" ")
@@ -240,16 +233,12 @@ def test_keys_play_and_turn_and_nothing_moves_by_itself(tmp_path: Path, open_pag
     played.page.wait_for_timeout(100)
     assert played.time == stopped
     for control in played.page.locator(".player :is(button, input, select, canvas)").all():
-        named = control.evaluate(
-            "e => e.ariaLabel || e.textContent.trim() || e.labels[0].textContent.trim()"
-        )
-        assert named
+        named = "e => e.ariaLabel || e.textContent.trim() || e.labels[0].textContent.trim()"
+        assert control.evaluate(named)
     played.button.focus()
-    order = []
-    for _ in range(4):
-        order.append(played.page.evaluate("(e => e.name || e.type)(document.activeElement)"))
+    for name in ("button", "range", "speed", "view"):
+        assert played.page.evaluate("(e => e.name || e.type)(document.activeElement)") == name
         played.page.keyboard.press("Tab")
-    assert order == ["button", "range", "speed", "view"]
 
 
 @pytest.mark.slow

@@ -108,11 +108,8 @@ def test_parameters_are_values_with_intervals_beside_the_given_ones(estimate: Es
     intervals = interval.reshape(-1, 3)[:, :2]
     assert intervals == pytest.approx(value[:, None] + 1.96 * std[:, None] * np.array([-1, 1]))
     assert len(ex.plot.parameters(estimate, "link2")) == 3  # mass, first moment, inertia
-    assert (
-        len(ex.plot.parameters(estimate))
-        == len(forest_groups(record_of(estimate.result()).parameters))
-        == 7
-    )
+    groups = forest_groups(record_of(estimate.result()).parameters)
+    assert len(ex.plot.parameters(estimate)) == len(groups) == 7
 
 
 def test_axes_of_ones_own_take_one_drawing_in_their_own_style(estimate: Estimate) -> None:
@@ -134,11 +131,9 @@ def test_motions_are_drawn_against_limits(planar: Robot) -> None:
     trajectory = ex.random_trajectory(planar, np.random.default_rng(0), 6.0, 3)
     for axes in (ex.plot.motion(trajectory, planar), ex.plot.motion(trajectory.sample(500))):
         assert len(axes) == 6
-        for order in range(3):
-            drawn = [np.asarray(line.get_ydata()) for line in axes[3 + order].get_lines()]
-            assert max(drawn, key=len).max() == pytest.approx(
-                trajectory.extrema(order)[1][1], rel=1e-3
-            )
+        for order, ax in enumerate(axes[3:]):
+            drawn = max((np.asarray(line.get_ydata()) for line in ax.get_lines()), key=len)
+            assert drawn.max() == pytest.approx(trajectory.extrema(order)[1][1], rel=1e-3)
     limited, free = ex.plot.motion(trajectory, planar)[1], ex.plot.motion(trajectory)[1]
     assert "of limit" in limited.get_title("right")
     assert free.get_title("right") == "no limit"
@@ -146,21 +141,16 @@ def test_motions_are_drawn_against_limits(planar: Robot) -> None:
     assert len(ex.plot.motion(design, joints=["joint2"])) == 4  # torque too
 
 
-def test_unknown_names_and_nothing_to_draw_are_refused(estimate: Estimate, planar: Robot) -> None:
+def test_unknown_names_and_nothing_to_draw_are_refused(
+    estimate: Estimate, planar: Robot, runs: Callable[..., list[Recording]]
+) -> None:
     with pytest.raises(UnknownName, match="unknown joint 'joint3': did you mean 'joint"):
         ex.plot.residuals(estimate, "joint3")
     with pytest.raises(UnknownName, match="unknown parameter 'mass'"):
         ex.plot.parameters(estimate, "mass")
-    bare = identify_robot(planar, [estimate_recording(planar)], effects=())
+    bare = identify_robot(planar, runs(planar, 0, names=["run"]), effects=())
     with pytest.raises(BadInput, match="nothing to draw"):
         ex.plot.friction(bare)
-
-
-def estimate_recording(planar: Robot) -> Recording:
-    rng = np.random.default_rng(0)
-    arm = ex.virtual_arm(planar, rng, hidden=())
-    table = arm.record(ex.random_trajectory(planar, rng, 10.0, 5), 10.0, rng)
-    return ex.recording_from_table(table, planar, file="run", name="run")
 
 
 def test_joints_come_in_the_order_in_which_they_are_named(estimate: Estimate) -> None:

@@ -12,12 +12,10 @@ from excitant.robots.check import ModelCheck
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    """With a planar arm whose first joint cannot hold it and whose second has no speed limit."""
+def weak(here):
+    """A planar arm whose first joint cannot hold it and whose second has no speed limit."""
     urdf = load_robot("planar_2r").urdf.replace('effort="80"', 'effort="20"')
-    (tmp_path / "weak.urdf").write_text(urdf.replace('velocity="5"', 'velocity="0"'))
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+    (here / "weak.urdf").write_text(urdf.replace('velocity="5"', 'velocity="0"'))
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "scara", "so100", "iiwa14"])
@@ -33,20 +31,16 @@ def test_arms_have_a_picture(name):
 
 def test_the_picture_shows_what_there_is():
     series = ModelCheck(load_robot("ur10")).series()
-    whole = arm_figure(series)
-    bare = arm_figure({**series, "zero_solids": np.empty((0, 8))})
+    whole, bare = map(arm_figure, (series, series | {"zero_solids": np.empty((0, 8))}))
     assert "solids" in whole.caption
     assert "as lines" in bare.caption
     assert len(whole.legend) == len(bare.legend) + 1
-    areas = [
-        sum(
-            isinstance(mark, Polygon) and mark.edge != "" for mark in figure.panels[0].axes[0].marks
-        )
-        for figure in (whole, bare)
-    ]
-    assert areas == [len(series["zero_solids"]), 0]
+    for figure, count in ((whole, len(series["zero_solids"])), (bare, 0)):
+        marks = figure.panels[0].axes[0].marks
+        assert sum(isinstance(mark, Polygon) and mark.edge != "" for mark in marks) == count
 
 
+@pytest.mark.usefixtures("weak")
 def test_the_page_says_what_is_wrong_and_where(here, excitant, show):
     assert excitant("robots weak.urdf -o out --mass 12").status == 0
     result, series = load_run(here / "out")
@@ -63,29 +57,28 @@ def test_the_page_says_what_is_wrong_and_where(here, excitant, show):
         for warning in result.warnings:
             assert warning.sentence in written
     assert len(page.labels) == 3
-    assert set(series) == {
-        f"{pose}_{key}" for pose in ("zero", "bent") for key in ("pose", "points", "axes", "solids")
-    }
+    kinds = ("pose", "points", "axes", "solids")
+    assert set(series) == {f"{pose}_{kind}" for pose in ("zero", "bent") for kind in kinds}
 
 
 def test_a_sound_arm_is_said_to_be(here, excitant):
     printed = excitant("robots gen3 -o out --json").result
     saved, _ = load_run(here / "out")
     assert record_of(printed) == saved
-    assert saved.warnings == []
-    assert saved.kind == "collaborative arm"
+    assert (saved.warnings, saved.kind) == ([], "collaborative arm")
     page = (here / "out" / "report.html").read_text()
-    assert "Nothing in its description looks wrong" in page
-    assert "Kinova" in page
+    for words in ("Nothing in its description looks wrong", "Kinova"):
+        assert words in page
     assert excitant("report out").status == 0
     assert (here / "out" / "report.html").read_text() == page
 
 
-def test_the_terminal_shows_the_same(here, excitant):
-    weak = excitant("robots weak.urdf")
-    assert weak.status == 0
-    assert "WARNING: joint1: gravity takes up to" in weak.out
-    assert "WARNING: joint2: no velocity limit" in weak.out
+@pytest.mark.usefixtures("weak")
+def test_the_terminal_shows_the_same(excitant):
+    status, out, _ = excitant("robots weak.urdf")
+    assert status == 0
+    for words in ("joint1: gravity takes up to", "joint2: no velocity limit"):
+        assert f"WARNING: {words}" in out
     out, arm = excitant("robots tx40 --mass 27").out, load_robot("tx40")
     for words in (*arm.joints, *arm.links, "27.21 kg", "No warning"):
         assert words in out
@@ -96,6 +89,5 @@ def test_the_list_says_what_each_arm_is(excitant):
     assert head.split()[:3] == ["name", "joints", "kind"]
     assert [line.split()[0] for line in lines] == list(builtin_robots())
     listed = {arm["name"]: arm for arm in excitant("robots --json").result["robots"]}
-    assert listed["ur10"]["payload"] == 10
+    assert (listed["ur10"]["payload"], listed["planar_2r"]["weight"]) == (10, None)
     assert (listed["scara"]["joints"], listed["scara"]["prismatic"]) == (4, 1)
-    assert listed["planar_2r"]["weight"] is None

@@ -13,18 +13,16 @@ from excitant.exceptions import ExcitantError
 from excitant.robots import Motion, Robot, load_robot
 from excitant.robots.urdf import robot_from_urdf
 
-GANTRY = (Path(__file__).parent / "data" / "gantry.urdf").read_text("utf-8")
-
 
 @pytest.fixture(scope="session")
 def gantry_urdf() -> str:
     """Sliding, continuous and revolute joints, and links fixed to others that carry mass."""
-    return GANTRY
+    return (Path(__file__).parent / "data" / "gantry.urdf").read_text("utf-8")
 
 
 @pytest.fixture(scope="session")
-def gantry() -> Robot:
-    return robot_from_urdf(GANTRY, source="gantry.urdf")
+def gantry(gantry_urdf: str) -> Robot:
+    return robot_from_urdf(gantry_urdf, source="gantry.urdf")
 
 
 KINDS = ("planar_2r", "scara", "ur10", "panda")
@@ -68,7 +66,6 @@ def random_states() -> Callable[[Robot, int, int], Motion]:
     """``random_states(robot, seed, n)``: states without relation to one another."""
 
     def states(robot: Robot, seed: int, n: int) -> Motion:
-        motion = robot.random_motion(np.random.default_rng(seed), n)
-        return Motion(np.arange(n, dtype=float), *motion)
+        return Motion(np.arange(float(n)), *robot.random_motion(np.random.default_rng(seed), n))
 
     return states

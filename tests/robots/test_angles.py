@@ -54,27 +54,19 @@ def test_a_quaternion_of_a_rounded_angle_is_exact_and_others_stay() -> None:
         assert Angles().quaternion(np.array(other)).tolist() == other
 
 
-@pytest.fixture(scope="module")
-def exact() -> Robot:
-    return load_robot("ur10")
-
-
 @pytest.mark.parametrize("text", ["1.5707963", "1.5708", "1.57", "1.5707"])
-def test_design_and_analysis_are_those_of_the_exact_arm(exact: Robot, text: str) -> None:
-    assert exact.urdf.count(RIGHT) >= 4
-    robot = robot_from_urdf(exact.urdf.replace(RIGHT, text), "ur.urdf")
+def test_design_and_analysis_are_those_of_the_exact_arm(ur10: Robot, text: str) -> None:
+    assert ur10.urdf.count(RIGHT) >= 4
+    robot = robot_from_urdf(ur10.urdf.replace(RIGHT, text), "ur.urdf")
     [note] = robot.notes
     assert note.startswith(NOTE)
     assert f"{text} as 90°" in note
-    effects = standard_effects(exact.joints)
-    ours, theirs = (base_parameters(each, effects) for each in (robot, exact))
-    assert ours.columns == theirs.columns
-    assert categories(ours) == categories(theirs)
-    motion = random_trajectory(exact, np.random.default_rng(0), 10.0, 5).sample(200)
-    found, expected = (
-        condition_number(information(each, "friction").matrix(motion)) for each in (robot, exact)
-    )
-    assert found == pytest.approx(expected, rel=1e-9)
+    effects = standard_effects(ur10.joints)
+    motion, found = random_trajectory(ur10, np.random.default_rng(0), 10.0, 5).sample(200), []
+    for each in (robot, ur10):
+        base, matrix = base_parameters(each, effects), information(each, "friction").matrix(motion)
+        found.append((base.columns, categories(base), condition_number(matrix)))
+    assert found[0] == (*found[1][:2], pytest.approx(found[1][2], rel=1e-9))
     assert robot_from_urdf(robot.urdf, "again.urdf").notes == ()
 
 
@@ -88,10 +80,9 @@ def test_every_form_of_description_is_read_alike(tmp_path: Path) -> None:
     assert load_robot(path).notes == ()
     path = tmp_path / "arm.xml"
     for turn in ('euler="1.57 0 0"', 'axisangle="1 0 0 1.57"', 'quat="0.7071 0.707 0 0"'):
-        path.write_text(
-            f"""<mujoco><compiler angle="radian"/><worldbody><body><joint/><geom size="1"/>
-            <body {turn}><joint/><geom size="1"/></body></body></worldbody></mujoco>"""
-        )
+        inner = f'<body {turn}><joint/><geom size="1"/></body>'
+        body = f'<worldbody><body><joint/><geom size="1"/>{inner}</body></worldbody>'
+        path.write_text(f'<mujoco><compiler angle="radian"/>{body}</mujoco>')
         robot = load_robot(path)
         assert [note.partition(":")[0] for note in robot.notes] == [NOTE]
         poses = re.findall('rpy="([^"]*)"', robot.description)

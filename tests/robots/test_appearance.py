@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from excitant.robots import Robot, load_robot
+from excitant.robots import Robot
 from excitant.robots.appearance import Appearance
 from excitant.robots.geometry import scene
+from excitant.robots.urdf import robot_from_urdf
 
 DATA = Path(__file__).parent / "data"
-MESH = '<{kind}><geometry><mesh filename="{file}"/></geometry></{kind}></link>'
+
+
+def meshed(urdf: str, kind: str, file: str) -> str:
+    mesh = f'<{kind}><geometry><mesh filename="{file}"/></geometry></{kind}>'
+    return urdf.replace("</link>", f"{mesh}</link>")
 
 
 def place(values: list[float]) -> pin.SE3:
@@ -77,48 +81,37 @@ def test_an_arm_without_shapes_has_rods_that_join_its_joints(gantry: Robot) -> N
         wanted = [placed[parent].translation, placed[joint].translation]
         gaps = [min(np.abs(np.subtract(p, wanted)).max() for p in (e, e[::-1])) for e in ends]
         assert min(gaps) < 1e-9 or np.linalg.norm(np.subtract(*wanted)) < 0.05
-    slide = entries["joints"][0]
+    assert entries["joints"][0]["slides"]
     low, high = gantry.limits.position[0]
     [rail] = [rod for rod in rods if rod["size"][1] == pytest.approx(high - low)]
     for end, value in ((-1, low), (1, high)):
         at = place(rail["place"]).act(np.array([0, 0, end * rail["size"][1] / 2]))
         there = placements(entries, np.array([value, *q[1:]]))[1].translation
         np.testing.assert_allclose(at, there, atol=1e-9)
-    assert slide["slides"]
 
 
-def test_a_link_without_collision_shapes_is_drawn_by_its_visual_ones(
-    tmp_path: Path, gantry_urdf: str
-) -> None:
-    shutil.copy(DATA / "wedge.stl", tmp_path)
-    path = tmp_path / "arm.urdf"
-    path.write_text(gantry_urdf.replace("</link>", MESH.format(kind="visual", file="wedge.stl")))
-    look = Appearance(load_robot(path))
+def test_a_link_without_collision_shapes_is_drawn_by_its_visual_ones(gantry_urdf: str) -> None:
+    text = meshed(gantry_urdf, "visual", "wedge.stl")
+    look = Appearance(robot_from_urdf(text, str(DATA / "arm.urdf")))
     entries, meshes = look.entries(), look.meshes()
     assert {shape["kind"] for shape in entries["shapes"]} == {"mesh"}
     assert [note for note in look.notes if "visual shapes, which are not checked" in note]
     points, faces = meshes["mesh0_points"], meshes["mesh0_faces"].astype(int)
     assert (points.shape, faces.shape) == ((4, 3), (4, 3))
-    edges = [
-        tuple(sorted(pair)) for face in faces for pair in zip(face, np.roll(face, 1), strict=True)
-    ]
-    assert all(edges.count(edge) == 2 for edge in edges)  # closed
+    pairs = [tuple(sorted(face[[k, k - 1]])) for face in faces for k in range(3)]
+    assert all(pairs.count(edge) == 2 for edge in pairs)  # closed
 
 
 @pytest.mark.parametrize("kind", ["collision", "visual"])
-def test_meshes_that_are_not_there_are_said(tmp_path: Path, gantry_urdf: str, kind: str) -> None:
-    path = tmp_path / "arm.urdf"
-    path.write_text(gantry_urdf.replace("</link>", MESH.format(kind=kind, file="none.stl")))
-    look = Appearance(load_robot(path))
+def test_meshes_that_are_not_there_or_damaged_leave_rods(
+    tmp_path: Path, gantry_urdf: str, kind: str
+) -> None:
+    text = meshed(gantry_urdf, kind, "bad.stl")
+    look = Appearance(robot_from_urdf(text, str(tmp_path / "arm.urdf")))
     rods, missing = look.notes
     assert "drawn as rods" in rods
-    count = gantry_urdf.count("</link>")
-    assert missing == f"{count} {kind} meshes were not found"
+    assert missing == f"{gantry_urdf.count('</link>')} {kind} meshes were not found"
     assert look.meshes() == {}
-
-
-def test_a_damaged_mesh_leaves_rods(tmp_path: Path, gantry_urdf: str) -> None:
     (tmp_path / "bad.stl").write_bytes(b"solid")
-    path = tmp_path / "arm.urdf"
-    path.write_text(gantry_urdf.replace("</link>", MESH.format(kind="collision", file="bad.stl")))
-    assert "drawn as rods" in Appearance(load_robot(path)).notes[0]
+    damaged = Appearance(robot_from_urdf(text, str(tmp_path / "arm.urdf")))
+    assert "drawn as rods" in damaged.notes[0]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import scipy.interpolate
+from khosla import close
 from plant_recordings import displaced, swinging
 
 from excitant.robots import Motion, Robot, rigid_body_torque, torque
@@ -27,10 +28,6 @@ def alike(t: np.ndarray, q: np.ndarray | float, dq: np.ndarray | float) -> Motio
     """Both joints of a planar arm in the same states."""
     columns = (np.tile(np.reshape(x, (-1, 1)), 2) for x in np.broadcast_arrays(q, dq, 0 * t))
     return Motion(t, *columns)
-
-
-def close(found: np.ndarray, expected: np.ndarray, relative: float) -> None:
-    assert np.abs(found - expected).max() <= relative * np.abs(expected).max()
 
 
 T, V = np.array([0.0, 5.0, 25.0, 45.0, 1000.0]), np.array([-2.0, -0.1, 0.0, 0.05, 3.0])
@@ -59,17 +56,15 @@ def test_friction_has_its_closed_form(
     np.testing.assert_allclose(tau, expected, rtol=1e-12, atol=1e-100)
 
 
-@pytest.mark.parametrize(
-    "name", sorted(name for name, kind in EFFECTS.items() if kind.search.contains)
-)
+@pytest.mark.parametrize("name", [n for n in sorted(EFFECTS) if EFFECTS[n].search.contains])
 def test_an_effect_contains_what_it_says(planar: Robot, random_states: States, name: str) -> None:
     """Columns of the contained effects are combinations of its own, wherever joints move."""
     motion, whole, one = random_states(planar, 5, 40), EFFECTS[name], planar.joints[:1]
     columns = whole(one, **LIMITS.get(name, {})).columns(planar, motion)[:, 0]
     for inner in whole.search.contains:
         part = EFFECTS[inner](one).columns(planar, motion)[:, 0]
-        rest = part - columns @ np.linalg.lstsq(columns, part, rcond=None)[0]
-        assert np.abs(rest).max() <= 1e-10 * np.abs(part).max()
+        fitted = columns @ np.linalg.lstsq(columns, part, rcond=None)[0]
+        assert close(fitted, part)
 
 
 def test_load_dependent_friction_grows_with_the_torque_of_the_bodies(
@@ -101,19 +96,17 @@ def test_hysteresis_loop_loses_what_dahls_law_says(planar: Robot, distance: floa
     """∮ F_c z dq = 4 F_c (A − δ tanh(A / δ)) per cycle of amplitude A, once it is periodic."""
     force, amplitude, phase, one = 3.0, 0.5, np.linspace(0, 60 * np.pi, 120_001), planar.joints[:1]
     motion = alike(phase, amplitude * np.sin(phase), amplitude * np.cos(phase))
-    tau = fx.CoulombFriction(one, (force,)).torque(planar, motion)
-    tau = tau + fx.PreslidingHysteresis(one, (force,), distance=distance).torque(planar, motion)
+    dahl = fx.PreslidingHysteresis(one, (force,), distance=distance)
+    tau = dahl.torque(planar, motion) + fx.CoulombFriction(one, (force,)).torque(planar, motion)
     loss = np.trapezoid(tau[-4001:, 0], motion.q[-4001:, 0])
     expected = 4 * force * (amplitude - distance * np.tanh(amplitude / distance))
     assert loss == pytest.approx(expected, rel=2e-3)
 
 
 def test_ripple_repeats_with_its_order_and_no_sooner(planar: Robot) -> None:
-    order, q = 17.0, np.linspace(0, 1, 2000)
-    effect = fx.TorqueRipple(planar.joints, (0.3, 0.4) * 2, order=order)
-    tau, half, ahead = (
-        effect.torque(planar, alike(q, q + turn, 1.0)) for turn in np.arange(3) * np.pi / order
-    )
+    q, turns = np.linspace(0, 1, 2000), np.arange(3) * np.pi / 17
+    effect = fx.TorqueRipple(planar.joints, (0.3, 0.4) * 2, order=17.0)
+    tau, half, ahead = (effect.torque(planar, alike(q, q + x, 1.0)) for x in turns)
     np.testing.assert_allclose(ahead, tau, rtol=0, atol=1e-12)
     np.testing.assert_allclose(half, -tau, rtol=0, atol=1e-12)
     assert tau.max() == pytest.approx(0.5, rel=1e-4)
@@ -124,9 +117,8 @@ def test_spring_is_the_derivative_of_its_energy(planar: Robot, lever: bool) -> N
     """½ k (q − q₀)², or M cos(q − q₀) of a weight on a lever."""
     k, rest, step, q = 50.0, 0.4, 1e-5, np.linspace(-4, 4, 41)
     values = (k * np.sin(rest), -k * np.cos(rest)) if lever else (k, -k * rest)
-    ahead, back = (
-        k * np.cos(x) if lever else k * x**2 / 2 for x in (q - rest + step, q - rest - step)
-    )
+    x = q - rest + np.array([[step], [-step]])
+    ahead, back = k * np.cos(x) if lever else k * x**2 / 2
     tau = fx.Spring(planar.joints[:1], values, lever=lever).torque(planar, alike(q, q, 0.0))[:, 0]
     np.testing.assert_allclose(tau, (ahead - back) / (2 * step), rtol=0, atol=1e-6)  # rounding
 
@@ -176,9 +168,8 @@ def test_encoder_errors_are_the_torque_of_the_true_motion(
 ) -> None:
     motion = swinging(arm, np.arange(0, 1, STEP))
     for j, joint in enumerate(arm.joints):
-        ahead, behind = (
-            rigid_body_torque(arm, moved(motion, j, s * shift, s * scale)) for s in (1, -1)
-        )
+        moves = (moved(motion, j, s * shift, s * scale) for s in (1, -1))
+        ahead, behind = (rigid_body_torque(arm, move) for move in moves)
         error = kind((joint,)).columns(arm, motion)[:, :, 0] - (ahead - behind) / 2e-5
         assert np.abs(error)[2:-2].max() <= bound * np.abs(ahead).max()
 
@@ -189,28 +180,24 @@ def test_kinematic_error_is_the_torque_with_the_joint_moved(
 ) -> None:
     """Torque is quadratic in the place of a joint: half the difference is the linear part."""
     motion, d = random_states(gantry, 2, 20), np.array([0.03, -0.02, 0.05])
-    ahead, behind = (
-        rigid_body_torque(displaced(gantry, gantry.joint_index(joint), s * d), motion)
-        for s in (1, -1)
-    )
+    moves = (displaced(gantry, gantry.joint_index(joint), s * d) for s in (1, -1))
+    ahead, behind = (rigid_body_torque(move, motion) for move in moves)
     tau = fx.KinematicError((joint,), tuple(d)).torque(gantry, motion)
     assert np.abs(tau - (ahead - behind) / 2).max() <= 1e-9 * np.abs(ahead).max()
-    # a cart that does not turn feels no difference
-    assert tau.any() == (joint == "twist")
+    assert tau.any() == (joint == "twist")  # a cart that does not turn feels no difference
 
 
 def test_gravity_direction_is_the_torque_it_changes(arm: Robot, random_states: States) -> None:
     motion, change = random_states(arm, 3, 10), np.array([2.0, -1.0, 0.5])
     tau = fx.GravityDirection(arm.joints, tuple(change)).torque(arm, motion)
     turned = rigid_body_torque(arm.with_gravity(arm.gravity + change), motion)
-    close(rigid_body_torque(arm, motion) + tau, turned, 1e-11)
+    assert close(rigid_body_torque(arm, motion) + tau, turned, 1e-11)
 
 
 @pytest.fixture(scope="module")
 def rubbing(planar: Robot) -> Robot:
     j = planar.joints
-    effects = fx.ViscousFriction(j, (3.0, 3.0)), fx.TorqueOffset(j, (-2.0, -2.0))
-    return planar.with_effects(effects)
+    return planar.with_effects([fx.ViscousFriction(j, (3, 3)), fx.TorqueOffset(j, (-2, -2))])
 
 
 @pytest.mark.parametrize(
@@ -253,8 +240,7 @@ def test_joint_elasticity_is_the_torque_of_a_link_that_yields(ur10: Robot, j: in
     motion, c = swinging(ur10, np.arange(0, 2, STEP)), 1e-5
     soft, stiff = (yielding(ur10, motion, j, s * c) for s in (1, -1))
     column = fx.JointElasticity((ur10.joints[j],)).columns(ur10, motion)[:, :, 0]
-    # (w h)², fourth derivatives of the motion
-    close(column[20:-20], ((soft - stiff) / (2 * c))[20:-20], 1e-3)
+    assert close(column[20:-20], ((soft - stiff) / (2 * c))[20:-20], 1e-3)  # (w h)²
 
 
 def test_backlash_changes_flank_with_the_load(ur10: Robot) -> None:
@@ -267,7 +253,7 @@ def test_backlash_changes_flank_with_the_load(ur10: Robot) -> None:
     tau = fx.Backlash(joint, (gap,), trial=gap).torque(ur10, motion)
     flank = fx.EncoderOffset(joint, (gap / 2,)).torque(ur10, motion)
     expected = (-np.sign(load)[:, None] * flank)[far]
-    close(tau[far], expected, 1e-6)
+    assert close(tau[far], expected, 1e-6)
     assert np.abs(tau).max() > 3 * np.abs(expected).max()  # what lands and takes off is felt
 
 

@@ -111,22 +111,24 @@ joint_limits:
 """
 
 
+def limits_of(tmp_path: Path, text: str, robot: Robot, suffix: str = ".yaml") -> Limits:
+    path = tmp_path / f"limits{suffix}"
+    path.write_text(text)
+    return load_limits(path, robot)
+
+
+def numbers(limits: Limits) -> dict[str, list]:
+    names = ("position", "velocity", "acceleration", "torque")
+    return {name: getattr(limits, name).tolist() for name in names}
+
+
 def test_joint_limits_of_moveit_and_ros2_control_are_read(planar: Robot, tmp_path: Path) -> None:
     """Only limits in force count, of joints that the arm has."""
-    file, before = tmp_path / "joint_limits.yaml", planar.limits
+    expected = numbers(planar.limits)
+    for name, value in (("velocity", 1.5), ("torque", 12.0), ("position", [-1.0, 2.0])):
+        expected[name][1] = value
     for text in (MOVEIT, f"/**:\n  ros__parameters:{indent(MOVEIT, '    ')}"):
-        file.write_text(text)
-        limits = load_limits(file, planar)
-        assert limits.velocity.tolist() == [before.velocity[0], 1.5]
-        assert limits.torque.tolist() == [before.torque[0], 12.0]
-        assert limits.acceleration.tolist() == before.acceleration.tolist()
-        assert limits.position.tolist() == [before.position[0].tolist(), [-1.0, 2.0]]
-    file.write_text(MOVEIT.replace("joint2", "wrist"))
-    with pytest.raises(BadInput, match=r"joint_limits\.yaml: unknown joint 'wrist'"):
-        load_limits(file, planar)
-    file.write_text(MOVEIT.replace("max_velocity: 1.5", "max_velocity: fast"))
-    with pytest.raises(BadInput, match=r"joint_limits\.yaml.*fast|joint_limits\.yaml.*velocity"):
-        load_limits(file, planar)
+        assert numbers(limits_of(tmp_path, text, planar)) == expected
 
 
 def test_an_arm_without_mass_is_refused_a_design(planar: Robot) -> None:
@@ -145,7 +147,6 @@ def test_torque_limits_stand_in_for_those_of_acceleration(planar: Robot) -> None
 def test_the_command_line_chooses_a_part(excitant: Command, tmp_path: Path) -> None:
     chain = "--base torso --tip left_hand --lock lift=0.1 --lock left_thumb=0,left_finger=0.1"
     ran = excitant("robots --json", DATA / "twins.urdf", *chain.split())
-    assert ran.status == 0
     assert all(f"left_{k}" in ran.out for k in (1, 2, 3))
     assert "held at 0, as they are not chosen: right_1, right_2, right_3" in ran.err
     head = DATA / "pan_tilt.urdf.xacro"
@@ -161,9 +162,8 @@ def test_the_command_line_chooses_a_part(excitant: Command, tmp_path: Path) -> N
 
 # What cannot be read
 
-LOOP = (
-    '<joint name="brace" type="revolute"><parent link="rail"/><child link="hand"/></joint></robot>'
-)
+LOOP = """<joint name="brace" type="revolute"><parent link="rail"/><child link="hand"/></joint>
+</robot>"""
 BODY = '<mujoco><worldbody><body name="a">{}</body></worldbody></mujoco>'
 MESH = """<mujoco><asset><mesh name="m" file="m.stl"/></asset><worldbody><body><joint/>
 <geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
@@ -214,12 +214,7 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
     ("drill.yaml", "I: {xx: 0.01, yy: 0.01, zz: 0.001}", "a: 0", "link3: give the inertia"),
     ("drill.yaml", "xy: 0.002", "yx: 0.002", r"dh\[0\].Ic: unknown entry 'yx'"),
     ("drill.yaml", "radius: 0.05", "size: 0.05", r"dh\[0\].collision\[0\]: unknown entry 'size'"),
-    (
-        "drill.yaml",
-        "radius: 0.05",
-        "radius: 0",
-        r"collision\[0\].radius: expected a number above 0",
-    ),
+    ("drill.yaml", "radius: 0.05", "radius: 0", r"n\[0\].radius: expected a number above 0"),
     ("drill.yaml", "base: {position", "base: {place", "base: unknown entry 'place'"),
     ("drill.yaml", "tool: {position: [0, 0, 0.1]}", "tool: 3", "tool: expected entries"),
     ("drill.yaml", "gravity: [0, 0, -9.8]", "gravity: 9.8", "gravity: expected a list"),
@@ -259,21 +254,13 @@ def test_what_is_no_file_is_refused(tmp_path: Path, refused: Refused, planar: Ro
 # Limits from files
 
 
-def limits_of(tmp_path: Path, text: str, robot: Robot, suffix: str = ".yaml") -> Limits:
-    path = tmp_path / f"limits{suffix}"
-    path.write_text(text)
-    return load_limits(path, robot)
-
-
 def test_what_the_file_leaves_out_stays(planar: Robot, tmp_path: Path) -> None:
+    before = numbers(planar.limits)
     limits = limits_of(tmp_path, "velocity: 1.5\n", planar)
-    assert (limits.velocity == 1.5).all()
-    for name in ("position", "acceleration", "torque"):
-        assert np.array_equal(getattr(limits, name), getattr(planar.limits, name))
+    assert numbers(limits) == before | {"velocity": [1.5, 1.5]}
     text = "velocity: {joint2: 0.5}\nposition: {joint1: [-1, 0.5]}\n"
-    limits = limits_of(tmp_path, text, planar)
-    assert limits.velocity.tolist() == [planar.limits.velocity[0], 0.5]
-    assert limits.position.tolist() == [[-1, 0.5], planar.limits.position[1].tolist()]
+    before["velocity"][1], before["position"][0] = 0.5, [-1, 0.5]
+    assert numbers(limits_of(tmp_path, text, planar)) == before
 
 
 @pytest.mark.parametrize(("suffix", "written"), [(".yaml", yaml.safe_dump), (".json", json.dumps)])
@@ -281,34 +268,29 @@ def test_what_the_file_leaves_out_stays(planar: Robot, tmp_path: Path) -> None:
 def test_written_limits_are_read_back(
     planar: Robot, tmp_path: Path, suffix: str, written: Callable[..., str], nested: bool
 ) -> None:
-    names = ("position", "velocity", "acceleration", "torque")
-    content = {name: (getattr(planar.limits, name) * 0.5).tolist() for name in names}
-    text = written({"limits": content} if nested else content)
-    limits = limits_of(tmp_path, text, planar, suffix)
-    for name in names:
-        assert np.array_equal(getattr(limits, name), getattr(planar.limits, name) * 0.5)
+    half = {name: (0.5 * np.array(x)).tolist() for name, x in numbers(planar.limits).items()}
+    text = written({"limits": half} if nested else half)
+    assert numbers(limits_of(tmp_path, text, planar, suffix)) == half
 
 
 BAD_LIMITS = {
     "velocity: [1.0]\nacceleration: [1, 2, 3, 4, 5, 6, 7, 8]\n": "acceleration",
     "position: [1, 2, 3]\n": "position limits: expected one pair",
-    "velocity: fast\n": "velocity",
     "torque: [1, two]\n": r"torque\[1\]",
-    "velocity: [[[1]]]\n": "velocity",
     "velocity: {no_joint: 1}\n": "velocity limits: unknown joint",
-    "velocity: {joint1: fast}\n": "velocity",
     "velocities: 1\n": "did you mean 'velocity'",
-    "position: [1, -1]\n": "lower must be below upper",
-    "position: [1, 1]\n": "lower must be below upper",
     "position: [.nan, 1]\n": "position",
     "velocity: 0\n": "must be positive",
     "torque: [5, -3]\n": "joint joint2: must be positive",
     "acceleration: .nan\n": "acceleration",
-    "- 1\n- 2\n": "expected entries",
-    "limits: [1, 2]\n": "limits: expected entries",
-    "limits:\n": "limits: expected entries",
     "velocity: [1, 2\n": "not valid YAML .line 2: ",
-    "": "expected entries",
+    "joint_limits: {wrist: {has_velocity_limits: true, max_velocity: 1.5}}\n": "joint 'wrist'",
+    "joint_limits: {joint2: {has_velocity_limits: true, max_velocity: fast}}\n": "fast|velocity",
+    **dict.fromkeys(("velocity: fast\n", "velocity: [[[1]]]\n"), "velocity"),
+    "velocity: {joint1: fast}\n": "velocity",
+    **dict.fromkeys(("position: [1, -1]\n", "position: [1, 1]\n"), "lower must be below upper"),
+    **dict.fromkeys(("- 1\n- 2\n", ""), "expected entries"),
+    **dict.fromkeys(("limits: [1, 2]\n", "limits:\n"), "limits: expected entries"),
 }
 
 
@@ -334,8 +316,7 @@ def kept(tmp_path: Path) -> Path:
 
 def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
     found = load_robot(kept).estimate
-    assert found.names == ("link1.mcx", "link,2.m")
-    assert found.value.tolist() == [0.5, -1 / 3]
+    assert (found.names, found.value.tolist()) == (("link1.mcx", "link,2.m"), [0.5, -1 / 3])
     assert found.covariance.tolist() == [[4.0, 1.0], [1.0, 2.0]]
     assert load_robot(kept, lock={"joint2": 0.3}).estimate is None
 
@@ -352,18 +333,18 @@ def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
         ("\nlink1.mcx", "\nlink1.mcy", "line 2 is of 'link1.mcy', not of 'link1.mcx'"),
     ],
 )
-def test_an_estimate_that_is_none_is_refused(kept: Path, old: str, new: str, why: str) -> None:
+def test_an_estimate_that_is_none_is_refused(
+    kept: Path, refused: Refused, old: str, new: str, why: str
+) -> None:
     file = kept.with_name("arm-estimate.csv")
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new, 1))
-    with pytest.raises(BadRobot, match=re.escape(why)) as refused:
-        load_robot(kept)
-    assert "arm-estimate.csv" in str(refused.value)
-    assert "write the model again" in str(refused.value)
+    said = refused(re.escape(why), load_robot, kept, error=BadRobot)
+    assert "arm-estimate.csv" in said
+    assert "write the model again" in said
 
 
-def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path) -> None:
+def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path, refused: Refused) -> None:
     for name, why in (("../x.csv", "outside its folder"), ("none.csv", "cannot be read")):
         kept.write_text(f"model: arm.urdf\nestimate: {name}\n")
-        with pytest.raises(BadRobot, match=why):
-            load_robot(kept)
+        refused(why, load_robot, kept, error=BadRobot)

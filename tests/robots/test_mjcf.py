@@ -32,18 +32,14 @@ def inverse_dynamics(path: Path, joints: tuple[str, ...], motion: Motion) -> np.
     model = mujoco.MjModel.from_xml_path(str(path))
     for flag in ("CONTACT", "LIMIT", "FRICTIONLOSS", "EQUALITY"):
         model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")
-    data = mujoco.MjData(model)
-    ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in joints]
-    assert min(ids) >= 0
-    at = model.jnt_dofadr[ids]
-    tau = np.empty(motion.q.shape)
-    for k in range(len(motion)):
+    data, tau = mujoco.MjData(model), []
+    at, rows = np.array([(model.joint(j).qposadr[0], model.joint(j).dofadr[0]) for j in joints]).T
+    for q, dq, ddq in zip(motion.q, motion.dq, motion.ddq, strict=True):
         data.qpos[:], data.qvel[:], data.qacc[:] = model.qpos0, 0, 0
-        data.qpos[model.jnt_qposadr[ids]] = motion.q[k]
-        data.qvel[at], data.qacc[at] = motion.dq[k], motion.ddq[k]
+        data.qpos[at], data.qvel[rows], data.qacc[rows] = q, dq, ddq
         mujoco.mj_inverse(model, data)
-        tau[k] = data.qfrc_inverse[at]
-    return tau
+        tau.append(data.qfrc_inverse[rows])
+    return np.array(tau)
 
 
 def states(robot: Robot) -> Motion:
@@ -61,11 +57,10 @@ def judged(path: Path, **given: Any) -> Robot:
 
 
 def test_torque_is_that_of_mujoco() -> None:
-    robot = judged(FULL)
+    robot, turns = judged(FULL), [True, True, True, False]
     assert robot.joints == ("pan", "lift", "bend", "push")
-    assert robot.revolute.tolist() == [True, True, True, False]
     assert robot.links == ("shoulder_before_lift", "shoulder", "elbow", "hand")
-    assert robot.gravity.tolist() == [0.5, -1, -9]
+    assert [robot.revolute.tolist(), robot.gravity.tolist()] == [turns, [0.5, -1, -9]]
     written = robot.with_parameters(robot.phi).urdf
     again, motion = robot_from_urdf(written, "written", gravity=robot.gravity), states(robot)
     assert close(rigid_body_torque(again, motion), rigid_body_torque(robot, motion), 1e-9)
@@ -78,11 +73,7 @@ def test_limits_and_friction_are_those_of_mujoco() -> None:
     assert np.isinf(robot.limits.position[~limited]).all()
     assert np.isinf(robot.limits.velocity).all()
     assert robot.limits.torque.tolist() == [100.0, 23.0, np.inf, 40.0]
-    values = {
-        effect.name: dict(zip(effect.joints, effect.values, strict=True))
-        for effect in robot.effects
-        if effect.name != "spring"
-    }
+    values = {e.name: dict(zip(e.joints, e.values, strict=False)) for e in robot.effects}
     damping = model.dof_damping.reshape(robot.nv, -1)[:, 0]
     geared = np.array([50.0**2, 0, 0, 0])  # of the motor that has both
     for name, expected in (
@@ -95,10 +86,8 @@ def test_limits_and_friction_are_those_of_mujoco() -> None:
 
 
 def test_shapes_that_touch_are_collision_shapes() -> None:
-    found = scene(load_robot(FULL))
-    assert found is not None
-    moving = {name.rsplit("_", 1)[0] for pair in found.pairs for name in pair}
-    assert {"elbow", "tool"} <= moving
+    pairs = scene(load_robot(FULL)).pairs
+    assert {"elbow", "tool"} <= {name.rsplit("_", 1)[0] for pair in pairs for name in pair}
 
 
 def geom_body(rng: np.random.Generator, number: int, angle: float) -> str:
@@ -118,15 +107,12 @@ def geom_body(rng: np.random.Generator, number: int, angle: float) -> str:
     kind = ("sphere", "box", "capsule", "cylinder", "ellipsoid")[rng.integers(5)]
     size = " ".join(map(str, rng.uniform(0.02, 0.2, 3)))
     moments = " ".join(map(str, rng.uniform(0.01, 0.02, 3)))
-    given = (
-        f'<inertial pos="{numbers(3)}" mass="{rng.uniform(0.1, 4)}" diaginertia="{moments}" '
-        f"{turn}/>"
-    )
+    given = f'pos="{numbers(3)}" mass="{rng.uniform(0.1, 4)}" diaginertia="{moments}" {turn}'
     return f"""<body name="b{number}" pos="{numbers(3)}" {turn}>
       <joint name="j{number}" type="{("hinge", "slide")[rng.integers(2)]}" axis="{numbers(3)}"
         pos="{numbers(3, 0.3)}" ref="{rng.uniform(-1, 1)}" damping="{rng.uniform(0, 2)}"
         armature="{rng.uniform(0, 1)}"/>
-      {given if rng.random() < 0.4 else ""}
+      {f"<inertial {given}/>" if rng.random() < 0.4 else ""}
       <geom type="{kind}" size="{size}" pos="{numbers(3)}" {turn} group="{rng.integers(6)}"/>
       <geom type="capsule" size="0.03" fromto="{numbers(6)}" mass="{rng.uniform(0.1, 3)}"/>"""
 
@@ -154,24 +140,21 @@ def test_any_compiler_gives_the_torque_of_mujoco(
     rng, size = np.random.default_rng(seed), 1.0 if angle == "radian" else 57.0
     bodies = "".join(geom_body(rng, k, size) for k in range(3)) + "</body>" * 3
     path = tmp_path / "arm.xml"
-    path.write_text(
-        f"""<mujoco><compiler angle="{angle}" eulerseq="{sequence}" inertiafromgeom="{geoms}"
-        {bounds}/><worldbody>{bodies}</worldbody></mujoco>"""
-    )
+    compiler = f'angle="{angle}" eulerseq="{sequence}" inertiafromgeom="{geoms}" {bounds}'
+    path.write_text(f"<mujoco><compiler {compiler}/><worldbody>{bodies}</worldbody></mujoco>")
     judged(path)
 
 
 @pytest.mark.parametrize("frame", ["", 'refpos="0.1 0.2 -0.1" refquat="1 0.5 0.2 0.1"'])
 def test_inertia_of_a_mesh_is_that_of_its_volume(tmp_path: Path, frame: str) -> None:
     path = tmp_path / "mesh.xml"
-    path.write_text(
-        f"""<mujoco><compiler meshdir="{DATA}"/>
+    text = f"""<mujoco><compiler meshdir="{DATA}"/>
         <asset><mesh file="wedge.stl" scale="1 1.5 0.8" inertia="exact" {frame}/></asset>
         <worldbody><body name="a"><joint name="j" axis="0 1 0"/>
         <geom type="mesh" mesh="wedge" pos="0.1 0.2 0.3" euler="10 20 30"/>
         <body name="b" pos="0 0 1"><joint name="k" axis="1 0 0"/>
         <geom type="mesh" mesh="wedge" mass="2"/></body></body></worldbody></mujoco>"""
-    )
+    path.write_text(text)
     judged(path, packages=[DATA])
 
 
@@ -200,10 +183,9 @@ def test_a_loop_is_refused_where_it_moves(tmp_path: Path, refused: Refused) -> N
 def test_missing_drawings_are_left_out(tmp_path: Path) -> None:
     """A mesh that only shows a body, and its texture, need not be there."""
     path = tmp_path / "arm.xml"
-    path.write_text(
-        """<mujoco><asset><mesh name="m" file="m.stl"/><texture name="t" type="2d" file="t.png"/>
+    text = """<mujoco><asset><mesh name="m" file="m.stl"/><texture name="t" type="2d" file="t.png"/>
         <material name="paint" texture="t"/></asset><worldbody><body name="a"><joint name="j"/>
         <inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
         <geom type="mesh" mesh="m" material="paint"/></body></worldbody></mujoco>"""
-    )
+    path.write_text(text)
     assert load_robot(path).phi[0] == 2.0

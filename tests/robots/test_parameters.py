@@ -135,8 +135,7 @@ def test_regressor_times_parameters_is_newton_euler(
     arm: Robot, random_states: States, random_bodies: Bodies, seed: int
 ) -> None:
     motion = random_states(arm, seed, 5)
-    other = arm.with_parameters(random_bodies(seed, arm.nv))
-    for robot in (arm, other):
+    for robot in (arm, arm.with_parameters(random_bodies(seed, arm.nv))):
         tau = rigid_body_torque(robot, motion)
         assert close(regressor(robot, motion) @ robot.phi, tau, RELATIVE)
 
@@ -180,15 +179,8 @@ def test_text_does_not_depend_on_the_draw_of_states(arm: Robot, seed: int) -> No
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (1.0, "1"),
-        (1 / 3, "1/3"),
-        (2 / 7, "2/7"),
-        (1.75, "1.75"),
-        (0.0825**2, "0.0068062"),
-        (0.1234, "0.1234"),
-        (np.sqrt(2), "1.4142"),
-        (123.456, "123.46"),
-        (2.5e-7, "2.5e-07"),
+        *((1.0, "1"), (1 / 3, "1/3"), (2 / 7, "2/7"), (1.75, "1.75"), (0.0825**2, "0.0068062")),
+        *((0.1234, "0.1234"), (np.sqrt(2), "1.4142"), (123.456, "123.46"), (2.5e-7, "2.5e-07")),
     ],
 )
 def test_coefficients_read_the_same_however_they_are_rounded(value: float, text: str) -> None:
@@ -199,13 +191,10 @@ def test_coefficients_read_the_same_however_they_are_rounded(value: float, text:
 def test_categories_follow_the_null_space_which_is_clear(arm: Robot) -> None:
     base = base_parameters(arm, standard_effects(arm.joints))
     accepted, rejected = base.gap
-    assert accepted > 1e-3
-    assert rejected < 1e-12
-    category = np.array(categories(base))
-    moved = np.abs(base.null_space).max(axis=1) > 1e-12
-    assert (moved == (category != "unique")).all()
-    alone = np.abs(base.regrouping).max(axis=0) == 0
-    assert (alone == (category == "unidentifiable")).all()
+    assert rejected < 1e-12 < 1e-3 < accepted
+    category, moved = np.array(categories(base)), np.abs(base.null_space).max(axis=1) > 1e-12
+    assert np.array_equal(moved, category != "unique")
+    assert np.array_equal(~base.regrouping.any(axis=0), category == "unidentifiable")
 
 
 def test_slow_friction_is_seen_at_any_speed_limit(ur10: Robot) -> None:
@@ -217,9 +206,7 @@ def test_slow_friction_is_seen_at_any_speed_limit(ur10: Robot) -> None:
 def test_effects_extend_the_base(builtin: Robot, random_states: States) -> None:
     effects = standard_effects(builtin.joints)
     base = base_parameters(builtin, effects)
-    names = column_names(builtin, effects)
-    assert base.names == names
-    kept = {names[k] for k in base.columns}
-    assert {f"{joint}.Fv" for joint in builtin.joints} <= kept
+    assert base.names == column_names(builtin, effects)
+    assert {f"{j}.Fv" for j in builtin.joints} <= {base.names[k] for k in base.columns}
     W = observation_columns(builtin, effects, random_states(builtin, 7, 20))
     assert_same_torque(base, W, 0)

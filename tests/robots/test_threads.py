@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from excitant.analysis import identifiability
-from excitant.analysis.diagnosis import diagnose
-from excitant.analysis.discrimination_plan import plan
-from excitant.analysis.effect_choice import choose_effects
-from excitant.analysis.rehearsal import rehearse
-from excitant.design import design_link_by_link, design_trajectory, lower_bound
-from excitant.identify import (
-    identify_link_by_link,
-    identify_online,
-    identify_payload,
-    identify_robot,
-)
 from excitant.robots.threads import on_one_thread
+
+VERBS = """design:design_trajectory design:design_link_by_link design:lower_bound
+    identify:identify_robot identify:identify_link_by_link identify:identify_online
+    identify:identify_payload analysis.identifiability:analyze analysis.effect_choice:choose_effects
+    analysis.diagnosis:diagnose analysis.discrimination_plan:plan analysis.rehearsal:rehearse"""
 
 
 def numbers() -> set[int]:
@@ -36,15 +28,9 @@ def test_one_thread_within_and_as_before_after() -> None:
         assert numbers() == before
 
 
-@pytest.mark.parametrize(
-    "verb",
-    [
-        design_trajectory, design_link_by_link, lower_bound, identify_robot, identify_link_by_link,
-        identify_online, identify_payload, identifiability.analyze, choose_effects, diagnose, plan,
-        rehearse,
-    ],
-)  # fmt: skip
-def test_every_verb_computes_on_one_thread(verb: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("name", VERBS.split())
+def test_every_verb_computes_on_one_thread(name: str) -> None:
+    verb = resolve_name(f"excitant.{name}")
     wrapper = on_one_thread(verb)
     assert verb.__code__ is wrapper.__code__
     assert verb.__wrapped__.__name__ == verb.__name__
