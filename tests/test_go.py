@@ -13,7 +13,7 @@ import pytest
 from excitant.design import random_trajectory
 from excitant.reports import load_run
 from excitant.robots import load_robot
-from excitant.robots.virtual_arm import HiddenEffect, ideal_sensors, virtual_arm
+from excitant.robots.virtual_arm import HiddenEffect, virtual_arm
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cell3"
 HIDDEN = HiddenEffect("coulomb_friction", "joint2", (("Fc", 1.0),))
@@ -27,8 +27,7 @@ def logs() -> Logs:
     robot, tables = load_robot("planar_2r"), {}
     for arm, hidden, tolerance in (("worn", [HIDDEN], 0.02), ("exact", [], 0.0)):
         rng = np.random.default_rng(1)
-        sensors = None if hidden else ideal_sensors(robot)
-        true = virtual_arm(robot, rng, hidden=hidden, sensors=sensors, tolerance=tolerance)
+        true = virtual_arm(robot, rng, hidden=hidden, tolerance=tolerance)
         for name in ("one", "two"):
             motion = random_trajectory(robot, rng, 8.0, 4)
             tables[f"{arm}-{name}"] = true.record(motion, 8.0, rng)
