@@ -112,7 +112,7 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> _Evidence:
     equal = x[length:] == x[:-length]
     equal[max(0, start - length) : start + length + 1] = False
     by_chance = equal.mean() > 0.01  # pairs that far apart are often equal
-    if way < clear or by_chance or x[start] in (x.max(), x.min()):
+    if way <= clear or by_chance or x[start] in (x.max(), x.min()):
         return None
     value = float(x[start])
     t = float(log.t[start])
@@ -124,13 +124,13 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> _Evidence:
 
 
 def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
-    """Torque that stays at its extreme value, or at its limit but for noise, while joints move.
+    """Torque that stays at its extreme value, or at its limit but for noise, while its joint moves.
 
     Of a channel that is not cut off no more samples lie exactly at the extreme value than in a
     narrow band below it, where even a smooth peak spends longer; the excess is a Poisson count.
     """
-    moved = np.asarray(log.moving.any(axis=1), bool)
     for j, sign in product(range(log.nv), (1.0, -1.0)):
+        moved = log.moving[:, j]
         x = sign * log.tau[:, j]
         top = float(x.max())
         step = float(log.quanta["tau"][j])
@@ -145,7 +145,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
         chance = float(scipy.special.pdtrc(count - 1, near + 1)) if many else 1.0
         if chance <= ALARM / (2 * log.nv):
             where = f"at its {'largest' if sign > 0 else 'smallest'} value"
-            more = f", while joints move; only {near} lie within {band:.3g} of it"
+            more = f", while it moves; only {near} lie within {band:.3g} of it"
         else:
             limit = float(robot.limits.torque[j])
             at = x > limit - 2 * scatter

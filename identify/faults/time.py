@@ -35,6 +35,9 @@ from excitant.identify.recording import MINIMUM_DURATION
 from excitant.robots.motion import Array
 
 _NONE: Rows = np.zeros(0, np.intp)
+FROZEN_ROWS = (
+    20  # alike, from which on a log is taken to have stopped, not to repeat
+)
 _WINDOW_S = 0.2  # of a window, at least `_WINDOW_ROWS` rows
 _WINDOW_ROWS = 8
 _MOVING_WINDOWS = 8  # in which a joint must move before its slope counts
@@ -124,20 +127,32 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
 
 
 def repeated_rows(log: Log) -> Iterator[Fault]:
-    """Rows that repeat all values of the row before, with a stamp of their own, in motion."""
+    """Rows that repeat all values of the row before, with a stamp of their own, in motion.
+
+    A long run of them that begins in motion is a logger that stopped: no arm stops at once.
+    """
     same = np.all(
         [(np.diff(x, axis=0) == 0).all(axis=1) for _, x in log.channels()], axis=0
     )
     moved = np.asarray(log.moving.any(axis=1), bool)
     rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
+    starts, lengths = run_lengths(same)
+    stopped = (lengths >= FROZEN_ROWS) & moved[starts]
+    for start, length in zip(starts[stopped], lengths[stopped], strict=True):
+        rows = np.union1d(rows, np.arange(start, start + length) + 1)
     if len(rows) < 3:
         return
-    starts, lengths = run_lengths(same)
     detail = (
         f"{len(rows)} of {len(log)} rows ({100 * len(rows) / len(log):.2f} %) repeat every value "
         f"of the row before while joints move, in {np.isin(starts + 1, rows).sum()} places; "
         f"{log.first(rows)}"
     )
+    if stopped.any():
+        spans = [
+            f"{log.t[start]:.4g} to {log.t[start + length]:.4g} s"
+            for start, length in zip(starts[stopped], lengths[stopped], strict=True)
+        ]
+        detail += f"; frozen from t = {', '.join(spans)}"
     longest = int(lengths.max()) + 1
     yield dropped(log.joints, rows, detail, "duplicate_samples", longest=longest)
 
