@@ -18,6 +18,7 @@ from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.export import Publication, publication
 from excitant.identify.faults import proven
 from excitant.identify.faults.fault import INSTALLATION
+from excitant.identify.objections import MISSED
 from excitant.identify.recording import Recording
 from excitant.robots.check import ModelCheck
 from excitant.robots.effects import plain
@@ -80,7 +81,7 @@ class Examination(Shown):
 
         Of the given one and those that are published, the least changed that predicts the hold-out
         about as well as any. None, where the recordings are wrong, or only the given one is left
-        and the mean torque predicts a joint better.
+        and it misses most of a joint's torque.
         """
         errors = {
             name: float(np.nansum(a.nrmse)) for name, a in self.accuracies.items()
@@ -89,7 +90,7 @@ class Examination(Shown):
             "given",
             *(n for n, each in self.publications.items() if each.published),
         ]
-        useless = bool((self.accuracies["given"].nrmse > 1).any())
+        useless = bool((self.accuracies["given"].nrmse > MISSED).any())
         if self.wrong or (len(kept) == 1 and useless):
             return ""
         most = (1 + _SAME) * min(errors[name] for name in kept)

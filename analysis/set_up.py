@@ -222,6 +222,8 @@ def refined(
     std = dict[str, tuple[float, ...]]()
     if not installation.effects:
         return installation
+    if size and not robot.gravity.any():  # torque without gravity has no direction of it
+        return replace(installation, std={"gravity": (0.0, 0.0, 0.0)})
     for _ in range(8):
         train = observed(robot, segments)
         columns = list[Array]()

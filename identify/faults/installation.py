@@ -485,10 +485,19 @@ def _mounting(case: TorqueFit) -> Iterator[Sequence[Fault]]:
         ends = [minimize(objective, start, jac=True, tol=0.01) for start in starts]
         return scaled(min(ends, key=lambda end: end.fun).x)
 
+    none = float(mixtures.left(np.eye(4)[0]))
     tried = np.vstack([robot.gravity / size, _sphere(SEARCH.directions)])
     blocks = np.array_split(scaled(tried), 10)  # all at once need too much memory
     squares = np.concatenate([squares_under(block, mixtures) for block in blocks])
     best = np.argsort(squares, kind="stable")
+    if none < squares[best[0]]:
+        detail = (
+            "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
+            "gravity: [0, 0, 0], or record the torque of the drives"
+        )
+        evidence = {"gravity": np.zeros(3), "angle": 0.0}
+        yield [Fault("wrong_mounting", case.log.joints, detail, evidence)]
+        return
     gravity = refined([*tried[best[: SEARCH.starts]]], mixtures)
     for _ in range(SEARCH.polished):
         gravity = refined([gravity / size], _sharper(case, mixtures, gravity))

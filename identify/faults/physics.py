@@ -21,7 +21,7 @@ import scipy
 
 from excitant.identify.drive_gains import BODY_STD, gain_doubt, without_effects
 from excitant.identify.faults.fault import ALARM, Fault, Log, Remedy, normal_bound
-from excitant.identify.faults.time import RATES, slow_clock
+from excitant.identify.faults.time import RATES, clock_confirmed, slow_clock
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.signals import low_pass
@@ -591,6 +591,8 @@ def position_signs(case: TorqueFit) -> Iterator[Fault]:
 
 def rate(case: TorqueFit) -> Iterator[Fault]:
     """Profile likelihood over a factor of the time: inertial torque goes with its square."""
+    if clock_confirmed(case.log):
+        return
 
     def gain(logarithm: float) -> float:
         return case.gain(case.fit(s=float(np.exp(2 * logarithm)))[1])
@@ -647,7 +649,7 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
         votes = _signs(case, model[:, j], j)
         sure = abs(votes.gain) > 2 * doubt[j]
         gain = votes.gain_z * sure
-        friction = votes.friction_z
+        friction = votes.friction_z * case.log.moving[:, j].any()
         explained = votes.explained
         clear = [z for z in (gain, friction) if abs(z) > bound]
         if explained < EXPLAINED or not clear or max(clear) > 0:

@@ -525,6 +525,12 @@ def _slopes(log: Log) -> tuple[Array, Array, list[int]]:
     return b, error, follows
 
 
+def clock_confirmed(log: Log) -> bool:
+    """Whether measured velocities are the derivatives of positions, so that time is right."""
+    slopes, _, follows = _slopes(log)
+    return bool(follows) and bool((np.abs(slopes[follows] - 1) < _MARGIN).all())
+
+
 def _rate_change(log: Log) -> Fault | None:
     """A rate that changes once, all joints alike, while the stamps run on as before."""
     rows, x, y = _windows(log, np.asarray(log.dq))
