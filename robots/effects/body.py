@@ -103,6 +103,8 @@ def _true_gravity(
     joints: Sequence[str],
     sizes: Sequence[Size],
 ) -> str:
+    if not (robot.gravity + effect.coefficients).any():
+        return "The torque has no gravity: it was taken off, or gravity is balanced"
     gravity = ", ".join(f"{x:.2f}" for x in robot.gravity + effect.coefficients)
     spread = ", ".join(f"{size.std:.2g}" for size in sizes)
     return f"Gravity points along ({gravity}) ± ({spread}) m/s² in the base frame"
