@@ -222,7 +222,9 @@ def refined(
     std = dict[str, tuple[float, ...]]()
     if not installation.effects:
         return installation
-    if size and not robot.gravity.any():  # torque without gravity has no direction of it
+    if (
+        size and not robot.gravity.any()
+    ):  # torque without gravity has no direction of it
         return replace(installation, std={"gravity": (0.0, 0.0, 0.0)})
     for _ in range(8):
         train = observed(robot, segments)

@@ -60,7 +60,7 @@ def dead_channels(log: Log) -> Iterator[Fault]:
 def _constant(log: Log, name: str, x: Array, j: int) -> _Evidence:
     """A channel with one value, of which a position or velocity counts where the other moves."""
     moves = log.moving[:, j].any()
-    if np.ptp(x) > 0 or (name == "dq" and not moves):
+    if np.ptp(x) > 0 or (name != "q" and not moves):
         return None
     against = ""
     if name == "q":
@@ -68,7 +68,7 @@ def _constant(log: Log, name: str, x: Array, j: int) -> _Evidence:
         if np.ptp(speed) == 0 or np.abs(speed).mean() < 5 * noise(speed):
             return None
         against = f", while dq of the joint varies over {np.ptp(speed):.4g}"
-    elif moves:
+    else:
         against = f", while q of the joint moves over {np.ptp(log.q[:, j]):.4g}"
     return f"is {x[0]:.6g} in every row{against}", {"value": float(x[0])}
 
