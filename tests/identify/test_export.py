@@ -480,8 +480,8 @@ def beyond_formats(planar: Robot, exact: Call) -> Estimate:
     """An arm whose friction is of a kind that no format holds, as ``--effects auto`` may find."""
     friction = AsymmetricFriction(planar.joints)
     count = len(friction.parameters(planar))
-    true = planar.with_effects([friction.with_values(np.linspace(4.0, 9.0, count))])
-    rubbing = (kind(planar.joints, (6.0, 6.0)) for kind in (CoulombFriction, ViscousFriction))
+    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, count))])
+    rubbing = (kind(planar.joints, (3.0, 3.0)) for kind in (CoulombFriction, ViscousFriction))
     given = planar.with_effects([*rubbing])
     recording = exact(true, np.arange(0, 12, 1 / 100))
     return identify_robot(given, [recording], effects=[friction, RotorInertia(planar.joints)])

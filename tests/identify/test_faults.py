@@ -324,7 +324,7 @@ def test_a_clock_that_starts_anew_is_a_cut(clean: Log, read: Read, later: float)
     np.testing.assert_array_equal(repaired.q, np.concatenate([run.q for run in runs]))
     if later == 0.003:
         apart, together = (
-            identify_robot(PLANAR, recordings, validate=[clean])
+            identify_robot(PLANAR, recordings, validate=[run("planar_2r", 2)])
             for recordings in ([clean, second], [repaired])
         )
         assert len(together.data.train) == 2
