@@ -646,10 +646,12 @@ def torque_signs(case: TorqueFit) -> Iterator[Fault]:
     doubt = case.gain_std
     bound = normal_bound(2 * len(case.joints))
     for j in case.joints:
+        if not case.log.moving[:, j].any():
+            continue  # dry friction of a joint that stands could be anything
         votes = _signs(case, model[:, j], j)
         sure = abs(votes.gain) > 2 * doubt[j]
         gain = votes.gain_z * sure
-        friction = votes.friction_z * case.log.moving[:, j].any()
+        friction = votes.friction_z
         explained = votes.explained
         clear = [z for z in (gain, friction) if abs(z) > bound]
         if explained < EXPLAINED or not clear or max(clear) > 0:
