@@ -10,7 +10,8 @@ import pytest
 from known_arms import Call
 
 from excitant.identify import Recording
-from excitant.identify.faults import Fault, find_faults
+from excitant.identify.faults import Fault, find_faults, physics
+from excitant.identify.faults.fault import Log
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque
 from excitant.robots.virtual_arm import industrial_sensors
 
@@ -84,6 +85,35 @@ def test_what_the_log_means_is_named(
 
 def test_a_log_as_it_should_be_is_not_accused(logged: tuple[Robot, Recording]) -> None:
     assert faults_after(logged, lambda _, run: run) == {}
+
+
+def fit_of(robot: Robot, recording: Recording) -> physics.TorqueFit:
+    log = Log.of(robot, recording)
+    case = physics.torque_fit(robot, log, physics.smooth(log), set())
+    assert case is not None
+    return case
+
+
+def test_a_clock_is_left_alone_where_velocities_confirm_it(
+    logged: tuple[Robot, Recording],
+) -> None:
+    """At half the speed of the torque: the torque alone tells, until velocities speak."""
+    robot, run = logged
+    slow = replace(run, t=2 * run.t, dq=run.dq / 2)
+    assert [fault.fault for fault in physics.rate(fit_of(robot, replace(slow, dq=None)))]
+    assert not [*physics.rate(fit_of(robot, slow))]
+
+
+def test_friction_of_a_joint_that_stands_tells_no_sign(
+    logged: tuple[Robot, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, run = logged
+    q = np.array(run.q)
+    q[:, 1] = 0.3
+    driving = physics._Signs(gain=0.0, gain_z=0.0, friction_z=-40.0, explained=0.98)
+    monkeypatch.setattr(physics, "_signs", lambda *_: driving)
+    accused = physics.torque_signs(fit_of(robot, replace(run, q=q, dq=None)))
+    assert [f.joints for f in accused] == [(j,) for j in np.delete(robot.joints, 1)]
 
 
 def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call) -> None:

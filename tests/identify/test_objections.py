@@ -60,17 +60,13 @@ def test_nothing_judged_is_nothing_known(estimate: Estimate) -> None:
     assert "nothing judges the model" in unjudged.why
 
 
-@pytest.mark.parametrize(
-    ("seen", "first"), [(slice(None), 0), (slice(300, 700), 0), (slice(900, None), 0)]
-)
-def test_a_hold_out_that_was_fitted_is_refused(
-    planar: Robot, exact: Exact, seen: slice, first: int
-) -> None:
+@pytest.mark.parametrize("seen", [slice(None), slice(300, 700), slice(900, None)])
+def test_a_hold_out_that_was_fitted_is_refused(planar: Robot, exact: Exact, seen: slice) -> None:
     """A copy with other times, or a part."""
     run = exact(planar, TIME)
     copy = run.take(np.arange(len(run))[seen])
     copy = replace(copy, name="copy", file="copy.csv", t=copy.t + 100.0)
-    with pytest.raises(BadRecording, match=rf"copy.csv, row {first}.* must be unseen"):
+    with pytest.raises(BadRecording, match=r"copy.csv, row 0.* must be unseen"):
         split([exact(planar, TIME, 2), run], [copy])
 
 
@@ -82,7 +78,7 @@ def test_overlap_is_found_within_and_rests_are_none(planar: Robot, exact: Exact)
     with pytest.raises(BadRecording, match="row 500: 200 of its 700 rows"):
         split([one], [mixed])
     parked = [
-        replace(run, **{name: np.concatenate([x, np.tile(x[:1] * 0, (100, 1))])
+        replace(run, **{name: np.concatenate([x, np.full((100, x.shape[1]), 0.3)])
                         for name, x in run.channels()},
                 t=0.01 * np.arange(len(run) + 100))
         for run in (one, other)
