@@ -220,17 +220,20 @@ def refined(
     size = float(np.linalg.norm(installation.given.gravity))
     robot = installation.robot
     std = dict[str, tuple[float, ...]]()
-    if not installation.effects:
-        return installation
-    if (
-        size and not robot.gravity.any()
-    ):  # torque without gravity has no direction of it
-        return replace(installation, std={"gravity": (0.0, 0.0, 0.0)})
+    if not robot.gravity.any():  # none has no direction
+        std["gravity"] = (0.0, 0.0, 0.0)
+    angles = [
+        effect
+        for effect in installation.effects
+        if effect.family != "static" or robot.gravity.any()
+    ]
+    if not angles:
+        return replace(installation, std=std)
     for _ in range(8):
         train = observed(robot, segments)
         columns = list[Array]()
         turns = np.zeros((3, 0))
-        for effect in installation.effects:
+        for effect in angles:
             own = train.columns(effect)
             # of the tangents at gravity of its length
             if effect.family == "static":
@@ -239,7 +242,7 @@ def refined(
             columns.append(own)
         x, covariance = _step(train, columns, tau, bodies)
         at = 0
-        for effect, own in zip(installation.effects, columns, strict=True):
+        for effect, own in zip(angles, columns, strict=True):
             part = slice(at, at + own.shape[2])
             at = part.stop
             block = covariance[part, part]

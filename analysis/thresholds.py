@@ -242,23 +242,6 @@ class StructuredThresholds:
 
 
 @dataclass(frozen=True)
-class PlausibilityThresholds:
-    """Plausibility of a fit of the inertias alone."""
-
-    likely: float = 3.0
-    """Change of a link > this many std of nominal values: they would be wrong."""
-
-    certain: float = 0.99
-    """Probability that physically consistent values lie nearer: χ² of the distance."""
-
-    hardly: float = 0.1
-    """Share of the squared error removed < this: the cause is not in the inertias. Convention."""
-
-    dependent: float = 1e-6
-    """Singular value ≤ this times the largest: the motion does not excite the direction."""
-
-
-@dataclass(frozen=True)
 class ResolutionThresholds:
     """Practical identifiability by a motion."""
 
@@ -325,6 +308,5 @@ CONFIRMATION = ConfirmationThresholds()
 VERDICT = VerdictThresholds()
 SEARCH = SearchThresholds()
 STRUCTURED = StructuredThresholds()
-PLAUSIBILITY = PlausibilityThresholds()
 RESOLUTION = ResolutionThresholds()
 DISCRIMINATION = DiscriminationThresholds()

@@ -27,7 +27,6 @@ from excitant.identify.accuracy import Accuracy
 from excitant.identify.objections import (
     HoldOut,
     Objection,
-    got_worse,
     objections,
     useless_joints,
     worse_joints,
@@ -607,7 +606,7 @@ def published(
     against += objections(model, judged)
     worse = worse_joints(model.joints, judged)
     reasons = "; ".join(objection.why for objection in against)
-    if len(against) == 1 and worse and got_worse(judged):
+    if len(against) == 1 and worse and judged.got_worse:
         reasons += f"; worst at {'; '.join(worse)}"
     if against and not force:
         advice = against[0].advice
@@ -642,8 +641,8 @@ def exported_files(
     joint, as a model is, or worse than the nominal one by the nrmse summed over the joints.
     """
     arm = folded(model)
-    complete = judged.rows.accuracy(judged.predicted)
-    nominal = float(np.nansum(judged.rows.accuracy(judged.nominal).nrmse))
+    complete = judged.accuracy
+    nominal = float(np.nansum(judged.nominal_accuracy.nrmse))
     exported = [ExportedFile(yaml_name, complete, ())]
     predictions: dict[tuple[Effect, ...], Array] = {}
     for file_format, suffix in _SUFFIXES.items():
@@ -657,7 +656,7 @@ def exported_files(
                 tau = predicted_torque(held, judged.segments) / judged.gains
                 predictions[held.effects] = tau
             reduced = replace(judged, predicted=predictions[held.effects])
-            accuracy = judged.rows.accuracy(reduced.predicted)
+            accuracy = reduced.accuracy
             useless = useless_joints(model.joints, reduced)
             error = float(np.nansum(accuracy.nrmse))
             why = f"no model at {'; '.join(useless)}" if useless else ""

@@ -1,18 +1,19 @@
 """Objections to a model on the hold-out: what cannot be true of an arm, or predicts too badly.
 
-A model with an objection is not published, and where it is the extended one, its causes are no
-more than undecided: an engineer would look at the columns of the recording first.
+A model with an objection is not published: an engineer would look at the columns of the recording
+first.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from excitant.identify.accuracy import Series, chance_of_loss
+from excitant.identify.accuracy import Accuracy, Series, chance_of_loss
 from excitant.identify.preprocessing import Segment
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -41,6 +42,32 @@ class HoldOut:
     predicted: Array
     nominal: Array
 
+    @cached_property
+    def accuracy(self) -> Accuracy:
+        """Of the model."""
+        return self.rows.accuracy(self.predicted)
+
+    @cached_property
+    def nominal_accuracy(self) -> Accuracy:
+        """Of the model as given."""
+        return self.rows.accuracy(self.nominal)
+
+    @cached_property
+    def losses(self) -> Array:
+        """How much worse the model is than the one as given, row by row; see `Series.losses`."""
+        return self.rows.losses(self.predicted, self.nominal)
+
+    @cached_property
+    def got_worse(self) -> str:
+        """Errors of all joints together where they got worse beyond chance; else empty."""
+        if chance_of_loss(self.losses.sum(axis=1)) >= CHANCE_OF_LOSS:
+            return ""
+        first, then = (
+            float(np.nansum(accuracy.nrmse))
+            for accuracy in (self.nominal_accuracy, self.accuracy)
+        )
+        return f"nrmse summed over the joints {first:.4g} → {then:.4g}"
+
 
 class Objection(NamedTuple):
     """Why a model is not to be used, and what to do about it."""
@@ -56,31 +83,33 @@ _COLUMNS = (
 
 def objections(model: Robot, judged: HoldOut) -> list[Objection]:
     """Objections to a model, what is impossible first."""
-    found = []
+    against = []
     if useless := useless_joints(model.joints, judged):
         why = (
             f"it predicts the hold-out worse than no model at {'; '.join(useless)}"
         )
-        found.append(Objection(why, _COLUMNS))
+        against.append(Objection(why, _COLUMNS))
     elif missed := _missed(model.joints, judged):
-        found.append(Objection(f"it misses {'; '.join(missed)}", _COLUMNS))
+        against.append(Objection(f"it misses {'; '.join(missed)}", _COLUMNS))
     if not judged.rows.judged.any():
         why = "no joint moves in the hold-out, or its torque is noise: nothing judges the model"
-        found.append(Objection(why, "name a recording with motion for --validate"))
+        against.append(
+            Objection(why, "name a recording with motion for --validate")
+        )
     if strained := _strained(model, judged):
         why = f"its friction is more than the drive can give: {'; '.join(strained)}"
         advice = "look at the unit of the torque and at the drive gains there"
-        found.append(Objection(why, advice))
-    if whole := got_worse(judged):
-        why = f"it predicts the hold-out worse than the model as given, {whole}"
+        against.append(Objection(why, advice))
+    if judged.got_worse:
+        why = f"it predicts the hold-out worse than the model as given, {judged.got_worse}"
         advice = "see whether fit and hold-out are of the same arm and load, or excite more"
-        found.append(Objection(why, advice))
-    return found
+        against.append(Objection(why, advice))
+    return against
 
 
 def useless_joints(joints: Sequence[str], judged: HoldOut) -> list[str]:
     """Joints whose mean torque predicts the hold-out better than the model, with r²."""
-    r2 = judged.rows.accuracy(judged.predicted).r2
+    r2 = judged.accuracy.r2
     return [
         f"{joints[j]} (r² = {r2[j]:.3g})"
         for j in np.flatnonzero(judged.rows.judged).tolist()
@@ -89,7 +118,7 @@ def useless_joints(joints: Sequence[str], judged: HoldOut) -> list[str]:
 
 
 def _missed(joints: Sequence[str], judged: HoldOut) -> list[str]:
-    nrmse = judged.rows.accuracy(judged.predicted).nrmse
+    nrmse = judged.accuracy.nrmse
     return [
         f"{100 * nrmse[j]:.0f} % of the torque of {joints[j]}"
         for j in np.flatnonzero(judged.rows.judged).tolist()
@@ -118,29 +147,13 @@ def _strained(model: Robot, judged: HoldOut) -> list[str]:
     ]
 
 
-def got_worse(judged: HoldOut) -> str:
-    """Errors of all joints together where they got worse beyond chance; else empty."""
-    rows = judged.rows
-    losses = rows.losses(judged.predicted, judged.nominal)
-    if chance_of_loss(losses.sum(axis=1)) >= CHANCE_OF_LOSS:
-        return ""
-    first, then = (
-        float(np.nansum(rows.accuracy(torque).nrmse))
-        for torque in (judged.nominal, judged.predicted)
-    )
-    return f"nrmse summed over the joints {first:.4g} → {then:.4g}"
-
-
 def worse_joints(joints: Sequence[str], judged: HoldOut) -> list[str]:
     """Joints that the model as given predicts better beyond chance, with both errors."""
-    rows = judged.rows
-    losses = rows.losses(judged.predicted, judged.nominal)
-    first, then = (
-        rows.accuracy(torque).nrmse for torque in (judged.nominal, judged.predicted)
-    )
+    first = judged.nominal_accuracy.nrmse
+    then = judged.accuracy.nrmse
     return [
         f"{joint} (nrmse {first[j]:.3g} → {then[j]:.3g})"
         for j, joint in enumerate(joints)
-        if chance_of_loss(losses[rows.counts[:, j], j])
+        if chance_of_loss(judged.losses[judged.rows.counts[:, j], j])
         < CHANCE_OF_LOSS / len(joints)
     ]

@@ -51,6 +51,7 @@ from excitant.identify.faults.physics import (
     torque_unit,
     unlike,
 )
+from excitant.identify.reading.units import sizes_of
 from excitant.identify.recording import Recording
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor
@@ -94,14 +95,6 @@ class Search:
 
 SEARCH = Search()
 
-UNITS = {
-    8.851: "lb·in",
-    10.2: "kgf·cm",
-    100.0: "N·cm",
-    1000.0: "N·mm",
-    0.102: "kgf·m",
-}
-"""Readings per N·m."""
 CLEAR_GAIN = 0.5  # relative std of a gain by bodies near the nominal ones, below which it is one
 
 
@@ -115,6 +108,8 @@ class Scales:
     "Of each joint that data tell apart: factors of 1e-3 to 1e3, known to about a half."
     alike: float = 3.0
     "Standard deviations within which factors of joints are one."
+    named: float = 0.3
+    "Logarithm within which a unit is named: one std of bodies near the nominal ones."
 
 
 SCALES = Scales()
@@ -174,11 +169,12 @@ def torque_scale(case: TorqueFit) -> Iterator[Fault]:
     robot = case.robot
     if case.log.unit != "N·m" or not _informative(robot):
         return
-    loose = TorqueFit(robot, replace(case.log, unit="A"), case.data, case.joints)
-    joints = [j for j in case.joints if loose.loose[j] < CLEAR_GAIN]
-    gains = loose.per[joints]
+    per, std = case.readings_per_torque()
+    joints = [j for j in case.joints if std[j] < CLEAR_GAIN]
+    gains = per[joints]
     if not joints or np.abs(np.log(gains)).min() < np.log(SCALES.least):
         return
+    loose = TorqueFit(robot, replace(case.log, unit="A"), case.data, case.joints)
     noise = np.minimum(case.power, loose.power)
     tool = _body_spread(robot, robot.nv - 1)
     left, after = loose.surprise(noise, case.rows, tool)
@@ -192,19 +188,19 @@ def torque_scale(case: TorqueFit) -> Iterator[Fault]:
         return
     names = case.log.names(joints)
     typical = float(np.exp(np.log(gains).mean()))
-    spread = np.log(gains / typical) / loose.loose[joints]
+    spread = np.log(gains / typical) / std[joints]
     of_one = (np.abs(spread) < SCALES.alike).all()
-    near = [
-        f"{f:g} in {u}" for f, u in UNITS.items() if abs(np.log(typical / f)) < 0.3
-    ]
-    factors = ", ".join(
+    like = ", ".join(
         f"{name} {gain:.3g}" for name, gain in zip(names, gains, strict=True)
     )
     what = "not the torque of bodies near the given ones, but that by a factor of each joint"
-    like = factors
     if of_one:
         what = f"{typical:.3g} times the torque of bodies near the given ones"
-        like = ", ".join(near)
+        like = ", ".join(
+            f"{1 / size:.3g} in {unit}"
+            for unit, size in sizes_of("tau").items()
+            if abs(np.log(typical * size)) < SCALES.named
+        )
     detail = (
         f"tau is {what}{f' ({like})' if like else ''}: another unit, currents or per cent, or "
         "inertias of the model in another unit"

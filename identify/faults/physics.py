@@ -146,7 +146,7 @@ class TorqueFit:
         self.size: Array = np.maximum((self.tau**2).mean(axis=0), 1e-300)
         self.parts = [self._part(j) for j in joints]
         if log.unit != "N·m":
-            self.per = self._readings_per_torque()
+            self.per, self.loose = self.readings_per_torque()
             self.G *= self.per[:, None]
             self.D *= self.per[:, None]
             self.parts = [self._part(j) for j in joints]
@@ -226,10 +226,14 @@ class TorqueFit:
             )
         return rows
 
-    def _readings_per_torque(self) -> Array:
-        """Current that a joint of the nominal bodies needs per torque, (nv,); sets `loose`."""
+    def readings_per_torque(self) -> tuple[Array, Array]:
+        """Readings that a joint of the nominal bodies needs per torque, and their relative std.
+
+        Both have shape (nv,).
+        """
         phi = self.robot.phi
         per = np.ones(self.robot.nv)
+        std = np.zeros(self.robot.nv)
         doubt = self.gain_std
         for j, (still, moving, current) in zip(
             self.joints, self.parts, strict=True
@@ -242,8 +246,8 @@ class TorqueFit:
             noise = float(error @ error) / len(error) * autocorrelation_time(error)
             per[j] = max(abs(gain), 1e-300)
             by_noise = np.sqrt(noise / squares) / per[j]
-            self.loose[j] = np.hypot(by_noise, doubt[j])
-        return per
+            std[j] = np.hypot(by_noise, doubt[j])
+        return per, std
 
     @property
     def gain_std(self) -> Array:

@@ -138,8 +138,11 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
     rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
     starts, lengths = run_lengths(same)
     stopped = (lengths >= FROZEN_ROWS) & moved[starts]
-    for start, length in zip(starts[stopped], lengths[stopped], strict=True):
-        rows = np.union1d(rows, np.arange(start, start + length) + 1)
+    frozen = [
+        *zip(starts[stopped], starts[stopped] + lengths[stopped], strict=True)
+    ]
+    for start, end in frozen:
+        rows = np.union1d(rows, np.arange(start, end) + 1)
     if len(rows) < 3:
         return
     detail = (
@@ -147,11 +150,8 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
         f"of the row before while joints move, in {np.isin(starts + 1, rows).sum()} places; "
         f"{log.first(rows)}"
     )
-    if stopped.any():
-        spans = [
-            f"{log.t[start]:.4g} to {log.t[start + length]:.4g} s"
-            for start, length in zip(starts[stopped], lengths[stopped], strict=True)
-        ]
+    if frozen:
+        spans = (f"{log.t[i]:.4g} to {log.t[k]:.4g} s" for i, k in frozen)
         detail += f"; frozen from t = {', '.join(spans)}"
     longest = int(lengths.max()) + 1
     yield dropped(log.joints, rows, detail, "duplicate_samples", longest=longest)

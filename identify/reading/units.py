@@ -50,6 +50,8 @@ _UNITS = (
     _Row("tau", "Ncm", 1e-2, "", _REVOLUTE),
     _Row("tau", "kgfm", 9.80665, "", _REVOLUTE),
     _Row("tau", "kgfcm", 0.0980665, "", _REVOLUTE),
+    _Row("tau", "lbfin", 0.1129848, "lbin inlb inlbf", _REVOLUTE),
+    _Row("tau", "lbfft", 1.355818, "lbft ftlb ftlbf", _REVOLUTE),
     _Row("tau", "N", 1.0, "", _PRISMATIC),
     _Row("tau", "kN", 1e3, "", _PRISMATIC),
     _Row("i", "A", 1.0, "amp amps ampere amperes"),
@@ -72,6 +74,15 @@ def spelled(text: str) -> str | None:
 def units_of(quantity: str) -> tuple[str, ...]:
     """All units that a quantity (``t``, ``q``, ``dq``, ``tau``, ``i``) may be logged in."""
     return tuple(row.unit for row in _UNITS if row.quantity == quantity)
+
+
+def sizes_of(quantity: str) -> dict[str, float]:
+    """SI units per unit of a quantity of joints that turn, for all that it may be logged in."""
+    return {
+        row.unit: row.size
+        for row in _UNITS
+        if row.quantity == quantity and row.revolute is not _PRISMATIC
+    }
 
 
 def factor(quantity: str, unit: str, revolute: bool | None = None) -> float | None:

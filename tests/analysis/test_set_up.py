@@ -142,6 +142,18 @@ def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: f
     assert_zero_found(found, robot.joints[joint], angle)
 
 
+def test_a_zero_position_is_refined_where_the_torque_has_no_gravity(ur10: Robot) -> None:
+    robot, joint = bare(ur10), ur10.joints[2]
+    floating = robot.with_gravity(np.zeros(3))
+    [fitted, *_] = with_zero_off(floating, 2, 0.3)
+    data = split([fitted]).train
+    near = SetUp(robot, floating.with_zero(joint, 0.25), {}, {})
+    found = refined(near, data, series(data).measured, prior_parameters(robot))
+    assert_zero_found(found, joint, 0.3)
+    assert {effect.name for effect in found.effects} == {"gravity_direction", "encoder_offset"}
+    assert all(np.isfinite(found.std_of(effect)).all() for effect in found.effects)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("channels", ["tau", "q tau"])
 def test_a_joint_of_the_other_sign_is_repaired_and_named_first(ur10: Robot, channels: str) -> None:
