@@ -8,19 +8,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from urdf_arms import urdf_of
 
 from excitant.identify import identify_robot, load_recording
 from excitant.robots import Robot, load_robot
 
-BODY = (
-    '<inertial><origin xyz="0.05 0.02 0.1"/><mass value="{mass}"/><inertia ixx="{inertia}" '
-    'iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial>'
-)
-JOINT = """<link name="link{k}">{body}</link>
-<joint name="joint{k}" type="{kind}"><parent link="link{before}"/><child link="link{k}"/>
-<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}{more}</joint>"""
-TURNS = '<limit velocity="2" effort="300"/>'
-LIMIT = '<limit lower="{low}" upper="{high}" velocity="2" effort="300"/>'
 X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
 ONE, SLIDE = {"axis": Y}, {"kind": "prismatic", "low": -0.4, "high": 0.4}
 WRIST = [{"axis": Z}, {"axis": Y}, {"axis": Y}, {"axis": Z}, {"axis": Y}, {"axis": Z}]
@@ -48,14 +40,8 @@ HIDDEN = 1.0  # N·m or N of Coulomb friction at every joint
 
 
 def description(kind: str) -> str:
-    usual = {"kind": "revolute", "low": -2, "high": 2, "axis": Z, "xyz": "0 0 0.3", "rpy": "0 0 0"}
-    parts = []
-    for k, joint in enumerate(KINDS[kind], start=1):
-        own = usual | {"k": k, "before": k - 1, "mass": 3 / k, "inertia": 0.02 / k} | joint
-        own["limit"] = TURNS if own["kind"] == "continuous" else LIMIT.format(**own)
-        own["body"] = BODY.format(**own) if own["mass"] else ""
-        parts.append(JOINT.format(**{"more": ""} | own))
-    return "\n".join(['<robot name="arm"><link name="link0"/>', *parts, "</robot>"])
+    joints = enumerate(KINDS[kind], start=1)
+    return urdf_of(*({"mass": 3 / k, "inertia": 0.02 / k} | joint for k, joint in joints))
 
 
 def recorded(robot: Robot, seed: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from urdf_arms import urdf_of
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.identify import Recording, identify_robot, load_dataset, recording_from_table
@@ -128,11 +129,7 @@ def test_xmate_from_placeholder_inertias(data_folder: Path) -> None:
     assert seen(diagnosis, offset, "joint1", "joint6") == ["joint1", "joint6"]
 
 
-PENDULUM = """<robot name="pendulum"><link name="base"/><link name="arm"><inertial>
-<origin xyz="0 0 {height}"/><mass value="{mass}"/>
-<inertia ixx="2e-4" iyy="2e-4" izz="2e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="servo" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
-<limit lower="-4" upper="4" velocity="20" effort="2"/></joint></robot>"""
+PENDULUM = {"axis": "0 1 0", "inertia": 2e-4, "low": -4, "high": 4, "velocity": 20, "effort": 2}
 MOTIONS = ("sin_sin", "sin_time_square", "up_and_down")  # powered all along
 
 
@@ -148,7 +145,7 @@ def test_servo_rotor_is_as_heavy_as_published_and_friction_grows_with_load(
     motor, description = known["published_parameters"]["m6"], tmp_path / "pendulum.urdf"
     chosen = [run for run in runs["recordings"] if run["trajectory"] in MOTIONS]
     mass, height = chosen[0]["mass_kg"], -chosen[0]["length_m"]
-    description.write_text(PENDULUM.format(mass=mass, height=height), encoding="utf-8")
+    description.write_text(urdf_of(PENDULUM, mass=mass, com=f"0 0 {height}"), encoding="utf-8")
 
     def recording(run: dict[str, str]) -> Recording:
         table = pd.read_parquet(folder / run["file"])

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from khosla import dh_from_robot
 from second_opinion import grouping, largest_count, parameter_nullspace
+from urdf_arms import urdf_of
 
 from excitant.analysis import analyze
 from excitant.analysis.dh_frames import distal_frames
@@ -53,18 +54,13 @@ def special(chain: DHChain, seed: int) -> DHChain:
 
 
 def tree(*joints: tuple[Any, ...], gravity: float = 9.81) -> Robot:
-    """Links at joints (parent, kind, axis, xyz, rpy), numbered as they come from 0."""
-    text = '<link name="l-1"/>'
-    for k, (parent, kind, *numbers) in enumerate(joints):
-        axis, xyz, rpy = (" ".join(map(str, each)) for each in numbers)
-        text += (
-            f'<link name="l{k}"><inertial><origin xyz="0.1 0.05 0.1"/><mass value="2"/>'
-            '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="j{k}" type="{kind}"><parent link="l{parent}"/><child link="l{k}"/>'
-            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
-            '<limit lower="-2" upper="2" velocity="1" effort="1"/></joint>'
-        )
-    text = f'<robot name="tree">{text}</robot>'
+    """Links at joints (parent, kind, axis, xyz, rpy), numbered as they come from 1."""
+    links = []
+    for parent, kind, *numbers in joints:
+        places = zip(("axis", "xyz", "rpy"), numbers, strict=True)
+        texts = {name: " ".join(map(str, each)) for name, each in places}
+        links.append({"parent": parent, "kind": kind} | texts)
+    text = urdf_of(*links, com="0.1 0.05 0.1", mass=2, inertia=1)
     return robot_from_urdf(text, source="tree.urdf", gravity=(0, 0, -gravity))
 
 
@@ -75,7 +71,7 @@ def branched(seed: int, nv: int) -> Robot:
         kind = rng.choice(["revolute", "revolute", "prismatic"])
         axis = np.eye(3)[rng.integers(3)] if rng.random() < 0.6 else rng.normal(size=3)
         xyz, rpy = rng.choice([0.0, 0.3, -0.2], 3), rng.choice([0.0, np.pi / 2, 0.7], 3)
-        joints.append((rng.integers(-1, k), kind, axis / np.linalg.norm(axis), xyz, rpy))
+        joints.append((rng.integers(0, k + 1), kind, axis / np.linalg.norm(axis), xyz, rpy))
     return tree(*joints, gravity=9.81 * (seed % 3 > 0))
 
 
@@ -149,7 +145,7 @@ def test_what_each_link_brings(name: str, per_link: tuple[int, ...]) -> None:
 
 
 def test_branches_are_counted() -> None:
-    fork = zip((-1, 0, 0), np.eye(3)[[2, 1, 0]], strict=True)
+    fork = zip((0, 1, 1), np.eye(3)[[2, 1, 0]], strict=True)
     robot = tree(*((on, "revolute", axis, np.zeros(3), np.zeros(3)) for on, axis in fork))
     assert len(structure(robot).base) == 15
     assert parameter_nullspace(robot).shown == (1, 7, 7)

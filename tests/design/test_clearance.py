@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from urdf_arms import urdf_of
 
 from excitant.design import build_design, clearance, design_trajectory, from_coefficients
 from excitant.exceptions import BadInput, Infeasible
@@ -158,21 +159,12 @@ def test_an_arm_that_hangs_through_the_plane_of_its_base_has_no_floor(ur10: Robo
 
 def drawn_close(gap: float) -> Robot:
     """An arm whose last link, on an axis tilted a little, passes closely above its first."""
-    links, joints = "", ""
     box = '<collision><origin xyz="{}"/><geometry><box size="{}"/></geometry></collision>'
     above = box.format(f"0.1 0 {0.02 + gap}", "0.02 0.02 0.02")
-    boxes = (box.format("0.05 0 0", "0.3 0.3 0.02"), "", above)
-    inertia = '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
-    body = f'<inertial><origin xyz="0.05 0.02 0"/><mass value="1"/>{inertia}</inertial>'
-    for k, shape in enumerate(boxes, start=1):
-        links += f'<link name="link{k}">{body}{shape}</link>'
-        tilt = "0.03 0 0" if k == 3 else "0 0 0"
-        joints += (
-            f'<joint name="joint{k}" type="revolute"><parent link="link{k - 1}"/>'
-            f'<child link="link{k}"/><origin xyz="{0.05 * (k > 1)} 0 0" rpy="{tilt}"/>'
-            '<axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="50"/></joint>'
-        )
-    text = f'<robot name="close"><link name="link0"/>{links}{joints}</robot>'
+    usual = {"com": "0.05 0.02 0", "mass": 1, "inertia": 0.1, "low": -3, "high": 3, "effort": 50}
+    first = {"xyz": "0 0 0", "shape": box.format("0.05 0 0", "0.3 0.3 0.02")}
+    last = {"rpy": "0.03 0 0", "shape": above}
+    text = urdf_of(first, {}, last, **{"xyz": "0.05 0 0"} | usual)
     return robot_from_urdf(text, source="close.urdf")
 
 

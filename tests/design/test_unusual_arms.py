@@ -8,27 +8,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from limit_use import assert_limits_hold, limited
+from urdf_arms import urdf_of
 
 from excitant.design import design_trajectory
 from excitant.exceptions import Infeasible
 from excitant.robots import Robot
 from excitant.robots.urdf import robot_from_urdf
 
-LINK = """<link name="link{k}"><inertial><origin xyz="0.05 0.02 0.1"/><mass value="{mass}"/>
-<inertia ixx="0.2" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="joint{k}" type="{kind}"><parent link="{parent}"/><child link="link{k}"/>
-<origin xyz="{xyz}"/><axis xyz="{axis}"/>
-<limit lower="{low}" upper="{high}" velocity="2" effort="500"/></joint>"""
 
 
 def arm(*joints: dict[str, object]) -> Robot:
-    usual = {"kind": "revolute", "low": -2, "high": 2, "axis": "0 0 1", "xyz": "0 0 0.3"}
-    links = [
-        LINK.format(k=k, mass=8.5 - 0.5 * k, **usual | {"parent": f"link{k - 1}"} | joint)
-        for k, joint in enumerate(joints, start=1)
-    ]
-    text = "\n".join(['<robot name="arm"><link name="link0"/>', *links, "</robot>"])
-    return robot_from_urdf(text, source="arm.urdf")
+    heavy = ({"mass": 8.5 - 0.5 * k} | joint for k, joint in enumerate(joints, start=1))
+    return robot_from_urdf(urdf_of(*heavy, inertia=0.2, effort=500), source="arm.urdf")
 
 
 def test_three_joints_one_of_them_sliding() -> None:
@@ -45,7 +36,7 @@ def test_a_dual_arm_of_twelve_joints() -> None:
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
     joints = [{"axis": axis, "xyz": "0.1 0 0.25"} for axis in axes * 2]
     joints[0]["xyz"] = "0 0.3 0.5"
-    joints[6] |= {"xyz": "0 -0.3 0.5", "parent": "link0"}
+    joints[6] |= {"xyz": "0 -0.3 0.5", "parent": 0}
     robot = arm(*joints)
     options = {"harmonics": 3, "columns": "inertial", "starts": 1, "jobs": 1, "time_limit": 5.0}
     found = design_trajectory(robot, duration=10.0, **options)
