@@ -4,34 +4,25 @@ import pickle
 
 import pytest
 
-from excitant import exceptions
-from excitant.exceptions import (
-    BadInput,
-    BadRecording,
-    BadRobot,
-    ExcitantError,
-    Infeasible,
-    OutsideLimits,
-    RankDeficient,
-    UnknownName,
-    WorkerDied,
-)
+from excitant import exceptions as ex
 
 ERRORS = [
-    BadInput("limits.yaml: no such joint"),
-    BadRecording("run.csv", "NaN", row=3, column="q1"),
-    BadRobot("arm.urdf", "no mass"),
-    Infeasible("trajectory of arm", "no motion is slow enough"),
-    OutsideLimits("elbow", "velocity", 3.2, 3.1, 0.5),
-    RankDeficient(["elbow.Ia"], "not determined"),
-    UnknownName("robot", "ur01", ["ur10"]),
-    WorkerDied(),
+    ex.BadInput("limits.yaml: no such joint"),
+    ex.BadRecording("run.csv", "NaN", row=3, column="q1"),
+    ex.BadRobot("arm.urdf", "no mass"),
+    ex.Infeasible("trajectory of arm", "no motion is slow enough"),
+    ex.OutsideLimits("elbow", "velocity", 3.2, 3.1, 0.5),
+    ex.RankDeficient(["elbow.Ia"], "not determined"),
+    ex.UnknownName("robot", "ur01", ["ur10"]),
+    ex.WorkerDied(),
 ]
 
 
 def test_the_list_is_complete():
-    kinds = {k for k in vars(exceptions).values() if isinstance(k, type)}
-    assert {k for k in kinds if issubclass(k, ExcitantError)} == {*map(type, ERRORS), ExcitantError}
+    found = {
+        k for k in vars(ex).values() if isinstance(k, type) and issubclass(k, ex.ExcitantError)
+    }
+    assert found == {*map(type, ERRORS), ex.ExcitantError}
 
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda e: type(e).__name__)

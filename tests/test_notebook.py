@@ -87,7 +87,11 @@ def test_names_are_those_of_the_packages() -> None:
 
 @pytest.mark.parametrize(
     ("code", "without"),
-    [("import excitant", "numpy"), ("ex.load_robot('planar_2r')._repr_html_()", "matplotlib")],
+    [
+        ("import excitant", "numpy"),
+        ("ex.load_robot('planar_2r')._repr_html_()", "matplotlib"),
+        ("ex.plot.torque", "matplotlib"),
+    ],
 )
 def test_what_is_not_needed_is_not_imported(code: str, without: str) -> None:
     code = f"import sys, excitant as ex; {code}; print({without!r} in sys.modules)"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 
 import matplotlib as mpl
@@ -159,9 +157,3 @@ def test_joints_come_in_the_order_in_which_they_are_named(estimate: Estimate) ->
     extents = [cloud_of(ax)[:, 0].max() for ax in axes]
     tops = [np.nanmax(column) for column in estimate.series()["velocity"].T[::-1]]
     assert extents == pytest.approx(tops, rel=0.05)
-
-
-def test_matplotlib_is_not_imported_before_it_is_drawn_with() -> None:
-    code = "import sys, excitant as ex; ex.plot.torque; print('matplotlib' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout == "False\n"
