@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,24 +13,8 @@ import numpy as np
 import pytest
 
 import excitant as ex
-from excitant.analysis.rehearsal import (
-    Rehearsal,
-    Situation,
-    changed,
-    clearance_item,
-    draw_change,
-    limit_items,
-    planted_parameters,
-    rehearsal_arm,
-    rehearse,
-)
-from excitant.design import (
-    FourierTrajectory,
-    design_trajectory,
-    from_coefficients,
-    trajectory_csv,
-    trajectory_json,
-)
+from excitant.analysis import rehearsal
+from excitant.design import FourierTrajectory, from_coefficients, trajectory_csv, trajectory_json
 from excitant.robots import Robot
 from excitant.robots.effects import standard_effects
 
@@ -39,29 +24,27 @@ Command = Callable[..., Any]
 @pytest.fixture(scope="module")
 def motion(planar: Robot) -> FourierTrajectory:
     options = {"duration": 10.0, "harmonics": 4, "starts": 1, "jobs": 1, "seed": 1}
-    return design_trajectory(planar, **options).trajectory
+    return ex.design_trajectory(planar, **options).trajectory
 
 
-def tried(robot: Robot, motion: FourierTrajectory, *amplitudes: float) -> Rehearsal:
+def tried(robot: Robot, motion: FourierTrajectory, *amplitudes: float) -> rehearsal.Rehearsal:
     """The motion with less amplitude of each joint."""
     coefficients = np.vstack([motion.coefficients[:1], motion.coefficients[1:] * amplitudes])
     weak = from_coefficients(coefficients, motion.period)
-    return rehearse(robot, weak, weak.period, np.random.default_rng(0))
+    return rehearsal.rehearse(robot, weak, weak.period, np.random.default_rng(0))
 
 
 def test_clearance_is_a_requirement() -> None:
     """Of a motion that drives the wrist through the floor, as `check` has it."""
     through = ex.Surroundings(ignore_collisions=True)
     robot = ex.load_robot("ur10")
-    rng = np.random.default_rng(0)
-    path = ex.random_trajectory(robot, rng, 4.0, 3)
+    path = ex.random_trajectory(robot, np.random.default_rng(0), 4.0, 3)
     checked = ex.check(robot, path)
     assert checked.touched
-    item = clearance_item(checked.scene, path, checked.least)
+    item = rehearsal.clearance_item(checked.scene, path, checked.least)
     assert not item.passed
     assert item.detail in checked.verdicts
-    free = ex.check(robot, path, surroundings=through)
-    assert free.clearance is None
+    assert ex.check(robot, path, surroundings=through).clearance is None
 
 
 @pytest.mark.slow
@@ -118,8 +101,9 @@ def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: FourierTr
     """Torque with friction is what is compared, and more than the limit is seen as more."""
     tight = planar.with_limits(replace(planar.limits, torque=np.array([1e3, 0.5])))
     rng = np.random.default_rng(0)
-    run = rehearsal_arm(tight, rng).run(motion, motion.period, rng)
-    [torque] = [x for x in limit_items(Situation(tight, run)) if x.name == "torque limits"]
+    run = rehearsal.rehearsal_arm(tight, rng).run(motion, motion.period, rng)
+    items = rehearsal.limit_items(rehearsal.Situation(tight, run))
+    [torque] = [item for item in items if item.name == "torque limits"]
     used = np.abs(run.tau[:, 1]).max() / 0.5
     assert used > 1.05
     assert (torque.passed, torque.joint) == (False, "joint2")
@@ -129,9 +113,11 @@ def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: FourierTr
 
 def test_the_arm_has_what_is_said_to_be_planted(planar: Robot) -> None:
     """And a seed is a rehearsal."""
-    effects, rngs = standard_effects(planar.joints), map(np.random.default_rng, (4, 4, 2))
-    (arm, rng), *others = ((rehearsal_arm(planar, rng), rng) for rng in rngs)
-    planted, again, different = (planted_parameters(x, effects) for x, _ in ((arm, rng), *others))
+    effects = standard_effects(planar.joints)
+    planted_in = partial(rehearsal.planted_parameters, effects=effects)
+    rngs = [*map(np.random.default_rng, (4, 4, 2))]
+    arms = [rehearsal.rehearsal_arm(planar, rng) for rng in rngs]
+    planted, again, different = map(planted_in, arms)
     assert np.array_equal(again, planted)
     assert not np.array_equal(different, planted)
     Fv, Fc, offset, Ia = planted[10 * planar.nv :].reshape(4, planar.nv)
@@ -139,10 +125,10 @@ def test_the_arm_has_what_is_said_to_be_planted(planar: Robot) -> None:
     assert offset.all()
     masses = planted[: 10 * planar.nv : 10] / planar.phi[::10]
     assert (np.abs(masses - 1) <= 0.05 + 1e-12).all()
-    change = draw_change(planar, rng)
+    change = rehearsal.draw_change(planar, rngs[0])
     assert change.effect in ("payload", "viscous_friction", "coulomb_friction")
-    assert not np.allclose(planted_parameters(changed(arm, change), effects), planted)
-    assert np.allclose(planted_parameters(arm, effects), planted)
+    assert not np.allclose(planted_in(rehearsal.changed(arms[0], change)), planted)
+    assert np.allclose(planted_in(arms[0]), planted)
 
 
 @pytest.mark.parametrize(
