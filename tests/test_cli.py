@@ -63,8 +63,7 @@ def test_a_verb_writes_and_prints_its_result(name: str, here: Path, excitant: An
     ran = excitant(f"{verb} planar_2r {WORKING[name]} --json -o out")
     assert (ran.status, ran.err) == (0, "")
     result = json.loads((here / "out" / "result.json").read_text(encoding="utf-8"))
-    assert ran.result == result
-    assert result["verb"] == verb
+    assert ran.result == result | {"verb": verb}
     assert {p.name for p in (here / "out").iterdir()} >= REPORT
     assert all((here / file).is_file() for file in result["files"])
     page = (here / "out" / "report.html").read_text(encoding="utf-8")
@@ -77,8 +76,8 @@ def test_show_writes_one_page_and_does_not_judge(here: Path, excitant: Any) -> N
     ran = excitant("show planar_2r trajectory.csv --limits slow.yaml --json -o page.html")
     assert (ran.status, ran.err) == (0, "")
     assert {path.name for path in here.iterdir()} - before == {"slow.yaml", "page.html"}
-    assert (ran.result["verb"], ran.result["holds"]) == ("show", False)
-    assert ran.result["files"] == ["page.html"]
+    shown = {"verb": "show", "holds": False, "files": ["page.html"]}
+    assert ran.result == ran.result | shown
     said = excitant("show planar_2r trajectory.csv --limits slow.yaml").out.splitlines()
     assert said[0].startswith("checked      velocity limit of joint")
     assert any("% of its velocity limit" in line for line in said[1:])
@@ -147,8 +146,7 @@ def test_what_faults_prove_wrong_is_not_published(here: Path, excitant: Any) -> 
     ran = excitant("identify planar_2r one-deg.csv --validate two-deg.csv -o out")
     [line] = [line for line in ran.out.splitlines() if "not published" in line]
     assert ran.status == 1
-    assert "one-deg: q is in degrees" in line
-    assert "--repair" in line
+    assert re.search("one-deg: q is in degrees.*--repair", line)
     ran = excitant("identify planar_2r one-deg.csv --validate two.csv --repair --force -o repaired")
     assert (ran.status, "(repaired)" in ran.out) == (0, True)
 
@@ -205,7 +203,7 @@ def test_simulate_records_what_identify_reads(here: Path, excitant: Any, run: st
     ran = excitant(f"simulate planar_2r trajectory.csv --json -o {run}")
     assert (ran.status, len(ran.result["hidden"])) == (0, "hidden" in run)
     ran = excitant(f"identify planar_2r {run.split()[0]} --json -o out")
-    assert ran.status == (0 if ran.result["published"] else 1)
+    assert ran.status == (not ran.result["published"])
 
 
 @pytest.mark.parametrize("rests", [False, True])
@@ -259,9 +257,7 @@ def refused(here: Path, excitant: Any) -> Callable[..., str]:
         ran = excitant(line)
         assert (ran.status, ran.out) == (status, "")
         assert sorted(here.rglob("*")) == before
-        assert ran.err.endswith("\n")
-        assert ran.err.count("\n") == 1
-        assert ran.err.startswith("excitant: ")
+        assert re.fullmatch(r"excitant: .*\n", ran.err)
         return str(ran.err)
 
     return run
@@ -402,12 +398,10 @@ def test_wrong_usage_exits_with_two_and_a_near_word(line: str, here: Path, capsy
 
 def test_help_without_a_command_and_a_version_that_names_the_solvers(excitant: Any) -> None:
     bare, version = excitant(""), excitant("--version")
-    assert (bare.status, bare.err) == (2, "")
-    assert bare.out == excitant("--help").out
+    assert bare == (2, excitant("--help").out, "")
     assert " go " in bare.out
     assert version.status == 0
-    assert version.out.startswith(__version__)
-    assert "clarabel" in version.out
+    assert re.match(rf"{re.escape(__version__)}.*clarabel", version.out, re.DOTALL)
 
 
 BUG = IndexError("list index\nout of range")
