@@ -69,12 +69,10 @@ def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(
 def test_its_figures_are_those_of_identify_and_diagnose(here: Path, excitant: Any) -> None:
     words = "planar_2r worn-one.csv --validate worn-two.csv --cutoff 8 --json"
     found = excitant(f"go {words} -o out").result
-    alone = {
-        verb: excitant(f"{verb} {words} -o {verb}").result for verb in ("identify", "diagnose")
-    }
-    assert alone["identify"]["joints"] == found["identify"]["joints"]
+    identify, diagnose = (excitant(f"{x} {words} -o {x}").result for x in ("identify", "diagnose"))
+    assert identify["joints"] == found["identify"]["joints"]
     for model in ("simulation", "extended"):
-        assert alone["diagnose"][model]["joints"] == found["diagnose"][model]["joints"]
+        assert diagnose[model]["joints"] == found["diagnose"][model]["joints"]
 
 
 def test_a_model_that_is_right_is_kept(here: Path, excitant: Any) -> None:
@@ -92,9 +90,9 @@ def test_wrong_data_are_refused_first_until_they_are_repaired(
     one.assign(q2=np.degrees(one["q2"]), dq2=np.degrees(one["dq2"])).to_csv("deg.csv", index=False)
     words = "go planar_2r deg.csv --validate worn-two.csv -o out"
     ran = excitant(words)
+    first = "use no model of these recordings: wrong unit in deg (joint2)"
     lines = ran.out.splitlines()
-    assert ran.status == 1
-    assert lines[0] == "use no model of these recordings: wrong unit in deg (joint2)"
+    assert (ran.status, lines[0]) == (1, first)
     assert any(line.startswith("data fault   deg: q is in degrees") for line in lines)
     assert any(line.startswith("next ") and "--repair" in line for line in lines)
     assert not [*(here / "out").glob("*.urdf")]
@@ -135,8 +133,6 @@ def test_the_example_is_what_its_script_writes_and_shows_its_friction(
     here: Path, excitant: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spec = importlib.util.spec_from_file_location("cell3", EXAMPLE.with_suffix(".py"))
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "FOLDER", here / "again")
