@@ -1,15 +1,15 @@
 """A small interpreter of URScript, which knows the grammar of its manual and nothing of excitant.
 
-Statements are lines: ``def``, ``while``, ``if`` ... ``elif`` ... ``else`` up to ``end``, with
-assignments, ``global`` or ``local``, and calls. A free variable is the global of its name where
-there is one, else local. Commands of the arm take time; what they command is kept with it.
+Statements are lines: ``def`` and ``while`` up to ``end``, with assignments, ``global`` or
+``local``, and calls; what else the manual has is refused. A free variable is the global of its name
+where there is one, else local. Commands of the arm take time; what they command is kept with it.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from functools import cache
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,12 @@ import numpy as np
 TOKEN = re.compile(
     r"\s*(?:(\d+\.?\d*(?:[eE][-+]?\d+)?)|([A-Za-z_]\w*)|(<=|>=|==|!=|[-+*/%()\[\],<>=]))"
 )
-LEVELS = (("or",), ("and",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "%"))
+LEVELS = (("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "%"))
 SIGNATURES = {
     "movej": ("q", "a", "v", "t", "r"),
     "servoj": ("q", "a", "v", "t", "lookahead_time", "gain"),
     "stopj": ("a",),
     "get_steptime": (),
-    "floor": ("f",),
 }
 
 
@@ -44,32 +43,16 @@ class Controller:
         """Run statements with local names of their own, those of the program at its level."""
         k = 0
         while k < len(lines):
-            word = re.match(r"\w+", lines[k])
-            if word and word[0] in ("def", "while", "if"):
-                parts = block(lines, k)
-                self.compound(word[0], parts, own)
-                k += sum(len(body) + 1 for _, body in parts) + 1
+            if head := re.fullmatch(r"(?:def (\w+)\(([\w, ]*)\)|while (.*)):", lines[k]):
+                body = lines[k + 1 : end_of(lines, k)]
+                k += len(body) + 2
+                if head[1]:
+                    self.functions[head[1]] = (re.findall(r"\w+", head[2]), body)
+                while head[3] and self.value(head[3], own):
+                    self.run(body, own)
             else:
                 self.simple(lines[k], own)
                 k += 1
-
-    def compound(self, kind: str, parts: list[tuple[str, list[str]]], own: dict[str, Any]) -> None:
-        head, body = parts[0]
-        assert head.endswith(":"), head
-        if kind == "def":
-            found = re.fullmatch(r"def (\w+)\(([\w, ]*)\):", head)
-            assert found, head
-            self.functions[found[1]] = (re.findall(r"\w+", found[2]), body)
-        elif kind == "while":
-            while self.value(head[len("while") : -1], own):
-                self.run(body, own)
-        else:
-            for head, body in parts:
-                condition = re.fullmatch(r"(?:el)?if (.*):|else:", head)
-                assert condition, head
-                if condition[1] is None or self.value(condition[1], own):
-                    self.run(body, own)
-                    break
 
     def simple(self, line: str, own: dict[str, Any]) -> None:
         found = re.fullmatch(r"(?:(global|local) )?([A-Za-z_]\w*) = (.*)", line)
@@ -100,9 +83,8 @@ class Controller:
 
     def unary(self, tokens: list[str], own: dict[str, Any]) -> Any:
         token = tokens.pop(0)
-        if token in ("-", "not"):
-            value = self.unary(tokens, own)
-            return -value if token == "-" else not value
+        if token == "-":
+            return -self.unary(tokens, own)
         if token == "(":
             value = self.binary(tokens, own, 0)
             assert tokens.pop(0) == ")"
@@ -110,8 +92,6 @@ class Controller:
             value = [each for _, each in self.listed(tokens, own, "]")]
         elif token[0].isdigit():
             value = float(token) if re.search(r"[.eE]", token) else int(token)
-        elif token in ("True", "False"):
-            value = token == "True"
         elif tokens and tokens[0] == "(":
             tokens.pop(0)
             value = self.call(token, self.listed(tokens, own, ")"))
@@ -150,9 +130,6 @@ class Controller:
 
     def get_steptime(self) -> float:
         return self.steptime
-
-    def floor(self, f: float) -> int:
-        return math.floor(f)
 
     def movej(self, q: list[float], **how: float) -> None:
         assert len(q) == 6
@@ -193,12 +170,9 @@ def split(text: str) -> tuple[str, ...]:
 
 
 def apply(operation: str, a: Any, b: Any) -> Any:
-    if operation in ("and", "or"):
-        return a and b if operation == "and" else a or b
-    if operation in LEVELS[2]:
-        return {"==": a == b, "!=": a != b, "<": a < b, ">": a > b, "<=": a <= b, ">=": a >= b}[
-            operation
-        ]
+    if operation in LEVELS[0]:
+        ordered = {"<": a < b, ">": a > b, "<=": a <= b, ">=": a >= b}
+        return ({"==": a == b, "!=": a != b} | ordered)[operation]
     assert not isinstance(a, list), "arithmetic of lists is not in every version"
     assert not isinstance(b, list), "arithmetic of lists is not in every version"
     if operation == "/":
@@ -206,15 +180,9 @@ def apply(operation: str, a: Any, b: Any) -> Any:
     return {"+": a + b, "-": a - b, "*": a * b, "%": a % b if b else 0}[operation]
 
 
-def block(lines: list[str], k: int) -> list[tuple[str, list[str]]]:
-    """Heads and bodies of a compound statement from line k to its own ``end``."""
-    parts, depth = [(lines[k], list[str]())], 0
-    for line in lines[k + 1 :]:
-        if line == "end" and depth == 0:
-            return parts
-        depth += bool(re.match(r"(def|while|if)\b", line)) - (line == "end")
-        if depth == 0 and re.match(r"(elif|else)\b", line):
-            parts.append((line, []))
-        else:
-            parts[-1][1].append(line)
-    raise AssertionError(f"no end: {lines[k]}")
+def end_of(lines: list[str], k: int) -> int:
+    """Line of the ``end`` of the statement that begins at line k."""
+    steps = [bool(re.match(r"(def|while)\b", line)) - (line == "end") for line in lines[k:]]
+    depths = list(accumulate(steps))
+    assert 0 in depths, f"no end: {lines[k]}"
+    return k + depths.index(0)
