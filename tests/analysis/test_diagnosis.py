@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any
 
 import numpy as np
 import pytest
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
-from excitant.analysis.confirmation import Finding, HoldoutScale
+from excitant.analysis.confirmation import HoldoutScale
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import are_placeholders, placeholder_links
@@ -30,6 +31,7 @@ PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
 WRISTS = ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 FAST = ("coulomb_friction", "payload")
 Pair = tuple[float, float]
+Finding = SimpleNamespace  # that stands for one
 FLOOR = 0.1
 ACTS = (1.0, 0.0)  # torque of joint 1 alone
 AS_FITTED = HoldoutScale(1.0, 0.0, 1.0)  # unseen data show as much of a cause
@@ -54,18 +56,8 @@ PLANTED = (
 
 
 @pytest.fixture
-def payload(case: Case) -> Diagnosis:
-    return case("payload")[1]
-
-
-@pytest.fixture
 def coulomb(case: Case) -> Diagnosis:
     return case("coulomb_friction")[1]
-
-
-def right(diagnosis: Diagnosis, effect: HiddenEffect) -> bool:
-    leads = [(f.effect.name, f.effect.joints) for f in diagnosis.findings[:1]]
-    return leads == [(effect.effect, (effect.joint,))]
 
 
 @pytest.mark.parametrize(
@@ -73,7 +65,8 @@ def right(diagnosis: Diagnosis, effect: HiddenEffect) -> bool:
 )
 def test_what_is_hidden_is_found(kind: str, case: Case) -> None:
     effect, diagnosis = case(kind)
-    assert right(diagnosis, effect), diagnosis.headline
+    leads = [(f.effect.name, f.effect.joints) for f in diagnosis.findings[:1]]
+    assert leads == [(effect.effect, (effect.joint,))], diagnosis.headline
     lead = diagnosis.findings[0]
     assert lead.rms_after < lead.rms_before
     assert lead.explained > 0
@@ -103,8 +96,8 @@ def test_what_no_candidate_describes_is_unknown(ur10: Robot, diagnosed: Diagnose
     brake = hidden("unknown", LIFT, amplitude=10.0, rate=1.0)
     switching = replace(brake, structure="telegraph_torque")
     result = diagnosed(ur10, 4, switching, duration=15.0).result()
-    assert [f["effect"] for f in result["findings"]] == ["unknown"], result["headline"]
-    assert result["findings"][0]["joints"] == [LIFT]
+    found = [(f["effect"], f["joints"]) for f in result["findings"]]
+    assert found == [("unknown", [LIFT])], result["headline"]
     assert "remain unexplained" in result["headline"]
 
 
@@ -148,8 +141,8 @@ def test_play_that_is_never_crossed_is_not_called_play(planar: Robot, diagnosed:
     """A lever that always hangs to one side leans on one flank: its encoder may be off instead."""
     off = hidden("encoder_offset", "joint1", offset=0.08)
     lead = diagnosed(planar, 5, off, tolerance=0.0, duration=12.0).findings[0]
-    names = {lead.effect.name, *(r.candidate.effect.name for r in lead.rivals)}
-    assert "encoder_offset" in names
+    rivals = {r.candidate.effect.name for r in lead.rivals}
+    assert "encoder_offset" in {lead.effect.name, *rivals}
     assert lead.effect.name != "backlash"
 
 
@@ -217,7 +210,8 @@ def test_the_result_is_its_record_and_names_every_joint(kind: str, case: Case) -
     assert all(set(part["bands"]) == set(BANDS) for part in spectra)
     assert all(set(part["shares"]) <= set(QUANTITIES) for part in spectra)
     shares = [row["share"] for row in result["unexplained"]]
-    assert all(0 <= s <= 1 for s in (*shares, *(x for p in spectra for x in p["shares"].values())))
+    shares += [x for part in spectra for x in part["shares"].values()]
+    assert all(0 <= share <= 1 for share in shares)
     rows = {len(values) for values in diagnosis.series().values()}
     assert rows == {len(diagnosis.holdout.series.t)}
 
@@ -242,9 +236,9 @@ def cause(
     scale: HoldoutScale = AS_FITTED,
     **shape: float,
 ) -> Finding:
-    """What stands for a finding: its effect, and its torque at each of two joints."""
+    """Its effect, and its torque at each of two joints."""
     shown = {"effect": EFFECTS[kind]((joint,), **shape), "explained": explained, "scale": scale}
-    return cast(Finding, SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0))
+    return SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0)
 
 
 @pytest.mark.parametrize(
@@ -269,10 +263,8 @@ def test_why_a_cause_that_pays_is_not_decided(
 ) -> None:
     """Torque and slow structure left of this rms at each of two joints; what causes explain."""
     found = cause("viscous_friction", own, "joint2", rms)
-    others = (
-        cause("viscous_friction", 0.6, "joint2", rms),
-        cause("stribeck_friction", rough[1], rough[0], rms),
-    )
+    large = cause("viscous_friction", 0.6, "joint2", rms)
+    others = (large, cause("stribeck_friction", rough[1], rough[0], rms))
     residuals = [
         Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {}, {})
         for j, x in enumerate(left, start=1)
@@ -364,14 +356,10 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     """One joint that rests for a while; nothing is found."""
     moves = np.ones((800, 1), bool)
     moves[300:500] = False
-    stand_in = SimpleNamespace(
-        unit=lambda joint: "N·m",
-        holdout=SimpleNamespace(series=SimpleNamespace(moves=moves)),
-        error=np.where(moves, in_motion, resting),
-        residuals=(SimpleNamespace(joint="elbow", floor=FLOOR),),
-        ordered=[],
-    )
-    diagnosis = cast(Diagnosis, stand_in)
+    diagnosis: Any = SimpleNamespace(unit=lambda joint: "N·m", ordered=[])
+    diagnosis.holdout = SimpleNamespace(series=SimpleNamespace(moves=moves))
+    diagnosis.error = np.where(moves, in_motion, resting)
+    diagnosis.residuals = (SimpleNamespace(joint="elbow", floor=FLOOR),)
     assert at_rest(diagnosis).startswith(said)
     assert bool(at_rest(diagnosis)) == bool(said)
     assert headline(diagnosis).startswith("No cause stands out")
@@ -408,6 +396,7 @@ def test_what_is_hidden_is_found_without_inertias(ur10: Robot, diagnosed: Diagno
     assert "torque_offset" in {e.name for e in effects if e.joints == (joint,)}
     assert (diagnosis.extended.nrmse < 0.05).all()
     result = diagnosis.result()
-    assert result["headline"].startswith("All links of the given model weigh 1 kg")
-    assert "Besides inertias: " in result["headline"]
+    assert re.match(
+        "All links of the given model weigh 1 kg.*Besides inertias: ", result["headline"]
+    )
     assert any("fitted together with the causes" in note for note in result["notes"])
