@@ -80,9 +80,8 @@ def test_design_keeps_the_clearance(planar: Robot) -> None:
     free = design_trajectory(planar, **options)
     kept = design_trajectory(planar, scene=around, clearance=0.03, **options)
     assert clearance(around, free.trajectory).distance < 0.03  # the wall matters
-    assert kept.clearance.certified >= 0.03
     dense = around.distances(kept.trajectory(np.linspace(0, kept.duration, 5001)))
-    assert dense.min() >= 0.03
+    assert min(dense.min(), kept.clearance.certified) >= 0.03
     assert kept.limits.hold
 
 
@@ -102,11 +101,6 @@ def test_a_cell_without_room_is_refused(planar: Robot) -> None:
     everywhere = Obstacle("rock", "sphere", SphereRecord(5.0, (0.0, 0.0, 0.0)))
     with pytest.raises(Infeasible, match="too close to an obstacle"):
         design_trajectory(planar, starts=1, jobs=1, scene=scene(planar, (everywhere,)))
-
-
-def test_a_robot_without_shapes_has_no_scene(planar: Robot) -> None:
-    bare = re.sub("<collision>.*?</collision>", "", planar.urdf, flags=re.DOTALL)
-    assert scene(robot_from_urdf(bare, source="bare.urdf")) is None
 
 
 def test_obstacles_are_written_as_they_were_read(ur10: Robot, tmp_path: Path) -> None:
@@ -207,6 +201,7 @@ def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot, tmp_path: Path)
     total = half.count("<collision>")
     missing = f"self-collision, 1 of {total} collision meshes not found; floor"
     assert unchecked(broken, scene(broken)) == missing
+    assert scene(bare) is None
     assert unchecked(bare, None) == "self-collision, no link has a collision shape; floor"
     assert unchecked(ur10, scene(ur10)) == "floor"
     assert unchecked(ur10, scene(ur10, (floor(0.0),))) == ""
@@ -261,14 +256,11 @@ def contacts_in_mujoco(robot: Robot, q: np.ndarray) -> int:
     count = 0
     for pose in q:
         data.qpos[addresses] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
-        for contact in data.contact[: data.ncon]:
-            inner, outer = sorted(int(carrier[model.geom_bodyid[geom]]) for geom in contact.geom)
-            if contact.dist < 0 and inner != outer and robot.model.parents[outer] != inner:
-                count += 1
-                break
+        for step in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_collision):
+            step(model, data)
+        deep = [contact.geom for contact in data.contact[: data.ncon] if contact.dist < 0]
+        pairs = np.sort(carrier[model.geom_bodyid[np.reshape(deep, (-1, 2)).astype(int)]], axis=1)
+        count += any(a != b and robot.model.parents[b] != a for a, b in pairs.tolist())
     return count
 
 
