@@ -20,9 +20,8 @@ import pytest
 
 from excitant import fleets
 from excitant.design import random_trajectory
-from excitant.exceptions import BadInput, WorkerDied
+from excitant.exceptions import BadInput
 from excitant.identify.dataset import origin
-from excitant.processes import unordered
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import virtual_arm
 
@@ -64,13 +63,12 @@ def test_it_goes_on_where_it_was_and_names_what_is_broken(
     shutil.copytree(two, here / "all")
     ran = excitant("fleet all --jobs 1 -o out --json")
     assert ran.status == 0, ran.err
-    sets = {each["name"]: each for each in ran.result["data_sets"]}
-    assert [*sets] == ["arm0/2026-03-01", "arm1/2026-03-01", "broken/2026-03-01", "lost"]
-    assert sets["arm1/2026-03-01"]["arm"] == "arm1"
-    assert sets["arm1/2026-03-01"]["date"] == "2026-03-01"
-    assert sets["arm1/2026-03-01"]["failed"] is None
-    assert "robot.urdf" in sets["broken/2026-03-01"]["failed"]
-    assert "no robot model" in sets["lost"]["failed"]
+    _, sound, broken, lost = sets = ran.result["data_sets"]
+    names = ["arm0/2026-03-01", "arm1/2026-03-01", "broken/2026-03-01", "lost"]
+    assert [each["name"] for each in sets] == names
+    assert (sound["arm"], sound["date"], sound["failed"]) == ("arm1", "2026-03-01", None)
+    assert "robot.urdf" in broken["failed"]
+    assert "no robot model" in lost["failed"]
     assert ran.result["arms"] == 2
     table = pd.read_parquet("out/parameters.parquet")
     assert set(table.arm) == {"arm0", "arm1"}
@@ -140,19 +138,6 @@ def test_arm_and_date_by_file(tmp_path: Path) -> None:
         origin(tmp_path, "cell3")
 
 
-def test_a_process_that_dies_is_told() -> None:
-    here = os.getpid()
-
-    def work(k: int) -> int:
-        assert os.getpid() != here
-        if k == 3:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return k
-
-    with pytest.raises(WorkerDied):
-        list(unordered(work, [(k,) for k in range(6)], 2))
-
-
 def test_a_data_set_that_ends_its_process_is_left_and_the_rest_is_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,7 +164,7 @@ def test_a_data_set_that_ends_its_process_is_left_and_the_rest_is_done(
 def test_ctrl_c_keeps_what_is_done(two: Path, here: Path, excitant: Any) -> None:
     shutil.copytree(two, here / "all")
     process = subprocess.Popen(
-        [sys.executable, "-m", "excitant", *["fleet", "all", "--jobs", "1", "-o", "out"]],
+        [sys.executable, "-m", "excitant", "fleet", "all", "--jobs", "1", "-o", "out"],
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
