@@ -65,9 +65,8 @@ def build(what: str, source: Path, target: Path) -> Path:
 
     The links in src/excitant are text files there, as in a zip of the repository.
     """
-    leave = shutil.ignore_patterns(
-        ".*", "build", "dist", "runs", "*.egg-info", "__pycache__", "*.pyc"
-    )
+    made = ("build", "dist", "runs", "*.egg-info", "__pycache__", "*.pyc")
+    leave = shutil.ignore_patterns(".*", *made)
     with tempfile.TemporaryDirectory() as folder:
         copy = shutil.copytree(source, Path(folder) / "copy", symlinks=True, ignore=leave)
         for link in (copy / "src/excitant").iterdir():
@@ -118,22 +117,20 @@ def excitant_alone(
 
 
 def test_one_version(project: dict[str, Any]) -> None:
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert project["project"]["version"] == excitant.__version__
-    assert str(citation["version"]) == excitant.__version__
-    assert citation["license"] == project["project"]["license"]
+    citation, table = yaml.safe_load((ROOT / "CITATION.cff").read_text()), project["project"]
+    assert table["version"] == str(citation["version"]) == excitant.__version__
+    assert citation["license"] == table["license"]
 
 
 def test_changelog_has_a_place_for_the_next_change() -> None:
     assert "## [Unreleased]" in (ROOT / "CHANGELOG.md").read_text().splitlines()
 
 
+EXTRAS = ("cluster", "docs", "mjcf", "ros", "dev")
+
+
 @pytest.mark.parametrize(
-    ("lock", "extras"),
-    [
-        ("requirements.lock", ()),
-        ("requirements-dev.lock", ("cluster", "docs", "mjcf", "ros", "dev")),
-    ],
+    ("lock", "extras"), [("requirements.lock", ()), ("requirements-dev.lock", EXTRAS)]
 )
 def test_lock_pins_every_requirement_and_names_no_place(
     project: dict[str, Any], lock: str, extras: tuple[str, ...]
@@ -176,52 +173,46 @@ def test_wheel_is_complete_and_small(wheel: Path) -> None:
 
 
 def test_wheel_says_its_licence_and_command(wheel: Path) -> None:
+    """And that of the library that it bundles."""
     with zipfile.ZipFile(wheel) as archive:
         info = next(n.split("/")[0] for n in archive.namelist() if ".dist-info/" in n)
-        metadata = archive.read(f"{info}/METADATA").decode()
-        scripts = archive.read(f"{info}/entry_points.txt").decode()
-        licence = archive.read(f"{info}/licenses/LICENSE").decode()
-    assert "License-Expression: Apache-2.0" in metadata
-    assert "excitant = excitant.__main__:run" in scripts
-    assert "Version 2.0, January 2004" in licence
+        for name, words in (
+            ("METADATA", "License-Expression: Apache-2.0"),
+            ("entry_points.txt", "excitant = excitant.__main__:run"),
+            ("licenses/LICENSE", "Version 2.0, January 2004"),
+            ("licenses/reports/templates/three.LICENSE", "The MIT License"),
+        ):
+            assert words in archive.read(f"{info}/{name}").decode()
 
 
-def test_bundled_library_says_its_version_and_has_its_licence(wheel: Path) -> None:
-    templates = ROOT / "reports" / "templates"
-    first = (templates / "three.js").read_text("utf-8").splitlines()[0]
+def test_bundled_library_says_its_version() -> None:
+    code = (ROOT / "reports/templates/three.js").read_text("utf-8")
     [version] = re.findall(r"^THREE := (.+)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    assert first == f"/* three.js {version}, MIT, see three.LICENSE; bundled by make three */"
-    assert "</script" not in (templates / "three.js").read_text("utf-8")
-    with zipfile.ZipFile(wheel) as archive:
-        [name] = [
-            n for n in archive.namelist() if n.endswith("licenses/reports/templates/three.LICENSE")
-        ]
-        assert "The MIT License" in archive.read(name).decode()
+    said = f"/* three.js {version}, MIT, see three.LICENSE; bundled by make three */"
+    assert code.splitlines()[0] == said
+    assert "</script" not in code
 
 
 def test_links_of_the_readme_lead_to_files_from_anywhere(project: dict[str, Any]) -> None:
     """Package indexes show the README away from its files."""
     home = re.escape(project["project"]["urls"]["Source"])
     links = LINK.findall((ROOT / "README.md").read_text("utf-8"))
-    files = [re.fullmatch(rf"{home}/(?:blob|raw)/HEAD/(.+)", link) for link in links]
+    files = [re.sub(rf"^{home}/(?:blob|raw)/HEAD/", "", link) for link in links]
     assert len(files) >= 10
-    assert [link for link, file in zip(links, files, strict=True) if file is None] == []
-    assert [file[1] for file in files if file and not (ROOT / file[1]).exists()] == []
+    assert [file for file in files if file in links or not (ROOT / file).exists()] == []
 
 
 @pytest.mark.slow
 def test_wheel_imports_with_nothing_else_installed(excitant_alone: Path, tmp_path: Path) -> None:
     names = run(excitant_alone / "python", "-c", IMPORT_EVERYTHING, cwd=tmp_path).split()
     assert {f"excitant.{folder}" for folder in FOLDERS} <= set(names)
-    printed = run(excitant_alone / "excitant", "robots", "ur10", cwd=tmp_path)
-    assert "6 joints" in printed
+    assert "6 joints" in run(excitant_alone / "excitant", "robots", "ur10", cwd=tmp_path)
 
 
 @pytest.mark.slow
 def test_demo_runs_with_nothing_else_installed(excitant_alone: Path, tmp_path: Path) -> None:
-    printed = run(
-        excitant_alone / "excitant", "demo", "--robot", "planar_2r", "-o", "d", cwd=tmp_path
-    )
+    words = ("demo", "--robot", "planar_2r", "-o", "d")
+    printed = run(excitant_alone / "excitant", *words, cwd=tmp_path)
     assert re.search(r"^hidden .*: named$", printed, re.MULTILINE)
     assert "<svg" in (tmp_path / "d/report.html").read_text(encoding="utf-8")
 
@@ -235,7 +226,6 @@ def test_git_keeps_the_links(tmp_path: Path) -> None:
     shutil.unpack_archive(tmp_path / "head.tar", tmp_path / "head", filter="data")
     for folder in FOLDERS:
         link = tmp_path / "head/src/excitant" / folder
-        assert link.is_symlink()
         assert not Path(os.readlink(link)).is_absolute()
         assert link.resolve() == (tmp_path / "head" / folder).resolve()
         assert (link / "__init__.py").is_file()
