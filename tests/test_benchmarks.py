@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -71,11 +72,9 @@ def condition_by_newton_euler(folder: Path, name: str, base: int) -> float:
 def test_every_contestant_has_a_row_with_a_motion_within_the_limits(rows: Rows) -> None:
     assert tuple(rows) == METHODS
     for row in rows.values():
-        assert row["samples"] == 1001
+        assert (row["samples"], row["at_rest"], row["cpu_s"] > 0) == (1001, True, True)
         assert min(row["left"], row["proj"], row["wall_s"]) >= 1
         assert 0 < row["worst"] <= 1
-        assert row["at_rest"]
-        assert row["cpu_s"] > 0
 
 
 @pytest.mark.slow
@@ -105,17 +104,15 @@ def test_the_judge_imports_nothing_of_the_optimisers() -> None:
 
 def test_a_missing_problem_is_refused_by_name(tmp_path: Path) -> None:
     done = run("--problem", "no_such", EXCITANT_PROBLEMS=str(tmp_path / "nowhere"))
+    [line] = done.stderr.strip().splitlines()
     assert done.returncode == 1
-    assert "no_such" in done.stderr
-    assert "EXCITANT_PROBLEMS" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    assert {"no_such", "EXCITANT_PROBLEMS"} <= {*re.findall(r"\w+", line)}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["panda"])
-def test_links_off_by_a_third_come_nearer_to_the_truth(name: str) -> None:
+def test_links_off_by_a_third_come_nearer_to_the_truth() -> None:
     """Over draws, the arm's links together, none much farther; and the torque is as good."""
-    found = bodies.table(name, 4)
+    found = bodies.table("panda", 4)
     assert (found["identified"] <= 1.15 * found["given"]).all()
     assert found["identified"].mean() < 0.85 * found["given"].mean()
     assert found.attrs["torque"] < 1.02 * found.attrs["free"]

@@ -105,11 +105,8 @@ class Reader:
         for words, shown in commands:
             with self._listening():
                 status = main(shlex.split(words.replace("\\\n", " ")))
-            unmet = re.search(
-                r"^(excitant: |failed |the identified model is not |use no model )",
-                shown,
-                re.MULTILINE,
-            )
+            refusals = "excitant: |failed |the identified model is not |use no model "
+            unmet = re.search(rf"^({refusals})", shown, re.MULTILINE)
             assert status == bool(unmet), f"{self.page}: {words}\n{self.printed}"
             assert_shown(shown, self.printed, f"{self.page}: excitant {words}")
 
@@ -133,8 +130,7 @@ def test_maps_of_the_page_on_recordings_are_understood() -> None:
     maps = re.findall(r"^\|.*\| `(\{.*\})` \|$", page, re.MULTILINE)
     assert len(maps) >= 10
     for text in maps:
-        found = column_map(parsed_yaml(text), "columns.yaml")
-        assert found != ColumnMap(), text
+        assert column_map(parsed_yaml(text), "columns.yaml") != ColumnMap(), text
 
 
 def test_wrong_pages_are_seen() -> None:
@@ -208,9 +204,8 @@ def test_effect_of_the_page_is_known_identified_and_diagnosed(here: Path) -> Non
     assert page["best"] == 0.4 == min(errors, key=errors.get)
     assert page["found"].values[0] == pytest.approx(12.0, rel=0.05)
     assert errors[0.4] < 0.7 * page["without"].validate.rms[1]
-    assert diagnosis.findings[0].verdict == "named"
-    lead = diagnosis.findings[0].effect
-    assert (lead.name, lead.joints) == ("taut_hose", ("joint2",))
+    verdict, lead = diagnosis.findings[0].verdict, diagnosis.findings[0].effect
+    assert (verdict, lead.name, lead.joints) == ("named", "taut_hose", ("joint2",))
     assert lead.angle == pytest.approx(0.4, abs=0.1)
     assert lead.values[0] == pytest.approx(12.0, rel=0.1)
     assert entry["parameters"][0]["name"] == "joint2.hose"

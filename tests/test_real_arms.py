@@ -20,8 +20,6 @@ SETS = {
     "rokae_xmate3": "rec02",
     "dualarm_v2": "exc_13p5 exc_15p7 --validate exc_52p2",
 }
-
-
 KNOWN: dict[tuple[str, str], Records] = {}  # by verb and set, for all tests
 
 
@@ -63,10 +61,9 @@ def test_an_upper_arm_weighs_what_an_upper_arm_weighs(ran: Verbs) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur10e"])
-def test_the_same_recording_gives_the_same_friction_in_three_verbs(ran: Verbs, name: str) -> None:
+def test_the_same_recording_gives_the_same_friction_in_three_verbs(ran: Verbs) -> None:
     """`analyze` to all digits; `diagnose` within ±, or a note names what shares the torque."""
-    identified, analyzed, diagnosed = (ran(v, name) for v in ("identify", "analyze", "diagnose"))
+    identified, analyzed, diagnosed = (ran(v, "ur10e") for v in ("identify", "analyze", "diagnose"))
     known, again = dict(friction(identified)), dict(friction(analyzed))
     assert known
     for coefficient, entry in known.items():

@@ -34,24 +34,15 @@ def test_every_file_is_sound_before_it_is_damaged(corpus: Path) -> None:
         assert all((corpus / name).is_file() for name in files), line
 
 
-SLOW = pytest.mark.slow
+PARTS = (("fuzz 12", 1), ("fuzz 100", 2), ("limits 1", 1), ("kills 1", 3), ("arms 1", 3))
+SLOW = [pytest.param(*part, marks=pytest.mark.slow) for part in PARTS[1:]]
 
 
-@pytest.mark.parametrize(
-    ("part", "seed"),
-    [
-        ("fuzz 12", 1),
-        pytest.param("fuzz 100", 2, marks=SLOW),
-        pytest.param("limits 1", 1, marks=SLOW),
-        pytest.param("kills 1", 3, marks=SLOW),
-        pytest.param("arms 1", 3, marks=SLOW),
-    ],
-)
+@pytest.mark.parametrize(("part", "seed"), [PARTS[0], *SLOW])
 def test_a_few_cases_break_nothing(part: str, seed: int) -> None:
-    words = [*part.replace(" ", " --count ").split(), "--seed", str(seed), "--jobs", "1"]
-    done = subprocess.run(
-        [sys.executable, FOLDER / "robustness.py", *words], capture_output=True, text=True
-    )
+    words = f"{part.replace(' ', ' --count ')} --seed {seed} --jobs 1".split()
+    command = [sys.executable, FOLDER / "robustness.py", *words]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"broken in any way +0 ", done.stdout)
     assert f"seed {seed}" in done.stdout
@@ -96,8 +87,7 @@ def test_samples_beyond_a_limit_are_seen(tmp_path: Path) -> None:
     top = {"velocity": np.abs(fine.dq).max(axis=0), "acceleration": np.abs(fine.ddq).max(axis=0)}
     top["jerk"] = np.abs(path(fine.t, 3)).max(axis=0)
     low, high = fine.q.min(axis=0), fine.q.max(axis=0)
-    given = {"position": np.column_stack([low, high])} | top
-    given |= {"torque": np.full(2, 1e6)}
+    given = {"position": np.column_stack([low, high]), "torque": np.full(2, 1e6)} | top
     assert bench.violations(arm, given, tmp_path / "t.csv") == ""
     for name, limit in top.items():
         said = bench.violations(arm, given | {name: 0.999 * limit}, tmp_path / "t.csv")
