@@ -21,6 +21,8 @@ from excitant.robots import load_robot
 pytestmark = pytest.mark.skipif(not psutil.LINUX, reason="asks for loaded libraries")
 
 PATIENCE = 240.0  # s: machines may be slow, a process that hangs is not
+EXCITANT = [sys.executable, "-m", "excitant"]
+SEARCH = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"  # without an end
 
 
 def wait(until: Callable[[], bool], what: str) -> None:
@@ -46,7 +48,7 @@ def settle(process: psutil.Process) -> None:
 def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[int, str]:
     """Exit status and error stream of a command that was interrupted amid its work."""
     started = psutil.Popen(
-        [sys.executable, "-m", "excitant", *words.split()], cwd=folder, start_new_session=True,
+        [*EXCITANT, *words.split()], cwd=folder, start_new_session=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
         # shells start what runs in the background deaf to Ctrl-C; not so here
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
@@ -68,17 +70,11 @@ def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[i
     return started.returncode, err
 
 
-@pytest.mark.parametrize(
-    "group",
-    [
-        pytest.param(True, id="at the terminal"),
-        pytest.param(False, id="the process alone", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("group", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
-    words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"
+    """At the terminal, and where the process alone is interrupted."""
     line = "excitant: interrupted; the best motion so far was written\n"
-    assert interrupted(words, tmp_path, 3, group) == (130, line)
+    assert interrupted(SEARCH, tmp_path, 3, group) == (130, line)
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written >= {"result.json", "report.html", "trajectory.csv", "trajectory.json"}
     result = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
@@ -100,10 +96,8 @@ def test_others_say_that_nothing_was_written(tmp_path: Path) -> None:
 def test_a_command_that_is_done_leaves_no_process(tmp_path: Path) -> None:
     """It ends without waiting for what ends with it."""
     words = "design planar_2r --harmonics 2 --periods 1 --duration 4 --starts 2 --jobs 2 -o out"
-    done = subprocess.run(
-        [sys.executable, "-m", "excitant", *words.split()], cwd=tmp_path, capture_output=True,
-        text=True, check=False, env={**os.environ, "OF_TEST": str(tmp_path)},
-    )  # fmt: skip
+    known = {"cwd": tmp_path, "env": {**os.environ, "OF_TEST": str(tmp_path)}}
+    done = subprocess.run([*EXCITANT, *words.split()], capture_output=True, text=True, **known)
     assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "out/report.html")
 
     def ours(process: psutil.Process) -> bool:
@@ -116,9 +110,8 @@ def test_a_command_that_is_done_leaves_no_process(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_behind_the_output_is_told() -> None:
-    words = [sys.executable, "-m", "excitant", "robots"]
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        done = subprocess.run([*EXCITANT, "robots"], stdout=full, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (1, "excitant: file: No space left on device\n")
 
 
@@ -126,7 +119,7 @@ def ran_amid(code: str, folder: Path, *words: str) -> subprocess.CompletedProces
     """A command in whose process this code comes first."""
     (folder / "amid.py").write_text(code)
     command = [sys.executable, "-m", "amid", *words]
-    return subprocess.run(command, cwd=folder, check=False, capture_output=True, text=True)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True)
 
 
 def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> None:
@@ -178,11 +171,8 @@ def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_workers_end_with_a_process_that_is_killed(tmp_path: Path) -> None:
-    words = "design planar_2r --harmonics 3 --time-limit 1000 --jobs 2 -o out"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    started = psutil.Popen(
-        [sys.executable, "-m", "excitant", *words.split()], cwd=tmp_path, **quiet
-    )
+    started = psutil.Popen([*EXCITANT, *SEARCH.split()], cwd=tmp_path, **quiet)
     wait(lambda: len(started.children(recursive=True)) >= 2, "its processes")
     settle(started)
     family = started.children(recursive=True)

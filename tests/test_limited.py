@@ -27,12 +27,8 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     (tmp_path / "strange_work.py").write_text(WORK)
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module("strange_work")
-
-    def run(name: str, *arguments: object) -> str:
-        found = in_child(getattr(module, name), *arguments, seconds=1, memory=1 << 29)
-        return found.decode()
-
-    return run
+    limits = {"seconds": 1, "memory": 1 << 29}
+    return lambda name, *given: in_child(getattr(module, name), *given, **limits).decode()
 
 
 def test_a_child_answers_or_says_why_not(work: Callable[..., str]) -> None:

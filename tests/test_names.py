@@ -37,16 +37,9 @@ def test_a_folder_is_named_safely(name: str) -> None:
 
 
 def test_a_robot_of_odd_name_is_shown_and_saved(here: Path, excitant: Any) -> None:
-    name = "../\u202egnp\x9b/x"
-    text = json.dumps(
-        {
-            "name": name,
-            "convention": "standard",
-            "dh": [
-                {"m": 1.0, "a": 0.3, "com": [0.1, 0, 0], "Ic": {"xx": 0.01, "yy": 0.01, "zz": 0.01}}
-            ],
-        }
-    )
+    name, inertia = "../\u202egnp\x9b/x", {"xx": 0.01, "yy": 0.01, "zz": 0.01}
+    link = {"m": 1.0, "a": 0.3, "com": [0.1, 0, 0], "Ic": inertia}
+    text = json.dumps({"name": name, "convention": "standard", "dh": [link]})
     (here / "arm.yaml").write_text(text, encoding="utf-8")
     ran = excitant("analyze arm.yaml")
     assert (ran.status, ran.err) == (0, "")
