@@ -12,6 +12,7 @@ import sys
 import threading
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from unittest import mock
 from urllib.parse import unquote
 
 import numpy as np
@@ -106,6 +107,7 @@ def failing(request, monkeypatch):
     """``failing(k, error)``: the k-th step of this kind, from 1, fails."""
     module, name = request.param.split(".")
     owner = {"os": os, "shutil": shutil, "files": files}[module]
+
     real, steps = getattr(owner, name), itertools.count(1)
 
     def fail(count, error):
@@ -162,7 +164,7 @@ def test_a_file_larger_than_the_system_allows_is_named_and_nothing_stays(tmp_pat
 
 
 def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(FULL))
+    monkeypatch.setattr(os, "fsync", mock.Mock(side_effect=FULL))
     for write, *given in ((save_run, CHECK, {}), (files.write_file, "x")):
         with pytest.raises(BadInput, match=r"run.*cannot be written: No space left.*free some"):
             write(tmp_path / "run", *given)
@@ -187,9 +189,6 @@ def test_old_or_new_is_whole_at_every_instant(tmp_path):
     """Read all the while from another thread, which sees both."""
     run, seen, over = tmp_path / "run", set(), threading.Event()
 
-    def write(k):
-        files.write_folder(run, {"a": f"{k}", "b": f"{k}"})
-
     def look():
         while not over.is_set():
             with ExitStack() as stack:
@@ -200,11 +199,11 @@ def test_old_or_new_is_whole_at_every_instant(tmp_path):
                 held += [os.open(x, os.O_RDONLY, dir_fd=held[0]) for x in "ab"]
                 seen.add(tuple(os.read(handle, 9) for handle in held[1:]))
 
-    write(0)
     looking = threading.Thread(target=look)
-    looking.start()
-    for k in range(1, 60):
-        write(k)
+    for k in range(60):
+        files.write_folder(run, {"a": f"{k}", "b": f"{k}"})
+        if k == 0:
+            looking.start()
     over.set()
     looking.join()
     assert len(seen) > 1
@@ -213,7 +212,7 @@ def test_old_or_new_is_whole_at_every_instant(tmp_path):
 
 def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
     script = (
-        "import os, signal, sys; from pathlib import Path; from excitant import files;"
+        "import os, signal, sys; from excitant import files;"
         "files._write = lambda *_: os.kill(os.getpid(), signal.SIGKILL);"
         "files.write_folder(sys.argv[1], {'a': 'b'})"
     )
@@ -229,12 +228,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_waits_until_the_run_is_whole(number, tmp_path, monkeypatch):
     before, real = signal.signal(number, signal.default_int_handler), os.fsync
-
-    def fsync(handle):
-        signal.raise_signal(number)
-        real(handle)
-
-    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "fsync", lambda file: (signal.raise_signal(number), real(file)))
     try:
         with pytest.raises(KeyboardInterrupt, match="was written"):
             save_run(tmp_path / "run", CHECK, {})
