@@ -119,24 +119,19 @@ def runs() -> Callable[..., list[Recording]]:
     """
 
     def recorded(
-        robot: Robot,
-        seed: int | Sequence[int],
-        hidden: Sequence[HiddenEffect] | None = (),
-        sensors: Sensors | None = None,
-        tolerance: float = 0.0,
-        duration: float = 10.0,
+        robot: Robot, seed: int | Sequence[int], hidden: Sequence[HiddenEffect] | None = (),
+        sensors: Sensors | None = None, tolerance: float = 0.0, duration: float = 10.0,
         names: Sequence[str] = ("excitation", "holdout"),
-    ) -> list[Recording]:
+    ) -> list[Recording]:  # fmt: skip
         rng = np.random.default_rng(seed)
         sensors = sensors or ideal_sensors(robot)
         arm = virtual_arm(robot, rng, hidden=hidden, sensors=sensors, tolerance=tolerance)
-        tables = [
-            arm.record(random_trajectory(robot, rng, duration, 5), duration, rng) for _ in names
-        ]
-        return [
-            recording_from_table(table, robot.nv, file=f"{name}.parquet", name=name)
-            for name, table in zip(names, tables, strict=True)
-        ]
+        found = []
+        for name in names:
+            table = arm.record(random_trajectory(robot, rng, duration, 5), duration, rng)
+            file = f"{name}.parquet"
+            found.append(recording_from_table(table, robot.nv, file=file, name=name))
+        return found
 
     return recorded
 
@@ -171,20 +166,12 @@ def random_chain(random_bodies: Callable[[int, int], np.ndarray]) -> Callable[..
         rng = np.random.default_rng(seed)
         special = rng.choice([0.0, np.pi / 2, -np.pi / 2, np.pi], nv)
         a, d = rng.uniform(-0.6, 0.6, (2, nv)) * rng.choice([0.0, 1.0, 1.0], (2, nv))
+        names = (tuple(f"{letter}{i}" for i in range(nv)) for letter in "jl")
         return DHChain(
-            name="chain",
-            convention=convention,
-            joints=tuple(f"j{i}" for i in range(nv)),
-            links=tuple(f"l{i}" for i in range(nv)),
-            revolute=rng.random(nv) < 0.7,
-            a=a,
-            d=d,
+            "chain", convention, *names, revolute=rng.random(nv) < 0.7, a=a, d=d,
             alpha=np.where(rng.random(nv) < 0.5, special, rng.uniform(-3, 3, nv)),
-            theta=rng.uniform(-3, 3, nv),
-            phi=random_bodies(seed, nv),
-            gravity=rng.uniform(-10, 10, 3),
-            base=_random_pose(rng),
-            tool=_random_pose(rng),
-        )
+            theta=rng.uniform(-3, 3, nv), phi=random_bodies(seed, nv),
+            gravity=rng.uniform(-10, 10, 3), base=_random_pose(rng), tool=_random_pose(rng),
+        )  # fmt: skip
 
     return chain

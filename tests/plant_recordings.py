@@ -11,14 +11,8 @@ import pinocchio as pin
 import scipy
 
 from excitant.robots import Motion, Robot, torque
+from excitant.robots import virtual_arm as va
 from excitant.robots.urdf import robot_from_urdf
-from excitant.robots.virtual_arm import (
-    HiddenEffect,
-    Sensors,
-    VirtualArm,
-    ideal_sensors,
-    virtual_arm,
-)
 
 Trajectory = Callable[[np.ndarray, int], np.ndarray]
 
@@ -82,28 +76,25 @@ def mujoco_model(robot: Robot) -> mujoco.MjModel:
 
 
 def true_arm(
-    robot: Robot, *effects: HiddenEffect, rate: float = RATE, sensors: Sensors | None = None
-) -> VirtualArm:
+    robot: Robot, *effects: va.HiddenEffect, rate: float = RATE, sensors: va.Sensors | None = None
+) -> va.VirtualArm:
     """A virtual arm that is the nominal one but for the hidden effects, by default truly seen."""
-    rng, sensors = np.random.default_rng(0), sensors or ideal_sensors(robot, rate)
-    return virtual_arm(robot, rng, hidden=effects, sensors=sensors, tolerance=0.0)
+    rng, sensors = np.random.default_rng(0), sensors or va.ideal_sensors(robot, rate)
+    return va.virtual_arm(robot, rng, hidden=effects, sensors=sensors, tolerance=0.0)
 
 
 def steady(values: np.ndarray) -> np.ndarray:
     """Rows around which no sign changes."""
-    signs, filters = (
-        np.sign(values),
-        (scipy.ndimage.minimum_filter1d, scipy.ndimage.maximum_filter1d),
-    )
-    low, high = (limit(signs, 17, axis=0) for limit in filters)
-    return (low == high).reshape(len(signs), -1).all(axis=1)
+    filters = (scipy.ndimage.minimum_filter1d, scipy.ndimage.maximum_filter1d)
+    low, high = (limit(np.sign(values), 17, axis=0) for limit in filters)
+    return (low == high).reshape(len(values), -1).all(axis=1)
 
 
 class Recorded:
     """A recording with true sensors, and what it shows beside the nominal arm."""
 
     def __init__(
-        self, robot: Robot, *effects: HiddenEffect, duration: float = 2.0, rate: float = RATE
+        self, robot: Robot, *effects: va.HiddenEffect, duration: float = 2.0, rate: float = RATE
     ) -> None:
         arm = true_arm(robot, *effects, rate=rate)
         table = arm.record(swing(robot), duration, np.random.default_rng(0))

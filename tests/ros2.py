@@ -18,31 +18,23 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.interpolate import BPoly
 
+STATE = "float64 position\nfloat64 velocity\nfloat64 acceleration\n"
 CONTROL = {
-    "control_msgs/msg/JointTolerance": (
-        "string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration\n"
-    ),
-    "control_msgs/msg/JointComponentTolerance": (
-        "uint16 X_AXIS=1\nstring joint_name\nuint16 component\nfloat64 position\n"
-        "float64 velocity\nfloat64 acceleration\n"
-    ),
-    "control_msgs/action/Goal": (
-        "trajectory_msgs/JointTrajectory trajectory\n"
-        "trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory\n"
-        "control_msgs/JointTolerance[] path_tolerance\n"
-        "control_msgs/JointComponentTolerance[] component_path_tolerance\n"
-        "control_msgs/JointTolerance[] goal_tolerance\n"
-        "control_msgs/JointComponentTolerance[] component_goal_tolerance\n"
-        "builtin_interfaces/Duration goal_time_tolerance\n"
-    ),
-    "control_msgs/action/Result": (
-        "int32 error_code\nint32 SUCCESSFUL=0\nint32 PATH_TOLERANCE_VIOLATED=-4\n"
-        "string error_string\n"
-    ),
+    "msg/JointTolerance": f"string name\n{STATE}",
+    "msg/JointComponentTolerance": f"uint16 X_AXIS=1\nstring joint_name\nuint16 component\n{STATE}",
+    "action/Goal": """trajectory_msgs/JointTrajectory trajectory
+        trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
+        control_msgs/JointTolerance[] path_tolerance
+        control_msgs/JointComponentTolerance[] component_path_tolerance
+        control_msgs/JointTolerance[] goal_tolerance
+        control_msgs/JointComponentTolerance[] component_goal_tolerance
+        builtin_interfaces/Duration goal_time_tolerance""",
+    "action/Result": """int32 error_code\nint32 SUCCESSFUL=0\nint32 PATH_TOLERANCE_VIOLATED=-4
+        string error_string""",
 }
 DEFINED = dict(get_typestore(Stores.ROS2_HUMBLE).fielddefs)
 for _name, _text in CONTROL.items():
-    DEFINED |= get_types_from_msg(_text, _name)
+    DEFINED |= get_types_from_msg(_text.replace(" " * 8, ""), f"control_msgs/{_name}")
 RANGES = {"int32": (-(2**31), 2**31), "uint32": (0, 2**32), "uint16": (0, 2**16)}
 LATE = 0.05  # s between states
 
@@ -149,9 +141,8 @@ class Arm:
         times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]
         assert np.all(np.diff(times) > 0)
         assert tuple(goal.trajectory.joint_names) == self.joints
-        assert np.abs(points[-1].velocities).max() <= np.finfo("f4").eps, (
-            "JTC wants rest at its end"
-        )
+        rest = np.abs(points[-1].velocities).max() <= np.finfo("f4").eps
+        assert rest, "JTC wants rest at its end"
         self.goals.append(goal)
         self.sent.append(self.now)
         if self.accepts:
@@ -161,9 +152,8 @@ class Arm:
             self.end = self.now + times[-1]
         handle = SimpleNamespace(accepted=self.accepts)
         result = made("control_msgs/action/Result")(error_code=self.error, error_string="why")
-        handle.get_result_async = lambda: Future(
-            SimpleNamespace(result=result), lambda: self.path is None
-        )
+        ended = Future(SimpleNamespace(result=result), lambda: self.path is None)
+        handle.get_result_async = lambda: ended
         handle.cancel_goal_async = self.cancel
         return Future(handle)
 
@@ -184,10 +174,8 @@ def install(arm: Arm, patch: pytest.MonkeyPatch) -> None:
         arm.listener = heard
 
     def client(node: Any, kind: Any, name: str) -> Any:
-        assert (kind, name) == (
-            modules["control_msgs.action"].FollowJointTrajectory,
-            "/joint_trajectory_controller/follow_joint_trajectory",
-        )
+        assert kind is modules["control_msgs.action"].FollowJointTrajectory
+        assert name == "/joint_trajectory_controller/follow_joint_trajectory"
         return SimpleNamespace(
             send_goal_async=arm.take, wait_for_server=lambda timeout_sec: arm.here
         )
@@ -199,9 +187,8 @@ def install(arm: Arm, patch: pytest.MonkeyPatch) -> None:
         arm.closed = True
 
     node = SimpleNamespace(create_subscription=subscribe, destroy_node=lambda: None)
-    action = SimpleNamespace(
-        Goal=made("control_msgs/action/Goal"), Result=made("control_msgs/action/Result")
-    )
+    parts = {name: made(f"control_msgs/action/{name}") for name in ("Goal", "Result")}
+    action = SimpleNamespace(**parts)
     modules: dict[str, Any] = {
         "rclpy": {
             "init": init, "create_node": lambda name: node,

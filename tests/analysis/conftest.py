@@ -17,13 +17,9 @@ def diagnosed(runs: Runs) -> Diagnosed:
     """``diagnosed(robot, seed, *hidden, given=..., tolerance=..., duration=...)``."""
 
     def found(
-        robot: Robot,
-        seed: int,
-        *hidden: HiddenEffect,
-        given: Robot | None = None,
-        tolerance: float = 0.03,
-        **more: float,
-    ) -> Diagnosis:
+        robot: Robot, seed: int, *hidden: HiddenEffect, given: Robot | None = None,
+        tolerance: float = 0.03, **more: float,
+    ) -> Diagnosis:  # fmt: skip
         fitted, held = runs(robot, seed, hidden, industrial_sensors(robot), tolerance, **more)
         return diagnose(given or robot, [fitted], validate=[held])
 

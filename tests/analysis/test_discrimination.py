@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -97,8 +98,7 @@ def test_runs_that_the_prior_makes_useless_are_not_asked_for(planar: Robot) -> N
     assert several
     for part, n in several:
         [enough], [less] = (pair.separations(k * part) for k in (n, n - 1))
-        assert enough.enough
-        assert not less.enough
+        assert (enough.enough, less.enough) == (True, False)
         assert enough.delta > needed()
 
 
@@ -157,8 +157,7 @@ def test_the_motion_separates_what_a_poor_one_does_not(
 def test_no_motion_separates_what_is_the_same(planar: Robot, found: Effect, rival: Effect) -> None:
     pair = contest(planar, found, rival, swing(planar))
     motions, highest = discriminating_motions(pair, np.random.default_rng(0))
-    assert motions == []
-    assert highest[0] < DISCRIMINATION.hopeless
+    assert (motions, highest[0] < DISCRIMINATION.hopeless) == ([], True)
 
 
 def test_unstated_limits_are_those_of_the_recording(planar: Robot) -> None:
@@ -193,32 +192,29 @@ def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
     assert lead.effect.name in alike
     found = plan(undecided, np.random.default_rng(0))
     settles = found.experiments[key(lead.effect, rival)]
-    assert settles.file is None
     assert "without the load" in settles.experiment
     entries = undecided.result(found)["findings"][0]["rivals"]
     entry = next(e for e in entries if e["effect"] == rival.name)
-    assert entry["experiment"] == settles.experiment
-    assert (entry["separation"], entry["repetitions"], entry["file"]) == (None, None, None)
+    none = dict.fromkeys(("separation", "repetitions", "file"))
+    assert entry == entry | none | {"experiment": settles.experiment}
+    assert settles.file is None
 
 
 def test_without_a_plan_actions_stand(undecided: Diagnosis) -> None:
     [entry, *_] = undecided.result()["findings"]
-    assert entry["joints"] == [undecided.robot.joints[-1]]
-    assert entry["verdict"] == "undecided"
-    assert all(rival["why"] for rival in entry["rivals"])
+    last = [undecided.robot.joints[-1]]
+    assert (entry["joints"], entry["verdict"]) == (last, "undecided")
     for rival in entry["rivals"]:
-        one, other = EFFECTS[entry["effect"]], EFFECTS[rival["effect"]]
-        assert rival["experiment"] == separating_experiment(one, other)
-        assert rival["file"] is None
+        action = separating_experiment(EFFECTS[entry["effect"]], EFFECTS[rival["effect"]])
+        assert (rival["experiment"], rival["file"]) == (action, None)
+        assert rival["why"]
 
 
 def test_a_motion_is_described_by_what_moves(ur10: Robot) -> None:
     sine = np.zeros((3, ur10.nv))
     sine[:, 4] = (0.05, 0.05, -0.05)
     motion = FourierTrajectory(np.zeros(ur10.nv), np.zeros_like(sine), sine, 20.0)
-    words = described(motion, ur10)
-    assert "wrist_2_joint reverses" in words
-    assert "the other joints held" in words
+    assert re.search("wrist_2_joint reverses.*the other joints held", described(motion, ur10))
 
 
 @pytest.mark.slow

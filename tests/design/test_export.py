@@ -44,9 +44,7 @@ def assert_same(found: Motion, expected: Motion, *names: str) -> None:
 @pytest.mark.parametrize(
     "series", [FourierSeries(3.0, 3), SplineSeries(3.0, 9), FourierSeries(1.0, 3, periods=3)]
 )
-def test_json_and_csv_round_trips_are_the_identity(
-    planar: Robot, series: Series, tmp_path: Path
-) -> None:
+def test_json_and_csv_round_trips_are_the_identity(planar: Robot, series: Series, tmp_path: Path):
     trajectory = drawn(series, 2)
     path, table = tmp_path / "trajectory.json", tmp_path / "trajectory.csv"
     path.write_text(design.trajectory_json(trajectory, planar))
@@ -84,9 +82,8 @@ BAD_CSV = (
     ([HEADER, ROWS[0]], "at least two rows"),
     ([], "at least two rows"),
 )
-GOOD_JSON = {"period": 3.0, "offset": [0.0] * 2} | dict.fromkeys(
-    ("cosine", "sine"), [[0.0] * 2] * 3
-)
+WAVES = [[0.0] * 2] * 3
+GOOD_JSON = {"period": 3.0, "offset": [0.0] * 2, "cosine": WAVES, "sine": WAVES}
 BAD_JSON = (
     ({"period": None}, "period: expected a number"),
     ({"period": -1.0}, "period: expected a number above 0"),
