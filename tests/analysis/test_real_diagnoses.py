@@ -17,13 +17,8 @@ from excitant.robots.parameters import violations
 
 SAME = 1.02  # a joint may be this much worse, where nothing was found for it
 SIMPLE = {"viscous_friction", "coulomb_friction"}
-FINER = {
-    "asymmetric_friction",
-    "stribeck_friction",
-    "nonlinear_viscous_friction",
-    "load_dependent_friction",
-    "presliding_hysteresis",
-}
+FINER = {"asymmetric_friction", "stribeck_friction", "nonlinear_viscous_friction"}
+FINER |= {"load_dependent_friction", "presliding_hysteresis"}
 FRICTION = SIMPLE | FINER
 SLOW = {"presliding_hysteresis", "time_delay"}
 
@@ -71,21 +66,16 @@ def test_identify_and_diagnose_differ_by_named_effects_alone(data_folder: Path) 
     fitted, held = [run.between(0, 0.6, "first")], [run.between(0.6, 1, "rest")]
     diagnosis = diagnose(dataset.robot, fitted, validate=held)
     effects = [e for e in diagnosis.extension.model.effects if e.role == "torque"]
-    options = {"validate": held}
-    usual, same = (
-        {p["name"]: p for p in identify_robot(dataset.robot, fitted, **each).result()["parameters"]}
-        for each in (options, options | {"effects": effects})
-    )
+    usual = identify_robot(dataset.robot, fitted, validate=held)
+    same = identify_robot(dataset.robot, fitted, validate=held, effects=effects)
+    known = [{p["name"]: p for p in each.result()["parameters"]} for each in (usual, same)]
     found = [p for f in diagnosis.result()["findings"] for p in f["parameters"]]
     plain = [p for p in found if p["name"].rpartition(".")[2] in ("Fv", "Fc")]
     [note] = [n for n in diagnosis.result()["notes"] if "share the torque" in n]
     apart = []
     for p in plain:
-        far = [
-            abs(p["value"] - other[p["name"]]["value"])
-            / np.hypot(p["std"], other[p["name"]]["std"])
-            for other in (usual, same)
-        ]
+        twins = [other[p["name"]] for other in known]
+        far = [abs(p["value"] - q["value"]) / np.hypot(p["std"], q["std"]) for q in twins]
         assert far[1] < 3, p
         if far[0] > 3:
             apart.append(p["name"].rpartition(".")[0])
@@ -98,9 +88,8 @@ def test_panda_lacks_the_hand_that_its_description_has(data_folder: Path) -> Non
     """The description holds a hand of 0.73 kg, which the recorded robot does not show."""
     diagnosis = diagnosed(data_folder / "panda", 5, ["gaz_traj1"], [])
     joints, model = diagnosis.robot.joints, diagnosis.extension.model
-    assert any(
-        joints[-1] in f.effect.joints for f in diagnosis.findings if f.effect.role != "torque"
-    )
+    bodies = [f.effect.joints for f in diagnosis.findings if f.effect.role != "torque"]
+    assert any(joints[-1] in moved for moved in bodies)
     assert -1.1 < model.phi[-10] - diagnosis.robot.phi[-10] < -0.4
     assert len(seen(diagnosis, SLOW, *joints[3:])) >= 3
 
@@ -139,9 +128,8 @@ def test_servo_rotor_is_as_heavy_as_published_and_friction_grows_with_load(
 ) -> None:
     """Two position gains fitted, a third held out; torque by the published motor constants."""
     folder = data_folder / "bam_xl330"
-    runs, known = (
-        json.loads((folder / f"{x}.json").read_text("utf-8")) for x in ("dataset", "known")
-    )
+    files = (folder / f"{name}.json" for name in ("dataset", "known"))
+    runs, known = (json.loads(file.read_text("utf-8")) for file in files)
     motor, description = known["published_parameters"]["m6"], tmp_path / "pendulum.urdf"
     chosen = [run for run in runs["recordings"] if run["trajectory"] in MOTIONS]
     mass, height = chosen[0]["mass_kg"], -chosen[0]["length_m"]
