@@ -22,18 +22,14 @@ def test_gradient_of_every_criterion(criterion: str, columns: str, name: str) ->
     problem = build_design(robot, harmonics=3, columns=columns, criterion=criterion)
     z = problem.unknowns(random_trajectory(robot, rng, 10.0, 3))
     model = local_model(problem, z)
-    gradient = model.gradient + sum(
-        block.sign * block.derivative[:, i, i]
-        for block, i in zip(model.blocks, (0, -1), strict=False)
-    )
+    blocks = zip(model.blocks, (0, -1), strict=False)
+    gradient = model.gradient + sum(block.sign * block.derivative[:, i, i] for block, i in blocks)
     direction = np.random.default_rng(0).normal(size=z.shape)
     smooth = criterion in ("d", "a")
-    h = 1e-5 if smooth else 1e-6
-    ahead, behind = (
-        objective(problem.information_matrix(z + s * h * direction), criterion) for s in (1, -1)
-    )
+    h, rel = (1e-5, 1e-5) if smooth else (1e-6, 1e-4)
+    matrices = (problem.information_matrix(z + s * h * direction) for s in (1, -1))
+    ahead, behind = (objective(M, criterion) for M in matrices)
     expected = (ahead - behind) / (2 * h)
-    rel = 1e-5 if smooth else 1e-4
     assert gradient @ direction.ravel() == pytest.approx(expected, rel=rel, abs=1e-7 * smooth)
 
 
@@ -91,11 +87,10 @@ def test_torque_peaks_are_those_of_continuous_time_and_rows_follow_them(
     turning = (peaks.side != 0) & (peaks.weight == 1) & (peaks.t > 0.3) & (peaks.t < 9.7)
     for k in np.flatnonzero(turning & (peaks.use > 0.1)):
         same = [
-            (p.joint == peaks.joint[k]) & (p.side == peaks.side[k])
-            & (np.abs(p.t - peaks.t[k]) < 1e-3)
-            for p in (ahead, behind)
-        ]  # fmt: skip
-        moved = float((ahead.use[same[0]] - behind.use[same[1]])[0]) / (2 * h)
+            p.use[(p.joint == peaks.joint[k]) & (p.side == peaks.side[k]) & near]
+            for p, near in ((p, np.abs(p.t - peaks.t[k]) < 1e-3) for p in (ahead, behind))
+        ]
+        moved = float((same[0] - same[1])[0]) / (2 * h)
         assert abs(found[k] - moved) < 1e-3 * size[k]
     assert turning.any() == bool(friction)
 

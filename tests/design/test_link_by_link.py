@@ -84,8 +84,8 @@ def test_command_writes_a_file_per_link(tmp_path: Path, planar: Robot, excitant:
     ran = excitant(f"{words} --columns inertial --jobs 1 --json -o", tmp_path)
     assert (ran.status, ran.err) == (0, "")
     stages = ran.result["link_by_link"]["stages"]
-    assert [stage["file"] for stage in stages] == ["link2.csv", "link1.csv"]
-    assert [len(stage["moves"]) for stage in stages] == [2, 1]
+    found = [(stage["file"], len(stage["moves"])) for stage in stages]
+    assert found == [("link2.csv", 2), ("link1.csv", 1)]
     assert ran.result["duration"] == sum(stage["duration"] for stage in stages) == 8.0
     worst = max(stage["condition_number"]["final"] for stage in stages)
     assert ran.result["condition_number"]["final"] == worst

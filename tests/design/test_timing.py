@@ -18,8 +18,7 @@ FREE = dict.fromkeys(("velocity", "acceleration", "torque"), np.inf) | {"positio
 def assert_follows(robot: Robot, motion: Motion, start: Array, goal: Array) -> None:
     """It rests at both ends, and keeps all limits at samples 20 times as dense."""
     np.testing.assert_array_equal(motion.q[[0, -1]], [start, goal])
-    np.testing.assert_array_equal(motion.dq[[0, -1]], 0.0)
-    np.testing.assert_array_equal(motion.ddq[[0, -1]], 0.0)
+    np.testing.assert_array_equal([motion.dq[[0, -1]], motion.ddq[[0, -1]]], 0.0)
     fine = np.linspace(motion.t[0], motion.t[-1], 20 * (len(motion) - 1) + 1)
     dense = HermiteTrajectory(motion).at(fine)
     low, high = robot.limits.position.T
@@ -56,9 +55,7 @@ def test_limits_hold_between_the_samples_and_the_ends_rest(name: str, share: flo
 
 
 @pytest.mark.parametrize(("way", "v", "a"), [(6.0, 1.5, 2.0), (1.0, 9.0, 1.0), (-20.0, 3.0, 5.0)])
-def test_one_joint_takes_the_time_of_the_trapezoid(
-    planar: Robot, way: float, v: float, a: float
-) -> None:
+def test_one_joint_takes_the_time_of_the_trapezoid(planar: Robot, way: float, v: float, a: float):
     """Bang-bang with a speed limit: D/v + v/a, or 2 √(D/a) when the speed is never reached."""
     distance = abs(way)
     exact = distance / v + v / a if distance > v**2 / a else 2 * np.sqrt(distance / a)
