@@ -52,12 +52,12 @@ def test_improves_on_random_and_holds_every_limit(arm: Robot, found: Design) -> 
 
 
 def test_result_and_series(found: Design) -> None:
-    result = found.result()
+    result, starts = found.result(), found.result()["starts"]
     assert json.loads(json.dumps(result, allow_nan=False)) == result
     assert result["verb"] == "design"
     assert result["condition_number"]["final"] == found.condition_final
-    assert result["iterations"] == sum(start["iterations"] for start in result["starts"])
-    assert [start["status"] for start in result["starts"]] == ["converged"] * 2
+    assert result["iterations"] == sum(start["iterations"] for start in starts)
+    assert [start["status"] for start in starts] == ["converged"] * 2
     for name, use in result["worst"].items():
         assert use["joint"] in result["joints"]
         assert use["ratio"] == result["limits"][name] <= 1.0
@@ -84,17 +84,17 @@ def test_every_criterion_improves_its_own_value(planar: Robot, criterion: str) -
 @pytest.mark.slow
 def test_numbers_of_processes_and_threads_do_not_change_a_digit(planar: Robot) -> None:
     found = []
+    options: dict[str, Any] = {"duration": 5.0, "harmonics": 2, "starts": 3}
     for jobs, threads in ((1, 1), (2, 2), (1, 2)):
         with threadpool_limits(threads):
-            options: dict[str, Any] = {"duration": 5.0, "harmonics": 2, "starts": 3, "seed": 2}
-            found.append(design_trajectory(planar, jobs=jobs, **options))
+            found.append(design_trajectory(planar, jobs=jobs, **options, seed=2))
     one, *others = found
     for other in others:
         np.testing.assert_array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
         assert one.condition_final == other.condition_final
         assert [s.history for s in one.starts] == [s.history for s in other.starts]
     assert not any("machine" in note for note in one.result()["notes"])
-    other = design_trajectory(planar, duration=5.0, harmonics=2, starts=1, jobs=1, seed=3)
+    other = design_trajectory(planar, **options | {"starts": 1}, jobs=1, seed=3)
     assert not np.array_equal(one.trajectory.coefficients, other.trajectory.coefficients)
 
 
@@ -135,12 +135,11 @@ def test_progress_tells_what_is_reached(planar: Robot) -> None:
     told: list[tuple[int, int | None, float, float]] = []
     options = {"harmonics": 3, "periods": 1, "starts": 2, "jobs": 1}
     result = design_trajectory(planar, progress=lambda *news: told.append(news), **options)
-    done, total, condition, worst = told[-1]
-    assert done <= total == 2
-    conditions = [news[2] for news in told]
-    assert conditions == sorted(conditions, reverse=True)
-    assert condition == pytest.approx(result.condition_final, rel=0.1)
-    assert worst == pytest.approx(result.limits.worst.ratio, rel=1e-3)
+    done, total, conditions, worst = zip(*told, strict=True)
+    assert done[-1] <= total[-1] == 2
+    assert [*conditions] == sorted(conditions, reverse=True)
+    assert conditions[-1] == pytest.approx(result.condition_final, rel=0.1)
+    assert worst[-1] == pytest.approx(result.limits.worst.ratio, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -249,32 +248,28 @@ def test_harmonics_are_added_while_they_pay(planar: Robot) -> None:
     options = {"duration": 6.0, "periods": 1, "columns": "inertial", "starts": 4, "jobs": 1}
     few = design_trajectory(tight, harmonics=5, **options)
     search = options | {"harmonics": "search"}
-    for series in ("fourier", "spline"):
-        more = design_trajectory(tight, series=series, max_frequency=2.5, **search)
-        assert more.limits.hold
-        assert more.trajectory.at_rest
-        assert 5 < more.harmonics <= 15
-        assert more.trajectory.series.name == series
-        assert more.condition_final < 0.9 * few.condition_final
+    fourier, spline = (
+        design_trajectory(tight, series=series, max_frequency=2.5, **search)
+        for series in ("fourier", "spline")
+    )
     best = design_trajectory(tight, **search | {"periods": "search"})
-    assert best.condition_final < 0.9 * few.condition_final
     assert best.trajectory.series.periods * best.trajectory.period == best.duration == 6.0
-    assert best.limits.hold
-    assert best.trajectory.at_rest
+    for more, series in ((fourier, "fourier"), (spline, "spline"), (best, "fourier")):
+        found = (more.limits.hold, more.trajectory.at_rest, more.trajectory.series.name)
+        assert found == (True, True, series)
+        assert more.condition_final < 0.9 * few.condition_final
+    assert all(5 < more.harmonics <= 15 for more in (fourier, spline))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("duration", "columns"), [(12.0, "inertial"), (8.0, "friction")])
-def test_a_motion_has_as_many_periods_as_excite_best(
-    planar: Robot, duration: float, columns: str
-) -> None:
+def test_a_motion_has_as_many_periods_as_excite_best(planar: Robot, duration: float, columns: str):
     options = {"duration": duration, "harmonics": 3, "columns": columns, "starts": 3, "jobs": 1}
     found = design_trajectory(planar, **options)
     one_by_one = {k: design_trajectory(planar, periods=k, **options) for k in (1, 2, 3, 4, 6)}
-    each = {k: design.condition_final for k, design in one_by_one.items()}
-    best = min(each, key=lambda k: each[k])
+    least, best = min((design.condition_final, k) for k, design in one_by_one.items())
     assert (best > 1) == (columns == "inertial")
-    assert found.condition_final <= 1.1 * each[best]
+    assert found.condition_final <= 1.1 * least
     assert found.duration == duration == found.trajectory.motion(100.0).t[-1]
     assert found.trajectory.series.periods * found.trajectory.period == duration
     assert found.limits.hold
