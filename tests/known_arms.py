@@ -76,6 +76,5 @@ class Whitened:
         self.effects = EffectPrior(np.zeros_like(lower), np.full_like(lower, 1e3), lower)
 
     def fit(self, z: Array, knowledge: Knowledge | None = None, sigma: float = 1) -> PhysicalFit:
-        return fit_physical(
-            self.R, z, BodyPrior(self.prior, sigma), self.effects, knowledge, self.robot.links
-        )
+        prior = BodyPrior(self.prior, sigma)
+        return fit_physical(self.R, z, prior, self.effects, knowledge, self.robot.links)

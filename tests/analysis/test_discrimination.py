@@ -15,7 +15,7 @@ from excitant.analysis.diagnosis import Diagnosis
 from excitant.analysis.diagnosis_result import key
 from excitant.analysis.discrimination import Contest, Pair, Separation, along, needed
 from excitant.analysis.discrimination_plan import described, discriminating_motions, plan
-from excitant.analysis.thresholds import DISCRIMINATION
+from excitant.analysis.thresholds import DISCRIMINATION, EVIDENCE
 from excitant.design import FourierTrajectory, check
 from excitant.robots import Motion, Robot
 from excitant.robots import effects as kinds
@@ -66,11 +66,10 @@ def test_a_cause_separates_by_what_its_rival_does_not_follow(
 
 def test_bodies_of_several_links_may_be_off_beside_a_pair(planar: Robot) -> None:
     both, motion = GivenInertias(planar.joints), swing(planar)
-    pair = Pair(kinds.CoulombFriction(LAST, (0.2,)), kinds.ViscousFriction(LAST), (both,))
-    weight = np.full(planar.nv, 1 / (SIGMA**2 * INFLATION))
-    beside = Contest(planar, planar, (pair,), weight, recorded=(along(motion, 10.0),))
+    found, rival = kinds.CoulombFriction(LAST, (0.2,)), kinds.ViscousFriction(LAST)
+    alone = contest(planar, found, rival, motion, tolerance=EVIDENCE.tolerance)
+    beside = replace(alone, pairs=(Pair(found, rival, (both,)),))
     assert len(beside.known) == max(at.stop for at in beside.causes.values())
-    alone = replace(beside, pairs=(replace(pair, beside=()),))
     most = (1 + 1e-5) * separation(alone, motion).delta  # columns are held as a little dependent
     assert 0 < separation(beside, motion).delta <= most
 

@@ -171,16 +171,13 @@ def test_cosine_of_alike_and_of_unlike_columns() -> None:
 
 
 @pytest.mark.parametrize(("precision", "expected"), [(1e-6, 0.0), (1e9, 0.5)])
-def test_what_the_tolerance_explains_does_not_make_columns_alike(
-    precision: float, expected: float
-) -> None:
+def test_what_the_tolerance_explains_does_not_make_columns_alike(precision: float, expected: float):
     """A given value that is unknown, and one that is known."""
     X, t = 1e-3 * columns(0), np.arange(N) * 2 * np.pi / N
     X[:, :, 0] = np.sin(7 * t)[:, None]
     X[:, :, NUISANCE] = (np.sin(7 * t) + np.sin(40 * t))[:, None]
     X[:, :, NUISANCE + 1] = (np.sin(7 * t) + np.cos(40 * t))[:, None]
-    r = residual(X, np.random.default_rng(0))
-    e = weighed(X, r, known=precision)
+    e = weighed(X, residual(X, np.random.default_rng(0)), known=precision)
     assert e.cosine(*e.candidates[:2]) == pytest.approx(expected, abs=1e-3)
 
 
@@ -193,17 +190,15 @@ def test_each_quarter_is_predicted_from_the_others() -> None:
         active = e.active(subset)
         found = np.empty((N, NV))
         for begin, end in itertools.pairwise(edges):
-            rest = np.r_[0:begin, end:N]
-            A = [np.sqrt(w) * X[rest, j][:, active] for j, w in enumerate(e.weight)]
-            b = [np.sqrt(w) * e.problem.tau[rest, j] for j, w in enumerate(e.weight)]
+            rest, root = np.r_[0:begin, end:N], np.sqrt(e.weight)
+            A = [w * X[rest, j][:, active] for j, w in enumerate(root)]
+            y = np.concatenate([*(root * e.problem.tau[rest]).T, np.zeros(len(active))])
             prior = np.diag(np.sqrt(e.precision[active]))
-            y = np.concatenate([*b, np.zeros(len(active))])
             x = np.linalg.lstsq(np.vstack([*A, prior]), y)[0]
             left = e.problem.tau[begin:end] - X[begin:end, :, active] @ x
             found[begin:end] = left**2 * e.weight
-        np.testing.assert_allclose(
-            errors(subset), np.add.reduceat(found, e.blocks), rtol=1e-6, atol=1e-6
-        )
+        expected = np.add.reduceat(found, e.blocks)
+        np.testing.assert_allclose(errors(subset), expected, rtol=1e-6, atol=1e-6)
 
 
 def test_causes_that_do_not_predict_are_left_out() -> None:

@@ -190,8 +190,7 @@ def test_a_motion_of_all_joints_is_exciting() -> None:
 
 def test_a_motion_without_motion_shows_nothing(ur10: Robot) -> None:
     silent = persistency(ur10, motion_of(ur10, resting=range(6)))
-    assert not silent.enough
-    assert silent.level == pytest.approx(0.0, abs=1e-6)
+    assert (silent.enough, silent.level) == (False, pytest.approx(0.0, abs=1e-6))
     assert set(silent.joints) >= set(ur10.joints[1:])  # gravity is along the first axis
 
 
@@ -269,15 +268,12 @@ def test_the_base_feels_what_newton_and_euler_say(ur10: Robot) -> None:
         np.testing.assert_allclose(columns @ ur10.phi, expected, atol=1e-9)
 
 
-def test_a_known_payload_shows_the_scale_of_currents(
-    ur10: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_known_payload_shows_the_scale_of_currents(ur10: Robot, monkeypatch: pytest.MonkeyPatch):
     sigma, std = 0.01 * ur10.limits.torque, []
     for mass in (0.0, 0.05, 0.1):
         monkeypatch.setattr(uncertainty, "PAYLOAD_KG", mass)
         std.append(uncertainty.scale_deviation(ur10, standard_effects(ur10.joints), sigma))
-    assert std[0] == np.inf
-    assert std[1] / std[2] == pytest.approx(2.0, rel=0.02)
+    assert (std[0], std[1] / std[2]) == (np.inf, pytest.approx(2.0, rel=0.02))
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
@@ -345,8 +341,7 @@ def test_directions_that_are_not_seen_come_first() -> None:
     C, unseen = np.diag([1.0, 0.0, 0.0]), np.array([[0, 1.0, -0.25]])
     seen = uncertainty.MotionInformation(np.eye(3), C, unseen, np.ones(3))
     first, *rest = uncertainty.weak_directions(BASE, UNITS, seen, np.ones(3))
-    assert first.std == np.inf
-    assert first.expression == "a.Ixx − 0.25·b.Izz"
+    assert (first.std, first.expression) == (np.inf, "a.Ixx − 0.25·b.Izz")
     assert "no torque of this motion" in first.meaning
     assert [d.members[0][0] for d in rest] == ["a.m"]
 

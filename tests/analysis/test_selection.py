@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -123,9 +124,7 @@ def test_identify_takes_every_kind(
     assert more.model.effects[4].name == effect.name
 
 
-def test_effects_of_torque_take_it_from_the_identified_arm(
-    planar: Robot, two: list[Recording]
-) -> None:
+def test_effects_of_torque_take_it_from_the_identified_arm(planar: Robot, two: list[Recording]):
     """A given arm that is far off must not decide what the load of a friction is."""
     heavy = planar.with_parameters(5 * planar.phi)
     effects = (*STANDARD, kinds.LoadDependentFriction(JOINTS))
@@ -143,8 +142,7 @@ def test_the_command_chooses_effects(two: list[Recording], tmp_path: Path, excit
     assert "presliding_hysteresis" in text
     assert "effect added: " in text
     online = excitant(f"{line} --online")
-    assert online.status == 1
-    assert "--effects auto" in online.err
+    assert (online.status, "--effects auto" in online.err) == (1, True)
 
 
 @pytest.mark.slow
@@ -155,10 +153,8 @@ def test_real_friction_is_found(data_folder: Path, share: float) -> None:
     [whole] = dataset.recordings(["unisa_exciting"])
     fit, unseen = [whole.between(0, share, "first")], [whole.between(share, 1, "rest")]
     found = choose_effects(dataset.robot, fit)
-    bare, better = (
-        identify_robot(dataset.robot, fit, validate=unseen, effects=effects)
-        for effects in (None, found)
-    )
+    bare = identify_robot(dataset.robot, fit, validate=unseen)
+    better = identify_robot(dataset.robot, fit, validate=unseen, effects=found)
     assert better.validate.nrmse.sum() < 0.85 * bare.validate.nrmse.sum()
     assert violations(better.phi, dataset.robot.links) == []
 
@@ -181,19 +177,16 @@ def rows(planar: Robot, two: list[Recording]) -> Observed:
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_columns_are_those_of_any_model(factor: float, rows: Observed, planar: Robot) -> None:
     model = planar.with_parameters(factor * planar.phi).with_effects(EACH)
-    found = rows.by(model)
-    expected = regression_of(model, EACH, rows.segments).W
-    np.testing.assert_allclose(found.matrix(EACH), expected, atol=1e-12)
-    expected = predicted_torque(model, rows.segments)
-    np.testing.assert_allclose(found.torque(), expected, atol=1e-9)
+    found, W = rows.by(model), regression_of(model, EACH, rows.segments).W
+    np.testing.assert_allclose(found.matrix(EACH), W, atol=1e-12)
+    np.testing.assert_allclose(found.torque(), predicted_torque(model, rows.segments), atol=1e-9)
 
 
 def test_each_column_is_worked_out_once(rows: Observed, planar: Robot) -> None:
     """By the motion alone, for all models of the arm."""
     kind, heavier = kinds.CoulombFriction, rows.by(planar.with_parameters(2 * planar.phi))
     with patch.object(kind, "columns", autospec=True, side_effect=kind.columns) as columns:
-        for joints in (JOINTS, JOINTS[:1], JOINTS[::-1]):
-            for each in (rows, heavier):
-                each.columns(kind(joints, tuple(range(len(joints)))))
+        for joints, each in product((JOINTS, JOINTS[:1], JOINTS[::-1]), (rows, heavier)):
+            each.columns(kind(joints, tuple(range(len(joints)))))
     asked = sorted(call.args[0].joints for call in columns.call_args_list)
     assert asked == [("joint1",), ("joint2",)]
