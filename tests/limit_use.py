@@ -12,10 +12,8 @@ from excitant.robots import Array, Motion, Robot, torque
 
 def limited(robot: Robot, **changes: object) -> Robot:
     """The robot with some of its limits replaced."""
-    limits = {
-        name: np.broadcast_to(np.asarray(value, float), np.shape(getattr(robot.limits, name)))
-        for name, value in changes.items()
-    }
+    shapes = {name: np.shape(getattr(robot.limits, name)) for name in changes}
+    limits = {x: np.broadcast_to(np.asarray(changes[x], float), shapes[x]) for x in changes}
     return robot.with_limits(replace(robot.limits, **limits))
 
 

@@ -194,10 +194,8 @@ def test_poses_that_are_all_too_close_are_refused_by_the_names_of_the_bodies() -
 def test_what_is_not_checked_is_said(planar: Robot, ur10: Robot, tmp_path: Path) -> None:
     shape = '<collision><geometry><mesh filename="no.stl"/></geometry></collision>'
     half = ur10.urdf.replace("<collision", shape + "<collision", 1)
-    broken, bare = (
-        robot_from_urdf(text, source="arm.urdf")
-        for text in (half, re.sub("<collision>.*?</collision>", "", ur10.urdf, flags=re.DOTALL))
-    )
+    none = re.sub("<collision>.*?</collision>", "", ur10.urdf, flags=re.DOTALL)
+    broken, bare = (robot_from_urdf(text, source="arm.urdf") for text in (half, none))
     total = half.count("<collision>")
     missing = f"self-collision, 1 of {total} collision meshes not found; floor"
     assert unchecked(broken, scene(broken)) == missing

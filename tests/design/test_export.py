@@ -223,7 +223,6 @@ def test_client_sends_the_motions_at_a_fifth_of_the_speed_unless_told_otherwise(
     arm = ros2.Arm(planar.joints, way["approach"].q[0])
     module = client(way, planar, tmp_path, arm)
     assert drive(module, monkeypatch, arm, "--go", *words) == 0
-    assert len(arm.goals) == len(way)
     for goal, sent, planned in zip(arm.goals, arm.sent, way.values(), strict=True):
         times = [p.time_from_start for p in goal.trajectory.points]
         t = np.array([x.sec + 1e-9 * x.nanosec for x in times])

@@ -49,10 +49,10 @@ def test_nearest_bodies_are_as_far_apart_as_their_points(played: Playback) -> No
     if cell is None:
         assert not {"play_pair", "play_points"} & set(series)
         return
-    counts = cell.distances(played.motion.q)
-    rows, pair = np.arange(len(counts)), series["play_pair"].astype(int)
-    np.testing.assert_allclose(counts[rows, pair], counts.min(axis=1))
-    np.testing.assert_allclose(series["play_distance"] * cell.scale[pair], counts.min(axis=1))
+    distances, pair = cell.distances(played.motion.q), series["play_pair"].astype(int)
+    least = distances.min(axis=1)
+    np.testing.assert_allclose(distances[np.arange(len(pair)), pair], least)
+    np.testing.assert_allclose(series["play_distance"] * cell.scale[pair], least)
     apart = np.linalg.norm(np.diff(series["play_points"], axis=1)[:, 0], axis=1)
     np.testing.assert_allclose(apart, np.abs(series["play_distance"]), atol=1e-5)
     assert played.clearance.time in series["play_t"]
