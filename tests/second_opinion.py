@@ -29,16 +29,11 @@ import scipy.linalg
 from khosla import dh_from_robot, frames
 
 from excitant.analysis.structure import Held
-from excitant.exceptions import BadInput, UnknownName
 from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
 from excitant.robots.dh import DHChain
 from excitant.robots.motion import Array
-from excitant.robots.parameters import (
-    PSEUDO_INERTIA_BASIS,
-    STANDARD,
-    from_pseudo_inertia,
-    moved_parameters,
-)
+from excitant.robots.parameters import PSEUDO_INERTIA_BASIS as BASIS
+from excitant.robots.parameters import STANDARD, from_pseudo_inertia, moved_parameters
 from excitant.robots.robot import Robot
 
 _TOLERANCE = 1e-8  # of unit vectors in lengths of the arm
@@ -60,9 +55,8 @@ class NullSpace:
         if other.shape != self.basis.shape:
             return np.pi / 2
         unit = np.tile(length**-LENGTH_POWERS, len(other) // 10)[:, None]
-        bases = (
-            unit * basis / np.linalg.norm(unit * basis, axis=0) for basis in (self.basis, other)
-        )
+        bases = (unit * basis for basis in (self.basis, other))
+        bases = (basis / np.linalg.norm(basis, axis=0) for basis in bases)
         return float(scipy.linalg.subspace_angles(*bases).max(initial=0.0))
 
 
@@ -81,7 +75,6 @@ def parameter_nullspace(
 ) -> NullSpace:
     """By recursion from base to tip: joints that move, and positions of the others, else 0."""
     at = {} if held is None or held == "any" else dict(held)
-    UnknownName.refuse("joint", (*(moving or ()), *at), robot.joints)
     length, model, blocks, shown = arm_length(robot), robot.model, [], []
     slide = np.append(robot.gravity, np.zeros(3)) / (np.linalg.norm(robot.gravity) or 1.0)
     attained = {-1: (slide[:, None], _energy(slide, slide)[:, None])}  # velocities, energies
@@ -119,7 +112,7 @@ def _step(axis: Array, turns: bool, moves: bool, V: Array, K: Array) -> tuple[Ar
     V = _span(np.hstack([T.toActionMatrixInverse() @ V for T in places]))
     K = _span(np.hstack([moved_parameters(np.eye(10), T.homogeneous) @ K for T in places]))
     S = _twist(axis)  # below: derivative of moved parameters along the axis at the identity
-    rate = from_pseudo_inertia(S @ PSEUDO_INERTIA_BASIS + PSEUDO_INERTIA_BASIS @ S.T)
+    rate = from_pseudo_inertia(S @ BASIS + BASIS @ S.T)
     conditions = rate @ K
     if moves:
         V = _span(np.column_stack([V, axis]))
@@ -135,7 +128,7 @@ def _twist(axis: Array) -> Array:
 
 def _energy(a: Array, b: Array) -> Array:
     """y(a, b) with y(a, b)ᵀ π = aᵀ I(π) b = tr(Â P B̂ᵀ), shape (10,)."""
-    return np.einsum("ij,kjl,il->k", _twist(a), PSEUDO_INERTIA_BASIS, _twist(b))
+    return np.einsum("ij,kjl,il->k", _twist(a), BASIS, _twist(b))
 
 
 _SAME = 1e-9  # rad, or parts of the chain's length
@@ -174,8 +167,7 @@ def _lost(chain: DHChain, placed: Array) -> list[Array]:
     turning = np.flatnonzero(chain.revolute)
     first = turning[0] if len(turning) else chain.nv
     other = next((j for j in turning if not _along(axes[j], axes[first])), chain.nv)
-    if not chain.gravity.any() and other < chain.nv:
-        raise BadInput("without gravity the closed-form rules only hold for parallel axes")
+    assert chain.gravity.any() or other == chain.nv, "without gravity the rules want parallel axes"
     slides = [k for k in range(other) if not chain.revolute[k]]
     reach = float(np.abs(chain.a).sum() + np.abs(chain.d).sum())
     found = []

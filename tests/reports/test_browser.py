@@ -274,11 +274,9 @@ def test_paper_shows_all_in_light_colours(browser, file):
 
 
 @pytest.mark.parametrize("width", [1200, 400])
-@pytest.mark.parametrize("verb", ["identify", "diagnose"])
-def test_torque_over_time_is_read_off_and_zoomed_into(browser, verb, width, written, tmp_path):
-    path = tmp_path / "report.html"
-    path.write_text(written(verb).source, "utf-8")
-    opened = Opened(browser, path, width, "light").unfold()
+@pytest.mark.parametrize("file", ["identify", "diagnose"], indirect=True)
+def test_torque_over_time_is_read_off_and_zoomed_into(browser, file, width):
+    opened = Opened(browser, file, width, "light").unfold()
     page = opened.page
     panel = page.locator(".panel", has=page.locator("[aria-label*='measured torque over time']"))
     plots = panel.first.locator(".u-over")
@@ -330,10 +328,9 @@ def test_torque_over_time_is_read_off_and_zoomed_into(browser, verb, width, writ
     page.close()
 
 
-def test_without_a_script_figures_say_so(browser, written, tmp_path):
-    path = tmp_path / "report.html"
-    path.write_text(written("analyze").source, "utf-8")
+@pytest.mark.parametrize("file", ["analyze"], indirect=True)
+def test_without_a_script_figures_say_so(browser, file):
     page = browser.new_page(java_script_enabled=False)
-    page.goto(path.as_uri())
+    page.goto(file.as_uri())
     assert page.get_by_text("Figures are drawn where JavaScript is on.").count() == 1
     page.close()

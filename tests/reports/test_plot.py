@@ -114,9 +114,8 @@ def test_axes_of_ones_own_take_one_drawing_in_their_own_style(estimate: Estimate
     figure, (first, second) = plt.subplots(1, 2)
     assert ex.plot.friction(estimate, "joint1", ax=first) == [first]
     assert ex.plot.parameters(estimate, ["joint1.Fc", "joint2.Fc"], ax=second) == [second]
-    assert first.get_title() == "joint1"
+    assert (first.get_title(), first.spines["top"].get_visible()) == ("joint1", True)
     assert second.get_legend().get_texts()[0].get_text() == "given"
-    assert first.spines["top"].get_visible()
     assert plt.get_fignums() == [figure.number]
     third = plt.figure().gca()
     for many in (ex.plot.friction, ex.plot.parameters):
