@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from html import unescape
 from html.parser import HTMLParser
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,6 @@ from excitant.robots.effects import standard_effects
 LONG_NAME = "right_arm_forearm_roll_actuator_joint_with_a_very_long_name"
 JOINTS = ["shoulder_pan_joint", "elbow_joint", LONG_NAME, "wrist_roll_joint"]
 NV = len(JOINTS)
-LONG_LABEL = "distance since the last reversal, signed by direction [rad]"
 SIZE = np.array([40.0, 30.0, 4.0, 0.6])
 
 Run = tuple[dict[str, Any], dict[str, np.ndarray]]
@@ -36,11 +36,10 @@ FILTERED: dict[str, Any] = {"robot": "made_up_arm", "cutoff_hz": 12.5, "unit": "
 
 
 def _motion(n: int, duration: float, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    t = np.linspace(0, duration, n)
-    w = 2 * np.pi / duration * np.arange(1, 6)
+    t, w = np.linspace(0, duration, n), 2 * np.pi / duration * np.arange(1, 6)
     a, b = rng.normal(size=(2, 5, NV)) / np.arange(1, 6)[:, None]
-    s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
-    return t, s @ a + c @ b, (c * w) @ a - (s * w) @ b, -(s * w**2) @ a - (c * w**2) @ b
+    waves = np.exp(1j * np.outer(t, w))
+    return t, *((waves * (1j * w) ** order @ (b - 1j * a)).real for order in range(3))
 
 
 def _rows(**columns: Any) -> list[dict[str, Any]]:
@@ -72,13 +71,11 @@ def _played(t: np.ndarray, *derivatives: np.ndarray) -> Run:
     joints = _rows(parent=range(NV), place=[turned, up] * 2, axis=[[0, 0, 1]] * NV, slides=slides)
     look = {"joints": joints, "tool": {"joint": NV, "place": up}, "shapes": shapes}
     look |= {"notes": ["drawn by visual shapes, which are not checked: base"]}
-    rows = slice(None, None, 4)
-    frames = {"t": t[rows], "q": derivatives[0][rows], "dq": derivatives[1][rows]}
     used = [np.abs(x) / np.abs(x).max(0) for x in (*derivatives, derivatives[0])]
-    frames |= {"shares": np.stack(used, axis=1)[rows], "pair": (t[rows] > 5).astype(float)}
-    frames["distance"] = 0.1 * np.cos(t[rows])
-    frames["points"] = np.tile([[0.0, 0.0, 0.3], [0.1, 0.2, 0.0]], (len(t[rows]), 1, 1))
-    series = {f"play_{name}": values for name, values in frames.items()}
+    frames = {"t": t, "q": derivatives[0], "dq": derivatives[1], "shares": np.stack(used, axis=1)}
+    frames |= {"pair": (t > 5).astype(float), "distance": 0.1 * np.cos(t)}
+    frames["points"] = np.tile([[0.0, 0.0, 0.3], [0.1, 0.2, 0.0]], (len(t), 1, 1))
+    series = {f"play_{name}": values[::4] for name, values in frames.items()}
     series["mesh4_points"] = 0.2 * np.vstack([np.zeros(3), np.eye(3)])
     series["mesh4_faces"] = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     bodies = [["forearm_0", "table"], ["forearm_0", "base_with_a_very_long_name_indeed_0"]]
@@ -166,9 +163,8 @@ def check_run() -> Run:
 
 def show_run() -> Run:
     designed, series = design_run()
-    result = check_run()[0] | {"verb": "show", "certified": designed["certified"]}
-    kept = ("appearance", "bodies", "obstacles", "closest")
-    return result | {key: designed[key] for key in kept}, series
+    kept = ("certified", "appearance", "bodies", "obstacles", "closest")
+    return check_run()[0] | {"verb": "show"} | {key: designed[key] for key in kept}, series
 
 
 def rehearse_run() -> Run:
@@ -276,7 +272,8 @@ def _findings() -> list[Any]:
     stribeck = {"effect": "stribeck_friction", "joints": ["elbow_joint"], "verdict": "named"}
     stribeck |= {"parameters": [level, speed], "explained": 0.731}
     stribeck |= {"holdout": {"rms_before": 4.62, "rms_after": 1.31}}
-    stribeck |= {"figure": {"x_label": LONG_LABEL, "joint": "elbow_joint"}}
+    label = "distance since the last reversal, signed by direction [rad]"
+    stribeck |= {"figure": {"x_label": label, "joint": "elbow_joint"}}
     move = "Move wrist_roll_joint through ±1.5 rad at 0.2 rad/s with the forearm level."
     why = "A mass at the flange makes the torque of a heavier wrist link."
     rival = {"effect": "payload", "joints": [JOINTS[3]], "why": why, "experiment": move}
@@ -297,16 +294,13 @@ def diagnose_run() -> Run:
     headline = "elbow_joint has Stribeck friction that the model lacks; the inertia of the forearm "
     cut = {"fault": "saturation", "joints": ["elbow_joint"], "detail": "41 samples at ±87 N·m"}
     left = {"joint": "wrist_roll_joint", "share": 0.021, "structure": "periodic in motor angle"}
-    result = FILTERED | {
-        "verb": "diagnose",
-        "headline": headline + "is probably wrong too.",
-        "simulation": {"joints": _accuracy(before, scale, name=JOINTS)},
-        "faults": [cut, {"fault": "duplicate_samples"}],
-        "unexplained": [left, {"joint": "elbow_joint"}],
-        "extended": {"joints": _accuracy(after, scale, name=JOINTS)},
-        "waterfall": _rows(label=steps, rms=[4.62, 1.31, 1.18, None]),
-        "notes": ["Velocities below 0.05 rad/s are rare: presliding was not judged."],
-    }
+    result = FILTERED | {"verb": "diagnose", "headline": headline + "is probably wrong too."}
+    for model, rms in (("simulation", before), ("extended", after)):
+        result[model] = {"joints": _accuracy(rms, scale, name=JOINTS)}
+    result |= {"faults": [cut, {"fault": "duplicate_samples"}]}
+    result |= {"unexplained": [left, {"joint": "elbow_joint"}]}
+    result["waterfall"] = _rows(label=steps, rms=[4.62, 1.31, 1.18, None])
+    result["notes"] = ["Velocities below 0.05 rad/s are rare: presliding was not judged."]
     shares = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8}
     bands = {"slower": 0.0, "motion": 0.9, "faster": 0.1}
     error = {"rms": 4.0, "shares": shares, "bands": bands, "telling": "direction"}
@@ -334,8 +328,8 @@ def go_run() -> Run:
 
 
 def demo_run() -> Run:
-    hidden = {"effect": "stribeck_friction", "joint": "elbow_joint"}
-    truth = hidden | {"parameters": {"level_Nm": 5.0, "velocity_rad_s": 0.07}}
+    truth = {"parameters": {"level_Nm": 5.0, "velocity_rad_s": 0.07}}
+    truth |= {"effect": "stribeck_friction", "joint": "elbow_joint"}
     result, series = go_run()
     result |= {"verb": "demo", "seed": 7, "truth": truth}
     result["verdict"] |= {"truth": "named", "correct": True}
@@ -371,12 +365,10 @@ def fleet_run() -> Run:
     drift |= {"per_year": -6.0, "std": 0.1, "before": 2.4, "after": 0.4, "count": 5}
     drift |= {"first": "2026-01-01", "last": "2026-05-01"}
     told = ["The forearm carries 2 kg more than the model has.", "fault: q of joint 2 is held"]
-    sets = [
-        {"name": f"cell {k}/2026-0{month}-01", "arm": f"cell {k}", "date": f"2026-0{month}-01"}
-        | {"type": "made_up_arm", "found": told[: k % 3]}
-        for k in range(5)
-        for month in (1, 3, 5)
-    ]
+    sets = []
+    for k, day in product(range(5), ("2026-01-01", "2026-03-01", "2026-05-01")):
+        one = {"name": f"cell {k}/{day}", "arm": f"cell {k}", "date": day}
+        sets.append(one | {"type": "made_up_arm", "found": told[: k % 3]})
     failed = "lost: no robot model (robot.urdf or robot.yaml); add one"
     sets.append({"name": "lost", "arm": "lost", "failed": failed})
     result = {"verb": "fleet", "of": f"{len(sets)} data sets", "arms": 5, "types": ["made_up_arm"]}

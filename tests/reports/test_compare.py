@@ -45,9 +45,8 @@ COMPARED = ("robots", "design", "check", "rehearse", "identify", "analyze", "dia
 def test_a_run_does_not_differ_from_itself(verb, make):
     run = saved("one", *make[verb]())
     result = compare(run, run)
-    assert result["remarks"] == []
     found = rows(result)
-    assert len(found) > 3
+    assert (result["remarks"], len(found) > 3) == ([], True)
     assert all(len(set(row["written"])) == 1 for row in found)
     for key, nothing in (("difference", 0.0), ("ratio", 1.0), ("deviations", 0.0)):
         assert {x for row in found for x in row.get(key, ())} <= {nothing, None}
@@ -82,8 +81,7 @@ def test_several_runs_are_compared_with_the_first(make):
     found = compare(first, first, second)
     (row,) = (r for r in rows(found) if r["name"] == "Condition number")
     assert row["written"] == ["9.31", "9.31", "18.6"]
-    assert row["difference"] == [0.0, pytest.approx(9.31)]
-    assert row["ratio"] == [1.0, pytest.approx(2.0)]
+    assert row["difference"] + row["ratio"] == pytest.approx([0.0, 9.31, 1.0, 2.0])
     assert "C / A" in html(page_of(found, {}))
 
 
@@ -91,8 +89,8 @@ def test_values_of_the_prior_are_not_judged(make):
     result = compare(*pair(make["identify"], worse))
     parameters = make["identify"]()[0]["parameters"]
     prior = {p["name"] for p in parameters if p["prior_dominated"] and p["link"] in p["name"]}
-    judged = {".".join(reversed(row["name"].split(", "))): row["deviations"]
-              for row in rows(result) if row["figure"] == "Value"}  # fmt: skip
+    values = [row for row in rows(result) if row["figure"] == "Value"]
+    judged = {".".join(row["name"].split(", ")[::-1]): row["deviations"] for row in values}
     assert all(judged[name] == [None] for name in prior)
     assert [0.0] in judged.values()
 
@@ -126,8 +124,7 @@ def test_errors_that_do_not_compare_are_not_compared(change, why, make):
 
 def test_findings_of_one_run_alone_are_seen(make):
     page = page_of(make["compare"]()[0], {})
-    for words in ("A: one.", "B: two.", "backlash"):
-        assert words in html(page)
+    assert [x for x in ("A: one.", "B: two.", "backlash") if x not in html(page)] == []
     assert any(line.split()[:1] == ["backlash"] for line in summary(page).splitlines())
     told = ["Robot", "Excitation design", "Identification", "Identifiability", "Diagnosis"]
     assert [section.title for section in page.sections] == told
@@ -137,8 +134,7 @@ def test_findings_of_one_run_alone_are_seen(make):
 def test_two_models_differ_in_what_was_changed():
     def model(mass=1.0, speed=1.0):
         arm = load_robot("planar_2r")
-        phi = arm.phi.copy()
-        phi[10] *= mass
+        phi = arm.phi * np.where(np.arange(20) == 10, mass, 1.0)
         limits = replace(arm.limits, velocity=speed * arm.limits.velocity)
         return ModelCheck(arm.with_parameters(phi).with_limits(limits)).result()
 
@@ -168,8 +164,7 @@ def test_command_writes_a_run_of_its_own(make, here, excitant):
     for name, verb in (("one", "analyze"), ("two", "analyze"), ("other", "check")):
         save_run(here / name, *make[verb]())
     done = excitant("report one two one -o both")
-    assert done.status == 0
-    assert "figures differ" in done.out
+    assert (done.status, "figures differ" in done.out) == (0, True)
     written = {path.name: path.read_bytes() for path in (here / "both").iterdir()}
     assert set(written) == {"report.html", "result.json", "series.npz", "summary.txt"}
     assert json.loads(written["result.json"])["of"] == "analyze"

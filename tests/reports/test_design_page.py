@@ -1,7 +1,10 @@
 """The page of a design: what the motion does, and what it shows worst."""
 
+from itertools import product
+
 import numpy as np
 import pytest
+from limit_use import limited
 
 from excitant.design import design_trajectory
 from excitant.reports import brief, page_of, summary
@@ -9,16 +12,14 @@ from excitant.reports.figures.motion import Limits as Drawn
 from excitant.reports.figures.motion import motion_figure
 from excitant.reports.run import as_saved
 from excitant.results import record_of
-from excitant.robots import Limits, load_robot
+from excitant.robots import load_robot
 
 
 @pytest.fixture(scope="module")
 def saved():
     """A design without any limit on torque."""
-    robot = load_robot("planar_2r")
-    limits = robot.limits
-    free = Limits(limits.position, limits.velocity, limits.acceleration, limits.torque * np.inf)
-    found = design_trajectory(robot.with_limits(free), harmonics=3, starts=2, jobs=1, criterion="d")
+    robot = limited(load_robot("planar_2r"), torque=np.inf)
+    found = design_trajectory(robot, harmonics=3, starts=2, jobs=1, criterion="d")
     return found, *as_saved(found.result(), found.series())
 
 
@@ -45,18 +46,17 @@ def test_worst_parameters_are_named(make, written):
 def test_curves_touch_the_certified_envelope_and_stay_inside(saved):
     found, result, series = saved
     certified = record_of(result).certified
-    for key, quantity in (("q", "position"), ("dq", "velocity"), ("ddq", "acceleration")):
-        limits = np.asarray(result["limit_values"][quantity], float)
-        for k in range(2):
-            row, curve = certified[quantity][k], series[key][:, k]
-            least, most = row.low, row.high
-            size = most - least
-            assert least - 1e-9 * size <= curve.min() <= least + 1e-3 * size
-            assert most - 1e-3 * size <= curve.max() <= most + 1e-9 * size
-            low, high = limits[k] if quantity == "position" else (-limits[k], limits[k])
-            assert low <= least < most <= high
-            there = found.trajectory(row.t, ("q", "dq", "ddq").index(key))[0, k]
-            assert min(abs(there - least), abs(there - most)) <= 1e-6 * size
+    kinds = (("q", "position"), ("dq", "velocity"), ("ddq", "acceleration"))
+    for (order, (key, quantity)), k in product(enumerate(kinds), range(2)):
+        limit, curve = np.asarray(result["limit_values"][quantity][k], float), series[key][:, k]
+        row = certified[quantity][k]
+        least, most, size = row.low, row.high, row.high - row.low
+        assert least - 1e-9 * size <= curve.min() <= least + 1e-3 * size
+        assert most - 1e-3 * size <= curve.max() <= most + 1e-9 * size
+        low, high = limit if quantity == "position" else (-limit, limit)
+        assert low <= least < most <= high
+        there = found.trajectory(row.t, order)[0, k]
+        assert min(abs(there - least), abs(there - most)) <= 1e-6 * size
 
 
 def test_page_of_a_design_without_a_limit_on_torque_or_a_scene(saved, show):

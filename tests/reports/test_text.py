@@ -18,8 +18,8 @@ def text_of(result):
 def test_summary_is_plain_lines(run):
     text = text_of(run[0])
     assert (text[:2], text[-1]) == ("[[", "\n")
-    assert not any(line != line.rstrip() or "\t" in line for line in text.splitlines())
-    assert not set("−\u00a0⁻") & set(text)
+    assert not any(line != line.rstrip() for line in text.splitlines())
+    assert not set("\t−\u00a0⁻") & set(text)
 
 
 @pytest.mark.parametrize(
@@ -40,10 +40,10 @@ def test_one_changed_value_changes_only_its_lines(verb, path, value, make):
     before, after = make[verb]()[0], make[verb]()[0]
     reduce(getitem, path[:-1], after)[path[-1]] = value
     lines = (text_of(result).splitlines() for result in (before, after))
-    found = [line for line in difflib.ndiff(*lines) if line[0] in "+-"]
+    signs = [line[0] for line in difflib.ndiff(*lines)]
     most = 2 if path[0] == "condition_number" else 1  # the lead says it too
-    assert 0 < len([line for line in found if line[0] == "+"]) <= most
-    assert len(found) <= 2 * most
+    assert 0 < signs.count("+") <= most
+    assert signs.count("+") + signs.count("-") <= 2 * most
 
 
 def test_time_taken_and_paths_do_not_count(make):
@@ -107,8 +107,7 @@ def test_terminal_says_what_every_verb_came_to(verb, words, make):
 def test_a_terminal_shows_the_joints_of_an_examination_in_colour(make):
     page = page_of(make["go"]()[0], {})
     plain, coloured = (brief(page, terminal=yes) for yes in (False, True))
-    assert "\x1b" not in plain
-    assert "\x1b[31m" in coloured
+    assert (plain.count("\x1b"), "\x1b[31m" in coloured) == (0, True)
     assert re.search(r"^Joint +Given +Identified +Extended +Main cause$", plain, re.MULTILINE)
     assert len(plain.splitlines()) <= 20
     assert "diagnosed " not in plain
