@@ -122,9 +122,7 @@ def test_a_first_run_beyond_a_limit_is_not_written_and_the_design_kept(
     assert not {"first_run.csv", "ros2_client.py"} & {p.name for p in (here / "out").iterdir()}
 
 
-def test_a_program_comes_with_its_first_run_and_moves_there_and_back(
-    here: Path, excitant: Any
-) -> None:
+def test_a_program_comes_with_its_first_run_and_moves_there_and_back(here: Path, excitant: Any):
     options = f"{WORKING['design']} --formats ros2_client,npz --from 0.1,-0.2"
     ran = excitant(f"design planar_2r {options} --json -o out")
     assert (ran.status, ran.result["first_run"]["speed"]) == (0, 0.2)
@@ -222,14 +220,6 @@ def test_a_short_recording_is_analysed_with_a_note(rests: bool, here: Path, exci
     assert (verdicts["joint2.Fv"] == "not_shown") == rests
     whole = excitant("analyze planar_2r --recording one.csv --json -o out")
     assert not any("too short" in note for note in whole.result["notes"])
-
-
-def test_robots_lists_and_shows(excitant: Any) -> None:
-    listed = {entry["name"] for entry in excitant("robots --json").result["robots"]}
-    assert {"planar_2r", "ur10", "panda"} <= listed
-    shown = [joint["name"] for joint in excitant("robots ur10 --json").result["joints"]]
-    assert shown == list(load_robot("ur10").joints)
-    assert "ur10" in excitant("robots").out
 
 
 RECORDINGS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], tuple[str, ...]]] = {

@@ -26,9 +26,7 @@ EXAMPLES = re.findall(r"^ +(excitant .*)$", f"{HELP}\n{README}", re.MULTILINE)
 
 
 @pytest.mark.parametrize("name", VERBS)
-def test_help_begins_with_options_of_every_day_and_ends_with_examples(
-    name: str, excitant: Any
-) -> None:
+def test_help_begins_with_options_of_every_day_and_ends_with_examples(name: str, excitant: Any):
     """A dozen options at most stand before the rare ones."""
     ran = excitant(f"{name} --help")
     assert ran.status == 0

@@ -57,9 +57,7 @@ def made(folder: Path) -> dict[str, float]:
     return {str(path.relative_to(folder / "arms")): path.stat().st_mtime for path in files}
 
 
-def test_it_goes_on_where_it_was_and_names_what_is_broken(
-    two: Path, here: Path, excitant: Any
-) -> None:
+def test_it_goes_on_where_it_was_and_names_what_is_broken(two: Path, here: Path, excitant: Any):
     shutil.copytree(two, here / "all")
     ran = excitant("fleet all --jobs 1 -o out --json")
     assert ran.status == 0, ran.err

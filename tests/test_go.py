@@ -41,9 +41,7 @@ def here(logs: Logs, here: Path) -> Path:
     return here
 
 
-def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(
-    here: Path, excitant: Any
-) -> None:
+def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(here: Path, excitant: Any):
     ran = excitant("go planar_2r worn-one.csv --validate worn-two.csv -o out")
     lines = ran.out.splitlines()
     assert ran.status == 0
@@ -115,9 +113,7 @@ def test_a_hold_out_that_nothing_predicts_is_no_ground_for_a_model(
     assert load_run(here / "out")[0].verdict.use is None
 
 
-def test_a_folder_stands_for_its_robot_and_recordings(
-    logs: Logs, here: Path, excitant: Any
-) -> None:
+def test_a_folder_stands_for_its_robot_and_recordings(logs: Logs, here: Path, excitant: Any):
     folder = here / "cell"
     folder.mkdir()
     (folder / "robot.urdf").write_text(load_robot("planar_2r").urdf, encoding="utf-8")

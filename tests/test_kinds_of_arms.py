@@ -48,11 +48,10 @@ def recorded(robot: Robot, seed: int) -> np.ndarray:
     """Time, positions and torque of an arm whose bodies are 5 % heavier and whose joints rub."""
     rng, t = np.random.default_rng(seed), np.arange(0, 10, 0.01)
     model, n = robot.model.copy(), robot.nv
-    for k, body in enumerate(robot.phi.reshape(n, 10)):
-        true = pin.Inertia(0.3, np.array([0.05, 0.02, 0.1]), 1e-3 * np.eye(3))
-        if body[0] > 0:
-            true = pin.Inertia.FromDynamicParameters(1.05 * body)
-        model.inertias[k + 1] = true
+    unknown = pin.Inertia(0.3, np.array([0.05, 0.02, 0.1]), 1e-3 * np.eye(3))
+    for k, body in enumerate(1.05 * robot.phi.reshape(n, 10), start=1):
+        true = pin.Inertia.FromDynamicParameters(body) if body[0] > 0 else unknown
+        model.inertias[k] = true
     omega = 2 * np.pi * np.array([0.1, 0.2, 0.3, 0.5])[:, None]
     size = rng.uniform(-0.3, 0.3, (4, n)) * np.where(robot.revolute, 1.0, 0.3)
     angle = omega * t[:, None, None] + rng.uniform(0, 2 * np.pi, (4, n))
@@ -86,12 +85,8 @@ def prepared(kind: str) -> tuple[str, Robot]:
 def test_every_command(kind: str, here: Path, excitant: Any) -> None:
     arm, robot = prepared(kind)
     runs = "run1.csv --validate run2.csv"
-    options = {
-        "analyze": "",
-        "design": "--time-limit 2 --starts 1 --harmonics 3 --duration 6",
-        "identify": runs,
-        "diagnose": f"{runs} --no-experiments",
-    }
+    options = {"analyze": "", "identify": runs, "diagnose": f"{runs} --no-experiments"}
+    options["design"] = "--time-limit 2 --starts 1 --harmonics 3 --duration 6"
     found = {verb: excitant(f"{verb} {arm} {more} --json") for verb, more in options.items()}
     assert {verb: ran.err for verb, ran in found.items() if ran.status} == {}
     for joint in found["identify"].result["joints"]:

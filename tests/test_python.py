@@ -165,18 +165,14 @@ def test_prediction_is_the_models_torque_at_the_instants_of_the_recording(
     assert np.sqrt((error**2).mean()) < 0.05 * held.tau[:, 0].std()
 
 
-def test_samples_too_few_to_be_filtered_are_not_predicted(
-    estimate: Estimate, held: Recording
-) -> None:
+def test_samples_too_few_to_be_filtered_are_not_predicted(estimate: Estimate, held: Recording):
     parted = held.take((held.t < 7.0) | (held.t > 9.0))
     known = np.isfinite(estimate.predict(parted)).all(axis=1)
     np.testing.assert_array_equal(known, parted.t < 7.0)
 
 
 @pytest.mark.slow
-def test_currents_are_predicted_as_currents(
-    planar: Robot, runs: Callable[..., list[Recording]]
-) -> None:
+def test_currents_are_predicted_as_currents(planar: Robot, runs: Callable[..., list[Recording]]):
     gains = np.array([20.0, 5.0])
     both = runs(planar, 3, duration=12.0)
     fit, held = (replace(run, tau=run.tau / gains, unit="A") for run in both)
@@ -199,9 +195,7 @@ def test_a_recording_comes_back_from_its_table(unit: str, held: Recording) -> No
     np.testing.assert_array_equal(back.extras["heat"], run.extras["heat"])
 
 
-def test_data_frames_hold_what_the_result_holds(
-    estimate: Estimate, tables: Tables, planar: Robot
-) -> None:
+def test_data_frames_hold_what_the_result_holds(estimate: Estimate, tables: Tables, planar: Robot):
     result = estimate.result()
     for kind, name in (("parameters", "name"), ("base_parameters", "expression")):
         frame = estimate.to_frame(kind)  # type: ignore[arg-type]
@@ -222,9 +216,7 @@ def test_data_frames_hold_what_the_result_holds(
     assert set(clean) < set(found.to_frame())
 
 
-def test_saved_runs_are_those_of_the_command_line(
-    tables: Tables, here: Path, excitant: Any
-) -> None:
+def test_saved_runs_are_those_of_the_command_line(tables: Tables, here: Path, excitant: Any):
     for name, table in zip(("fit.csv", "held.csv"), tables, strict=True):
         table.to_csv(name, index=False)
     excitant("identify planar_2r fit.csv --validate held.csv -o theirs")
@@ -258,9 +250,7 @@ def test_a_saved_design_is_the_motion(tmp_path: Path) -> None:
             play(design, **{name: wrong})
 
 
-def test_a_model_that_got_worse_is_left_out_with_a_warning(
-    estimate: Estimate, tmp_path: Path
-) -> None:
+def test_a_model_that_got_worse_is_left_out_with_a_warning(estimate: Estimate, tmp_path: Path):
     turned = tuple(replace(s, tau=-s.tau, tau_raw=-s.tau_raw) for s in estimate.data.validate)
     worse = replace(estimate, data=replace(estimate.data, validate=turned))
     with pytest.warns(UserWarning, match="is not published: it predicts the hold-out worse"):

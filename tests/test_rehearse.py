@@ -71,9 +71,7 @@ def test_a_good_motion_passes(
 
 
 @pytest.mark.slow
-def test_a_feeble_motion_fails_and_names_the_joint(
-    planar: Robot, motion: FourierTrajectory
-) -> None:
+def test_a_feeble_motion_fails_and_names_the_joint(planar: Robot, motion: FourierTrajectory):
     """What the other joint shows is recovered all the same."""
     feeble = tried(planar, motion, 1.0, 0.004)
     assert not feeble.passed
