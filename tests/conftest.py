@@ -1,7 +1,5 @@
 """Recordings: where those of real arms are, and those of virtual arms."""
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

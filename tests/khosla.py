@@ -21,8 +21,6 @@ p = 0 in K_i and the term is rightly absent, while R_{i+1} carries the lever. Th
 for an error of others; it is their convention. Both are computed.
 """
 
-from __future__ import annotations
-
 from itertools import accumulate
 
 import numpy as np

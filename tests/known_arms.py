@@ -1,7 +1,5 @@
 """Arms of which everything is known: their motion, their recordings, and whitened rows of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

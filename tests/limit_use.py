@@ -1,7 +1,5 @@
 """Other limits for a robot, and their use by the definition of the limits alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

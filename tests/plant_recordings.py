@@ -1,7 +1,5 @@
 """Motions and arms to judge the plant by, and what its recordings show beside the nominal arm."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

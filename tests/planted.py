@@ -1,7 +1,5 @@
 """Motions that excite an arm, and what a virtual arm hides; what fixtures give."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ The controller takes quintic splines between points, as joint_trajectory_control
 what its node has spun.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

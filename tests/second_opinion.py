@@ -17,8 +17,6 @@ Gautier and Khalil, "Direct calculation of minimum set of inertial parameters of
 chapter 9.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate

@@ -1,7 +1,5 @@
 """The design benchmark: it runs, and its judge is neutral and right."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """Every verb works on small input; every bad input is refused in one line, and nothing written."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

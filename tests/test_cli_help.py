@@ -1,7 +1,5 @@
 """Help at once with examples that work; completion at TAB; progress on a terminal."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

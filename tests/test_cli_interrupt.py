@@ -1,7 +1,5 @@
 """Ctrl-C on real processes: a design keeps what it has, others say that nothing was written."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The demo names what its virtual arm hides, for a seed fixed here and for others."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

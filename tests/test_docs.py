@@ -6,8 +6,6 @@ the block before them prints; lines may be left out, ``...`` stands for anything
 to 10 %. Blocks with a ``title`` are files. ``bash`` blocks are for other machines and do not run.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import inspect

@@ -1,7 +1,5 @@
 """Many arms by one command: it goes on where it was, and no arm spoils the others."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -28,22 +26,17 @@ from excitant.robots.virtual_arm import virtual_arm
 ROBOT = load_robot("planar_2r")
 
 
-def data_set(folder: Path, seed: int) -> None:
-    """One recording of an arm, and its description."""
-    folder.mkdir(parents=True)
-    arm = virtual_arm(ROBOT, np.random.default_rng(seed), hidden=())
-    rng = np.random.default_rng([seed, 0])
-    table = arm.record(random_trajectory(ROBOT, rng, 8.0, 4), 8.0, rng)
-    table.to_parquet(folder / "run0.parquet", index=False)
-    (folder / "robot.urdf").write_text(ROBOT.urdf)
-
-
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two sound data sets and two that are not."""
+    """Two sound data sets, each a recording and a description, and two that are not."""
     root = tmp_path_factory.mktemp("fleet")
     for k in range(2):
-        data_set(root / f"arm{k}" / "2026-03-01", k)
+        folder, rng = root / f"arm{k}" / "2026-03-01", np.random.default_rng([k, 0])
+        folder.mkdir(parents=True)
+        arm = virtual_arm(ROBOT, np.random.default_rng(k), hidden=())
+        table = arm.record(random_trajectory(ROBOT, rng, 8.0, 4), 8.0, rng)
+        table.to_parquet(folder / "run0.parquet", index=False)
+        (folder / "robot.urdf").write_text(ROBOT.urdf)
     shutil.copytree(root / "arm0", root / "broken")
     (root / "broken" / "2026-03-01" / "robot.urdf").write_text("<robot>")
     (root / "lost").mkdir()

@@ -1,7 +1,5 @@
 """One command from a robot and its recordings to a verdict, which is right or refuses."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every command on arms that are not six revolute joints with a sound inertia each."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Work in a child process: its result, its refusals, and what it may not do."""
 
-from __future__ import annotations
-
 import importlib
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Names of others: shown spelt out, and safe as the name of a folder."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a notebook shows: nouns as small tables, whole reports, one short import."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

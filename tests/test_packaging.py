@@ -1,7 +1,5 @@
 """What is shipped is complete, says one version, and works with what is declared alone."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import re

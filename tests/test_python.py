@@ -1,7 +1,5 @@
 """Python as people expect it: short shows, names and tables as arguments, predict, score, save."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What an engineer checks first after a run on a real arm, by the commands that they would type."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path

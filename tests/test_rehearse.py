@@ -1,7 +1,5 @@
 """A motion is tried on a virtual arm: a good one passes, a feeble one fails where it is feeble."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Every verb writes the record of its name, and nothing beside it."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import textwrap

@@ -1,7 +1,5 @@
 """The benchmark of robustness: a few cases of each part, and that it sees what is broken."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """URDF of arms of a few links, each by what is unusual in it."""
 
-from __future__ import annotations
-
 BODY = """<inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia ixx="{inertia}"
 iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial>"""
 LINK = """<link name="link{k}">{body}{shape}</link>

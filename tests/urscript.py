@@ -5,8 +5,6 @@ Statements are lines: ``def`` and ``while`` up to ``end``, with assignments, ``g
 where there is one, else local. Commands of the arm take time; what they command is kept with it.
 """
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from itertools import accumulate

@@ -1,7 +1,5 @@
 """Virtual arms, recorded and diagnosed."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest

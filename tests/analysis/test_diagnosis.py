@@ -1,7 +1,5 @@
 """What a virtual arm hides is named where it is, in plain words; what it does not hide is not."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import product

@@ -1,7 +1,5 @@
 """The experiment that settles an undecided diagnosis: how far it separates, and its limits."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from dataclasses import replace

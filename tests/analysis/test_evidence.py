@@ -1,7 +1,5 @@
 """Evidence is what its definition says, and rarely calls for what is not there."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

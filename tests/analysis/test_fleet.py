@@ -1,7 +1,5 @@
 """Arms beside their siblings and over time: planted ones are found, sound fleets are left alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import date, timedelta

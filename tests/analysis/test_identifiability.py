@@ -1,7 +1,5 @@
 """What cannot be known changes no torque; what can, does; how well, and what would show more."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

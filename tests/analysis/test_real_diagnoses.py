@@ -1,7 +1,5 @@
 """Diagnoses of real arms predict better, and what is known of the arms is seen; no records."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

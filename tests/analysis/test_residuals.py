@@ -1,7 +1,5 @@
 """What a model leaves: how much of it is noise, and with what the rest varies."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Effects beyond the standard model are chosen where an arm has them, and where it has none not."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Structural identifiability: three independent methods agree, and circumstances count."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Clearance is a distance that holds at every instant, not only at the samples."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from xml.etree import ElementTree as ET

@@ -1,7 +1,5 @@
 """One motion per link: limits, rest, held joints, and that row i alone shows link i."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Designs improve, keep every limit, report what least squares finds, and heed what is asked."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """What is played is the motion that was checked, with every instant that a check names."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Laws of Fourier series, B-splines and interpolated samples as functions of time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

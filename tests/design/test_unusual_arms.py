@@ -1,7 +1,5 @@
 """Arms that are not six revolute joints, and limits drawn at random."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -14,7 +12,6 @@ from excitant.design import design_trajectory
 from excitant.exceptions import Infeasible
 from excitant.robots import Robot
 from excitant.robots.urdf import robot_from_urdf
-
 
 
 def arm(*joints: dict[str, object]) -> Robot:

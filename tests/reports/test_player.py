@@ -1,7 +1,5 @@
 """The player in a real browser: the arm stands where its kinematics put it, limits are marked."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """Figures as axes: what they draw is what the noun holds, and nothing of Matplotlib is changed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import matplotlib as mpl
