@@ -39,11 +39,8 @@ def builtin(request: pytest.FixtureRequest) -> Robot:
     return load_robot(request.param)
 
 
-Refused = Callable[..., str]
-
-
 @pytest.fixture(scope="session")
-def refused() -> Refused:
+def refused() -> Callable[..., str]:
     """``refused(match, call, ...)``: what a call is refused with, in one line."""
 
     def message(

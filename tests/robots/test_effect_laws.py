@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 import scipy.interpolate
 from khosla import close
+from known_arms import Call
 from plant_recordings import displaced, swinging
 
 from excitant.robots import Motion, Robot, rigid_body_torque, torque
@@ -17,7 +17,6 @@ from excitant.robots.effects import EFFECTS
 from excitant.robots.effects.drive import play
 from excitant.robots.effects.friction import bristles
 
-States = Callable[[Robot, int, int], Motion]
 LIMITS = {  # shapes in which effects are what they contain
     "nonlinear_viscous_friction": {"exponent": 1.0},
     "thermal_friction_drift": {"time": 1e15},
@@ -57,7 +56,7 @@ def test_friction_has_its_closed_form(
 
 
 @pytest.mark.parametrize("name", [n for n in sorted(EFFECTS) if EFFECTS[n].search.contains])
-def test_an_effect_contains_what_it_says(planar: Robot, random_states: States, name: str) -> None:
+def test_an_effect_contains_what_it_says(planar: Robot, random_states: Call, name: str) -> None:
     """Columns of the contained effects are combinations of its own, wherever joints move."""
     motion, whole, one = random_states(planar, 5, 40), EFFECTS[name], planar.joints[:1]
     columns = whole(one, **LIMITS.get(name, {})).columns(planar, motion)[:, 0]
@@ -68,7 +67,7 @@ def test_an_effect_contains_what_it_says(planar: Robot, random_states: States, n
 
 
 def test_load_dependent_friction_grows_with_the_torque_of_the_bodies(
-    gantry: Robot, random_states: States
+    gantry: Robot, random_states: Call
 ) -> None:
     motion, joints, n = random_states(gantry, 6, 20), gantry.joints, gantry.nv
     loaded = gantry.with_effects((*gantry.effects, fx.TorqueOffset(joints, (9.0,) * n)))
@@ -125,7 +124,7 @@ def test_spring_is_the_derivative_of_its_energy(planar: Robot, lever: bool) -> N
 
 @pytest.mark.parametrize("ratio", [1.0, -1.0, 0.4])
 def test_coupled_friction_takes_the_power_of_its_shaft(
-    gantry: Robot, random_states: States, ratio: float
+    gantry: Robot, random_states: Call, ratio: float
 ) -> None:
     motion, viscous, coulomb = random_states(gantry, 9, 50), 1.5, 0.7
     pair = (gantry.joints[-1], gantry.joints[0])
@@ -176,7 +175,7 @@ def test_encoder_errors_are_the_torque_of_the_true_motion(
 
 @pytest.mark.parametrize("joint", ["twist", "swing"])
 def test_kinematic_error_is_the_torque_with_the_joint_moved(
-    gantry: Robot, random_states: States, joint: str
+    gantry: Robot, random_states: Call, joint: str
 ) -> None:
     """Torque is quadratic in the place of a joint: half the difference is the linear part."""
     motion, d = random_states(gantry, 2, 20), np.array([0.03, -0.02, 0.05])
@@ -187,7 +186,7 @@ def test_kinematic_error_is_the_torque_with_the_joint_moved(
     assert tau.any() == (joint == "twist")  # a cart that does not turn feels no difference
 
 
-def test_gravity_direction_is_the_torque_it_changes(arm: Robot, random_states: States) -> None:
+def test_gravity_direction_is_the_torque_it_changes(arm: Robot, random_states: Call) -> None:
     motion, change = random_states(arm, 3, 10), np.array([2.0, -1.0, 0.5])
     tau = fx.GravityDirection(arm.joints, tuple(change)).torque(arm, motion)
     turned = rigid_body_torque(arm.with_gravity(arm.gravity + change), motion)

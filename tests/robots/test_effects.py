@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from khosla import close
+from known_arms import Call
 
 from excitant.exceptions import BadInput
 from excitant.identify.export import comment, folded, held_by
@@ -21,7 +22,6 @@ from excitant.robots.effects.experiments import BETWEEN
 from excitant.robots.parameters import STANDARD
 from excitant.robots.simulation import REST, forward_model
 
-States = Callable[[Robot, int, int], Motion]
 Proposals = list[tuple[Effect, int]]
 JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.acts_on is fx.Acts.EACH)
 OF_THE_PAST = ("encoder_scale", "joint_elasticity", "backlash")
@@ -110,7 +110,7 @@ def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
 
 
 def test_torque_is_columns_times_values(
-    arm: Robot, random_states: States, kind: type[Effect]
+    arm: Robot, random_states: Call, kind: type[Effect]
 ) -> None:
     motion, effect = random_states(arm, 1, 6), valued(arm, kind, 2)
     columns, tau = effect.columns(arm, motion), effect.torque(arm, motion)
@@ -127,7 +127,7 @@ def test_torque_is_columns_times_values(
 
 @pytest.mark.parametrize("name", JOINTWISE)
 def test_jointwise_effects_are_those_of_each_joint(
-    ur10: Robot, random_states: States, name: str
+    ur10: Robot, random_states: Call, name: str
 ) -> None:
     states = random_states(ur10, 5, 6)
     motion = Motion(states.t, states.q, states.dq / 50, states.ddq)
@@ -146,7 +146,7 @@ def test_jointwise_effects_are_those_of_each_joint(
 
 
 def test_columns_depend_on_the_model_where_an_effect_says_so(
-    ur10: Robot, random_states: States, kind: type[Effect]
+    ur10: Robot, random_states: Call, kind: type[Effect]
 ) -> None:
     """On inertias or other effects, which never move what an effect of the motion alone does."""
     motion, effect = random_states(ur10, 7, 8), on(ur10, kind)
@@ -158,7 +158,7 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(
 
 
 def test_in_a_simulation_it_makes_the_torque_of_its_columns(
-    planar: Robot, random_states: States, kind: type[Effect]
+    planar: Robot, random_states: Call, kind: type[Effect]
 ) -> None:
     """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
     effect = valued(planar.with_effects(()), kind, 3)
@@ -182,7 +182,7 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(
 
 
 @pytest.fixture(scope="module")
-def facts(ur10: Robot, random_states: States) -> list[fx.JointFacts]:
+def facts(ur10: Robot, random_states: Call) -> list[fx.JointFacts]:
     motion = random_states(ur10, 3, 200)
     found = fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
     return [replace(seen, blur=0.0) for seen in found]  # states in no order have no reversals
@@ -267,7 +267,7 @@ def test_parameter_names_are_unique(ur10: Robot) -> None:
 
 @pytest.mark.parametrize("name", ["payload", "inertial_parameters"])
 def test_added_inertia_is_that_of_a_changed_link(
-    arm: Robot, random_states: States, name: str
+    arm: Robot, random_states: Call, name: str
 ) -> None:
     motion = random_states(arm, 6, 10)
     added = EFFECTS[name](arm.joints[-1:]).with_values(arm.phi[-10:] * 0.3)

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from textwrap import indent
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from arms import ARMS as LIBRARY
 from arms import data_folder
+from known_arms import Call
 
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
@@ -26,9 +26,6 @@ from excitant.robots.chains import RobotSpec
 from excitant.robots.limits import require_limits
 from excitant.robots.parameters import BaseEstimate
 from excitant.robots.torque import torque
-
-Command = Callable[..., Any]
-Refused = Callable[..., str]
 
 DATA = Path(__file__).parent / "data"
 SIX = ("left_1", "left_2", "left_3", "right_1", "right_2", "right_3")
@@ -51,7 +48,7 @@ def test_any_arm_is_read(spec: RobotSpec, joints: int) -> None:
 @pytest.mark.parametrize(
     "kind", ["xacro", "mjcf", pytest.param("both arms of two", marks=pytest.mark.slow)]
 )
-def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Refused) -> None:
+def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Call) -> None:
     robot = load_robot(READ[kind][0])
     if kind == "mjcf":  # which has no word for the limit of a speed
         refused("no velocity limits", require_limits, robot, error=BadInput)
@@ -82,7 +79,7 @@ def test_arms_of_example_robot_data() -> None:
 
 
 def test_missing_limits_are_asked_for_with_the_file_to_write(
-    planar: Robot, excitant: Command, tmp_path: Path
+    planar: Robot, excitant: Call, tmp_path: Path
 ) -> None:
     bare, limits = tmp_path / "bare.urdf", tmp_path / "limits.yaml"
     bare.write_text(re.sub('(velocity|effort)="[^"]*"', r'\1="0"', planar.urdf))
@@ -144,7 +141,7 @@ def test_torque_limits_stand_in_for_those_of_acceleration(planar: Robot) -> None
     assert all(joint in note for joint in planar.joints)
 
 
-def test_the_command_line_chooses_a_part(excitant: Command, tmp_path: Path) -> None:
+def test_the_command_line_chooses_a_part(excitant: Call, tmp_path: Path) -> None:
     chain = "--base torso --tip left_hand --lock lift=0.1 --lock left_thumb=0,left_finger=0.1"
     ran = excitant("robots --json", DATA / "twins.urdf", *chain.split())
     assert all(f"left_{k}" in ran.out for k in (1, 2, 3))
@@ -234,7 +231,7 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
 
 @pytest.mark.parametrize(("file", "old", "new", "words"), REFUSED)
 def test_a_file_that_cannot_be_read_is_refused_in_one_line_that_names_it(
-    tmp_path: Path, refused: Refused, file: str, old: str, new: str, words: str
+    tmp_path: Path, refused: Call, file: str, old: str, new: str, words: str
 ) -> None:
     shutil.copy(DATA / "gantry.urdf", tmp_path)
     path, text = tmp_path / file, (DATA / file).read_text() if (DATA / file).exists() else ""
@@ -245,7 +242,7 @@ def test_a_file_that_cannot_be_read_is_refused_in_one_line_that_names_it(
     assert str(path) in said or said.startswith("unknown")
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path, refused: Refused, planar: Robot) -> None:
+def test_what_is_no_file_is_refused(tmp_path: Path, refused: Call, planar: Robot) -> None:
     refused("no such file", load_robot, tmp_path / "absent.urdf")
     refused("no such file", load_limits, tmp_path / "absent.yaml", planar)
     refused("did you mean 'puma560'", load_robot, "puma56x", error=UnknownName)
@@ -296,7 +293,7 @@ BAD_LIMITS = {
 
 @pytest.mark.parametrize("text", BAD_LIMITS)
 def test_bad_limits_are_refused_in_one_line(
-    planar: Robot, tmp_path: Path, refused: Refused, text: str
+    planar: Robot, tmp_path: Path, refused: Call, text: str
 ) -> None:
     said = refused(BAD_LIMITS[text], limits_of, tmp_path, text, planar, error=BadInput)
     assert str(tmp_path / "limits.yaml") in said
@@ -334,7 +331,7 @@ def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
     ],
 )
 def test_an_estimate_that_is_none_is_refused(
-    kept: Path, refused: Refused, old: str, new: str, why: str
+    kept: Path, refused: Call, old: str, new: str, why: str
 ) -> None:
     file = kept.with_name("arm-estimate.csv")
     assert old in file.read_text()
@@ -344,7 +341,7 @@ def test_an_estimate_that_is_none_is_refused(
     assert "write the model again" in said
 
 
-def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path, refused: Refused) -> None:
+def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path, refused: Call) -> None:
     for name, why in (("../x.csv", "outside its folder"), ("none.csv", "cannot be read")):
         kept.write_text(f"model: arm.urdf\nestimate: {name}\n")
         refused(why, load_robot, kept, error=BadRobot)

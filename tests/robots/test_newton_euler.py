@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close, dh_from_robot, frames, torque_matrix
+from known_arms import Call
 from second_opinion import grouping
 from seed import dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 
@@ -18,8 +19,6 @@ from excitant.robots import DHChain, Motion, base_parameters, load_robot, rigid_
 from excitant.robots.dh import CONVENTIONS, Convention, robot_from_dh
 from excitant.robots.parameters import STANDARD, elements, steiner, violations
 from excitant.robots.regressor import regressor
-
-Chains = Callable[..., DHChain]
 
 
 def states(seed: int, n: int, nv: int) -> Motion:
@@ -41,7 +40,7 @@ def rank(W: np.ndarray) -> int:
     seed=st.integers(0, 2**32 - 1), nv=st.integers(1, 9), convention=st.sampled_from(CONVENTIONS)
 )
 def test_a_chain_needs_the_torque_of_the_recursion_where_its_frames_are(
-    random_chain: Chains, seed: int, nv: int, convention: Convention
+    random_chain: Call, seed: int, nv: int, convention: Convention
 ) -> None:
     """And Property 4 holds: neither m_i, nor I_i, nor m_i s_i shows in τ_{i+1} .. τ_N."""
     chain, motion = random_chain(seed, nv, convention), states(seed, 5, nv)
@@ -79,7 +78,7 @@ TURNING = np.array([True, False, True, True, False, True])
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("link", [1, 3, 5])
 def test_property_2_torque_is_quadratic_and_force_linear_in_a_centre_of_mass(
-    random_chain: Chains, seed: int, link: int
+    random_chain: Call, seed: int, link: int
 ) -> None:
     """With the inertia about it held: a rotary joint's second half, a translational one's first."""
     chain, motion, tau = random_chain(seed, 6), states(seed, 20, 6), []
@@ -96,7 +95,7 @@ def test_property_2_torque_is_quadratic_and_force_linear_in_a_centre_of_mass(
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", ["a", "d"])
 def test_property_3_torque_is_quadratic_in_a_link_length(
-    random_chain: Chains, seed: int, name: str
+    random_chain: Call, seed: int, name: str
 ) -> None:
     """And the force of a translational joint is linear in it."""
     chain, motion, tau = random_chain(seed, 6), states(seed, 20, 6), []

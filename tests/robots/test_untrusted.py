@@ -7,13 +7,13 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 import robustness_inputs
+from known_arms import Call
 from robustness import READERS
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
@@ -23,7 +23,6 @@ from excitant.robots import Motion, Robot, load_robot, torque, xacro
 from excitant.robots.expressions import MATH, PYTHON, Names, Refused, evaluate
 from excitant.robots.geometry import scene, unchecked
 
-Refuse = Callable[..., str]
 DATA = Path(__file__).parent / "data"
 BODY = """<inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
@@ -136,7 +135,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("name", XACRO)
 def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(
-    folder: Path, refused: Refuse, monkeypatch: pytest.MonkeyPatch, name: str
+    folder: Path, refused: Call, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setattr(xacro, "SECONDS", 2)
     before, words = XACRO[name]
@@ -159,7 +158,7 @@ def test_what_the_environment_holds_is_taken_as_not_set(folder: Path) -> None:
     assert load_robot(path).notes == ()
 
 
-def test_no_file_makes_expressions_run(folder: Path, refused: Refuse) -> None:
+def test_no_file_makes_expressions_run(folder: Path, refused: Call) -> None:
     path = folder / "arm.xacro"
     path.write_text(arm(name="${(lambda: xacro.load_yaml('../secret.yaml')['key'])()}"))
     (folder / "robot.yaml").write_text("model: arm.xacro\ntrust_xacro: true\n")
@@ -260,7 +259,7 @@ FILES: dict[str, tuple[str, str]] = {  # what stands in a file, what is said
 
 @pytest.mark.parametrize("file", FILES)
 def test_other_files_neither_reach_nor_build_what_they_may_not(
-    folder: Path, refused: Refuse, capfd: pytest.CaptureFixture[str], file: str
+    folder: Path, refused: Call, capfd: pytest.CaptureFixture[str], file: str
 ) -> None:
     text, words = FILES[file]
     (folder.parent / "up.xml").write_text("<mujoco/>")
@@ -277,7 +276,7 @@ def test_other_files_neither_reach_nor_build_what_they_may_not(
 
 
 def test_shapes_without_numbers_are_refused_without_a_word_of_pinocchio(
-    folder: Path, refused: Refuse, capfd: pytest.CaptureFixture[str]
+    folder: Path, refused: Call, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = folder / "a.urdf"
     for shape in ("<box/>", "<sphere/>", '<cylinder radius="1"/>', "<mesh/>", "<ball/>", ""):
@@ -302,7 +301,7 @@ def test_meshes_elsewhere_count_as_not_found_and_how_to_allow_them_is_said(folde
         assert said.startswith("self-collision;")
 
 
-def test_a_data_set_names_no_robot_elsewhere(folder: Path, refused: Refuse) -> None:
+def test_a_data_set_names_no_robot_elsewhere(folder: Path, refused: Call) -> None:
     sidecar = folder / "dataset.json"
     sidecar.write_text('{"kinematics": {"urdf": "../arm.urdf"}}')
     refused("outside its folder.*ROBOT and the paths", load_dataset, folder)
@@ -372,13 +371,13 @@ NAMING: dict[str, str] = {
 
 
 @pytest.mark.parametrize("name", NAMING)
-def test_a_name_too_long_for_a_file_is_refused(name: str, tmp_path: Path, refused: Refuse) -> None:
+def test_a_name_too_long_for_a_file_is_refused(name: str, tmp_path: Path, refused: Call) -> None:
     (file := tmp_path / name).write_text(NAMING[name], "utf-8")
     read = load_dataset if name == "dataset.json" else load_robot
     refused("xxx|no robot model", read, tmp_path if name == "dataset.json" else file)
 
 
-def test_a_name_too_long_from_the_caller_is_refused(planar: Robot, refused: Refuse) -> None:
+def test_a_name_too_long_from_the_caller_is_refused(planar: Robot, refused: Call) -> None:
     refused("xxx", load_robot, f"{LONG}.urdf")
     refused("xxx", load_robot, LONG, error=UnknownName)
     refused("xxx", load_dataset, LONG, error=UnknownName)
