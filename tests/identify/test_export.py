@@ -1,7 +1,5 @@
 """Files of a model, read back by others, need its torque; what is published, and what is not."""
 
-from __future__ import annotations
-
 import json
 import sys
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Damaged logs: one line that names the file, or values that were there; never anything else."""
 
-from __future__ import annotations
-
 import io
 import os
 import struct

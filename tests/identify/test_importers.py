@@ -4,8 +4,6 @@ Also as other programs write them, in shapes that nobody planned for: read witho
 names leave a choice, the refusal holds the map that settles it.
 """
 
-from __future__ import annotations
-
 import gzip
 import importlib
 import json

@@ -1,7 +1,5 @@
 """The recursion is weighted least squares; delays match; the monitor speaks when it should."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Recordings with a payload tell what it is (2 %, 3 mm), or, where it is known, the drive gains."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from pathlib import Path
@@ -157,24 +155,16 @@ def test_currents_need_the_unloaded_arm_and_leave_the_gain_open(
 
 
 def test_command_on_an_arm_of_two_parallel_axes(
-    planar: Robot, exact: Call, tmp_path: Path, excitant: Call
+    planar_runs: Runs, tmp_path: Path, excitant: Call
 ) -> None:
     """Which shows what is felt in their plane."""
-    load, files = Payload(planar.joints[-1:]).with_values(PHI), []
-    for name, effects in (("free", ()), ("held", (load,))):
-        run = exact(planar.with_effects([*planar.effects, *effects]), np.arange(0, 12, 0.004))
-        files.append(write_csv(tmp_path / f"{name}.csv", run))
-    options = ("--payload", "--unloaded", files[0], "--json", "-o", tmp_path / "run")
-    ran = excitant("identify planar_2r", files[1], *options)
+    held, free = (write_csv(tmp_path / f"{k}.csv", run) for k, run in enumerate(planar_runs))
+    options = ("--payload", "--unloaded", free, "--json", "-o", tmp_path / "run")
+    ran = excitant("identify planar_2r", held, *options)
     values = {p["name"]: p for p in ran.result["payload"]["parameters"]}
     assert [values[name]["prior_dominated"] for name in ("mcx", "mcy")] == [False, True]
     assert values["mcx"]["value"] == pytest.approx(PHI[1], rel=0.02)
     assert values["mcz"]["value"] == pytest.approx(PHI[3], rel=0.02)
-
-
-def noisy(recording: Recording, seed: int, sigma: float = 0.05) -> Recording:
-    noise = sigma * np.random.default_rng(seed).standard_normal(recording.tau.shape)
-    return replace(recording, tau=recording.tau + noise)
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +172,7 @@ def planar_runs(planar: Robot, exact: Call) -> Runs:
     """Two joints with the payload, and without, on different motions."""
     load, t = Payload(planar.joints[-1:]).with_values(PHI), np.arange(0, 10, 0.004)
     carrying = planar.with_effects([*planar.effects, load])
-    return noisy(exact(carrying, t, 1), 1), noisy(exact(planar, t, 2), 2)
+    return exact(carrying, t, 1, noise=0.05), exact(planar, t, 2, noise=0.05)
 
 
 def test_a_model_keeps_what_it_knows_and_a_payload_is_told_over_time_on_top_of_it(

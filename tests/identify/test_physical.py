@@ -1,7 +1,5 @@
 """The semidefinite fit is optimal, consistent and fast, whatever the data, prior and knowledge."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What cannot be used is refused by its place; pieces and decimated logs say the same."""
 
-from __future__ import annotations
-
 import gzip
 import itertools
 import json
@@ -21,10 +19,10 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 import streaming
-from estimators import TrueArm
+from estimators import truth
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import Call, smooth_motion
+from known_arms import Call, recorded, smooth_motion
 
 from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
@@ -233,14 +231,12 @@ def test_memory_is_that_of_pieces(tmp_path: Path) -> None:
     assert float(nrmse) < 0.3
 
 
-RATE, PLANAR = 1000.0, load_robot("planar_2r")
+RATE, KNOWN = 1000.0, truth("planar_2r")
+PLANAR = KNOWN.robot
 
 
 def logged(t: np.ndarray) -> Recording:
-    motion = smooth_motion(PLANAR, t)
-    tau = TrueArm(PLANAR.model, *[np.array([0.2, 0.3])] * 4).torque(motion)
-    noise = 0.05 * np.random.default_rng(0).normal(size=tau.shape)
-    return Recording("log", "log.csv", t, motion.q, tau + noise)
+    return recorded(KNOWN, smooth_motion(PLANAR, t), 0)
 
 
 def pieces(whole: Recording, rows: int) -> Iterator[Recording]:

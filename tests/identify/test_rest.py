@@ -1,7 +1,5 @@
 """Joints at rest spoil no fit, whatever dry friction holds and whatever encoders toggle."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

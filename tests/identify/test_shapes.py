@@ -1,7 +1,5 @@
 """Shapes of effects, found with the bodies: what was planted, and nothing where nothing was."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Arms to state laws on: the built-in ones, and one with a sliding joint and fixed links."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Chains of larger robots, branched trees, coupled joints: what moves, and what is held."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Denavit-Hartenberg arms: conventions, files, and what is published of built-in ones."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path

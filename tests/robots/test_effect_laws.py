@@ -1,7 +1,5 @@
 """Each effect against closed forms, the balance of energy, or the arm moved by brute force."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laws every effect obeys, whatever it is; a new one is held to them once it is registered."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import fields, replace

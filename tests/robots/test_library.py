@@ -1,7 +1,5 @@
 """Every built-in arm is complete, sound, and good for each command."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Arms of every format, from file to motion; limits from files, and limits that are missing."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """MJCF files, judged by MuJoCo: the same file gives the same torque, limits and friction."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Each thing that can be wrong in a description is found where it was planted, and nothing else."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 

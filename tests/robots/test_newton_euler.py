@@ -1,7 +1,5 @@
 """Laws of the seed paper's recursion (Khosla 1987), and its arm, the CMU DD Arm II."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

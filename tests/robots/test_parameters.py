@@ -1,7 +1,5 @@
 """Laws of the regressor, of standard and base parameters, and of physical consistency."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,9 +1,7 @@
 """Laws of the plant, judged by Pinocchio, MuJoCo, closed forms and the balance of energy."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,7 +23,7 @@ from plant_recordings import (
     swing,
     true_arm,
 )
-from planted import hidden
+from planted import DRAWN, drawn, hidden
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
 from excitant.robots import Motion, Robot, base_parameters, torque
@@ -59,9 +57,7 @@ def test_frictionless_arm_needs_the_torque_that_mujoco_says(arm: Robot) -> None:
     assert mujoco_error(arm.with_effects(())) <= SMOOTH
 
 
-def test_half_the_step_leaves_a_quarter_of_the_error(
-    ur10: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_the_step_leaves_a_quarter_of_the_error(ur10: Robot, monkeypatch: Any) -> None:
     bare, errors = ur10.with_effects(()), []
     for step in (5e-4, 2.5e-4):
         monkeypatch.setattr(plant_arm, "LONGEST_STEP", step)
@@ -330,14 +326,9 @@ def test_a_gear_with_play_never_pulls() -> None:
         assert gear.torque(gear.deflection(load), 0.0)[0] == pytest.approx(load)
 
 
-def draw_payload(robot: Robot) -> va.HiddenEffect:
-    drawn = (va.draw_hidden_effect(robot, np.random.default_rng(seed)) for seed in range(100))
-    return next(effect for effect in drawn if effect.effect == "payload")
-
-
 def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
     """Which a bare arm bears too: light wrists get the stiffness that their motors can give."""
-    payload, phi = draw_payload(builtin), np.array(builtin.phi)
+    payload, phi = drawn(builtin, "payload", 0), np.array(builtin.phi)
     values = [value for _, value in payload.parameters]
     assert violations(values, ("payload",)) == []
     run = Recorded(builtin, payload, duration=3.0)
@@ -380,13 +371,12 @@ def test_impossible_nominal_inertia_still_runs(planar: Robot) -> None:
 
 def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
     """Rotor inertia only where its column is no combination of the columns of the links."""
-    drawn = [va.draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60)]
-    friction = {f"{kind}_friction" for kind in ("viscous", "coulomb", "stribeck")}
-    assert {e.effect for e in drawn} == {*friction, "torque_offset", "rotor_inertia", "payload"}
+    found = [va.draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60)]
+    assert {e.effect for e in found} == {*DRAWN}
     q, dq, ddq = planar.random_motion(np.random.default_rng(1), 200)
     half, slow = (Motion(np.arange(200.0), q, dq / n, ddq / 2) for n in (2, 40))
     typical, noise = va.typical_torque(planar), va.industrial_sensors(planar).torque_noise
-    for one in drawn:
+    for one in found:
         parameters = dict(one.parameters)
         shape = {k: parameters.pop(k) for k in ("velocity",) if k in parameters}
         effect = EFFECTS[one.effect]((one.joint,), **shape).with_values([*parameters.values()])
@@ -397,13 +387,13 @@ def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
         assert (size <= np.maximum(typical, 6 * noise)).all(), one
     counts = [len(base_parameters(planar, [RotorInertia((joint,))])) for joint in planar.joints]
     assert counts == [rigid := len(base_parameters(planar)), rigid + 1]
-    assert {e.joint for e in drawn if e.effect == "rotor_inertia"} == {planar.joints[1]}
+    assert {e.joint for e in found if e.effect == "rotor_inertia"} == {planar.joints[1]}
 
 
 def test_a_payload_on_the_axis_of_the_only_joint_is_drawn_again() -> None:
     """No joint would feel it, and nobody could find it."""
-    drawn = (va.draw_hidden_effect(PENDULUM, np.random.default_rng(seed)) for seed in range(40))
-    assert "payload" not in {effect.effect for effect in drawn}
+    found = (va.draw_hidden_effect(PENDULUM, np.random.default_rng(seed)) for seed in range(40))
+    assert "payload" not in {effect.effect for effect in found}
 
 
 def test_recording_has_the_columns_rate_and_noise_of_its_sensors(planar: Robot) -> None:
@@ -455,7 +445,7 @@ def test_effects_refused(planar: Robot, effects: list[va.HiddenEffect], message:
         true_arm(planar.with_effects(()), *effects)
 
 
-def test_motions_and_arms_refused(planar: Robot, refused: Callable[..., str]) -> None:
+def test_motions_and_arms_refused(planar: Robot, refused: Any) -> None:
     arm, rng, moving = true_arm(planar), np.random.default_rng(0), swing(planar)
     refused("starts at", arm.record, lambda t, k: moving(t + 0.1, k), 1.0, rng, error=BadInput)
     refused("shorter than one sample", arm.record, moving, 0.0, rng, error=BadInput)

@@ -1,7 +1,5 @@
 """Descriptions by others: nothing is run, nothing elsewhere is read, and nothing hangs."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """URDFs: reading, writing, and refusing in one line what is damaged or no robot."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

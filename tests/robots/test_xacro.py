@@ -1,7 +1,5 @@
 """Xacro files without ROS: arguments, packages, and one line where something is missing."""
 
-from __future__ import annotations
-
 import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
