@@ -307,10 +307,8 @@ def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) ->
     loop = closed_loop(rows, [recording])
     found = output_error(loop.problem, loop.simulated)
     size = np.sqrt((rows.reduced.W**2).mean(axis=(0, 1)))
-    error, plain = (
-        np.linalg.norm((fit.beta - KNOWN.beta) * size)
-        for fit in (found.fit, weighted_least_squares(rows.reduced))
-    )
+    fits = (found.fit, weighted_least_squares(rows.reduced))
+    error, plain = (np.linalg.norm((fit.beta - KNOWN.beta) * size) for fit in fits)
     assert error < 0.2 * plain
     assert 1 <= found.iterations <= 4
     # the motion ends at 0.83 Hz; the reference goes 2.5 times as far, or a little more

@@ -19,12 +19,8 @@ def recordings(planar: Robot, runs: Call) -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def estimate(planar: Robot, recordings: list[Recording]) -> Estimate:
-    effects = [
-        RotorInertia(planar.joints),
-        StribeckFriction(("joint2",), velocity=0.2),
-        ViscousFriction(("joint2", "joint1")),
-        CoulombFriction(("joint2",)),
-    ]
+    effects = [RotorInertia(planar.joints), StribeckFriction(("joint2",), velocity=0.2)]
+    effects += [ViscousFriction(("joint2", "joint1")), CoulombFriction(("joint2",))]
     return identify_robot(planar, recordings[0], validate=recordings[1], effects=effects)
 
 

@@ -45,9 +45,7 @@ FORMS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 @pytest.fixture(params=[*FORMS, "mat", "bag", "mcap", "db3"])
-def log(
-    request: pytest.FixtureRequest, save: Call, write_joint_states: Call, tmp_path: Path
-) -> Path:
+def log(request: Any, save: Call, write_joint_states: Call, tmp_path: Path) -> Path:
     """The same log in a file of some kind."""
     kind, path = request.param, tmp_path / f"log.{request.param}"
     if kind in FORMS:

@@ -307,9 +307,8 @@ def test_a_hidden_effect_of_the_hold_out_is_said_to_be_missed(planar: Robot, exa
     train, other = (exact(planar, t, seed, noise=0.05) for seed in (0, 1))
     # somebody leans on the second joint
     pulled = replace(other, tau=other.tau + np.outer(np.sin(other.t), [0.0, 0.5]))
-    honest, leaned = (
-        identify_robot(planar, [train], validate=[run]).result()["notes"] for run in (other, pulled)
-    )
+    found = (identify_robot(planar, [train], validate=[run]) for run in (other, pulled))
+    honest, leaned = (each.result()["notes"] for each in found)
     assert not any("misses something" in note for note in honest)
     [said] = [note for note in leaned if "misses something" in note]
     assert [joint in said for joint in planar.joints] == [False, True]

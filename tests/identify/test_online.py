@@ -30,14 +30,9 @@ def motion(planar: Robot) -> Motion:
 
 def estimator(robot: Robot, **options: Any) -> OnlineEstimator:
     """Of effects without a jump, so that every block gives a row."""
-    settings: dict[str, Any] = {
-        "effects": tuple(kind(robot.joints) for kind in (ViscousFriction, TorqueOffset)),
-        "rate_hz": RATE,
-        "differentiator": DIFFERENTIATOR,
-        "sigma": SIGMA,
-        "prior": False,
-    }
-    return OnlineEstimator(robot, **(settings | options))
+    effects = tuple(kind(robot.joints) for kind in (ViscousFriction, TorqueOffset))
+    usual = {"rate_hz": RATE, "differentiator": DIFFERENTIATOR, "sigma": SIGMA, "prior": False}
+    return OnlineEstimator(robot, **({"effects": effects} | usual | options))
 
 
 def noisy(robot: Robot, motion: Motion, sigma: Any, seed: int = 0) -> np.ndarray:

@@ -341,11 +341,9 @@ def test_identify_and_analyze_say_the_same(planar: Robot, runs: Call) -> None:
     assert len(clear) > 15
     for row in clear:
         assert said[row["name"]] == row["prior_dominated"], row
-    missed = {
-        p["name"]
-        for p, share in zip(parameters, found.physical.prior_share, strict=True)
-        if p["category"] == "combined" and p["prior_dominated"] and share < 0.5
-    }
+    shares = zip(parameters, found.physical.prior_share, strict=True)
+    combined = [p for p, share in shares if p["category"] == "combined" and share < 0.5]
+    missed = {p["name"] for p in combined if p["prior_dominated"]}
     assert all(p["prior_dominated"] for p in rows if p["name"] in missed)
 
 
@@ -432,8 +430,6 @@ CORNER = [[0, 0, 0], [0.1, 0.1, 0.1]]
 AWAY = {"centre": [0.5, 0, 0], "radii": [0.1, 0.1, 0.1]}
 AROUND = {"centre": [0, 0, 0], "radii": [0.2, 0.2, 0.2]}
 POINT = {"com_box": [[1, 0, 0], [1, 0, 0]], "body_ellipsoid": AROUND}
-
-
 BOXES = {0: {"com_box": CORNER}, 2: {"com_box": CORNER, "com_ellipsoid": AWAY}}
 
 

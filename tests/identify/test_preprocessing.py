@@ -23,7 +23,6 @@ from excitant.identify.differentiators import (
 from excitant.identify.preprocessing import SAMPLING, Segment, prepare
 from excitant.identify.rows import split
 from excitant.identify.signals import (
-    detrended,
     differentiated,
     live,
     low_pass,
@@ -117,10 +116,8 @@ def test_columns_and_torque_pass_the_same_filter_also_in_parts(
 ) -> None:
     t = T[:2000]
     [segment] = prepared(t, smooth_motion(ur10, t).q)
-    columns, torque = (
-        segment.rows(lambda motion, of=of: of(ur10, motion))
-        for of in (regressor, rigid_body_torque)
-    )
+    kinds = (regressor, rigid_body_torque)
+    columns, torque = (segment.rows(lambda motion, of=of: of(ur10, motion)) for of in kinds)
     np.testing.assert_allclose(columns @ ur10.phi, torque, atol=1e-9 * np.abs(torque).max())
     assert len(torque) == len(segment.t) == len(segment.tau[segment.keep])
     small = replace(SAMPLING, chunk=500)
@@ -301,11 +298,6 @@ def test_the_density_is_welchs(n: int, longest: int) -> None:
     found = power_density(x, LOW_RATE, longest)
     np.testing.assert_allclose(found[0], f)
     np.testing.assert_allclose(found[1], expected, rtol=1e-9, atol=1e-14 * expected.max())
-
-
-def test_a_line_is_taken_out() -> None:
-    x = walk(77)
-    np.testing.assert_allclose(detrended(x), scipy.signal.detrend(x, axis=0), atol=1e-12)
 
 
 FAST, BAND = 500.0, 20.0

@@ -166,11 +166,8 @@ def test_predicts_as_well_as_all_at_once_in_the_same_time(
 def literal() -> LinkByLink:
     """The DD arm, one joint moving at a time in one pose."""
     robot, rng = load_robot("cmu_dd_arm_ii"), np.random.default_rng(2)
-    truth = TrueArm(robot.model, Fc=1.0)
-    runs = [
-        recorded(robot, truth, rng, f"joint{i + 1}", moving=[i], duration=8.0, share=1e-9)
-        for i in range(6)
-    ]
+    truth, how = TrueArm(robot.model, Fc=1.0), {"duration": 8.0, "share": 1e-9}
+    runs = [recorded(robot, truth, rng, f"joint{i + 1}", moving=[i], **how) for i in range(6)]
     return identify_link_by_link(robot, runs, effects=[CoulombFriction(robot.joints)])
 
 

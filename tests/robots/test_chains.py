@@ -129,10 +129,8 @@ def test_a_tree_needs_the_torque_of_newton_and_euler(random_states: Call) -> Non
 def test_robot_yaml_chooses_a_chain(tmp_path: Path) -> None:
     file = tmp_path / "left.yaml"
     shutil.copy(TWINS, tmp_path)
-    file.write_text(
-        f"model: {TWINS.name}\nbase: torso\ntip: left_hand\nlock: {{lift: 0.2}}\n"
-        "limits: {torque: [9, 8, 7]}\n"
-    )
+    chosen = f"model: {TWINS.name}\nbase: torso\ntip: left_hand\nlock: {{lift: 0.2}}\n"
+    file.write_text(f"{chosen}limits: {{torque: [9, 8, 7]}}\n")
     robot = load_robot(file)
     assert (robot.joints, robot.limits.torque.tolist()) == (LEFT, [9, 8, 7])
     part = load_robot(file, joints=LEFT[1:])

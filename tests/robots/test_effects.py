@@ -148,9 +148,8 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(
 ) -> None:
     """On inertias or other effects, which never move what an effect of the motion alone does."""
     motion, effect = random_states(ur10, 7, 8), on(ur10, kind)
-    other = ur10.with_parameters(2 * ur10.phi).with_effects(
-        [e.with_values([3.0] * ur10.nv) for e in fx.standard_effects(ur10.joints)]
-    )
+    rubbing = [e.with_values([3.0] * ur10.nv) for e in fx.standard_effects(ur10.joints)]
+    other = ur10.with_parameters(2 * ur10.phi).with_effects(rubbing)
     same = np.array_equal(effect.columns(ur10, motion), effect.columns(other, motion))
     assert same != kind.physics.on_model
 

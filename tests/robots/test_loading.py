@@ -31,7 +31,6 @@ READ = {
     "urdf": (RobotSpec(DATA / "scara.urdf", tip="quill"), 4),
     "xacro": (RobotSpec(DATA / "pan_tilt.urdf.xacro", xacro_args={"reach": "0.6"}), 2),
     "mjcf": (RobotSpec(DATA / "slider.xml"), 3),
-    "one arm of two": (RobotSpec(DATA / "twins.urdf", base="torso", tip="left_hand"), 3),
     "both arms of two": (RobotSpec(DATA / "twins.urdf", SIX), 6),
     "yaml over mjcf": (RobotSpec(DATA / "slider.yaml"), 2),
 }

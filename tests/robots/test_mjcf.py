@@ -114,13 +114,8 @@ def geom_body(rng: np.random.Generator, number: int, angle: float) -> str:
       <geom type="capsule" size="0.03" fromto="{numbers(6)}" mass="{rng.uniform(0.1, 3)}"/>"""
 
 
-BOUNDS = (
-    "",
-    'boundmass="2.5" boundinertia="0.02"',
-    'balanceinertia="true"',
-    'settotalmass="7"',
-    'inertiagrouprange="0 3"',
-)
+TOTAL = ('settotalmass="7"', 'inertiagrouprange="0 3"')
+BOUNDS = ("", 'boundmass="2.5" boundinertia="0.02"', 'balanceinertia="true"', *TOTAL)
 
 
 @given(

@@ -23,12 +23,8 @@ HINTS = {
 
 
 def found(robot: Robot, *, hint: bool = False, mass: float | None = None) -> set[tuple[str, str]]:
-    return {
-        (warning.check, where)
-        for warning in ModelCheck(robot, mass).warnings
-        for where in warning.where
-        if warning.hint == hint
-    }
+    warnings = (w for w in ModelCheck(robot, mass).warnings if w.hint == hint)
+    return {(warning.check, where) for warning in warnings for where in warning.where}
 
 
 def child(element: ET.Element, path: str) -> ET.Element:

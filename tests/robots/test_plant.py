@@ -11,6 +11,7 @@ import pytest
 import scipy
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from known_arms import Call
 from plant_recordings import (
     PENDULUM,
     RATE,
@@ -25,7 +26,7 @@ from plant_recordings import (
 )
 from planted import DRAWN, drawn, hidden
 
-from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
+from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Motion, Robot, base_parameters, torque
 from excitant.robots import virtual_arm as va
 from excitant.robots.effects import EFFECTS, RotorInertia
@@ -343,10 +344,8 @@ def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
 
 
 def test_same_seed_same_recording(planar: Robot) -> None:
-    rngs = (np.random.default_rng(seed) for seed in (3, 3, 4))
-    one, again, other = (
-        va.virtual_arm(planar, rng).record(swing(planar), 0.5, rng) for rng in rngs
-    )
+    rngs, path = map(np.random.default_rng, (3, 3, 4)), swing(planar)
+    one, again, other = (va.virtual_arm(planar, rng).record(path, 0.5, rng) for rng in rngs)
     pd.testing.assert_frame_equal(one, again, check_exact=True)
     assert not one.equals(other)
 
@@ -422,30 +421,24 @@ def test_torque_never_exceeds_the_limits(planar: Robot) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str) -> None:
-    with pytest.raises(UnknownName, match=f"parameter of {kind}"):
-        true_arm(planar, hidden(kind, *planar.joints, nonsense=1.0))
+def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str, refused: Call) -> None:
+    unknown, none = (hidden(kind, *planar.joints, **more) for more in ({"nonsense": 1.0}, {}))
+    refused(f"parameter of {kind}", true_arm, planar, unknown, error=UnknownName)
     if None in parameters_of(kind).values():
-        with pytest.raises(BadInput, match=f"{kind} lacks"):
-            true_arm(planar, hidden(kind, *planar.joints))
+        refused(f"{kind} lacks", true_arm, planar, none, error=BadInput)
 
 
-@pytest.mark.parametrize(
-    ("effects", "message"),
-    [
-        ([hidden("payloads", "joint1")], "did you mean 'payload'"),
-        ([hidden("rotor_inertia", "elsewhere", Ia=1.0)], "joint"),
-        ([hidden("inertia_coupling", "joint1", Ic=0.1)], "acts on two joints"),
-        ([hidden("joint_elasticity", "joint1", stiffness=1e3)], "give motor"),
-        ([hidden("backlash", "joint1", stiffness=1e3, motor=0.1)] * 2, "two elastic gears"),
-    ],
-)
-def test_effects_refused(planar: Robot, effects: list[va.HiddenEffect], message: str) -> None:
-    with pytest.raises(ExcitantError, match=message):
-        true_arm(planar.with_effects(()), *effects)
+def test_effects_refused(planar: Robot, refused: Call) -> None:
+    bare, gear = planar.with_effects(()), {"stiffness": 1e3}
+    refused("did you mean 'payload'", true_arm, bare, hidden("payloads", "joint1"))
+    refused("joint", true_arm, bare, hidden("rotor_inertia", "elsewhere", Ia=1.0))
+    refused("acts on two joints", true_arm, bare, hidden("inertia_coupling", "joint1", Ic=0.1))
+    refused("give motor", true_arm, bare, hidden("joint_elasticity", "joint1", **gear))
+    two = [hidden("backlash", "joint1", **gear, motor=0.1)] * 2
+    refused("two elastic gears", true_arm, bare, *two)
 
 
-def test_motions_and_arms_refused(planar: Robot, refused: Any) -> None:
+def test_motions_and_arms_refused(planar: Robot, refused: Call) -> None:
     arm, rng, moving = true_arm(planar), np.random.default_rng(0), swing(planar)
     refused("starts at", arm.record, lambda t, k: moving(t + 0.1, k), 1.0, rng, error=BadInput)
     refused("shorter than one sample", arm.record, moving, 0.0, rng, error=BadInput)

@@ -137,9 +137,8 @@ def test_a_file_builds_what_ros_builds_of_it(file: str, tmp_path: Path) -> None:
         path.write_text(text.replace("$(find parts)", str(path.parents[1] / "parts")))
     arguments = {"length": "0.7"}
     text, notes = urdf_from_xacro(path, arguments, [tmp_path])
-    built, expected = (
-        [(e.tag, e.attrib, (e.text or "").strip()) for e in ET.fromstring(xml).iter()]
-        for xml in (text, ros.process_file(str(path), mappings=arguments).toxml())
-    )
+    texts = (text, ros.process_file(str(path), mappings=arguments).toxml())
+    trees = (ET.fromstring(xml).iter() for xml in texts)
+    built, expected = ([(e.tag, e.attrib, (e.text or "").strip()) for e in tree] for tree in trees)
     assert built == expected
     assert notes == ()
