@@ -77,8 +77,7 @@ def held(panda: Robot) -> Runs:
 
 @pytest.fixture(scope="module")
 def found(panda: Robot, held: Runs) -> PayloadEstimate:
-    loaded, free = held
-    return identify_payload(panda, [loaded], unloaded=[free])
+    return identify_payload(panda, held[:1], unloaded=held[1:])
 
 
 def test_mass_and_centre_after_ten_seconds_of_task(found: PayloadEstimate) -> None:
@@ -103,8 +102,8 @@ def test_an_arm_that_carries_nothing_is_said_to_carry_nothing(panda: Robot, held
 
 
 def test_too_little_motion_says_so(panda: Robot, held: Runs) -> None:
-    loaded, free = held
-    poor = identify_payload(panda, [loaded.between(0, 0.06, "half a move")], unloaded=[free])
+    move = held[0].between(0, 0.06, "half a move")
+    poor = identify_payload(panda, [move], unloaded=held[1:])
     assert "only" in poor.shortcomings[0]
     assert (np.abs(poor.centre - CENTRE) < 4 * poor.centre_std).all()
 

@@ -86,12 +86,8 @@ def test_a_bad_file_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "corrupt.parquet").write_bytes(b"PAR1 rubbish")
     (tmp_path / "binary.csv").write_bytes(bytes(range(128, 256)) * 20)
     (tmp_path / "unknown.xyz").write_bytes(b"t,q1\n")
-    for refused in (
-        "corrupt.parquet.*cannot be read",
-        "binary.csv.*cannot be read",
-        "unknown.xyz.*give .parquet or .csv",
-        "nothing.csv.*no such file",
-    ):
+    unreadable = ("corrupt.parquet.*cannot be read", "binary.csv.*cannot be read")
+    for refused in (*unreadable, "unknown.xyz.*give .parquet or .csv", "nothing.csv.*no such file"):
         with pytest.raises(BadRecording, match=refused) as refusal:
             load_recording(tmp_path / refused.partition(".*")[0], 2)
         assert "\n" not in str(refusal.value)

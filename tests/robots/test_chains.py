@@ -126,7 +126,7 @@ def test_a_tree_needs_the_torque_of_newton_and_euler(random_states: Call) -> Non
     assert not Y[:, 4:, 10:40].any()
 
 
-def test_robot_yaml_chooses_a_chain(tmp_path: Path) -> None:
+def test_robot_yaml_chooses_a_chain(tmp_path: Path, refused: Call) -> None:
     file = tmp_path / "left.yaml"
     shutil.copy(TWINS, tmp_path)
     chosen = f"model: {TWINS.name}\nbase: torso\ntip: left_hand\nlock: {{lift: 0.2}}\n"
@@ -136,8 +136,7 @@ def test_robot_yaml_chooses_a_chain(tmp_path: Path) -> None:
     part = load_robot(file, joints=LEFT[1:])
     assert (part.joints, part.limits.torque.tolist()) == (LEFT[1:], [8, 7])
     assert dict(part.locked)["lift"] == 0.2
-    with pytest.raises(UnknownName):
-        load_robot(file, joints=["right_3"])
+    refused("right_3", load_robot, file, joints=["right_3"], error=UnknownName)
     file.write_text(f"model: {TWINS.name}\ngravity: [0, 0, 9.81]\n")  # chooses nothing itself
     robot = load_robot(RobotSpec(file, base="torso", tip="left_hand"))
     assert (robot.joints, robot.gravity.tolist()) == (LEFT, [0, 0, 9.81])

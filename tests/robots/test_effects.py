@@ -108,7 +108,7 @@ def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
 
 
 def test_torque_is_columns_times_values(
-    arm: Robot, random_states: Call, kind: type[Effect]
+    arm: Robot, random_states: Call, refused: Call, kind: type[Effect]
 ) -> None:
     motion, effect = random_states(arm, 1, 6), valued(arm, kind, 2)
     columns, tau = effect.columns(arm, motion), effect.torque(arm, motion)
@@ -119,8 +119,7 @@ def test_torque_is_columns_times_values(
     robot = arm.with_effects((*arm.effects, effect))
     whole = torque(robot, motion)
     assert np.abs(whole - torque(arm, motion) - tau).max() <= 1e-12 * np.abs(whole).max()
-    with pytest.raises(ValueError, match="no values"):
-        effect.without_values().torque(arm, motion)
+    refused("no values", effect.without_values().torque, arm, motion, error=ValueError)
 
 
 @pytest.mark.parametrize("name", JOINTWISE)
@@ -155,14 +154,13 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(
 
 
 def test_in_a_simulation_it_makes_the_torque_of_its_columns(
-    planar: Robot, random_states: Call, kind: type[Effect]
+    planar: Robot, random_states: Call, refused: Call, kind: type[Effect]
 ) -> None:
     """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
     effect = valued(planar.with_effects(()), kind, 3)
     robot = planar.with_effects((effect,))
     if kind.name in OF_THE_PAST:
-        with pytest.raises(BadInput, match=f"effect {kind.name} depends on the past"):
-            forward_model(robot)
+        refused(f"effect {kind.name} depends on the past", forward_model, robot, error=BadInput)
         return
     model, inertia, state = forward_model(robot)
     motion = random_states(planar, 9, 20)

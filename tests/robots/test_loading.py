@@ -18,7 +18,7 @@ from known_arms import Call
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design_trajectory
-from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.exceptions import BadInput, BadRobot
 from excitant.robots import Limits, Motion, Robot, load_limits, load_robot, rigid_body_torque
 from excitant.robots.chains import RobotSpec
 from excitant.robots.limits import require_limits
@@ -125,9 +125,9 @@ def test_joint_limits_of_moveit_and_ros2_control_are_read(planar: Robot, tmp_pat
         assert numbers(limits_of(tmp_path, text, planar)) == expected
 
 
-def test_an_arm_without_mass_is_refused_a_design(planar: Robot) -> None:
-    with pytest.raises(BadRobot, match="no link has a mass"):
-        design_trajectory(planar.with_parameters(np.zeros(20)), starts=1)
+def test_an_arm_without_mass_is_refused_a_design(planar: Robot, refused: Call) -> None:
+    massless = planar.with_parameters(np.zeros(20))
+    refused("no link has a mass", design_trajectory, massless, starts=1, error=BadRobot)
 
 
 def test_torque_limits_stand_in_for_those_of_acceleration(planar: Robot) -> None:
@@ -145,9 +145,6 @@ def test_the_command_line_chooses_a_part(excitant: Call, tmp_path: Path) -> None
     assert "held at 0, as they are not chosen: right_1, right_2, right_3" in ran.err
     head = DATA / "pan_tilt.urdf.xacro"
     assert excitant("robots", head, "--xacro-arg", "reach:=0.6", "--json").status == 0
-    ran = excitant("robots", head, "--xacro-arg", "raech:=0.6")
-    assert ran.status == 1
-    assert "did you mean 'reach'" in ran.err
     shutil.copy(DATA / "scara.urdf", tmp_path / "robot.urdf")
     ran = excitant("analyze --tip link1", tmp_path, "-o", tmp_path / "run")
     assert ran.status == 1
@@ -163,7 +160,6 @@ MESH = """<mujoco><asset><mesh name="m" file="m.stl"/></asset><worldbody><body><
 <geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
 OVER = "model: gantry.urdf\n"
 REFUSED = [  # a file, what is written in place of a part of it or at its start, what is said
-    ("gantry.urdf", "</robot>", "", "not XML"),
     ("gantry.urdf", 'mass value="1.5"', 'mass value="nan"', "box"),
     ("gantry.urdf", 'ixx="0.003"', 'ixx="small"', "box"),
     ("gantry.urdf", 'upper="1.5"', 'upper="inf"', "slide"),
@@ -171,8 +167,6 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
     ("gantry.urdf", 'parent link="box"', 'parent link="bux"', "twist"),
     ("gantry.urdf", 'joint name="twist"', 'joint name="slide"', "slide"),
     ("gantry.urdf", 'link name="tip"', 'link name="box"', "box"),
-    ("gantry.urdf", '"twist" type="revolute"', '"twist" type="floating"', "twist"),
-    ("gantry.urdf", '"twist" type="revolute"', '"twist" type="planar"', "twist"),
     ("gantry.urdf", '"twist" type="revolute"', '"twist" type="rev"', "twist"),
     ("gantry.urdf", "</robot>", LOOP, "'hand' hangs from two joints, 'twist' and 'brace'"),
     ("arm.urdf", "", "<sdf/>", "not a URDF: the root element is <sdf>"),
@@ -180,7 +174,6 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
     ("arm.urdf", "", '<robot name="empty"/>', "no <link>"),
     ("arm.urdf", "", "\xff", "not a text file"),
     ("over.yaml", "", "gravity: [0, 0, -9.81]\n", "no 'model' entry"),
-    ("over.yaml", "", "model: none.urdf\n", "none.urdf"),
     ("over.yaml", "", OVER + "gravity: [0, -9.81]\n", "gravity"),
     ("over.yaml", "", OVER + "gravity: [0, .nan, 0]\n", "gravity"),
     ("over.yaml", "", OVER + "lock: {swing: up}\n", "lock"),
@@ -239,12 +232,6 @@ def test_a_file_that_cannot_be_read_is_refused_in_one_line_that_names_it(
     assert str(path) in said or said.startswith("unknown")
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path, refused: Call, planar: Robot) -> None:
-    refused("no such file", load_robot, tmp_path / "absent.urdf")
-    refused("no such file", load_limits, tmp_path / "absent.yaml", planar)
-    refused("did you mean 'puma560'", load_robot, "puma56x", error=UnknownName)
-
-
 # Limits from files
 
 
@@ -272,10 +259,8 @@ BAD_LIMITS = {
     "position: [1, 2, 3]\n": "position limits: expected one pair",
     "torque: [1, two]\n": r"torque\[1\]",
     "velocity: {no_joint: 1}\n": "velocity limits: unknown joint",
-    "velocities: 1\n": "did you mean 'velocity'",
     "position: [.nan, 1]\n": "position",
     "velocity: 0\n": "must be positive",
-    "torque: [5, -3]\n": "joint joint2: must be positive",
     "acceleration: .nan\n": "acceleration",
     "velocity: [1, 2\n": "not valid YAML .line 2: ",
     "joint_limits: {wrist: {has_velocity_limits: true, max_velocity: 1.5}}\n": "joint 'wrist'",
@@ -292,6 +277,7 @@ BAD_LIMITS = {
 def test_bad_limits_are_refused_in_one_line(
     planar: Robot, tmp_path: Path, refused: Call, text: str
 ) -> None:
+    refused("no such file", load_limits, tmp_path / "limits.yaml", planar)
     said = refused(BAD_LIMITS[text], limits_of, tmp_path, text, planar, error=BadInput)
     assert str(tmp_path / "limits.yaml") in said
 
