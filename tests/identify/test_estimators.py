@@ -224,17 +224,12 @@ def test_even_and_odd_samples_see_one_motion_with_independent_noise() -> None:
 
 KNOWN = truth("planar_2r")
 MOTION = smooth_motion(KNOWN.robot, np.arange(0, 16, 1 / 125), hz=0.64 * HARMONICS)
-
-
-@pytest.fixture(scope="module")
-def noisy() -> Recording:
-    motion = smooth_motion(KNOWN.robot, np.arange(0, 10, 1 / 125))
-    return recorded(KNOWN, motion, 13, encoder=1e-4)
+NOISY = recorded(KNOWN, smooth_motion(KNOWN.robot, np.arange(0, 10, 1 / 125)), 13, encoder=1e-4)
 
 
 @every
-def test_every_estimator_identifies_a_robot(name: str, planar: Robot, noisy: Recording) -> None:
-    found = identify_robot(planar, [noisy], estimator=name)
+def test_every_estimator_identifies_a_robot(name: str, planar: Robot) -> None:
+    found = identify_robot(planar, [NOISY], estimator=name)
     assert found.validate.nrmse.max() < 0.02  # of noise that the filter left
     assert violations(found.phi, planar.links) == []
     assert np.linalg.eigvalsh(found.least_squares.covariance).min() > 0
@@ -246,10 +241,10 @@ def test_every_estimator_identifies_a_robot(name: str, planar: Robot, noisy: Rec
         assert (words in said) == (name == "oe")
 
 
-def test_the_default_identifies_as_by_hand(planar: Robot, noisy: Recording) -> None:
+def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     """To rounding, which depends on where arrays lie in memory."""
-    found = identify_robot(planar, [noisy])
-    rows = fit_rows(planar, standard_effects(planar.joints), found.base, split([noisy]))
+    found = identify_robot(planar, [NOISY])
+    rows = fit_rows(planar, standard_effects(planar.joints), found.base, split([NOISY]))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
     physical = fit_physical(R, z, prior_parameters(planar), rows.open_prior)
@@ -267,9 +262,9 @@ def test_a_motion_known_exactly_needs_no_instruments(planar: Robot, exact: Call)
     np.testing.assert_allclose(fit.covariance, known.covariance, rtol=1e-2)
 
 
-def test_a_rate_too_low_for_every_second_sample_is_refused(planar: Robot, noisy: Recording) -> None:
+def test_a_rate_too_low_for_every_second_sample_is_refused(planar: Robot) -> None:
     with pytest.raises(BadInput, match=r"choose one up to 25 Hz"):
-        identify_robot(planar, [noisy], cutoff_hz=40.0, estimator="iv")
+        identify_robot(planar, [NOISY], cutoff_hz=40.0, estimator="iv")
 
 
 @pytest.mark.parametrize("way", ["--online", "--link-by-link"])
@@ -279,8 +274,8 @@ def test_the_command_refuses_another_way_in_one_line(way: str, excitant: Call) -
     assert (ran.status, ran.err.count("\n"), said) == (1, 1, True)
 
 
-def test_the_command_says_which_estimator(noisy: Recording, tmp_path: Path, excitant: Call) -> None:
-    write_csv(tmp_path / "run.csv", noisy)
+def test_the_command_says_which_estimator(tmp_path: Path, excitant: Call) -> None:
+    write_csv(tmp_path / "run.csv", NOISY)
     ran = excitant("identify planar_2r --json --estimator irls", tmp_path / "run.csv")
     assert ran.result["estimator"].startswith(ESTIMATORS["irls"])
 
@@ -340,10 +335,10 @@ def test_what_does_not_converge_is_refused_in_one_line() -> None:
 
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError("singular"), RankDeficient("a", "w")])
 def test_instruments_that_show_too_little_are_left_out_with_a_note(
-    error: Exception, planar: Robot, noisy: Recording, monkeypatch: Any
+    error: Exception, planar: Robot, monkeypatch: Any
 ) -> None:
     monkeypatch.setattr("excitant.identify.estimators.iv", Mock(side_effect=error))
-    found, plain = (identify_robot(planar, [noisy], estimator=e) for e in ("iv", "wls"))
+    found, plain = (identify_robot(planar, [NOISY], estimator=e) for e in ("iv", "wls"))
     assert found.estimator == plain.estimator
     np.testing.assert_array_equal(found.least_squares.beta, plain.least_squares.beta)
     [note] = [note for note in found.notes if "left out" in note]

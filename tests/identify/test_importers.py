@@ -146,9 +146,7 @@ def test_what_was_commanded_is_never_taken_for_measured(form: str, load: Call) -
 
 
 @pytest.mark.parametrize("extra", ["angle_{}", "actual_pos_{}", None])
-def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(
-    extra: str | None, load: Call
-) -> None:
+def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(extra: Any, load: Call) -> None:
     """Two sets of positions, or a torque of another kind."""
     log = table("time", "pos_{}", "vel_{}", "tau_{}" if extra else "tau_motor_{}")
     log = log.assign(**{extra.format(k): Q[:, k] + 1 for k in range(6)} if extra else {})

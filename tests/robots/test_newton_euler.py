@@ -122,11 +122,7 @@ I2yy 0.264736 0.322156, m2s2x -1.039971 -1.156482, m2s2z 0.008722 0.008234, m2 7
 I1zz 1.193645 1.270784, m1s1x -5.925900 -6.478305, m1 19.753000 20.152630
 """  # parameter, initial and estimated value, digits as the scan shows them
 MENDED = {"0-001269": 0.001269, "-0432251": -0.0432251, "-0.G124S7": -0.012487}
-
-
-@pytest.fixture(scope="module")
-def dd() -> DHChain:
-    return dd_arm_chain()
+DD = dd_arm_chain()
 
 
 def test_dd_arm_tables_as_transcribed_a_second_time() -> None:
@@ -142,25 +138,25 @@ def test_dd_arm_tables_as_transcribed_a_second_time() -> None:
             assert text not in MENDED or text in entry.printed
 
 
-def test_dd_arm_is_loaded_with_its_initial_values(dd: DHChain) -> None:
+def test_dd_arm_is_loaded_with_its_initial_values() -> None:
     """The arm's file states them twice: as tables, and as inertias about the same frames."""
-    assert np.allclose(dd.phi, dd_arm_parameters("initial"), rtol=0, atol=1e-9)
+    assert np.allclose(DD.phi, dd_arm_parameters("initial"), rtol=0, atol=1e-9)
     motion = states(0, 5, 6)
-    M = matrix(dd, motion)
-    assert close(rigid_body_torque(load_robot("cmu_dd_arm_ii"), motion), M @ dd.phi)
+    M = matrix(DD, motion)
+    assert close(rigid_body_torque(load_robot("cmu_dd_arm_ii"), motion), M @ DD.phi)
     for column in ("initial", "estimated"):
         expected = M @ dd_arm_parameters(column)
         assert close(rigid_body_torque(dd_arm(column), motion), expected, 1e-8)
 
 
-def test_dd_arm_shows_exactly_what_the_tables_list(dd: DHChain) -> None:
+def test_dd_arm_shows_exactly_what_the_tables_list() -> None:
     """47 non-zero columns, two of them the same (m4, m5): the 46 rows of the tables.
 
     Seven columns of links 1 and 2 hold four combinations.
     """
-    W = matrix(dd, states(0, 200, 6)).reshape(-1, 60)
+    W = matrix(DD, states(0, 200, 6)).reshape(-1, 60)
     norms = np.linalg.norm(W, axis=0)
-    names = [f"{link}.{name}" for link in dd.links for name in STANDARD]
+    names = [f"{link}.{name}" for link in DD.links for name in STANDARD]
     shown = {name for name, norm in zip(names, norms, strict=True) if norm > 1e-12 * norms.max()}
     m4, m5 = names.index("link4.m"), names.index("link5.m")
     assert np.allclose(W[:, m4], W[:, m5], rtol=0, atol=1e-12 * norms.max())
@@ -169,12 +165,12 @@ def test_dd_arm_shows_exactly_what_the_tables_list(dd: DHChain) -> None:
     assert (len(shown & set(names[:20])), rank(W[:, :20])) == (7, 4)
 
 
-def test_initial_values_are_possible_and_link_5_as_estimated_is_not(dd: DHChain) -> None:
-    assert violations(dd_arm_parameters("initial"), dd.links) == []
-    found = violations(dd_arm_parameters("estimated"), dd.links)
+def test_initial_values_are_possible_and_link_5_as_estimated_is_not() -> None:
+    assert violations(dd_arm_parameters("initial"), DD.links) == []
+    found = violations(dd_arm_parameters("estimated"), DD.links)
     assert [line.split(":")[0] for line in found] == ["link4", "link5"]
     assert "break the triangle inequality" in found[1]
-    assert violations(dd_arm_parameters("estimated", likely=True), dd.links) == []
+    assert violations(dd_arm_parameters("estimated", likely=True), DD.links) == []
 
 
 @pytest.mark.parametrize(

@@ -95,9 +95,7 @@ def test_nearest_of_consistent_is_itself(random_bodies: Call, seed: int) -> None
     mass=st.floats(1e-3, 50),
     rest=st.lists(st.floats(-2, 2, allow_subnormal=False), min_size=9, max_size=9),
 )
-def test_nearest_is_consistent_and_keeps_mass_and_first_moment(
-    mass: float, rest: list[float]
-) -> None:
+def test_nearest_is_consistent_and_keeps_mass_and_first_moment(mass: float, rest: list) -> None:
     phi = np.array([mass, *rest])
     lever = phi[1:4] / mass
     phi[4:] += mass * np.array([1.0, 0, 1, 0, 0, 1]) * (lever @ lever)
