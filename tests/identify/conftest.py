@@ -1,7 +1,5 @@
 """Tables to corrupt, and recordings of a motion that is known exactly."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -46,11 +44,12 @@ def save(tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def exact() -> Callable[..., Recording]:
-    """``exact(robot, t)``: torque of the robot's own model on a smooth motion, no noise."""
+    """``exact(robot, t)``: torque of the robot's own model on a smooth motion, by default exact."""
 
-    def recorded(robot: Robot, t: np.ndarray, seed: int = 0) -> Recording:
+    def recorded(robot: Robot, t: np.ndarray, seed: int = 0, noise: float = 0.0) -> Recording:
         motion = smooth_motion(robot, t, seed)
-        return Recording("exact", "exact.csv", t, motion.q, torque(robot, motion))
+        errors = noise * np.random.default_rng(seed).standard_normal(motion.q.shape)
+        return Recording("exact", "exact.csv", t, motion.q, torque(robot, motion) + errors)
 
     return recorded
 

@@ -1,7 +1,5 @@
 """Tables 2 to 4 of Khosla (1987) as a recovery experiment on the CMU DD Arm II."""
 
-from __future__ import annotations
-
 import dd_arm as benchmark
 import numpy as np
 import pytest

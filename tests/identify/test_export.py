@@ -1,7 +1,5 @@
 """Files of a model, read back by others, need its torque; what is published, and what is not."""
 
-from __future__ import annotations
-
 import json
 import sys
 import xml.etree.ElementTree as ET
@@ -19,6 +17,7 @@ from estimators import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, write_csv
+from plant_recordings import swinging
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, identify_robot, load_dataset
@@ -27,29 +26,11 @@ from excitant.identify.export import HoldOut, model_files, publication, publishe
 from excitant.identify.mujoco import mujoco_torque, side_by_side
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import predicted_torque
-from excitant.robots import (
-    Motion,
-    Robot,
-    load_robot,
-    rigid_body_torque,
-    robot_from_dh,
-    torque,
-)
-from excitant.robots.effects import (
-    EFFECTS,
-    AddedInertia,
-    AsymmetricFriction,
-    CoulombFriction,
-    Effect,
-    JointEffect,
-    Payload,
-    RotorInertia,
-    TorqueOffset,
-    ViscousFriction,
-)
+from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, robot_from_dh, torque
+from excitant.robots import effects as fx
 from excitant.robots.urdf import robot_from_urdf
 
-SMOOTH = (ViscousFriction, RotorInertia)
+SMOOTH = (fx.ViscousFriction, fx.RotorInertia)
 BUILT_IN = ("planar_2r", "ur10", "panda", "cmu_dd_arm_ii", "puma560", "cylindrical")
 HELD = {
     "panda": {"panda_joint3": 0.4, "panda_joint7": -1.0},
@@ -66,8 +47,8 @@ def states(robot: Robot, n: int, seed: int = 0) -> Motion:
     return Motion(np.arange(float(n)), *robot.random_motion(np.random.default_rng(seed), n))
 
 
-def valued(robot: Robot, kind: type[Effect], rng: np.random.Generator) -> Effect:
-    if issubclass(kind, AddedInertia):
+def valued(robot: Robot, kind: type[fx.Effect], rng: np.random.Generator) -> fx.Effect:
+    if issubclass(kind, fx.AddedInertia):
         return kind(robot.joints[-1:]).with_values(BODY)
     effect = kind(robot.joints[-kind.acts_on.count :])
     return effect.with_values(rng.uniform(0.1, 1.0, len(effect.parameters(robot))))
@@ -75,13 +56,14 @@ def valued(robot: Robot, kind: type[Effect], rng: np.random.Generator) -> Effect
 
 def with_every_effect(robot: Robot) -> Robot:
     """All effects that every format can say or name, with values."""
-    said = [k for k in EFFECTS.values() if issubclass(k, JointEffect | AddedInertia)]
+    said = [k for k in fx.EFFECTS.values() if issubclass(k, fx.JointEffect | fx.AddedInertia)]
     rng = np.random.default_rng(3)
     return robot.with_effects([valued(robot, kind, rng) for kind in said])
 
 
-def with_only(model: Robot, *kinds: type[Effect]) -> Robot:
-    return model.with_effects([e for e in model.effects if isinstance(e, (*kinds, AddedInertia))])
+def with_only(model: Robot, *kinds: type[fx.Effect]) -> Robot:
+    kept = (*kinds, fx.AddedInertia)
+    return model.with_effects([e for e in model.effects if isinstance(e, kept)])
 
 
 def write(folder: Path, files: dict[str, str]) -> Path:
@@ -122,8 +104,8 @@ def test_yaml_reads_back_to_the_torque_with_every_effect(written: Written, tmp_p
     assert np.array_equal(again.limits.torque, model.limits.torque)
 
 
-@pytest.mark.parametrize("kind", EFFECTS.values(), ids=EFFECTS)
-def test_yaml_reads_back_each_effect_alone(kind: type[Effect], tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", fx.EFFECTS.values(), ids=fx.EFFECTS)
+def test_yaml_reads_back_each_effect_alone(kind: type[fx.Effect], tmp_path: Path) -> None:
     robot = load_robot("panda", lock=HELD["panda"])
     alone = robot.with_effects([valued(robot, kind, np.random.default_rng(5))])
     again = load_robot(write(tmp_path, model_files(alone, "arm", "arm.yaml")) / "arm.yaml")
@@ -136,7 +118,8 @@ def test_urdf_needs_the_torque_of_all_that_it_holds(written: Written, tmp_path: 
     model, motion, files = written
     alone = load_robot(write(tmp_path, files) / "arm.urdf").with_gravity(model.gravity)
     assert alone.joints == model.joints
-    check(torque(alone, motion), torque(with_only(model, ViscousFriction, CoulombFriction), motion))
+    rubbing = with_only(model, fx.ViscousFriction, fx.CoulombFriction)
+    check(torque(alone, motion), torque(rubbing, motion))
     fixed = ET.fromstring(files["arm.urdf"]).findall("joint[@type='fixed']")
     assert all(joint.find("limit") is None for joint in fixed)
 
@@ -177,7 +160,7 @@ def test_mjcf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
     dq = np.copysign(np.maximum(np.abs(motion.dq), 0.5), motion.dq)
     fast = Motion(motion.t, motion.q, dq, 0.5 * motion.ddq / np.abs(motion.ddq).max())
     found = in_mujoco(model, text, fast, BITS.mjDSBL_LIMIT)
-    check(found, torque(with_only(model, *SMOOTH, CoulombFriction), fast))
+    check(found, torque(with_only(model, *SMOOTH, fx.CoulombFriction), fast))
     found = in_mujoco(model, text, motion, BITS.mjDSBL_CONSTRAINT)
     check(found, torque(with_only(model, *SMOOTH), motion))
     loaded = mujoco.MjModel.from_xml_string(text)
@@ -195,7 +178,7 @@ def test_mjcf_moves_as_its_controls_say(written: Written, currents: bool) -> Non
     model, motion, _ = written
     gains = np.random.default_rng(5).uniform(2.0, 20.0, model.nv) if currents else None
     text = model_files(model, "arm", "arm.yaml", ["mjcf"], gains)["arm.xml"]
-    tau = torque(with_only(model, *SMOOTH, TorqueOffset), motion)
+    tau = torque(with_only(model, *SMOOTH, fx.TorqueOffset), motion)
     controls = tau if gains is None else tau / gains
     free = (BITS.mjDSBL_CONSTRAINT, BITS.mjDSBL_CLAMPCTRL)
     check(in_mujoco(model, text, motion, *free, controls=controls), motion.ddq, 1e-6)
@@ -258,7 +241,7 @@ def test_sdf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
     """It names nothing twice and has the limits."""
     model, motion, files = written
     read, arm = read_sdf(files["arm.sdf"])
-    check(arm.torque(motion), torque(with_only(model, *SMOOTH, CoulombFriction), motion))
+    check(arm.torque(motion), torque(with_only(model, *SMOOTH, fx.CoulombFriction), motion))
     names = [e.get("name") for e in read if e.get("name")]
     assert len(set(names)) == len(names)
     assert "world" not in names
@@ -284,7 +267,7 @@ def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
     assert floats(found)
     friction, gains = found["friction"], found["gains"]
     assert tuple(friction) == tuple(gains) == model.joints
-    rubbing, kinds = np.zeros_like(motion.dq), (*SMOOTH, CoulombFriction, TorqueOffset)
+    rubbing, kinds = np.zeros_like(motion.dq), (*SMOOTH, fx.CoulombFriction, fx.TorqueOffset)
     for j, own in enumerate(friction.values()):
         dq, ddq = motion.dq[:, j], motion.ddq[:, j]
         rubbing[:, j] = own["viscous"] * dq + own["coulomb"] * np.sign(dq)
@@ -321,7 +304,7 @@ def test_any_chain_needs_the_same_torque_in_every_format(
     motion, files = states(model, 5, seed), model_files(model, "arm", "arm.yaml")
     alone = robot_from_urdf(files["arm.urdf"], source="arm.urdf", gravity=model.gravity)
     for found, kinds in (
-        (read_sdf(files["arm.sdf"])[1].torque(motion), (*SMOOTH, CoulombFriction)),
+        (read_sdf(files["arm.sdf"])[1].torque(motion), (*SMOOTH, fx.CoulombFriction)),
         (in_mujoco(model, files["arm.xml"], motion, BITS.mjDSBL_CONSTRAINT), SMOOTH),
         (torque(alone, motion), ()),
     ):
@@ -345,12 +328,8 @@ def test_the_models_need_in_mujoco_what_excitant_predicts(name: str, runs: Any) 
 @pytest.mark.parametrize("currents", [False, True])
 def test_without_dry_friction_they_need_exactly_that(written: Written, currents: bool) -> None:
     """Offsets among it, of every arm, branches and held joints too; as currents where these are."""
-    model = with_only(written[0], *SMOOTH, TorqueOffset)
-    limits = model.limits.position
-    q0 = np.where(np.isfinite(limits), limits, 0.0).mean(axis=1)
-    t = np.arange(0, 2, 0.01)[:, None]
-    w = 2 * np.pi * (0.5 + 0.1 * np.arange(model.nv))
-    motion = Motion(t[:, 0], q0 + np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t))
+    model = with_only(written[0], *SMOOTH, fx.TorqueOffset)
+    motion = swinging(model, np.arange(0, 2, 0.01))
     nothing = np.zeros_like(motion.q)
     rows = [Segment("", motion, nothing, nothing, 10.0, slice(10, 190, 2))]
     gains = np.linspace(2.0, 9.0, model.nv) if currents else None
@@ -470,7 +449,7 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
     assert {path.name for path in tmp_path.iterdir()} == files
     with pytest.raises(UnknownName, match=r"unknown format '\.step'"):
         save_model(estimate, tmp_path / "arm.step")
-    carrying = model.with_effects([Payload(model.joints[-1:]).with_values(BODY)])
+    carrying = model.with_effects([fx.Payload(model.joints[-1:]).with_values(BODY)])
     again = robot_from_urdf(carrying.urdf, "carrying")
     check(rigid_body_torque(again, motion), torque(carrying, motion))
 
@@ -478,13 +457,13 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
 @pytest.fixture(scope="module")
 def beyond_formats(planar: Robot, exact: Call) -> Estimate:
     """An arm whose friction is of a kind that no format holds, as ``--effects auto`` may find."""
-    friction = AsymmetricFriction(planar.joints)
+    friction = fx.AsymmetricFriction(planar.joints)
     count = len(friction.parameters(planar))
     true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, count))])
-    rubbing = (kind(planar.joints, (3.0, 3.0)) for kind in (CoulombFriction, ViscousFriction))
+    rubbing = (kind(planar.joints, (3.0, 3.0)) for kind in (fx.CoulombFriction, fx.ViscousFriction))
     given = planar.with_effects([*rubbing])
     recording = exact(true, np.arange(0, 12, 1 / 100))
-    return identify_robot(given, [recording], effects=[friction, RotorInertia(planar.joints)])
+    return identify_robot(given, [recording], effects=[friction, fx.RotorInertia(planar.joints)])
 
 
 def test_a_file_that_lacks_too_much_is_not_written(
@@ -524,7 +503,7 @@ def test_the_error_of_a_file_is_that_of_the_file_read_again(
     """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms."""
     rows, segments = beyond_formats.holdout, beyond_formats.data.validate
     model = beyond_formats.model
-    more = [kind(model.joints, (2.0, 3.0)) for kind in (CoulombFriction, ViscousFriction)]
+    more = [kind(model.joints, (2.0, 3.0)) for kind in (fx.CoulombFriction, fx.ViscousFriction)]
     model = model.with_effects([*model.effects, *more])
     complete = predicted_torque(model, segments)
     judged = HoldOut(segments, rows, np.ones(model.nv), complete, complete)
@@ -575,7 +554,7 @@ def test_command_writes_result_but_no_model_when_it_got_worse(
 
 def test_an_effect_without_values_is_refused(planar: Robot) -> None:
     with pytest.raises(BadInput, match="viscous_friction has no values"):
-        model_files(planar.with_effects([ViscousFriction(planar.joints)]), "arm", "arm.yaml")
+        model_files(planar.with_effects([fx.ViscousFriction(planar.joints)]), "arm", "arm.yaml")
 
 
 ODD = """
@@ -591,7 +570,7 @@ ODD = """
 def test_odd_names_break_no_file_and_occur_once() -> None:
     bare = robot_from_urdf(ODD, source="odd.urdf")
     arm = bare.with_parameters([1, 0, 0, 0, 1, 0, 1, 0, 0, 1] * 2)
-    files = model_files(arm.with_effects([TorqueOffset(("a--b",), (1.0,))]), "arm", "arm.yaml")
+    files = model_files(arm.with_effects([fx.TorqueOffset(("a--b",), (1.0,))]), "arm", "arm.yaml")
     ET.fromstring(files["arm.urdf"])
     mujoco.MjModel.from_xml_string(files["arm.xml"])
     names = [element.get("name") for element in read_sdf(files["arm.sdf"])[0]]
@@ -602,7 +581,7 @@ def test_odd_names_break_no_file_and_occur_once() -> None:
 
 
 def test_negative_friction_is_left_out_and_said_so(planar: Robot) -> None:
-    pairs = ((CoulombFriction, 0.5), (RotorInertia, 0.1))
+    pairs = ((fx.CoulombFriction, 0.5), (fx.RotorInertia, 0.1))
     arm = planar.with_effects([kind(planar.joints, (-x, x)) for kind, x in pairs])
     files = model_files(arm, "arm", "arm.yaml")
     for name in ("arm.xml", "arm.sdf"):

@@ -1,7 +1,5 @@
 """Curves of friction are the effects' own torque, with the uncertainty of their coefficients."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,12 +19,8 @@ def recordings(planar: Robot, runs: Call) -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def estimate(planar: Robot, recordings: list[Recording]) -> Estimate:
-    effects = [
-        RotorInertia(planar.joints),
-        StribeckFriction(("joint2",), velocity=0.2),
-        ViscousFriction(("joint2", "joint1")),
-        CoulombFriction(("joint2",)),
-    ]
+    effects = [RotorInertia(planar.joints), StribeckFriction(("joint2",), velocity=0.2)]
+    effects += [ViscousFriction(("joint2", "joint1")), CoulombFriction(("joint2",))]
     return identify_robot(planar, recordings[0], validate=recordings[1], effects=effects)
 
 
@@ -58,16 +52,11 @@ def test_its_interval_is_that_of_draws_of_the_coefficients(estimate: Estimate) -
 
 @pytest.mark.slow
 def test_true_friction_lies_in_the_interval(planar: Robot, runs: Call) -> None:
-    inside = []
+    inside, given = [], {effect.name: effect.values for effect in planar.effects}
     for seed in range(8):
         fit, held = runs(planar, seed)
-        given = {
-            p.name: x
-            for e in planar.effects
-            for p, x in zip(e.parameters(planar), e.values, strict=True)
-        }
-        for curve in friction_curves(identify_robot(planar, fit, validate=held)):
-            Fv, Fc = (given[f"{curve.joint}.{symbol}"] for symbol in ("Fv", "Fc"))
+        for j, curve in enumerate(friction_curves(identify_robot(planar, fit, validate=held))):
+            Fv, Fc = (given[f"{kind}_friction"][j] for kind in ("viscous", "coulomb"))
             true = Fv * curve.velocity + Fc * np.sign(curve.velocity)
             inside.append((np.abs(true - curve.torque) <= curve.half_width).mean())
     assert np.mean(inside) > 0.8  # by chance below in one of some hundred such sets

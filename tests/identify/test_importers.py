@@ -4,8 +4,6 @@ Also as other programs write them, in shapes that nobody planned for: read witho
 names leave a choice, the refusal holds the map that settles it.
 """
 
-from __future__ import annotations
-
 import gzip
 import importlib
 import json
@@ -22,7 +20,6 @@ import scipy.io
 import yaml
 from known_arms import Call
 
-from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
 from excitant.identify import (
     ColumnMap,
@@ -34,8 +31,8 @@ from excitant.identify import (
     recording_from_table,
 )
 from excitant.identify.reading import mat
-from excitant.robots import load_robot
-from excitant.robots.virtual_arm import virtual_arm
+from excitant.robots import Robot, load_robot
+from excitant.robots.virtual_arm import industrial_sensors
 
 T = np.arange(300) / 100
 RATES = np.arange(1, 7)
@@ -125,16 +122,12 @@ NAMES: dict[str, tuple[str, str, str, str, int, str]] = {
 
 @pytest.mark.parametrize("name", NAMES)
 def test_common_names_are_understood_and_shown(name: str, load: Call) -> None:
+    """With their joints: a controller's order is not always that of the description."""
     *columns, first, unit = NAMES[name]
     found = same(load(table(*columns, first=first)))
     assert found.unit == unit
-    assert found.notes == () if name == "exact" else columns[1].format(first) in found.notes[0]
-
-
-def test_columns_by_number_are_shown_with_their_joints(load: Call) -> None:
-    """A controller's order is not always that of the description."""
-    [note] = load(table("t", "position_{}", "velocity_{}", "effort_{}", first=0)).notes
-    assert "q = position_0 → shoulder_pan_joint, position_1 → shoulder_lift_joint, " in note
+    shown = (f"{columns[1].format(k + first)} → {JOINTS[k]}" for k in range(2))
+    assert found.notes == () if name == "exact" else f"q = {', '.join(shown)}, " in found.notes[0]
 
 
 COMMANDED = ["target_*", "desired_*", "commanded_*", "cmd_*", "ref_*", "setpoint_*", "*_ref"]
@@ -153,9 +146,7 @@ def test_what_was_commanded_is_never_taken_for_measured(form: str, load: Call) -
 
 
 @pytest.mark.parametrize("extra", ["angle_{}", "actual_pos_{}", None])
-def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(
-    extra: str | None, load: Call
-) -> None:
+def test_an_ambiguous_guess_is_refused_with_a_map_that_settles_it(extra: Any, load: Call) -> None:
     """Two sets of positions, or a torque of another kind."""
     log = table("time", "pos_{}", "vel_{}", "tau_{}" if extra else "tau_motor_{}")
     log = log.assign(**{extra.format(k): Q[:, k] + 1 for k in range(6)} if extra else {})
@@ -234,6 +225,9 @@ TYPES: dict[str, Call] = {
     "text": lambda x: x.astype(str),
     "nullable": lambda x: x.astype("Float64"),
     "an index": lambda x: x.set_index("t"),
+    "whole": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype("int64")),
+    "whole, nullable": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype("Int64")),
+    "whole, of Arrow": lambda x: TYPES["whole"](x).convert_dtypes(dtype_backend="pyarrow"),
 }
 UNUSABLE: dict[str, tuple[str, Callable[[pd.Series], Any]]] = {
     "structures": ("q1", lambda x: [{"a": v} for v in x]),
@@ -246,25 +240,14 @@ UNUSABLE: dict[str, tuple[str, Callable[[pd.Series], Any]]] = {
 
 @pytest.mark.parametrize("kind", [*TIMES, *TYPES])
 def test_times_and_numbers_of_any_kind_are_read(kind: str, load: Call) -> None:
+    """From files, and from data frames."""
     log = (TIMES | TYPES)[kind](EXACT)
-    for suffix in (".csv", ".parquet") if kind in TIMES else (".parquet",):
-        found = same(load(log, suffix=suffix))
-        if "epoch" in kind or kind == "dates":  # integers keep every digit
-            np.testing.assert_allclose(found.t, T, atol=1e-12)
-
-
-WHOLE: dict[str, Call] = {
-    "whole": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype("int64")),
-    "whole, nullable": stamped("t", lambda t: 17 * 10**17 + (t * 1e9).round().astype("Int64")),
-    "whole, of Arrow": lambda x: WHOLE["whole"](x).convert_dtypes(dtype_backend="pyarrow"),
-}
-
-
-@pytest.mark.parametrize("kind", [*WHOLE, *(kind for kind in TYPES if kind != "an index")])
-def test_data_frames_of_any_kind_are_read(kind: str) -> None:
-    found = same(recording_from_table((WHOLE | TYPES)[kind](EXACT), ARM, file="log", name="log"))
-    if kind in WHOLE:  # every digit
-        np.testing.assert_allclose(found.t, T, atol=1e-12)
+    found = [load(log, suffix=suffix) for suffix in (".csv", ".parquet")[kind in TYPES :]]
+    if kind in TYPES and kind != "an index":
+        found.append(recording_from_table(log, ARM, file="log", name="log"))
+    for each in map(same, found):
+        if re.search("epoch|^dates|whole", kind):  # integers keep every digit
+            np.testing.assert_allclose(each.t, T, atol=1e-12)
 
 
 @pytest.mark.parametrize("dtype", ["float64", "Float64", "double[pyarrow]"])
@@ -397,6 +380,7 @@ def dated(form: str, separator: str = ",") -> str:
 
 
 GERMAN = ("Position {} [rad]", "Geschw. {} speed [rad/s]", "Drehmoment {} [Nm]")
+BENCH = text(named("Zeit [s]", GERMAN), ";", ",")
 JOINT_STATES = [
     {"header": {"stamp": {"sec": s, "nanosec": n}, "frame_id": ""}}
     | {"name": [JOINTS[j] for j in ORDER]}
@@ -406,12 +390,9 @@ JOINT_STATES = [
 BY_JOINT = [{"pos": Q[:, k], "vel": DQ[:, k], "torque": TAU[:, k]} for k in range(6)]
 STRUCT = {"log": {"t": T, "joints": BY_JOINT}}
 LISTS = {"ts": T, "joint_pos": Q, "joint_vel": DQ, "joint_eff": TAU}
-
-WRITTEN: dict[str, tuple[str, str | bytes]] = {
-    "semicolons, decimal commas": (
-        "log.csv",
-        ("Prüfstand 3\n" + text(named("Zeit [s]", GERMAN), ";", ",")).encode("cp1252"),
-    ),
+CELLS = {k: list(x) for k, x in LISTS.items()}
+SHAPES: dict[str, tuple[str, Any]] = {  # a file, and what it holds or what writes it
+    "semicolons, decimal commas": ("log.csv", f"Prüfstand 3\n{BENCH}".encode("cp1252")),
     "UTF-16 of a spreadsheet": ("log.txt", text(PLAIN, "\t").encode("utf-16")),
     "dates, day first": ("log.csv", dated("31.03.2026 10:00:{:09.6f}", ";")),
     "dates, month first": ("log.csv", dated("03/31/2026 10:00:{:09.6f}")),
@@ -428,32 +409,23 @@ WRITTEN: dict[str, tuple[str, str | bytes]] = {
     "JSON lines of joint states": ("log.jsonl", lines(JOINT_STATES)),
     "JSON, a list of records": ("log.json", json.dumps(JOINT_STATES)),
     "JSON, lists by name": ("log.json", json.dumps({k: x.tolist() for k, x in LISTS.items()})),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("shape", WRITTEN)
-def test_text_of_any_shape_is_read_without_a_word(shape: str, tmp_path: Path) -> None:
-    name, content = WRITTEN[shape]
-    (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
-    found = load_recording(tmp_path / name, ARM)
-    same(found, unit="A" if shape in ("RTDE", "axes") else "N·m")
-
-
-CELLS = {k: list(x) for k, x in LISTS.items()}
-SAVED: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "arrays by samples": ("log.npz", lambda path: np.savez(path, **LISTS)),
     "arrays by joints": ("log.npz", lambda p: np.savez(p, **{k: x.T for k, x in LISTS.items()})),
     "a struct": ("log.mat", lambda path: scipy.io.savemat(path, {"log": LISTS})),
     "a struct for each joint": ("log.mat", lambda path: scipy.io.savemat(path, STRUCT)),
     "lists in Parquet": ("log.parquet", lambda path: pd.DataFrame(CELLS).to_parquet(path)),
-}
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("shape", SAVED)
-def test_arrays_of_any_shape_are_read_without_a_word(shape: str, tmp_path: Path) -> None:
-    name, save = SAVED[shape]
-    save(tmp_path / name)
-    same(load_recording(tmp_path / name, ARM), unit="N·m")
+@pytest.mark.parametrize("shape", SHAPES)
+def test_logs_of_any_shape_are_read_without_a_word(shape: str, tmp_path: Path) -> None:
+    name, content = SHAPES[shape]
+    if callable(content):
+        content(tmp_path / name)
+    else:
+        (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    found = load_recording(tmp_path / name, ARM)
+    same(found, unit="A" if shape in ("RTDE", "axes") else "N·m")
 
 
 @pytest.mark.parametrize("separator", [" ", ","])
@@ -651,15 +623,14 @@ def test_a_bag_without_a_robot_is_refused_and_one_may_be_given_beside_it(bag: Ca
 
 
 def test_a_bag_alone_is_enough_for_a_verdict(
-    write_joint_states: Call, excitant: Call, tmp_path: Path
+    write_joint_states: Call, runs: Call, planar: Robot, excitant: Call, tmp_path: Path
 ) -> None:
-    robot, rng = load_robot("planar_2r"), np.random.default_rng(1)
-    arm = virtual_arm(robot, rng, hidden=())
-    log = arm.record(random_trajectory(robot, rng, 8.0, 4), 16.0, rng)
-    channels = [log[[f"{what}2", f"{what}1"]].to_numpy() for what in ("q", "dq", "tau")]
+    sensors = industrial_sensors(planar)
+    [run] = runs(planar, 1, sensors=sensors, tolerance=0.03, duration=16.0, names=["run"])
     path, names = tmp_path / "bag", ["left/joint2", "left/joint1"]
-    texts = {"robot_description": robot.urdf}
-    write_joint_states(path, "mcap", names, log["t"], channels, texts=texts)
+    channels = [x[:, ::-1] for x in (run.q, run.dq, run.tau)]
+    texts = {"robot_description": planar.urdf}
+    write_joint_states(path, "mcap", names, run.t, channels, texts=texts)
     ran = excitant("go", path, "-o", tmp_path / "out")
     assert ran.status == 0
     assert ran.err.count("'left/' is taken off the names") == 1

@@ -1,7 +1,5 @@
 """The recursion is weighted least squares; delays match; the monitor speaks when it should."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from excitant.identify import LocalPolynomial, Monitor, OnlineEstimator, Recordi
 from excitant.identify.information import InformationFilter
 from excitant.identify.online import replayable
 from excitant.identify.prior import base_prior
-from excitant.robots import Motion, Robot, base_parameters, torque
+from excitant.robots import Motion, Robot, base_parameters, load_robot, torque
 from excitant.robots.effects import TimeDelay, TorqueOffset, ViscousFriction, standard_effects
 from excitant.robots.torque import observation_columns
 
@@ -23,23 +21,14 @@ RATE = 250.0
 T = np.arange(0, 12, 1 / RATE)
 SIGMA = np.array([0.05, 0.02])
 DIFFERENTIATOR = LocalPolynomial(5, 4)
-
-
-@pytest.fixture(scope="module")
-def motion(planar: Robot) -> Motion:
-    return smooth_motion(planar, T)
+MOTION = smooth_motion(load_robot("planar_2r"), T)
 
 
 def estimator(robot: Robot, **options: Any) -> OnlineEstimator:
     """Of effects without a jump, so that every block gives a row."""
-    settings: dict[str, Any] = {
-        "effects": tuple(kind(robot.joints) for kind in (ViscousFriction, TorqueOffset)),
-        "rate_hz": RATE,
-        "differentiator": DIFFERENTIATOR,
-        "sigma": SIGMA,
-        "prior": False,
-    }
-    return OnlineEstimator(robot, **(settings | options))
+    effects = tuple(kind(robot.joints) for kind in (ViscousFriction, TorqueOffset))
+    usual = {"rate_hz": RATE, "differentiator": DIFFERENTIATOR, "sigma": SIGMA, "prior": False}
+    return OnlineEstimator(robot, **({"effects": effects} | usual | options))
 
 
 def noisy(robot: Robot, motion: Motion, sigma: Any, seed: int = 0) -> np.ndarray:
@@ -52,14 +41,14 @@ FORGETTING = {"block": 5, "forgetting": 1.5, "prior": None}  # of the data, not 
 
 @pytest.mark.parametrize("options", [{"block": 1}, {"block": 5}, {"block": 7}, FORGETTING])
 def test_the_last_estimate_is_weighted_least_squares(
-    planar: Robot, motion: Motion, options: dict[str, Any]
+    planar: Robot, options: dict[str, Any]
 ) -> None:
     """Of the rows of all blocks, made from whole arrays; a pause is no motion."""
-    tau, half = noisy(planar.with_effects(()), motion, SIGMA), len(T) // 2
+    tau, half = noisy(planar.with_effects(()), MOTION, SIGMA), len(T) // 2
     online, m = estimator(planar, **options), DIFFERENTIATOR.half_width
     block, columns, torques = online.block, [], []
     for late, part in enumerate((slice(half), slice(half, None))):
-        t, q, measured = T[part] + 3.0 * late, motion.q[part], tau[part]
+        t, q, measured = T[part] + 3.0 * late, MOTION.q[part], tau[part]
         for k in range(len(t)):
             online.push(t[k], q[k], measured[k])
             if k > 100 and k % 101 == 0:  # asking on the way changes nothing
@@ -85,9 +74,7 @@ def test_the_last_estimate_is_weighted_least_squares(
     np.testing.assert_allclose(found.covariance, covariance, atol=1e-7 * np.abs(covariance).max())
 
 
-def test_no_sample_takes_rows_of_more_than_one_joint(
-    planar: Robot, motion: Motion, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_sample_takes_rows_of_more_than_one_joint(planar: Robot, monkeypatch: Any) -> None:
     """So that the slowest costs little more than the others (`benchmarks/payload.py`)."""
     taken, take = [0], InformationFilter.take
 
@@ -99,19 +86,19 @@ def test_no_sample_takes_rows_of_more_than_one_joint(
     online, most = estimator(planar, block=5), 0
     for k in range(1000):
         before = taken[0]
-        online.push(T[k], motion.q[k], motion.q[k])
+        online.push(T[k], MOTION.q[k], MOTION.q[k])
         most = max(most, taken[0] - before)
     assert most == 1
     assert taken[0] < online.rows  # several rows of a joint at once
 
 
-def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot, motion: Motion) -> None:
+def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot) -> None:
     effects, z, sigma = estimator(planar).effects, [], []
     arm = planar.with_effects([e.with_values(np.full(2, 0.3)) for e in effects])
     true = base_parameters(planar, effects).regrouping @ np.r_[planar.phi, np.full(4, 0.3)]
     for seed in range(20):
         online = estimator(planar, sigma=None, block=10)
-        online.extend(T, motion.q, noisy(arm, motion, SIGMA, seed))
+        online.extend(T, MOTION.q, noisy(arm, MOTION, SIGMA, seed))
         found = online.estimate()
         z.append((found.beta - true) / found.std)
         sigma.append(found.sigma * np.sqrt(10))
@@ -122,20 +109,18 @@ def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot, motion: Motio
     assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 20)
 
 
-def test_rows_that_the_fit_can_follow_all_say_nothing_of_their_noise(
-    planar: Robot, motion: Motion
-) -> None:
-    tau = noisy(planar.with_effects(()), motion, SIGMA)
+def test_rows_that_the_fit_can_follow_all_say_nothing_of_their_noise(planar: Robot) -> None:
+    tau = noisy(planar.with_effects(()), MOTION, SIGMA)
     online = estimator(planar, sigma=None, block=1)
-    online.extend(T[:13], motion.q[:13], tau[:13])  # three rows of each joint
+    online.extend(T[:13], MOTION.q[:13], tau[:13])  # three rows of each joint
     assert (online.estimate().sigma > 0.5 * SIGMA).all()
 
 
 @pytest.mark.parametrize("shift", [-1, 0, 1])
-def test_torque_and_regressor_are_of_one_instant(planar: Robot, motion: Motion, shift: int) -> None:
+def test_torque_and_regressor_are_of_one_instant(planar: Robot, shift: int) -> None:
     online = estimator(planar, effects=(), sigma=np.ones(2))
-    exact = torque(planar.with_effects(()), motion)
-    online.extend(T, motion.q, np.roll(exact, shift, axis=0))
+    exact = torque(planar.with_effects(()), MOTION)
+    online.extend(T, MOTION.q, np.roll(exact, shift, axis=0))
     rows = online.recent()
     inner = rows.tau[5:-5] - (rows.W @ online.estimate().beta)[5:-5]
     error = np.sqrt((inner**2).mean()) / exact.std()
@@ -156,8 +141,8 @@ def stopping(motion: Motion, since: float = 0.0) -> Motion:
     return Motion(T, q, motion.dq * moves, motion.ddq * moves)
 
 
-def test_a_joint_at_rest_gives_no_row_where_friction_is_dry(planar: Robot, motion: Motion) -> None:
-    held = stopping(motion)
+def test_a_joint_at_rest_gives_no_row_where_friction_is_dry(planar: Robot) -> None:
+    held = stopping(MOTION)
     online = OnlineEstimator(planar, rate_hz=RATE, sigma=SIGMA)
     online.extend(T, held.q, torque(planar, held))
     used = online.recent().used
@@ -183,9 +168,9 @@ def test_what_cannot_be_is_refused(planar: Robot) -> None:
             estimator(planar, **{option: value})
 
 
-def test_the_monitor_says_since_when_and_which_joint(planar: Robot, motion: Motion) -> None:
+def test_the_monitor_says_since_when_and_which_joint(planar: Robot) -> None:
     stop = 6.0
-    known = stopping(motion, stop)
+    known = stopping(MOTION, stop)
     tau = noisy(planar, known, 0.02, 1)
     online = OnlineEstimator(planar, rate_hz=RATE, sigma=np.full(2, 0.02))
     monitor = Monitor(online, base_prior(planar, online.effects, online.base), window=4.0)
@@ -201,7 +186,7 @@ def test_the_monitor_says_since_when_and_which_joint(planar: Robot, motion: Moti
     assert text.endswith("move joint2")
 
 
-def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion: Motion) -> None:
+def test_irregular_time_gives_what_regular_time_gives(planar: Robot) -> None:
     effects, rng, betas = standard_effects(planar.joints), np.random.default_rng(4), []
     base = base_parameters(planar, effects)
     for t in (T, T + rng.uniform(-0.3, 0.3, len(T)) / RATE):
@@ -210,18 +195,16 @@ def test_irregular_time_gives_what_regular_time_gives(planar: Robot, motion: Mot
         online, samples, _ = replayable(planar, [recording], effects, base, gains=np.ones(2))
         online.extend(*samples)
         betas.append(online.estimate().beta)
-    W = observation_columns(planar, effects, motion)[:, :, base.columns]
-    smooth = torque(planar.with_effects(()), motion)
+    W = observation_columns(planar, effects, MOTION)[:, :, base.columns]
+    smooth = torque(planar.with_effects(()), MOTION)
     # torque is interpolated linearly: off by h² / 8 times its second derivative
     curvature = np.abs(np.diff(smooth, 2, axis=0)).max() * RATE**2
     allowed = (1.6 / RATE) ** 2 / 8 * curvature
     assert np.abs(W @ (betas[0] - betas[1])).max() < 4 * allowed
 
 
-def test_online_writes_estimates_over_time(
-    planar: Robot, motion: Motion, tmp_path: Path, excitant: Call
-) -> None:
-    run = Recording("run", "run.csv", T, motion.q, noisy(planar, motion, 0.02))
+def test_online_writes_estimates_over_time(planar: Robot, tmp_path: Path, excitant: Call) -> None:
+    run = Recording("run", "run.csv", T, MOTION.q, noisy(planar, MOTION, 0.02))
     file = write_csv(tmp_path / "run.csv", run)
     # the given model is the true one here
     options = ("--online", "--forgetting", 20, "--force", "--json", "-o", tmp_path)

@@ -1,7 +1,5 @@
 """The semidefinite fit is optimal, consistent and fast, whatever the data, prior and knowledge."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,7 @@ import yaml
 from known_arms import NONE, Call, Whitened, write_csv
 
 from excitant.analysis import identifiability
-from excitant.exceptions import BadInput, BadRobot
+from excitant.exceptions import BadInput
 from excitant.identify import identify_robot
 from excitant.identify.knowledge import (
     Box,
@@ -215,9 +213,6 @@ def test_a_link_without_mass_is_a_placeholder_of_one() -> None:
     assert 0 < last[0] < 1e-3 * first[0]
     assert violations(last, ["link2"]) == []
     assert (prior_parameters(robot.with_parameters(0 * robot.phi))[:, 0] == 1.0).all()
-    with pytest.raises(BadRobot, match=r"link 'link2' has mass -1 kg; correct it") as no:
-        prior_parameters(robot.with_parameters(robot.phi * (np.arange(20) != 10) - np.eye(20)[10]))
-    assert no.value.source == robot.source
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -343,11 +338,9 @@ def test_identify_and_analyze_say_the_same(planar: Robot, runs: Call) -> None:
     assert len(clear) > 15
     for row in clear:
         assert said[row["name"]] == row["prior_dominated"], row
-    missed = {
-        p["name"]
-        for p, share in zip(parameters, found.physical.prior_share, strict=True)
-        if p["category"] == "combined" and p["prior_dominated"] and share < 0.5
-    }
+    shares = zip(parameters, found.physical.prior_share, strict=True)
+    combined = [p for p, share in shares if p["category"] == "combined" and share < 0.5]
+    missed = {p["name"] for p in combined if p["prior_dominated"]}
     assert all(p["prior_dominated"] for p in rows if p["name"] in missed)
 
 
@@ -367,39 +360,37 @@ class Seen(Whitened):
         return fit.x[: self.links].reshape(6, 10)
 
 
-@pytest.fixture(scope="module")
-def seen() -> Seen:
-    return Seen()
+SEEN = Seen()
 
 
-def test_known_masses_hold_exactly_or_as_far_as_they_are_sure(seen: Seen) -> None:
-    free = seen.bodies(Knowledge())[:, 0]
+def test_known_masses_hold_exactly_or_as_far_as_they_are_sure() -> None:
+    free = SEEN.bodies(Knowledge())[:, 0]
     total = 1.1 * float(free.sum())
     masses = (7.0, Quantity(12.0, 1e-4), Quantity(4.0, 1e6))
-    about = {n: LinkKnowledge(mass=m) for n, m in zip(seen.robot.links, masses, strict=False)}
-    fit = seen.fit(seen.z, Knowledge(total, about))
-    assert_optimal_and_consistent(fit, seen.robot)
-    m = fit.x[: seen.links : 10]
+    about = {n: LinkKnowledge(mass=m) for n, m in zip(SEEN.robot.links, masses, strict=False)}
+    fit = SEEN.fit(SEEN.z, Knowledge(total, about))
+    assert_optimal_and_consistent(fit, SEEN.robot)
+    m = fit.x[: SEEN.links : 10]
     assert m.sum() == pytest.approx(total, abs=1e-7)
     assert m[0] == pytest.approx(7.0, abs=1e-8)
     assert m[1] == pytest.approx(12.0, abs=1e-3)
-    C = fit.covariance[: seen.links : 10, : seen.links : 10]
+    C = fit.covariance[: SEEN.links : 10, : SEEN.links : 10]
     assert C[0, 0] <= 1e-12
     assert np.sqrt(C[1, 1]) <= 1e-4 * (1 + 1e-6)
     assert C.sum() <= 1e-10 * total**2
-    unsure = seen.bodies(Knowledge(Quantity(total, 1e6)))[:, 0]
+    unsure = SEEN.bodies(Knowledge(Quantity(total, 1e6)))[:, 0]
     np.testing.assert_allclose(unsure, free, rtol=1e-4)
 
 
-def test_centres_of_mass_stay_where_they_are_known_to_be(seen: Seen) -> None:
-    free = seen.bodies(Knowledge())
+def test_centres_of_mass_stay_where_they_are_known_to_be() -> None:
+    free = SEEN.bodies(Knowledge())
     centre = free[:, 1:4] / free[:, :1]
     box = Box(tuple(centre[1] + 0.02), tuple(centre[1] + [0.05, 0.06, 0.02]))  # flat along z
     ball = Ellipsoid(tuple(centre[2] + 0.1), (0.03, 0.05, 0.04))
     shell = Ellipsoid(tuple(centre[3]), (0.02, 0.03, 0.01))
     about = ({"com_box": box}, {"com_ellipsoid": ball}, {"body_ellipsoid": shell})
-    links = zip(seen.robot.links[1:], about, strict=False)
-    phi = seen.bodies(Knowledge(links={n: LinkKnowledge(**known) for n, known in links}))
+    links = zip(SEEN.robot.links[1:], about, strict=False)
+    phi = SEEN.bodies(Knowledge(links={n: LinkKnowledge(**known) for n, known in links}))
     found = phi[:, 1:4] / phi[:, :1]
     tight = 1e-6
     assert (found[1] >= np.array(box.low) - tight).all()
@@ -412,21 +403,21 @@ def test_centres_of_mass_stay_where_they_are_known_to_be(seen: Seen) -> None:
     assert np.sum(np.diag(second) / np.array(shell.radii) ** 2) <= phi[3, 0] * (1 + tight)
 
 
-def test_constraints_that_do_not_bind_change_nothing(seen: Seen) -> None:
+def test_constraints_that_do_not_bind_change_nothing() -> None:
     far, box = Ellipsoid((0, 0, 0), (9, 9, 9)), Box((-9, -9, -9), (9, 9, 9))
     wide = LinkKnowledge(com_box=box, com_ellipsoid=far, body_ellipsoid=far)
-    known = Knowledge(links=dict.fromkeys(seen.robot.links, wide))
-    free, fit = (seen.fit(seen.z, each).x for each in (Knowledge(), known))
+    known = Knowledge(links=dict.fromkeys(SEEN.robot.links, wide))
+    free, fit = (SEEN.fit(SEEN.z, each).x for each in (Knowledge(), known))
     np.testing.assert_allclose(fit, free, rtol=1e-5, atol=1e-6)
 
 
-def test_masses_known_twice_agree_and_bring_the_truth_closer(seen: Seen) -> None:
-    true = seen.truth[:, 0].tolist()
-    about = {n: LinkKnowledge(mass=m) for n, m in zip(seen.robot.links, true, strict=True)}
-    free = seen.bodies(Knowledge())
-    found = seen.bodies(Knowledge(total_mass=sum(true), links=about))
+def test_masses_known_twice_agree_and_bring_the_truth_closer() -> None:
+    true = SEEN.truth[:, 0].tolist()
+    about = {n: LinkKnowledge(mass=m) for n, m in zip(SEEN.robot.links, true, strict=True)}
+    free = SEEN.bodies(Knowledge())
+    found = SEEN.bodies(Knowledge(total_mass=sum(true), links=about))
     np.testing.assert_allclose(found[:, 0], true, atol=1e-7)
-    gap, before = (np.linalg.norm((phi - seen.truth)[:, :4]) for phi in (found, free))
+    gap, before = (np.linalg.norm((phi - SEEN.truth)[:, :4]) for phi in (found, free))
     assert gap < 0.5 * before
 
 
@@ -434,8 +425,6 @@ CORNER = [[0, 0, 0], [0.1, 0.1, 0.1]]
 AWAY = {"centre": [0.5, 0, 0], "radii": [0.1, 0.1, 0.1]}
 AROUND = {"centre": [0, 0, 0], "radii": [0.2, 0.2, 0.2]}
 POINT = {"com_box": [[1, 0, 0], [1, 0, 0]], "body_ellipsoid": AROUND}
-
-
 BOXES = {0: {"com_box": CORNER}, 2: {"com_box": CORNER, "com_ellipsoid": AWAY}}
 
 
@@ -448,13 +437,13 @@ BOXES = {0: {"com_box": CORNER}, 2: {"com_box": CORNER, "com_ellipsoid": AWAY}}
     ],
 )
 def test_contradictions_are_named_in_one_line(
-    tmp_path: Path, seen: Seen, total: float | None, about: Any, named: Any, silent: str
+    tmp_path: Path, total: float | None, about: Any, named: Any, silent: str
 ) -> None:
-    links, file = seen.robot.links, tmp_path / "known.yaml"
+    links, file = SEEN.robot.links, tmp_path / "known.yaml"
     content = {"links": {links[k]: v for k, v in about.items()}}
     file.write_text(yaml.safe_dump(content | ({"total_mass": total} if total else {})))
     with pytest.raises(BadInput, match="contradict each other") as refused:
-        seen.fit(seen.z, load_knowledge(file, links))
+        SEEN.fit(SEEN.z, load_knowledge(file, links))
     said = str(refused.value)
     assert said.startswith(str(file))
     assert "\n" not in said
@@ -506,11 +495,11 @@ def test_errors_name_file_key_and_remedy(tmp_path: Path, text: str, said: str) -
     assert str(refused.value).startswith(str(file))
 
 
-def test_missing_file_and_unknown_link(seen: Seen) -> None:
+def test_missing_file_and_unknown_link() -> None:
     with pytest.raises(BadInput, match="no such file; give a YAML file of what is known"):
         load_knowledge("nowhere.yaml", [])
     with pytest.raises(BadInput, match="no link 'tail'"):
-        seen.fit(seen.z, Knowledge(links={"tail": LinkKnowledge(mass=1.0)}))
+        SEEN.fit(SEEN.z, Knowledge(links={"tail": LinkKnowledge(mass=1.0)}))
 
 
 def test_command(tmp_path: Path, planar: Robot, exact: Call, excitant: Call) -> None:

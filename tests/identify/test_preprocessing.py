@@ -3,8 +3,6 @@
 Filter and spectra against SciPy's; positions and speeds weighed by their noise.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any
@@ -25,7 +23,6 @@ from excitant.identify.differentiators import (
 from excitant.identify.preprocessing import SAMPLING, Segment, prepare
 from excitant.identify.rows import split
 from excitant.identify.signals import (
-    detrended,
     differentiated,
     live,
     low_pass,
@@ -119,10 +116,8 @@ def test_columns_and_torque_pass_the_same_filter_also_in_parts(
 ) -> None:
     t = T[:2000]
     [segment] = prepared(t, smooth_motion(ur10, t).q)
-    columns, torque = (
-        segment.rows(lambda motion, of=of: of(ur10, motion))
-        for of in (regressor, rigid_body_torque)
-    )
+    kinds = (regressor, rigid_body_torque)
+    columns, torque = (segment.rows(lambda motion, of=of: of(ur10, motion)) for of in kinds)
     np.testing.assert_allclose(columns @ ur10.phi, torque, atol=1e-9 * np.abs(torque).max())
     assert len(torque) == len(segment.t) == len(segment.tau[segment.keep])
     small = replace(SAMPLING, chunk=500)
@@ -196,10 +191,9 @@ def test_polynomials_are_exact_up_to_their_degree() -> None:
 
 def recorded(noise: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ten seconds of two joints with position noise, and their true acceleration."""
-    t, w = np.arange(0, 10, 1e-3), 2 * np.pi * np.array([[[0.7]], [[3.1]]])
-    waves = np.array([[[1.0]], [[0.2]]]) * np.sin(w * t[:, None] + np.array([0.0, 1.0]))
-    q = waves.sum(axis=0) + noise * np.random.default_rng(seed).standard_normal((len(t), 2))
-    return t, q, -(w**2 * waves).sum(axis=0)
+    motion = smooth_motion(PLANAR, np.arange(0, 10, 1e-3), hz=np.array([0.7, 0.9, 1.3, 3.1]))
+    q = motion.q + noise * np.random.default_rng(seed).standard_normal(motion.q.shape)
+    return motion.t, q, motion.ddq
 
 
 def error_of(polynomial: LocalPolynomial, q: np.ndarray, ddq: np.ndarray) -> Any:
@@ -306,23 +300,15 @@ def test_the_density_is_welchs(n: int, longest: int) -> None:
     np.testing.assert_allclose(found[1], expected, rtol=1e-9, atol=1e-14 * expected.max())
 
 
-def test_a_line_is_taken_out() -> None:
-    x = walk(77)
-    np.testing.assert_allclose(detrended(x), scipy.signal.detrend(x, axis=0), atol=1e-12)
-
-
 FAST, BAND = 500.0, 20.0
 TIME = np.arange(0, 20, 1 / FAST)
-OMEGA, PHASE = 2 * np.pi * np.array([0.3, 1.1]), np.array([0.3, 1.0])
-Q, DQ, DDQ = (
-    (OMEGA**k * np.sin(np.outer(TIME, OMEGA) + PHASE + k * np.pi / 2)) @ [[1.0, 0.6], [0.4, 0.7]]
-    for k in range(3)
-)
+MOVED = smooth_motion(PLANAR, TIME)
+Q, DQ = MOVED.q, MOVED.dq
 
 
 def error(q: np.ndarray) -> np.ndarray:
     """Rms error of acceleration, shape (nv,)."""
-    return np.sqrt(((differentiated(TIME, q, BAND).ddq - DDQ)[200:-200] ** 2).mean(axis=0))
+    return np.sqrt(((differentiated(TIME, q, BAND).ddq - MOVED.ddq)[200:-200] ** 2).mean(axis=0))
 
 
 @pytest.mark.parametrize(("bits", "speed"), [(10, 0.02), (12, 0.01), (14, 0.01), (16, 0.001)])

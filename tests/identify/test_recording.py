@@ -1,7 +1,5 @@
 """What cannot be used is refused by its place; pieces and decimated logs say the same."""
 
-from __future__ import annotations
-
 import gzip
 import itertools
 import json
@@ -21,10 +19,10 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 import streaming
-from estimators import TrueArm
+from estimators import truth
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import Call, smooth_motion
+from known_arms import Call, recorded, smooth_motion
 
 from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
@@ -88,12 +86,8 @@ def test_a_bad_file_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "corrupt.parquet").write_bytes(b"PAR1 rubbish")
     (tmp_path / "binary.csv").write_bytes(bytes(range(128, 256)) * 20)
     (tmp_path / "unknown.xyz").write_bytes(b"t,q1\n")
-    for refused in (
-        "corrupt.parquet.*cannot be read",
-        "binary.csv.*cannot be read",
-        "unknown.xyz.*give .parquet or .csv",
-        "nothing.csv.*no such file",
-    ):
+    unreadable = ("corrupt.parquet.*cannot be read", "binary.csv.*cannot be read")
+    for refused in (*unreadable, "unknown.xyz.*give .parquet or .csv", "nothing.csv.*no such file"):
         with pytest.raises(BadRecording, match=refused) as refusal:
             load_recording(tmp_path / refused.partition(".*")[0], 2)
         assert "\n" not in str(refusal.value)
@@ -101,10 +95,8 @@ def test_a_bad_file_is_refused_by_name(tmp_path: Path) -> None:
 
 def test_other_units_and_too_little_to_hold_out_are_refused(table: pd.DataFrame) -> None:
     renamed = table.rename(columns={"tau1": "i1", "tau2": "i2"})
-    one, other = (
-        recording_from_table(x, 2, file=f"{name}.csv", name=name)
-        for name, x in (("torque", table), ("current", renamed))
-    )
+    logs = (("torque", table), ("current", renamed))
+    one, other = (recording_from_table(x, 2, file=f"{name}.csv", name=name) for name, x in logs)
     assert (one.unit, other.unit) == ("N·m", "A")
     for first, second in ((one, other), (other, one)):
         with pytest.raises(BadRecording, match="use recordings of one unit") as refusal:
@@ -233,14 +225,12 @@ def test_memory_is_that_of_pieces(tmp_path: Path) -> None:
     assert float(nrmse) < 0.3
 
 
-RATE, PLANAR = 1000.0, load_robot("planar_2r")
+RATE, KNOWN = 1000.0, truth("planar_2r")
+PLANAR = KNOWN.robot
 
 
 def logged(t: np.ndarray) -> Recording:
-    motion = smooth_motion(PLANAR, t)
-    tau = TrueArm(PLANAR.model, *[np.array([0.2, 0.3])] * 4).torque(motion)
-    noise = 0.05 * np.random.default_rng(0).normal(size=tau.shape)
-    return Recording("log", "log.csv", t, motion.q, tau + noise)
+    return recorded(KNOWN, smooth_motion(PLANAR, t), 0)
 
 
 def pieces(whole: Recording, rows: int) -> Iterator[Recording]:

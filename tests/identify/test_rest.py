@@ -1,7 +1,5 @@
 """Joints at rest spoil no fit, whatever dry friction holds and whatever encoders toggle."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,13 +13,8 @@ from excitant.identify.preprocessing import prepare
 from excitant.robots import Array, Motion, load_robot
 
 ARM = load_robot("planar_2r")
-TRUTH = TrueArm(
-    ARM.model,
-    Fv=np.array([0.5, 0.3]),
-    Fc=np.array([1.0, 0.6]),
-    offset=np.array([0.2, -0.1]),
-    Ia=np.array([0.05, 0.02]),
-)
+DRIVES = {"Fv": [0.5, 0.3], "Fc": [1.0, 0.6], "offset": [0.2, -0.1], "Ia": [0.05, 0.02]}
+TRUTH = TrueArm(ARM.model, **{name: np.array(values) for name, values in DRIVES.items()})
 NOISE = 0.05  # N·m
 STEP = 2 * np.pi / 2**16  # rad
 

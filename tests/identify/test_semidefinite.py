@@ -1,7 +1,5 @@
 """No programme of bodies ends without the optimum, however badly it is scaled."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import clarabel

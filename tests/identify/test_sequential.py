@@ -1,7 +1,5 @@
 """Link by link: Property 4, what recordings show, calibrated values, and as good as all at once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -168,11 +166,8 @@ def test_predicts_as_well_as_all_at_once_in_the_same_time(
 def literal() -> LinkByLink:
     """The DD arm, one joint moving at a time in one pose."""
     robot, rng = load_robot("cmu_dd_arm_ii"), np.random.default_rng(2)
-    truth = TrueArm(robot.model, Fc=1.0)
-    runs = [
-        recorded(robot, truth, rng, f"joint{i + 1}", moving=[i], duration=8.0, share=1e-9)
-        for i in range(6)
-    ]
+    truth, how = TrueArm(robot.model, Fc=1.0), {"duration": 8.0, "share": 1e-9}
+    runs = [recorded(robot, truth, rng, f"joint{i + 1}", moving=[i], **how) for i in range(6)]
     return identify_link_by_link(robot, runs, effects=[CoulombFriction(robot.joints)])
 
 
@@ -237,8 +232,6 @@ def test_command_writes_stages_and_comparison(
     result = excitant("identify planar_2r", *files, *options).result
     found = result["link_by_link"]
     assert [stage["joint"] for stage in found["stages"]] == [*reversed(planar.joints)]
-    keys = {"link", "joint", "rows", "recordings", "determined", "missing", "needed", "mode"}
-    assert all(keys <= stage.keys() for stage in found["stages"])
     assert sum(len(stage["determined"]) for stage in found["stages"]) == 12
     assert [name for stage in found["stages"] for name in stage["missing"]] == ["link2.Iyy"]
     for row, joint in zip(found["comparison"]["joints"], result["joints"], strict=True):

@@ -1,7 +1,5 @@
 """Shapes of effects, found with the bodies: what was planted, and nothing where nothing was."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -88,9 +86,9 @@ def test_identify_predicts_better_with_them_and_says_so(planar: Robot, monkeypat
     entry = result["shapes"]
     assert entry["refined"]
     assert entry["objective"]["refined"] < entry["objective"]["given"]
-    assert {e["joint"]: e["value"] for e in entry["effects"]} == {
-        e.joints[0]: e.velocity for e in after.model.effects if isinstance(e, StribeckFriction)
-    }
+    bells = (e for e in after.model.effects if isinstance(e, StribeckFriction))
+    speeds = {e["joint"]: e["value"] for e in entry["effects"]}
+    assert speeds == {e.joints[0]: e.velocity for e in bells}
     assert any(note.startswith("shapes of effects refined") for note in after.notes)
     assert "shapes" not in plain
     names, known = ([p["name"] for p in each["parameters"]] for each in (result, plain))

@@ -1,7 +1,5 @@
 """Arms to state laws on: the built-in ones, and one with a sliding joint and fixed links."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -39,11 +37,8 @@ def builtin(request: pytest.FixtureRequest) -> Robot:
     return load_robot(request.param)
 
 
-Refused = Callable[..., str]
-
-
 @pytest.fixture(scope="session")
-def refused() -> Refused:
+def refused() -> Callable[..., str]:
     """``refused(match, call, ...)``: what a call is refused with, in one line."""
 
     def message(

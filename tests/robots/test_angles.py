@@ -1,7 +1,5 @@
 """Angles that are rounded where they are printed: the arm is that of the exact ones."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """An arm is drawn where its joints carry its shapes, and says what it is drawn by."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,22 +1,17 @@
 """Chains of larger robots, branched trees, coupled joints: what moves, and what is held."""
 
-from __future__ import annotations
-
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from khosla import close
+from known_arms import Call
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Motion, Robot, load_robot, regressor, rigid_body_torque
 from excitant.robots.chains import RobotSpec
-
-Refused = Callable[..., str]
-States = Callable[[Robot, int, int], Motion]
 
 TWINS = Path(__file__).parent / "data" / "twins.urdf"
 """Two arms of three joints on a lifting torso; grippers whose finger follows the thumb."""
@@ -50,7 +45,7 @@ CHOICES = {
 
 
 @pytest.mark.parametrize("kind", CHOICES)
-def test_the_chosen_joints_move_and_all_else_is_carried(kind: str, random_states: States) -> None:
+def test_the_chosen_joints_move_and_all_else_is_carried(kind: str, random_states: Call) -> None:
     choice, expected = CHOICES[kind]
     robot = load_robot(TWINS, **choice)
     assert robot.joints == expected
@@ -73,7 +68,7 @@ def test_a_follower_off_the_chain_is_held_where_it_belongs() -> None:
     assert load_robot(TWINS, lock=dict.fromkeys(GRIPPERS, 0.0)).notes == ()  # as was asked for
 
 
-def test_a_follower_of_a_joint_that_moves_is_held_and_that_is_said(random_states: States) -> None:
+def test_a_follower_of_a_joint_that_moves_is_held_and_that_is_said(random_states: Call) -> None:
     robot = load_robot(TWINS)
     assert robot.joints == ("lift", *LEFT, "left_thumb", *RIGHT, "right_thumb")
     assert dict(robot.locked) == pytest.approx({"left_finger": 0.1, "right_finger": 0.1})
@@ -99,14 +94,14 @@ def test_a_follower_of_a_joint_that_moves_is_held_and_that_is_said(random_states
     ],
 )
 def test_a_choice_that_cannot_be_is_refused_in_one_line(
-    refused: Refused, choice: dict[str, object], error: type[Exception], match: str
+    refused: Call, choice: dict[str, object], error: type[Exception], match: str
 ) -> None:
     refused(match, load_robot, TWINS, error=error, **choice)
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_a_joint_of_several_degrees_of_freedom_is_held_or_refused(
-    tmp_path: Path, kind: str, random_states: States, refused: Refused
+    tmp_path: Path, kind: str, random_states: Call, refused: Call
 ) -> None:
     path = tmp_path / "loose.urdf"
     text = TWINS.read_text("utf-8")
@@ -121,7 +116,7 @@ def test_a_joint_of_several_degrees_of_freedom_is_held_or_refused(
     assert load_robot(path, lock={"root": 0}, joints=None, tip="left_hand").nv == 4
 
 
-def test_a_tree_needs_the_torque_of_newton_and_euler(random_states: States) -> None:
+def test_a_tree_needs_the_torque_of_newton_and_euler(random_states: Call) -> None:
     """Y φ of two arms at once is Pinocchio's recursion over the whole robot."""
     both = load_robot(TWINS, joints=("lift", *LEFT, *RIGHT))
     motion = random_states(both, 0, 20)
@@ -131,20 +126,17 @@ def test_a_tree_needs_the_torque_of_newton_and_euler(random_states: States) -> N
     assert not Y[:, 4:, 10:40].any()
 
 
-def test_robot_yaml_chooses_a_chain(tmp_path: Path) -> None:
+def test_robot_yaml_chooses_a_chain(tmp_path: Path, refused: Call) -> None:
     file = tmp_path / "left.yaml"
     shutil.copy(TWINS, tmp_path)
-    file.write_text(
-        f"model: {TWINS.name}\nbase: torso\ntip: left_hand\nlock: {{lift: 0.2}}\n"
-        "limits: {torque: [9, 8, 7]}\n"
-    )
+    chosen = f"model: {TWINS.name}\nbase: torso\ntip: left_hand\nlock: {{lift: 0.2}}\n"
+    file.write_text(f"{chosen}limits: {{torque: [9, 8, 7]}}\n")
     robot = load_robot(file)
     assert (robot.joints, robot.limits.torque.tolist()) == (LEFT, [9, 8, 7])
     part = load_robot(file, joints=LEFT[1:])
     assert (part.joints, part.limits.torque.tolist()) == (LEFT[1:], [8, 7])
     assert dict(part.locked)["lift"] == 0.2
-    with pytest.raises(UnknownName):
-        load_robot(file, joints=["right_3"])
+    refused("right_3", load_robot, file, joints=["right_3"], error=UnknownName)
     file.write_text(f"model: {TWINS.name}\ngravity: [0, 0, 9.81]\n")  # chooses nothing itself
     robot = load_robot(RobotSpec(file, base="torso", tip="left_hand"))
     assert (robot.joints, robot.gravity.tolist()) == (LEFT, [0, 0, 9.81])

@@ -1,9 +1,6 @@
 """Denavit-Hartenberg arms: conventions, files, and what is published of built-in ones."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,23 +12,18 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close, dh_from_robot, frames
+from known_arms import Call
 
 from excitant.exceptions import BadRobot
-from excitant.robots import DHChain, Limits, Motion, Robot, load_robot, rigid_body_torque
-from excitant.robots.dh import CONVENTIONS, Convention, robot_from_dh
+from excitant.robots import Limits, Motion, Robot, load_robot, rigid_body_torque
+from excitant.robots.dh import CONVENTIONS, robot_from_dh
 from excitant.robots.geometry import scene
 from excitant.robots.schema import CylinderRecord
 from excitant.robots.urdf import robot_from_urdf
 
-Chains = Callable[..., DHChain]
-Refused = Callable[..., str]
-Loaded = Callable[[Any], Robot]
-
 
 @given(seed=st.integers(0, 2**32 - 1), convention=st.sampled_from(CONVENTIONS))
-def test_a_link_is_four_elementary_motions(
-    random_chain: Chains, seed: int, convention: Convention
-) -> None:
+def test_a_link_is_four_elementary_motions(random_chain: Call, seed: int, convention: str) -> None:
     chain = random_chain(seed, 3, convention)
     q = np.random.default_rng(seed).standard_normal((1, 3))
     for i in range(3):
@@ -43,18 +35,18 @@ def test_a_link_is_four_elementary_motions(
 
 
 @pytest.mark.parametrize("name", ["a", "phi", "gravity", "tool"])
-def test_a_chain_never_changes(random_chain: Chains, name: str) -> None:
+def test_a_chain_never_changes(random_chain: Call, name: str) -> None:
     with pytest.raises(ValueError, match="read-only"):
         getattr(random_chain(0, 3), name)[0] = 1
 
 
-def test_a_link_without_mass_is_refused_by_name(random_chain: Chains, refused: Refused) -> None:
+def test_a_link_without_mass_is_refused_by_name(random_chain: Call, refused: Call) -> None:
     chain = random_chain(0, 3)
     phi = np.where(np.arange(30) == 10, 0.0, chain.phi)
     refused("link 'l1' has no mass", robot_from_dh, replace(chain, phi=phi), error=BadRobot)
 
 
-def test_limits_and_shapes_are_in_the_urdf(random_chain: Chains) -> None:
+def test_limits_and_shapes_are_in_the_urdf(random_chain: Call) -> None:
     bodies = [
         CylinderRecord((0, 0, -0.3), (0, 0, 0), 0.1),
         CylinderRecord((-0.2, 0.1, 0), (0, 0, 0.1), 0.05),
@@ -76,7 +68,7 @@ def test_limits_and_shapes_are_in_the_urdf(random_chain: Chains) -> None:
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
-def test_shapes_move_with_their_links(random_chain: Chains, convention: Convention) -> None:
+def test_shapes_move_with_their_links(random_chain: Call, convention: str) -> None:
     """Ends of a body placed by the chain's frames are where the URDF's geometry has them."""
     still = CylinderRecord((0.5, 0, 0), (0.5, 0, 0), 0.01)
     ball = CylinderRecord((0.1, -0.2, 0.3), (0.1, -0.2, 0.3), 0.02)
@@ -91,7 +83,7 @@ def test_shapes_move_with_their_links(random_chain: Chains, convention: Conventi
 
 
 @pytest.fixture
-def loaded(tmp_path: Path) -> Loaded:
+def loaded(tmp_path: Path) -> Call:
     """``loaded(entries)``: the arm of a robot.yaml."""
 
     def load(entries: Any) -> Robot:
@@ -113,7 +105,7 @@ def tip(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.array(data.oMf[robot.tip].translation)
 
 
-def test_robot_yaml_in_denavit_hartenberg_form(loaded: Loaded, drill: Any) -> None:
+def test_robot_yaml_in_denavit_hartenberg_form(loaded: Call, drill: Any) -> None:
     robot = loaded(drill)
     assert (robot.name, robot.effects[0].joints) == ("drill", ("quill",))
     assert robot.joints == ("shoulder", "joint2", "quill")
@@ -131,7 +123,7 @@ def test_robot_yaml_in_denavit_hartenberg_form(loaded: Loaded, drill: Any) -> No
     assert scene(robot) is not None
 
 
-def test_inertia_about_frame_or_centre_of_mass_is_the_same_arm(loaded: Loaded, drill: Any) -> None:
+def test_inertia_about_frame_or_centre_of_mass_is_the_same_arm(loaded: Call, drill: Any) -> None:
     """Link 1 of the file by Steiner's theorem, with mc for com."""
     expected, link = loaded(drill).phi, drill["dh"][0]
     c, m, central = np.array(link.pop("com")), link["m"], link.pop("Ic")
@@ -142,7 +134,7 @@ def test_inertia_about_frame_or_centre_of_mass_is_the_same_arm(loaded: Loaded, d
     assert np.allclose(loaded(drill).phi, expected, rtol=0, atol=1e-13)
 
 
-def test_angles_are_radians_unless_said(loaded: Loaded, drill: Any) -> None:
+def test_angles_are_radians_unless_said(loaded: Call, drill: Any) -> None:
     expected = tip(loaded(drill), np.full(3, 0.2))
     del drill["angles"]
     drill["dh"][1] |= {"alpha": np.pi, "theta": np.pi / 6}
@@ -150,7 +142,7 @@ def test_angles_are_radians_unless_said(loaded: Loaded, drill: Any) -> None:
     assert np.allclose(tip(loaded(drill), np.full(3, 0.2)), expected, atol=1e-13)
 
 
-def test_joints_and_locks_of_the_file_apply(loaded: Loaded, drill: Any) -> None:
+def test_joints_and_locks_of_the_file_apply(loaded: Call, drill: Any) -> None:
     whole = loaded(drill)
     drill["limits"] = {"velocity": [1, 2]}
     part = loaded(drill | {"lock": {"joint2": 0.3}})

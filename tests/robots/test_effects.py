@@ -1,7 +1,5 @@
 """Laws every effect obeys, whatever it is; a new one is held to them once it is registered."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -10,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from khosla import close
+from known_arms import Call
 
 from excitant.exceptions import BadInput
 from excitant.identify.export import comment, folded, held_by
@@ -21,7 +20,6 @@ from excitant.robots.effects.experiments import BETWEEN
 from excitant.robots.parameters import STANDARD
 from excitant.robots.simulation import REST, forward_model
 
-States = Callable[[Robot, int, int], Motion]
 Proposals = list[tuple[Effect, int]]
 JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.acts_on is fx.Acts.EACH)
 OF_THE_PAST = ("encoder_scale", "joint_elasticity", "backlash")
@@ -110,7 +108,7 @@ def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
 
 
 def test_torque_is_columns_times_values(
-    arm: Robot, random_states: States, kind: type[Effect]
+    arm: Robot, random_states: Call, refused: Call, kind: type[Effect]
 ) -> None:
     motion, effect = random_states(arm, 1, 6), valued(arm, kind, 2)
     columns, tau = effect.columns(arm, motion), effect.torque(arm, motion)
@@ -121,13 +119,12 @@ def test_torque_is_columns_times_values(
     robot = arm.with_effects((*arm.effects, effect))
     whole = torque(robot, motion)
     assert np.abs(whole - torque(arm, motion) - tau).max() <= 1e-12 * np.abs(whole).max()
-    with pytest.raises(ValueError, match="no values"):
-        effect.without_values().torque(arm, motion)
+    refused("no values", effect.without_values().torque, arm, motion, error=ValueError)
 
 
 @pytest.mark.parametrize("name", JOINTWISE)
 def test_jointwise_effects_are_those_of_each_joint(
-    ur10: Robot, random_states: States, name: str
+    ur10: Robot, random_states: Call, name: str
 ) -> None:
     states = random_states(ur10, 5, 6)
     motion = Motion(states.t, states.q, states.dq / 50, states.ddq)
@@ -146,26 +143,24 @@ def test_jointwise_effects_are_those_of_each_joint(
 
 
 def test_columns_depend_on_the_model_where_an_effect_says_so(
-    ur10: Robot, random_states: States, kind: type[Effect]
+    ur10: Robot, random_states: Call, kind: type[Effect]
 ) -> None:
     """On inertias or other effects, which never move what an effect of the motion alone does."""
     motion, effect = random_states(ur10, 7, 8), on(ur10, kind)
-    other = ur10.with_parameters(2 * ur10.phi).with_effects(
-        [e.with_values([3.0] * ur10.nv) for e in fx.standard_effects(ur10.joints)]
-    )
+    rubbing = [e.with_values([3.0] * ur10.nv) for e in fx.standard_effects(ur10.joints)]
+    other = ur10.with_parameters(2 * ur10.phi).with_effects(rubbing)
     same = np.array_equal(effect.columns(ur10, motion), effect.columns(other, motion))
     assert same != kind.physics.on_model
 
 
 def test_in_a_simulation_it_makes_the_torque_of_its_columns(
-    planar: Robot, random_states: States, kind: type[Effect]
+    planar: Robot, random_states: Call, refused: Call, kind: type[Effect]
 ) -> None:
     """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
     effect = valued(planar.with_effects(()), kind, 3)
     robot = planar.with_effects((effect,))
     if kind.name in OF_THE_PAST:
-        with pytest.raises(BadInput, match=f"effect {kind.name} depends on the past"):
-            forward_model(robot)
+        refused(f"effect {kind.name} depends on the past", forward_model, robot, error=BadInput)
         return
     model, inertia, state = forward_model(robot)
     motion = random_states(planar, 9, 20)
@@ -182,7 +177,7 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(
 
 
 @pytest.fixture(scope="module")
-def facts(ur10: Robot, random_states: States) -> list[fx.JointFacts]:
+def facts(ur10: Robot, random_states: Call) -> list[fx.JointFacts]:
     motion = random_states(ur10, 3, 200)
     found = fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
     return [replace(seen, blur=0.0) for seen in found]  # states in no order have no reversals
@@ -267,7 +262,7 @@ def test_parameter_names_are_unique(ur10: Robot) -> None:
 
 @pytest.mark.parametrize("name", ["payload", "inertial_parameters"])
 def test_added_inertia_is_that_of_a_changed_link(
-    arm: Robot, random_states: States, name: str
+    arm: Robot, random_states: Call, name: str
 ) -> None:
     motion = random_states(arm, 6, 10)
     added = EFFECTS[name](arm.joints[-1:]).with_values(arm.phi[-10:] * 0.3)

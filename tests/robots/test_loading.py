@@ -1,7 +1,5 @@
 """Arms of every format, from file to motion; limits from files, and limits that are missing."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -9,26 +7,23 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from textwrap import indent
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from arms import ARMS as LIBRARY
 from arms import data_folder
+from known_arms import Call
 
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design_trajectory
-from excitant.exceptions import BadInput, BadRobot, UnknownName
+from excitant.exceptions import BadInput, BadRobot
 from excitant.robots import Limits, Motion, Robot, load_limits, load_robot, rigid_body_torque
 from excitant.robots.chains import RobotSpec
 from excitant.robots.limits import require_limits
 from excitant.robots.parameters import BaseEstimate
 from excitant.robots.torque import torque
-
-Command = Callable[..., Any]
-Refused = Callable[..., str]
 
 DATA = Path(__file__).parent / "data"
 SIX = ("left_1", "left_2", "left_3", "right_1", "right_2", "right_3")
@@ -36,7 +31,6 @@ READ = {
     "urdf": (RobotSpec(DATA / "scara.urdf", tip="quill"), 4),
     "xacro": (RobotSpec(DATA / "pan_tilt.urdf.xacro", xacro_args={"reach": "0.6"}), 2),
     "mjcf": (RobotSpec(DATA / "slider.xml"), 3),
-    "one arm of two": (RobotSpec(DATA / "twins.urdf", base="torso", tip="left_hand"), 3),
     "both arms of two": (RobotSpec(DATA / "twins.urdf", SIX), 6),
     "yaml over mjcf": (RobotSpec(DATA / "slider.yaml"), 2),
 }
@@ -51,7 +45,7 @@ def test_any_arm_is_read(spec: RobotSpec, joints: int) -> None:
 @pytest.mark.parametrize(
     "kind", ["xacro", "mjcf", pytest.param("both arms of two", marks=pytest.mark.slow)]
 )
-def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Refused) -> None:
+def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Call) -> None:
     robot = load_robot(READ[kind][0])
     if kind == "mjcf":  # which has no word for the limit of a speed
         refused("no velocity limits", require_limits, robot, error=BadInput)
@@ -82,7 +76,7 @@ def test_arms_of_example_robot_data() -> None:
 
 
 def test_missing_limits_are_asked_for_with_the_file_to_write(
-    planar: Robot, excitant: Command, tmp_path: Path
+    planar: Robot, excitant: Call, tmp_path: Path
 ) -> None:
     bare, limits = tmp_path / "bare.urdf", tmp_path / "limits.yaml"
     bare.write_text(re.sub('(velocity|effort)="[^"]*"', r'\1="0"', planar.urdf))
@@ -131,9 +125,9 @@ def test_joint_limits_of_moveit_and_ros2_control_are_read(planar: Robot, tmp_pat
         assert numbers(limits_of(tmp_path, text, planar)) == expected
 
 
-def test_an_arm_without_mass_is_refused_a_design(planar: Robot) -> None:
-    with pytest.raises(BadRobot, match="no link has a mass"):
-        design_trajectory(planar.with_parameters(np.zeros(20)), starts=1)
+def test_an_arm_without_mass_is_refused_a_design(planar: Robot, refused: Call) -> None:
+    massless = planar.with_parameters(np.zeros(20))
+    refused("no link has a mass", design_trajectory, massless, starts=1, error=BadRobot)
 
 
 def test_torque_limits_stand_in_for_those_of_acceleration(planar: Robot) -> None:
@@ -144,16 +138,13 @@ def test_torque_limits_stand_in_for_those_of_acceleration(planar: Robot) -> None
     assert all(joint in note for joint in planar.joints)
 
 
-def test_the_command_line_chooses_a_part(excitant: Command, tmp_path: Path) -> None:
+def test_the_command_line_chooses_a_part(excitant: Call, tmp_path: Path) -> None:
     chain = "--base torso --tip left_hand --lock lift=0.1 --lock left_thumb=0,left_finger=0.1"
     ran = excitant("robots --json", DATA / "twins.urdf", *chain.split())
     assert all(f"left_{k}" in ran.out for k in (1, 2, 3))
     assert "held at 0, as they are not chosen: right_1, right_2, right_3" in ran.err
     head = DATA / "pan_tilt.urdf.xacro"
     assert excitant("robots", head, "--xacro-arg", "reach:=0.6", "--json").status == 0
-    ran = excitant("robots", head, "--xacro-arg", "raech:=0.6")
-    assert ran.status == 1
-    assert "did you mean 'reach'" in ran.err
     shutil.copy(DATA / "scara.urdf", tmp_path / "robot.urdf")
     ran = excitant("analyze --tip link1", tmp_path, "-o", tmp_path / "run")
     assert ran.status == 1
@@ -169,7 +160,6 @@ MESH = """<mujoco><asset><mesh name="m" file="m.stl"/></asset><worldbody><body><
 <geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
 OVER = "model: gantry.urdf\n"
 REFUSED = [  # a file, what is written in place of a part of it or at its start, what is said
-    ("gantry.urdf", "</robot>", "", "not XML"),
     ("gantry.urdf", 'mass value="1.5"', 'mass value="nan"', "box"),
     ("gantry.urdf", 'ixx="0.003"', 'ixx="small"', "box"),
     ("gantry.urdf", 'upper="1.5"', 'upper="inf"', "slide"),
@@ -177,8 +167,6 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
     ("gantry.urdf", 'parent link="box"', 'parent link="bux"', "twist"),
     ("gantry.urdf", 'joint name="twist"', 'joint name="slide"', "slide"),
     ("gantry.urdf", 'link name="tip"', 'link name="box"', "box"),
-    ("gantry.urdf", '"twist" type="revolute"', '"twist" type="floating"', "twist"),
-    ("gantry.urdf", '"twist" type="revolute"', '"twist" type="planar"', "twist"),
     ("gantry.urdf", '"twist" type="revolute"', '"twist" type="rev"', "twist"),
     ("gantry.urdf", "</robot>", LOOP, "'hand' hangs from two joints, 'twist' and 'brace'"),
     ("arm.urdf", "", "<sdf/>", "not a URDF: the root element is <sdf>"),
@@ -186,7 +174,6 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
     ("arm.urdf", "", '<robot name="empty"/>', "no <link>"),
     ("arm.urdf", "", "\xff", "not a text file"),
     ("over.yaml", "", "gravity: [0, 0, -9.81]\n", "no 'model' entry"),
-    ("over.yaml", "", "model: none.urdf\n", "none.urdf"),
     ("over.yaml", "", OVER + "gravity: [0, -9.81]\n", "gravity"),
     ("over.yaml", "", OVER + "gravity: [0, .nan, 0]\n", "gravity"),
     ("over.yaml", "", OVER + "lock: {swing: up}\n", "lock"),
@@ -234,7 +221,7 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
 
 @pytest.mark.parametrize(("file", "old", "new", "words"), REFUSED)
 def test_a_file_that_cannot_be_read_is_refused_in_one_line_that_names_it(
-    tmp_path: Path, refused: Refused, file: str, old: str, new: str, words: str
+    tmp_path: Path, refused: Call, file: str, old: str, new: str, words: str
 ) -> None:
     shutil.copy(DATA / "gantry.urdf", tmp_path)
     path, text = tmp_path / file, (DATA / file).read_text() if (DATA / file).exists() else ""
@@ -243,12 +230,6 @@ def test_a_file_that_cannot_be_read_is_refused_in_one_line_that_names_it(
     said = refused(".", load_robot, path)
     assert re.search(words, said.replace(str(path), ""))
     assert str(path) in said or said.startswith("unknown")
-
-
-def test_what_is_no_file_is_refused(tmp_path: Path, refused: Refused, planar: Robot) -> None:
-    refused("no such file", load_robot, tmp_path / "absent.urdf")
-    refused("no such file", load_limits, tmp_path / "absent.yaml", planar)
-    refused("did you mean 'puma560'", load_robot, "puma56x", error=UnknownName)
 
 
 # Limits from files
@@ -278,10 +259,8 @@ BAD_LIMITS = {
     "position: [1, 2, 3]\n": "position limits: expected one pair",
     "torque: [1, two]\n": r"torque\[1\]",
     "velocity: {no_joint: 1}\n": "velocity limits: unknown joint",
-    "velocities: 1\n": "did you mean 'velocity'",
     "position: [.nan, 1]\n": "position",
     "velocity: 0\n": "must be positive",
-    "torque: [5, -3]\n": "joint joint2: must be positive",
     "acceleration: .nan\n": "acceleration",
     "velocity: [1, 2\n": "not valid YAML .line 2: ",
     "joint_limits: {wrist: {has_velocity_limits: true, max_velocity: 1.5}}\n": "joint 'wrist'",
@@ -296,8 +275,9 @@ BAD_LIMITS = {
 
 @pytest.mark.parametrize("text", BAD_LIMITS)
 def test_bad_limits_are_refused_in_one_line(
-    planar: Robot, tmp_path: Path, refused: Refused, text: str
+    planar: Robot, tmp_path: Path, refused: Call, text: str
 ) -> None:
+    refused("no such file", load_limits, tmp_path / "limits.yaml", planar)
     said = refused(BAD_LIMITS[text], limits_of, tmp_path, text, planar, error=BadInput)
     assert str(tmp_path / "limits.yaml") in said
 
@@ -334,7 +314,7 @@ def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
     ],
 )
 def test_an_estimate_that_is_none_is_refused(
-    kept: Path, refused: Refused, old: str, new: str, why: str
+    kept: Path, refused: Call, old: str, new: str, why: str
 ) -> None:
     file = kept.with_name("arm-estimate.csv")
     assert old in file.read_text()
@@ -344,7 +324,7 @@ def test_an_estimate_that_is_none_is_refused(
     assert "write the model again" in said
 
 
-def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path, refused: Refused) -> None:
+def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path, refused: Call) -> None:
     for name, why in (("../x.csv", "outside its folder"), ("none.csv", "cannot be read")):
         kept.write_text(f"model: arm.urdf\nestimate: {name}\n")
         refused(why, load_robot, kept, error=BadRobot)

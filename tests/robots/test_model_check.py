@@ -1,7 +1,5 @@
 """Each thing that can be wrong in a description is found where it was planted, and nothing else."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 
@@ -25,12 +23,8 @@ HINTS = {
 
 
 def found(robot: Robot, *, hint: bool = False, mass: float | None = None) -> set[tuple[str, str]]:
-    return {
-        (warning.check, where)
-        for warning in ModelCheck(robot, mass).warnings
-        for where in warning.where
-        if warning.hint == hint
-    }
+    warnings = (w for w in ModelCheck(robot, mass).warnings if w.hint == hint)
+    return {(warning.check, where) for warning in warnings for where in warning.where}
 
 
 def child(element: ET.Element, path: str) -> ET.Element:

@@ -1,8 +1,6 @@
 """Laws of the seed paper's recursion (Khosla 1987), and its arm, the CMU DD Arm II."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close, dh_from_robot, frames, torque_matrix
+from known_arms import Call
 from second_opinion import grouping
 from seed import dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 
@@ -18,8 +17,6 @@ from excitant.robots import DHChain, Motion, base_parameters, load_robot, rigid_
 from excitant.robots.dh import CONVENTIONS, Convention, robot_from_dh
 from excitant.robots.parameters import STANDARD, elements, steiner, violations
 from excitant.robots.regressor import regressor
-
-Chains = Callable[..., DHChain]
 
 
 def states(seed: int, n: int, nv: int) -> Motion:
@@ -41,7 +38,7 @@ def rank(W: np.ndarray) -> int:
     seed=st.integers(0, 2**32 - 1), nv=st.integers(1, 9), convention=st.sampled_from(CONVENTIONS)
 )
 def test_a_chain_needs_the_torque_of_the_recursion_where_its_frames_are(
-    random_chain: Chains, seed: int, nv: int, convention: Convention
+    random_chain: Call, seed: int, nv: int, convention: Convention
 ) -> None:
     """And Property 4 holds: neither m_i, nor I_i, nor m_i s_i shows in τ_{i+1} .. τ_N."""
     chain, motion = random_chain(seed, nv, convention), states(seed, 5, nv)
@@ -65,47 +62,45 @@ def differences(values: np.ndarray, order: int) -> float:
     return float(np.abs(np.diff(values, order, axis=0)).max() / np.abs(values).max())
 
 
-def assert_quadratic(tau: list[np.ndarray], turns: np.ndarray) -> None:
+TURNING = np.array([True, False, True, True, False, True])
+
+
+def assert_quadratic(chains: Iterator[DHChain], seed: int, first: int) -> None:
     """In the step: all torque; the forces of those first joints that slide are linear."""
-    assert differences(np.array(tau), 3) < 1e-11
-    felt = np.array(tau)[:, :, : len(turns)]
+    robots = (robot_from_dh(replace(chain, revolute=TURNING)) for chain in chains)
+    tau = np.array([rigid_body_torque(robot, states(seed, 20, 6)) for robot in robots])
+    felt, turns = tau[:, :, :first], TURNING[:first]
+    assert differences(tau, 3) < 1e-11
     assert differences(felt[:, :, ~turns], 2) < 1e-11
     assert differences(felt[:, :, turns], 2) > 1e-3
-
-
-TURNING = np.array([True, False, True, True, False, True])
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("link", [1, 3, 5])
 def test_property_2_torque_is_quadratic_and_force_linear_in_a_centre_of_mass(
-    random_chain: Chains, seed: int, link: int
+    random_chain: Call, seed: int, link: int
 ) -> None:
     """With the inertia about it held: a rotary joint's second half, a translational one's first."""
-    chain, motion, tau = random_chain(seed, 6), states(seed, 20, 6), []
-    m, central = 2.0, np.array([0.3, 0.02, 0.4, -0.01, 0.03, 0.5])
-    for step in range(5):
-        c = 0.1 + step * np.array([0.2, -0.1, 0.3])
+    chain, m, central = random_chain(seed, 6), 2.0, np.array([0.3, 0.02, 0.4, -0.01, 0.03, 0.5])
+
+    def moved(c: np.ndarray) -> DHChain:
         phi = chain.phi.reshape(-1, 10).copy()
         phi[link] = [m, *(m * c), *(central + elements(steiner(m, c)))]
-        moved = replace(chain, revolute=TURNING, phi=phi.ravel())
-        tau.append(rigid_body_torque(robot_from_dh(moved), motion))
-    assert_quadratic(tau, TURNING[: link + 1])
+        return replace(chain, phi=phi.ravel())
+
+    centres = 0.1 + np.outer(range(5), [0.2, -0.1, 0.3])
+    assert_quadratic(map(moved, centres), seed, link + 1)
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", ["a", "d"])
 def test_property_3_torque_is_quadratic_in_a_link_length(
-    random_chain: Chains, seed: int, name: str
+    random_chain: Call, seed: int, name: str
 ) -> None:
     """And the force of a translational joint is linear in it."""
-    chain, motion, tau = random_chain(seed, 6), states(seed, 20, 6), []
-    for step in range(5):
-        lengths = getattr(chain, name) + 0.3 * step * np.eye(6)[2]
-        longer = replace(chain, revolute=TURNING, **{name: lengths})
-        tau.append(rigid_body_torque(robot_from_dh(longer), motion))
-        assert close(matrix(longer, motion) @ longer.phi, tau[-1])
-    assert_quadratic(tau, TURNING[:3])
+    chain = random_chain(seed, 6)
+    lengths = getattr(chain, name) + 0.3 * np.outer(range(5), np.eye(6)[2])
+    assert_quadratic((replace(chain, **{name: x}) for x in lengths), seed, 3)
 
 
 # The CMU DD Arm II
@@ -127,21 +122,7 @@ I2yy 0.264736 0.322156, m2s2x -1.039971 -1.156482, m2s2z 0.008722 0.008234, m2 7
 I1zz 1.193645 1.270784, m1s1x -5.925900 -6.478305, m1 19.753000 20.152630
 """  # parameter, initial and estimated value, digits as the scan shows them
 MENDED = {"0-001269": 0.001269, "-0432251": -0.0432251, "-0.G124S7": -0.012487}
-
-
-@pytest.fixture(scope="module")
-def dd() -> DHChain:
-    return dd_arm_chain()
-
-
-def test_dd_arm_tables_mark_what_is_doubtful_in_print() -> None:
-    table = {entry.name: entry for entry in dd_arm_tables()}
-    likely = [table["m4s4z"].value(column, likely=True) for column in ("initial", "estimated")]
-    assert likely == [0.043011, 0.051462]
-    doubtful = {name for name, entry in table.items() if entry.doubtful}
-    inertias = {"I3xz", "I3yy", "I3yz", "I3zz", "I5xx"}
-    assert doubtful == {"m3s3y", "m3s3z", "m4s4z", "m5s5z"} | inertias
-    assert all(table[name].why and table[name].printed for name in doubtful)
+DD = dd_arm_chain()
 
 
 def test_dd_arm_tables_as_transcribed_a_second_time() -> None:
@@ -157,25 +138,25 @@ def test_dd_arm_tables_as_transcribed_a_second_time() -> None:
             assert text not in MENDED or text in entry.printed
 
 
-def test_dd_arm_is_loaded_with_its_initial_values(dd: DHChain) -> None:
+def test_dd_arm_is_loaded_with_its_initial_values() -> None:
     """The arm's file states them twice: as tables, and as inertias about the same frames."""
-    assert np.allclose(dd.phi, dd_arm_parameters("initial"), rtol=0, atol=1e-9)
+    assert np.allclose(DD.phi, dd_arm_parameters("initial"), rtol=0, atol=1e-9)
     motion = states(0, 5, 6)
-    M = matrix(dd, motion)
-    assert close(rigid_body_torque(load_robot("cmu_dd_arm_ii"), motion), M @ dd.phi)
+    M = matrix(DD, motion)
+    assert close(rigid_body_torque(load_robot("cmu_dd_arm_ii"), motion), M @ DD.phi)
     for column in ("initial", "estimated"):
         expected = M @ dd_arm_parameters(column)
         assert close(rigid_body_torque(dd_arm(column), motion), expected, 1e-8)
 
 
-def test_dd_arm_shows_exactly_what_the_tables_list(dd: DHChain) -> None:
+def test_dd_arm_shows_exactly_what_the_tables_list() -> None:
     """47 non-zero columns, two of them the same (m4, m5): the 46 rows of the tables.
 
     Seven columns of links 1 and 2 hold four combinations.
     """
-    W = matrix(dd, states(0, 200, 6)).reshape(-1, 60)
+    W = matrix(DD, states(0, 200, 6)).reshape(-1, 60)
     norms = np.linalg.norm(W, axis=0)
-    names = [f"{link}.{name}" for link in dd.links for name in STANDARD]
+    names = [f"{link}.{name}" for link in DD.links for name in STANDARD]
     shown = {name for name, norm in zip(names, norms, strict=True) if norm > 1e-12 * norms.max()}
     m4, m5 = names.index("link4.m"), names.index("link5.m")
     assert np.allclose(W[:, m4], W[:, m5], rtol=0, atol=1e-12 * norms.max())
@@ -184,12 +165,12 @@ def test_dd_arm_shows_exactly_what_the_tables_list(dd: DHChain) -> None:
     assert (len(shown & set(names[:20])), rank(W[:, :20])) == (7, 4)
 
 
-def test_initial_values_are_possible_and_link_5_as_estimated_is_not(dd: DHChain) -> None:
-    assert violations(dd_arm_parameters("initial"), dd.links) == []
-    found = violations(dd_arm_parameters("estimated"), dd.links)
+def test_initial_values_are_possible_and_link_5_as_estimated_is_not() -> None:
+    assert violations(dd_arm_parameters("initial"), DD.links) == []
+    found = violations(dd_arm_parameters("estimated"), DD.links)
     assert [line.split(":")[0] for line in found] == ["link4", "link5"]
     assert "break the triangle inequality" in found[1]
-    assert violations(dd_arm_parameters("estimated", likely=True), dd.links) == []
+    assert violations(dd_arm_parameters("estimated", likely=True), DD.links) == []
 
 
 @pytest.mark.parametrize(
@@ -197,7 +178,7 @@ def test_initial_values_are_possible_and_link_5_as_estimated_is_not(dd: DHChain)
     [("puma560", (3, 0, -9.3), 38), ("planar_2r", (0, 0, 0), 4), ("planar_2r", (0, -9.81, 0), 4)],
 )
 def test_base_parameters_counted_in_three_ways(
-    random_states: Callable[..., Motion], name: str, gravity: tuple[float, ...], count: int
+    random_states: Call, name: str, gravity: tuple[float, ...], count: int
 ) -> None:
     """Ranks of two regressors that share no code, and a rule that needs none."""
     robot = load_robot(name).with_gravity(gravity)

@@ -1,9 +1,6 @@
 """Laws of the regressor, of standard and base parameters, and of physical consistency."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from khosla import close
+from known_arms import Call
 
 from excitant.robots import Motion, Robot, base_parameters, rigid_body_torque
 from excitant.robots.base_parameters import BaseParameters, categories, coefficient_text
@@ -26,8 +24,6 @@ from excitant.robots.parameters import (
 from excitant.robots.regressor import regressor, regressor_derivatives
 from excitant.robots.torque import column_names, observation_columns
 
-Bodies = Callable[[int, int], np.ndarray]
-States = Callable[[Robot, int, int], Motion]
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -88,7 +84,7 @@ def test_violations_name_link_and_inequality(phi: np.ndarray, what: str) -> None
 
 
 @given(seed=SEEDS)
-def test_nearest_of_consistent_is_itself(random_bodies: Bodies, seed: int) -> None:
+def test_nearest_of_consistent_is_itself(random_bodies: Call, seed: int) -> None:
     phi = random_bodies(seed, 1)
     moments = np.linalg.eigvalsh(np.linalg.inv(np.linalg.inv(pseudo_inertia(phi))[:3, :3]))
     assume(moments[0] > 1e-4 * max(moments[-1], 1e-4 * phi[0]))
@@ -99,9 +95,7 @@ def test_nearest_of_consistent_is_itself(random_bodies: Bodies, seed: int) -> No
     mass=st.floats(1e-3, 50),
     rest=st.lists(st.floats(-2, 2, allow_subnormal=False), min_size=9, max_size=9),
 )
-def test_nearest_is_consistent_and_keeps_mass_and_first_moment(
-    mass: float, rest: list[float]
-) -> None:
+def test_nearest_is_consistent_and_keeps_mass_and_first_moment(mass: float, rest: list) -> None:
     phi = np.array([mass, *rest])
     lever = phi[1:4] / mass
     phi[4:] += mass * np.array([1.0, 0, 1, 0, 0, 1]) * (lever @ lever)
@@ -132,7 +126,7 @@ def finite_difference(robot: Robot, motion: Motion, by: str, joint: int) -> np.n
 
 @given(seed=SEEDS)
 def test_regressor_times_parameters_is_newton_euler(
-    arm: Robot, random_states: States, random_bodies: Bodies, seed: int
+    arm: Robot, random_states: Call, random_bodies: Call, seed: int
 ) -> None:
     motion = random_states(arm, seed, 5)
     for robot in (arm, arm.with_parameters(random_bodies(seed, arm.nv))):
@@ -142,7 +136,7 @@ def test_regressor_times_parameters_is_newton_euler(
 
 @pytest.mark.parametrize("by", ["q", "dq", "ddq"])
 def test_derivatives_are_those_of_finite_differences(
-    arm: Robot, random_states: States, by: str
+    arm: Robot, random_states: Call, by: str
 ) -> None:
     motion = random_states(arm, 3, 4)
     found = regressor_derivatives(arm, motion)
@@ -160,7 +154,7 @@ def assert_same_torque(base: BaseParameters, W: np.ndarray, seed: int) -> None:
 
 
 @given(seed=SEEDS)
-def test_regrouping_keeps_the_torque(arm: Robot, random_states: States, seed: int) -> None:
+def test_regrouping_keeps_the_torque(arm: Robot, random_states: Call, seed: int) -> None:
     assert_same_torque(base_parameters(arm), regressor(arm, random_states(arm, seed, 10)), seed)
 
 
@@ -203,7 +197,7 @@ def test_slow_friction_is_seen_at_any_speed_limit(ur10: Robot) -> None:
     assert len(base_parameters(fast, effects)) == len(base_parameters(ur10, effects)) == 36 + 6
 
 
-def test_effects_extend_the_base(builtin: Robot, random_states: States) -> None:
+def test_effects_extend_the_base(builtin: Robot, random_states: Call) -> None:
     effects = standard_effects(builtin.joints)
     base = base_parameters(builtin, effects)
     assert base.names == column_names(builtin, effects)

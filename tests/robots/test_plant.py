@@ -1,9 +1,7 @@
 """Laws of the plant, judged by Pinocchio, MuJoCo, closed forms and the balance of energy."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,6 +11,7 @@ import pytest
 import scipy
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from known_arms import Call
 from plant_recordings import (
     PENDULUM,
     RATE,
@@ -25,9 +24,9 @@ from plant_recordings import (
     swing,
     true_arm,
 )
-from planted import hidden
+from planted import DRAWN, drawn, hidden
 
-from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
+from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Motion, Robot, base_parameters, torque
 from excitant.robots import virtual_arm as va
 from excitant.robots.effects import EFFECTS, RotorInertia
@@ -59,9 +58,7 @@ def test_frictionless_arm_needs_the_torque_that_mujoco_says(arm: Robot) -> None:
     assert mujoco_error(arm.with_effects(())) <= SMOOTH
 
 
-def test_half_the_step_leaves_a_quarter_of_the_error(
-    ur10: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_the_step_leaves_a_quarter_of_the_error(ur10: Robot, monkeypatch: Any) -> None:
     bare, errors = ur10.with_effects(()), []
     for step in (5e-4, 2.5e-4):
         monkeypatch.setattr(plant_arm, "LONGEST_STEP", step)
@@ -330,14 +327,9 @@ def test_a_gear_with_play_never_pulls() -> None:
         assert gear.torque(gear.deflection(load), 0.0)[0] == pytest.approx(load)
 
 
-def draw_payload(robot: Robot) -> va.HiddenEffect:
-    drawn = (va.draw_hidden_effect(robot, np.random.default_rng(seed)) for seed in range(100))
-    return next(effect for effect in drawn if effect.effect == "payload")
-
-
 def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
     """Which a bare arm bears too: light wrists get the stiffness that their motors can give."""
-    payload, phi = draw_payload(builtin), np.array(builtin.phi)
+    payload, phi = drawn(builtin, "payload", 0), np.array(builtin.phi)
     values = [value for _, value in payload.parameters]
     assert violations(values, ("payload",)) == []
     run = Recorded(builtin, payload, duration=3.0)
@@ -352,10 +344,8 @@ def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
 
 
 def test_same_seed_same_recording(planar: Robot) -> None:
-    rngs = (np.random.default_rng(seed) for seed in (3, 3, 4))
-    one, again, other = (
-        va.virtual_arm(planar, rng).record(swing(planar), 0.5, rng) for rng in rngs
-    )
+    rngs, path = map(np.random.default_rng, (3, 3, 4)), swing(planar)
+    one, again, other = (va.virtual_arm(planar, rng).record(path, 0.5, rng) for rng in rngs)
     pd.testing.assert_frame_equal(one, again, check_exact=True)
     assert not one.equals(other)
 
@@ -380,13 +370,12 @@ def test_impossible_nominal_inertia_still_runs(planar: Robot) -> None:
 
 def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
     """Rotor inertia only where its column is no combination of the columns of the links."""
-    drawn = [va.draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60)]
-    friction = {f"{kind}_friction" for kind in ("viscous", "coulomb", "stribeck")}
-    assert {e.effect for e in drawn} == {*friction, "torque_offset", "rotor_inertia", "payload"}
+    found = [va.draw_hidden_effect(planar, np.random.default_rng(seed)) for seed in range(60)]
+    assert {e.effect for e in found} == {*DRAWN}
     q, dq, ddq = planar.random_motion(np.random.default_rng(1), 200)
     half, slow = (Motion(np.arange(200.0), q, dq / n, ddq / 2) for n in (2, 40))
     typical, noise = va.typical_torque(planar), va.industrial_sensors(planar).torque_noise
-    for one in drawn:
+    for one in found:
         parameters = dict(one.parameters)
         shape = {k: parameters.pop(k) for k in ("velocity",) if k in parameters}
         effect = EFFECTS[one.effect]((one.joint,), **shape).with_values([*parameters.values()])
@@ -397,13 +386,13 @@ def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
         assert (size <= np.maximum(typical, 6 * noise)).all(), one
     counts = [len(base_parameters(planar, [RotorInertia((joint,))])) for joint in planar.joints]
     assert counts == [rigid := len(base_parameters(planar)), rigid + 1]
-    assert {e.joint for e in drawn if e.effect == "rotor_inertia"} == {planar.joints[1]}
+    assert {e.joint for e in found if e.effect == "rotor_inertia"} == {planar.joints[1]}
 
 
 def test_a_payload_on_the_axis_of_the_only_joint_is_drawn_again() -> None:
     """No joint would feel it, and nobody could find it."""
-    drawn = (va.draw_hidden_effect(PENDULUM, np.random.default_rng(seed)) for seed in range(40))
-    assert "payload" not in {effect.effect for effect in drawn}
+    found = (va.draw_hidden_effect(PENDULUM, np.random.default_rng(seed)) for seed in range(40))
+    assert "payload" not in {effect.effect for effect in found}
 
 
 def test_recording_has_the_columns_rate_and_noise_of_its_sensors(planar: Robot) -> None:
@@ -432,30 +421,24 @@ def test_torque_never_exceeds_the_limits(planar: Robot) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str) -> None:
-    with pytest.raises(UnknownName, match=f"parameter of {kind}"):
-        true_arm(planar, hidden(kind, *planar.joints, nonsense=1.0))
+def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str, refused: Call) -> None:
+    unknown, none = (hidden(kind, *planar.joints, **more) for more in ({"nonsense": 1.0}, {}))
+    refused(f"parameter of {kind}", true_arm, planar, unknown, error=UnknownName)
     if None in parameters_of(kind).values():
-        with pytest.raises(BadInput, match=f"{kind} lacks"):
-            true_arm(planar, hidden(kind, *planar.joints))
+        refused(f"{kind} lacks", true_arm, planar, none, error=BadInput)
 
 
-@pytest.mark.parametrize(
-    ("effects", "message"),
-    [
-        ([hidden("payloads", "joint1")], "did you mean 'payload'"),
-        ([hidden("rotor_inertia", "elsewhere", Ia=1.0)], "joint"),
-        ([hidden("inertia_coupling", "joint1", Ic=0.1)], "acts on two joints"),
-        ([hidden("joint_elasticity", "joint1", stiffness=1e3)], "give motor"),
-        ([hidden("backlash", "joint1", stiffness=1e3, motor=0.1)] * 2, "two elastic gears"),
-    ],
-)
-def test_effects_refused(planar: Robot, effects: list[va.HiddenEffect], message: str) -> None:
-    with pytest.raises(ExcitantError, match=message):
-        true_arm(planar.with_effects(()), *effects)
+def test_effects_refused(planar: Robot, refused: Call) -> None:
+    bare, gear = planar.with_effects(()), {"stiffness": 1e3}
+    refused("did you mean 'payload'", true_arm, bare, hidden("payloads", "joint1"))
+    refused("joint", true_arm, bare, hidden("rotor_inertia", "elsewhere", Ia=1.0))
+    refused("acts on two joints", true_arm, bare, hidden("inertia_coupling", "joint1", Ic=0.1))
+    refused("give motor", true_arm, bare, hidden("joint_elasticity", "joint1", **gear))
+    two = [hidden("backlash", "joint1", **gear, motor=0.1)] * 2
+    refused("two elastic gears", true_arm, bare, *two)
 
 
-def test_motions_and_arms_refused(planar: Robot, refused: Callable[..., str]) -> None:
+def test_motions_and_arms_refused(planar: Robot, refused: Call) -> None:
     arm, rng, moving = true_arm(planar), np.random.default_rng(0), swing(planar)
     refused("starts at", arm.record, lambda t, k: moving(t + 0.1, k), 1.0, rng, error=BadInput)
     refused("shorter than one sample", arm.record, moving, 0.0, rng, error=BadInput)

@@ -1,23 +1,17 @@
 """Forward dynamics of a model: closed forms, conservation, and simulators that share no code."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
+from known_arms import Call
 from plant_recordings import PENDULUM, energy, mujoco_model, swing, swinging
 
-from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, ExcitantError
-from excitant.identify import recording_from_table
 from excitant.robots import Motion, Robot, torque
 from excitant.robots import effects as fx
 from excitant.robots.simulation import REST, Controller, Diverged, simulate
-from excitant.robots.virtual_arm import ideal_sensors, virtual_arm
 
 TIME = np.arange(0, 1.5, 5e-3)
 
@@ -100,12 +94,9 @@ def test_a_falling_arm_is_that_of_mujoco(planar: Robot) -> None:
     np.testing.assert_allclose(motion.q, found[::10], atol=5e-5)
 
 
-def test_dry_friction_is_that_of_the_plant(ur10: Robot) -> None:
+def test_dry_friction_is_that_of_the_plant(ur10: Robot, runs: Call) -> None:
     """The virtual arm knows stiction as a set and shares no code; 3 % wrong masses for both."""
-    rng = np.random.default_rng(3)
-    arm = virtual_arm(ur10, rng, hidden=(), sensors=ideal_sensors(ur10), tolerance=0.0)
-    table = arm.record(random_trajectory(ur10, rng, 6.0, 4), 6.0, rng)
-    seen = recording_from_table(table, ur10, file="run", name="run")
+    [seen] = runs(ur10, 3, duration=6.0, names=["run"])
     motion = Motion(seen.t, seen.q, seen.dq, np.gradient(seen.dq, seen.t, axis=0))
     loops = (Controller(6.0, believed=ur10.with_parameters(s * ur10.phi)) for s in (1.0, 1.03))
     right, wrong = (simulate(ur10, motion, loop).rms.max() for loop in loops)
@@ -150,19 +141,13 @@ def test_irregular_time_is_followed(planar: Robot, count: int) -> None:
     assert np.abs(run.error).max() < 1e-4
 
 
-@pytest.mark.parametrize(
-    ("make", "why"),
-    [
-        (lambda r, m: simulate(r, m[:1]), "two instants or more"),
-        (lambda r, m: simulate(r, m[::-1]), "must rise"),
-        (lambda r, m: simulate(r, m, step=0.0), "step be positive"),
-        (lambda r, m: simulate(r.with_effects([fx.ViscousFriction(r.joints)]), m), "no values"),
-    ],
-)
-def test_what_cannot_be_simulated_is_refused_in_one_line(
-    make: Callable[[Robot, Motion], object], why: str, planar: Robot, refused: Callable[..., str]
-) -> None:
-    refused(why, make, planar, swinging(planar, TIME), error=BadInput)
+def test_what_cannot_be_simulated_is_refused_in_one_line(planar: Robot, refused: Call) -> None:
+    motion = swinging(planar, TIME)
+    unknown = planar.with_effects([fx.ViscousFriction(planar.joints)])
+    refused("two instants or more", simulate, planar, motion[:1], error=BadInput)
+    refused("must rise", simulate, planar, motion[::-1], error=BadInput)
+    refused("step be positive", simulate, planar, motion, step=0.0, error=BadInput)
+    refused("no values", simulate, unknown, motion, error=BadInput)
 
 
 def test_an_arm_with_driving_friction_diverges_and_says_where(planar: Robot) -> None:

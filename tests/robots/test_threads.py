@@ -1,7 +1,5 @@
 """Linear algebra on one thread, whatever the process allows."""
 
-from __future__ import annotations
-
 from pkgutil import resolve_name
 
 import numpy as np

@@ -1,10 +1,7 @@
 """URDFs: reading, writing, and refusing in one line what is damaged or no robot."""
 
-from __future__ import annotations
-
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close
+from known_arms import Call
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
 from excitant.robots.chains import RobotSpec
 from excitant.robots.geometry import Scene, bent_pose, scene, sketch
 from excitant.robots.urdf import robot_from_urdf
-
-Refused = Callable[..., str]
-States = Callable[[Robot, int, int], Motion]
-Bodies = Callable[[int, int], np.ndarray]
 
 LOCKS = {
     "panda": {"panda_joint3": 0.4, "panda_joint7": -1.0},
@@ -38,7 +32,7 @@ def same(left: Robot, right: Robot, motion: Motion, relative: float) -> bool:
 
 @given(seed=st.integers(0, 2**32 - 1), lock=st.booleans())
 def test_written_parameters_reload_to_the_same_torque(
-    arm: Robot, random_states: States, random_bodies: Bodies, seed: int, lock: bool
+    arm: Robot, random_states: Call, random_bodies: Call, seed: int, lock: bool
 ) -> None:
     """A locked arm needs the torque of the whole arm whose locked joints stand still."""
     held = LOCKS[arm.name] if lock else {}
@@ -84,7 +78,7 @@ def test_a_limit_at_zero_is_a_limit(gantry_urdf: str) -> None:
     assert robot.limits.position[0].tolist() == [0.0, 1.5]
 
 
-def test_robot_without_moving_joint(gantry_urdf: str, refused: Refused) -> None:
+def test_robot_without_moving_joint(gantry_urdf: str, refused: Call) -> None:
     fixed = re.sub('type="(prismatic|continuous|revolute)"', 'type="fixed"', gantry_urdf)
     refused("no moving joints", robot_from_urdf, fixed, source="statue", error=BadRobot)
     none = RobotSpec("held", joints=())
@@ -128,7 +122,7 @@ def test_effects_of_robot_yaml_join_those_of_its_model(gantry_urdf: str, tmp_pat
     assert note == "Coulomb friction: as in robot.yaml, not as in its model"
 
 
-def test_links_may_be_called_as_joints(gantry_urdf: str, random_states: States) -> None:
+def test_links_may_be_called_as_joints(gantry_urdf: str, random_states: Call) -> None:
     """Names of links change nothing, even where Pinocchio cannot hold two of one name."""
     text = gantry_urdf
     for link, joint in (("cart", "slide"), ("arm", "swing"), ("hand", "twist")):
@@ -154,7 +148,7 @@ def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path, gantry_urd
 
 
 def test_meshes_beside_the_file_are_found_from_anywhere(
-    tmp_path: Path, gantry_urdf: str, random_states: States, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, gantry_urdf: str, random_states: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = Path(shutil.copytree(Path(__file__).parent / "data", tmp_path / "data")) / "gantry.urdf"
     packaged, package = tmp_path / "arm_description", "package://arm_description/meshes/wedge.stl"

@@ -1,23 +1,19 @@
 """Xacro files without ROS: arguments, packages, and one line where something is missing."""
 
-from __future__ import annotations
-
 import shutil
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xacro as ros
+from known_arms import Call
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Robot, load_robot
 from excitant.robots.chains import RobotSpec
 from excitant.robots.xacro import urdf_from_xacro
-
-Refused = Callable[..., str]
 
 
 @pytest.fixture
@@ -98,14 +94,14 @@ def test_written_out_it_is_the_same_arm(arm: Path) -> None:
     ],
 )
 def test_what_is_missing_is_said_in_one_line(
-    arm: Path, refused: Refused, capfd: Any, old: str, new: str, arguments: Any, words: str
+    arm: Path, refused: Call, capfd: Any, old: str, new: str, arguments: Any, words: str
 ) -> None:
     write(arm, old, new)
     assert "bars.urdf.xacro" in refused(words, load_robot, arm, xacro_args=arguments)
     assert capfd.readouterr().err == ""
 
 
-def test_what_is_no_arm_in_xacro_is_refused(arm: Path, refused: Refused) -> None:
+def test_what_is_no_arm_in_xacro_is_refused(arm: Path, refused: Call) -> None:
     macros, plain = arm.parents[1] / "parts" / "links.xacro", arm.parent / "plain.urdf"
     plain.write_text(load_robot("planar_2r").urdf)
     assert "links.xacro" in refused("only defines macros", load_robot, macros)
@@ -141,9 +137,8 @@ def test_a_file_builds_what_ros_builds_of_it(file: str, tmp_path: Path) -> None:
         path.write_text(text.replace("$(find parts)", str(path.parents[1] / "parts")))
     arguments = {"length": "0.7"}
     text, notes = urdf_from_xacro(path, arguments, [tmp_path])
-    built, expected = (
-        [(e.tag, e.attrib, (e.text or "").strip()) for e in ET.fromstring(xml).iter()]
-        for xml in (text, ros.process_file(str(path), mappings=arguments).toxml())
-    )
+    texts = (text, ros.process_file(str(path), mappings=arguments).toxml())
+    trees = (ET.fromstring(xml).iter() for xml in texts)
+    built, expected = ([(e.tag, e.attrib, (e.text or "").strip()) for e in tree] for tree in trees)
     assert built == expected
     assert notes == ()
