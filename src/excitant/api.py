@@ -628,7 +628,7 @@ def go(
         recordings: Recordings to fit.
         validate: What to judge on; the last 30 % of each recording when empty.
         cutoff: Cut-off of the torque filter [Hz].
-        repair: Repair the faults of the recordings to fit that can be repaired.
+        repair: Repair the faults of the recordings that can be repaired.
         progress: Called with the share of the work that is done, and what is next.
 
     Errors are those of `identify_robot` and `diagnose`.
@@ -637,27 +637,26 @@ def go(
     logs = as_recordings(recordings, arm)
     checked = identify.check_recordings(arm, logs, repaired=repair)
     holdout = as_recordings(validate, arm)
-    return examined(
-        arm, checked, validate=holdout, cutoff=cutoff, progress=progress
-    )
+    held = identify.check_recordings(arm, holdout, repaired=repair)
+    return examined(arm, checked, held, cutoff=cutoff, progress=progress)
 
 
 def examined(
     robot: Robot,
     checked: Checked,
+    held: Checked,
     *,
-    validate: Sequence[Recording],
     cutoff: float | None,
     progress: Told,
 ) -> Examination:
-    """`go` of recordings whose faults are known."""
+    """`go` of recordings to fit and to judge on, whose faults are known."""
     return analysis.examine(
         robot,
         checked.recordings,
-        validate=validate,
+        validate=held.recordings,
         cutoff_hz=cutoff,
-        faults=checked.entries(),
-        notes=checked.notes,
+        faults=[*checked.entries(), *held.entries()],
+        notes=(*checked.notes, *held.notes),
         progress=progress,
     )
 

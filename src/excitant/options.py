@@ -24,7 +24,7 @@ from excitant.surroundings import Surroundings
 if TYPE_CHECKING:
     from cyclopts import Token
 
-    from excitant.identify import Dataset, Recording
+    from excitant.identify import Dataset
     from excitant.identify.faults import Checked
     from excitant.robots import Array, Robot
 
@@ -152,7 +152,7 @@ class Data:
     cutoff: float | None = None
     "Cut-off [Hz] of the torque filter; default: 10 Hz, at which accuracy is judged."
     repair: bool = False
-    "Repair the faults of the recordings to fit that can be repaired; else they are only reported."
+    "Repair the faults of the recordings that can be repaired; else they are only reported."
 
     def read(
         self, dataset: Dataset, names: Sequence[str], others: Sequence[str] = ()
@@ -162,8 +162,12 @@ class Data:
         checked = ex.identify.read_checked(
             dataset, names, without=[*validate, *others], repaired=self.repair
         )
-        holdout = dataset.recordings(validate) if validate else []
-        return Readings(checked, list(holdout))
+        if not validate:
+            return Readings(
+                checked, ex.identify.check_recordings(dataset.robot, [])
+            )
+        held = ex.identify.read_checked(dataset, validate, repaired=self.repair)
+        return Readings(checked, held)
 
 
 class Readings:
@@ -171,20 +175,23 @@ class Readings:
 
     Attributes:
         checked: Recordings to fit, with their faults.
-        holdout: Recordings to judge on; empty when none is named.
+        held: Recordings to judge on, likewise.
         fit: Recordings to fit.
+        holdout: Recordings to judge on; empty when none is named.
         notes: Remarks on repairs, as sentences.
         entries: Entries of result.json: ``faults`` and ``import``.
     """
 
-    def __init__(self, checked: Checked, holdout: list[Recording]) -> None:
+    def __init__(self, checked: Checked, held: Checked) -> None:
         self.checked = checked
-        self.holdout = holdout
+        self.held = held
         self.fit = list(checked.recordings)
-        self.notes = list(checked.notes)
-        notes = {run.name: run.notes for run in (*self.fit, *holdout) if run.notes}
+        self.holdout = list(held.recordings)
+        self.notes = [*checked.notes, *held.notes]
+        runs = (*self.fit, *self.holdout)
+        notes = {run.name: run.notes for run in runs if run.notes}
         self.entries: dict[str, Any] = {
-            "faults": checked.entries(),
+            "faults": [*checked.entries(), *held.entries()],
             "import": _say(notes),
         }
 

@@ -252,7 +252,7 @@ def go(
         examined = ex.api.examined(
             dataset.robot,
             read.checked,
-            validate=read.holdout,
+            read.held,
             cutoff=data.cutoff,
             progress=advance,
         )
