@@ -214,7 +214,7 @@ def diagnose(
     recordings = recordings_of(recordings, nominal)
     validate = recordings_of(validate, nominal)
     prior = prior_parameters(nominal)
-    mounted, repaired = set_up(nominal, recordings, validate)
+    mounted, repaired = set_up(nominal, [*recordings, *validate])
     count = len(recordings)
     data = split(repaired[:count], repaired[count:], cutoff_hz)
     measured = series(data.train).measured
@@ -387,6 +387,8 @@ def _judged_set_up(mounted: SetUp, finding: Finding) -> Finding:
     reason = finding.downgrade
     if finding.is_nominal:
         reason = "its size is not known to better than half of it"
+    elif finding.rms_after >= finding.rms_before:
+        reason = "it does not predict the hold-out better"
     return replace(finding, rivals=mounted.rivals, downgrade=reason)
 
 

@@ -20,9 +20,9 @@ from excitant.analysis.candidates import Observed, observed
 from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
 from excitant.identify.drive_gains import BODY_STD
-from excitant.identify.faults import Fault, faults_of, find_swapped, repair
+from excitant.identify.faults import Fault, check_recordings
 from excitant.identify.faults.fault import INSTALLATION, PROVEN
-from excitant.identify.faults.installation import amended, odds_against, support
+from excitant.identify.faults.installation import Installation
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import link_coordinates, link_weights
@@ -145,51 +145,25 @@ class SetUp:
 
 
 def set_up(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    validate: Sequence[Recording] = (),
+    robot: Robot, recordings: Sequence[Recording]
 ) -> tuple[SetUp, list[Recording]]:
-    """The installation that recordings show, not yet refined, and all of them, repaired.
+    """The installation that recordings show, not yet refined, and the recordings, repaired.
 
-    The arm is installed one way: of the installations that single recordings show, that which all
-    of them together support most, if those held out do so by themselves.
+    Faults of the data that leave every figure wrong are repaired, no others.
     """
-    everything, swaps = find_swapped(robot, [*recordings, *validate])
-    validate = everything[len(recordings) :]
-    faults = {
-        recording: [f for f in faults_of(robot, recording) if _amendable(f)]
-        for recording in everything
+    found = check_recordings(robot, recordings, repaired=True, only=PROVEN)
+    every = [fault for faults in found.faults.values() for fault in faults]
+    of_arm = [fault for fault in every if fault.of_the_arm]
+    shown = tuple({(f.fault, f.joints): f for f in of_arm}.values())
+    repaired = {
+        name: remedied
+        for name, faults in found.faults.items()
+        if (remedied := tuple(f for f in faults if f.remedies))
     }
-    of_data = {
-        recording: [f for f in some if not f.of_the_arm]
-        for recording, some in faults.items()
-    }
-
-    def supported(shown: Sequence[Fault], by: Sequence[Recording]) -> float:
-        return sum(support(robot, each, shown, of_data[each]) for each in by)
-
-    shown = tuple[Fault, ...]()
-    most = odds_against(robot)
-    for some in faults.values():
-        of_arm = tuple(fault for fault in some if fault.of_the_arm)
-        gain = supported(of_arm, everything) if of_arm else 0.0
-        if gain > most and (not validate or supported(of_arm, validate) > 0):
-            shown = of_arm
-            most = gain
-    usable = list[Recording]()
-    repaired = dict[str, tuple[Fault, ...]]()
-    notes = list[str]()
-    for recording in everything:
-        name = recording.name
-        wrong = [swaps[name]] if name in swaps else []
-        wrong += [f for f in (*of_data[recording], *shown) if f.remedies]
-        if wrong:
-            recording, sentences = repair(recording, wrong)
-            repaired[name] = tuple(wrong)
-            notes += [f"{name}: {sentence}" for sentence in sentences]
-        usable.append(recording)
-    installed = amended(robot, shown)
-    return SetUp(robot, installed, {}, repaired, tuple(notes), shown), usable
+    installed = Installation(shown).robot(robot)
+    return SetUp(
+        robot, installed, {}, repaired, found.notes, shown
+    ), found.recordings
 
 
 def _effect_of(fault: str, at: tuple[str, ...], joints: tuple[str, ...]) -> Effect:
@@ -199,11 +173,6 @@ def _effect_of(fault: str, at: tuple[str, ...], joints: tuple[str, ...]) -> Effe
     if fault == "wrong_zero":
         return EFFECTS["encoder_offset"](at)
     return DataFault(at, (), fault)
-
-
-def _amendable(fault: Fault) -> bool:
-    repairable = fault.fault in PROVEN and bool(fault.remedies)
-    return repairable or fault.fault in INSTALLATION
 
 
 def refined(

@@ -1,7 +1,5 @@
 """Whether any serial arm loads, gets a motion within its limits, and shows its parameters by it."""
 
-from __future__ import annotations
-
 import os
 import site
 import time

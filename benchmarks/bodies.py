@@ -1,7 +1,5 @@
 """Whether identified links are nearer to the true ones than given links; see README.md."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

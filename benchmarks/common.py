@@ -1,7 +1,5 @@
 """What several benchmarks share: recordings, seeds, command lines, cases on all processes."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -5,8 +5,6 @@ of `Settings`, a contestant that makes Fourier series or splines writes ``STEM.j
 ``STEM.csv`` and prints a JSON object with ``runs``, the number of its starts or draws.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -5,8 +5,6 @@ Who decided is not told from a close result, but by moving the prior where the d
 along the null space of the regressor the torque stays as it is and the entries move with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Every contestant gets the same arm, limits and duration, runs in processes of it
 judged by the same code, which is none of theirs: see README.md for what each column means.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import json

@@ -1,7 +1,5 @@
 """Diagnosis of arms of MuJoCo that hide effects, in worlds of more or less error; see README.md."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

@@ -1,7 +1,5 @@
 """What each estimator makes of a UR10 whose parameters are known; see README.md."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 

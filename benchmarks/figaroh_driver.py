@@ -9,8 +9,6 @@ replace those of the URDF, the margins inside them are zero (``soft_lim``), and 
 sampled at the rate of the benchmark from the waypoints that IPOPT returned.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile

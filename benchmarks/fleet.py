@@ -1,7 +1,5 @@
 """A fleet of simulated arms, some odd, some changing, some with faulty data; see README.md."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

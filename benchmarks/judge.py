@@ -9,8 +9,6 @@ Base columns are chosen on random states within the limits, never on the motion 
 * ``proj``: all columns, projected on the row space of the random states (free of any choice).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -7,8 +7,6 @@ differentiated as suits the positions seen off line. Arm, friction, noise and en
 replay it does not in another: a sample costs the least processor time of several.
 """
 
-from __future__ import annotations
-
 import gc
 import time
 from collections.abc import Sequence

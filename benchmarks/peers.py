@@ -10,8 +10,6 @@ held out; ``ur10``, the recording of a real arm (``EXCITANT_DATA``, else ``../sh
 70 % and last 30 %.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

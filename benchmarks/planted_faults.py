@@ -1,7 +1,5 @@
 """Faults of recordings: how many planted ones are found, how often a faultless one is accused."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -72,6 +70,37 @@ def edited(log: Log, name: str, where: object, change: Callable[[np.ndarray], ob
 def with_rows(log: Log, rows: np.ndarray) -> Log:
     """Values of other rows at the log's own times."""
     return replace(log.take(rows), t=log.t[: len(rows)])
+
+
+def inner(log: Log, rng: np.random.Generator) -> np.ndarray:
+    """Joints but the first and the last, whose zero positions torque hardly shows, by chance."""
+    return 1 + rng.permutation(max(log.nv - 2, 1))
+
+
+def shifted(log: Log, *joints: int, angle: float = np.pi / 2) -> Log:
+    """Zero positions off by an angle, every other to the other side."""
+    offset = np.zeros(log.nv)
+    offset[list(joints)] = angle * (-1.0) ** np.arange(len(joints))
+    return replace(log, q=log.q + offset)
+
+
+def less_gravity(robot: Robot, log: Log, gravity: Sequence[float]) -> Log:
+    """Torque less that which holds the arm under some gravity."""
+    model = robot.with_gravity(gravity).model
+    data = model.createData()
+    held = [pin.computeGeneralizedGravity(model, data, q).copy() for q in log.q]
+    return replace(log, tau=log.tau - held)
+
+
+def geared(log: Log, ratio: float) -> Log:
+    return replace(log, q=ratio * log.q, dq=ratio * np.asarray(log.dq), tau=log.tau / ratio)
+
+
+def coupled(log: Log) -> Log:
+    """The last axis logged with the one before added, and torque that of these axes."""
+    plus = np.eye(log.nv)
+    plus[-2, -1] = 1.0
+    return replace(log, q=log.q @ plus, dq=log.dq @ plus, tau=log.tau @ np.linalg.inv(plus).T)
 
 
 def livelier(log: Log) -> int:
@@ -200,6 +229,17 @@ FAULTS: dict[str, dict[str, Plant]] = {
     "not_measured": {"model_for_torque": model_for_torque},
     "poor_excitation": {"hardly_moving": hardly_moving},
 }
+INSTALLED: dict[str, tuple[str, Plant]] = {
+    "zero_a_quarter_off": ("wrong_zero", lambda _, x, rng: shifted(x, inner(x, rng)[0])),
+    "two_zeros_off": ("wrong_zero", lambda _, x, rng: shifted(x, *inner(x, rng)[:2])),
+    "zero_off": ("wrong_zero", lambda _, x, rng: shifted(x, inner(x, rng)[0], angle=0.7)),
+    "on_a_wall": ("wrong_mounting", lambda arm, x, rng: less_gravity(arm, x, [-9.81, 0, -9.81])),
+    "no_gravity": ("wrong_mounting", lambda arm, x, rng: less_gravity(arm, x, [0, 0, -9.81])),
+    "coupled_wrist": ("coupled_axes", lambda _, x, rng: coupled(x)),
+    "pound_inches": ("wrong_unit", lambda _, x, rng: scaled(x, "tau", 8.8507)),
+    "currents": ("wrong_unit", lambda _, x, rng: scaled(x, "tau", 1 / rng.uniform(5, 20, x.nv))),
+    "behind_a_gear": ("wrong_unit", lambda _, x, rng: geared(x, 101.0)),
+}
 PLANTS = {how: (fault, plant) for fault, plants in FAULTS.items() for how, plant in plants.items()}
 RATES_HZ = (100.0, 125.0, 250.0, 500.0)
 
@@ -224,7 +264,7 @@ def main(
     faultless = [{fault.fault for fault in find_faults(*log)} for log in logs]
     accused = dict(Counter(name for names in faultless for name in names))
     print(f"faultless: {sum(map(bool, faultless))} of {len(logs)} accused {accused}", flush=True)
-    for how, (name, plant) in PLANTS.items() if not clean_only else ():
+    for how, (name, plant) in (PLANTS | INSTALLED).items() if not clean_only else ():
         hits, beside = 0, Counter[str]()
         for seed, (robot, log) in enumerate(logs):
             planted = plant(robot, log, np.random.default_rng(seed))

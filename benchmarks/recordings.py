@@ -1,7 +1,5 @@
 """Accuracy of `identify` on unseen data of real arms; see README.md for rows and marks."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

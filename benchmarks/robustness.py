@@ -1,7 +1,5 @@
 """Damaged inputs, extreme arms, limits and kills against what is promised; see README.md."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """What robustness.py feeds to excitant: sound files, their damage, and extreme arms."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

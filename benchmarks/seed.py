@@ -4,8 +4,6 @@ The arm itself is ``load_robot("cmu_dd_arm_ii")``; its file says what is printed
 and what is assumed (all lengths are).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal

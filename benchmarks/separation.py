@@ -1,7 +1,5 @@
 """Whether the experiment that a diagnosis proposes settles what it leaves undecided."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

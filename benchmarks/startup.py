@@ -3,8 +3,6 @@
 Imports nothing but the standard library: a child's peak memory is no less than its parent's.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -1,7 +1,5 @@
 """Identify a log larger than memory: peak memory, and samples per second against a bare loop."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from multiprocessing import get_context

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -35,18 +35,18 @@ from excitant.identify.faults.fault import (
     repair,
 )
 from excitant.identify.faults.installation import (
+    installation_faults,
     odds_against,
-    physics_faults,
     support,
     swapped,
 )
-from excitant.identify.faults.physics import smooth, torque_fit
 from excitant.identify.faults.time import (
     gap_faults,
     repeated_rows,
     stamp_faults,
     velocity_faults,
 )
+from excitant.identify.faults.torque_fit import smooth, torque_fit
 from excitant.identify.recording import Recording, checked
 from excitant.robots.robot import Robot
 
@@ -116,7 +116,7 @@ def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault
     faults = list[Fault]()
     if data is not None:
         case = torque_fit(robot, log, data, joints_without_torque(channels))
-        faults = [] if case is None else physics_faults(case)
+        faults = [] if case is None else installation_faults(case)
         if faults:
             log, _ = repair(log, faults)
             data = smooth(log) or data
@@ -182,31 +182,32 @@ def find_swapped(
     return exchanged, faults
 
 
-def supported(
+def shared_installation(
     robot: Robot,
-    recordings: Mapping[str, Recording],
-    faults: Mapping[str, Sequence[Fault]],
-) -> dict[str, tuple[Fault, ...]]:
-    """Faults by recording, without mountings and zero positions that not all together support.
+    recordings: Sequence[Recording],
+    faults: Sequence[Sequence[Fault]],
+) -> list[tuple[Fault, ...]]:
+    """Faults of each recording, with those of the arm that all recordings together support most.
 
-    An arm is mounted one way: what a recording shows in which one joint moves, or a hand pushes, is
-    no installation where the others speak against it.
+    An arm is installed one way: what a recording shows in which one joint moves, or a hand pushes,
+    is no mounting and no zero position where the others speak against it.
     """
-    of_data = {
-        n: [f for f in some if not f.of_the_arm] for n, some in faults.items()
-    }
-    confirmed = {}
-    for name, mine in faults.items():
-        installed = [fault for fault in mine if fault.fault in INSTALLATION]
-        if installed and len(recordings) > 1:
-            gains = [
-                support(robot, recording, installed, of_data[other])
-                for other, recording in recordings.items()
-            ]
-            if sum(gains) <= odds_against(robot):
-                mine = [fault for fault in mine if fault not in installed]
-        confirmed[name] = tuple(mine)
-    return confirmed
+    of_data = [[f for f in some if not f.of_the_arm] for some in faults]
+    of_arm = [tuple(f for f in some if f.of_the_arm) for some in faults]
+    if len(recordings) == 1:
+        return [(*of_data[0], *of_arm[0])]
+    shown = tuple[Fault, ...]()
+    most = odds_against(robot)
+    for some in filter(None, of_arm):
+        pairs = zip(recordings, of_data, strict=True)
+        gain = sum(support(robot, each, some, others) for each, others in pairs)
+        if gain > most:
+            shown = some
+            most = gain
+    return [
+        (*data, *(shown or (f for f in arm if f.fault not in INSTALLATION)))
+        for data, arm in zip(of_data, of_arm, strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +251,11 @@ def _channel(fault: Mapping[str, Any]) -> object:
 
 
 def check_recordings(
-    robot: Robot, recordings: Sequence[Recording], *, repaired: bool = False
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    repaired: bool = False,
+    only: Collection[str] = FAULTS,
 ) -> Checked:
     """Recordings with their faults, repaired where that is asked for.
 
@@ -258,35 +263,44 @@ def check_recordings(
         robot: The arm as given.
         recordings: Recordings as logged, or checked ones.
         repaired: Whether to repair what has a remedy.
+        only: Faults that are looked at.
 
     Raises:
         BadRecording: A recording that cannot be used, also not after the repair.
     """
     copies = find_copies({recording.name: recording for recording in recordings})
     exchanged, swaps = find_swapped(robot, recordings)
-    by_name = {recording.name: recording for recording in exchanged}
-    alone = {
-        name: faults_of(robot, recording) for name, recording in by_name.items()
-    }
+    alone = [
+        [fault for fault in faults_of(robot, each) if fault.fault in only]
+        for each in exchanged
+    ]
     faults = dict[str, tuple[Fault, ...]]()
-    for name, mine in supported(robot, by_name, alone).items():
-        among = [found[name] for found in (copies, swaps) if name in found]
-        faults[name] = (*among, *mine)
-    if not repaired:
-        return Checked(list(recordings), faults)
     notes = list[str]()
     usable = list[Recording]()
-    for name, recording in by_name.items():
-        for fault in faults[name]:
+    shared = shared_installation(robot, exchanged, alone) if exchanged else []
+    for recording, mine in zip(exchanged, shared, strict=True):
+        name = recording.name
+        among = [found[name] for found in (copies, swaps) if name in found]
+        faults[name] = (*among, *mine)
+        if not repaired:
+            continue
+        for fault in mine:
             if "unclear" in fault.evidence:
                 row = int(fault.evidence["rows"][0])
                 column = recording.columns[0]
                 raise BadRecording(
                     recording.file, fault.detail, row=row, column=column
                 )
+        # what was not read from a file has no columns to name, and was believed
+        from_file = bool(recording.columns)
+        if not any(fault.remedies for fault in faults[name]):
+            usable.append(checked(recording) if from_file else recording)
+            continue
         better, done = repair(recording, faults[name])
         notes += [f"{name}: {sentence}" for sentence in done]
-        usable.append(checked(better))
+        usable.append(checked(better) if from_file else better)
         open_faults = tuple(fault for fault in faults[name] if not fault.remedies)
         _known[usable[-1]] = robot, open_faults
+    if not repaired:
+        return Checked(list(recordings), faults)
     return Checked(usable, faults, tuple(notes), repaired)

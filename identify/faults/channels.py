@@ -28,8 +28,8 @@ from excitant.identify.faults.fault import (
     tail_bound,
     unwrap,
 )
-from excitant.identify.faults.physics import EXPLAINED, Smooth, TorqueFit
 from excitant.identify.faults.time import hidden_gaps
+from excitant.identify.faults.torque_fit import Smooth, TorqueFit
 from excitant.identify.signals import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -41,6 +41,7 @@ _AT_EXTREME = (
     5  # samples at an extreme value, from which on a channel may be cut off
 )
 _MOST_JOINTS = 0.5  # of the joints: one that bears mainly weight proves nothing
+_EXPLAINED = 0.5  # of the variance of a torque's noise: it is that of the motion
 _MEDIAN_ROWS = 11  # of the running median that a value is compared with
 _Evidence = tuple[str, dict[str, Any]] | None
 """Detail and evidence."""
@@ -498,7 +499,7 @@ def _derived(log: Log, joints: Sequence[int]) -> dict[int, float]:
             continue
         residual = y - rough @ np.linalg.lstsq(rough, y, rcond=None)[0]
         share = 1 - float((residual**2).sum() / (y**2).sum())
-        if share > EXPLAINED:
+        if share > _EXPLAINED:
             shares[j] = share
     return shares
 

@@ -19,7 +19,7 @@ from excitant.robots.robot import Robot
 
 INSTALLATION = ("wrong_mounting", "wrong_zero")
 """Faults of the model, which has the arm otherwise than it is installed."""
-OF_THE_ARM = ("wrong_sign", "wrong_order", *INSTALLATION)
+OF_THE_ARM = ("wrong_sign", "wrong_order", "coupled_axes", *INSTALLATION)
 """Faults of the arm or its logger, which all recordings share."""
 PROVEN = (
     *OF_THE_ARM,
@@ -48,6 +48,8 @@ Rows = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 _SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
+_IN_SEQUENCE = ("order", "add", "scale", "unwrap", "interpolate")
+"""Actions on values: each remedy finds the log as those before it left it."""
 _R = TypeVar("_R", bound=Recording)
 
 
@@ -114,9 +116,10 @@ class Remedy:
     """Effect of a repair on the arrays.
 
     ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``order`` the
-    joints of a channel (joint j is then the one recorded as ``joints[j]``), ``unwrap`` a counter,
-    ``shift`` the time from a row on, ``sort`` all rows by time, or ``exchange`` the torque for that
-    of another recording, which is done where both are at hand.
+    joints of a channel (joint j is then the one recorded as ``joints[j]``), ``add`` the second of
+    two joints to the first, ``unwrap`` a counter, ``shift`` the time from a row on, ``sort`` all
+    rows by time, or ``exchange`` the torque for that of another recording, which is done where both
+    are at hand.
     """
 
     action: str
@@ -126,6 +129,18 @@ class Remedy:
     factor: float = (
         1.0  # of values; or the range of the counter, or what is added [s]
     )
+
+    def on_columns(self, x: Array) -> Array:
+        """Columns of the joints, shape (N, nv), put in order, added or scaled as it says."""
+        joints = list(self.joints)
+        if self.action == "order":
+            return x[:, joints]
+        x = np.array(x)
+        if self.action == "add":
+            x[:, joints[0]] += self.factor * x[:, joints[1]]
+        elif self.action == "scale":
+            x[:, joints] *= self.factor
+        return x
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,10 +250,9 @@ def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
     ordered = recording.take(order)
     values: dict[str, Any] = {name: np.array(x) for name, x in ordered.channels()}
     values["t"] = t[order]
-    for action in ("order", "unwrap", "interpolate", "scale"):
-        for remedy in remedies:
-            if remedy.action == action and remedy.channel in values:
-                _apply(values, remedy, place[remedy.rows], kept)
+    for remedy in remedies:
+        if remedy.action in _IN_SEQUENCE and remedy.channel in values:
+            _apply(values, remedy, place[remedy.rows], kept)
     return replace(ordered, **values).take(kept), order[kept]
 
 
@@ -250,13 +264,11 @@ def _apply(
     if remedy.channel == "t":
         values["t"] = x[0] + (x - x[0]) * remedy.factor
         return
-    if remedy.action == "order":
-        values[remedy.channel] = x[:, list(remedy.joints)]
+    if remedy.action in ("order", "add", "scale"):
+        values[remedy.channel] = remedy.on_columns(x)
         return
     for j in remedy.joints:
-        if remedy.action == "scale":
-            x[:, j] *= remedy.factor
-        elif remedy.action == "unwrap":
+        if remedy.action == "unwrap":
             x[:, j] = unwrap(x[:, j], remedy.factor, remedy.channel == "q")
         else:
             good = kept & np.isfinite(x[:, j]) & np.isfinite(values["t"])

@@ -1,10 +1,11 @@
-"""Installation of an arm against its model: mounting, zero positions, signs and joint order.
+"""How an arm stands against its model, and how its log relates to it: one search.
 
-An installation is judged by the squares that bodies near the nominal ones (±30 %, and any tool on
-the last link) leave of the torque, each joint's own effects free. Torque is linear in gravity, and
-in the zero offset δ of a joint a trigonometric polynomial of degree 2, which five angles determine.
-So the columns of any installation are mixtures of a few, and small matrices judge all directions of
-gravity and all angles of a joint: the search is global.
+An `Installation` is what differs: the direction of gravity, zero positions, frames of the given
+inertias, order, signs and coupling of the columns, their units, the clock. The evidence of the
+torque for bodies near the nominal ones (`TorqueFit`) judges it, against that of the arm as its
+model has it, any one link of which may be another body. The search tries every discrete move that
+brings the torque of the nominal bodies nearest, and the best gravity, zero position and clock, each
+sought globally. What positions or torque far beyond the limits show needs no odds.
 
 Denavit and Hartenberg's standard convention gives inertia in the distal frame, at the next joint, a
 URDF at the link's own joint.
@@ -13,10 +14,10 @@ URDF at the link's own joint.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -28,599 +29,246 @@ from excitant.identify.faults.fault import (
     Fault,
     Log,
     Remedy,
+    Rows,
     after_repair,
     joints_without_torque,
 )
-from excitant.identify.faults.physics import (
-    EXPLAINED,
-    HALVED,
+from excitant.identify.faults.time import RATES, clock_confirmed, slow_clock
+from excitant.identify.faults.torque_fit import (
     MODEL_ERROR,
     Smooth,
     TorqueFit,
-    degrees,
-    fits,
-    order,
-    position_signs,
-    positions_beyond_limits,
-    rate,
-    scaled_least_squares,
+    is_described,
     smooth,
-    spread,
     torque_fit,
-    torque_signs,
-    torque_unit,
-    unlike,
 )
 from excitant.identify.reading.units import sizes_of
 from excitant.identify.recording import Recording
 from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import regressor
+from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
-
-_ANGLES = np.linspace(0, 2 * np.pi, 5, endpoint=False)
-"""Zero offsets [rad] that determine a trigonometric polynomial of degree 2."""
 
 
 @dataclass(frozen=True)
 class Search:
     """Settings of the search, with which `benchmarks/planted_faults.py` moves."""
 
-    fits: float = 0.25
+    fits: float = 0.1
     "Squares per independent row, errors of the model counted: less needs no other installation."
-    another_body: float = 1 / 0.3
-    "Std of a link that is another body than the nominal one, in those of `BODY_STD`."
-    tool: float = 10.0
-    "Likewise of the last link, which carries a tool."
-    rows: int = 600
-    "Rows that a search uses, at most."
+    explained: float = 1.0
+    "The same: an installation that leaves less needs no second one."
+    halved: float = 0.5
+    "Part of the squares that another installation leaves at most."
+    rare: float = 0.02
+    "Probability that an arm has another installation than its model."
+    choices: int = 12
+    "Installations of each joint that are tried."
+    scales: int = 30
+    "Factors of a clock or of a joint's torque that data tell apart: 1e-3 to 1e3, to about a half."
+    alike: float = 2.0
+    "Twice the log of the ratio of evidence below which two installations look the same."
+    tried: int = 6
+    "Installations that are judged in full: of the discrete ones, and of all, the nearest."
+    factors: int = 61
+    "Factors of positions beyond limits, 1e-3 to 1, that are compared with degrees."
     directions: int = 200
     "Directions of gravity on the first grid."
-    starts: int = 3
-    "The best of them that are refined."
     polished: int = 3
-    "Times that gravity is refined with the noise that the last installation leaves."
+    "Times that gravity is refined with the noise that the last one leaves."
     least_noise: float = 0.01
     "Noise that is assumed then at least, in parts of the torque's rms."
     step: float = np.pi / 18
-    "Step of the first grid of zero offsets [rad]."
+    "Step of the first grid of zero positions [rad]."
     right: float = np.pi / 2
-    "Zero offsets are multiples of it [rad], unless another angle is better beyond chance."
-    hypotheses: int = 12
-    "Installations of each joint that are tried."
-    rare: float = 0.02
-    "Probability that an arm has another installation than its model."
-    alike: float = 2.0
-    "Twice the log of the ratio of evidence below which two installations look the same."
+    "Zero positions are multiples of it [rad], unless another is better beyond chance."
+    far: float = 10.0
+    "Torque in its limit that no drive makes, whatever the limit means."
+    least_scale: float = 3.0
+    "Factor of a torque that bodies off by `BODY_STD` do not make (3.7 std of its logarithm)."
+    clear_scale: float = 0.5
+    "Relative std of a joint's factor below which it is one."
+    named_scale: float = 0.3
+    "Logarithm within which a unit is named: one std of bodies near the nominal ones."
+    clock: float = 0.1
+    "Least relative error of a clock that the torque alone can show."
 
 
 SEARCH = Search()
-
-CLEAR_GAIN = 0.5  # relative std of a gain by bodies near the nominal ones, below which it is one
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Factors between readings and torque that are taken for another unit."""
-
-    least: float = 3.0
-    "Smallest: bodies off by `BODY_STD` do not make it at any joint (3.7 std of its logarithm)."
-    choices: float = 30.0
-    "Of each joint that data tell apart: factors of 1e-3 to 1e3, known to about a half."
-    alike: float = 3.0
-    "Standard deviations within which factors of joints are one."
-    named: float = 0.3
-    "Logarithm within which a unit is named: one std of bodies near the nominal ones."
-
-
-SCALES = Scales()
+_ANGLES = np.linspace(0, 2 * np.pi, 5, endpoint=False)
+"""Zero offsets [rad] that determine a trigonometric polynomial of degree 2."""
+_RATES = np.geomspace(1e-3, 1e3, 49)
+"""Factors of the time that are tried first."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Hypothesis:
-    """An installation with the faults that it explains.
+class Installation:
+    """How an arm stands and how its log relates to its model, as what differs.
 
     Attributes:
-        faults: Faults.
-        robot: Robot so installed.
-        data: Log with their remedies applied.
-        order: Joint j's torque is the one recorded as ``order[j]``.
+        faults: What the model or the log has otherwise.
+        price: Twice the log odds against it before data are seen.
     """
 
-    faults: Sequence[Fault]
-    robot: Robot
-    data: Smooth
-    order: Sequence[int]
+    faults: tuple[Fault, ...] = ()
+    price: float = 0.0
+
+    @property
+    def remedies(self) -> list[Remedy]:
+        """What makes the log one of the model's columns."""
+        return [remedy for fault in self.faults for remedy in fault.remedies]
+
+    def robot(self, robot: Robot) -> Robot:
+        """The robot mounted and zeroed, its inertias in the frames, as it says."""
+        for fault in self.faults:
+            if fault.fault == "wrong_mounting":
+                robot = robot.with_gravity(fault.evidence["gravity"])
+            elif fault.fault == "wrong_zero":
+                robot = robot.with_zero(fault.joints[0], fault.evidence["offset"])
+            elif fault.fault == "wrong_frame":
+                robot = robot.with_parameters(in_joint_frames(robot))
+        return robot
 
     def fit(self, case: TorqueFit) -> TorqueFit:
         """The fit of a log's torque in this installation."""
-        return TorqueFit(self.robot, case.log, self.data, case.joints)
+        unscaled = {
+            case.log.joints.index(joint)
+            for fault in self.faults
+            if fault.fault == "wrong_unit" and not fault.remedies
+            for joint in fault.joints
+        }
+        data = case.data.remedied(self.remedies)
+        robot = self.robot(case.robot)
+        joints = frozenset(unscaled) | case.unscaled
+        return TorqueFit(robot, case.log, data, case.joints, joints)
+
+    def order(self, nv: int) -> Rows:
+        """Of each joint's torque the column of the log, shape (nv,)."""
+        order: Rows = np.arange(nv)
+        for remedy in self.remedies:
+            if (remedy.action, remedy.channel) == ("order", "tau"):
+                order = order[[*remedy.joints]]
+        return order
+
+    def joined(self, other: Installation) -> Installation:
+        """It and another that was found in it."""
+        return Installation(self.faults + other.faults, self.price + other.price)
 
 
-def physics_faults(case: TorqueFit) -> list[Fault]:
-    """The faults of unit, installation and rate that the torque shows."""
-    for test in (
-        torque_unit,
-        degrees,
-        positions_beyond_limits,
-        torque_scale,
-        installation_faults,
-    ):
-        if faults := [*test(case)]:
-            return faults
-    signs = [*position_signs(case)]
-    if _informative(case.robot):
-        # what such bodies contradict is something that no model has
-        signs = [f for f in signs if _log_odds(case, _installed(case, [f])) > 0]
-    return sorted(signs, key=lambda fault: -fault.evidence["gain"])[:1]
+class _Judged(NamedTuple):
+    """An installation with twice the log odds for it, and the squares that it leaves."""
 
+    installation: Installation
+    odds: float
+    squares: float
 
-def _informative(robot: Robot) -> bool:
-    """Whether the nominal bodies say anything: each has a mass, and not all the same."""
-    mass = robot.phi[::10]
-    return bool((mass > 0).all() and np.ptp(mass) > 1e-6 * mass.max())
-
-
-def torque_scale(case: TorqueFit) -> Iterator[Fault]:
-    """Readings that are the torque of bodies near the nominal ones by a factor of each joint.
-
-    As they stand, any one link may be another body; with a factor of each joint, as for currents,
-    only the last one may, which carries a tool. Factors are prior anywhere within `SCALES`.
-    """
-    robot = case.robot
-    if case.log.unit != "N·m" or not _informative(robot):
-        return
-    per, std = case.readings_per_torque()
-    joints = [j for j in case.joints if std[j] < CLEAR_GAIN]
-    gains = per[joints]
-    if not joints or np.abs(np.log(gains)).min() < np.log(SCALES.least):
-        return
-    loose = TorqueFit(robot, replace(case.log, unit="A"), case.data, case.joints)
-    noise = np.minimum(case.power, loose.power)
-    tool = _body_spread(robot, robot.nv - 1)
-    left, after = loose.surprise(noise, case.rows, tool)
-    before = min(
-        case.surprise(noise, case.rows, _body_spread(robot, link))[1]
-        for link in range(robot.nv)
-    )
-    dispersion = max(1.0, left / float(case.rows.sum()))
-    price = odds_against(robot) + 2 * len(joints) * np.log(SCALES.choices)
-    if (before - after) / dispersion < price:
-        return
-    names = case.log.names(joints)
-    typical = float(np.exp(np.log(gains).mean()))
-    spread = np.log(gains / typical) / std[joints]
-    of_one = (np.abs(spread) < SCALES.alike).all()
-    like = ", ".join(
-        f"{name} {gain:.3g}" for name, gain in zip(names, gains, strict=True)
-    )
-    what = "not the torque of bodies near the given ones, but that by a factor of each joint"
-    if of_one:
-        what = f"{typical:.3g} times the torque of bodies near the given ones"
-        like = ", ".join(
-            f"{1 / size:.3g} in {unit}"
-            for unit, size in sizes_of("tau").items()
-            if abs(np.log(typical * size)) < SCALES.named
-        )
-    detail = (
-        f"tau is {what}{f' ({like})' if like else ''}: another unit, currents or per cent, or "
-        "inertias of the model in another unit"
-    )
-    yield Fault("wrong_unit", names, detail, {"channel": "tau", "factor": gains})
-
-
-def installation_faults(case: TorqueFit) -> list[Fault]:
-    """Faults of the installation: that which explains most first, the others with it repaired."""
-    faults: list[Fault] = []
-    for _ in range(case.robot.nv):
-        proposed = _proposed(case)
-        searched = [_installed(case, faults) for faults in _searched(case)]
-        odds = {h: _log_odds(case, h) for h in (*proposed, *searched)}
-        # what a test of its own has shown needs no odds
-        able = [*proposed, *(h for h in searched if odds[h] > 0)]
-        if not able:
-            break
-        plausible = [h for h in odds if np.isfinite(odds[h])]
-        alike = sorted(_likeliest(case, plausible or able), key=_rank)
-        faults += _with_alternatives(alike[0].faults, alike[1:])
-        case = alike[0].fit(case)
-    return faults
-
-
-def _proposed(case: TorqueFit) -> list[_Hypothesis]:
-    """Installations that the tests of order, signs, frames and rate propose."""
-    frames = [*wrong_frame(case)] if _informative(case.robot) else []
-    proposals = [[*order(case)], [*torque_signs(case)], frames, [*rate(case)]]
-    return [_installed(case, faults) for faults in proposals if faults]
-
-
-def _installed(case: TorqueFit, faults: Sequence[Fault]) -> _Hypothesis:
-    """The installation with the remedies of faults applied, mounted and zeroed as they say."""
-    remedies = [remedy for fault in faults for remedy in fault.remedies]
-    orders = [
-        r.joints for r in remedies if (r.action, r.channel) == ("order", "tau")
-    ]
-    order = [*orders[-1]] if orders else range(case.robot.nv)
-    data = case.data.remedied(remedies)
-    return _Hypothesis(faults, amended(case.robot, faults), data, order)
-
-
-def _likeliest(
-    case: TorqueFit, hypotheses: Sequence[_Hypothesis]
-) -> list[_Hypothesis]:
-    """Those of most evidence by one measure of noise, the least that any leaves."""
-    fits = [hypothesis.fit(case) for hypothesis in hypotheses]
-    noise = np.min([fit.power for fit in fits], axis=0)
-    S = _body_spread(case.robot, case.robot.nv - 1)
-    surprises = [
-        fit.surprise(noise, case.rows[hypothesis.order], S)[1]
-        for fit, hypothesis in zip(fits, hypotheses, strict=True)
-    ]
-    bound = min(surprises) + SEARCH.alike
-    pairs = zip(hypotheses, surprises, strict=True)
-    return [hypothesis for hypothesis, surprise in pairs if surprise <= bound]
-
-
-def _rank(hypothesis: _Hypothesis) -> tuple[int, int]:
-    """Sort key of indistinguishable hypotheses: fewest faults, order, signs, mounting, offsets."""
-    first = hypothesis.faults[0]
-    turns = hypothesis.faults[-1].evidence.get("offset", 0.0) / SEARCH.right
-    odd = abs(turns - round(turns)) > 1e-9  # beyond rounding
-    place = {"wrong_order": 0, "wrong_sign": 1, "wrong_mounting": 2}.get(
-        first.fault, 3
-    )
-    return len(hypothesis.faults), place + odd
-
-
-def _with_alternatives(
-    faults: Sequence[Fault], others: Sequence[_Hypothesis]
-) -> list[Fault]:
-    """Faults of an installation, the last of which names those that would look the same."""
-    names = [(fault.fault, fault.joints) for fault in faults]
-    seen = [names]
-    words = list[str]()
-    alike = list[tuple[str, tuple[str, ...]]]()
-    for other in others:
-        its = [(fault.fault, fault.joints) for fault in other.faults]
-        if its not in seen:
-            words.append(" and ".join(fault.detail for fault in other.faults))
-            alike += its
-        seen.append(its)
-    if not alike:
-        return [*faults]
-    last = faults[-1]
-    detail = (
-        f"{last.detail}; the torque would be the same if {' or if '.join(words)}"
-    )
-    evidence = {**last.evidence, "alike": alike}
-    return [*faults[:-1], replace(last, detail=detail, evidence=evidence)]
-
-
-def _log_odds(case: TorqueFit, other: _Hypothesis) -> float:
-    """Twice the log odds of another installation, all that were tried counted; see `_evidence`."""
-    return _evidence(case, other) - odds_against(case.robot)
+    @property
+    def rank(self) -> tuple[int, int]:
+        """Sort key of those that look the same: fewest faults, order, signs, mounting, offsets."""
+        first, *_, last = [
+            *self.installation.faults,
+            *self.installation.faults[-1:],
+        ]
+        turns = last.evidence.get("offset", 0.0) / SEARCH.right
+        odd = abs(turns - round(turns)) > 1e-9  # beyond rounding
+        kinds = ("wrong_order", "wrong_sign", "wrong_mounting")
+        place = kinds.index(first.fault) if first.fault in kinds else len(kinds)
+        return len(self.installation.faults), place + odd
 
 
 def odds_against(robot: Robot) -> float:
     """Twice the log odds against any one other installation of an arm before data are seen."""
-    return 2 * float(np.log(SEARCH.hypotheses * robot.nv / SEARCH.rare))
+    return 2 * float(np.log(SEARCH.choices * robot.nv / SEARCH.rare))
 
 
-def _evidence(case: TorqueFit, other: _Hypothesis) -> float:
-    """Twice the log evidence ratio of another installation; −∞ where it does not fit.
+def installation_faults(case: TorqueFit) -> list[Fault]:
+    """The faults of unit, installation and clock that the torque shows."""
+    if faults := [*_torque_beyond_limits(case)]:
+        return faults
+    best = Installation()
+    for _ in range(case.robot.nv):
+        tried = [best.joined(move) for move in _moves(best.fit(case))]
+        _, ranked = _judge(case, tried)
+        nearest = [j.installation for j in ranked[: SEARCH.tried] if j.odds > 0]
+        likely = [each for each in nearest if _is_likelier(case, each, best)]
+        if not likely:
+            break
+        before, ranked = _judge(case, likely)
+        best, squares = _simplest(ranked, before, case)
+        if squares < SEARCH.explained * float(case.rows.sum()):
+            break
+    return [*best.faults] or [*positions_beyond_limits(case)]
+
+
+def _is_likelier(case: TorqueFit, one: Installation, other: Installation) -> bool:
+    """Whether an installation leaves half the squares of another, or fits, and is likelier."""
+    before, judged = _judge(case, [one, other] if other.faults else [one])
+    of = {id(each.installation): each for each in judged}
+    mine = of[id(one)]
+    others = of.get(id(other), _Judged(other, 0.0, before))
+    fits = SEARCH.fits * float(case.rows.sum())
+    allowed = max(SEARCH.halved * others.squares, fits)
+    return bool(mine.odds > others.odds and mine.squares <= allowed)
+
+
+def _judge(
+    case: TorqueFit, installations: Sequence[Installation]
+) -> tuple[float, list[_Judged]]:
+    """Installations by their odds, and the squares that the log as it stands leaves.
 
     As it stands any one of the links may be another body: that needs no other installation. Errors
-    of the model count as noise; the other installation leaves half as much, or hardly more.
+    of the model count as noise.
     """
-    robot = case.robot
-    if (robot.phi[::10] <= 0).any():
-        return 0.0
-    fit = other.fit(case)
-    back = np.argsort(other.order)
+    nv = case.robot.nv
+    fits = [installation.fit(case) for installation in installations]
+    orders = [installation.order(nv) for installation in installations]
+    noise = case.power
+    for fit, order in zip(fits, orders, strict=True):
+        noise = np.minimum(noise, fit.power[np.argsort(order)])
+    as_it_stands = [case.surprise(noise, case.rows, link) for link in range(nv)]
+    before = min(surprise for _, surprise in as_it_stands)
+    most = min(squares for squares, _ in as_it_stands)
     rows = float(case.rows.sum())
-    noise = np.minimum(case.power[other.order], fit.power)
-    own_rows = case.rows[other.order]
-    squares, surprise = fit.surprise(
-        noise, own_rows, _body_spread(robot, robot.nv - 1)
+    judged = []
+    for installation, fit, order in zip(installations, fits, orders, strict=True):
+        squares, surprise = fit.surprise(noise[order], case.rows[order], nv - 1)
+        dispersion = max(1.0, squares / rows)
+        odds = (before - surprise) / dispersion - installation.price
+        judged.append(_Judged(installation, odds, squares))
+    return most, sorted(judged, key=lambda each: -each.odds)
+
+
+def _simplest(
+    likely: Sequence[_Judged], before: float, case: TorqueFit
+) -> tuple[Installation, float]:
+    """The simplest of those that look the same, which names the others, and how well it fits."""
+    bound = likely[0].odds - SEARCH.alike
+    best, *others = sorted(
+        (each for each in likely if each.odds >= bound), key=lambda each: each.rank
     )
-    as_it_stands = [
-        case.surprise(noise[back], case.rows, _body_spread(robot, link))
-        for link in range(robot.nv)
-    ]
-    least = min(left for left, _ in as_it_stands)
-    if squares > max(HALVED * least, SEARCH.fits * rows):
-        return -np.inf
-    before = min(before for _, before in as_it_stands)
-    return float(before - surprise) / max(1.0, squares / rows)
-
-
-def _body_spread(robot: Robot, other: int) -> Array:
-    """Root of the covariance of bodies near the nominal ones, of which one may be another."""
-    S = spread(robot).copy()
-    std = SEARCH.tool if other == robot.nv - 1 else SEARCH.another_body
-    S[:, 10 * other : 10 * other + 10] *= std
-    return S
-
-
-def _searched(case: TorqueFit) -> Iterator[Sequence[Fault]]:
-    """The best mounting, and zero position and signs of each joint that turns."""
-    robot = case.robot
-    if not _informative(robot) or fits(case, _body_spread(robot, robot.nv - 1)):
-        return
-    yield from _mounting(case)
-    for j in case.joints:
-        if robot.revolute[j]:
-            yield from _zeros(case, j)
-
-
-@dataclass(frozen=True, eq=False)
-class _Mixtures:
-    """Squares that bodies near the nominal ones leave of the torque, by mixture of m parts.
-
-    The last of the p columns of a part is the torque of the nominal bodies.
-
-    Attributes:
-        grams: Of two parts' columns, by joint, shape (m, m, joints, p, p).
-        moments: Of a part's columns and the torque, shape (m, joints, p).
-        squares: Of the torque, shape (joints,).
-        weights: Of the squares of each joint, shape (joints,).
-        loose: Relative std of the drive gains, 0 for torques, shape (joints,).
-    """
-
-    grams: Array
-    moments: Array
-    squares: Array
-    weights: Array
-    loose: Array
-
-    @cached_property
-    def _whole(self) -> tuple[Array, Array]:
-        """Weighted grams of all joints together, (m, m, p, p), and moments, (joints, m, p)."""
-        moments = self.weights[:, None, None] * self.moments.swapaxes(0, 1)
-        return np.einsum("j,mnjpq->mnpq", self.weights, self.grams), moments
-
-    def left(self, weights: Array, flipped: int | None = None) -> Array:
-        """The squares (...) for weights (..., m) of the parts, the torque of one joint flipped."""
-        grams, moments = self._whole
-        pairs = weights[..., :, None] * weights[..., None, :]
-        h = np.tensordot(weights, moments, (-1, 1))
-        y = self.weights * self.squares
-        if flipped is not None:
-            h[..., flipped, :] *= -1
-        if self.loose.any():
-            # a gain off by N(0, loose²) is projected out of each joint's columns
-            G = self.weights[:, None, None] * np.tensordot(pairs, self.grams, 2)
-            nominal = np.maximum(G[..., -1, -1], 1e-300)
-            gain = np.maximum(h[..., -1], 0.0) / nominal
-            G = gain[..., None, None] ** 2 * G
-            h = gain[..., None] * h
-            share = (1 / (gain**2 * nominal + 1 / self.loose**2))[..., None]
-            v = G[..., -1]
-            t = h[..., -1:]
-            G = G - share[..., None] * v[..., :, None] * v[..., None, :]
-            h = h - share * t * v
-            y = y - (share * t**2)[..., 0]
-            A = G.sum(axis=-3)
-        else:
-            A = np.tensordot(pairs, grams, 2)
-        b = h.sum(axis=-2)
-        # H z = g minimises: the squares are the last pivot of H bordered by g
-        A[..., :-1, :-1] += np.eye(b.shape[-1] - 1)
-        A[..., -1, -1] += y.sum(axis=-1) - 2 * b[..., -1]
-        A[..., -1, :-1] -= b[..., :-1]
-        # rounding, where the prior hardly bounds a body
-        A[..., *np.diag_indices(b.shape[-1])] *= 1 + 1e-12
-        return np.asarray(np.linalg.cholesky(A)[..., -1, -1] ** 2, float)
-
-
-def _mixtures(case: TorqueFit, parts: Sequence[Array]) -> _Mixtures:
-    """Of columns of the links, (N, nv, 10 nv) each, in some installations, as the torque."""
-    n = len(case.tau)
-    m = len(parts)
-    S = _body_spread(case.robot, case.robot.nv - 1)
-    basis = np.column_stack([S, case.robot.phi])
-    rows = slice(None, None, -(-n // SEARCH.rows))
-    joints = len(case.joints)
-    p = basis.shape[1]
-    grams = np.zeros((m, m, joints, p, p))
-    moments = np.zeros((m, joints, p))
-    squares = []
-    for k, j in enumerate(case.joints):
-        # no joint's torque depends on the links before it
-        later = slice(10 * j, None)
-        own = basis[later, later]
-        X = np.concatenate([part[rows, j, later] @ own for part in parts], axis=1)
-        X, y = without_effects(case.F[rows, j], X, case.tau[rows, j])
-        gram = (X.T @ X).reshape(m, len(X.T) // m, m, -1) / len(y)
-        grams[:, :, k, later, later] = gram.swapaxes(1, 2)
-        moments[:, k, later] = (X.T @ y).reshape(m, -1) / len(y)
-        squares.append(float(y @ y) / len(y))
-    weights = (case.rows / (MODEL_ERROR**2 * case.size))[case.joints]
-    return _Mixtures(
-        grams, moments, np.array(squares), weights, case.loose[case.joints]
-    )
-
-
-def _sharper(case: TorqueFit, mixtures: _Mixtures, gravity: Array) -> _Mixtures:
-    """Mixtures weighted by the noise that is left under some gravity."""
-    robot = case.robot.with_gravity(gravity)
-    power = TorqueFit(robot, case.log, case.data, case.joints).power
-    noise = np.minimum(power, MODEL_ERROR**2 * case.size)
-    noise = np.maximum(noise, SEARCH.least_noise**2 * case.size)
-    return replace(mixtures, weights=(case.rows / noise)[case.joints])
-
-
-def _mounting(case: TorqueFit) -> Iterator[Sequence[Fault]]:
-    """The arm under the direction of gravity that suits its torque best."""
-    robot = case.robot
-    motion = case.data.motion
-    size = float(np.linalg.norm(robot.gravity))
-    if size == 0:
-        return
-    still = np.zeros_like(motion.q)
-    rest = replace(motion, dq=still, ddq=still)
-    pulls = [(robot.with_gravity(axis), rest) for axis in np.eye(3)]
-    parts = [(robot.with_gravity(np.zeros(3)), motion), *pulls]
-    mixtures = _mixtures(case, [case.filtered(regressor(*part)) for part in parts])
-
-    def scaled(x: Array) -> Array:
-        return np.asarray(
-            size * x / np.linalg.norm(x, axis=-1, keepdims=True), float
-        )
-
-    def squares_under(gravity: Array, at: _Mixtures) -> Array:
-        return at.left(np.insert(gravity, 0, 1.0, axis=-1))
-
-    def refined(starts: Sequence[Array], at: _Mixtures) -> Array:
-        step = 1e-6  # of the differences that give slopes
-
-        def objective(x: Array) -> tuple[float, Array]:
-            squares = squares_under(scaled(x + step * np.eye(4, 3, -1)), at)
-            return float(squares[0]), (squares[1:] - squares[0]) / step
-
-        minimize = scipy.optimize.minimize
-        ends = [minimize(objective, start, jac=True, tol=0.01) for start in starts]
-        return scaled(min(ends, key=lambda end: end.fun).x)
-
-    none = float(mixtures.left(np.eye(4)[0]))
-    tried = np.vstack([robot.gravity / size, _sphere(SEARCH.directions)])
-    blocks = np.array_split(scaled(tried), 10)  # all at once need too much memory
-    squares = np.concatenate([squares_under(block, mixtures) for block in blocks])
-    best = np.argsort(squares, kind="stable")
-    if none < squares[best[0]]:
-        detail = (
-            "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
-            "gravity: [0, 0, 0], or record the torque of the drives"
-        )
-        evidence = {"gravity": np.zeros(3), "angle": 0.0}
-        yield [Fault("wrong_mounting", case.log.joints, detail, evidence)]
-        return
-    gravity = refined([*tried[best[: SEARCH.starts]]], mixtures)
-    for _ in range(SEARCH.polished):
-        gravity = refined([gravity / size], _sharper(case, mixtures, gravity))
-    cosine = np.clip(gravity @ robot.gravity / size**2, -1, 1)
-    angle = np.degrees(np.arccos(cosine))
-    vector = ", ".join(f"{x:.2f}" for x in gravity)
+    *faults, last = best.installation.faults
     detail = (
-        f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
-        f"in the base frame, {angle:.0f}° from the given direction; give robot.yaml that gravity"
+        f"{last.detail}; so read, the torque is that of bodies near the given ones (sum of squares "
+        f"{before:.3g} → {best.squares:.3g} in {case.rows.sum():.0f} independent rows)"
     )
-    evidence = {"gravity": gravity, "angle": angle}
-    yield [Fault("wrong_mounting", case.log.joints, detail, evidence)]
+    told = [_names(best.installation)]
+    words = list[str]()
+    alike = list[tuple[str, tuple[str, ...]]]()
+    for other in others:
+        names = _names(other.installation)
+        if names not in told:
+            told.append(names)
+            alike += names
+            details = (fault.detail for fault in other.installation.faults)
+            words.append(" and ".join(details))
+    if alike:
+        detail += f"; the torque would be the same if {' or if '.join(words)}"
+    evidence = {**last.evidence, "gain": best.odds, "alike": alike}
+    stated = replace(last, detail=detail, evidence=evidence)
+    return replace(best.installation, faults=(*faults, stated)), best.squares
 
 
-def _sphere(n: int) -> Array:
-    """Unit vectors of a Fibonacci lattice on the sphere, shape (n, 3)."""
-    k = np.arange(n) + 0.5
-    z = 1 - 2 * k / n
-    r = np.sqrt(1 - z**2)
-    turn = np.pi * (1 + np.sqrt(5)) * k
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
-
-
-class _Zero(NamedTuple):
-    """A joint's zero position, and which way it counts and measures torque."""
-
-    squares: float
-    flipped: bool  # the torque
-    sign: float  # of the position
-    offset: float  # [rad]
-
-    @property
-    def signs(self) -> int:
-        """Number of signs that differ from the model's."""
-        return self.flipped + (self.sign < 0)
-
-
-def _zeros(case: TorqueFit, j: int) -> Iterator[Sequence[Fault]]:
-    """One joint at another zero position, counting or measuring torque the other way.
-
-    The simplest, and that which measures torque as it is recorded; none where that is as it stands.
-    """
-    motion = case.data.motion
-    axis = np.eye(case.robot.nv)[j]
-    zeros = list[_Zero]()
-    for sign in (1.0, -1.0):
-        way = 1 + (sign - 1) * axis
-        q, dq, ddq = (x * way for x in (motion.q, motion.dq, motion.ddq))
-        moved = [Motion(motion.t, q + angle * axis, dq, ddq) for angle in _ANGLES]
-        columns = [case.filtered(regressor(case.robot, m)) for m in moved]
-        mixtures = _mixtures(case, columns)
-        for flipped in (None, case.joints.index(j)):
-            grid = np.arange(-np.pi, np.pi, SEARCH.step)
-            near = grid[int(np.argmin(_squares_at(grid, mixtures, flipped)))]
-            search = scipy.optimize.minimize_scalar(
-                _squares_at,
-                args=(mixtures, flipped),
-                bounds=(near - SEARCH.step, near + SEARCH.step),
-                method="bounded",
-            )
-            free = float(search.x)
-            right = SEARCH.right * round(free / SEARCH.right)
-            offsets = np.array([0.0, right, free])
-            squares = _squares_at(offsets, mixtures, flipped)
-            zeros += [
-                _Zero(float(left), flipped is not None, sign, float(offset))
-                for left, offset in zip(squares, offsets, strict=True)
-            ]
-    zeros.sort(key=lambda zero: zero.signs)
-    as_recorded = [zero for zero in zeros if not zero.flipped]
-    simplest = [_simplest(case, some) for some in (zeros, as_recorded)]
-    for zero in {z[1:]: z for z in simplest}.values():
-        if faults := _zero_faults(case.log, j, zero):
-            yield faults
-
-
-def _squares_at(offset: Any, mixtures: _Mixtures, flipped: int | None) -> Any:
-    """The squares (...) that mixtures of `_ANGLES` leave at zero offsets (...) of a joint."""
-    x = np.subtract.outer(offset, _ANGLES)
-    return mixtures.left((1 + 2 * np.cos(x) + 2 * np.cos(2 * x)) / 5, flipped)
-
-
-def _simplest(case: TorqueFit, zeros: Sequence[_Zero]) -> _Zero:
-    """The first of zero positions than which none leaves fewer squares beyond chance.
-
-    Other angles come before other signs, and a multiple of 90° before any other angle.
-    """
-    least = min(zero.squares for zero in zeros)
-    dispersion = max(1.0, least / float(case.rows.sum()))
-    chance = float(scipy.special.chdtri(1, ALARM)) * dispersion
-    return next(zero for zero in zeros if zero.squares < least + chance)
-
-
-def _zero_faults(log: Log, j: int, zero: _Zero) -> list[Fault]:
-    joint = log.joints[j]
-    faults = list[Fault]()
-    channels = ("q", "dq") * (zero.sign < 0) + ("tau",) * zero.flipped
-    if channels:
-        what = " and ".join(name for name in channels if name != "dq")
-        detail = f"{what} of {joint} count the other way than the robot's"
-        done = f"negates {what}{' (and dq)' * (zero.sign < 0)} of {joint}"
-        evidence: dict[str, Any] = {"channel": what}
-        remedies = tuple(
-            Remedy("scale", name, (j,), factor=-1.0) for name in channels
-        )
-        faults.append(
-            Fault("wrong_sign", (joint,), detail, evidence, done, remedies)
-        )
-    if zero.offset:
-        side = "+" if zero.offset > 0 else "−"
-        angle = f"{side} {abs(np.degrees(zero.offset)):.3g}°"
-        detail = f"the zero position of {joint} is off: its true angle is the reading {angle}"
-        evidence = {"offset": zero.offset}
-        faults.append(Fault("wrong_zero", (joint,), detail, evidence))
-    return faults
-
-
-def amended(robot: Robot, faults: Sequence[Fault]) -> Robot:
-    """The robot mounted and zeroed, its inertias in the frames, as faults say."""
-    for fault in faults:
-        if fault.fault == "wrong_mounting":
-            robot = robot.with_gravity(fault.evidence["gravity"])
-        elif fault.fault == "wrong_zero":
-            robot = robot.with_zero(fault.joints[0], fault.evidence["offset"])
-        elif fault.fault == "wrong_frame":
-            robot = robot.with_parameters(in_joint_frames(robot))
-    return robot
+def _names(installation: Installation) -> list[tuple[str, tuple[str, ...]]]:
+    return [(fault.fault, fault.joints) for fault in installation.faults]
 
 
 def support(
@@ -638,7 +286,12 @@ def support(
     if data is None:
         return 0.0
     case = torque_fit(robot, log, data, joints_without_torque(others))
-    return 0.0 if case is None else _evidence(case, _installed(case, faults))
+    if case is None:
+        return 0.0
+    installed = Installation(tuple(faults))
+    _, [judged] = _judge(case, [installed])
+    likelier = _is_likelier(case, installed, Installation())
+    return judged.odds if likelier else -np.inf
 
 
 def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, int]]:
@@ -646,7 +299,7 @@ def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, in
 
     As an installation, that has to be likelier than all that the model may lack, all pairs counted.
     """
-    if not _informative(robot):
+    if not is_described(robot):
         return []
     logs = [Log.of(robot, recording) for recording in recordings]
     kinds = [(len(log), log.unit) for log in logs]
@@ -672,49 +325,328 @@ def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, in
 def _with_torque_of(
     robot: Robot, log: Log, data: Smooth | None, other: Log
 ) -> float:
-    """Twice the log evidence ratio of a log with another's torque; see `_evidence`."""
+    """Twice the log evidence ratio of a log with another's torque; −∞ where that is not likely."""
     moved = smooth(replace(log, tau=other.tau))
     if data is None or moved is None:
         return -np.inf
-    after = np.log(unlike(robot, moved)).mean()
-    before = np.log(unlike(robot, data)).mean()
-    if after - before > np.log(HALVED):
+    if _unlikeness(robot, moved) - _unlikeness(robot, data) > np.log(SEARCH.halved):
         return -np.inf
     case = torque_fit(robot, log, data, set())
     if case is None:
         return -np.inf
-    return _evidence(case, _Hypothesis([], robot, moved, range(robot.nv)))
+    exchanged = replace(case, data=moved)
+    rows = case.rows
+    noise = np.minimum(case.power, exchanged.power)
+    links = range(robot.nv)
+    squares, after = exchanged.surprise(noise, rows, robot.nv - 1)
+    before = min(case.surprise(noise, rows, link)[1] for link in links)
+    return (before - after) / max(1.0, squares / float(rows.sum()))
 
 
-def wrong_frame(case: TorqueFit) -> Iterator[Fault]:
-    """The nominal inertias, where they explain the torque only if all are in the distal frames.
-
-    Both readings get each joint's friction, offset, rotor inertia and a gain.
-    """
-    if (case.robot.phi[::10] <= 0).any():
-        return  # links without mass say nothing
-    joints = case.joints
-    variance = np.maximum(case.tau.var(axis=0)[joints], 1e-300)
-    as_read = _unexplained(case, case.robot.phi)
-    moved = _unexplained(case, in_joint_frames(case.robot))
-    before = np.sqrt(as_read / variance)
-    after = np.sqrt(moved / variance)
-    gain = float((case.rows[joints] * np.log(as_read / moved)).sum())
-    clear = gain > scipy.special.chdtri(1, ALARM)
-    better = after.sum() < 0.75 * before.sum()
-    worse = (after > 1.5 * before).any()
-    if not (clear and better) or worse or np.median(after**2) > 1 - EXPLAINED:
+def _moves(fit: TorqueFit) -> Iterator[Installation]:
+    """Installations next to the one of a fit, each the likeliest of its kind."""
+    if next(positions_beyond_limits(fit), None):
+        # a gear ratio may look like degrees, but suits the torque at another factor
+        for installation in _in_degrees(fit):
+            if _is_best_factor(fit, installation.remedies[0]):
+                yield installation
         return
-    best = int(np.argmin(after / before))
-    detail = (
-        f"the inertias of the given model are those about the distal frames, at the next "
-        f"joints: read so, the error of the model with friction falls to "
-        f"{100 * after.sum() / before.sum():.2g} % over all joints and to "
-        f"{100 * after[best] / before[best]:.2g} % at {case.log.joints[joints[best]]} "
-        f"(likelihood ratio {gain:.3g}); move them to the joints' frames in the robot's file"
+    rows = np.maximum(fit.rows, 1.0)
+    squares, _ = fit.surprise(0 * fit.power, rows, fit.robot.nv - 1)
+    if squares < SEARCH.fits * float(rows.sum()):
+        return
+    yield from _in_degrees(fit)
+    yield from _clock(fit)
+    yield from _signs(fit)
+    if not is_described(fit.robot):
+        return
+    yield from _nearest(fit, [*_orders(fit), *_couplings(fit)])
+    if squares > SEARCH.explained * float(rows.sum()):
+        yield from _nearest(fit, [*_two_zeros(fit)])
+    yield from _frames(fit)
+    yield from _scales(fit)
+    yield from _mounting(fit)
+    for j in fit.joints:
+        if fit.robot.revolute[j]:
+            yield from _zeros(fit, j)
+
+
+def _one(fit: TorqueFit, *faults: Fault, more: float = 0.0) -> Installation:
+    """An installation by its faults, and twice the log of further choices that it had."""
+    return Installation(faults, len(faults) * odds_against(fit.robot) + more)
+
+
+def _unlikeness(robot: Robot, data: Smooth) -> float:
+    """Mean log of the share of each torque that the nominal bodies and own effects leave.
+
+    The bodies' torque counts up to a factor of each joint.
+    """
+    model = rigid_body_torque(robot, data.motion)
+    F = data.effects
+    squares = []
+    for j in range(robot.nv):
+        wanted, measured = without_effects(F[:, j], model[:, j], data.tau[:, j])
+        along = max(float(wanted @ measured), 0.0)
+        factor = along / max(float(wanted @ wanted), 1e-300)
+        squares.append(float(((measured - factor * wanted) ** 2).sum()))
+    whole = np.maximum((data.tau**2).sum(axis=0), 1e-300)
+    return float(np.log(np.maximum(squares / whole, MODEL_ERROR**2)).mean())
+
+
+def _nearest(
+    fit: TorqueFit, tried: Sequence[Installation]
+) -> Iterator[Installation]:
+    """The few of many that suit the nominal bodies best, and better than as it stands."""
+    unlikeness = [
+        _unlikeness(each.robot(fit.robot), fit.data.remedied(each.remedies))
+        for each in tried
+    ]
+    as_it_stands = _unlikeness(fit.robot, fit.data)
+    for k in np.argsort(unlikeness, kind="stable")[: SEARCH.tried]:
+        if unlikeness[k] < as_it_stands:
+            yield tried[int(k)]
+
+
+def _orders(fit: TorqueFit) -> Iterator[Installation]:
+    """Two joints exchanged, all shifted, reversed or by name: of all columns, or of torque."""
+    log = fit.log
+    n = fit.robot.nv
+    if not len(fit.joints) == n > 1:
+        return
+    same = tuple(range(n))
+    orders = {same[::-1], (*same[1:], 0), (n - 1, *same[:-1])}
+    orders.add(tuple(np.argsort(np.argsort(log.joints)).tolist()))
+    for i, k in itertools.combinations(same, 2):
+        swap = [*same]
+        swap[i], swap[k] = k, i
+        orders.add(tuple(swap))
+    for order in sorted(orders - {same}):
+        names = log.names(order)
+        wrong = [j for j in same if order[j] != j]
+        words = ", ".join(
+            f"{log.joints[j]} is recorded as {names[j]}" for j in wrong
+        )
+        for channels in (("q", "dq", "tau"), ("tau",)):
+            what = "columns" if len(channels) > 1 else "torque columns"
+            yield _one(
+                fit,
+                Fault(
+                    "wrong_order",
+                    log.names(wrong),
+                    f"{what} are in another order: {words}",
+                    {"order": names, "channels": channels},
+                    f"puts the {what} of {len(wrong)} joints in the order of the robot",
+                    tuple(Remedy("order", channel, order) for channel in channels),
+                ),
+            )
+
+
+def _signs(fit: TorqueFit) -> Iterator[Installation]:
+    """Each joint that counts or measures torque the other way."""
+    for j in fit.joints:
+        moves = fit.log.moving[:, j].any()
+        for channels in (("q", "dq"), ("tau",), ("q", "dq", "tau")):
+            if moves or "q" not in channels:
+                yield _one(fit, _sign(fit.log, j, channels))
+
+
+def _sign(log: Log, j: int, channels: Sequence[str]) -> Fault:
+    what = " and ".join(name for name in channels if name != "dq")
+    joint = log.joints[j]
+    return Fault(
+        "wrong_sign",
+        (joint,),
+        f"{what} of {joint} count{'s' * (' and ' not in what)} the other way than the robot's",
+        {"channel": what},
+        f"negates {what}{' (and dq)' * ('dq' in channels)} of {joint}",
+        tuple(Remedy("scale", name, (j,), factor=-1.0) for name in channels),
     )
-    evidence = {"nrmse_as_read": before, "nrmse_moved": after, "gain": gain}
-    yield Fault("wrong_frame", case.log.joints, detail, evidence)
+
+
+def _couplings(fit: TorqueFit) -> Iterator[Installation]:
+    """Neighbours of which one's position is logged with that of the other added or taken off.
+
+    θ = L q has the power of τ_θᵀ θ̇ = τᵀ q̇, so that τ = Lᵀ τ_θ, where torque is of the same axes.
+    """
+    log = fit.log
+    n = fit.robot.nv
+    neighbours = [(j, j + 1) for j in range(n - 1)]
+    for j, k in [*neighbours, *(pair[::-1] for pair in neighbours)]:
+        if fit.robot.revolute[j] != fit.robot.revolute[k]:
+            continue
+        for sign, with_torque in itertools.product((1.0, -1.0), (True, False)):
+            joint, other = log.names((j, k))
+            how = "added" if sign > 0 else "taken off"
+            remedies = [
+                Remedy("add", name, (j, k), factor=-sign) for name in ("q", "dq")
+            ]
+            if with_torque:
+                remedies.append(Remedy("add", "tau", (k, j), factor=sign))
+            and_torque = ", and torque is that of these axes" * with_torque
+            yield _one(
+                fit,
+                Fault(
+                    "coupled_axes",
+                    (joint, other),
+                    f"q of {joint} is logged with that of {other} {how}{and_torque}",
+                    {"channel": "q", "factor": sign, "torque": with_torque},
+                    f"{'takes' if sign > 0 else 'adds'} q of {other} "
+                    f"{'off' if sign > 0 else 'to'} that of {joint}",
+                    tuple(remedies),
+                ),
+            )
+
+
+def _two_zeros(fit: TorqueFit) -> Iterator[Installation]:
+    """Zero positions of two joints that are off by right angles."""
+    turning = [j for j in range(fit.robot.nv) if fit.robot.revolute[j]]
+    right = (SEARCH.right, -SEARCH.right, 2 * SEARCH.right)
+    for pair in itertools.combinations(turning, 2):
+        for angles in itertools.product(right, right):
+            places = zip(pair, angles, strict=True)
+            yield _one(fit, *(_zero(fit.log, j, angle) for j, angle in places))
+
+
+def _zero(log: Log, j: int, offset: float) -> Fault:
+    joint = log.joints[j]
+    side = "+" if offset > 0 else "−"
+    angle = f"{side} {abs(np.degrees(offset)):.3g}°"
+    detail = f"the zero position of {joint} is off: its true angle is the reading {angle}"
+    return Fault("wrong_zero", (joint,), detail, {"offset": offset})
+
+
+def _in_degrees(fit: TorqueFit) -> Iterator[Installation]:
+    """Positions in degrees, of all joints that turn or of those beyond a turn."""
+    log = fit.log
+    largest = np.abs(fit.data.motion.q).max(axis=0)
+    turning = np.asarray(fit.robot.revolute)
+    # more than joints turn to one side
+    beyond = turning & (largest > 1.2 * 2 * np.pi)
+    if not beyond.any():
+        return
+    for mask in [turning] if beyond[turning].all() else [turning, beyond]:
+        joints = tuple(np.flatnonzero(mask).tolist())
+        widest = max(joints, key=lambda j: largest[j])
+        remedies = (
+            Remedy("scale", name, joints, factor=np.pi / 180)
+            for name in ("q", "dq")
+        )
+        yield _one(
+            fit,
+            Fault(
+                "wrong_unit",
+                log.names(joints),
+                f"q is in degrees: it reaches {largest[widest]:.4g} at {log.joints[widest]}",
+                {"channel": "q", "largest": largest},
+                "multiplies q and dq, which agrees with it, by π/180",
+                tuple(remedies),
+            ),
+        )
+
+
+def _is_best_factor(fit: TorqueFit, remedy: Remedy) -> bool:
+    """Whether no other factor of these positions suits the nominal bodies better."""
+
+    def unlikeness(factor: float) -> float:
+        data = fit.data.remedied([replace(remedy, factor=factor)])
+        return _unlikeness(fit.robot, data)
+
+    least = min(map(unlikeness, np.geomspace(1e-3, 1.0, SEARCH.factors)))
+    # of a logarithm: a twentieth of an error
+    return unlikeness(remedy.factor) < least + 0.1
+
+
+def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
+    """Joints whose positions leave their limits by more than a turn, or by their whole range."""
+    robot = fit.robot
+    joints = fit.log.joints
+    q = fit.data.motion.q
+    low, high = robot.limits.position.T
+    margin = np.where(robot.revolute, 2 * np.pi, high - low)
+    reach = np.maximum(q.max(axis=0) - high, low - q.min(axis=0))
+    beyond = np.flatnonzero(reach > margin)
+    if not len(beyond):
+        return
+    names = fit.log.names(beyond)
+    worst = int(beyond[np.argmax((reach / margin)[beyond])])
+    largest = float(np.abs(q[:, worst]).max())
+    detail = (
+        f"q of {', '.join(names)} leaves the joints' limits by more than "
+        f"{'a turn' if robot.revolute[worst] else 'their range'}: {joints[worst]} reaches "
+        f"{largest:.4g}, its limits are {low[worst]:.4g} and {high[worst]:.4g}: motor positions, "
+        "counts or another unit"
+    )
+    yield Fault("wrong_unit", names, detail, {"channel": "q", "largest": largest})
+
+
+def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
+    """Torques far beyond what drives can do, in the unit that brings them nearest."""
+    log = case.log
+    limit = case.robot.limits.torque[case.joints]
+    peak = np.abs(log.tau[:, case.joints]).max(axis=0)
+    limited = np.isfinite(limit)
+    if log.unit != "N·m" or not limited.any():
+        return
+    typical = float(np.median((peak / limit)[limited]))
+    if typical <= SEARCH.far:
+        return
+    # after the repair torques stay below three times what they should be
+    powers = {1e2: "N·cm", 1e3: "N·mm", 1e6: "µN·m"}
+    factor = next(
+        (f for f in powers if typical / f < SEARCH.least_scale), max(powers)
+    )
+    detail = (
+        f"tau is {typical:.3g} times the torque limit (median over joints), as in "
+        f"{powers[factor]}"
+    )
+    remedy = Remedy("scale", "tau", tuple(range(log.nv)), factor=1 / factor)
+    evidence = {"channel": "tau", "factor": typical}
+    done = f"divides tau by {factor:g}"
+    yield Fault("wrong_unit", log.joints, detail, evidence, done, (remedy,))
+
+
+def _scales(fit: TorqueFit) -> Iterator[Installation]:
+    """Readings that are the torque of bodies near the nominal ones by a factor of each joint."""
+    if fit.log.unit != "N·m" or fit.unscaled:
+        return
+    gains, std = fit.gains
+    far = np.abs(np.log(gains)) > np.log(SEARCH.least_scale)
+    clear = std < SEARCH.clear_scale
+    some = np.flatnonzero(far & clear)
+    if not len(some):
+        return
+    joints = np.array(fit.joints)
+    names = fit.log.names(joints[some])
+    # joints whose torque tells no factor have one as well
+    unscaled = fit.log.names(joints[far | ~clear])
+    gains = gains[some]
+    typical = float(np.exp(np.log(gains).mean()))
+    apart = np.abs(np.log(gains / typical)) / std[some]
+    what = "not the torque of bodies near the given ones, but that by a factor of each joint"
+    like = ", ".join(f"{n} {g:.3g}" for n, g in zip(names, gains, strict=True))
+    if (apart < 3.0).all():  # standard deviations
+        what = f"{typical:.3g} times the torque of bodies near the given ones"
+        like = ", ".join(
+            f"{1 / size:.3g} in {unit}"
+            for unit, size in sizes_of("tau").items()
+            if abs(np.log(typical * size)) < SEARCH.named_scale
+        )
+    detail = (
+        f"tau of {', '.join(names)} is {what}{f' ({like})' if like else ''}: another unit, "
+        "currents or per cent, or inertias of the model in another unit"
+    )
+    evidence = {"channel": "tau", "factor": gains}
+    fault = Fault("wrong_unit", unscaled, detail, evidence)
+    yield _one(fit, fault, more=2 * len(some) * float(np.log(SEARCH.scales)))
+
+
+def _frames(fit: TorqueFit) -> Iterator[Installation]:
+    """The nominal inertias as those about the distal frames."""
+    detail = (
+        "the inertias of the given model are those about the distal frames, at the next joints; "
+        "move them to the joints' own in the robot's file"
+    )
+    yield _one(fit, Fault("wrong_frame", fit.log.joints, detail, {}))
 
 
 def in_joint_frames(robot: Robot) -> Array:
@@ -729,12 +661,187 @@ def in_joint_frames(robot: Robot) -> Array:
     return np.concatenate(moved)
 
 
-def _unexplained(case: TorqueFit, phi: Array) -> Array:
-    """Mean square that a model and each joint's own effects leave, of the joints that count."""
-    torque = (case.G + case.D) @ phi
-    squares = []
-    for j in case.joints:
-        columns = np.column_stack([torque[:, j], case.F[:, j]])
-        error = scaled_least_squares(columns, case.tau[:, j])[2]
-        squares.append(max(float((error**2).mean()), 1e-12 * float(case.size[j])))
-    return np.array(squares)
+def _weight(fit: TorqueFit) -> Array:
+    """Weights of the joints' squares where only errors of the model count as noise."""
+    return fit.weight(0 * fit.power, fit.rows)
+
+
+def _clock(fit: TorqueFit) -> Iterator[Installation]:
+    """The factor of the time that suits the torque best: what motion adds goes with its square."""
+    if clock_confirmed(fit.log):
+        return
+    motion = fit.data.motion
+    still = np.zeros_like(motion.q)
+    at_rest = regressor(fit.robot, replace(motion, dq=still, ddq=still))
+    parts = at_rest, regressor(fit.robot, motion) - at_rest
+    left = fit.mixed(parts).family(_weight(fit))
+
+    def squares(logarithm: Array) -> Array:
+        factor = np.exp(2 * logarithm)
+        return left(np.stack([np.ones_like(factor), factor], axis=-1))
+
+    factor = float(np.exp(_least(squares, np.log(_RATES))))
+    if abs(factor - 1) < SEARCH.clock:
+        return
+    close = [rate for rate in RATES if abs(factor / rate - 1) < SEARCH.clock / 2]
+    # an odd factor may stand for anything that the model lacks
+    odd = 0.0 if close else 2 * float(np.log(SEARCH.scales))
+    exact = close[0] if close else factor
+    log = fit.log
+    detail = (
+        f"the time runs {factor:.3g} times too {'slow' if factor > 1 else 'fast'} for the torque: "
+        f"the median step is {log.step:.4g} s, {log.step / exact:.4g} s would fit"
+    )
+    yield _one(fit, slow_clock(log, exact, detail), more=odd)
+
+
+def _mounting(fit: TorqueFit) -> Iterator[Installation]:
+    """The arm under the direction of gravity that suits its torque best, or under none."""
+    robot = fit.robot
+    motion = fit.data.motion
+    size = float(np.linalg.norm(robot.gravity))
+    if size == 0:
+        return
+    still = np.zeros_like(motion.q)
+    rest = replace(motion, dq=still, ddq=still)
+    pulls = [(robot.with_gravity(axis), rest) for axis in np.eye(3)]
+    parts = [(robot.with_gravity(np.zeros(3)), motion), *pulls]
+    family = fit.mixed([regressor(*part) for part in parts])
+    left = family.family(_weight(fit))
+
+    def scaled(x: Array) -> Array:
+        return np.asarray(
+            size * x / np.linalg.norm(x, axis=-1, keepdims=True), float
+        )
+
+    def squares(gravity: Array) -> Array:
+        return left(np.insert(gravity, 0, 1.0, axis=-1))
+
+    def refined(start: Array) -> Array:
+        step = 1e-6  # of the differences that give slopes
+
+        def objective(x: Array) -> tuple[float, Array]:
+            values = squares(scaled(x + step * np.eye(4, 3, -1)))
+            return float(values[0]), (values[1:] - values[0]) / step
+
+        end = scipy.optimize.minimize(objective, start / size, jac=True, tol=0.01)
+        return scaled(end.x)
+
+    tried = scaled(np.vstack([robot.gravity, _sphere(SEARCH.directions)]))
+    blocks = np.array_split(tried, 10)  # all at once need too much memory
+    of_tried = np.concatenate([squares(block) for block in blocks])
+    if float(squares(np.zeros(3))) < of_tried.min():
+        detail = (
+            "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
+            "gravity: [0, 0, 0], or record the torque of the drives"
+        )
+        evidence = {"gravity": np.zeros(3), "angle": 0.0}
+        yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
+        return
+    starts = tried[np.argsort(of_tried, kind="stable")[:3]]
+    gravity = min(map(refined, starts), key=lambda end: float(squares(end)))
+    for _ in range(SEARCH.polished):
+        power = replace(fit, robot=robot.with_gravity(gravity)).power
+        noise = np.clip(power / fit.size, SEARCH.least_noise**2, MODEL_ERROR**2)
+        weight = fit.rows / (noise * fit.size * len(fit.tau))
+        left = family.family(weight[fit.joints])
+        gravity = refined(gravity)
+    cosine = np.clip(gravity @ robot.gravity / size**2, -1, 1)
+    angle = np.degrees(np.arccos(cosine))
+    vector = ", ".join(f"{x:.2f}" for x in gravity)
+    detail = (
+        f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
+        f"in the base frame, {angle:.0f}° from the given direction; give robot.yaml that gravity"
+    )
+    evidence = {"gravity": gravity, "angle": angle}
+    yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
+
+
+def _sphere(n: int) -> Array:
+    """Unit vectors of a Fibonacci lattice on the sphere, shape (n, 3)."""
+    k = np.arange(n) + 0.5
+    z = 1 - 2 * k / n
+    r = np.sqrt(1 - z**2)
+    turn = np.pi * (1 + np.sqrt(5)) * k
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+class _Zero(NamedTuple):
+    """A joint's zero position, and which way it counts and measures torque."""
+
+    squares: float
+    flipped: bool  # the torque
+    sign: float  # of the position
+    offset: float  # [rad]
+
+    @property
+    def signs(self) -> int:
+        """Number of signs that differ from the model's."""
+        return self.flipped + (self.sign < 0)
+
+    def faults(self, log: Log, j: int) -> Iterator[Fault]:
+        """The same as faults of the installation."""
+        channels = ("q", "dq") * (self.sign < 0) + ("tau",) * self.flipped
+        if channels:
+            yield _sign(log, j, channels)
+        if self.offset:
+            yield _zero(log, j, self.offset)
+
+
+def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
+    """One joint at another zero position, counting or measuring torque the other way.
+
+    The simplest, and that which measures torque as it is recorded; none where that is as it stands.
+    """
+    motion = fit.data.motion
+    axis = np.eye(fit.robot.nv)[j]
+    zeros = list[_Zero]()
+    for sign in (1.0, -1.0):
+        way = 1 + (sign - 1) * axis
+        q, dq, ddq = (x * way for x in (motion.q, motion.dq, motion.ddq))
+        moved = [Motion(motion.t, q + angle * axis, dq, ddq) for angle in _ANGLES]
+        parts = [regressor(fit.robot, each) for each in moved]
+        left = fit.mixed(parts).family(_weight(fit))
+        for flipped in (None, fit.joints.index(j)):
+            squares = partial(_at_zero, left, flipped)
+            free = _least(squares, np.arange(-np.pi, np.pi, SEARCH.step))
+            right = SEARCH.right * round(free / SEARCH.right)
+            offsets = np.array([0.0, right, free])
+            zeros += [
+                _Zero(float(left), flipped is not None, sign, float(offset))
+                for left, offset in zip(squares(offsets), offsets, strict=True)
+            ]
+    zeros.sort(key=lambda zero: zero.signs)
+    as_recorded = [zero for zero in zeros if not zero.flipped]
+    simplest = [_simplest_zero(fit, some) for some in (zeros, as_recorded)]
+    for zero in {z[1:]: z for z in simplest}.values():
+        if faults := [*zero.faults(fit.log, j)]:
+            yield _one(fit, *faults)
+
+
+def _at_zero(
+    left: Callable[..., Array], flipped: int | None, offsets: Array
+) -> Array:
+    """Squares of a family of `_ANGLES` at zero offsets of a joint."""
+    x = np.subtract.outer(offsets, _ANGLES)
+    return left((1 + 2 * np.cos(x) + 2 * np.cos(2 * x)) / 5, flipped)
+
+
+def _least(squares: Callable[[Array], Array], grid: Array) -> float:
+    """Where squares are least, on ever finer grids around the best place of the one before."""
+    for _ in range(3):
+        near = grid[int(np.argmin(squares(grid)))]
+        step = grid[1] - grid[0]
+        grid = near + step * np.linspace(-1, 1, 21)
+    return float(near)
+
+
+def _simplest_zero(fit: TorqueFit, zeros: Sequence[_Zero]) -> _Zero:
+    """The first of zero positions than which none leaves fewer squares beyond chance.
+
+    Other angles come before other signs, and a multiple of 90° before any other angle.
+    """
+    least = min(zero.squares for zero in zeros)
+    dispersion = max(1.0, least / float(fit.rows.sum()))
+    chance = float(scipy.special.chdtri(1, ALARM)) * dispersion
+    return next(zero for zero in zeros if zero.squares < least + chance)

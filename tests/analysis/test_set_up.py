@@ -1,7 +1,5 @@
 """Set-up errors of arms whose torque MuJoCo computes, and what a diagnosis makes of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco
@@ -9,12 +7,12 @@ import numpy as np
 import pytest
 from plant_recordings import mujoco_model
 
-from excitant.analysis.diagnosis import Diagnosis, diagnose
+from excitant.analysis.diagnosis import Diagnosis, _judged_set_up, diagnose
 from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.design import random_trajectory
 from excitant.identify import Recording
 from excitant.identify.accuracy import series
-from excitant.identify.faults import find_faults, supported
+from excitant.identify.faults import find_faults, shared_installation
 from excitant.identify.prior import prior_parameters
 from excitant.identify.rows import split
 from excitant.robots import Robot, load_robot
@@ -95,6 +93,11 @@ def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: R
     assert np.linalg.norm(diagnosis.set_up.robot.gravity) == pytest.approx(9.81)
     assert np.median(diagnosis.extended.nrmse) < 0.05 < 0.5 < np.median(diagnosis.simulation.nrmse)
     assert not {f.effect.name for f in diagnosis.findings} & {"encoder_offset", "torque_gain"}
+    idle = _judged_set_up(diagnosis.set_up, replace(first, rms_after=first.rms_before))
+    assert (idle.verdict, idle.downgrade) == (
+        "undecided",
+        "it does not predict the hold-out better",
+    )
 
 
 def with_zero_off(robot: Robot, joint: int, angle: float) -> list[Recording]:
@@ -133,7 +136,7 @@ def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(
 def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: float) -> None:
     robot = bare(ur10)
     fitted, held = with_zero_off(robot, joint, angle)
-    found, amended = set_up(robot, [fitted], [held])
+    found, amended = set_up(robot, [fitted, held])
     assert [(e.name, e.joints) for e in found.effects] == [
         ("encoder_offset", (robot.joints[joint],))
     ]
@@ -189,7 +192,7 @@ def test_all_recordings_of_an_arm_share_its_set_up() -> None:
     """A joint between two that turn about one axis: its sign is a half turn of the next."""
     robot, sign = bare(load_robot("panda")), 1 - 2 * np.eye(7)[1]
     recordings = [replace(r, q=r.q * sign, tau=r.tau * sign) for r in recorded(robot, 2, off=0.0)]
-    found, amended = set_up(robot, recordings[:1], recordings[1:])
+    found, amended = set_up(robot, recordings)
     told = {(each.name, each.joints) for each in (*found.faults, *found.effects)}
     alike = {(rival.candidate.effect.name, rival.candidate.effect.joints) for rival in found.rivals}
     same = {
@@ -207,17 +210,21 @@ def test_a_mounting_that_the_other_recordings_refute_is_no_fault(ur10: Robot) ->
     robot = bare(ur10)
     pushed, *_ = recorded(robot, 2, gravity=TURNED)
     first, second = recorded(robot, 3)
-    for recordings, told in (
-        ({"a": pushed}, True),
-        ({"a": pushed, "b": first, "c": second}, False),
-    ):
-        own = {name: find_faults(robot, each) for name, each in recordings.items()}
-        assert "wrong_mounting" in {fault.fault for fault in own["a"]}
-        kept = supported(robot, recordings, own)
-        assert ("wrong_mounting" in {fault.fault for fault in kept["a"]}) == told
-        assert {name: [f for f in mine if f in kept[name]] for name, mine in own.items()} == {
-            name: list(mine) for name, mine in kept.items()
-        }
+    for recordings in ([pushed], [pushed, first, second]):
+        own = [find_faults(robot, each) for each in recordings]
+        assert "wrong_mounting" in {fault.fault for fault in own[0]}
+        refuted = {"wrong_mounting"} if len(recordings) > 1 else set()
+        told = [tuple(fault for fault in mine if fault.fault not in refuted) for mine in own]
+        assert shared_installation(robot, recordings, own) == told
+
+
+def test_an_installation_that_all_recordings_support_is_that_of_each(ur10: Robot) -> None:
+    robot = bare(ur10)
+    recordings = recorded(robot, 2, gravity=TURNED)
+    mounting, other = (find_faults(robot, each) for each in recordings)
+    assert [f.fault for f in mounting] == [f.fault for f in other] == ["wrong_mounting"]
+    [one, same] = shared_installation(robot, recordings, [mounting, ()])
+    assert one == same == mounting
 
 
 def motion_of(recording: Recording) -> Motion:

@@ -1,7 +1,5 @@
 """Faults of recordings: planted ones are found, named and repaired; faultless ones raise none."""
 
-from __future__ import annotations
-
 import functools
 import re
 import warnings

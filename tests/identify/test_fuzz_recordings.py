@@ -24,7 +24,7 @@ from excitant.exceptions import ExcitantError
 from excitant.identify import Recording, load_column_map, load_recording, read_chunks
 from excitant.identify.dataset import read_recordings
 from excitant.identify.faults.fault import Log
-from excitant.identify.faults.physics import smooth
+from excitant.identify.faults.torque_fit import smooth
 from excitant.identify.preprocessing import prepare
 from excitant.robots import load_robot
 

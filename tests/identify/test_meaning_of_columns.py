@@ -1,7 +1,5 @@
 """What a column means other than the model takes it for is named, on arms and logs of our own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,9 +7,11 @@ import numpy as np
 import pytest
 from known_arms import Call
 
-from excitant.identify import Recording
-from excitant.identify.faults import Fault, find_faults, physics
+from excitant.identify import Recording, load_dataset
+from excitant.identify.faults import Fault, find_faults, installation, repair
 from excitant.identify.faults.fault import Log
+from excitant.identify.faults.torque_fit import TorqueFit, smooth, torque_fit
+from excitant.options import Data
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque
 from excitant.robots.virtual_arm import industrial_sensors
 
@@ -50,6 +50,19 @@ def frozen(robot: Robot, recording: Recording) -> Recording:
     return replace(recording, **held)
 
 
+def two_zeros(robot: Robot, recording: Recording) -> Recording:
+    right = np.pi / 2 * (np.eye(robot.nv)[1] - np.eye(robot.nv)[2])
+    return replace(recording, q=recording.q + right)
+
+
+def coupled_wrist(robot: Robot, recording: Recording) -> Recording:
+    """The last axis logged with the one before added, and torque that of these axes."""
+    q, tau = recording.q.copy(), recording.tau.copy()
+    q[:, -1] += q[:, -2]
+    tau[:, -2] -= tau[:, -1]
+    return replace(recording, q=q, tau=tau, dq=None)
+
+
 @pytest.mark.parametrize("factor", [8.8507, 0.102, 1000.0])
 def test_torque_in_another_unit_is_told_by_its_factor(
     logged: tuple[Robot, Recording], factor: float
@@ -72,6 +85,8 @@ def test_currents_called_torque_are_told(logged: tuple[Robot, Recording]) -> Non
     [
         (without_gravity, "wrong_mounting", "the torque has no gravity"),
         (motor_side, "wrong_unit", "leaves the joints' limits"),
+        (two_zeros, "wrong_zero", "so read"),
+        (coupled_wrist, "coupled_axes", " added, and torque is that of these axes"),
         (frozen, "duplicate_samples", "frozen from t = "),
     ],
 )
@@ -87,9 +102,9 @@ def test_a_log_as_it_should_be_is_not_accused(logged: tuple[Robot, Recording]) -
     assert faults_after(logged, lambda _, run: run) == {}
 
 
-def fit_of(robot: Robot, recording: Recording) -> physics.TorqueFit:
+def fit_of(robot: Robot, recording: Recording) -> TorqueFit:
     log = Log.of(robot, recording)
-    case = physics.torque_fit(robot, log, physics.smooth(log), set())
+    case = torque_fit(robot, log, smooth(log), set())
     assert case is not None
     return case
 
@@ -100,20 +115,8 @@ def test_a_clock_is_left_alone_where_velocities_confirm_it(
     """At half the speed of the torque: the torque alone tells, until velocities speak."""
     robot, run = logged
     slow = replace(run, t=2 * run.t, dq=run.dq / 2)
-    assert [fault.fault for fault in physics.rate(fit_of(robot, replace(slow, dq=None)))]
-    assert not [*physics.rate(fit_of(robot, slow))]
-
-
-def test_friction_of_a_joint_that_stands_tells_no_sign(
-    logged: tuple[Robot, Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robot, run = logged
-    q = np.array(run.q)
-    q[:, 1] = 0.3
-    driving = physics._Signs(gain=0.0, gain_z=0.0, friction_z=-40.0, explained=0.98)
-    monkeypatch.setattr(physics, "_signs", lambda *_: driving)
-    accused = physics.torque_signs(fit_of(robot, replace(run, q=q, dq=None)))
-    assert [f.joints for f in accused] == [(j,) for j in np.delete(robot.joints, 1)]
+    assert [each.faults for each in installation._clock(fit_of(robot, replace(slow, dq=None)))]
+    assert not [*installation._clock(fit_of(robot, slow))]
 
 
 def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call) -> None:
@@ -123,3 +126,45 @@ def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call
     held = np.column_stack([np.full(len(run), -8.9), run.tau[:, 1]])
     found = find_faults(planar, replace(run, q=q, tau=held, dq=None))
     assert not {f.fault for f in found} & {"dead_channel", "saturation", "wrong_sign"}
+
+
+def test_a_joint_that_stands_tells_no_sign(logged: tuple[Robot, Recording]) -> None:
+    """Whether its friction brakes or drives it does not matter."""
+    robot, run = logged
+    q, last = run.q.copy(), robot.nv - 1
+    # steps of an encoder, back and forth
+    q[:, last] = 0.3 + 1e-4 * np.round(np.sin(2 * np.pi * run.t))
+    dry = np.zeros_like(q)
+    dry[:, last] = 3 * np.sign(np.cos(2 * np.pi * run.t))
+    fits = [fit_of(robot, replace(run, q=q, tau=run.tau + x, dq=None)) for x in (dry, -dry)]
+    left = [fit.surprise(0 * fit.power, fits[0].rows, last)[0] for fit in fits]
+    assert left[0] == pytest.approx(left[1], rel=0.2)
+    signs = [fault for move in installation._signs(fits[0]) for fault in move.faults]
+    assert {*robot.joints[:-1]} == {f.joints[0] for f in signs if "q" in str(f.channel)}
+
+
+def test_zero_positions_of_two_joints_are_told_together(logged: tuple[Robot, Recording]) -> None:
+    robot, recording = logged
+    faults = find_faults(robot, two_zeros(robot, recording))
+    offsets = {f.joints[0]: f.evidence["offset"] for f in faults if f.fault == "wrong_zero"}
+    assert offsets == pytest.approx({robot.joints[1]: -np.pi / 2, robot.joints[2]: np.pi / 2})
+
+
+def test_a_coupled_wrist_is_uncoupled(logged: tuple[Robot, Recording]) -> None:
+    robot, recording = logged
+    coupled = coupled_wrist(robot, recording)
+    repaired, _ = repair(coupled, find_faults(robot, coupled))
+    np.testing.assert_allclose(repaired.q, recording.q, atol=1e-12)
+    np.testing.assert_allclose(repaired.tau, recording.tau, atol=1e-12)
+
+
+def test_the_hold_out_is_repaired_like_the_fit(runs: Call, save: Call) -> None:
+    planar = load_robot("planar_2r")
+    run, held = runs(planar, 3, sensors=industrial_sensors(planar))
+    turned = (replace(each, tau=each.tau * [1, -1]) for each in (run, held))
+    files = [str(save(each, f"{each.name}.parquet")) for each in turned]
+    dataset = load_dataset("planar_2r")
+    read = Data(validate=[files[1]], repair=True).read(dataset, [files[0]])
+    for repaired, recording in ((read.fit[0], run), (read.holdout[0], held)):
+        np.testing.assert_array_equal(repaired.tau, recording.tau)
+    assert [entry["repaired"] for entry in read.entries["faults"]] == [True, True]

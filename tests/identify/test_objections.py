@@ -1,7 +1,5 @@
 """What forbids to publish a model: a joint that is not explained, friction that no drive has."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

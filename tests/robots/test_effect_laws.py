@@ -101,6 +101,15 @@ def test_hysteresis_loop_loses_what_dahls_law_says(planar: Robot, distance: floa
     assert loss == pytest.approx(expected, rel=2e-3)
 
 
+def test_ripple_repeats_with_its_order_and_no_sooner(planar: Robot) -> None:
+    q, turns = np.linspace(0, 1, 2000), np.arange(3) * np.pi / 17
+    effect = fx.TorqueRipple(planar.joints, (0.3, 0.4) * 2, order=17.0)
+    tau, half, ahead = (effect.torque(planar, alike(q, q + x, 1.0)) for x in turns)
+    np.testing.assert_allclose(ahead, tau, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(half, -tau, rtol=0, atol=1e-12)
+    assert tau.max() == pytest.approx(0.5, rel=1e-4)
+
+
 @pytest.mark.parametrize("lever", [False, True])
 def test_spring_is_the_derivative_of_its_energy(planar: Robot, lever: bool) -> None:
     """½ k (q − q₀)², or M cos(q − q₀) of a weight on a lever."""
