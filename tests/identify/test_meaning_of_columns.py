@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_arms import Call
+from planted_faults import PLANTS, coupled, recorded, shifted
 
 from excitant.identify import Recording, load_dataset
 from excitant.identify.faults import Fault, find_faults, installation, repair
@@ -50,17 +51,12 @@ def frozen(robot: Robot, recording: Recording) -> Recording:
     return replace(recording, **held)
 
 
-def two_zeros(robot: Robot, recording: Recording) -> Recording:
-    right = np.pi / 2 * (np.eye(robot.nv)[1] - np.eye(robot.nv)[2])
-    return replace(recording, q=recording.q + right)
+def two_zeros(_: Robot, recording: Recording) -> Recording:
+    return shifted(recording, 1, 2)
 
 
-def coupled_wrist(robot: Robot, recording: Recording) -> Recording:
-    """The last axis logged with the one before added, and torque that of these axes."""
-    q, tau = recording.q.copy(), recording.tau.copy()
-    q[:, -1] += q[:, -2]
-    tau[:, -2] -= tau[:, -1]
-    return replace(recording, q=q, tau=tau, dq=None)
+def coupled_wrist(_: Robot, recording: Recording) -> Recording:
+    return coupled(recording)
 
 
 @pytest.mark.parametrize("factor", [8.8507, 0.102, 1000.0])
@@ -126,6 +122,12 @@ def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call
     held = np.column_stack([np.full(len(run), -8.9), run.tau[:, 1]])
     found = find_faults(planar, replace(run, q=q, tau=held, dq=None))
     assert not {f.fault for f in found} & {"dead_channel", "saturation", "wrong_sign"}
+
+
+def test_sums_of_torques_are_not_likelier_for_being_larger(ur10: Robot) -> None:
+    """A small torque and a large one, of an arm that hardly moves."""
+    log = PLANTS["hardly_moving"][1](ur10, recorded(ur10, 1), np.random.default_rng(1))
+    assert "coupled_axes" not in {fault.fault for fault in find_faults(ur10, log)}
 
 
 def test_a_joint_that_stands_tells_no_sign(logged: tuple[Robot, Recording]) -> None:
