@@ -192,10 +192,10 @@ def shared_installation(
     An arm is installed one way: what a recording shows in which one joint moves, or a hand pushes,
     is no mounting and no zero position where the others speak against it.
     """
+    if len(recordings) == 1:
+        return [tuple(faults[0])]
     of_data = [[f for f in some if not f.of_the_arm] for some in faults]
     of_arm = [tuple(f for f in some if f.of_the_arm) for some in faults]
-    if len(recordings) == 1:
-        return [(*of_data[0], *of_arm[0])]
     shown = tuple[Fault, ...]()
     most = odds_against(robot)
     for some in filter(None, of_arm):
@@ -204,9 +204,15 @@ def shared_installation(
         if gain > most:
             shown = some
             most = gain
+    if not shown:
+        # signs and order may be those of one logger
+        return [
+            tuple(f for f in some if f.fault not in INSTALLATION) for some in faults
+        ]
+    # remedies act in the order in which they were found
     return [
-        (*data, *(shown or (f for f in arm if f.fault not in INSTALLATION)))
-        for data, arm in zip(of_data, of_arm, strict=True)
+        tuple(some) if arm == shown else (*data, *shown)
+        for some, data, arm in zip(faults, of_data, of_arm, strict=True)
     ]
 
 
@@ -277,7 +283,7 @@ def check_recordings(
     faults = dict[str, tuple[Fault, ...]]()
     notes = list[str]()
     usable = list[Recording]()
-    shared = shared_installation(robot, exchanged, alone) if exchanged else []
+    shared = shared_installation(robot, exchanged, alone)
     for recording, mine in zip(exchanged, shared, strict=True):
         name = recording.name
         among = [found[name] for found in (copies, swaps) if name in found]

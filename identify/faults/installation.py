@@ -130,6 +130,8 @@ class Installation:
 
     def fit(self, case: TorqueFit) -> TorqueFit:
         """The fit of a log's torque in this installation."""
+        if not self.faults:
+            return case
         unscaled = {
             case.log.joints.index(joint)
             for fault in self.faults
@@ -164,15 +166,13 @@ class _Judged(NamedTuple):
     @property
     def rank(self) -> tuple[int, int]:
         """Sort key of those that look the same: fewest faults, order, signs, mounting, offsets."""
-        first, *_, last = [
-            *self.installation.faults,
-            *self.installation.faults[-1:],
-        ]
-        turns = last.evidence.get("offset", 0.0) / SEARCH.right
+        faults = self.installation.faults
+        turns = faults[-1].evidence.get("offset", 0.0) / SEARCH.right
         odd = abs(turns - round(turns)) > 1e-9  # beyond rounding
         kinds = ("wrong_order", "wrong_sign", "wrong_mounting")
-        place = kinds.index(first.fault) if first.fault in kinds else len(kinds)
-        return len(self.installation.faults), place + odd
+        first = faults[0].fault
+        place = kinds.index(first) if first in kinds else len(kinds)
+        return len(faults), place + odd
 
 
 def odds_against(robot: Robot) -> float:
@@ -189,7 +189,7 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         tried = [best.joined(move) for move in _moves(best.fit(case))]
         _, ranked = _judge(case, tried)
         nearest = [j.installation for j in ranked[: SEARCH.tried] if j.odds > 0]
-        likely = [each for each in nearest if _is_likelier(case, each, best)]
+        likely = [each for each in nearest if _gain(case, each, best) > -np.inf]
         if not likely:
             break
         before, ranked = _judge(case, likely)
@@ -199,28 +199,47 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
     return [*best.faults] or [*positions_beyond_limits(case)]
 
 
-def _is_likelier(case: TorqueFit, one: Installation, other: Installation) -> bool:
-    """Whether an installation leaves half the squares of another, or fits, and is likelier."""
+def _gain(case: TorqueFit, one: Installation, other: Installation) -> float:
+    """Twice the log odds for an installation that is likelier than another; else −∞.
+
+    It also leaves half the squares of the other, or fits.
+    """
     before, judged = _judge(case, [one, other] if other.faults else [one])
-    of = {id(each.installation): each for each in judged}
-    mine = of[id(one)]
-    others = of.get(id(other), _Judged(other, 0.0, before))
+    of = {each.installation: each for each in judged}
+    theirs = of.get(other, _Judged(other, 0.0, before))
+    mine = of[one]
     fits = SEARCH.fits * float(case.rows.sum())
-    allowed = max(SEARCH.halved * others.squares, fits)
-    return bool(mine.odds > others.odds and mine.squares <= allowed)
+    allowed = max(SEARCH.halved * theirs.squares, fits)
+    likelier = mine.odds > theirs.odds and mine.squares <= allowed
+    return mine.odds if likelier else -np.inf
 
 
 def _judge(
     case: TorqueFit, installations: Sequence[Installation]
 ) -> tuple[float, list[_Judged]]:
-    """Installations by their odds, and the squares that the log as it stands leaves.
-
-    As it stands any one of the links may be another body: that needs no other installation. Errors
-    of the model count as noise.
-    """
+    """Installations by their odds, and the squares that the log as it stands leaves."""
     nv = case.robot.nv
     fits = [installation.fit(case) for installation in installations]
     orders = [installation.order(nv) for installation in installations]
+    before, evidence = _evidence(case, fits, orders)
+    judged = [
+        _Judged(installation, gain - installation.price, squares)
+        for installation, (gain, squares) in zip(
+            installations, evidence, strict=True
+        )
+    ]
+    return before, sorted(judged, key=lambda each: -each.odds)
+
+
+def _evidence(
+    case: TorqueFit, fits: Sequence[TorqueFit], orders: Sequence[Rows]
+) -> tuple[float, list[tuple[float, float]]]:
+    """Squares that a log as it stands leaves; of other fits twice the log evidence, and squares.
+
+    As it stands any one of the links may be another body: that needs no other installation. Errors
+    of the model count as noise. Joint j of a fit has the torque recorded as ``order[j]``.
+    """
+    nv = case.robot.nv
     noise = case.power
     for fit, order in zip(fits, orders, strict=True):
         noise = np.minimum(noise, fit.power[np.argsort(order)])
@@ -228,13 +247,11 @@ def _judge(
     before = min(surprise for _, surprise in as_it_stands)
     most = min(squares for squares, _ in as_it_stands)
     rows = float(case.rows.sum())
-    judged = []
-    for installation, fit, order in zip(installations, fits, orders, strict=True):
+    evidence = []
+    for fit, order in zip(fits, orders, strict=True):
         squares, surprise = fit.surprise(noise[order], case.rows[order], nv - 1)
-        dispersion = max(1.0, squares / rows)
-        odds = (before - surprise) / dispersion - installation.price
-        judged.append(_Judged(installation, odds, squares))
-    return most, sorted(judged, key=lambda each: -each.odds)
+        evidence.append(((before - surprise) / max(1.0, squares / rows), squares))
+    return most, evidence
 
 
 def _simplest(
@@ -288,10 +305,7 @@ def support(
     case = torque_fit(robot, log, data, joints_without_torque(others))
     if case is None:
         return 0.0
-    installed = Installation(tuple(faults))
-    _, [judged] = _judge(case, [installed])
-    likelier = _is_likelier(case, installed, Installation())
-    return judged.odds if likelier else -np.inf
+    return _gain(case, Installation(tuple(faults)), Installation())
 
 
 def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, int]]:
@@ -335,12 +349,8 @@ def _with_torque_of(
     if case is None:
         return -np.inf
     exchanged = replace(case, data=moved)
-    rows = case.rows
-    noise = np.minimum(case.power, exchanged.power)
-    links = range(robot.nv)
-    squares, after = exchanged.surprise(noise, rows, robot.nv - 1)
-    before = min(case.surprise(noise, rows, link)[1] for link in links)
-    return (before - after) / max(1.0, squares / float(rows.sum()))
+    _, [(gain, _)] = _evidence(case, [exchanged], [np.arange(robot.nv)])
+    return gain
 
 
 def _moves(fit: TorqueFit) -> Iterator[Installation]:

@@ -163,9 +163,7 @@ class Data:
             dataset, names, without=[*validate, *others], repaired=self.repair
         )
         if not validate:
-            return Readings(
-                checked, ex.identify.check_recordings(dataset.robot, [])
-            )
+            return Readings(checked, ex.identify.Checked([], {}))
         held = ex.identify.read_checked(dataset, validate, repaired=self.repair)
         return Readings(checked, held)
 
