@@ -238,8 +238,8 @@ class Checked:
 def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     """Faults by which every figure is wrong and that are not repaired, a sentence each.
 
-    Of unit, sign or clock, or a torque that is none, which falsifies what all joints share; see
-    `Checked`.
+    Of unit, sign or clock, values that jump as they are coded, or a torque that is none, which
+    falsifies what all joints share; see `Checked`.
     """
     return [
         f"{fault['recording']}: {fault['detail']}"
@@ -247,6 +247,7 @@ def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         if not fault["repaired"]
         and (
             fault["fault"] in PROVEN
+            or "jumps" in fault["evidence"]
             or (fault["fault"], _channel(fault)) == NO_TORQUE
         )
     ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -18,6 +18,7 @@ from excitant.exceptions import ExcitantError
 from excitant.identify.excitation import persistency
 from excitant.identify.faults.fault import (
     ALARM,
+    DECODED,
     Fault,
     Log,
     Mask,
@@ -26,7 +27,6 @@ from excitant.identify.faults.fault import (
     dropped,
     run_lengths,
     tail_bound,
-    unwrap,
 )
 from excitant.identify.faults.time import hidden_gaps
 from excitant.identify.faults.torque_fit import Smooth, TorqueFit
@@ -42,6 +42,9 @@ _AT_EXTREME = (
 )
 _MOST_JOINTS = 0.5  # of the joints: one that bears mainly weight proves nothing
 _EXPLAINED = 0.5  # of the variance of a torque's noise: it is that of the motion
+_MOST_JUMPS = 0.2  # of the samples, of a channel that wraps
+_EMPTY = 0.2  # of the range, between positive and negative values logged unsigned
+_PASSING = 0.02  # of the range: a change that is as large is no small one
 _MEDIAN_ROWS = 11  # of the running median that a value is compared with
 _Evidence = tuple[str, dict[str, Any]] | None
 """Detail and evidence."""
@@ -215,56 +218,131 @@ def _held_share(x: Array, moving: Mask, step: float) -> float:
 
 
 def wrapped_counters(log: Log) -> Iterator[Fault]:
-    """Channels that wrap, or whose negative values were logged as a counter's upper half.
+    """Positions that jump by a turn, and channels whose negative values were logged unsigned.
 
-    They jump by its range, leave the middle of it empty, and are smooth without the jumps.
+    One joint shows by its jumps how all joints are coded whose values go as far.
     """
-    for (name, values), j in product(log.channels(), range(log.nv)):
-        x = values[:, j]
-        if (size := _wrap(x, name == "q")) is None:
-            continue
-        jumps = int((np.abs(np.diff(x)) > size / 2).sum())
-        high = int((x > x.min() + size / 2).sum())
-        what = (
-            "are a turn off" if name == "q" else "are negative ones logged unsigned"
-        )
-        detail = (
-            f"{name} of {log.joints[j]} jumps {jumps} times by {size:.6g}, the range of a counter: "
-            f"{high} of {len(log)} values {what}"
-        )
-        evidence = {"channel": name, "range": size, "jumps": jumps, "count": high}
-        done = f"takes {size:.6g} off where the counter wrapped"
-        remedy = Remedy("unwrap", name, (j,), factor=size)
-        yield Fault(
-            "corrupt_rows", log.names([j]), detail, evidence, done, (remedy,)
-        )
+    for name, values in log.channels():
+        columns = values.T
+        codes = [(_wrapped if name == "q" else _unsigned)(x) for x in columns]
+        steps = log.quanta[name]
+        known = [
+            code._replace(size=code.size / step)
+            for code, step in zip(codes, steps, strict=True)
+            if code and step > 0
+        ]
+        for j, x in enumerate(columns):
+            code = codes[j]
+            if code is None and known and name != "q":
+                alike = known[0]._replace(
+                    size=known[0].size * steps[j], between=np.zeros(0, np.intp)
+                )
+                negative = x.min() >= 0 and (alike.decode(x) < 0).any()
+                code = alike if negative else None
+            if code is not None:
+                yield _coded(log, name, j, code)
 
 
-def _wrap(x: Array, position: bool) -> float | None:
-    """Range of the counter that a channel wraps at; None when it does not."""
+def _coded(log: Log, name: str, j: int, code: _Code) -> Fault:
+    """The fault of a channel that is coded so."""
+    x = getattr(log, name)[:, j]
+    size = code.size
+    jumps = int((np.abs(np.diff(x)) > size / 2).sum())
+    high = int((x > x.min() + size / 2).sum()) if jumps else len(x)
+    way = f"jumps {jumps} times by" if jumps else "is beyond"
+    share = f"{high} of {len(log)} values"
+    what, done = {
+        "unwrap": (f"a turn: {share} are a turn off", "continues over the jumps"),
+        "signed": (
+            f"the range of a counter: {share} are negative ones logged unsigned",
+            f"takes {size:.6g} off where the counter wrapped",
+        ),
+        "sign_bit": (
+            f"a sign bit: {share} are negative ones logged as {size:.6g} and their magnitude",
+            f"takes {size:.6g} for the sign bit",
+        ),
+    }[code.action]
+    detail = f"{name} of {log.joints[j]} {way} {size:.6g}, {what}"
+    evidence = {"channel": name, "range": size, "jumps": jumps, "count": high}
+    remedies = [Remedy(code.action, name, (j,), factor=size)]
+    if len(code.between):
+        remedies.append(Remedy("interpolate", name, (j,), code.between))
+    return Fault(
+        "corrupt_rows", log.names([j]), detail, evidence, done, tuple(remedies)
+    )
+
+
+class _Code(NamedTuple):
+    """How the values of a channel are coded, as the remedy that decodes them."""
+
+    action: str
+    size: float  # of the turn, the counter's range or the sign bit
+    between: Rows  # that a logger interpolated over a jump
+
+    def decode(self, x: Array) -> Array:
+        """The values that were coded so."""
+        return DECODED[self.action](x, self.size)
+
+
+def _wrapped(x: Array) -> _Code | None:
+    """A position that jumps by a turn, of radians or degrees, as often as not."""
     change = np.abs(np.diff(x))
+    for turn in (2 * np.pi, 360.0):
+        jumps = change > turn / 2
+        if not jumps.any() or jumps.mean() > _MOST_JUMPS:
+            continue
+        tolerance = 3 * float(np.quantile(change[~jumps], 0.9)) + 2 * quantum(x)
+        if abs(float(np.median(change[jumps])) - turn) < min(tolerance, turn / 4):
+            return _Code("unwrap", turn, np.zeros(0, np.intp))
+    return None
+
+
+def _unsigned(x: Array) -> _Code | None:
+    """A channel of positive values, whose upper ones stand for negative ones.
+
+    Either set has its own range, with none between but those that were interpolated. It is left at
+    small magnitudes only: in two's complement at the upper end of the upper range, with a sign bit
+    at the lower one.
+    """
     span = float(np.ptp(x))
-    jumps = change > 0.5 * span
-    signed = not position and x.min() < 0
-    if span == 0 or jumps.sum() < 2 or jumps.mean() > 0.2 or signed:
+    if x.min() < 0 or span == 0:
         return None
-    middle = np.abs(x - x.min() - span / 2) / span < 0.15
-    if middle.mean() > 0.01:
+    change = np.diff(x)
+    rising = change[:-1] * change[1:] > 0
+    steep = np.minimum(np.abs(change[:-1]), np.abs(change[1:])) > _PASSING * span
+    kept = np.delete(x, 1 + np.flatnonzero(rising & steep))
+    ordered = np.sort(kept)
+    widest = int(np.argmax(np.diff(ordered)))
+    low, high = (float(end) for end in ordered[widest : widest + 2])
+    kept = np.delete(x, np.flatnonzero((x > low) & (x < high)))
+    upper = kept >= high
+    after = 1 + np.flatnonzero(np.diff(upper.astype(np.int8)))
+    if (
+        high - low < _EMPTY * span
+        or len(after) < 2
+        or len(after) > _MOST_JUMPS * len(x)
+    ):
         return None
-    size = float(np.median(change[jumps]))
-    step = quantum(x)
-    tolerance = 3 * float(np.quantile(change[~jumps], 0.9)) + 2 * step
-    ranges = [2 * np.pi, 360.0]
-    if not position:
-        ranges = [65536.0 * 10.0**k for k in range(-6, 1)]
-        ranges += [step * count for count in _COUNTERS]
-    best = min(ranges, key=lambda counter: abs(counter - size))
-    if abs(best - size) > tolerance:
+    step = quantum(kept)
+    within = np.abs(np.delete(np.diff(kept), after - 1))
+    tolerance = 3 * float(np.quantile(within, 0.9)) + 2 * step
+    counts = step * np.array(_COUNTERS)
+    ranges = np.concatenate([counts, 65536.0 * 10.0 ** np.arange(-6, 1)])
+    size = float(np.median(np.abs(np.diff(kept)[after - 1])))
+    nearest = float(ranges[np.argmin(np.abs(ranges - size))])
+    bits = step * 2.0 ** np.arange(7, 32)
+    bits = bits[(bits > high - tolerance) & (bits < high + step / 2)]
+    if abs(nearest - size) <= (high - low) / 4 and nearest > ordered[-1]:
+        action, size = "signed", nearest
+    elif len(bits):
+        action, size = "sign_bit", float(bits[-1])
+        high = size + tolerance
+    else:
         return None
-    unwrapped = unwrap(x, best, position)
-    smooth = np.abs(np.diff(unwrapped)).max() < 0.5 * best
-    narrower = position or np.ptp(unwrapped) < 0.9 * span
-    return best if smooth and narrower else None
+    between = np.flatnonzero((x > low + tolerance) & (x < high - tolerance))
+    code = _Code(action, size, between)
+    typical = float(np.median(np.abs(np.diff(code.decode(kept))[after - 1])))
+    return code if typical < (high - low) / 2 else None
 
 
 def missing_values(log: Log) -> Iterator[Fault]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -48,7 +48,13 @@ Rows = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 _SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
-_IN_SEQUENCE = ("order", "add", "scale", "unwrap", "interpolate")
+DECODED: Mapping[str, Callable[[Array, float], Array]] = {
+    "unwrap": lambda x, turn: np.asarray(np.unwrap(x, period=turn), float),
+    "signed": lambda x, counts: np.where(x > counts / 2, x - counts, x),
+    "sign_bit": lambda x, bit: np.where(x >= (1 - 1e-9) * bit, bit - x, x),
+}
+"""Values of a channel by how they are coded and the size of that code."""
+_IN_SEQUENCE = ("order", "add", "scale", *DECODED, "interpolate")
 """Actions on values: each remedy finds the log as those before it left it."""
 _R = TypeVar("_R", bound=Recording)
 
@@ -117,9 +123,9 @@ class Remedy:
 
     ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``order`` the
     joints of a channel (joint j is then the one recorded as ``joints[j]``), ``add`` the second of
-    two joints to the first, ``unwrap`` a counter, ``shift`` the time from a row on, ``sort`` all
-    rows by time, or ``exchange`` the torque for that of another recording, which is done where both
-    are at hand.
+    two joints to the first, ``unwrap`` turns, decode ``signed`` counters or a ``sign_bit``,
+    ``shift`` the time from a row on, ``sort`` all rows by time, or ``exchange`` the torque for that
+    of another recording, which is done where both are at hand.
     """
 
     action: str
@@ -268,20 +274,13 @@ def _apply(
         values[remedy.channel] = remedy.on_columns(x)
         return
     for j in remedy.joints:
-        if remedy.action == "unwrap":
-            x[:, j] = unwrap(x[:, j], remedy.factor, remedy.channel == "q")
+        if remedy.action in DECODED:
+            x[:, j] = DECODED[remedy.action](x[:, j], remedy.factor)
         else:
             good = kept & np.isfinite(x[:, j]) & np.isfinite(values["t"])
             good[rows] = False
             if len(order := np.flatnonzero(good)):
                 x[rows, j] = np.interp(rows, order, x[order, j])
-
-
-def unwrap(x: Array, size: float, position: bool) -> Array:
-    """A channel without the jumps of its counter: continuous, or signed."""
-    if position:
-        return np.asarray(np.unwrap(x, period=size), float)
-    return np.asarray(np.where(x > size / 2, x - size, x), float)
 
 
 def tail_bound(values: Array, alarm: float = ALARM) -> float:

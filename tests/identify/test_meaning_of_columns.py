@@ -9,7 +9,7 @@ from known_arms import Call
 from planted_faults import PLANTS, coupled, recorded, shifted
 
 from excitant.identify import Recording, load_dataset
-from excitant.identify.faults import Fault, find_faults, installation, repair
+from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
 from excitant.identify.faults.fault import Log
 from excitant.identify.faults.torque_fit import TorqueFit, smooth, torque_fit
 from excitant.options import Data
@@ -57,6 +57,43 @@ def two_zeros(_: Robot, recording: Recording) -> Recording:
 
 def coupled_wrist(_: Robot, recording: Recording) -> Recording:
     return coupled(recording)
+
+
+Code = Callable[[np.ndarray], np.ndarray]
+
+
+@pytest.mark.parametrize(
+    ("code", "size"),
+    [(lambda n: np.where(n < 0, 1024 - n, n), 1024), (lambda n: np.mod(n, 4096), 4096)],
+)
+def test_torque_logged_unsigned_is_decoded(
+    logged: tuple[Robot, Recording], code: Code, size: float
+) -> None:
+    robot, run = logged
+    step = np.ptp(run.tau, axis=0) / 400
+    count = np.round(run.tau / step)
+    log = replace(Log.of(robot, run), tau=step * code(count))
+    faults = [*channels.wrapped_counters(log)]
+    negative = [j for j in range(robot.nv) if count[:, j].min() < 0]
+    assert [f.joints[0] for f in faults] == [robot.joints[j] for j in negative]
+    ranges = [f.evidence["range"] for f in faults]
+    np.testing.assert_allclose(ranges, size * step[negative])
+    for repaired in (True, False):
+        entries = [f.entry() | {"recording": "log", "repaired": repaired} for f in faults]
+        assert len(proven(entries)) == (0 if repaired else len(faults))
+    decoded, _ = repair(log, faults)
+    np.testing.assert_allclose(decoded.tau, step * count, atol=1e-9)
+
+
+def test_positions_that_wrap_are_continued(logged: tuple[Robot, Recording]) -> None:
+    robot, run = logged
+    middle = run.q.mean(axis=0)
+    log = replace(Log.of(robot, run), q=middle + np.mod(run.q - middle, 2 * np.pi))
+    faults = [*channels.wrapped_counters(log)]
+    assert [f.joints for f in faults] == [(name,) for name in robot.joints]
+    repaired, _ = repair(log, faults)
+    off = repaired.q - run.q
+    np.testing.assert_allclose(off, np.broadcast_to(off[0], off.shape), atol=1e-9)
 
 
 @pytest.mark.parametrize("factor", [8.8507, 0.102, 1000.0])
