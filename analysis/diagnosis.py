@@ -373,8 +373,9 @@ def _of_faults(
     error = series(raw).measured - predicted_torque(fit.model, raw) / holdout.gains
     repaired = holdout.series.measured - fit.predicted
     torque = np.zeros_like(repaired)
-    if error.shape == repaired.shape:
-        torque = error - repaired
+    # a repair may leave rows out
+    both = min(len(error), len(repaired))
+    torque[:both] = error[:both] - repaired[:both]
     for fault in mounted.faults:
         none = np.zeros((0, 0))
         finding = finding_of(mounted.robot, fit, holdout, fault, torque, (), none)

@@ -25,6 +25,7 @@ PROVEN = (
     *OF_THE_ARM,
     "wrong_unit",
     "wrong_sample_rate",
+    "time_delay",
     "swapped_recordings",
     "not_measured",
 )
@@ -54,7 +55,7 @@ DECODED: Mapping[str, Callable[[Array, float], Array]] = {
     "sign_bit": lambda x, bit: np.where(x >= (1 - 1e-9) * bit, bit - x, x),
 }
 """Values of a channel by how they are coded and the size of that code."""
-_IN_SEQUENCE = ("order", "add", "scale", *DECODED, "interpolate")
+_IN_SEQUENCE = ("order", "add", "scale", "advance", *DECODED, "interpolate")
 """Actions on values: each remedy finds the log as those before it left it."""
 _R = TypeVar("_R", bound=Recording)
 
@@ -124,8 +125,9 @@ class Remedy:
     ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``order`` the
     joints of a channel (joint j is then the one recorded as ``joints[j]``), ``add`` the second of
     two joints to the first, ``unwrap`` turns, decode ``signed`` counters or a ``sign_bit``,
-    ``shift`` the time from a row on, ``sort`` all rows by time, or ``exchange`` the torque for that
-    of another recording, which is done where both are at hand.
+    ``shift`` the time from a row on, ``sort`` all rows by time, ``advance`` a channel against the
+    time, which leaves out rows that it does not reach, or ``exchange`` the torque for that of
+    another recording, which is done where both are at hand.
     """
 
     action: str
@@ -133,11 +135,14 @@ class Remedy:
     joints: tuple[int, ...] = ()
     rows: Rows = field(default_factory=lambda: np.zeros(0, np.intp))
     factor: float = (
-        1.0  # of values; or the range of the counter, or what is added [s]
+        1.0  # of values; or the range of the counter, what is added or advanced [s]
     )
 
-    def on_columns(self, x: Array) -> Array:
-        """Columns of the joints, shape (N, nv), put in order, added or scaled as it says."""
+    def on_columns(self, x: Array, t: Array) -> Array:
+        """Columns of the joints, shape (N, nv), in order, added, scaled or advanced as it says."""
+        if self.action == "advance":
+            later = [np.interp(t + self.factor, t, column) for column in x.T]
+            return np.column_stack(later)
         joints = list(self.joints)
         if self.action == "order":
             return x[:, joints]
@@ -265,19 +270,22 @@ def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
 def _apply(
     values: dict[str, Array], remedy: Remedy, rows: Rows, kept: Mask
 ) -> None:
-    """Do what a remedy says to channels by name, in place; rows not kept do not count."""
+    """Do what a remedy says to channels by name, and rows kept, in place; others do not count."""
     x = values[remedy.channel]
     if remedy.channel == "t":
         values["t"] = x[0] + (x - x[0]) * remedy.factor
         return
-    if remedy.action in ("order", "add", "scale"):
-        values[remedy.channel] = remedy.on_columns(x)
+    t = values["t"]
+    if remedy.action in ("order", "add", "scale", "advance"):
+        values[remedy.channel] = remedy.on_columns(x, t)
+        if remedy.action == "advance":
+            kept &= (t + remedy.factor >= t.min()) & (t + remedy.factor <= t.max())
         return
     for j in remedy.joints:
         if remedy.action in DECODED:
             x[:, j] = DECODED[remedy.action](x[:, j], remedy.factor)
         else:
-            good = kept & np.isfinite(x[:, j]) & np.isfinite(values["t"])
+            good = kept & np.isfinite(x[:, j]) & np.isfinite(t)
             good[rows] = False
             if len(order := np.flatnonzero(good)):
                 x[rows, j] = np.interp(rows, order, x[order, j])

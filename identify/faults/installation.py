@@ -44,6 +44,7 @@ from excitant.identify.faults.torque_fit import (
 )
 from excitant.identify.reading.units import sizes_of
 from excitant.identify.recording import Recording
+from excitant.robots.effects.sensing import LONGEST_DELAY
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor, rigid_body_torque
 from excitant.robots.robot import Robot
@@ -91,6 +92,8 @@ class Search:
     "Logarithm within which a unit is named: one std of bodies near the nominal ones."
     clock: float = 0.1
     "Least relative error of a clock that the torque alone can show."
+    latest: float = 0.5
+    "Delay of the torque that is looked for at most [s]."
 
 
 SEARCH = Search()
@@ -367,6 +370,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
         return
     yield from _in_degrees(fit)
     yield from _clock(fit)
+    yield from _delay(fit)
     yield from _signs(fit)
     if not is_described(fit.robot):
         return
@@ -391,10 +395,14 @@ def _unlikeness(robot: Robot, data: Smooth) -> float:
 
     The bodies' torque counts up to a factor of each joint.
     """
-    model = rigid_body_torque(robot, data.motion)
+    return _misfit(rigid_body_torque(robot, data.motion), data)
+
+
+def _misfit(model: Array, data: Smooth) -> float:
+    """The same for a torque of the bodies, shape (N, nv)."""
     F = data.effects
     squares = []
-    for j in range(robot.nv):
+    for j in range(model.shape[1]):
         wanted, measured = without_effects(F[:, j], model[:, j], data.tau[:, j])
         along = max(float(wanted @ measured), 0.0)
         factor = along / max(float(wanted @ wanted), 1e-300)
@@ -703,6 +711,54 @@ def _clock(fit: TorqueFit) -> Iterator[Installation]:
         f"the median step is {log.step:.4g} s, {log.step / exact:.4g} s would fit"
     )
     yield _one(fit, slow_clock(log, exact, detail), more=odd)
+
+
+def _delay(fit: TorqueFit) -> Iterator[Installation]:
+    """The torque of all joints late, or early, by more than a drive and its filters are.
+
+    Sought at nominal bodies, refined with bodies near them.
+    """
+    data = fit.data
+    robot = fit.robot
+    model = rigid_body_torque(robot, data.motion)
+    longest = min(SEARCH.latest, fit.log.duration / 10)
+    rows = int(longest * data.rate)
+    lags = np.arange(-rows, rows + 1) / data.rate
+
+    def advanced(delay: float) -> Smooth:
+        return data.remedied([Remedy("advance", "tau", factor=delay)])
+
+    misfits = [_misfit(model, advanced(float(lag))) for lag in lags]
+    near = float(lags[np.argmin(misfits)])
+    if abs(near) < LONGEST_DELAY - 1 / data.rate:
+        return
+
+    def squares(delay: float) -> float:
+        late = replace(fit, data=advanced(delay))
+        return late.surprise(0 * fit.power, fit.rows, robot.nv - 1)[0]
+
+    step = 1 / data.rate
+    found = scipy.optimize.minimize_scalar(
+        squares, bounds=(near - 2 * step, near + 2 * step), method="bounded"
+    )
+    delay = float(found.x)
+    beside = squares(delay - step) + squares(delay + step)
+    curvature = max((beside - 2 * found.fun) / step**2, 1e-300)
+    dispersion = max(1.0, found.fun / float(fit.rows.sum()))
+    std = float(np.sqrt(2 * dispersion / curvature))
+    if abs(delay) < LONGEST_DELAY + 2 * std:
+        return
+    size = f"{1e3 * abs(delay):.1f} ± {1e3 * std:.2g} ms"
+    way = "lags" if delay > 0 else "leads"
+    fault = Fault(
+        "time_delay",
+        fit.log.joints,
+        f"the torque {way} the motion by {size}, more than a drive and its filters",
+        {"channel": "tau", "delay": delay, "std": std},
+        f"reads the torque {1e3 * abs(delay):.1f} ms {'later' if delay > 0 else 'earlier'}",
+        (Remedy("advance", "tau", factor=delay),),
+    )
+    yield _one(fit, fault, more=2 * float(np.log(len(lags))))
 
 
 def _mounting(fit: TorqueFit) -> Iterator[Installation]:

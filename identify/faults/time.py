@@ -129,32 +129,51 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
 def repeated_rows(log: Log) -> Iterator[Fault]:
     """Rows that repeat all values of the row before, with a stamp of their own, in motion.
 
-    A long run of them that begins in motion is a logger that stopped: no arm stops at once.
+    A long run of them that begins in motion is a logger that stopped: no arm stops at once. So is
+    one of the torques of several joints alone, while most of its rows are in motion.
     """
-    same = np.all(
-        [(np.diff(x, axis=0) == 0).all(axis=1) for _, x in log.channels()], axis=0
-    )
+    repeats = {
+        name: np.all(np.diff(x, axis=0) == 0, axis=1) for name, x in log.channels()
+    }
+    same = np.all([*repeats.values()], axis=0)
     moved = np.asarray(log.moving.any(axis=1), bool)
     rows = np.flatnonzero(same & (moved[1:] | moved[:-1])) + 1
     starts, lengths = run_lengths(same)
+    ends = starts + lengths
     stopped = (lengths >= FROZEN_ROWS) & moved[starts]
-    frozen = [
-        *zip(starts[stopped], starts[stopped] + lengths[stopped], strict=True)
+    frozen = [*zip(starts[stopped], ends[stopped], strict=True)]
+    frozen += [
+        (start, end)
+        for start, end in _held_torque(log, repeats["tau"])
+        if (np.ptp(log.q[start:end], axis=0) > 20 * log.grain).any()
+        and start not in starts[stopped]
     ]
     for start, end in frozen:
         rows = np.union1d(rows, np.arange(start, end) + 1)
     if len(rows) < 3:
         return
     detail = (
-        f"{len(rows)} of {len(log)} rows ({100 * len(rows) / len(log):.2f} %) repeat every value "
-        f"of the row before while joints move, in {np.isin(starts + 1, rows).sum()} places; "
+        f"{len(rows)} of {len(log)} rows ({100 * len(rows) / len(log):.2f} %) repeat every "
+        f"{'value' if same.any() else 'torque'} of the row before while joints move, in "
+        f"{(np.diff(rows) > 1).sum() + 1} places; "
         f"{log.first(rows)}"
     )
     if frozen:
         spans = (f"{log.t[i]:.4g} to {log.t[k]:.4g} s" for i, k in frozen)
         detail += f"; frozen from t = {', '.join(spans)}"
-    longest = int(lengths.max()) + 1
-    yield dropped(log.joints, rows, detail, "duplicate_samples", longest=longest)
+    longest = max([*lengths, *(end - start for start, end in frozen)]) + 1
+    yield dropped(
+        log.joints, rows, detail, "duplicate_samples", longest=int(longest)
+    )
+
+
+def _held_torque(log: Log, repeats: Mask) -> Iterator[tuple[int, int]]:
+    """First and last rows over which all of several joints keep their torque, beyond chance."""
+    starts, lengths = run_lengths(repeats)
+    longer = lengths >= max(10, 0.1 / log.step)
+    by_chance = lengths[~longer].sum() > 0.01 * len(log)
+    if log.nv > 1 and not by_chance:
+        yield from zip(starts[longer], (starts + lengths)[longer], strict=True)
 
 
 def hidden_gaps(log: Log) -> Iterator[Fault]:

@@ -51,6 +51,12 @@ def frozen(robot: Robot, recording: Recording) -> Recording:
     return replace(recording, **held)
 
 
+def late(_: Robot, recording: Recording, seconds: float = 0.3) -> Recording:
+    """Torque that was read before it begins is that of the first row."""
+    before = np.arange(len(recording)) - round(seconds / np.diff(recording.t).mean())
+    return replace(recording, tau=recording.tau[np.maximum(before, 0)])
+
+
 def two_zeros(_: Robot, recording: Recording) -> Recording:
     return shifted(recording, 1, 2)
 
@@ -121,6 +127,7 @@ def test_currents_called_torque_are_told(logged: tuple[Robot, Recording]) -> Non
         (two_zeros, "wrong_zero", "so read"),
         (coupled_wrist, "coupled_axes", " added, and torque is that of these axes"),
         (frozen, "duplicate_samples", "frozen from t = "),
+        (late, "time_delay", "the torque lags the motion by "),
     ],
 )
 def test_what_the_log_means_is_named(
@@ -180,6 +187,21 @@ def test_a_joint_that_stands_tells_no_sign(logged: tuple[Robot, Recording]) -> N
     assert left[0] == pytest.approx(left[1], rel=0.2)
     signs = [fault for move in installation._signs(fits[0]) for fault in move.faults]
     assert {*robot.joints[:-1]} == {f.joints[0] for f in signs if "q" in str(f.channel)}
+
+
+def test_torque_that_is_late_is_read_later(logged: tuple[Robot, Recording]) -> None:
+    robot, recording = logged
+    run = late(robot, recording, 0.08)
+    [fault] = find_faults(robot, run)
+    assert fault.evidence["delay"] == pytest.approx(0.08, abs=2 * fault.evidence["std"])
+    assert fault.evidence["std"] < 0.01
+    repaired, _ = repair(run, [fault])
+    assert repaired.t[-1] == pytest.approx(run.t[-1] - 0.08, abs=0.01)
+    at = np.array([np.interp(repaired.t + 0.08, run.t, tau) for tau in run.tau.T]).T
+    error = (repaired.tau - at).std(axis=0)
+    assert (error < 0.1 * run.tau.std(axis=0)).all()
+    # drives and their filters take as long
+    assert not find_faults(robot, late(robot, recording, 0.02))
 
 
 def test_zero_positions_of_two_joints_are_told_together(logged: tuple[Robot, Recording]) -> None:
