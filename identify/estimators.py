@@ -86,6 +86,11 @@ class Robust:
         settled: Change of the fitted torque, rms, over the noise at which they end.
         rounding: Noise of an exact fit over the largest torque.
         flattest: Least mean slope of the influence; less is no minimum.
+        outlying: Rms of residuals over the scale of most of them, from which on it is tried where
+            least squares was asked for, and
+        gain: Variance of least squares over its own at which it takes the place of that: as much as
+            four times the data give.
+        gross: Residual in standard deviations that is called gross: one of 15 000 normal ones.
     """
 
     huber: float = 1.345
@@ -94,6 +99,9 @@ class Robust:
     settled: float = 1e-7
     rounding: float = 1e-13
     flattest: float = 0.05
+    outlying: float = 2.0
+    gain: float = 4.0
+    gross: float = 4.0
 
 
 ROBUST = Robust()
@@ -144,7 +152,9 @@ def estimated(
     problem = rows.reduced
     note = f"base parameters by {ESTIMATORS[name]}"
     if name == "wls":
-        return weighted_least_squares(problem), name, ()
+        fit = weighted_least_squares(problem)
+        robust, sentence = _instead(problem, fit, rows.robot.joints)
+        return (robust, "irls", (sentence,)) if sentence else (fit, name, ())
     if name == "irls":
         return irls(problem), name, (note,)
     if name == "oe":
@@ -161,6 +171,30 @@ def estimated(
             f"too poor in every second sample; {ESTIMATORS['wls']} instead"
         )
         return weighted_least_squares(problem), "wls", (instead,)
+
+
+def _instead(
+    problem: Regression, fit: LeastSquares, joints: Sequence[str]
+) -> tuple[LeastSquares, str]:
+    """Robust regression where gross errors spoil least squares, and the sentence that says so."""
+    residuals = problem.counted(problem.residual(fit.beta))
+    ratio = noise_of(residuals, problem.p) / _scale(residuals, problem.p)
+    if (ratio < ROBUST.outlying).all():
+        return fit, ""
+    try:
+        robust = irls(problem)
+    except (Infeasible, RankDeficient):
+        return fit, ""
+    variances = np.diag(fit.covariance) / np.diag(robust.covariance)
+    if not np.exp(np.log(variances).mean()) > ROBUST.gain:
+        return fit, ""
+    sizes = np.abs(problem.residual(robust.beta)) / robust.sigma
+    gross = [float((u > ROBUST.gross).mean()) for u in problem.counted(sizes)]
+    worst = int(np.argmax(gross))
+    return robust, (
+        f"torque is far off in up to {100 * gross[worst]:.1f} % of the rows ({joints[worst]}), as "
+        f"in bursts or contact: {ESTIMATORS['irls']} instead of least squares"
+    )
 
 
 def irls(problem: Regression) -> LeastSquares:
