@@ -174,7 +174,7 @@ def checked(raw: Recording) -> Recording:
             f"{MINIMUM_DURATION:g} s are needed"
         )
         raise BadRecording(raw.file, why, column=raw.columns[0])
-    refuse_constant_torque(raw.tau, raw)
+    refuse_constant_torque(raw.tau, raw, np.ptp(raw.q, axis=0) > 0)
     return with_finite_speeds(raw)
 
 
@@ -223,9 +223,11 @@ def refuse_bad_rows(
         refuse(0, time, why)
 
 
-def refuse_constant_torque(tau: Array, raw: Recording) -> None:
-    """Refuse torque, shape (n, nv), or its extremes, of a joint that is the same in every row."""
-    dead = np.flatnonzero(np.ptp(tau, axis=0) == 0)
+def refuse_constant_torque(
+    tau: Array, raw: Recording, moves: npt.ArrayLike = True
+) -> None:
+    """Refuse torque, shape (n, nv), or its extremes, that is constant while its joint moves."""
+    dead = np.flatnonzero((np.ptp(tau, axis=0) == 0) & moves)
     if len(dead):
         joint = int(dead[0])
         why = f"dead channel: {tau[0, joint]:g} in every row; repair the sensor or lock this joint"

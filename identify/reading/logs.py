@@ -70,6 +70,22 @@ def load_recording(
     return checked(raw_recording(path, robot, mapping))
 
 
+def covers(
+    source: Path | pd.DataFrame, robot: Robot, mapping: ColumnMap | None = None
+) -> bool:
+    """Whether a log has columns of all joints of a robot, by their names or number."""
+    mapping = mapping or ColumnMap()
+    try:
+        if isinstance(source, Path):
+            table = _open_log(source, mapping)
+        else:
+            table = tables.table_of_frame(source, "")
+        resolve(table, robot, mapping)
+    except (BadRecording, BadInput):
+        return False
+    return True
+
+
 def raw_recording(
     path: str | Path, robot: Robot | int, mapping: ColumnMap | None = None
 ) -> Recording:
