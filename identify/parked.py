@@ -37,9 +37,9 @@ class Still:
     """When a joint stands.
 
     Attributes:
-        noise_stds: Its positions range over at most this many standard deviations of their noise,
-            ± 5 of them, or of rounding to steps of no more than `coarsest`, or
-        coarsest: Step of the coarsest encoder [rad or m]: 10 bits over a turn.
+        noise_stds: Its positions range over at most this many standard deviations of their noise or
+            rounding, ± 5 of them, where that is
+        noisiest: no more than this [rad or m]: rows of another scatter are poses, not noise; or
         wander: over no more than this [rad or m], as far as a servo lets a joint go that it holds
             (real arms: 0 to 0.6 mrad), which changes the gravity of what it carries by 0.3 % of it:
             less than models are known to. Recordings in which it stands agree to this.
@@ -48,7 +48,7 @@ class Still:
     """
 
     noise_stds: float = 10.0
-    coarsest: float = 6.2e-3
+    noisiest: float = 5e-3
     wander: float = 3e-3
     speed_stds: float = 5.0
 
@@ -128,10 +128,9 @@ def _stands(q: Array, dq: Array) -> bool:
 
 def _span(q: Array) -> float:
     """Range of the positions of a joint that stands."""
-    step = quantum(q)
-    rounding = step / np.sqrt(12) if step <= STILL.coarsest else 0.0
-    scatter = max(noise(q), rounding)
-    return max(STILL.noise_stds * scatter, STILL.wander)
+    scatter = max(noise(q), quantum(q) / np.sqrt(12))
+    of_noise = STILL.noise_stds * scatter if scatter <= STILL.noisiest else 0.0
+    return max(of_noise, STILL.wander)
 
 
 def _stands_at(q: Array, position: float) -> bool:
