@@ -30,6 +30,7 @@ from .online import (
     OnlineIdentification,
     identify_online,
 )
+from .parked import Parked, freed_for, parked
 from .payload import (
     PayloadEstimate,
     PayloadEstimator,
@@ -70,6 +71,7 @@ __all__ = [
     "OnlineEstimate",
     "OnlineEstimator",
     "OnlineIdentification",
+    "Parked",
     "PayloadEstimate",
     "PayloadEstimator",
     "Publication",
@@ -79,6 +81,7 @@ __all__ = [
     "check_recordings",
     "estimate_payload",
     "fitted",
+    "freed_for",
     "identify_drive_gains",
     "identify_link_by_link",
     "identify_online",
@@ -91,6 +94,7 @@ __all__ = [
     "load_recording",
     "model_files",
     "origin",
+    "parked",
     "persistency",
     "prepare",
     "proven",

@@ -21,6 +21,7 @@ import numpy as np
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import size_of
 from excitant.identify.faults import Checked, check_recordings
+from excitant.identify.parked import Parked, freed_for, parked
 from excitant.identify.reading.bags import described, is_bag
 from excitant.identify.reading.logs import (
     SUFFIXES,
@@ -289,20 +290,38 @@ def read_checked(
     *,
     without: Sequence[str] = (),
     repaired: bool = False,
+    beside: Parked | None = None,
 ) -> Checked:
-    """Recordings of a dataset as `Dataset.recordings`, with their faults; see `check_recordings`.
+    """Recordings of a dataset, with their faults, and without the joints that stand in them.
+
+    Args:
+        dataset: The robot and where its recordings are.
+        names: Recordings by name; see `Dataset.recordings`.
+        without: Recordings that are held out.
+        repaired: Whether to repair what has a remedy; see `check_recordings`.
+        beside: Joints that stand in what is fitted; None where these recordings are.
 
     Raises:
         BadInput: Nothing to read.
-        BadRecording: A recording that cannot be used, also not after the repair.
+        BadRecording: A recording that cannot be used, also not after the repair, or beside others.
     """
     robot = dataset.robot
-    if repaired:
-        paths = dataset.paths(names, without=without)
-        recordings = [raw_recording(path, robot, dataset.mapping) for path in paths]
+    mapping = dataset.mapping
+    paths = dataset.paths(names, without=without)
+    if beside is None:
+        others = dataset.paths(without) if without else []
+        free = freed_for(robot, [*paths, *others], mapping)
     else:
-        recordings = dataset.recordings(names, without=without)
-    return check_recordings(robot, recordings, repaired=repaired)
+        free = beside.free
+    if repaired:
+        raw = [raw_recording(path, free, mapping) for path in paths]
+        checked = check_recordings(free, raw, repaired=True)
+        held = beside or parked(robot, free, checked.recordings)
+        return checked.beside(held, held.of(checked.recordings))
+    recordings = read_recordings(paths, free, mapping=mapping)
+    held = beside or parked(robot, free, recordings)
+    moving = held.of(recordings)
+    return check_recordings(held.robot, moving).beside(held, moving)
 
 
 def _samples(path: Path) -> int:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadRecording
-from excitant.identify.recording import MINIMUM_DURATION, Recording
+from excitant.identify.recording import LEAST_RATE_HZ, MINIMUM_DURATION, Recording
 from excitant.identify.signals import (
     MEMORY_PERIODS,
     SensorNoise,
@@ -230,12 +230,15 @@ def prepare(
     ]
     if not segments:
         needed = f"{MINIMUM_DURATION:g} s without interruption are needed"
-        why = (
-            f"time jumps {len(parts) - 1} times, first after {t[parts[0][-1]]:.4g} s; {needed}"
-            if len(parts) > 1
-            else f"'{recording.name}' lasts {recording.duration:.3g} s; {needed}: "
-            "record longer or name a hold-out of its own"
-        )
+        if len(parts) > 1:
+            after = t[parts[0][-1]]
+            why = f"time jumps {len(parts) - 1} times, first after {after:.4g} s; {needed}"
+        elif recording.duration < MINIMUM_DURATION:
+            why = f"'{recording.name}' lasts {recording.duration:.3g} s; {needed}: "
+            why += "record longer or name a hold-out of its own"
+        else:
+            why = f"'{recording.name}' holds {len(t)} samples {step:.3g} s apart; more than 20 are "
+            why += f"needed, at {LEAST_RATE_HZ:g} Hz or more"
         raise BadRecording(recording.file, why, column="t")
     return segments
 

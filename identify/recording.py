@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadRecording
+from excitant.identify.signals import samples_motion
 from excitant.robots.motion import Array, freeze, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 LONGEST_STEP_S = 1.0  # median sample step: a slower log shows no motion of an arm
+LEAST_RATE_HZ = 10.0  # of a motion: torque is filtered at a fifth of it
 CHANNELS = ("q", "dq", "tau")
 
 
@@ -174,7 +176,7 @@ def checked(raw: Recording) -> Recording:
             f"{MINIMUM_DURATION:g} s are needed"
         )
         raise BadRecording(raw.file, why, column=raw.columns[0])
-    refuse_constant_torque(raw.tau, raw)
+    refuse_constant_torque(raw.tau, raw, np.ptp(raw.q, axis=0) > 0)
     return with_finite_speeds(raw)
 
 
@@ -215,17 +217,37 @@ def refuse_bad_rows(
         )
         refuse(row, time, why)
     step = float(np.median(steps[1:])) if len(raw) > 2 else 0.0
-    if step > LONGEST_STEP_S:
+    if _is_rare(raw, step):
         why = (
-            f"samples are {step:.4g} s apart, which shows no motion; say the unit of time in a "
-            "file for --map, such as {units: {t: ms}}"
+            f"{len(raw)} rows {step:.4g} s apart show poses and no motion, from which excitant "
+            f"identifies: record one at {LEAST_RATE_HZ:g} Hz or more, or say the unit of time in "
+            "a file for --map, such as {units: {t: ms}}"
         )
         refuse(0, time, why)
 
 
-def refuse_constant_torque(tau: Array, raw: Recording) -> None:
-    """Refuse torque, shape (n, nv), or its extremes, of a joint that is the same in every row."""
-    dead = np.flatnonzero(np.ptp(tau, axis=0) == 0)
+def _is_rare(raw: Recording, step: float) -> bool:
+    """Whether samples a median step apart [s] are too rare to show a motion.
+
+    Steps of 1 count samples or seconds: positions are then no samples of a motion, or change by
+    what speeds say of a second; between samples at `LEAST_RATE_HZ` by a tenth of it.
+    """
+    if step != LONGEST_STEP_S:
+        return step > LONGEST_STEP_S
+    if not samples_motion(raw.q):
+        return True
+    if raw.dq is None or not np.isfinite(raw.dq).all():
+        return False
+    way = (raw.dq[1:] + raw.dq[:-1]) / 2
+    seconds = (np.diff(raw.q, axis=0) * way).sum() / max((way**2).sum(), 1e-300)
+    return bool(seconds > 0.5)
+
+
+def refuse_constant_torque(
+    tau: Array, raw: Recording, moves: npt.ArrayLike = True
+) -> None:
+    """Refuse torque, shape (n, nv), or its extremes, that is constant while its joint moves."""
+    dead = np.flatnonzero((np.ptp(tau, axis=0) == 0) & moves)
     if len(dead):
         joint = int(dead[0])
         why = f"dead channel: {tau[0, joint]:g} in every row; repair the sensor or lock this joint"

@@ -166,6 +166,18 @@ def noise(x: Array) -> float:
     return float(np.median(np.abs(np.diff(x, 4))) / 0.6745 / np.sqrt(70.0))
 
 
+def samples_motion(q: Array) -> bool:
+    """Whether rows of positions, shape (n, nv), are samples of a motion and no list of poses.
+
+    Neighbours are then closer than any two rows: of the mean square of their differences over the
+    variance (von Neumann 1941) 2 is usual for rows in any order, and 1 for 6 samples in a period.
+    """
+    spread = q.var(axis=0)
+    moved = spread > 0
+    ratio = (np.diff(q[:, moved], axis=0) ** 2).mean(axis=0) / spread[moved]
+    return len(ratio) == 0 or bool(np.median(ratio) < 1)
+
+
 def quantum(x: Array) -> float:
     """Step of a quantised channel, the lower decile of the distances of its levels; or 0."""
     gaps = _gaps(x)

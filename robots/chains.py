@@ -57,6 +57,11 @@ class TreeJoint:
     child: str
     mimic: tuple[str, float, float] | None
 
+    @property
+    def is_single(self) -> bool:
+        """Whether it has one degree of freedom of its own."""
+        return self.kind in _SINGLE and self.mimic is None
+
 
 @dataclass(frozen=True)
 class Tree:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from os.path import exists, isfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from excitant.exceptions import BadRobot, UnknownName
 from excitant.robots.angles import Angles
-from excitant.robots.chains import RobotSpec
+from excitant.robots.chains import RobotSpec, tree
 from excitant.robots.dh import chain_from_record, urdf_of_chain
 from excitant.robots.effects import (
     CoulombFriction,
@@ -26,12 +27,14 @@ from excitant.robots.effects import (
     plain,
 )
 from excitant.robots.files import is_exposed, read_description, real_path, within
+from excitant.robots.limits import LIMIT_NAMES
 from excitant.robots.limits_file import merge_limits
 from excitant.robots.mjcf import Description, description_from_mjcf
 from excitant.robots.parameters import base_estimate_from_csv
 from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
 from excitant.robots.urdf import number, robot_from_urdf
+from excitant.robots.urdf_model import with_held
 from excitant.robots.urdf_writer import child_attribute, limits_in_urdf
 from excitant.robots.xacro import is_xacro, urdf_from_xacro
 
@@ -310,11 +313,48 @@ def _narrowed(whole: Robot, spec: RobotSpec) -> Robot:
 
 def _kept(whole: Robot, held: Robot) -> Robot:
     """The arm with joints held, and of the whole arm's limits and effects what remains."""
-    effects = []
-    for effect in whole.effects:
-        values = np.reshape(effect.values or (), (len(effect.joints), -1))
-        kept = [k for k, joint in enumerate(effect.joints) if joint in held.joints]
-        joints = tuple(effect.joints[k] for k in kept)
-        effects.append(replace(effect, joints=joints).with_values(values[kept]))
+    effects = [effect.among(held.joints) for effect in whole.effects]
     limits = whole.limits.of([whole.joint_index(joint) for joint in held.joints])
-    return held.with_limits(limits).with_effects(effects)
+    return held.with_limits(limits).with_effects(filter(None, effects))
+
+
+def hold(robot: Robot, positions: Mapping[str, float]) -> Robot:
+    """The arm as it is now, with some of its joints held at positions [rad or m]."""
+    for effect in robot.effects:
+        if effect.role != "torque" and {*effect.joints} & {*positions}:
+            robot = effect.applied(robot)  # a body of a link that is held
+    kept = [j for j, joint in enumerate(robot.joints) if joint not in positions]
+    held = replace(
+        robot,
+        model=with_held(robot.model, positions),
+        links=tuple(robot.links[j] for j in kept),
+        revolute=robot.revolute[kept],
+        locked=tuple(sorted({**dict(robot.locked), **positions}.items())),
+    )
+    return _kept(robot, held)
+
+
+def held_alone(robot: Robot) -> tuple[str, ...]:
+    """Joints that are held and could move on their own."""
+    joints = tree(ET.fromstring(robot.description), robot.source).joints
+    return tuple(name for name, _ in robot.locked if joints[name].is_single)
+
+
+def freed(robot: Robot, names: Collection[str]) -> Robot:
+    """The arm as described, with its limits and effects, where some of its held joints move."""
+    lock = {joint: q for joint, q in robot.locked if joint not in names}
+    chosen = (*robot.joints, *names)
+    spec = RobotSpec(robot.source, chosen, lock=lock, packages=robot.packages)
+    whole = robot_from_urdf(
+        robot.description, spec, name=robot.name, gravity=robot.gravity
+    )
+    own = [whole.joint_index(joint) for joint in robot.joints]
+    rows: dict[str, Any] = {}
+    for name in LIMIT_NAMES:
+        rows[name] = np.array(getattr(whole.limits, name))
+        rows[name][own] = getattr(robot.limits, name)
+    whole = whole.with_limits(replace(robot.limits, **rows))
+    whole = replace(
+        whole, tool=robot.tool, notes=robot.notes, unchosen=robot.unchosen
+    )
+    return whole.with_effects(robot.effects)

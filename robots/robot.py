@@ -61,6 +61,7 @@ class Robot(Shown):
             as it is now.
         format: Format of the description.
         locked: Positions of the joints that are held.
+        unchosen: Those of them that are held because others were chosen, in the model's order.
         effects: What makes torque beyond rigid-body inertia, with values.
         source: File or name the arm was loaded from.
         tool: Link of the tool, where one was named.
@@ -75,6 +76,7 @@ class Robot(Shown):
     description: str
     format: Format
     locked: tuple[tuple[str, float], ...] = ()
+    unchosen: tuple[str, ...] = ()
     effects: tuple[Effect, ...] = ()
     source: str = ""
     tool: str = ""

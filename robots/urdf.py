@@ -59,8 +59,14 @@ def robot_from_urdf(
         )
     named = tree(root, source)
     held, notes = held_joints(named, spec, loops)
+    unchosen = {
+        joint
+        for joint in held
+        if joint not in spec.lock and named.joints[joint].is_single
+    }
     title = name or root.get("name") or Path(source).stem
     model = build_model(root, source)
+    order = [str(joint) for joint in model.names]
     if held:
         try:
             model = pin.buildReducedModel(model, *held_pose(model, held))
@@ -83,6 +89,7 @@ def robot_from_urdf(
         locked=tuple(
             sorted((joint, value or 0.0) for joint, value in held.items())
         ),
+        unchosen=tuple(joint for joint in order if joint in unchosen),
         source=source,
         tool=spec.tip or "",
         notes=(*angles.notes, *notes),

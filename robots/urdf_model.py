@@ -88,6 +88,18 @@ def quietly(source: str) -> Iterator[None]:
                 os.close(before)
 
 
+def with_held(model: pin.Model, held: Mapping[str, float]) -> pin.Model:
+    """A copy of a model without some joints, whose bodies are part of what carries them."""
+    named = model.copy()
+    for frame in named.frames:
+        if frame.type == pin.FrameType.BODY and frame.name in list(model.names):
+            frame.name += _RENAMED  # see `_rename_links_called_as_joints`
+    reduced = pin.buildReducedModel(named, *held_pose(named, held))
+    restore_link_names(reduced)
+    reduced.gravity = model.gravity
+    return reduced
+
+
 def held_pose(
     model: pin.Model, held: Mapping[str, float | None]
 ) -> tuple[list[int], Array]:

@@ -6,7 +6,7 @@ import hashlib
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -49,6 +49,9 @@ from excitant.identify.faults.time import (
 from excitant.identify.faults.torque_fit import smooth, torque_fit
 from excitant.identify.recording import Recording, checked
 from excitant.robots.robot import Robot
+
+if TYPE_CHECKING:
+    from excitant.identify.parked import Parked
 
 __all__ = [
     "FAULTS",
@@ -224,6 +227,18 @@ class Checked:
     faults: dict[str, tuple[Fault, ...]]  # of each, by its name
     notes: tuple[str, ...] = ()  # what was repaired, a sentence each
     repaired: bool = False  # whether faults that have a remedy are repaired in them
+    parked: Parked | None = None  # joints that stand in what is fitted
+
+    def beside(self, parked: Parked, recordings: list[Recording]) -> Checked:
+        """The same of recordings without the joints that stand in what is fitted."""
+        robot = parked.robot
+        for before, after in zip(self.recordings, recordings, strict=True):
+            if after is not before and before in _known:
+                _known[after] = robot, _at_joints(_known[before][1], robot)
+        faults = {
+            name: _at_joints(some, robot) for name, some in self.faults.items()
+        }
+        return replace(self, recordings=recordings, faults=faults, parked=parked)
 
     def entries(self) -> list[dict[str, Any]]:
         """The faults under their JSON names, each with its recording and whether it is repaired."""
@@ -233,6 +248,11 @@ class Checked:
             for name, faults in self.faults.items()
             for fault in faults
         ]
+
+
+def _at_joints(faults: Sequence[Fault], robot: Robot) -> tuple[Fault, ...]:
+    """Faults but those of joints that a robot holds."""
+    return tuple(f for f in faults if not f.joints or {*f.joints} & {*robot.joints})
 
 
 def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:

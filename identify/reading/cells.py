@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
 from numbers import Real
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -67,12 +67,14 @@ def as_numbers(values: Cells) -> Array:
     return np.asarray(numbers.to_numpy(float, na_value=np.nan))
 
 
-def stamps_unit(values: Cells) -> tuple[str | None, str]:
+def stamps_unit(
+    values: Cells, possible: Callable[[float], bool] = lambda step: True
+) -> tuple[str | None, str]:
     """The unit of time that numbers show, None where it is seconds, and what they are.
 
     Stamps of the years 2000 to 2103 are in the one unit in which they lie there. Other numbers are
-    in the largest in which two samples are less than half a second apart; every step exactly 1 may
-    count samples, and stays.
+    in the largest in which two samples are less than half a second apart, if the arm can move so
+    far in such a step [s] (``possible``); every step exactly 1 may count samples, and stays.
     """
     if _is_date(values):
         return ISO, "dates"
@@ -91,7 +93,7 @@ def stamps_unit(values: Cells) -> tuple[str | None, str]:
     short = {unit: s for unit, s in _SCALES.items() if step * s < _FAR_APART}
     since = [unit for unit, s in short.items() if low <= middle * s <= high]
     unit = next(iter(since or short), "s")
-    if unit == "s":
+    if unit == "s" or not (since or possible(step * _SCALES[unit])):
         return None, ""
     if since:
         return unit, f"stamps since 1970 [{unit}]"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from os.path import isdir
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from excitant.identify.recording import (
     refuse_constant_torque,
     with_finite_speeds,
 )
+from excitant.identify.signals import samples_motion
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -49,6 +51,7 @@ SUFFIXES = (
 """Ends of the names of recordings; what else is read may be something else in a folder."""
 TEXTS = tuple(s for s in _READERS if s.removesuffix(".gz") in _LINES)
 """Ends of the names of recordings whose lines, where there are many, are samples."""
+_FASTEST = 3.0  # times the velocity limit: no arm moves so in most rows
 _REMEMBERED = 100  # unreadable cells whose text is kept
 
 
@@ -68,6 +71,22 @@ def load_recording(
         BadInput: A map of columns that does not fit the robot.
     """
     return checked(raw_recording(path, robot, mapping))
+
+
+def covers(
+    source: Path | pd.DataFrame, robot: Robot, mapping: ColumnMap | None = None
+) -> bool:
+    """Whether a log has columns of all joints of a robot, by their names or number."""
+    mapping = mapping or ColumnMap()
+    try:
+        if isinstance(source, Path):
+            table = _open_log(source, mapping)
+        else:
+            table = tables.table_of_frame(source, "")
+        resolve(table, robot, mapping)
+    except (BadRecording, BadInput):
+        return False
+    return True
 
 
 def raw_recording(
@@ -186,13 +205,34 @@ def _pieces(
         if rows is not None and not len(frame[columns.t[0]]):
             continue
         if not timed:
-            unit, what = cells.stamps_unit(frame[columns.t[0]])
+            names = columns.q.columns
+            q = np.column_stack([cells.as_numbers(frame[name]) for name in names])
+            possible = partial(_possible, q * columns.q.factors, robot)
+            unit, what = cells.stamps_unit(frame[columns.t[0]], possible)
             notes = (f"time: {columns.t[0]} holds {what}",) if unit else ()
             columns = replace(columns, t_unit=unit, notes=(*columns.notes, *notes))
         timed = True
         raw = _in_si_units(table, frame, columns, origin)
         origin = raw.start
         yield raw
+
+
+def _possible(q: Array, robot: Robot | int, step: float) -> bool:
+    """Whether an arm can move as positions, shape (n, nv), say whose rows are a step apart [s].
+
+    These are no poses in any order, and over a twentieth of the log the usual speed is within three
+    times the limit at every joint whose positions may be radians or metres.
+    """
+    q = q[np.isfinite(q).all(axis=1)]
+    if len(q) < 3:
+        return True
+    if not samples_motion(q):
+        return False
+    rows = max(1, len(q) // 20)
+    speed = np.median(np.abs(q[rows:] - q[:-rows]), axis=0) / (rows * step)
+    limit = np.inf if isinstance(robot, int) else robot.limits.velocity
+    believed = np.abs(q).max(axis=0) <= 2 * np.pi
+    return not (believed & (speed > _FASTEST * limit)).any()
 
 
 def _in_si_units(

@@ -339,6 +339,20 @@ class Effect(ABC):
         """The same effect without values."""
         return replace(self, values=None)
 
+    def among(self, joints: Sequence[str]) -> Self | None:
+        """The effect at those of its joints that move; None where none does that it needs."""
+        kept = [k for k, joint in enumerate(self.joints) if joint in joints]
+        if len(kept) == len(self.joints):
+            return self
+        if not kept or self.acts_on.count:
+            return None
+        values = self.values
+        if self.jointwise and values is not None:
+            table = np.reshape(values, (len(self.joints), -1))
+            values = tuple(table[kept].ravel().tolist())
+        names = tuple(self.joints[k] for k in kept)
+        return replace(self, joints=names, values=values)
+
     def reshaped(self, name: str, value: float) -> Self:
         """The effect with another value of one field of its shape."""
         change: dict[str, Any] = {name: value}

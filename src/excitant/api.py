@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         Knowledge,
         LinkByLink,
         OnlineIdentification,
+        Parked,
         PayloadEstimate,
         Recording,
     )
@@ -78,15 +79,7 @@ def as_robot(robot: RobotLike) -> Robot:
 
 def as_recordings(recordings: Recordings, robot: Robot) -> list[Recording]:
     """Recordings as they are, and those of tables and files; see `load_recording`."""
-    # recordings and data frames have columns, which tells them without importing pandas
-    single = isinstance(recordings, str | Path) or hasattr(recordings, "columns")
-    several: Any = [recordings] if single else recordings
-    sources = list[Any]()
-    for source in several:
-        if isinstance(source, str | Path):
-            sources += identify.Dataset(robot).paths([str(source)])
-        else:
-            sources.append(source)
+    sources = _sources(recordings, robot)
     paths = [source for source in sources if isinstance(source, Path)]
     logs = iter(identify.read_recordings(paths, robot))
     nouns: list[Recording] = []
@@ -101,6 +94,35 @@ def as_recordings(recordings: Recordings, robot: Robot) -> list[Recording]:
                 recording_from_table(source, robot, file=label, name=label)
             )
     return identify.recordings_of(nouns, robot)
+
+
+def _sources(recordings: Recordings, robot: Robot) -> list[Any]:
+    """Recordings, tables and paths of files, those in folders one by one."""
+    # recordings and data frames have columns, which tells them without importing pandas
+    single = isinstance(recordings, str | Path) or hasattr(recordings, "columns")
+    several: Any = [recordings] if single else recordings
+    sources = list[Any]()
+    for source in several:
+        if isinstance(source, str | Path):
+            sources += identify.Dataset(robot).paths([str(source)])
+        else:
+            sources.append(source)
+    return sources
+
+
+def as_recorded(
+    robot: RobotLike, recordings: Recordings, others: Recordings = ()
+) -> tuple[Parked, list[Recording], list[Recording]]:
+    """The robot with the joints held that stand in recordings, these, and others beside them.
+
+    Columns of held joints are left out; see `excitant.identify.parked`.
+    """
+    arm = as_robot(robot)
+    fit, beside = (_sources(some, arm) for some in (recordings, others))
+    free = identify.freed_for(arm, [*fit, *beside])
+    fitted = as_recordings(fit, free)
+    parked = identify.parked(arm, free, fitted)
+    return parked, parked.of(fitted), parked.of(as_recordings(beside, free))
 
 
 def as_path(
@@ -123,10 +145,16 @@ def as_effects(effects: EffectsLike, robot: Robot) -> list[Effect] | None:
     }
     names = [effect for effect in effects if isinstance(effect, str)]
     UnknownName.refuse("effect", names, kinds)
-    return [
+    named = [
         kinds[effect](robot.joints) if isinstance(effect, str) else effect
         for effect in effects
     ]
+    held = {joint for joint, _ in robot.locked}
+    restricted = [
+        effect.among(robot.joints) if held & {*effect.joints} else effect
+        for effect in named
+    ]
+    return [effect for effect in restricted if effect is not None]
 
 
 def estimated_effects(columns: Columns, robot: Robot) -> tuple[Effect, ...]:
@@ -406,9 +434,8 @@ def identify_robot(
 
     Errors are those of `excitant.identify.identify_robot`.
     """
-    arm = as_robot(robot)
-    fit = as_recordings(recordings, arm)
-    holdout = as_recordings(validate, arm)
+    parked, fit, holdout = as_recorded(robot, recordings, validate)
+    arm = parked.robot
     identify.warn_of_faults(arm, fit)
     if effects == "auto":
         effects = analysis.choose_effects(
@@ -416,7 +443,7 @@ def identify_robot(
         )
     if isinstance(knowledge, str | Path):
         knowledge = identify.load_knowledge(knowledge, arm.links)
-    return identify.identify_robot(
+    estimate = identify.identify_robot(
         arm,
         fit,
         validate=holdout,
@@ -428,6 +455,7 @@ def identify_robot(
         if trajectory is None
         else highest_harmonic(trajectory, arm),
     )
+    return replace(estimate, notes=(*parked.notes, *estimate.notes))
 
 
 def highest_harmonic(trajectory: Trajectory | str | Path, robot: Robot) -> float:
@@ -459,11 +487,12 @@ def identify_online(
 
     Args are those of `identify_robot`, and the time constant of forgetting [s].
     """
-    arm = as_robot(robot)
+    parked, fit, holdout = as_recorded(robot, recordings, validate)
+    arm = parked.robot
     return identify.identify_online(
         arm,
-        as_recordings(recordings, arm),
-        validate=as_recordings(validate, arm),
+        fit,
+        validate=holdout,
         effects=as_effects(effects, arm),
         cutoff_hz=cutoff,
         forgetting=forgetting,
@@ -480,11 +509,12 @@ def identify_link_by_link(
     cutoff: float | None = None,
 ) -> LinkByLink:
     """Identify from the last link inward; args are those of `identify_robot`."""
-    arm = as_robot(robot)
+    parked, fit, holdout = as_recorded(robot, recordings, validate)
+    arm = parked.robot
     return identify.identify_link_by_link(
         arm,
-        as_recordings(recordings, arm),
-        validate=as_recordings(validate, arm),
+        fit,
+        validate=holdout,
         effects=as_effects(effects, arm),
         cutoff_hz=cutoff,
     )
@@ -500,11 +530,12 @@ def identify_payload(
     over_time: bool = False,
 ) -> PayloadEstimate:
     """Payload of the arm in some recordings; see `excitant.identify.identify_payload`."""
-    arm = as_robot(robot)
+    parked, with_load, without = as_recorded(robot, loaded, unloaded)
+    arm = parked.robot
     return identify.identify_payload(
         arm,
-        as_recordings(loaded, arm),
-        unloaded=as_recordings(unloaded, arm),
+        with_load,
+        unloaded=without,
         effects=as_effects(effects, arm),
         forgetting=forgetting,
         over_time=over_time,
@@ -596,11 +627,11 @@ def diagnose(
 
     Errors are those of `excitant.analysis.diagnose`.
     """
-    arm = as_robot(robot)
-    fit = as_recordings(recordings, arm)
-    holdout = as_recordings(validate, arm)
+    parked, fit, holdout = as_recorded(robot, recordings, validate)
+    arm = parked.robot
     identify.warn_of_faults(arm, fit)
-    return analysis.diagnose(arm, fit, validate=holdout, cutoff_hz=cutoff)
+    diagnosis = analysis.diagnose(arm, fit, validate=holdout, cutoff_hz=cutoff)
+    return replace(diagnosis, notes=(*parked.notes, *diagnosis.notes))
 
 
 def experiments(diagnosis: Diagnosis, *, time_limit: float | None = None) -> Plan:
@@ -633,12 +664,14 @@ def go(
 
     Errors are those of `identify_robot` and `diagnose`.
     """
-    arm = as_robot(robot)
-    logs = as_recordings(recordings, arm)
-    checked = identify.check_recordings(arm, logs, repaired=repair)
-    holdout = as_recordings(validate, arm)
+    parked, fit, holdout = as_recorded(robot, recordings, validate)
+    arm = parked.robot
+    checked = identify.check_recordings(arm, fit, repaired=repair)
     held = identify.check_recordings(arm, holdout, repaired=repair)
-    return examined(arm, checked, held, cutoff=cutoff, progress=progress)
+    notes = (*parked.notes, *checked.notes, *held.notes)
+    return examined(
+        arm, checked, held, cutoff=cutoff, progress=progress, notes=notes
+    )
 
 
 def examined(
@@ -648,6 +681,7 @@ def examined(
     *,
     cutoff: float | None,
     progress: Told,
+    notes: Sequence[str],
 ) -> Examination:
     """`go` of recordings to fit and to judge on, whose faults are known."""
     return analysis.examine(
@@ -656,7 +690,7 @@ def examined(
         validate=held.recordings,
         cutoff_hz=cutoff,
         faults=[*checked.entries(), *held.entries()],
-        notes=(*checked.notes, *held.notes),
+        notes=notes,
         progress=progress,
     )
 

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os.path import isdir, isfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -24,7 +24,7 @@ from excitant.surroundings import Surroundings
 if TYPE_CHECKING:
     from cyclopts import Token
 
-    from excitant.identify import Dataset
+    from excitant.identify import Dataset, Recording
     from excitant.identify.faults import Checked
     from excitant.robots import Array, Robot
 
@@ -162,36 +162,50 @@ class Data:
         checked = ex.identify.read_checked(
             dataset, names, without=[*validate, *others], repaired=self.repair
         )
-        if not validate:
-            return Readings(checked, ex.identify.Checked([], {}))
-        held = ex.identify.read_checked(dataset, validate, repaired=self.repair)
-        return Readings(checked, held)
+        held = ex.identify.Checked([], {})
+        if validate:
+            held = ex.identify.read_checked(
+                dataset, validate, repaired=self.repair, beside=checked.parked
+            )
+        return Readings(dataset, checked, held)
 
 
 class Readings:
     """Recordings of a command, with what is to be said of them.
 
     Attributes:
+        robot: The robot, with the joints held that stand in what is fitted.
         checked: Recordings to fit, with their faults.
         held: Recordings to judge on, likewise.
         fit: Recordings to fit.
         holdout: Recordings to judge on; empty when none is named.
-        notes: Remarks on repairs, as sentences.
+        notes: Remarks on joints that stand, and on repairs, as sentences.
         entries: Entries of result.json: ``faults`` and ``import``.
     """
 
-    def __init__(self, checked: Checked, held: Checked) -> None:
+    def __init__(self, dataset: Dataset, checked: Checked, held: Checked) -> None:
+        self._dataset = dataset
+        self._parked = checked.parked or ex.identify.Parked(
+            dataset.robot, dataset.robot
+        )
+        self.robot = self._parked.robot
         self.checked = checked
         self.held = held
         self.fit = list(checked.recordings)
         self.holdout = list(held.recordings)
-        self.notes = [*checked.notes, *held.notes]
+        self.notes = [*self._parked.notes, *checked.notes, *held.notes]
         runs = (*self.fit, *self.holdout)
         notes = {run.name: run.notes for run in runs if run.notes}
+        _say({self.robot.source: self._parked.notes})
         self.entries: dict[str, Any] = {
             "faults": [*checked.entries(), *held.entries()],
             "import": _say(notes),
         }
+
+    def others(self, names: Sequence[str]) -> list[Recording]:
+        """Further recordings beside those to fit."""
+        dataset = replace(self._dataset, robot=self._parked.free)
+        return self._parked.of(dataset.recordings(names))
 
 
 @Parameter(name="*")

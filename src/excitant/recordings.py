@@ -27,11 +27,11 @@ from excitant.progress import progress_bar
 
 if TYPE_CHECKING:
     from excitant.identify import (
-        Dataset,
         DriveGains,
         PayloadEstimate,
         Recording,
     )
+    from excitant.options import Readings
     from excitant.robots.effects import Effect
 
 
@@ -58,7 +58,7 @@ class Load:
 
     def drive(
         self,
-        dataset: Dataset,
+        read: Readings,
         recordings: Sequence[Recording],
         options: dict[str, Any],
     ) -> DriveGains | None:
@@ -68,25 +68,25 @@ class Load:
         payload = ex.identify.KnownPayload(
             self.payload_mass, self.payload_mass_std, self.payload_com
         )
-        loaded = dataset.recordings(self.payload_recording)
+        loaded = read.others(self.payload_recording)
         return ex.identify.identify_drive_gains(
-            dataset.robot, recordings, loaded, payload, **options
+            read.robot, recordings, loaded, payload, **options
         )
 
     def carried(
         self,
-        dataset: Dataset,
+        read: Readings,
         recordings: Sequence[Recording],
         drive: DriveGains | None,
         effects: Sequence[Effect] | None,
         fit: Fit,
     ) -> PayloadEstimate:
         """The payload of these recordings."""
-        unloaded = dataset.recordings(self.unloaded) if self.unloaded else []
+        unloaded = read.others(self.unloaded) if self.unloaded else []
         if drive is not None:
             unloaded = drive.torque(unloaded)
         return ex.identify_payload(
-            dataset.robot,
+            read.robot,
             recordings,
             unloaded=unloaded,
             effects=effects,
@@ -250,10 +250,11 @@ def go(
     read = data.read(dataset, recordings)
     with progress_bar("go") as advance:
         examined = ex.api.examined(
-            dataset.robot,
+            read.robot,
             read.checked,
             read.held,
             cutoff=data.cutoff,
+            notes=read.notes,
             progress=advance,
         )
     use = examined.use
@@ -289,16 +290,16 @@ def identify(
     fit.require(load)
     model.require()
     dataset = part.dataset(robot, data.map)
-    arm = dataset.robot
     others = [*(load.unloaded or ()), *(load.payload_recording or ())]
     read = data.read(dataset, recordings, others)
+    arm = read.robot
     notes = list(read.notes)
     named = None if fit.automatic else ex.api.as_effects(fit.effects, arm)
     options: dict[str, Any] = {"effects": named, "cutoff": data.cutoff}
     train = read.fit
     holdout = read.holdout
     drive = load.drive(
-        dataset,
+        read,
         train,
         {"validate": holdout, "cutoff_hz": data.cutoff, "effects": named},
     )
@@ -313,7 +314,7 @@ def identify(
         notes += ex.analysis.described(estimate.model.effects)
     result = identified.result()
     if load.payload:
-        carried = load.carried(dataset, train, drive, named, fit)
+        carried = load.carried(read, train, drive, named, fit)
         result["payload"] = carried.result()
     result |= read.entries
     series = estimate.series() | identified.series()
@@ -369,8 +370,8 @@ def analyze(
     entries = dict[str, Any]()
     if recording:
         dataset = part.dataset(robot, data.map)
-        arm = dataset.robot
         read = data.read(dataset, recording)
+        arm = read.robot
         entries = read.entries
         estimate, brief = ex.api.estimate_shown(
             arm,
@@ -425,7 +426,7 @@ def diagnose(
     entries = read.entries
     with progress_bar("diagnose"):
         diagnosis = ex.diagnose(
-            dataset.robot, read.fit, validate=read.holdout, cutoff=data.cutoff
+            read.robot, read.fit, validate=read.holdout, cutoff=data.cutoff
         )
     plan = ex.analysis.Plan()
     notes = list(read.notes)
@@ -448,7 +449,5 @@ def diagnose(
     model.note_in(result)
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = ex.design.trajectory_csv(motion)
-        files[f"separate-{k}.json"] = ex.design.trajectory_json(
-            motion, dataset.robot
-        )
+        files[f"separate-{k}.json"] = ex.design.trajectory_json(motion, read.robot)
     run.finish(result, diagnosis.series(), files, folder, first=model.note)

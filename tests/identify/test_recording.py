@@ -32,13 +32,14 @@ from excitant.identify import (
     identify_robot,
     load_dataset,
     load_recording,
+    prepare,
     read_chunks,
     recording_from_table,
     split,
 )
 from excitant.identify.dataset import excerpt
 from excitant.identify.faults import find_faults
-from excitant.robots import load_robot
+from excitant.robots import Robot, load_robot
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]
 
@@ -196,6 +197,37 @@ def test_what_only_the_whole_shows_is_refused_at_the_end(table: pd.DataFrame, sa
         next(read_chunks("log.csv", 2, 0))
     still = table.assign(tau2=(table.index >= 200) * 1.0)  # dead in a piece, alive in the log
     assert len(list(read_chunks(save(still, "log.csv"), 2, 100))) == 3
+
+
+K = np.arange(60.0)
+
+
+@pytest.mark.parametrize(
+    ("step", "q", "speed", "samples"),
+    [
+        (3.0, np.random.default_rng(0).uniform(-1, 1, 60), None, None),
+        (3.0, 0.1 * K, None, None),  # a sweep
+        (1.0, np.sin(K / 2), 0.5 * np.cos(K / 2), None),
+        (50.0, np.sin(K / 20), None, 60),  # ms
+        (50.0, 60 * np.sin(K / 20), None, 60),  # ms and degrees
+        (1.0, np.sin(K / 20), np.cos(K / 20), 60),  # counts samples
+    ],
+)
+def test_rows_seconds_apart_are_poses(
+    planar: Robot, save: Call, step: float, q: np.ndarray, speed: Any, samples: int | None
+) -> None:
+    """Rows that no arm can reach in milliseconds are seconds apart, and show no motion."""
+    log = pd.DataFrame({"t": step * K, "q1": q, "q2": 0.9 * q, "tau1": K, "tau2": -K})
+    log = log if speed is None else log.assign(dq1=speed, dq2=0.9 * speed)
+    path = save(log, "log.csv")
+    if samples:
+        assert len(load_recording(path, planar)) == samples
+        return
+    with pytest.raises(BadRecording, match=rf"60 rows {step:g} s apart show poses and no motion"):
+        load_recording(path, planar)
+    few = pd.DataFrame({"t": 0.2 * K, "q1": q, "q2": q, "tau1": K, "tau2": K})[:16]
+    with pytest.raises(BadRecording, match=r"holds 16 samples 0.2 s apart; more than 20"):
+        prepare(load_recording(save(few, "few.csv"), planar))
 
 
 PEAK = """
