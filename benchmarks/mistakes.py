@@ -319,7 +319,7 @@ READ: dict[str, tuple[str, Mistake]] = PLANTS | {
         on("tau", lambda x, log, rng: x + np.outer(np.exp(-((2 * log.t - 8) ** 2)), peak(x)))),
     "dead_velocity": ("dead_channel", on("dq", 0, "any")),
     "dead_position": ("dead_channel poor_excitation", on("q", lambda x, *_: x[0], "any")),
-    "clipped_position": ("saturation dead_channel corrupt_rows", on("q", clip)),
+    "clipped_position": ("saturation dead_channel corrupt_rows poor_excitation", on("q", clip)),
     "smoothed_torque": ("", on("tau", lambda x, *_:
         x[0] + scipy.signal.lfilter([0.02], [1, -0.98], x - x[0], axis=0))),
     "coarse_torque": ("", on("tau", lambda x, *_: np.round(2 * x / peak(x)) * peak(x) / 2)),
@@ -484,6 +484,7 @@ def main(
         where: Recordings with the mistake: fit, hold-out, both.
         faultless: Number of pairs of faultless logs, instead of mistakes.
     """
+    where = ("both",) if faultless else where
     results: list[dict[str, Any]] = []
     print(f"{'':30s}" + "".join(f"{place:>24s}" for place in where))
     print(f"{'':30s}" + len(where) * "".join(f"{name[:3]:>4s}" for name in VERDICTS))
