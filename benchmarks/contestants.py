@@ -1,9 +1,4 @@
-"""A design problem and the contestants that solve it, each in processes of its own.
-
-Called as ``python contestants.py NAME PROBLEM.json SETTINGS STEM``, SETTINGS being a JSON object
-of `Settings`, a contestant that makes Fourier series or splines writes ``STEM.json`` and
-``STEM.csv`` and prints a JSON object with ``runs``, the number of its starts or draws.
-"""
+"""A design problem and the contestants that solve it, each in processes of its own: `main`."""
 
 import json
 import os
@@ -23,13 +18,7 @@ from common import PROBLEMS
 from joblib.externals.loky import get_reusable_executor
 from judge import States, left_columns, observation, random_states
 
-from excitant.design import (
-    design_trajectory,
-    from_coefficients,
-    random_trajectory,
-    trajectory_csv,
-    trajectory_json,
-)
+from excitant import design
 from excitant.design.options import Search
 from excitant.exceptions import BadInput, BadRobot
 from excitant.processes import owned
@@ -149,7 +138,7 @@ def excitant(
     """Our own design, perhaps with a search for the number of harmonics or pieces."""
     left = max(settings.deadline - time.time(), 0.1)
     effort: Any = {"jobs": settings.jobs, "seed": settings.seed, "time_limit": left, "use": 1.0}
-    found = design_trajectory(
+    found = design.design_trajectory(
         problem.robot,
         duration=problem.duration,
         harmonics="search" if searched else problem.harmonics,
@@ -181,12 +170,12 @@ def _drawn(file: Path, settings: Settings, job: int) -> Found:
     while not runs or time.time() < settings.deadline:
         periods = int(rng.integers(1, most, endpoint=True))
         period = problem.duration / periods
-        series = random_trajectory(problem.robot, rng, period, problem.harmonics)
+        series = design.random_trajectory(problem.robot, rng, period, problem.harmonics)
         motion = series.sample(_PER_HARMONIC * problem.harmonics + 1)
         states = States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1])
         reached = float(np.linalg.cond(observation(model, states)[:, columns]))
         if reached < least:
-            least, best = reached, from_coefficients(series.coefficients, period, periods)
+            least, best = reached, design.from_coefficients(series.coefficients, period, periods)
         runs += 1
     return least, best, runs
 
@@ -254,14 +243,16 @@ def run_figaroh(
 
 
 def main() -> int:
-    """Run one contestant."""
+    """Run one contestant: NAME PROBLEM.json SETTINGS (a JSON object) STEM; print its ``runs``."""
     name, file, text, stem = sys.argv[1:5]
     settings = Settings(**json.loads(text))
     problem = load_problem(Path(file), harmonics=settings.harmonics)
     _, trajectory, runs = CONTESTANTS[name](problem, settings)
     get_reusable_executor().shutdown(wait=True)
-    Path(f"{stem}.json").write_text(trajectory_json(trajectory, problem.robot), encoding="utf-8")
-    Path(f"{stem}.csv").write_text(trajectory_csv(trajectory, problem.rate_hz), encoding="utf-8")
+    exact = design.trajectory_json(trajectory, problem.robot)
+    Path(f"{stem}.json").write_text(exact, encoding="utf-8")
+    table = design.trajectory_csv(trajectory, problem.rate_hz)
+    Path(f"{stem}.csv").write_text(table, encoding="utf-8")
     print(json.dumps({"runs": runs}))
     return 0
 

@@ -1,9 +1,4 @@
-"""Khosla's Tables 2-4 as a recovery experiment on the CMU DD Arm II, see docs/evidence/dd-arm.md.
-
-Torque is that of `estimators.TrueArm`: Pinocchio's recursive Newton-Euler algorithm, and friction.
-Who decided is not told from a close result, but by moving the prior where the data are silent:
-along the null space of the regressor the torque stays as it is and the entries move with it.
-"""
+"""Khosla's Tables 2-4 as a recovery experiment on the CMU DD Arm II; see README.md."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -27,14 +22,8 @@ from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.prior import link_coordinates, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
 from excitant.robots import Motion, Robot, base_parameters, regressor, robot_from_dh
+from excitant.robots import parameters as standard
 from excitant.robots.effects import CoulombFriction, Effect, ViscousFriction
-from excitant.robots.parameters import (
-    STANDARD,
-    UNITS,
-    from_pseudo_inertia,
-    pseudo_inertia,
-    violations,
-)
 from excitant.robots.torque import observation_columns
 
 STEP_S = 0.002  # the paper's sampling
@@ -133,7 +122,7 @@ def tables() -> Tables:
     for row, entry in zip(rows, entries, strict=True):
         for link, symbol in (name.split(".") for name in entry.parameter.split(" + ")):
             sign = -1.0 if symbol in ("Ixy", "Ixz", "Iyz") else 1.0
-            row[10 * (int(link[4:]) - 1) + STANDARD.index(symbol)] = sign
+            row[10 * (int(link[4:]) - 1) + standard.STANDARD.index(symbol)] = sign
     central = [entry.name for entry in entries].index("I1zz")
     return Tables(entries, rows, central, np.linalg.inv(parameter_map(dd_arm_chain())))
 
@@ -292,12 +281,12 @@ def nearest_bodies() -> Iterator[NearestBody]:
     """
     initial, printed = (dd_arm_parameters(c).reshape(6, 10) for c in ("initial", "estimated"))
     for k, link in enumerate(dd_arm_chain().links):
-        for broken in violations(printed[k], (link,)):
-            L = np.linalg.cholesky(pseudo_inertia(initial[k]))
-            Q = np.linalg.solve(L, np.linalg.solve(L, pseudo_inertia(printed[k])).T)
+        for broken in standard.violations(printed[k], (link,)):
+            L = np.linalg.cholesky(standard.pseudo_inertia(initial[k]))
+            Q = np.linalg.solve(L, np.linalg.solve(L, standard.pseudo_inertia(printed[k])).T)
             values, vectors = np.linalg.eigh((Q + Q.T) / 2)
             nearest = (vectors * np.maximum(values, MARGIN)) @ vectors.T
-            phi = from_pseudo_inertia(L @ nearest @ L.T)
+            phi = standard.from_pseudo_inertia(L @ nearest @ L.T)
             distance = float(np.linalg.norm(np.minimum(values - MARGIN, 0)))
             yield NearestBody(link, broken, printed[k], phi, distance)
 
@@ -378,8 +367,8 @@ def body_lines() -> Iterator[str]:
         Ixx, Iyy, Izz = body.printed[[4, 6, 9]]
         if Ixx > Iyy + Izz:
             yield f"  about the link frame: Ixx > Iyy + Izz, {Ixx:.6f} > {Iyy:.6f} + {Izz:.6f}"
-        values = {"printed": body.printed, "nearest": body.nearest, "unit": UNITS}
-        yield pd.DataFrame(values, STANDARD).to_string(float_format="{:.6f}".format)
+        values = {"printed": body.printed, "nearest": body.nearest, "unit": standard.UNITS}
+        yield pd.DataFrame(values, standard.STANDARD).to_string(float_format="{:.6f}".format)
 
 
 class Velocity(NamedTuple):

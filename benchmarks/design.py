@@ -1,8 +1,4 @@
-"""excitant's design beside FIGAROH and random search, on one problem in one run.
-
-Every contestant gets the same arm, limits and duration, runs in processes of its own, and is
-judged by the same code, which is none of theirs: see README.md for what each column means.
-"""
+"""excitant's design beside FIGAROH and random search, on one problem in one run; see README.md."""
 
 import argparse
 import importlib.util
@@ -18,19 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import contestants
 import joblib
 import numpy as np
 import pandas as pd
 import pinocchio as pin
-from contestants import (
-    CONTESTANTS,
-    Problem,
-    Settings,
-    load_problem,
-    problem_file,
-    run_contestant,
-    run_figaroh,
-)
+from contestants import CONTESTANTS, Problem, Settings
 from judge import DRAWS, ParameterError, conditioning, parameter_error, read_motion
 
 from excitant.design import check, load_trajectory
@@ -114,7 +103,7 @@ def run(
     if method != "figaroh":
         label = "search" if method in SEARCHED else f"H={setting}"
         settings = Settings(time.time() + given.time_limit, given.jobs, given.seed, setting)
-        tries = [run_contestant(problem, method, settings)]
+        tries = [contestants.run_contestant(problem, method, settings)]
     else:
         label, python = f"{FIGAROH_SEGMENTS}x{setting}", given.figaroh_python
         if python is None and importlib.util.find_spec("figaroh") is None:
@@ -122,7 +111,7 @@ def run(
         common = (python or Path(sys.executable), setting, FIGAROH_SEGMENTS)
         seeds = range(given.seed, given.seed + given.figaroh_seeds)
         with ThreadPoolExecutor(given.jobs) as pool:
-            tries = list(pool.map(partial(run_figaroh, problem, *common), seeds))
+            tries = list(pool.map(partial(contestants.run_figaroh, problem, *common), seeds))
     times = time.perf_counter() - wall, _children() - cpu
     files = tuple(file for found, _ in tries for file in found)
     return Row(method, label, *times, "; ".join(note for _, note in tries)), files
@@ -202,10 +191,10 @@ def report(problem: Problem, rows: Sequence[Row], given: argparse.Namespace) -> 
 def main(words: Sequence[str] | None = None) -> int:
     given = arguments(words)
     try:
-        file = problem_file(given.problem)
+        file = contestants.problem_file(given.problem)
         folder = given.output or Path("runs") / f"benchmark-design-{file.stem}"
         first = given.harmonics[0] if given.harmonics else None
-        problem = load_problem(file, folder, given.robot, first)
+        problem = contestants.load_problem(file, folder, given.robot, first)
         problem.write()
         rows = compete(problem, given)
     except ExcitantError as error:

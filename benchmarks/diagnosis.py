@@ -13,24 +13,11 @@ from typing import Annotated, Any
 import common
 import numpy as np
 import scipy
+import worlds_plant as worlds
 from common import wilson
 from cyclopts import Parameter
 from threadpoolctl import threadpool_limits
-from worlds_plant import (
-    BODIES,
-    DURATION,
-    FRICTION,
-    KINDS,
-    SET_UPS,
-    STRUCTURES,
-    Drawing,
-    Hidden,
-    Plant,
-    Rng,
-    Trajectory,
-    drawn_arm,
-    given_and_true,
-)
+from worlds_plant import DURATION, Hidden, Plant, Rng, Trajectory
 
 from excitant.analysis.diagnosis import diagnose
 from excitant.design import random_trajectory
@@ -100,14 +87,14 @@ def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording
     rng, (off, reading) = np.random.default_rng([seed, number]), WORLDS[number % len(WORLDS)]
     category = str(rng.choice(list(CATEGORIES), p=list(CATEGORIES.values())))
     robot, given, bare, motions = moving_arm(rng, OFF[off])
-    drawing, plant, hidden = Drawing(bare, given, motions, rng), bare, list[Hidden]()
+    drawing, plant, hidden = worlds.Drawing(bare, given, motions, rng), bare, list[Hidden]()
     if category == "set-up":
-        plant, found = drawing.set_up(plant, str(rng.choice(SET_UPS)))
+        plant, found = drawing.set_up(plant, str(rng.choice(worlds.SET_UPS)))
         hidden.append(found)
     elif category != "nothing":
-        kinds, count = STRUCTURES, 1
+        kinds, count = worlds.STRUCTURES, 1
         if category == "effects":  # a current does not show the gain of its drive
-            kinds = tuple(k for k in KINDS if (k, reading) != ("torque_gain", "current"))
+            kinds = tuple(k for k in worlds.KINDS if (k, reading) != ("torque_gain", "current"))
             count = 1 + int(rng.choice(3, p=COUNTS))
         taken = set[int]()
         for kind in rng.choice(kinds, count, replace=False):
@@ -123,7 +110,7 @@ def drawn(seed: int, number: int) -> tuple[dict[str, Any], Robot, list[Recording
 def moving_arm(rng: Rng, off: float) -> tuple[Robot, Plant, Plant, tuple[Trajectory, ...]]:
     """An arm whose drives can hold it, as `given_and_true`, and two motions."""
     while True:
-        robot, given, bare = given_and_true(drawn_arm(rng), rng, off)
+        robot, given, bare = worlds.given_and_true(worlds.drawn_arm(rng), rng, off)
         with contextlib.suppress(Infeasible):
             motions = [random_trajectory(robot, rng, DURATION, HARMONICS) for _ in range(2)]
             return robot, given, bare, tuple(motions)
@@ -170,7 +157,7 @@ def brief(finding: dict[str, Any]) -> dict[str, Any]:
     rivals = [[r["effect"], r["joints"]] for r in finding["rivals"]]
     named = {key: finding[key] for key in ("effect", "joints", "verdict")}
     values = {p["name"]: [p["value"], p["std"]] for p in finding["parameters"]}
-    few = plain(values) if finding["effect"] not in BODIES else {}
+    few = plain(values) if finding["effect"] not in worlds.BODIES else {}
     return named | {"share": share, "rivals": rivals, "parameters": few}
 
 
@@ -233,9 +220,9 @@ def _only_names(finding: dict[str, Any], hidden: Hidden, robot: Robot) -> bool:
 
 def of_the_world(effect: str, off: float, hidden: Sequence[Hidden]) -> bool:
     """Whether a cause is true whatever is hidden: the given bodies and friction are off."""
-    if effect in BODIES:
-        return off > 0 or any(h.effect in BODIES for h in hidden)
-    return effect in FRICTION and off > 0
+    if effect in worlds.BODIES:
+        return off > 0 or any(h.effect in worlds.BODIES for h in hidden)
+    return effect in worlds.FRICTION and off > 0
 
 
 def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:

@@ -10,15 +10,7 @@ import pinocchio as pin
 import scipy.signal
 
 from excitant.design import random_trajectory
-from excitant.identify import Data, Recording
-from excitant.identify.estimators import (
-    closed_loop,
-    errors_in_variables,
-    half_regressions,
-    irls,
-    iv,
-    output_error,
-)
+from excitant.identify import Data, Recording, estimators
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.preprocessing import prepare
 from excitant.identify.rows import fit_rows
@@ -130,16 +122,16 @@ def estimates(
     segments = tuple(prepare(recording, cutoff_hz))
     data = Data(segments, (), recording.unit, cutoff_hz, "")
     rows = fit_rows(known.robot, standard_effects(known.robot.joints), known.base, data)
-    even, odd = half_regressions(rows, [recording])
-    loop = closed_loop(rows, [recording])
+    even, odd = estimators.half_regressions(rows, [recording])
+    loop = estimators.closed_loop(rows, [recording])
     fits = (
         weighted_least_squares(rows.reduced),
-        irls(rows.reduced),
+        estimators.irls(rows.reduced),
         weighted_least_squares(even),
-        iv(even, odd),
-        output_error(loop.problem, loop.simulated).fit,
+        estimators.iv(even, odd),
+        estimators.output_error(loop.problem, loop.simulated).fit,
     )
-    return dict(zip(METHODS, fits, strict=True)), errors_in_variables(even, odd)[1]
+    return dict(zip(METHODS, fits, strict=True)), estimators.errors_in_variables(even, odd)[1]
 
 
 def cells(

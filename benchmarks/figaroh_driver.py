@@ -1,12 +1,7 @@
 """Excitation trajectory by FIGAROH's public interface, for its own Python environment.
 
 Called as ``python figaroh_driver.py SPECIFICATION.json``, which `contestants.run_figaroh` writes;
-imports nothing of excitant.
-
-The steps are those of FIGAROH's UR10 example: load the robot, derive from
-`BaseOptimalTrajectory`, initialise, solve segment by segment with IPOPT. The problem's limits
-replace those of the URDF, the margins inside them are zero (``soft_lim``), and the result is
-sampled at the rate of the benchmark from the waypoints that IPOPT returned.
+imports nothing of excitant. The steps are those of FIGAROH's UR10 example; see README.md.
 """
 
 import json

@@ -1,13 +1,4 @@
-"""Neutral judge of a motion: NumPy and Pinocchio only, nothing of excitant.
-
-Conditioning, and errors of base parameters fitted by weighted least squares to torque with noise.
-
-The condition number is that of the stacked joint torque regressor, rigid bodies only, unscaled.
-Base columns are chosen on random states within the limits, never on the motion itself:
-
-* ``left``: from left to right, a column is base when it is no combination of those before it;
-* ``proj``: all columns, projected on the row space of the random states (free of any choice).
-"""
+"""Neutral judge of a motion: NumPy and Pinocchio only, nothing of excitant; see README.md."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,11 +1,4 @@
-"""On-line payload of the CMU DD Arm II: cost per sample, and whether its intervals are honest.
-
-Every run draws a payload and identifies the arm off line, from its initial values and 20 s of two
-random motions without load; then it takes 10 s of another motion with the load sample by sample,
-differentiated as suits the positions seen off line. Arm, friction, noise and encoders are those of
-`dd_arm.py`, whose torque shares nothing with the estimator. What the machine interrupts in one
-replay it does not in another: a sample costs the least processor time of several.
-"""
+"""On-line payload of the CMU DD Arm II: cost per sample, and whether its intervals are honest."""
 
 import gc
 import time

@@ -1,14 +1,4 @@
-"""The same two tasks for others and for excitant: torque of unseen data, rms and nrmse per joint.
-
-``python benchmarks/peers.py FOLDER`` writes the tasks and runs excitant and a bare Pinocchio script
-(least squares with filtered derivatives, 20 lines). Each other one runs this file in an environment
-of its own: ``figaroh-venv/bin/python benchmarks/peers.py FOLDER figaroh``, likewise ``mujoco``
-(``pip install "mujoco[sysid]"``), on the tasks that it can be given without more code of ours.
-
-Tasks: ``planar``, a virtual ``planar_2r`` whose values are off by up to 3 %, 10 s to fit and 10 s
-held out; ``ur10``, the recording of a real arm (``EXCITANT_DATA``, else ``../shared/data``), first
-70 % and last 30 %.
-"""
+"""The same two tasks for others and for excitant: torque of unseen data; see README.md."""
 
 import sys
 import tempfile

@@ -25,21 +25,10 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import psutil
+import robustness_inputs as inputs
 import yaml
 from common import wilson
 from cyclopts import Parameter
-from robustness_inputs import (
-    ExtremeArm,
-    damaged_bytes,
-    damaged_table,
-    damaged_text,
-    extreme_arm,
-    heavier,
-    motion,
-    rubbing,
-    simulated,
-    write_corpus,
-)
 
 from excitant.cli import main as excitant
 from excitant.design import load_trajectory
@@ -241,11 +230,11 @@ def damage(rng: Rng, path: Path) -> str:
     """Damage a file as its kind can be damaged; how, in a word."""
     content = path.read_bytes()
     if path.name.startswith("run") and rng.random() < 0.8:
-        words, table = damaged_table(rng, pd.read_csv(path))
+        words, table = inputs.damaged_table(rng, pd.read_csv(path))
         table.to_csv(path, index=False)
         return words
     binary = b"\0" in content or rng.random() < 0.1
-    path.write_bytes((damaged_bytes if binary else damaged_text)(rng, content))
+    path.write_bytes((inputs.damaged_bytes if binary else inputs.damaged_text)(rng, content))
     return "bytes" if binary else "words"
 
 
@@ -268,8 +257,10 @@ def attempt(read: Callable[[], object]) -> tuple[str, str]:
 
 def _wrong_planar(rng: Rng, folder: Path) -> str:
     model = pin.buildModelFromXML(load_robot("planar_2r").urdf)
-    states = motion(rng, np.arange(0, 8, 0.01), np.ones(2))
-    truth = simulated(heavier(model, 1.08), states) + rubbing(states[1], np.array([2.0, 1.0]))
+    states = inputs.motion(rng, np.arange(0, 8, 0.01), np.ones(2))
+    truth = inputs.simulated(inputs.heavier(model, 1.08), states) + inputs.rubbing(
+        states[1], np.array([2.0, 1.0])
+    )
     return wrong_model(folder, states, truth)
 
 
@@ -278,7 +269,7 @@ def _wrong_planar(rng: Rng, folder: Path) -> str:
 
 def arms(rng: Rng, folder: Path, _: Path) -> Case:
     """Every verb on one extreme arm."""
-    arm = extreme_arm(rng)
+    arm = inputs.extreme_arm(rng)
     for name, text in arm.files.items():
         (folder / name).write_text(text)
     for name in ("run1", "run2"):
@@ -313,9 +304,9 @@ def arms(rng: Rng, folder: Path, _: Path) -> Case:
         yield f"{verb}: {arm.words}", found, said
 
 
-def _wrong_of_arm(rng: Rng, arm: ExtremeArm, folder: Path, verb: str) -> str:
+def _wrong_of_arm(rng: Rng, arm: inputs.ExtremeArm, folder: Path, verb: str) -> str:
     if verb in ("identify", "auto"):
-        states = motion(rng, np.arange(0, 10, 0.02), arm.scale)
+        states = inputs.motion(rng, np.arange(0, 10, 0.02), arm.scale)
         return wrong_model(folder / verb, states, arm.torque(states))
     if verb == "diagnose":
         findings = json.loads((folder / verb / "result.json").read_text())["findings"]
@@ -370,7 +361,7 @@ def violations(arm: Any, given: dict[str, Array], file: Path) -> str:
     table = np.loadtxt(file, delimiter=",", skiprows=1)
     t, (q, dq, ddq) = table[:, 0], np.split(table[:, 1:], 3, axis=1)
     step = t[1] - t[0]
-    rnea = simulated(arm.model, (q, dq, ddq))
+    rnea = inputs.simulated(arm.model, (q, dq, ddq))
     tau = rnea + sum(e.torque(arm, Motion(t, q, dq, ddq)) for e in arm.effects)
     low, high = given["position"].T
     used = {
@@ -619,7 +610,7 @@ def main(
     with tempfile.TemporaryDirectory() as home:
         corpus = Path(home) / "corpus"
         with contextlib.redirect_stdout(None):
-            write_corpus(corpus)
+            inputs.write_corpus(corpus)
         for part in parts or PARTS:
             begun = time.perf_counter()
             cases = range(1, (count or COUNTS[part]) + 1) if case is None else [case]

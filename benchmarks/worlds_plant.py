@@ -87,17 +87,18 @@ class Plant:
         bodies = [spec.worldbody]
         for k, values in enumerate(self.robot.phi.reshape(-1, 10), start=1):
             place, inertia = arm.jointPlacements[k], pin.Inertia.FromDynamicParameters(values)
-            turn = pin.Quaternion(place.rotation)
+            turned = pin.Quaternion(place.rotation)
             body = bodies[arm.parents[k]].add_body(
                 pos=place.translation,
-                quat=[turn.w, turn.x, turn.y, turn.z],
+                quat=[turned.w, turned.x, turned.y, turned.z],
                 mass=inertia.mass,
                 ipos=inertia.lever,
                 fullinertia=inertia.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
                 explicitinertial=True,
             )
-            axis = np.ravel(arm.joints[k].createData().S)[3:]
-            body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+            slide, turn = np.split(np.ravel(arm.joints[k].createData().S), 2)
+            kind = mujoco.mjtJoint.mjJNT_SLIDE if slide.any() else mujoco.mjtJoint.mjJNT_HINGE
+            body.add_joint(type=kind, axis=slide + turn)
             bodies.append(body)
         return spec.compile()
 

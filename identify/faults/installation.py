@@ -52,7 +52,7 @@ from excitant.robots.robot import Robot
 
 @dataclass(frozen=True)
 class Search:
-    """Settings of the search, with which `benchmarks/planted_faults.py` moves."""
+    """Settings of the search, with which `benchmarks/mistakes.py` moves."""
 
     fits: float = 0.1
     "Squares per independent row, errors of the model counted: less needs no other installation."

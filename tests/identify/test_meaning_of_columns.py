@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_arms import Call
-from planted_faults import PLANTS, coupled, recorded, shifted
+from mistakes import PLANTS, coupled, recorded, shifted
 
 from excitant.identify import Recording, load_dataset
 from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
