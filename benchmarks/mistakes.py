@@ -333,10 +333,10 @@ MADE: dict[str, tuple[str, Callable[[Run], Log]]] = {
             lambda run, g=g: run.built(robot=run.plant.robot.with_gravity(g)))
         for name, g in {"x": [9.81, 0, 0], "z": [0, 0, 9.81], "a_slope": [4.0, 3.0, -8.4]}.items()
     },
-    "late_by_200_ms": ("", lambda run: run.built(delay=0.2)),
-    "late_by_60_ms": ("", lambda run: run.built(delay=0.06)),
-    "one_late": ("", lambda run: run.built(delay=0.1 * (np.arange(run.robot.nv) == 1))),
-    "positions_late": ("", lambda run: run.built(delay=-0.1)),
+    "late_by_200_ms": ("time_delay", lambda run: run.built(delay=0.2)),
+    "late_by_60_ms": ("time_delay", lambda run: run.built(delay=0.06)),
+    "one_late": ("time_delay", lambda run: run.built(delay=0.1 * (np.arange(run.robot.nv) == 1))),
+    "positions_late": ("time_delay", lambda run: run.built(delay=-0.1)),
     "parked": ("poor_excitation", lambda run: run.moved(lambda j: j < len(j) - 1)),
     "parked_elbow": ("poor_excitation", lambda run: run.moved(lambda j: j != 2)),
     "one_joint_moves": ("poor_excitation", lambda run: run.moved(lambda j: j == 1)),
@@ -406,7 +406,7 @@ def told(arm: str, logs: Sequence[Log]) -> tuple[list[tuple[str, str]], Estimate
             read = Data(validate=files[1:]).read(dataset, files[:1])
             entries = read.entries["faults"]
             options = {"effects": None, "cutoff": None, "validate": read.holdout}
-            found = Fit().identified(dataset.robot, read.fit, options)
+            found = Fit().identified(read.robot, read.fit, options)
             if publication(found, formats=(), faults=proven(entries)).published:
                 estimate = found
         except ExcitantError:
