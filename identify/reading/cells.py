@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from numbers import Real
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -28,11 +29,10 @@ _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
 
 
-def framed(names: Sequence[str], columns: Iterable[Cells]) -> Frame:
-    """Columns by name, those left out whose name is there twice."""
-    return {
-        n: c for n, c in zip(names, columns, strict=True) if names.count(n) == 1
-    }
+def keys_of(names: Sequence[str]) -> list[str]:
+    """What columns are found under: their names, or numbers from 0 where a name is there twice."""
+    times = Counter(names)
+    return [name if times[name] == 1 else str(k) for k, name in enumerate(names)]
 
 
 def cells(series: pd.Series) -> Cells:

@@ -28,6 +28,7 @@ from excitant.identify import (
     load_dataset,
     load_recording,
     raw_recording,
+    read_chunks,
     recording_from_table,
 )
 from excitant.identify.reading import mat
@@ -281,6 +282,56 @@ def test_a_map_converts_units_signs_and_currents(load: Call) -> None:
     assert same(load(log, content | {"drive": drive}), TAU * gains * ratios).unit == "N·m"
 
 
+def read_as(*channels: np.ndarray, n: int = 18) -> pd.DataFrame:
+    """The log ``q, dq, tau`` with such values, its last columns of one name."""
+    log = EXACT.copy()
+    log[log.columns[1:]] = np.hstack(channels)
+    return log.set_axis([*log.columns[: n + 1], *["x"] * (18 - n)], axis=1)
+
+
+WRISTS = np.eye(6)
+WRISTS[5, 4] = 1  # the last axis is read with the one before
+COUPLED = Q @ WRISTS.T, DQ @ WRISTS.T, TAU @ np.linalg.inv(WRISTS)
+OTHER = {"wrist_3_joint": {"wrist_2_joint": 1}}
+READ_AS: dict[str, tuple[pd.DataFrame, Columns]] = {
+    "counts": (read_as(Q * 500 + 2048, DQ, TAU), {"units": {"q": 2e-3}, "offset": {"q": -2048}}),
+    "a zero of a joint": (
+        read_as(Q + DEG * (RATES == 3), DQ, TAU - RATES),
+        {"offset": {"q": {"elbow_joint": -DEG}, "tau": RATES.tolist()}},
+    ),
+    "a unit of a joint": (
+        read_as(Q, DQ * np.where(RATES == 3, DEG, 1), TAU),
+        {"units": {"dq": {"elbow_joint": "deg/s"}}},
+    ),
+    "coupled axes": (read_as(*COUPLED), {"coupling": OTHER}),
+    "coupled positions": (read_as(*COUPLED[:2], TAU), {"coupling": {"q": OTHER, "dq": OTHER}}),
+    "no time": (EXACT.drop(columns="t"), {"rate": 100}),
+    "a name that is there often": (read_as(Q, DQ, TAU, n=12), {"tau": [*range(13, 19)]}),
+    "a unit in the name": (
+        read_as(Q * DEG, DQ, TAU).rename(columns={f"q{k}": f"a{k} [deg]" for k in RATES}),
+        {"q": "a{1} [deg]"},
+    ),
+    "time in its name's unit": (EXACT.rename(columns={"t": "x [h]"}) / [3600, *[1] * 18], {"t": 0}),
+}
+
+
+@pytest.mark.parametrize("name", READ_AS)
+def test_a_map_says_how_a_log_relates_to_the_model(name: str, load: Call, log: Path) -> None:
+    """Whole, and in pieces."""
+    frame, content = READ_AS[name]
+    log.write_text(text(frame))
+    same(load(log, content))
+    parts = [*read_chunks(log, ARM, 70, mapping=load_column_map(log.with_name("columns.yaml")))]
+    np.testing.assert_allclose(np.concatenate([part.t for part in parts]), T, atol=1e-6)
+    np.testing.assert_allclose(np.vstack([part.tau for part in parts]), TAU)
+    if "name that" in name:
+        with pytest.raises(BadRecording, match=r"13 \(x\), 14 \(x\)"):
+            load(log)
+    if name == "no time":
+        with pytest.raises(BadRecording, match=r"the rate of the rows \[Hz\].*rate: 100"):
+            load(log)
+
+
 BAD_MAPS: dict[str, tuple[Any, str]] = {
     "no entries": ([1], "expected entries"),
     "unknown entry": ({"qq": "a"}, "did you mean 'q'"),
@@ -289,6 +340,16 @@ BAD_MAPS: dict[str, tuple[Any, str]] = {
     "unknown quantity": ({"units": {"torq": "Nm"}}, "unknown entry 'torq'"),
     "sign": ({"sign": {"elbow_joint": 2}}, "must be 1 or -1"),
     "unknown joint": ({"sign": {"elbow": -1}}, "unknown joint 'elbow'"),
+    "unit of no joint": ({"units": {"q": {"elbow": "deg"}}}, "units of q: unknown joint 'elbow'"),
+    "offset of no joint": ({"offset": {"q": {"elbow": 1}}}, "offset of q: unknown joint 'elbow'"),
+    "two offsets": ({"offset": {"q": [1, 2]}}, "offset of q: 2 given, the robot has 6 joints"),
+    "offset of time": ({"offset": {"t": 1}}, "unknown entry 't'"),
+    "coupled to none": ({"coupling": {JOINTS[0]: {"x": 1}}}, "coupling: unknown joint 'x'"),
+    "coupling": ({"coupling": {"q": {JOINTS[0]: 1}}}, f"'{JOINTS[0]}' must be {{joint: number}}"),
+    "all one": ({"coupling": {JOINTS[0]: {JOINTS[0]: 0}}}, "tell no joint from another"),
+    "rate": ({"rate": 0}, "rate: expected"),
+    "rate and time": ({"rate": 10, "t": "time"}, "both 't' and 'rate'"),
+    "no such number": ({"q": [1, 2, 3, 4, 5, 19]}, "'19': is not there"),
     "missing column": ({"t": "clock"}, "is not there"),
     "too few columns": ({"q": ["q_0", "q_1"]}, "names 2 columns, the robot has 6"),
     "missing pattern": ({"q": "qq_{0}"}, "'qq_0'"),
@@ -379,7 +440,7 @@ def dated(form: str, separator: str = ",") -> str:
     return text(columns | {"timestamp": [form.format(t) for t in T]}, separator)
 
 
-GERMAN = ("Position {} [rad]", "Geschw. {} speed [rad/s]", "Drehmoment {} [Nm]")
+GERMAN = ("Achse {} Istposition [rad]", "Achse {} Drehzahl [rad/s]", "Drehmoment {} [Nm]")
 BENCH = text(named("Zeit [s]", GERMAN), ";", ",")
 JOINT_STATES = [
     {"header": {"stamp": {"sec": s, "nanosec": n}, "frame_id": ""}}
@@ -409,7 +470,8 @@ SHAPES: dict[str, tuple[str, Any]] = {  # a file, and what it holds or what writ
     "JSON lines of joint states": ("log.jsonl", lines(JOINT_STATES)),
     "JSON, a list of records": ("log.json", json.dumps(JOINT_STATES)),
     "JSON, lists by name": ("log.json", json.dumps({k: x.tolist() for k, x in LISTS.items()})),
-    "arrays by samples": ("log.npz", lambda path: np.savez(path, **LISTS)),
+    "JSON, records and more": ("log.json", json.dumps({"mass": 2, "entries": JOINT_STATES})),
+    "arrays by samples": ("log.npz", lambda path: np.savez(path, **LISTS, phase_name=["a"] * 300)),
     "arrays by joints": ("log.npz", lambda p: np.savez(p, **{k: x.T for k, x in LISTS.items()})),
     "a struct": ("log.mat", lambda path: scipy.io.savemat(path, {"log": LISTS})),
     "a struct for each joint": ("log.mat", lambda path: scipy.io.savemat(path, STRUCT)),
