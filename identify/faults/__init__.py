@@ -40,6 +40,7 @@ from excitant.identify.faults.installation import (
     support,
     swapped,
 )
+from excitant.identify.faults.stated import map_of
 from excitant.identify.faults.time import (
     gap_faults,
     repeated_rows,
@@ -73,6 +74,14 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     the recording as the repairs of the earlier ones would leave it, so that one fault is not
     named twice. All tests together raise a fault in at most one of fifty faultless recordings.
     """
+    faults = _faults(robot, recording)
+    read = recording.read
+    if read is None:
+        return faults
+    return tuple(replace(f, map=map_of(robot, read, f.remedies)) for f in faults)
+
+
+def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     log = Log.of(robot, recording)
     faults: list[Fault] = []
     # of the log as it came, by row of the log as repaired
@@ -131,7 +140,8 @@ def warn_of_faults(robot: Robot, recordings: Sequence[Recording]) -> None:
         if recording not in _known:
             for fault in faults_of(robot, recording):
                 remedy = f"; repair {fault.repair}" if fault.repair else ""
-                warning = f"{recording.name}: {fault.detail}{remedy}"
+                stated = f"; column map {fault.map}" if fault.map else ""
+                warning = f"{recording.name}: {fault.detail}{remedy}{stated}"
                 warnings.warn(warning, FaultWarning, 3)
 
 

@@ -50,6 +50,8 @@ _SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
 _IN_SEQUENCE = ("order", "add", "scale", "unwrap", "interpolate")
 """Actions on values: each remedy finds the log as those before it left it."""
+ON_COLUMNS = {"order", "add", "scale"}
+"""Actions on all values of a channel alike, which a map may state."""
 _R = TypeVar("_R", bound=Recording)
 
 
@@ -153,6 +155,7 @@ class Fault:
     evidence: Mapping[str, Any]  # the same numbers by name
     repair: str | None = None
     remedies: tuple[Remedy, ...] = ()
+    map: str | None = None  # the same as a column map, where one can state it
 
     @property
     def channel(self) -> object:
@@ -174,6 +177,7 @@ class Fault:
                 name: _plain(value) for name, value in self.evidence.items()
             },
             "repair": self.repair,
+            "map": self.map,
         }
 
     def at(self, rows: Rows) -> Fault:
@@ -264,7 +268,7 @@ def _apply(
     if remedy.channel == "t":
         values["t"] = x[0] + (x - x[0]) * remedy.factor
         return
-    if remedy.action in ("order", "add", "scale"):
+    if remedy.action in ON_COLUMNS:
         values[remedy.channel] = remedy.on_columns(x)
         return
     for j in remedy.joints:

@@ -398,7 +398,7 @@ class _Search:
             self._coupling(role),
         )
         said = [
-            f" after {_alike(offsets)} is added" * any(offsets),
+            f", offset {_alike(offsets)}" * any(offsets),
             ", × drive gain = N·m" * bool(role == "i" and self.mapping.drive),
         ]
         if exact and not any((*units, *said)):

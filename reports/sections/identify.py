@@ -180,7 +180,8 @@ def _remedy(fault: Fault) -> str:
     if fault.repaired:
         return "repaired"
     if fault.repair:
-        return f"not repaired; --repair {fault.repair}"
+        stated = f"; --map: {fault.map}" if fault.map else ""
+        return f"not repaired; --repair {fault.repair}{stated}"
     known = fault.fault == "wrong_unit"
     return f"not repaired; {'state it in --map' if known else 'record again'}"
 

@@ -31,7 +31,10 @@ from excitant.identify import (
     read_chunks,
     recording_from_table,
 )
+from excitant.identify.faults.fault import Fault, Remedy, after_repair
+from excitant.identify.faults.stated import map_of
 from excitant.identify.reading import mat
+from excitant.identify.reading.mapping import column_map
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
 
@@ -330,6 +333,58 @@ def test_a_map_says_how_a_log_relates_to_the_model(name: str, load: Call, log: P
     if name == "no time":
         with pytest.raises(BadRecording, match=r"the rate of the rows \[Hz\].*rate: 100"):
             load(log)
+
+
+ALL = (0, 1, 2, 3, 4, 5)
+MOTION = ("q", "dq")
+REPAIRS: dict[str, tuple[str, list[Remedy]]] = {
+    "order": ("q: [q2, q1", [Remedy("order", x, (1, 0, *ALL[2:])) for x in (*MOTION, "tau")]),
+    "sign": (
+        "{sign: {elbow_joint: -1}}",
+        [Remedy("scale", x, (2,), factor=-1.0) for x in (*MOTION, "tau")],
+    ),
+    "degrees": (
+        "units: {q: deg, dq: deg/s}",
+        [Remedy("scale", x, ALL, factor=1 / DEG) for x in MOTION],
+    ),
+    "a scale": ("{units: {tau: {elbow_joint: 0.3}}}", [Remedy("scale", "tau", (2,), factor=0.3)]),
+    "coupled": (
+        "{coupling: {wrist_3_joint: {wrist_2_joint: 1}}}",
+        [Remedy("add", x, (5, 4), factor=-1.0) for x in MOTION] + [Remedy("add", "tau", (4, 5))],
+    ),
+    "positions": ("coupling: {q: {elb", [Remedy("add", x, (2, 3), factor=0.5) for x in MOTION]),
+    "clock": ("{units: {t: ms}}", [Remedy("scale", "t", factor=1e-3)]),
+}
+GIVEN: tuple[Columns, ...] = (
+    {},
+    {
+        "units": {"q": "deg", "tau": RATES.tolist()},
+        "offset": {"q": 3, "dq": {"elbow_joint": 0.1}, "tau": RATES.tolist()},
+        "sign": {"q": {"elbow_joint": -1}},
+        "coupling": OTHER,
+    },
+    {"rate": 100, "i": [f"tau{k}" for k in RATES], "drive": {"gain_Nm_per_A": RATES.tolist()}},
+)
+
+
+@pytest.mark.parametrize("repair", REPAIRS)
+@pytest.mark.parametrize("given", GIVEN)
+def test_a_map_states_what_a_repair_does(
+    given: Columns, repair: str, load: Call, log: Path
+) -> None:
+    """Whatever map the log was read with."""
+    said, remedies = REPAIRS[repair]
+    log.write_text(text(EXACT.drop(columns=["t"] if "rate" in given else [])))
+    found = load(log, given)
+    stated = map_of(ARM, found.read, remedies) or ""
+    assert said in stated or given
+    new = yaml.safe_load(stated)
+    new |= {k: x | new[k] for k, x in given.items() if k in new and isinstance(x, dict)}
+    again = raw_recording(log, ARM, column_map(given | new, "columns.yaml"))
+    expected, _ = after_repair(found, [Fault("", (), "", {}, "", tuple(remedies))])
+    for name, values in (("t", expected.t), *expected.channels()):
+        np.testing.assert_allclose(getattr(again, name), values, rtol=1e-6, atol=1e-9)
+    assert map_of(ARM, found.read, (Remedy("drop", rows=np.arange(2)),)) is None
 
 
 BAD_MAPS: dict[str, tuple[Any, str]] = {
