@@ -43,8 +43,6 @@ _MOTORS = {"motor", "motors", "rotor", "rotors"}  # turn otherwise than joints
 _BY_NUMBER = "rename one, or give columns by number, from 0, in a file for --map"
 _RATE = "the rate of the rows [Hz]"
 _ADVICE = "say which in a file for --map, such as"
-_CHANNEL = {"q": "q", "dq": "dq", "tau": "tau", "i": "tau"}
-_SINGULAR = 1e9  # condition number of axes that a log does not tell apart
 _Key = str | int | None
 _T = TypeVar("_T")
 
@@ -382,24 +380,26 @@ class _Search:
             columns = group.columns
             exact = group.exact
             hints = [group.members[key].unit for key in group.keys]
-        units = self._of_joints(
-            f"units of {role}", self.mapping.units.get(role), hints
-        )
+        name = "tau" if role == "i" else role
+        given = self.mapping
+        units = self._of_joints(f"units of {role}", given.units.get(role), hints)
         none = [0.0] * self.count
-        offsets = self._of_joints(
-            f"offset of {role}", self.mapping.offset.get(role), none
-        )
+        offsets = self._of_joints(f"offset of {role}", given.offset.get(role), none)
+        ones = [1.0] * self.count
+        signs = self._of_joints("sign", given.sign.get(name), ones)
+        drive = given.drive if role == "i" else None
+        gains = self._of_joints("drive", drive, ones)
         channel = Channel(
             role,
             columns,
-            self._factors(role, units),
+            np.multiply(self._sizes(role, units), signs),
             np.array(offsets),
-            self._gains(role),
-            self._coupling(role),
+            np.array(gains),
+            self._coupling(name),
         )
         said = [
             f", offset {_alike(offsets)}" * any(offsets),
-            ", × drive gain = N·m" * bool(role == "i" and self.mapping.drive),
+            ", × drive gain = N·m" * bool(drive),
         ]
         if exact and not any((*units, *said)):
             return channel
@@ -504,11 +504,8 @@ class _Search:
                 raise BadRecording(self.table.file, why, column=column)
         return tuple(there[column] for column in columns)
 
-    def _factors(self, role: str, units: Sequence[Unit | None]) -> Array:
-        """SI units per logged unit of each joint, with the sign that the map gives it."""
-        signs = self._of_joints(
-            "sign", self.mapping.sign.get(_CHANNEL[role]), [1.0] * self.count
-        )
+    def _sizes(self, role: str, units: Sequence[Unit | None]) -> list[float]:
+        """SI units per logged unit of each joint."""
         sizes = []
         for unit, joint, turns in zip(
             units, self.labels, self.revolute, strict=True
@@ -521,18 +518,11 @@ class _Search:
                 why = f"joint {joint} {kind}: its {role} is not in {unit}"
                 raise BadInput(f"{self.mapping.source}: {why}")
             sizes.append(size)
-        return np.array(sizes) * signs
+        return sizes
 
-    def _gains(self, role: str) -> Array:
-        """Torque of each joint per ampere where the map gives drives, else ones."""
-        if role != "i" or self.mapping.drive is None:
-            return np.ones(self.count)
-        self._expect_all("drive has {} gains", self.mapping.drive)
-        return np.array(self.mapping.drive)
-
-    def _coupling(self, role: str) -> Array | None:
+    def _coupling(self, name: str) -> Array | None:
         """Coordinates of the model by those of the log; see `ColumnMap.coupling`."""
-        stated = self.mapping.coupling.get(_CHANNEL[role])
+        stated = self.mapping.coupling.get(name)
         if not stated:
             return None
         logged = np.eye(self.count)
@@ -541,11 +531,10 @@ class _Search:
             self._expect_joints("coupling", [joint, *others])
             columns = [self.labels.index(other) for other in others]
             logged[self.labels.index(joint), columns] = [*parts.values()]
-        if np.linalg.cond(logged) > _SINGULAR:
+        if np.linalg.matrix_rank(logged) < self.count:
             why = "coupling: readings that are the same tell no joint from another"
             raise BadInput(f"{self.mapping.source}: {why}")
-        of_torque = _CHANNEL[role] == "tau"
-        return np.asarray(logged.T if of_torque else np.linalg.inv(logged))
+        return np.asarray(logged.T if name == "tau" else np.linalg.inv(logged))
 
     def _shortened(self, columns: Sequence[str]) -> str:
         """Columns for people: one pattern for joints' names, first and last of a rising number."""
