@@ -419,6 +419,10 @@ class _Search:
         absent = self.prefix is not None and not exact
         for role in self.mapped_torque or exact or both * (not absent):
             if (channel := self.channel(role)) is not None:
+                other = "tau" if role == "i" else "i"
+                if other in self.mapping.offset:
+                    why = f"offset of {other}, but the log has {role}; correct one"
+                    raise BadInput(f"{self.mapping.source}: {why}")
                 return channel
         raise self.missing("tau")
 
@@ -532,7 +536,7 @@ class _Search:
             columns = [self.labels.index(other) for other in others]
             logged[self.labels.index(joint), columns] = [*parts.values()]
         if np.linalg.matrix_rank(logged) < self.count:
-            why = "coupling: readings that are the same tell no joint from another"
+            why = "coupling: such readings do not determine the joints; correct it"
             raise BadInput(f"{self.mapping.source}: {why}")
         return np.asarray(logged.T if name == "tau" else np.linalg.inv(logged))
 
