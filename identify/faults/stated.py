@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from excitant.identify.faults.fault import ON_COLUMNS, Remedy
-from excitant.identify.reading.cells import ISO
-from excitant.identify.reading.columns import Channel, Columns
-from excitant.identify.reading.mapping import in_one_line
-from excitant.identify.reading.units import factor, named, rounded
+from excitant.identify.reading.units import ISO, factor, named, rounded
 from excitant.identify.recording import CHANNELS
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.schema import in_one_line
+
+if TYPE_CHECKING:
+    from excitant.identify.reading.columns import Channel, Columns
 
 
 def map_of(robot: Robot, read: Columns, remedies: Sequence[Remedy]) -> str | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from excitant.identify.reading.units import Unit, factor
+from excitant.identify.reading.units import ISO, Unit, factor
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ Cells: TypeAlias = "npt.NDArray[Any] | pd.Series"
 """Cells of a column: an array of numbers, or a series of anything else."""
 Frame: TypeAlias = Mapping[str, Cells]
 """Some rows of a log by column."""
-ISO = "ISO 8601"
 
 _ORDERS = ("%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f")
 _SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103

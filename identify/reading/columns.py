@@ -17,12 +17,13 @@ import numpy as np
 
 from excitant.exceptions import BadInput, BadRecording
 from excitant.identify.reading.cells import keys_of
-from excitant.identify.reading.mapping import ColumnMap, OfJoints, in_one_line
+from excitant.identify.reading.mapping import ColumnMap, OfJoints
 from excitant.identify.reading.names import PARTS_OF_TIME, Meaning, meaning
 from excitant.identify.reading.tables import Table, timed
 from excitant.identify.reading.units import Unit, factor
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.schema import in_one_line
 
 _PLURALS = {
     "t": "time",

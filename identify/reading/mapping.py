@@ -9,7 +9,6 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
-import yaml
 
 from excitant.exceptions import BadInput
 from excitant.identify.reading.units import Unit, spelled, units_of
@@ -143,18 +142,6 @@ def column_map(content: object, source: str) -> ColumnMap:
         topic=record.topic,
         source=source,
     )
-
-
-def in_one_line(content: object) -> str:
-    """Content of a YAML file on one line."""
-    text: str = yaml.safe_dump(
-        content,
-        default_flow_style=True,
-        sort_keys=False,
-        width=1 << 20,
-        allow_unicode=True,
-    )
-    return text.strip()
 
 
 def drive_of(content: object, source: str) -> tuple[float, ...] | None:

@@ -9,6 +9,8 @@ from typing import NamedTuple, TypeAlias
 Unit: TypeAlias = str | float
 """The name of a unit, or how many SI units one logged unit is."""
 
+ISO = "ISO 8601"
+"""The unit of time of dates."""
 _TURN = 2 * math.pi
 _REVOLUTE = True
 _PRISMATIC = False
