@@ -202,9 +202,12 @@ class Examination(Shown):
         findings = self.results["diagnose"]["findings"]
         if self.use and findings and findings[0]["verdict"] == "undecided":
             return "excitant diagnose, with the same words, looks for the motion that decides"
-        if any(fault["repair"] and not fault["repaired"] for fault in self.faults):
-            return "--repair repairs the recordings; a file for --map says what their columns are"
-        return ""
+        faults = [f for f in self.faults if f["repair"] and not f["repaired"]]
+        maps = dict.fromkeys(f["map"] for f in faults if f["map"])
+        stated = (
+            f"; for good, a file for --map: {' and '.join(maps)}" if maps else ""
+        )
+        return f"--repair repairs the recordings{stated}" if faults else ""
 
     @property
     def _lacking(self) -> list[str]:

@@ -223,17 +223,21 @@ def prepare(
         )
     band_hz = band_hz or position_cutoff(cutoff_hz, 1 / step)
     parts = uninterrupted(t)
+    # what the filter distorts at both ends is left out
+    least = max(MINIMUM_DURATION, 2 / cutoff_hz + 2 * step)
     segments = [
         _segment(recording, part, step, cutoff_hz, band_hz)
         for part in parts
-        if len(part) > 20 and t[part[-1]] - t[part[0]] >= MINIMUM_DURATION
+        if len(part) > 20 and t[part[-1]] - t[part[0]] >= least
     ]
     if not segments:
-        needed = f"{MINIMUM_DURATION:g} s without interruption are needed"
+        needed = f"{least:.3g} s without interruption are needed"
+        if least > MINIMUM_DURATION:
+            needed += f" at a cut-off of {cutoff_hz:.3g} Hz"
         if len(parts) > 1:
             after = t[parts[0][-1]]
             why = f"time jumps {len(parts) - 1} times, first after {after:.4g} s; {needed}"
-        elif recording.duration < MINIMUM_DURATION:
+        elif recording.duration < least:
             why = f"'{recording.name}' lasts {recording.duration:.3g} s; {needed}: "
             why += "record longer or name a hold-out of its own"
         else:

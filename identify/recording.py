@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from excitant.identify.drive_gains import DriveGains
+    from excitant.identify.reading.columns import Columns
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 LONGEST_STEP_S = 1.0  # median sample step: a slower log shows no motion of an arm
@@ -55,6 +56,8 @@ class Recording(Shown):
     extras: Mapping[str, Array] = field(default_factory=dict)
     # names in the file, of time, positions and torque
     columns: tuple[str, ...] = ()
+    # where they were read from a file
+    read: Columns | None = None
     # of time as logged, whole and remaining seconds
     start: tuple[float, float] = (0.0, 0.0)
     # by row and column

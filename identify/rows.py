@@ -36,6 +36,7 @@ NAMED_SHARE = (
 SEEN_ROWS = (
     50  # in a row, in motion: so many of a coarse servo never repeat by chance
 )
+SEEN_APART = 5  # rows of one recording to one of its copy that left rows out
 HARMONICS_FACTOR = (
     2.0  # centrifugal torque has twice the highest harmonic of a motion
 )
@@ -133,28 +134,30 @@ def _refuse_seen(
 ) -> None:
     """Refuse a hold-out that repeats `SEEN_ROWS` rows in a row of what is fitted, in motion.
 
-    The very objects that are fitted may be named: where nothing is to be judged.
+    Of either, only every row of a number up to `SEEN_APART` may be there. The very objects that are
+    fitted may be named: where nothing is to be judged.
     """
-    fitted_runs = [(r, _runs(r)) for r in recordings] if validate else []
+    strides = range(1, SEEN_APART + 1)
+    fitted_runs = [
+        (r, [_runs(r, s) for s in strides]) for r in recordings if validate
+    ]
     for held in validate:
-        runs = _runs(held)
+        thinned = [_runs(held, s) for s in strides]
         for recording, others in fitted_runs:
             if recording is held:
                 continue
-            seen = np.flatnonzero(np.isin(runs, others[others != 0]))
-            if len(seen):
+            dense = np.isin(thinned[0], np.concatenate(others))
+            thin = np.isin(np.concatenate(thinned), others[0])
+            if seen := max(int(dense.sum()), int(thin.sum())):
                 raise BadRecording(
                     held.file,
-                    f"{len(seen) + SEEN_ROWS - 1} of its {len(held)} rows are those of "
+                    f"{seen + SEEN_ROWS - 1} of its {len(held)} rows are those of "
                     f"{recording.file}, which is fitted: a hold-out must be unseen; name another",
-                    row=int(seen[0]),
                 )
 
 
-def _runs(recording: Recording) -> npt.NDArray[np.uint64]:
-    """A number for every `SEEN_ROWS` consecutive rows of positions and torques, 0 at rest."""
-    if len(recording) < SEEN_ROWS:
-        return np.zeros(0, np.uint64)
+def _runs(recording: Recording, stride: int) -> npt.NDArray[np.uint64]:
+    """Numbers, of positions and torques, for `SEEN_ROWS` rows so far apart, none at rest."""
     values = np.column_stack([recording.q, recording.tau])
     words = np.ascontiguousarray(values).view(np.uint64)
     rng = np.random.default_rng(0)
@@ -163,9 +166,15 @@ def _runs(recording: Recording) -> npt.NDArray[np.uint64]:
         for size in (words.shape[1], SEEN_ROWS)
     )
     rows = (words * columns).sum(axis=1, dtype=np.uint64)
-    changes = np.append(0, np.cumsum(np.diff(rows) != 0))
-    moving = changes[SEEN_ROWS - 1 :] - changes[: 1 - SEEN_ROWS] >= SEEN_ROWS / 2
-    return np.where(moving, np.convolve(rows, places, "valid"), np.uint64(0))
+    runs = [np.zeros(0, np.uint64)]
+    for first in range(stride):
+        some = rows[first::stride]
+        if len(some) >= SEEN_ROWS:
+            changes = np.append(0, np.cumsum(np.diff(some) != 0))
+            moved = changes[SEEN_ROWS - 1 :] - changes[: 1 - SEEN_ROWS]
+            moving = moved >= SEEN_ROWS / 2
+            runs.append(np.convolve(some, places, "valid")[moving])
+    return np.concatenate(runs)
 
 
 def _cutoff(harmonics_hz: float, highest: float) -> tuple[float, str]:

@@ -207,6 +207,18 @@ def read_yaml(path: str | Path, kind: type[T], holds: str) -> T:
     return convert(content, kind, path)
 
 
+def in_one_line(content: object) -> str:
+    """Content of a YAML file on one line."""
+    text: str = yaml.safe_dump(
+        content,
+        default_flow_style=True,
+        sort_keys=False,
+        width=1 << 20,
+        allow_unicode=True,
+    )
+    return text.strip()
+
+
 def parsed_json(text: str | bytes, number: Callable[[str], float] = float) -> Any:
     """Content of JSON; ValueError where it is none, nests too deep, or ``number`` refuses one."""
 

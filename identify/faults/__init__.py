@@ -35,11 +35,13 @@ from excitant.identify.faults.fault import (
     repair,
 )
 from excitant.identify.faults.installation import (
+    beyond_limits,
     installation_faults,
     odds_against,
     support,
     swapped,
 )
+from excitant.identify.faults.stated import map_of
 from excitant.identify.faults.time import (
     gap_faults,
     repeated_rows,
@@ -76,6 +78,25 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     the recording as the repairs of the earlier ones would leave it, so that one fault is not
     named twice. All tests together raise a fault in at most one of fifty faultless recordings.
     """
+    faults = _faults(robot, recording)
+    read = recording.read
+    if read is None:
+        return faults
+    return tuple(
+        replace(fault, map=map_of(robot, read, _stated(robot, fault)))
+        for fault in faults
+    )
+
+
+def _stated(robot: Robot, fault: Fault) -> Sequence[Remedy]:
+    """What a map may state of a fault: its repair, or a zero position, which is the model's."""
+    if fault.fault != "wrong_zero":
+        return fault.remedies
+    j = robot.joint_index(fault.joints[0])
+    return [Remedy("offset", "q", (j,), factor=fault.evidence["offset"])]
+
+
+def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     log = Log.of(robot, recording)
     faults: list[Fault] = []
     # of the log as it came, by row of the log as repaired
@@ -110,6 +131,9 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     cuts = np.split(np.arange(len(log)), np.searchsorted(log.t, parts))
     longest = log.take(max(cuts, key=len)) if len(cuts) > 1 else log
     speeds = velocity_faults(longest)
+    if len(beyond_limits(robot, longest.q)[0]):
+        # positions of another unit say nothing of the clock
+        speeds = [f for f in speeds if f.fault != "wrong_sample_rate"]
     longest, _ = after_repair(longest, speeds)
     return (*faults, *channels, *speeds, *_by_physics(robot, longest, channels))
 
@@ -134,7 +158,8 @@ def warn_of_faults(robot: Robot, recordings: Sequence[Recording]) -> None:
         if recording not in _known:
             for fault in faults_of(robot, recording):
                 remedy = f"; repair {fault.repair}" if fault.repair else ""
-                warning = f"{recording.name}: {fault.detail}{remedy}"
+                stated = f"; column map {fault.map}" if fault.map else ""
+                warning = f"{recording.name}: {fault.detail}{remedy}{stated}"
                 warnings.warn(warning, FaultWarning, 3)
 
 

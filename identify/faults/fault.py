@@ -55,7 +55,9 @@ DECODED: Mapping[str, Callable[[Array, float], Array]] = {
     "sign_bit": lambda x, bit: np.where(x >= (1 - 1e-9) * bit, bit - x, x),
 }
 """Values of a channel by how they are coded and the size of that code."""
-_IN_SEQUENCE = ("order", "add", "scale", "advance", *DECODED, "interpolate")
+ON_COLUMNS = {"order", "add", "scale", "offset"}
+"""Actions on all values of a channel alike, which a map may state."""
+_IN_SEQUENCE = (*ON_COLUMNS, "advance", *DECODED, "interpolate")
 """Actions on values: each remedy finds the log as those before it left it."""
 _R = TypeVar("_R", bound=Recording)
 
@@ -124,10 +126,10 @@ class Remedy:
 
     ``drop`` rows, ``interpolate`` rows of a channel, ``scale`` a channel or the time, ``order`` the
     joints of a channel (joint j is then the one recorded as ``joints[j]``), ``add`` the second of
-    two joints to the first, ``unwrap`` turns, decode ``signed`` counters or a ``sign_bit``,
-    ``shift`` the time from a row on, ``sort`` all rows by time, ``advance`` a channel against the
-    time, which leaves out rows that it does not reach, or ``exchange`` the torque for that of
-    another recording, which is done where both are at hand.
+    two joints to the first, ``offset`` values, ``unwrap`` turns, decode ``signed`` counters or a
+    ``sign_bit``, ``advance`` a channel against the time, which leaves out rows that it does not
+    reach, ``shift`` the time from a row on, ``sort`` all rows by time, or ``exchange`` the torque
+    for that of another recording, which is done where both are at hand.
     """
 
     action: str
@@ -138,11 +140,8 @@ class Remedy:
         1.0  # of values; or the range of the counter, what is added or advanced [s]
     )
 
-    def on_columns(self, x: Array, t: Array) -> Array:
-        """Columns of the joints, shape (N, nv), in order, added, scaled or advanced as it says."""
-        if self.action == "advance":
-            later = [np.interp(t + self.factor, t, column) for column in x.T]
-            return np.column_stack(later)
+    def on_columns(self, x: Array) -> Array:
+        """Columns of the joints, shape (N, nv), put in order, added, scaled or moved as it says."""
         joints = list(self.joints)
         if self.action == "order":
             return x[:, joints]
@@ -151,6 +150,15 @@ class Remedy:
             x[:, joints[0]] += self.factor * x[:, joints[1]]
         elif self.action == "scale":
             x[:, joints] *= self.factor
+        elif self.action == "offset":
+            x[:, joints] += self.factor
+        return x
+
+    def advanced(self, x: Array, t: Array) -> Array:
+        """Columns, shape (N, nv), as they are later by what it says; those of its joints."""
+        x = np.array(x)
+        for j in self.joints:
+            x[:, j] = np.interp(t + self.factor, t, x[:, j])
         return x
 
 
@@ -164,6 +172,7 @@ class Fault:
     evidence: Mapping[str, Any]  # the same numbers by name
     repair: str | None = None
     remedies: tuple[Remedy, ...] = ()
+    map: str | None = None  # the same as a column map, where one can state it
 
     @property
     def channel(self) -> object:
@@ -185,6 +194,7 @@ class Fault:
                 name: _plain(value) for name, value in self.evidence.items()
             },
             "repair": self.repair,
+            "map": self.map,
         }
 
     def at(self, rows: Rows) -> Fault:
@@ -276,10 +286,12 @@ def _apply(
         values["t"] = x[0] + (x - x[0]) * remedy.factor
         return
     t = values["t"]
-    if remedy.action in ("order", "add", "scale", "advance"):
-        values[remedy.channel] = remedy.on_columns(x, t)
-        if remedy.action == "advance":
-            kept &= (t + remedy.factor >= t.min()) & (t + remedy.factor <= t.max())
+    if remedy.action in ON_COLUMNS:
+        values[remedy.channel] = remedy.on_columns(x)
+        return
+    if remedy.action == "advance":
+        values[remedy.channel] = remedy.advanced(x, t)
+        kept &= (t + remedy.factor >= t.min()) & (t + remedy.factor <= t.max())
         return
     for j in remedy.joints:
         if remedy.action in DECODED:

@@ -370,7 +370,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
         return
     yield from _in_degrees(fit)
     yield from _clock(fit)
-    yield from _delay(fit)
+    yield from _delays(fit)
     yield from _signs(fit)
     if not is_described(fit.robot):
         return
@@ -395,19 +395,21 @@ def _unlikeness(robot: Robot, data: Smooth) -> float:
 
     The bodies' torque counts up to a factor of each joint.
     """
-    return _misfit(rigid_body_torque(robot, data.motion), data)
+    model = rigid_body_torque(robot, data.motion)
+    return _misfit(model, data, range(robot.nv))
 
 
-def _misfit(model: Array, data: Smooth) -> float:
-    """The same for a torque of the bodies, shape (N, nv)."""
+def _misfit(model: Array, data: Smooth, joints: Sequence[int]) -> float:
+    """The same for a torque of the bodies, shape (N, nv), over some joints."""
     F = data.effects
     squares = []
-    for j in range(model.shape[1]):
+    for j in joints:
         wanted, measured = without_effects(F[:, j], model[:, j], data.tau[:, j])
         along = max(float(wanted @ measured), 0.0)
         factor = along / max(float(wanted @ wanted), 1e-300)
         squares.append(float(((measured - factor * wanted) ** 2).sum()))
-    whole = np.maximum((data.tau**2).sum(axis=0), 1e-300)
+    tau = data.tau[:, [*joints]]
+    whole = np.maximum((tau**2).sum(axis=0), 1e-300)
     return float(np.log(np.maximum(squares / whole, MODEL_ERROR**2)).mean())
 
 
@@ -574,19 +576,28 @@ def _is_best_factor(fit: TorqueFit, remedy: Remedy) -> bool:
     return unlikeness(remedy.factor) < least + 0.1
 
 
+def beyond_limits(robot: Robot, q: Array) -> tuple[Rows, Array]:
+    """Joints whose positions (n, nv) leave their limits by a turn, or their range, and by how much.
+
+    The latter in these, shape (nv,).
+    """
+    low, high = robot.limits.position.T
+    margin = np.where(robot.revolute, 2 * np.pi, high - low)
+    reach = np.maximum(q.max(axis=0) - high, low - q.min(axis=0)) / margin
+    return np.flatnonzero(reach > 1), reach
+
+
 def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
-    """Joints whose positions leave their limits by more than a turn, or by their whole range."""
+    """Positions that leave the joints' limits by more than a turn, or by their whole range."""
     robot = fit.robot
     joints = fit.log.joints
     q = fit.data.motion.q
-    low, high = robot.limits.position.T
-    margin = np.where(robot.revolute, 2 * np.pi, high - low)
-    reach = np.maximum(q.max(axis=0) - high, low - q.min(axis=0))
-    beyond = np.flatnonzero(reach > margin)
+    beyond, reach = beyond_limits(robot, q)
     if not len(beyond):
         return
+    low, high = robot.limits.position.T
     names = fit.log.names(beyond)
-    worst = int(beyond[np.argmax((reach / margin)[beyond])])
+    worst = int(beyond[np.argmax(reach[beyond])])
     largest = float(np.abs(q[:, worst]).max())
     detail = (
         f"q of {', '.join(names)} leaves the joints' limits by more than "
@@ -713,31 +724,44 @@ def _clock(fit: TorqueFit) -> Iterator[Installation]:
     yield _one(fit, slow_clock(log, exact, detail), more=odd)
 
 
-def _delay(fit: TorqueFit) -> Iterator[Installation]:
-    """The torque of all joints late, or early, by more than a drive and its filters are.
+def _delays(fit: TorqueFit) -> Iterator[Installation]:
+    """Torque of all joints, or of one, late or early by more than a drive and its filters are.
 
     Sought at nominal bodies, refined with bodies near them.
     """
-    data = fit.data
     robot = fit.robot
+    data = fit.data
     model = rigid_body_torque(robot, data.motion)
-    longest = min(SEARCH.latest, fit.log.duration / 10)
-    rows = int(longest * data.rate)
-    lags = np.arange(-rows, rows + 1) / data.rate
+    step = 1 / data.rate
+    rows = int(min(SEARCH.latest, fit.log.duration / 10) * data.rate)
+    lags = step * np.arange(-rows, rows + 1)
+    every = tuple(range(robot.nv))
+    for joints in dict.fromkeys((every, *((j,) for j in fit.joints))):
 
-    def advanced(delay: float) -> Smooth:
-        return data.remedied([Remedy("advance", "tau", factor=delay)])
+        def advanced(delay: float, joints: tuple[int, ...] = joints) -> Smooth:
+            remedy = Remedy("advance", "tau", joints, factor=float(delay))
+            return data.remedied([remedy])
 
-    misfits = [_misfit(model, advanced(float(lag))) for lag in lags]
-    near = float(lags[np.argmin(misfits)])
-    if abs(near) < LONGEST_DELAY - 1 / data.rate:
-        return
+        misfits = [_misfit(model, advanced(lag), joints) for lag in lags]
+        near = float(lags[np.argmin(misfits)])
+        if abs(near) > LONGEST_DELAY - step:
+            delay, std = _refined_delay(fit, advanced, near, step)
+            if abs(delay) > LONGEST_DELAY + 2 * std:
+                fault = _late(fit.log, joints, delay, std)
+                yield _one(fit, fault, more=2 * float(np.log(len(lags))))
+                if joints == every:
+                    return
+
+
+def _refined_delay(
+    fit: TorqueFit, advanced: Callable[[float], Smooth], near: float, step: float
+) -> tuple[float, float]:
+    """The delay, within two steps of one, that leaves the fewest squares, and its std [s]."""
 
     def squares(delay: float) -> float:
         late = replace(fit, data=advanced(delay))
-        return late.surprise(0 * fit.power, fit.rows, robot.nv - 1)[0]
+        return late.surprise(0 * fit.power, fit.rows, fit.robot.nv - 1)[0]
 
-    step = 1 / data.rate
     found = scipy.optimize.minimize_scalar(
         squares, bounds=(near - 2 * step, near + 2 * step), method="bounded"
     )
@@ -745,20 +769,23 @@ def _delay(fit: TorqueFit) -> Iterator[Installation]:
     beside = squares(delay - step) + squares(delay + step)
     curvature = max((beside - 2 * found.fun) / step**2, 1e-300)
     dispersion = max(1.0, found.fun / float(fit.rows.sum()))
-    std = float(np.sqrt(2 * dispersion / curvature))
-    if abs(delay) < LONGEST_DELAY + 2 * std:
-        return
-    size = f"{1e3 * abs(delay):.1f} ± {1e3 * std:.2g} ms"
-    way = "lags" if delay > 0 else "leads"
-    fault = Fault(
+    return delay, float(np.sqrt(2 * dispersion / curvature))
+
+
+def _late(log: Log, joints: Sequence[int], delay: float, std: float) -> Fault:
+    names = log.names(joints)
+    where = f" of {names[0]}" if len(joints) < log.nv else ""
+    size = 1e3 * abs(delay)
+    way, side = ("lags", "later") if delay > 0 else ("leads", "earlier")
+    return Fault(
         "time_delay",
-        fit.log.joints,
-        f"the torque {way} the motion by {size}, more than a drive and its filters",
+        names,
+        f"the torque{where} {way} the motion by {size:.1f} ± {1e3 * std:.2g} ms, more than a "
+        "drive and its filters",
         {"channel": "tau", "delay": delay, "std": std},
-        f"reads the torque {1e3 * abs(delay):.1f} ms {'later' if delay > 0 else 'earlier'}",
-        (Remedy("advance", "tau", factor=delay),),
+        f"reads the torque{where} {size:.1f} ms {side}",
+        (Remedy("advance", "tau", tuple(joints), factor=delay),),
     )
-    yield _one(fit, fault, more=2 * float(np.log(len(lags))))
 
 
 def _mounting(fit: TorqueFit) -> Iterator[Installation]:

@@ -67,7 +67,12 @@ class Smooth(NamedTuple):
                 arrays["dq"] /= remedy.factor
                 arrays["ddq"] /= remedy.factor**2
             for name in _MOVED.get(remedy.channel, ()):
-                arrays[name] = remedy.on_columns(arrays[name], self.motion.t)
+                x = arrays[name]
+                arrays[name] = (
+                    remedy.advanced(x, self.motion.t)
+                    if remedy.action == "advance"
+                    else remedy.on_columns(x)
+                )
         motion = Motion(self.motion.t, *(arrays[name] for name in _MOTION))
         return self._replace(motion=motion, dry=arrays["dry"], tau=arrays["tau"])
 

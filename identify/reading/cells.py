@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from numbers import Real
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from excitant.identify.reading.units import Unit, factor
+from excitant.identify.reading.units import ISO, Unit, factor
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ Cells: TypeAlias = "npt.NDArray[Any] | pd.Series"
 """Cells of a column: an array of numbers, or a series of anything else."""
 Frame: TypeAlias = Mapping[str, Cells]
 """Some rows of a log by column."""
-ISO = "ISO 8601"
 
 _ORDERS = ("%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f")
 _SECONDS_SINCE_1970 = (0.95e9, 4.2e9)  # the years 2000 to 2103
@@ -28,11 +28,10 @@ _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _FAR_APART = 0.5  # s: no motion of an arm shows in samples so rare
 
 
-def framed(names: Sequence[str], columns: Iterable[Cells]) -> Frame:
-    """Columns by name, those left out whose name is there twice."""
-    return {
-        n: c for n, c in zip(names, columns, strict=True) if names.count(n) == 1
-    }
+def keys_of(names: Sequence[str]) -> list[str]:
+    """What columns are found under: their names, or numbers from 0 where a name is there twice."""
+    times = Counter(names)
+    return [name if times[name] == 1 else str(k) for k, name in enumerate(names)]
 
 
 def cells(series: pd.Series) -> Cells:

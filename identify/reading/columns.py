@@ -8,19 +8,22 @@ Otherwise the log is refused with the map to write.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
-import yaml
+import numpy as np
 
 from excitant.exceptions import BadInput, BadRecording
-from excitant.identify.reading.mapping import ColumnMap
+from excitant.identify.reading.cells import keys_of
+from excitant.identify.reading.mapping import ColumnMap, OfJoints
 from excitant.identify.reading.names import PARTS_OF_TIME, Meaning, meaning
-from excitant.identify.reading.tables import Table
+from excitant.identify.reading.tables import Table, timed
 from excitant.identify.reading.units import Unit, factor
+from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
+from excitant.robots.schema import in_one_line
 
 _PLURALS = {
     "t": "time",
@@ -38,20 +41,39 @@ _FORMS: tuple[str, ...] = (
 """Patterns of columns whose names have a text ``{}`` in common, as `ColumnMap.columns` has them."""
 _NAMED_AT_MOST = 4  # columns that a refusal names
 _MOTORS = {"motor", "motors", "rotor", "rotors"}  # turn otherwise than joints
+_BY_NUMBER = "rename one, or give columns by number, from 0, in a file for --map"
+_RATE = "the rate of the rows [Hz]"
 _ADVICE = "say which in a file for --map, such as"
 _Key = str | int | None
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class Channel:
     """The columns of one quantity, in the order of the robot's joints."""
 
+    role: str  # q, dq, tau or i
     columns: tuple[str, ...]
-    # SI units, with sign and drive gain, per logged unit
-    factors: tuple[float, ...]
+    # SI units, with sign, per logged unit
+    factors: Array
+    offsets: Array  # in logged units, added first
+    # of the drives [N·m/A], where currents become torques; else ones
+    gains: Array
+    # coordinates of the model by those that are logged; None where they are the same
+    coupling: Array | None = None
     note: str = (
         ""  # how the columns were understood; empty where there was no choice
     )
+
+    def in_si_units(self, logged: Sequence[Array]) -> Array:
+        """Values of the joints, shape (n, nv), of those in its columns."""
+        x = (np.column_stack(logged) + self.offsets) * self.factors * self.gains
+        if self.coupling is None:
+            return np.asarray(x)
+        # what cannot be read stays in the joints that it is part of
+        parts = [row != 0 for row in self.coupling]
+        axes = zip(parts, self.coupling, strict=True)
+        return np.column_stack([x[:, part] @ row[part] for part, row in axes])
 
 
 @dataclass(frozen=True)
@@ -60,6 +82,7 @@ class Columns:
 
     t: tuple[str, ...]  # one column, or whole seconds and the nanoseconds to add
     t_unit: Unit | None  # None where the values say
+    rate: float | None  # of rows that have no column of time [Hz]
     q: Channel
     dq: Channel | None  # where all joints' are there
     tau: Channel  # torques or currents
@@ -99,45 +122,52 @@ def _aliases(
     return next(iter(fitting.items())) if len(fitting) == 1 else ("", {})
 
 
-def resolve(table: Table, robot: Robot | int, mapping: ColumnMap) -> Columns:
-    """Columns by quantity: from a map, else from names where these are unambiguous.
+def resolve(
+    table: Table, robot: Robot | int, mapping: ColumnMap
+) -> tuple[Table, Columns]:
+    """The table, with time where a map gives its rate, and its columns by quantity.
+
+    They are those of a map, else those whose names are unambiguous.
 
     Raises:
         BadRecording: A column is missing, or could be several; says what to write.
         BadInput: The map does not fit the robot.
     """
+    if mapping.rate is not None:
+        table = timed(table, mapping.rate)
+        columns = {**mapping.columns, "t": table.names[-1]}
+        units = {**mapping.units, "t": "s"}
+        mapping = replace(mapping, columns=columns, units=units)
     search = _Search(table, robot, mapping)
-    t, t_note = search.time()
+    t, t_unit, t_note = search.time()
     q = search.channel("q")
-    role, tau = search.torque()
+    tau = search.torque()
     dq = search.channel("dq", optional=True)
     if q is None:
         raise search.missing("q")
-    unit = "A" if role == "i" else "N·m"
-    gains = mapping.drive
-    if role == "i" and gains is not None:
-        search.expect_all("drive has {} gains", gains)
-        pairs = zip(tau.factors, gains, strict=True)
-        factors = tuple(amperes * gain for amperes, gain in pairs)
-        unit = "N·m"
-        tau = Channel(
-            tau.columns, factors, f"{tau.note or 'i'}, × drive gain = N·m"
-        )
+    unit = "A" if tau.role == "i" and mapping.drive is None else "N·m"
     notes = [
         note for note in (t_note, q.note, dq.note if dq else "", tau.note) if note
     ]
     understood = [f"columns: {'; '.join(notes)}"] if notes else []
-    columns = Columns(
-        t, search.t_unit, q, dq, tau, unit, (*understood, *search.notes)
+    found = Columns(
+        t,
+        t_unit,
+        mapping.rate,
+        q,
+        dq,
+        tau,
+        unit,
+        (*understood, *search.notes),
     )
-    for name in columns.names:
+    for name in found.names:
         if table.names.count(name) > 1:
-            why = "is there twice; rename or remove one"
+            why = f"is there twice; {_BY_NUMBER}"
             raise BadRecording(table.file, why, column=name)
-        if columns.names.count(name) > 1:
+        if found.names.count(name) > 1:
             why = "is taken for two things; say which in a file for --map"
             raise BadRecording(table.file, why, column=name)
-    return columns
+    return table, found
 
 
 class _Group:
@@ -190,9 +220,7 @@ class _Group:
         gapless = from_zero or numbers == [*range(1, len(numbers) + 1)]
         expected = len(self.keys)
         if self.doubles:
-            why = (
-                "names a joint that another column names too; rename or remove one"
-            )
+            why = f"names a joint that another column names too; {_BY_NUMBER}"
             return BadRecording(file, why, column=self.doubles[-1].column)
         if self.role == "q" and gapless and 0 < len(numbers) != expected:
             first, last = (
@@ -261,12 +289,6 @@ class _Search:
             m for m in map(self._meaning, table.names) if m.role and not m.commanded
         ]
 
-    @property
-    def t_unit(self) -> Unit | None:
-        """Unit of time by the map or the only column's name."""
-        unit = self.mapping.units.get("t")
-        return self.times[1] if unit is None or isinstance(unit, tuple) else unit
-
     @cached_property
     def times(self) -> tuple[tuple[tuple[str, ...], ...], str | None]:
         """Candidates for time, and the unit of the only one; see `_times`."""
@@ -323,12 +345,11 @@ class _Search:
         )
         return replace(meaning(name, self.joints), column=column)
 
-    def time(self) -> tuple[tuple[str, ...], str]:
-        """The columns of time, and how they were understood."""
-        candidates = self.times[0]
+    def time(self) -> tuple[tuple[str, ...], Unit | None, str]:
+        """The columns of time, their unit, and how they were understood."""
+        candidates, candidates_unit = self.times
         if (mapped := self.mapping.columns.get("t")) is not None:
-            columns = (mapped,) if isinstance(mapped, str) else mapped
-            self._expect_there(columns)
+            columns = self._there((mapped,) if isinstance(mapped, str) else mapped)
             if len(columns) > 2:
                 why = "'t' is one column, or seconds and nanoseconds"
                 raise BadInput(f"{self.mapping.source}: {why}")
@@ -338,55 +359,100 @@ class _Search:
             columns = candidates[0]
         else:
             raise self.missing("t")
-        if columns == ("t",) and self.t_unit is None:
-            return columns, ""
-        return (
-            columns,
-            f"t = {' + '.join(columns)}{_in_unit(self.t_unit, columns[0])}",
-        )
+        of_name = candidates_unit if columns in candidates else None
+        if len(columns) == 1:
+            of_name = of_name or _unit_in(columns[0], "t")
+        unit: Any = self.mapping.units.get("t", of_name)
+        note = f"t = {' + '.join(columns)}{_in_unit([unit], columns[0])}"
+        return columns, unit, "" if columns == ("t",) and unit is None else note
 
     def channel(self, role: str, *, optional: bool = False) -> Channel | None:
         """Columns of a quantity; None when there are none, or not of all joints if optional."""
-        hints: tuple[str | None, ...] = (None,) * self.count
         exact = False
         mapped = self.mapping.columns.get(role)
         if mapped is not None:
             columns = self._mapped(role, mapped)
+            pairs = zip(columns, self.revolute, strict=True)
+            hints = [_unit_in(column, role, turns) for column, turns in pairs]
         else:
             group = self._chosen(role, optional)
             if group is None:
                 return None
             columns = group.columns
             exact = group.exact
-            hints = tuple(group.members[key].unit for key in group.keys)
-        factors = self._factors(role, hints)
-        units = self.mapping.units.get(role, hints[0])
-        if exact and units is None:
-            return Channel(columns, factors)
+            hints = [group.members[key].unit for key in group.keys]
+        name = "tau" if role == "i" else role
+        given = self.mapping
+        units = self._of_joints(f"units of {role}", given.units.get(role), hints)
+        none = [0.0] * self.count
+        offsets = self._of_joints(f"offset of {role}", given.offset.get(role), none)
+        ones = [1.0] * self.count
+        signs = self._of_joints("sign", given.sign.get(name), ones)
+        drive = given.drive if role == "i" else None
+        gains = self._of_joints("drive", drive, ones)
+        channel = Channel(
+            role,
+            columns,
+            np.multiply(self._sizes(role, units), signs),
+            np.array(offsets),
+            np.array(gains),
+            self._coupling(name),
+        )
+        said = [
+            f", offset {_alike(offsets)}" * any(offsets),
+            ", × drive gain = N·m" * bool(drive),
+        ]
+        if exact and not any((*units, *said)):
+            return channel
         words = self._shortened(columns)
         named = all(map(str.__contains__, columns, self.logged_as))
         if role == "q" and self.joints and not exact and not named:
             # by number: a wrong order is seen here
-            pairs = zip(columns, self.joints, strict=True)
-            words = ", ".join(f"{column} → {joint}" for column, joint in pairs)
-        note = f"{role} = {words}{_in_unit(units, columns[0])}"
-        return Channel(columns, factors, note)
+            by_joint = zip(columns, self.joints, strict=True)
+            words = ", ".join(f"{column} → {joint}" for column, joint in by_joint)
+        note = f"{role} = {words}{_in_unit(units, columns[0])}{''.join(said)}"
+        return replace(channel, note=note)
 
-    def torque(self) -> tuple[str, Channel]:
+    def torque(self) -> Channel:
         """Torques, or currents where there are none or the user says so."""
         both = ("tau", "i")
         exact = [r for r in both if any(g.exact for g in self.groups.get(r, ()))]
         absent = self.prefix is not None and not exact
         for role in self.mapped_torque or exact or both * (not absent):
             if (channel := self.channel(role)) is not None:
-                return role, channel
+                other = "tau" if role == "i" else "i"
+                if other in self.mapping.offset:
+                    why = f"offset of {other}, but the log has {role}; correct one"
+                    raise BadInput(f"{self.mapping.source}: {why}")
+                return channel
         raise self.missing("tau")
 
-    def expect_all(self, what: str, values: Sequence[object]) -> None:
+    def _expect_all(self, what: str, values: Sequence[object]) -> None:
         """Refuse a map that says something of another number of joints than the robot has."""
         if len(values) != self.count:
             why = f"{what.format(len(values))}, the robot has {self.count} joints"
             raise BadInput(f"{self.mapping.source}: {why}")
+
+    def _expect_joints(self, what: str, joints: Iterable[str]) -> None:
+        """Refuse a map that says something of a joint that the robot has not."""
+        for joint in joints:
+            if joint not in self.labels:
+                why = f"unknown joint '{joint}'; known: {', '.join(self.labels)}"
+                raise BadInput(f"{self.mapping.source}: {what}: {why}")
+
+    def _of_joints(
+        self, what: str, given: OfJoints[_T] | None, default: Sequence[_T]
+    ) -> list[_T]:
+        """What a map gives of each joint, the default where it gives nothing."""
+        if given is None:
+            return [*default]
+        if isinstance(given, Mapping):
+            self._expect_joints(what, given)
+            pairs = zip(self.labels, default, strict=True)
+            return [given.get(joint, value) for joint, value in pairs]
+        values = given if isinstance(given, tuple) else (given,) * self.count
+        self._expect_all(f"{what}: {{}} given", values)
+        return [*values]
 
     def _chosen(self, role: str, optional: bool) -> _Group | None:
         """The columns that hold a quantity by their name alone, those named exactly first."""
@@ -420,9 +486,8 @@ class _Search:
             there = [names for names in sets if {*names} <= {*self.table.names}]
             absent = (mapped,) if self.count == 1 else sets[-1]
             columns = there[0] if there else absent
-        self.expect_all(f"'{role}' names {{}} columns", columns)
-        self._expect_there(columns)
-        return columns
+        self._expect_all(f"'{role}' names {{}} columns", columns)
+        return self._there(columns)
 
     def _expanded(self, pattern: str) -> tuple[str, ...]:
         """A pattern for every joint: ``{0}`` counts from 0, ``{1}`` from 1, ``{joint}`` names."""
@@ -433,24 +498,20 @@ class _Search:
             for k, label in enumerate(self.logged_as)
         )
 
-    def _expect_there(self, columns: Iterable[str]) -> None:
+    def _there(self, columns: Iterable[str]) -> tuple[str, ...]:
+        """Columns that a map names, or counts from 0."""
+        names = self.table.names
+        by_number = {str(k): name for k, name in enumerate(keys_of(names))}
+        there = by_number | {name: name for name in names}
         for column in columns:
-            if column not in self.table.names:
+            if column not in there:
                 why = f"is not there, correct {self.mapping.source}; columns are {self._some()}"
                 raise BadRecording(self.table.file, why, column=column)
+        return tuple(there[column] for column in columns)
 
-    def _factors(self, role: str, hints: Sequence[str | None]) -> tuple[float, ...]:
-        """SI units per logged unit of each joint, with the sign that the map gives it."""
-        source = self.mapping.source
-        mapped = self.mapping.units.get(role, tuple(hints))
-        units = mapped if isinstance(mapped, tuple) else (mapped,) * self.count
-        self.expect_all(f"units of {role}: {{}} given", units)
-        signs = self.mapping.sign.get("tau" if role == "i" else role, {})
-        for joint in signs:
-            if joint not in self.labels:
-                why = f"sign of unknown joint '{joint}'; known: {', '.join(self.labels)}"
-                raise BadInput(f"{source}: {why}")
-        factors = []
+    def _sizes(self, role: str, units: Sequence[Unit | None]) -> list[float]:
+        """SI units per logged unit of each joint."""
+        sizes = []
         for unit, joint, turns in zip(
             units, self.labels, self.revolute, strict=True
         ):
@@ -460,9 +521,25 @@ class _Search:
             if size is None:
                 kind = "turns" if turns else "slides"
                 why = f"joint {joint} {kind}: its {role} is not in {unit}"
-                raise BadInput(f"{source}: {why}")
-            factors.append(size * signs.get(joint, 1.0))
-        return tuple(factors)
+                raise BadInput(f"{self.mapping.source}: {why}")
+            sizes.append(size)
+        return sizes
+
+    def _coupling(self, name: str) -> Array | None:
+        """Coordinates of the model by those of the log; see `ColumnMap.coupling`."""
+        stated = self.mapping.coupling.get(name)
+        if not stated:
+            return None
+        logged = np.eye(self.count)
+        for joint, parts in stated.items():
+            others = [*map(str, parts)]
+            self._expect_joints("coupling", [joint, *others])
+            columns = [self.labels.index(other) for other in others]
+            logged[self.labels.index(joint), columns] = [*parts.values()]
+        if np.linalg.matrix_rank(logged) < self.count:
+            why = "coupling: such readings do not determine the joints; correct it"
+            raise BadInput(f"{self.mapping.source}: {why}")
+        return np.asarray(logged.T if name == "tau" else np.linalg.inv(logged))
 
     def _shortened(self, columns: Sequence[str]) -> str:
         """Columns for people: one pattern for joints' names, first and last of a rising number."""
@@ -493,8 +570,10 @@ class _Search:
         for group in groups:
             if group.full:
                 telling |= {m.column for m in group.members.values()}
-        odd = [name for name in self.table.names if name not in telling]
-        names = odd or self.table.names
+        every = [*self.table.names]
+        keys = zip(keys_of(every), every, strict=True)
+        shown = [k if k == name else f"{k} ({name})" for k, name in keys]
+        names = [x for x in shown if x not in telling] or shown
         more = ", ..." if len(names) > _NAMED_AT_MOST else ""
         return ", ".join(names[:_NAMED_AT_MOST]) + more
 
@@ -505,29 +584,27 @@ class _Search:
     def _suggestion(self) -> str:
         """A ready column map on one line, as far as names say; ``?`` where they say nothing."""
         n = self.count
-        orders = {1 + 2 * n: ("q", "tau"), 1 + 3 * n: ("q", "dq", "tau")}
-        order = orders.get(len(self.table.names), ())
-        if self._unnamed and order:
-            starts = {role: 1 + k * n for k, role in enumerate(order)}
-            spans = [f"{role}: {[*range(k, k + n)]}" for role, k in starts.items()]
-            return f"say which is which in a file for --map, such as {{t: 0, {', '.join(spans)}}}"
         times = self.times[0]
-        t = [*times[0]] if times else ["?"]
-        content: dict[str, object] = {"t": t[0] if len(t) == 1 else t}
+        content: dict[str, object] = {"rate": 100}
+        if times:
+            content = {"t": times[0][0] if len(times[0]) == 1 else [*times[0]]}
+        orders = {2: ("q", "tau"), 3: ("q", "dq", "tau")}
+        for first in (1, 0) if self._unnamed else ():  # without time, if need be
+            several, rest = divmod(len(self.table.names) - first, n)
+            if rest == 0 and several in orders:
+                starts = range(first, len(self.table.names), n)
+                spans = {
+                    role: [*range(k, k + n)]
+                    for role, k in zip(orders[several], starts, strict=True)
+                }
+                return f"{_ADVICE} {in_one_line(({'t': 0} if first else content) | spans)}"
         torque = next(
             (role for role in ("tau", "i") if self.groups.get(role)), "tau"
         )
         for role in ("q", torque):
             full = [g.columns for g in self.groups.get(role, ()) if g.full]
             content[role] = (self._pattern(full[0]) or [*full[0]]) if full else "?"
-        text: str = yaml.safe_dump(
-            content,
-            default_flow_style=True,
-            sort_keys=False,
-            width=1 << 20,
-            allow_unicode=True,
-        )
-        return f"{_ADVICE} {text.strip()}"
+        return f"{_ADVICE} {in_one_line(content)}"
 
     def _ambiguous(self, role: str, spans: Sequence[str]) -> BadRecording:
         why = (
@@ -545,11 +622,17 @@ class _Search:
             what = "no torque, neither 'tau1' [N·m] nor 'i1' [A]"
             why = f"{what}: there are {self._some()}; {self._suggestion()}"
             return BadRecording(file, why)
+        if role == "t" and self.mapping.columns:
+            advice = f"its column, or {_RATE} such as {{rate: 100}}"
+            return BadRecording(
+                file, f"no time; add to {self.mapping.source} {advice}"
+            )
         if self._unnamed:
             why = f"its columns have no names: {self._suggestion()}"
             return BadRecording(file, why)
         advice = f"there are {self._some()}; {self._suggestion()}"
-        why = f"is missing; rename or add it: {advice}"
+        other = f", or {_RATE}" if role == "t" else ""
+        why = f"is missing; rename or add it{other}: {advice}"
         return BadRecording(file, why, column="t" if role == "t" else "q1")
 
 
@@ -576,10 +659,23 @@ def _times(
     return tuple((m.column,) for m in single), unit
 
 
-def _in_unit(units: Unit | tuple[Unit | None, ...] | None, column: str) -> str:
-    """Units in brackets, but where the column's name has them."""
-    if isinstance(units, tuple):
-        return f" [{', '.join(map(str, units))}]"
-    if units is None or column.endswith((f"[{units}]", f"({units})")):
-        return ""
-    return f" [{units}]"
+def _unit_in(column: str, role: str, turns: bool | None = None) -> str | None:
+    """Unit in a column's name, where the quantity has such."""
+    unit = meaning(column).unit
+    return unit if unit and factor(role, unit, turns) is not None else None
+
+
+def _alike(values: Sequence[object]) -> str:
+    """The value of all joints, or one of each."""
+    several = values if len({*values}) > 1 else values[:1]
+    return ", ".join(
+        f"{value:.6g}" if isinstance(value, float) else str(value)
+        for value in several
+    )
+
+
+def _in_unit(units: Sequence[Unit | None], column: str) -> str:
+    """Units in brackets, but where there are none or the column's name has them."""
+    unit = _alike(["SI" if unit is None else unit for unit in units])
+    silent = not any(units) or column.endswith((f"[{unit}]", f"({unit})"))
+    return "" if silent else f" [{unit}]"

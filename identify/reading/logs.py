@@ -198,7 +198,7 @@ def _pieces(
 
     ``origin`` is the time that becomes 0, that of the first row when None.
     """
-    columns = resolve(table, robot, mapping or ColumnMap())
+    table, columns = resolve(table, robot, mapping or ColumnMap())
     narrow = columns.names if rows is not None or table.joined else None
     timed = columns.t_unit is not None or len(columns.t) > 1
     for frame in table.frames(rows, narrow):
@@ -253,7 +253,7 @@ def _in_si_units(
         for name, column in zip(channel.columns, values, strict=True):
             note_unreadable(name, column)
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(np.column_stack(values) * channel.factors)
+            return channel.in_si_units(values)
 
     time = columns.t[0]
     whole, rest = cells.in_seconds(frame[time], columns.t_unit)
@@ -286,6 +286,7 @@ def _in_si_units(
             if x.dtype.kind in "iuf"
         },
         columns=(time, *columns.q.columns, *columns.tau.columns),
+        read=columns,
         start=origin,
         unreadable=unreadable,
     )

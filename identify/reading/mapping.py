@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
 
 from excitant.exceptions import BadInput
 from excitant.identify.reading.units import Unit, spelled, units_of
-from excitant.robots.schema import Finite, Name, convert, read_yaml
+from excitant.identify.recording import CHANNELS
+from excitant.robots.schema import Finite, Name, Positive, convert, read_yaml
 
 QUANTITIES = ("t", "q", "dq", "tau", "i")
-_SIGNED = ("q", "dq", "tau")
+_T = TypeVar("_T")
+OfJoints: TypeAlias = _T | tuple[_T, ...] | Mapping[str, _T]
+"""One value for all joints, one for each, or values by the joints' names."""
 _Names = Name | Annotated[list[Name], msgspec.Meta(min_length=1)] | None
-_Units = str | Finite | list[str | Finite] | None
+_Units = str | Finite | list[str | Finite] | dict[Name, str | Finite] | None
+_Numbers = Finite | list[Finite] | dict[Name, Finite] | None
 _Constants = Finite | list[Finite] | None
+_Parts = dict[Name, Finite]  # of the axes that one is read with
 
 
 class _UnitsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -27,6 +32,13 @@ class _UnitsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     dq: _Units = None
     tau: _Units = None
     i: _Units = None
+
+
+class _OffsetRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    q: _Numbers = None
+    dq: _Numbers = None
+    tau: _Numbers = None
+    i: _Numbers = None
 
 
 class _DriveRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,8 +53,11 @@ class _ColumnsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tau: _Names = None
     i: _Names = None
     units: Any = None
+    offset: Any = None
     drive: Any = None
     sign: dict[Name, float | dict[Name, float]] | None = None
+    coupling: dict[Name, dict[Name, Finite | _Parts]] | None = None
+    rate: Positive | None = None
     topic: str | None = None
 
 
@@ -53,9 +68,14 @@ class ColumnMap:
     Attributes:
         columns: Per quantity (``t, q, dq, tau, i``) the column of each joint in the robot's
             order, or one text: a column, a pattern with ``{0}`` (joints counted from 0), ``{1}``
-            (from 1) or ``{joint}`` (its name), or what the columns' names have in common.
+            (from 1) or ``{joint}`` (its name), or what the columns' names have in common. A
+            number that is no name counts columns from 0.
         units: Per quantity one unit or one per joint; a number is how many SI units one is.
+        offset: What is added per quantity (``q, dq, tau, i``), in the unit of the column.
         sign: +1 or −1 per quantity (``q, dq, tau``) and joint whose axis is logged reversed.
+        coupling: Per quantity (``q, dq, tau``) and joint, how much of other axes its reading
+            holds: q_read = L q, so that q = L⁻¹ q_read and, by power, tau = Lᵀ tau_read.
+        rate: Samples per second, where no column holds the time [Hz].
         drive: Torque at each joint per ampere [N·m/A], where currents are to become torques.
         topic: Topic of a bag.
         torque: Prefix of the torque columns where ``columns`` names none: ``i`` for ``i1, i2, ..``.
@@ -63,8 +83,13 @@ class ColumnMap:
     """
 
     columns: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
-    units: Mapping[str, Unit | tuple[Unit, ...]] = field(default_factory=dict)
+    units: Mapping[str, OfJoints[Unit]] = field(default_factory=dict)
+    offset: Mapping[str, OfJoints[float]] = field(default_factory=dict)
     sign: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    coupling: Mapping[str, Mapping[str, Mapping[str, float]]] = field(
+        default_factory=dict
+    )
+    rate: float | None = None
     drive: tuple[float, ...] | None = None
     topic: str | None = None
     torque: str | None = None
@@ -75,6 +100,7 @@ def load_column_map(path: str | Path) -> ColumnMap:
     """Column map from YAML, such as ``{t: stamp, q: 'pos_{1}', tau: [a, b], units: {q: deg}}``.
 
     ``sign: {joint: -1}`` turns a joint round, ``sign: {tau: {joint: -1}}`` its torque alone.
+    ``coupling: {joint: {other: 1}}`` says likewise that the reading of a joint holds another's.
     ``drive: {gain_Nm_per_A: [..], gear_ratio: [..]}`` makes torque of current.
 
     Raises:
@@ -87,26 +113,32 @@ def column_map(content: object, source: str) -> ColumnMap:
     """Column map from the content of a YAML file; see `load_column_map`."""
     record = convert(content, _ColumnsRecord, source)
     units = convert(record.units or {}, _UnitsRecord, source, "units")
-    columns: dict[str, str | tuple[str, ...]] = {}
-    units_by_quantity: dict[str, Unit | tuple[Unit, ...]] = {}
-    for quantity in QUANTITIES:
-        names = getattr(record, quantity)
-        unit = getattr(units, quantity)
-        if isinstance(names, list):
-            columns[quantity] = tuple(map(str, names))
-        elif names is not None:
-            columns[quantity] = str(names)
-        if isinstance(unit, list):
-            units_by_quantity[quantity] = tuple(
-                _unit(quantity, value, source) for value in unit
-            )
-        elif unit is not None:
-            units_by_quantity[quantity] = _unit(quantity, unit, source)
+    offset = convert(record.offset or {}, _OffsetRecord, source, "offset")
+    names = {quantity: getattr(record, quantity) for quantity in QUANTITIES}
+    if record.rate is not None and record.t is not None:
+        why = "both 't' and 'rate' are given; keep one"
+        raise BadInput(f"{source}: {why}")
     return ColumnMap(
-        columns=columns,
-        units=units_by_quantity,
-        sign=_signs(record.sign or {}, source),
+        columns=_of_joints(names, lambda _, name: str(name)),
+        units=_of_joints(
+            msgspec.structs.asdict(units),
+            lambda quantity, value: _unit(quantity, value, source),
+        ),
+        offset=_of_joints(msgspec.structs.asdict(offset), lambda _, value: value),
+        sign=_by_quantity(
+            record.sign or {},
+            (1, -1).__contains__,
+            source,
+            "sign of '{}' must be 1 or -1",
+        ),
+        coupling=_by_quantity(
+            record.coupling or {},
+            _are_parts,
+            source,
+            "coupling of '{}' must be {{joint: number}}",
+        ),
         drive=drive_of(record.drive, source),
+        rate=record.rate,
         topic=record.topic,
         source=source,
     )
@@ -142,15 +174,40 @@ def _unit(quantity: str, value: str | float, source: str) -> Unit:
     raise BadInput(f"{source}: {why}")
 
 
-def _signs(content: Mapping[Any, Any], source: str) -> dict[str, dict[str, float]]:
-    signs: dict[str, dict[str, float]] = {quantity: {} for quantity in _SIGNED}
+def _of_joints(
+    content: Mapping[str, Any], one: Callable[[str, Any], Any]
+) -> dict[str, Any]:
+    """What is given of quantities, made of values by ``one(quantity, value)``."""
+    made = dict[str, Any]()
+    for quantity, value in content.items():
+        if isinstance(value, list):
+            made[quantity] = tuple(one(quantity, x) for x in value)
+        elif isinstance(value, dict):
+            made[quantity] = {str(j): one(quantity, x) for j, x in value.items()}
+        elif value is not None:
+            made[quantity] = one(quantity, value)
+    return made
+
+
+def _by_quantity(
+    content: Mapping[Any, Any],
+    fits: Callable[[Any], bool],
+    source: str,
+    must: str,
+) -> dict[str, dict[str, Any]]:
+    """Entries by quantity and joint; those of a joint alone are for all quantities."""
+    made: dict[str, dict[str, Any]] = {quantity: {} for quantity in CHANNELS}
     for name, value in content.items():
-        nested = isinstance(value, dict)
-        quantities = [str(name)] if nested else _SIGNED
-        for joint, sign in value.items() if nested else [(name, value)]:
-            if sign not in (1, -1) or quantities[0] not in signs:
-                why = f"sign of '{joint}' must be 1 or -1, for q, dq or tau"
-                raise BadInput(f"{source}: {why}")
-            for quantity in quantities:
-                signs[quantity][str(joint)] = sign
-    return signs
+        of_one = str(name) in CHANNELS and isinstance(value, dict)
+        for joint, entry in value.items() if of_one else [(name, value)]:
+            if not fits(entry):
+                raise BadInput(f"{source}: {must.format(joint)}, for q, dq or tau")
+            for quantity in [str(name)] if of_one else CHANNELS:
+                made[quantity][str(joint)] = entry
+    return made
+
+
+def _are_parts(entry: object) -> bool:
+    return isinstance(entry, dict) and not any(
+        isinstance(part, dict) for part in entry.values()
+    )

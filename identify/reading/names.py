@@ -23,11 +23,12 @@ def _by_word(rows: Mapping[str, str]) -> dict[str, str]:
 _QUANTITIES = _by_word(
     {
         "t": "t ts time times timestamp timestamps stamp stamps zeit duration",
-        "q": "q pos position positions angle angles theta jointpos",
-        "dq": "dq qd qdot vel velocity velocities speed speeds dtheta omega jointvel",
+        "q": "q pos position positions angle angles theta jointpos istposition winkel",
+        "dq": "dq qd qdot vel velocity velocities speed speeds dtheta omega jointvel drehzahl "
+        "geschwindigkeit",
         "ddq": "ddq qdd qddot acc acceleration accelerations",
         "tau": "tau torque torques effort efforts eff trq moment drehmoment",
-        "i": "i current currents cur amperage iq",
+        "i": "i current currents cur amperage iq strom",
     }
 )
 PARTS_OF_TIME = _by_word(
@@ -36,11 +37,11 @@ PARTS_OF_TIME = _by_word(
 """Words of the whole seconds, and of the nanoseconds, of a stamp in two columns."""
 _QUALIFIERS = _by_word(
     {
-        "measured": "actual act measured meas msr real feedback fb present",
+        "measured": "actual act measured meas msr real feedback fb present ist istwert",
         "commanded": "target targets desired des commanded command cmd ref reference setpoint set "
-        "goal planned model predicted pred estimated est simulated sim",
-        "neutral": "joint joints jnt j a axis axes actuator actuators state states msg data value "
-        "values log field header relative rel elapsed unix epoch utc in",
+        "goal planned model predicted pred estimated est simulated sim soll sollwert",
+        "neutral": "joint joints jnt j a axis axes achse gelenk actuator actuators state states "
+        "msg data value values log field header relative rel elapsed unix epoch utc in",
     }
 )
 _DOTS = {"dot": 1, "ddot": 2}

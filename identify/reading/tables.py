@@ -17,7 +17,7 @@ import numpy as np
 from excitant.exceptions import BadRecording
 from excitant.identify.reading import mat
 from excitant.identify.reading.arrays import MOST, read_arrays, refuse_size
-from excitant.identify.reading.cells import Cells, Frame, cells, framed
+from excitant.identify.reading.cells import Cells, Frame, cells, keys_of
 from excitant.identify.reading.names import meaning
 from excitant.robots.schema import parsed_json
 
@@ -60,6 +60,21 @@ class Table:
     joined: bool = False
 
 
+def timed(table: Table, rate: float) -> Table:
+    """The table with a last column of the time at which its rows are taken at a rate [Hz]."""
+    name = f"rows at {rate:g} Hz"
+
+    def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
+        first = 0
+        asked = columns and [column for column in columns if column != name]
+        for frame in table.frames(rows, asked):
+            n = len(next(iter(frame.values()), ()))
+            yield {**frame, name: (first + np.arange(n)) / rate}
+            first += n
+
+    return replace(table, names=(*table.names, name), frames=frames)
+
+
 def unreadable(path: str | Path, error: BaseException) -> BadRecording:
     """The refusal of a file that its reader cannot read."""
     lines = str(error).strip().splitlines()
@@ -84,7 +99,7 @@ def _table(
     file: str,
     notes: tuple[str, ...],
 ) -> Table:
-    whole = framed(names, columns)
+    whole = dict(zip(keys_of(names), columns, strict=True))
     n = max(len(columns[0]), 1) if columns else 1
 
     def frames(rows: int | None, asked: Sequence[str] | None) -> Iterator[Frame]:
@@ -107,9 +122,9 @@ def parquet_table(path: Path) -> Table:
     import pyarrow.parquet as pq
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
-        wanted = (
-            None if columns is None else [name for name in names if name in columns]
-        )
+        # a name that is there twice cannot be asked for
+        some = columns if len({*names}) == len(names) else None
+        wanted = None if some is None else [name for name in names if name in some]
         try:
             with pq.ParquetFile(
                 path,
@@ -130,7 +145,8 @@ def parquet_table(path: Path) -> Table:
             raise unreadable(path, error) from None
 
     def frame(table: Any) -> Frame:
-        return framed(table.schema.names, map(column, table.columns))
+        pairs = zip(keys_of(table.schema.names), table.columns, strict=True)
+        return {key: column(values) for key, values in pairs}
 
     def column(values: Any) -> Cells:
         plain = pa.types.is_integer(values.type) or pa.types.is_floating(
@@ -160,7 +176,8 @@ def parquet_table(path: Path) -> Table:
 def json_table(path: Path) -> Table:
     """The log in a JSON file: a record in each line, a list of records, or lists by name.
 
-    Fields of records become ``record.field``, elements of lists ``name[0]``, ``name[1]``, ...
+    Entries beside a list of records are left out. Fields of records become ``record.field``,
+    elements of lists ``name[0]``, ``name[1]``, ...
     """
     with opened(path) as stream:
         text = stream.read(MOST // _PER_NUMBER + 1)
@@ -170,7 +187,10 @@ def json_table(path: Path) -> Table:
     except ValueError:
         content = [parsed_json(line) for line in text.splitlines() if line.strip()]
     if isinstance(content, dict):
-        return _table_of_arrays(_flattened(content), path)
+        lists = [x for x in content.values() if _are_records(x)]
+        if len(lists) != 1:
+            return _table_of_arrays(_flattened(content), path)
+        [content] = lists
     records = [dict(_fields(record)) for record in content]
     for row, record in enumerate(records):
         if missing := [name for name in records[0] if name not in record]:
@@ -181,6 +201,14 @@ def json_table(path: Path) -> Table:
         name: _stacked([record[name] for record in records]) for name in names
     }
     return _table_of_arrays(arrays, path)
+
+
+def _are_records(content: object) -> bool:
+    return (
+        isinstance(content, list)
+        and len(content) > 1
+        and all(isinstance(record, Mapping) for record in content)
+    )
 
 
 def _fields(record: Any, before: str = "") -> Iterator[tuple[str, Any]]:
@@ -311,10 +339,11 @@ def _table_of_arrays(arrays: Mapping[str, Any], path: Path) -> Table:
 
 
 def _labels(arrays: Mapping[str, Any]) -> dict[int, str]:
-    """Names of joints among arrays, alike in all rows if there are several; by number from 0."""
+    """Names of joints among arrays, alike in all rows and unlike each other; by number from 0."""
     for name, array in arrays.items():
         if array.dtype.kind == "U" and array.ndim and _NAMES.search(name):
             rows = array.reshape(-1, array.shape[-1])
-            if (rows == rows[0]).all():
-                return dict(enumerate(rows[0].tolist()))
+            names = rows[0].tolist()
+            if (rows == rows[0]).all() and len({*names}) == len(names):
+                return dict(enumerate(names))
     return {}

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from excitant.exceptions import BadRecording
 from excitant.identify.reading.arrays import MOST, refuse_size
-from excitant.identify.reading.cells import Frame, cells, framed
+from excitant.identify.reading.cells import Frame, cells, keys_of
 from excitant.identify.reading.tables import Table, opened, unreadable
 from excitant.identify.reading.units import spelled
 
@@ -55,14 +55,13 @@ class _Dialect:
 def text_table(path: Path) -> Table:
     """The log in a text file."""
     dialect = _dialect_of(path)
+    keys = keys_of(dialect.names)
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         import pandas as pd  # here only: it takes long to import
 
         kept = [
-            k
-            for k, name in enumerate(dialect.names)
-            if columns is None or name in columns
+            k for k, key in enumerate(keys) if columns is None or key in columns
         ]
         with io.TextIOWrapper(opened(path), dialect.encoding, "replace") as stream:
             lines: Any = _Lines(
@@ -88,8 +87,7 @@ def text_table(path: Path) -> Table:
                     for part in parts:
                         if dialect.decimal == ",":
                             _write_points(part)
-                        names = [dialect.names[k] for k in kept]
-                        yield framed(names, [cells(part[k]) for k in kept])
+                        yield {keys[k]: cells(part[k]) for k in kept}
             except (ValueError, OSError, OverflowError) as error:
                 raise lines.refusal or unreadable(path, error) from None
 

@@ -9,6 +9,8 @@ from typing import NamedTuple, TypeAlias
 Unit: TypeAlias = str | float
 """The name of a unit, or how many SI units one logged unit is."""
 
+ISO = "ISO 8601"
+"""The unit of time of dates."""
 _TURN = 2 * math.pi
 _REVOLUTE = True
 _PRISMATIC = False
@@ -92,3 +94,20 @@ def factor(quantity: str, unit: str, revolute: bool | None = None) -> float | No
         if (row.quantity, row.unit) == (quantity, unit) and fits:
             return row.size
     return None
+
+
+def rounded(value: Unit) -> Unit:
+    """A number as it is written into a map, whole ones as such; names as they are."""
+    if isinstance(value, str):
+        return value
+    number = float(f"{value:.7g}")
+    return int(number) if number.is_integer() else number
+
+
+def named(quantity: str, size: float, revolute: bool | None = None) -> Unit:
+    """The unit of a quantity that is so many SI units, or that number where it has no name."""
+    for row in _UNITS:
+        fits = revolute is None or row.revolute in (None, revolute)
+        if row.quantity == quantity and fits and math.isclose(size, row.size):
+            return row.unit
+    return rounded(size)

@@ -179,10 +179,12 @@ def _remedy(fault: Fault) -> str:
     """What was done about a fault, or can be."""
     if fault.repaired:
         return "repaired"
+    stated = f"--map: {fault.map}" if fault.map else ""
     if fault.repair:
-        return f"not repaired; --repair {fault.repair}"
-    known = fault.fault == "wrong_unit"
-    return f"not repaired; {'state it in --map' if known else 'record again'}"
+        ways = f"--repair {fault.repair}", stated
+        return f"not repaired; {'; '.join(filter(None, ways))}"
+    known = "state it in --map" if fault.fault == "wrong_unit" else "record again"
+    return f"not repaired; {stated or known}"
 
 
 def _errors_of(result: Identify) -> tuple[float | None, float | None]:

@@ -81,6 +81,8 @@ class Fault(Record):
     "Figures behind it: channel, rows, factor, ..."
     repair: str | None = None
     "What --repair does about it; null where it can do nothing."
+    map: str | None = None
+    "The same as entries of a file for --map; null where none can state it."
     repaired: bool = False
     "Whether that was done."
 

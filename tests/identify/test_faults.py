@@ -17,20 +17,14 @@ import excitant as ex
 from excitant.exceptions import BadRecording, FaultWarning
 from excitant.identify import ColumnMap, Recording, identify_robot, load_dataset, raw_recording
 from excitant.identify.dataset import read_checked
-from excitant.identify.faults import (
-    FAULTS,
-    Log,
-    find_copies,
-    find_faults,
-    proven,
-    repair,
-)
+from excitant.identify.faults import FAULTS, Log, find_copies, find_faults, proven, repair
 from excitant.identify.faults.installation import in_joint_frames
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
 
 N = 1001  # samples of a recording
 Read = Callable[..., Any]
+slow = functools.partial(pytest.param, marks=pytest.mark.slow)
 
 
 def shifted_rows(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
@@ -145,7 +139,7 @@ def test_functions_warn_once_of_what_commands_list(clean: Log) -> None:
         ex.diagnose(PLANAR, [recording])
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, slow(2)])
 def test_an_arm_off_its_model_counts_the_right_way(runs: Any, ur10: Robot, seed: int) -> None:
     """Bodies off by 3 %: with seed 2 the first joint, negated, explained four joints better."""
     for log in runs(ur10, seed, sensors=industrial_sensors(ur10), tolerance=0.03):
@@ -157,15 +151,7 @@ def test_faultless_recordings_raise_none(ur10: Robot, real: tuple[Robot, Log], c
     assert [fault.detail for pair in logs for fault in find_faults(*pair)] == []
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("panda", marks=pytest.mark.slow),
-        "planar_2r",
-        pytest.param("cmu_dd_arm_ii", marks=pytest.mark.slow),
-        "real",
-    ],
-)
+@pytest.mark.parametrize("name", [slow("panda"), "planar_2r", slow("cmu_dd_arm_ii"), "real"])
 def test_inertias_are_told_by_their_frames(name: str, real: tuple[Robot, Log]) -> None:
     robot, log = real if name == "real" else (load_robot(name), run(name, 1))
     places = [robot.model.jointPlacements[j + 1] for j in range(1, robot.nv)]
@@ -229,8 +215,9 @@ def test_a_file_that_is_refused_can_be_read_with_repair(clean: Log, read: Read) 
     checked = read(log, repaired=True)
     entries = {(entry["recording"], entry["fault"]) for entry in checked.entries()}
     assert entries == {("run0", "duplicate_samples"), ("run0", "wrong_sign")}
-    assert len(checked.notes) == 2
-    assert len(checked.recordings[0]) == N
+    turned = "{sign: {dq: {joint1: -1}}}"
+    assert {entry["map"] for entry in checked.entries()} == {None, turned}
+    assert (len(checked.notes), len(checked.recordings[0])) == (2, N)
 
 
 def test_the_same_recording_under_two_names_is_found(clean: Log, read: Read) -> None:

@@ -211,12 +211,12 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(PARTS, inner, max_size=3),
     max_leaves=6,
 )
-MEANT = ("t", "q", "tau", "i", "units", "sign", "drive")
+MEANT = ("t", "q", "tau", "i", "units", "sign", "drive", "offset", "coupling", "rate")
 MAPS = st.dictionaries(st.sampled_from([*MEANT, "dq", "topic", "other"]), VALUES, max_size=4)
 
 
 @given(MAPS)
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_maps_of_any_content(tmp_path: Path, content: dict[str, object]) -> None:
     path, log = tmp_path / "columns.yaml", tmp_path / "log.csv"
     TABLE.to_csv(log, index=False)

@@ -28,9 +28,13 @@ from excitant.identify import (
     load_dataset,
     load_recording,
     raw_recording,
+    read_chunks,
     recording_from_table,
 )
+from excitant.identify.faults.fault import Fault, Remedy, after_repair
+from excitant.identify.faults.stated import map_of
 from excitant.identify.reading import mat
+from excitant.identify.reading.mapping import column_map
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
 
@@ -170,16 +174,6 @@ def test_joints_are_matched_by_name_in_any_order(form: str, load: Call) -> None:
     same(load(pd.DataFrame(columns), suffix=".parquet"))
 
 
-def test_numbered_columns_follow_the_names_that_stand_beside_them(load: Call, log: Path) -> None:
-    columns: Columns = {"header.stamp.secs": SEC, "header.stamp.nsecs": NS}
-    for what, values in zip(KEYS, STATES, strict=True):
-        columns |= {f"{what}_{j}": values[:, j] for j in range(6)}
-    columns |= {f"name_{j}": JOINTS[k] for j, k in enumerate(ORDER)}
-    same(load(pd.DataFrame(columns)))
-    with pytest.raises(BadRecording, match="joint 'panda_joint1' of the robot is not among them"):
-        load_recording(log, load_robot("panda"))
-
-
 @pytest.mark.parametrize(("separator", "decimal"), [*product(",;\t |", ".,")])
 def test_separators_and_decimal_signs(separator: str, decimal: str, load: Call) -> None:
     quoted = separator == decimal  # as spreadsheets write it
@@ -267,18 +261,100 @@ def test_what_is_no_number_is_refused(kind: str, load: Call) -> None:
     assert (refusal.value.row, refusal.value.column) == (0, column)
 
 
-def test_a_map_converts_units_signs_and_currents(load: Call) -> None:
-    log = table("stamp", "p{}", "v{}", "cur_{}", scale=(1e3, DEG, 30 / np.pi, 1e3))
-    log[["p2", "v2", "cur_2", "cur_4"]] *= -1
-    gains, ratios = np.arange(1, 7) / 10, np.full(6, 100)
-    content = {
-        "t": "stamp", "q": "p{0}", "dq": [f"v{k}" for k in range(6)], "i": "cur",
-        "units": {"t": "ms", "q": "deg", "dq": "rpm", "i": "mA"},
-        "sign": {"elbow_joint": -1, "tau": {"wrist_2_joint": -1}},
-    }  # fmt: skip
-    assert same(load(log, content)).unit == "A"
-    drive = {"gain_Nm_per_A": gains.tolist(), "gear_ratio": ratios.tolist()}
-    assert same(load(log, content | {"drive": drive}), TAU * gains * ratios).unit == "N·m"
+def read_as(q: np.ndarray, dq: np.ndarray, tau: np.ndarray, *names: str) -> pd.DataFrame:
+    """The log with these values, its last columns under other names."""
+    log = pd.DataFrame(np.column_stack([T, q, dq, tau]), columns=EXACT.columns)
+    return log.set_axis([*log.columns[: 19 - len(names)], *names], axis=1)
+
+
+WRISTS = np.eye(6)
+WRISTS[5, 4] = 1  # the last axis is read with the one before
+COUPLED = Q @ WRISTS.T, DQ @ WRISTS.T, TAU @ np.linalg.inv(WRISTS)
+OTHER = {"wrist_3_joint": {"wrist_2_joint": 1}}
+IN_DEG = {f"q{k}": f"q{k} [deg]" for k in RATES}
+ELBOW = np.where(RATES == 3, DEG, 1)
+TURNED = np.where(RATES == 3, -1, 1)
+READ_AS: dict[str, tuple[pd.DataFrame, Columns]] = {
+    "patterns": (
+        table("stamp", "p{}", "v{}", "cur_{}", scale=(1e3, DEG, 30 / np.pi, 1e3)),
+        {"t": "stamp", "q": "p{0}", "dq": [f"v{k}" for k in range(6)], "i": "cur"}
+        | {"units": {"t": "ms", "q": "deg", "dq": "rpm", "i": "mA"}},
+    ),
+    "drives": (
+        read_as(Q, DQ, TAU / (5 * RATES)),
+        {"i": "tau", "drive": {"gain_Nm_per_A": (RATES / 10).tolist(), "gear_ratio": [50] * 6}},
+    ),
+    "signs": (
+        read_as(Q * TURNED, DQ * TURNED, TAU * TURNED * np.where(RATES == 5, -1, 1)),
+        {"sign": {"elbow_joint": -1, "tau": {"wrist_2_joint": -1}}},
+    ),
+    "counts": (read_as(Q * 500 + 2048, DQ, TAU), {"units": {"q": 2e-3}, "offset": {"q": -2048}}),
+    "a zero": (read_as(Q + ELBOW - 1, DQ, TAU), {"offset": {"q": {"elbow_joint": 1 - DEG}}}),
+    "offsets": (read_as(Q, DQ, TAU - RATES), {"offset": {"tau": RATES.tolist()}}),
+    "a joint": (read_as(Q, DQ * ELBOW, TAU), {"units": {"dq": {"elbow_joint": "deg/s"}}}),
+    "coupled axes": (read_as(*COUPLED), {"coupling": OTHER}),
+    "coupled positions": (read_as(*COUPLED[:2], TAU), {"coupling": {"q": OTHER, "dq": OTHER}}),
+    "no time": (EXACT.drop(columns="t"), {"rate": 100}),
+    "one name": (read_as(Q, DQ, TAU, *["x"] * 6), {"tau": [*range(13, 19)]}),
+    "q [deg]": (read_as(Q * DEG, DQ, TAU).rename(columns=IN_DEG), {"q": "q{1} [deg]"}),
+    "time [h]": (EXACT.rename(columns={"t": "x [h]"}) / [3600, *[1] * 18], {"t": 0}),
+}
+UNMAPPED = {"no time": r"the rate of the rows \[Hz\].*rate: 100", "one name": r"13 \(x\), 14 \(x\)"}
+
+
+@pytest.mark.parametrize("name", READ_AS)
+def test_a_map_says_how_a_log_relates_to_the_model(name: str, load: Call, log: Path) -> None:
+    """Whole, and in pieces."""
+    frame, content = READ_AS[name]
+    log.write_text(text(frame))
+    same(load(log, content))
+    parts = [*read_chunks(log, ARM, 70, mapping=load_column_map(log.with_name("columns.yaml")))]
+    np.testing.assert_allclose(np.concatenate([part.t for part in parts]), T, atol=1e-6)
+    np.testing.assert_allclose(np.vstack([part.tau for part in parts]), TAU)
+    if name in UNMAPPED:
+        with pytest.raises(BadRecording, match=UNMAPPED[name]):
+            load(log)
+
+
+def remedies(action: str, factor: float, joints: Sequence[int], *channels: str) -> list[Remedy]:
+    return [Remedy(action, name, tuple(joints), factor=factor) for name in channels]
+
+
+REPAIRS: dict[str, list[Remedy]] = {  # by the map that states it, where the log needed none
+    "q: [q2, q1,": remedies("order", 1, (1, 0, 2, 3, 4, 5), "q", "dq", "tau"),
+    "{sign: {elbow_joint: -1}}": remedies("scale", -1, [2], "q", "dq", "tau"),
+    "{units: {q: deg, dq: deg/s}}": remedies("scale", 1 / DEG, range(6), "q", "dq"),
+    "{units: {tau: {elbow_joint: 0.3}}}": remedies("scale", 0.3, [2], "tau"),
+    "{coupling: {wrist_3_joint: {wrist_2_joint: 1}}}": [
+        *remedies("add", -1, (5, 4), "q", "dq"), *remedies("add", 1, (4, 5), "tau")
+    ],
+    "{q: {elbow_joint: {wrist_1_joint: -0.5": remedies("add", 0.5, (2, 3), "q", "dq"),
+    "{units: {t: ms}}": remedies("scale", 1e-3, (), "t"),
+}  # fmt: skip
+GIVEN: tuple[Columns, ...] = (
+    {},
+    {"units": {"q": "deg", "tau": RATES.tolist()}, "offset": {"q": 3, "dq": {"elbow_joint": 0.1}},
+     "sign": {"q": {"elbow_joint": -1}}, "coupling": OTHER},
+    {"rate": 100, "i": [f"tau{k}" for k in RATES], "drive": {"gain_Nm_per_A": RATES.tolist()}},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("said", REPAIRS)
+@pytest.mark.parametrize("given", GIVEN)
+def test_a_map_states_what_a_repair_does(given: Columns, said: str, load: Call, log: Path) -> None:
+    """Whatever map the log was read with."""
+    log.write_text(text(EXACT.drop(columns=["t"] if "rate" in given else [])))
+    found = load(log, given)
+    stated = map_of(ARM, found.read, REPAIRS[said]) or ""
+    assert said in stated or given
+    new = yaml.safe_load(stated)
+    new |= {k: x | new[k] for k, x in given.items() if k in new and isinstance(x, dict)}
+    again = raw_recording(log, ARM, column_map(given | new, "columns.yaml"))
+    fault = Fault("", (), "", {}, "", tuple(REPAIRS[said]))
+    expected, _ = after_repair(found, [fault])
+    for name, values in (("t", expected.t), *expected.channels()):
+        np.testing.assert_allclose(getattr(again, name), values, rtol=1e-6, atol=1e-9)
+    assert map_of(ARM, found.read, remedies("drop", 1, [], "")) is None
 
 
 BAD_MAPS: dict[str, tuple[Any, str]] = {
@@ -289,12 +365,22 @@ BAD_MAPS: dict[str, tuple[Any, str]] = {
     "unknown quantity": ({"units": {"torq": "Nm"}}, "unknown entry 'torq'"),
     "sign": ({"sign": {"elbow_joint": 2}}, "must be 1 or -1"),
     "unknown joint": ({"sign": {"elbow": -1}}, "unknown joint 'elbow'"),
+    "unit of no joint": ({"units": {"q": {"elbow": "deg"}}}, "units of q: unknown joint 'elbow'"),
+    "offset of no joint": ({"offset": {"q": {"elbow": 1}}}, "offset of q: unknown joint 'elbow'"),
+    "two offsets": ({"offset": {"q": [1, 2]}}, "offset of q: 2 given, the robot has 6 joints"),
+    "offset of currents": ({"offset": {"i": 1}}, "offset of i, but the log has tau"),
+    "coupled to none": ({"coupling": {JOINTS[0]: {"x": 1}}}, "coupling: unknown joint 'x'"),
+    "coupling": ({"coupling": {"q": {JOINTS[0]: 1}}}, f"'{JOINTS[0]}' must be {{joint: number}}"),
+    "all one": ({"coupling": {JOINTS[0]: {JOINTS[0]: 0}}}, "do not determine the joints"),
+    "rate": ({"rate": 0}, "rate: expected"),
+    "rate and time": ({"rate": 10, "t": "time"}, "both 't' and 'rate'"),
+    "no such number": ({"q": [1, 2, 3, 4, 5, 19]}, "'19': is not there"),
     "missing column": ({"t": "clock"}, "is not there"),
     "too few columns": ({"q": ["q_0", "q_1"]}, "names 2 columns, the robot has 6"),
     "missing pattern": ({"q": "qq_{0}"}, "'qq_0'"),
     "both torques": ({"tau": "tau", "i": "tau"}, "keep the measured one"),
     "twice": ({"q": "tau_{0}"}, "taken for two things"),
-    "gains": ({"i": "tau", "drive": {"gain_Nm_per_A": [1]}}, "drive has 1 gains"),
+    "gains": ({"i": "tau", "drive": {"gain_Nm_per_A": [1]}}, "drive: 1 given, the robot has 6"),
     "no numbers": ({"drive": {"gain_Nm_per_A": ["x"]}}, "gain_Nm_per_A[0]: expected a number"),
     "slides": ({"units": {"q": "mm"}}, "its q is not in mm"),
     "three times": ({"t": ["time", "time", "time"]}, "one column, or seconds and nanoseconds"),
@@ -379,7 +465,7 @@ def dated(form: str, separator: str = ",") -> str:
     return text(columns | {"timestamp": [form.format(t) for t in T]}, separator)
 
 
-GERMAN = ("Position {} [rad]", "Geschw. {} speed [rad/s]", "Drehmoment {} [Nm]")
+GERMAN = ("Achse {} Istposition [rad]", "Achse {} Drehzahl [rad/s]", "Drehmoment {} [Nm]")
 BENCH = text(named("Zeit [s]", GERMAN), ";", ",")
 JOINT_STATES = [
     {"header": {"stamp": {"sec": s, "nanosec": n}, "frame_id": ""}}
@@ -409,7 +495,8 @@ SHAPES: dict[str, tuple[str, Any]] = {  # a file, and what it holds or what writ
     "JSON lines of joint states": ("log.jsonl", lines(JOINT_STATES)),
     "JSON, a list of records": ("log.json", json.dumps(JOINT_STATES)),
     "JSON, lists by name": ("log.json", json.dumps({k: x.tolist() for k, x in LISTS.items()})),
-    "arrays by samples": ("log.npz", lambda path: np.savez(path, **LISTS)),
+    "JSON, records and more": ("log.json", json.dumps({"mass": 2, "entries": JOINT_STATES})),
+    "arrays by samples": ("log.npz", lambda path: np.savez(path, **LISTS, phase_name=["a"] * 300)),
     "arrays by joints": ("log.npz", lambda p: np.savez(p, **{k: x.T for k, x in LISTS.items()})),
     "a struct": ("log.mat", lambda path: scipy.io.savemat(path, {"log": LISTS})),
     "a struct for each joint": ("log.mat", lambda path: scipy.io.savemat(path, STRUCT)),
@@ -612,13 +699,10 @@ def test_a_bag_brings_its_robot_and_limits(bag: Call) -> None:
         assert dataset.robot.limits.velocity[2] == 1.25
         [found] = dataset.recordings(names)
         same(found, unit="N·m")
-
-
-def test_a_bag_without_a_robot_is_refused_and_one_may_be_given_beside_it(bag: Call) -> None:
     path = bag("mcap")
     with pytest.raises(BadInput, match="no robot_description in this bag; give ROBOT"):
         load_dataset(path)
-    [found] = load_dataset("ur10").recordings([str(path.parent)])
+    [found] = load_dataset("ur10").recordings([str(path)])
     same(found, unit="N·m")
 
 

@@ -57,14 +57,6 @@ def late(_: Robot, recording: Recording, seconds: float = 0.3) -> Recording:
     return replace(recording, tau=recording.tau[np.maximum(before, 0)])
 
 
-def two_zeros(_: Robot, recording: Recording) -> Recording:
-    return shifted(recording, 1, 2)
-
-
-def coupled_wrist(_: Robot, recording: Recording) -> Recording:
-    return coupled(recording)
-
-
 Code = Callable[[np.ndarray], np.ndarray]
 
 
@@ -124,8 +116,8 @@ def test_currents_called_torque_are_told(logged: tuple[Robot, Recording]) -> Non
     [
         (without_gravity, "wrong_mounting", "the torque has no gravity"),
         (motor_side, "wrong_unit", "leaves the joints' limits"),
-        (two_zeros, "wrong_zero", "so read"),
-        (coupled_wrist, "coupled_axes", " added, and torque is that of these axes"),
+        (lambda _, run: shifted(run, 1, 2), "wrong_zero", "so read"),
+        (lambda _, run: coupled(run), "coupled_axes", " added, and torque is that of these axes"),
         (frozen, "duplicate_samples", "frozen from t = "),
         (late, "time_delay", "the torque lags the motion by "),
     ],
@@ -149,9 +141,7 @@ def fit_of(robot: Robot, recording: Recording) -> TorqueFit:
     return case
 
 
-def test_a_clock_is_left_alone_where_velocities_confirm_it(
-    logged: tuple[Robot, Recording],
-) -> None:
+def test_a_clock_is_left_alone_where_velocities_confirm_it(logged: tuple[Robot, Recording]) -> None:
     """At half the speed of the torque: the torque alone tells, until velocities speak."""
     robot, run = logged
     slow = replace(run, t=2 * run.t, dq=run.dq / 2)
@@ -206,15 +196,15 @@ def test_torque_that_is_late_is_read_later(logged: tuple[Robot, Recording]) -> N
 
 def test_zero_positions_of_two_joints_are_told_together(logged: tuple[Robot, Recording]) -> None:
     robot, recording = logged
-    faults = find_faults(robot, two_zeros(robot, recording))
+    faults = find_faults(robot, shifted(recording, 1, 2))
     offsets = {f.joints[0]: f.evidence["offset"] for f in faults if f.fault == "wrong_zero"}
     assert offsets == pytest.approx({robot.joints[1]: -np.pi / 2, robot.joints[2]: np.pi / 2})
 
 
 def test_a_coupled_wrist_is_uncoupled(logged: tuple[Robot, Recording]) -> None:
     robot, recording = logged
-    coupled = coupled_wrist(robot, recording)
-    repaired, _ = repair(coupled, find_faults(robot, coupled))
+    log = coupled(recording)
+    repaired, _ = repair(log, find_faults(robot, log))
     np.testing.assert_allclose(repaired.q, recording.q, atol=1e-12)
     np.testing.assert_allclose(repaired.tau, recording.tau, atol=1e-12)
 
