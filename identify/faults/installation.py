@@ -652,8 +652,10 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     typical = float(np.exp(np.log(gains).mean()))
     apart = np.abs(np.log(gains / typical)) / std[some]
     what = "not the torque of bodies near the given ones, but that by a factor of each joint"
+    factors = len(some)
     like = ", ".join(f"{n} {g:.3g}" for n, g in zip(names, gains, strict=True))
     if (apart < 3.0).all():  # standard deviations
+        factors = 1
         what = f"{typical:.3g} times the torque of bodies near the given ones"
         like = ", ".join(
             f"{1 / size:.3g} in {unit}"
@@ -666,7 +668,7 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     )
     evidence = {"channel": "tau", "factor": gains}
     fault = Fault("wrong_unit", unscaled, detail, evidence)
-    yield _one(fit, fault, more=2 * len(some) * float(np.log(SEARCH.scales)))
+    yield _one(fit, fault, more=2 * factors * float(np.log(SEARCH.scales)))
 
 
 def _frames(fit: TorqueFit) -> Iterator[Installation]:
