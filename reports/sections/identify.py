@@ -121,14 +121,41 @@ def _brief(result: Identify) -> p.Brief:
     """Error, hold-out, and links of a published model whose mass or centre moved by half."""
     consistent = result.physical.consistent
     error = (
-        f"hold-out error {v.change(*_errors_of(result), v.percent)} (nrmse, median over joints), "
-        f"{'physically consistent' if consistent else 'not physical'}"
+        f"hold-out error {v.change(*_errors_of(result), v.percent)} (nrmse, median over joints)"
+        f"{_worst(result)}, {'physically consistent' if consistent else 'not physical'}"
     )
     moved = [row.moved for row in result.links if row.moved and not result.refusal]
     if len(moved) > _FEW:
         moved = [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
     lines = [("" if k else "moved", words) for k, words in enumerate(moved)]
-    return ("identified", error), ("", result.holdout), *lines
+    holdout = f"{result.holdout}{_least_judged(result)}"
+    return ("identified", error), ("", holdout), *lines
+
+
+def _worst(result: Identify) -> str:
+    """The joint that is missed most of several, after a comma."""
+    missed = {
+        row.name: row.validate.nrmse
+        for row in result.joints
+        if row.validate.nrmse is not None
+    }
+    if len(missed) < 2:
+        return ""
+    worst = max(missed, key=lambda name: missed[name])
+    return f", worst {worst} {v.percent(missed[worst])}"
+
+
+def _least_judged(result: Identify) -> str:
+    """The least share of the hold-out's rows in which a joint moves, after a semicolon."""
+    shares = {
+        row.name: row.judged for row in result.joints if row.judged is not None
+    }
+    if not shares:
+        return ""
+    least = min(shares, key=lambda name: shares[name])
+    if shares[least] == 1:
+        return ""
+    return f"; {v.percent(shares[least])} of its rows judged at {least}, the least"
 
 
 def exported_table(files: list[ExportedFile]) -> p.Table | None:

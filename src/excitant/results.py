@@ -542,6 +542,8 @@ class IdentifiedJoint(Record):
     "On the hold-out."
     baseline: Accuracy
     "Of the nominal model, on the hold-out."
+    judged: Number | None = None
+    "Share of the hold-out's rows in which the joint moves, and its errors count."
     motion: SensorNoise | None = None
     "Noise of the position and speed sensors."
     friction: FrictionNoise | None = None
