@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import hypothesis
 import numpy as np
 import pytest
+from planted import coarse_steps
 
 from excitant.cli import main
 from excitant.design import random_trajectory
@@ -116,6 +117,7 @@ def runs() -> Callable[..., list[Recording]]:
     nominal description, seen by true sensors.
     """
 
+    @coarse_steps
     def recorded(
         robot: Robot, seed: int | Sequence[int], hidden: Sequence[HiddenEffect] | None = (),
         sensors: Sensors | None = None, tolerance: float = 0.0, duration: float = 10.0,

@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from planted import coarse_steps
 
 import excitant as ex
 from excitant import api
@@ -33,6 +34,7 @@ SHOWN = {
 
 
 @pytest.fixture(scope="module")
+@coarse_steps
 def shown() -> dict[str, str]:
     """What lines would show, as Jupyter asks for it."""
     names: dict[str, object] = {}
