@@ -131,9 +131,7 @@ def test_arm_and_date_by_file(tmp_path: Path) -> None:
         origin(tmp_path, "cell3")
 
 
-def test_a_data_set_that_ends_its_process_is_left_and_the_rest_is_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_data_set_that_ends_its_process_is_left_and_the_rest_is_done(tmp_path, monkeypatch):
     sets, here = [], os.getpid()
     for name in ("a", "b", "bad", "c"):
         (tmp_path / name).mkdir()

@@ -250,9 +250,7 @@ def cause(
         ((0.0, 1.0), (0.0, 0.0), 0.6, ("joint2", 0.05), ""),
     ],
 )
-def test_why_a_cause_that_pays_is_not_decided(
-    rms: Pair, left: Pair, own: float, rough: tuple[str, float], said: str
-) -> None:
+def test_why_a_cause_that_pays_is_not_decided(rms, left, own, rough, said):
     """Torque and slow structure left of this rms at each of two joints; what causes explain."""
     found = cause("viscous_friction", own, "joint2", rms)
     large = cause("viscous_friction", 0.6, "joint2", rms)
@@ -305,9 +303,7 @@ def reason_among(*causes: Finding) -> str:
         (SWUNG, cause("torque_gain", 2.0, "joint2", -0.9 * SWING), ""),
     ],
 )
-def test_causes_that_another_may_be_or_that_are_faint_are_not_decided(
-    found: Finding, other: Finding, said: str
-) -> None:
+def test_causes_that_another_may_be_or_that_are_faint_are_not_decided(found, other, said):
     reason = reason_among(found, other)
     assert said in reason
     assert bool(said) == bool(reason)
@@ -359,9 +355,7 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
 @pytest.mark.parametrize(
     ("name", "link"), [("ur10", 3), pytest.param("puma560", 3, marks=pytest.mark.slow)]
 )
-def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(
-    name: str, link: int, diagnosed: Diagnosed
-) -> None:
+def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(name, link, diagnosed):
     robot = load_robot(name)
     bodies = robot.phi.reshape(-1, 10).copy()
     bodies[link] = 0

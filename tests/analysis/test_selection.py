@@ -52,9 +52,7 @@ def plain(planar: Robot, two: list[Recording]) -> Estimate:
 
 
 @pytest.mark.slow
-def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(
-    planar: Robot, two: list[Recording], plain: Estimate
-) -> None:
+def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(planar, two, plain):
     effects = choose_effects(planar, two[:1])
     assert effects[:4] == STANDARD
     chosen = {(effect.name, joint) for effect in effects[4:] for joint in effect.joints}
@@ -73,9 +71,7 @@ def test_a_plain_arm_gets_the_standard_model(planar: Robot, runs: Runs, seed: in
     assert len(described(effects)) == 1
 
 
-def test_what_the_motion_leaves_undetermined_is_not_chosen(
-    planar: Robot, two: list[Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_motion_leaves_undetermined_is_not_chosen(planar, two, monkeypatch):
     """Whether the refusal names the effect itself, or only what it leaves undetermined."""
     first, second = (kinds.Spring((joint,)) for joint in JOINTS)
     causes = [Candidate(effect, slice(0), np.zeros((0, 0))) for effect in (first, second)]
@@ -112,9 +108,7 @@ def test_plain_larger_arms_get_hardly_anything(runs: Runs) -> None:
     ],
     ids=lambda effect: effect.name,
 )
-def test_identify_takes_every_kind(
-    planar: Robot, two: list[Recording], plain: Estimate, effect: kinds.Effect
-) -> None:
+def test_identify_takes_every_kind(planar, two, plain, effect):
     """One more kind of effect never makes the fit of what it was fitted to worse."""
     more = identify_robot(planar, two[:1], validate=two[1:], effects=(*STANDARD, effect))
     before, after = (fit.train.rms / plain.least_squares.sigma for fit in (plain, more))

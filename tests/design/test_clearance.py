@@ -52,9 +52,7 @@ def test_no_instant_is_nearer_than_certified(cells: dict[str, Scene], seed: int)
 
 
 @pytest.mark.parametrize(("name", "least"), [("six joints", 50), ("one joint", 12), ("a slide", 9)])
-def test_gradient_is_that_of_the_distance_and_within_the_speeds(
-    cells: dict[str, Scene], name: str, least: int
-) -> None:
+def test_gradient_is_that_of_the_distance_and_within_the_speeds(cells, name, least):
     """A turning joint moves a body by its lever, a slide as fast as itself."""
     cell, way, bound = cells[name], np.eye(cells[name].robot.nv), cells[name].speeds()
     # coal's distances are right to about 1e-6 m, so a wide step: 1e-6 / h + O(h²) per radian

@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -161,9 +160,7 @@ def test_progress_tells_what_is_reached(planar: Robot) -> None:
     ],
 )
 @pytest.mark.parametrize("design", [design_trajectory, design_link_by_link])
-def test_refuses_impossible_options(
-    planar: Robot, design: Callable[..., object], option: str, value: object, why: str
-) -> None:
+def test_refuses_impossible_options(planar, design, option, value, why):
     with pytest.raises((BadInput, UnknownName), match=why):
         design(planar, **{option: value})
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from planted import coarse_steps
 from planted_faults import PLANTS, Plant, edited, recorded, scaled, with_rows
 
 import excitant as ex
@@ -66,6 +67,7 @@ PLANAR = load_robot("planar_2r")
 
 
 @functools.cache
+@coarse_steps
 def run(name: str, seed: int = 0) -> Log:
     return recorded(load_robot(name), seed)
 

@@ -295,9 +295,7 @@ HUGE: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 @pytest.mark.parametrize("kind", HUGE)
-def test_huge_files_and_what_is_none_are_refused_at_once(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_huge_files_and_what_is_none_are_refused_at_once(kind, tmp_path, monkeypatch):
     name, write = HUGE[kind]
     write(tmp_path / name)
     for module in ("arrays", "tables"):

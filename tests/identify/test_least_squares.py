@@ -199,9 +199,7 @@ def scaled_errors(known: Truth, rng: np.random.Generator, seconds: float) -> np.
         pytest.param("ur10", 30, 30.0, 1, 2, 0.02, marks=pytest.mark.slow),
     ],
 )
-def test_intervals_cover_the_truth(
-    robot: str, recordings: int, seconds: float, seed: int, deviations: float, slack: float
-) -> None:
+def test_intervals_cover_the_truth(robot, recordings, seconds, seed, deviations, slack):
     """Intervals of one recording depend on each other, recordings do not."""
     known, draws = truth(robot), (np.random.default_rng([seed, k]) for k in range(recordings))
     errors = np.array([scaled_errors(known, rng, seconds) for rng in draws])

@@ -2,7 +2,6 @@
 
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -436,9 +435,7 @@ BOXES = {0: {"com_box": CORNER}, 2: {"com_box": CORNER, "com_ellipsoid": AWAY}}
         (40.0, {3: POINT}, ("com_box of {3}", "body_ellipsoid of {3}"), "total_mass"),
     ],
 )
-def test_contradictions_are_named_in_one_line(
-    tmp_path: Path, total: float | None, about: Any, named: Any, silent: str
-) -> None:
+def test_contradictions_are_named_in_one_line(tmp_path, total, about, named, silent):
     links, file = SEEN.robot.links, tmp_path / "known.yaml"
     content = {"links": {links[k]: v for k, v in about.items()}}
     file.write_text(yaml.safe_dump(content | ({"total_mass": total} if total else {})))

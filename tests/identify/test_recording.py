@@ -143,9 +143,7 @@ print(*rows, "pandas" in sys.modules)
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
 @pytest.mark.parametrize("rows", [1, 100, 210, 1000])
-def test_pieces_put_together_are_the_whole(
-    suffix: str, rows: int, table: pd.DataFrame, save: Call
-) -> None:
+def test_pieces_put_together_are_the_whole(suffix, rows, table, save):
     table = table[:210]
     stamps = 1_700_000_000_000_000_000 + np.round(table.t * 1e9).astype(int)
     columns = {"q1": "a", "q2": "b"}
@@ -313,9 +311,7 @@ def test_recordings_are_named_relative_to_the_folder_or_are_paths(
         without.recordings([])
 
 
-def test_the_sidecar_names_torque_gains_and_units_and_locks_joints(
-    folder: Path, table: pd.DataFrame
-) -> None:
+def test_the_sidecar_names_torque_gains_and_units_and_locks_joints(folder, table):
     def with_sidecar(content: dict[str, Any]) -> Any:
         (folder / "dataset.json").write_text(json.dumps(content))
         return load_dataset(folder)

@@ -56,9 +56,7 @@ def good() -> Estimate:
 
 @pytest.mark.parametrize("toggling", [False, True])
 @pytest.mark.parametrize("count", [1, 3, pytest.param(10, marks=pytest.mark.slow)])
-def test_recordings_in_which_a_joint_rests_spoil_nothing(
-    good: Estimate, count: int, toggling: bool
-) -> None:
+def test_recordings_in_which_a_joint_rests_spoil_nothing(good, count, toggling):
     resting = [run(10 + k, (0,), toggling, 4.0) for k in range(count)]
     found = identify_robot(ARM, [run(1), *resting], validate=HOLDOUT)
     # their own noise moves the hold-out error by some per cent; what friction holds, by a factor

@@ -11,7 +11,7 @@ import pytest
 import scipy.signal
 from estimators import TrueArm
 from khosla import torque_matrix
-from known_arms import Call, write_csv
+from known_arms import write_csv
 from seed import dd_arm_chain
 
 from excitant.design import random_trajectory
@@ -118,9 +118,7 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
 
 
 @pytest.mark.parametrize(("name", "draws"), [("planar_2r", 12), *(slow(name, 6) for name in SIX)])
-def test_values_are_within_two_standard_deviations_as_often_as_they_should(
-    name: str, draws: int
-) -> None:
+def test_values_are_within_two_standard_deviations_as_often_as_they_should(name, draws):
     robot, found = load_robot(name), []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
@@ -142,9 +140,7 @@ def test_values_are_within_two_standard_deviations_as_often_as_they_should(
 @pytest.mark.parametrize(
     ("name", "draws", "total"), [("planar_2r", 4, 20.0), *(slow(name, 1, 60.0) for name in SIX)]
 )
-def test_predicts_as_well_as_all_at_once_in_the_same_time(
-    name: str, draws: int, total: float
-) -> None:
+def test_predicts_as_well_as_all_at_once_in_the_same_time(name, draws, total):
     robot, squares = load_robot(name), []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
@@ -221,9 +217,7 @@ def test_a_joint_at_rest_may_hold_any_torque(planar: Robot) -> None:
     assert alone.refusal
 
 
-def test_command_writes_stages_and_comparison(
-    planar: Robot, tmp_path: Path, excitant: Call
-) -> None:
+def test_command_writes_stages_and_comparison(planar, tmp_path, excitant):
     rng = np.random.default_rng(5)
     truth = truth_near(planar, rng)
     paths = (tmp_path / "one.csv", tmp_path / "two.csv")

@@ -136,9 +136,7 @@ def test_motions_are_drawn_against_limits(planar: Robot) -> None:
     assert len(ex.plot.motion(design, joints=["joint2"])) == 4  # torque too
 
 
-def test_unknown_names_and_nothing_to_draw_are_refused(
-    estimate: Estimate, planar: Robot, runs: Callable[..., list[Recording]]
-) -> None:
+def test_unknown_names_and_nothing_to_draw_are_refused(estimate, planar, runs):
     with pytest.raises(UnknownName, match="unknown joint 'joint3': did you mean 'joint"):
         ex.plot.residuals(estimate, "joint3")
     with pytest.raises(UnknownName, match="unknown parameter 'mass'"):

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from textwrap import indent
@@ -75,9 +74,7 @@ def test_arms_of_example_robot_data() -> None:
         assert np.isfinite(rigid_body_torque(robot, motion)).all()
 
 
-def test_missing_limits_are_asked_for_with_the_file_to_write(
-    planar: Robot, excitant: Call, tmp_path: Path
-) -> None:
+def test_missing_limits_are_asked_for_with_the_file_to_write(planar, excitant, tmp_path):
     bare, limits = tmp_path / "bare.urdf", tmp_path / "limits.yaml"
     bare.write_text(re.sub('(velocity|effort)="[^"]*"', r'\1="0"', planar.urdf))
     ran = excitant("design --time-limit 2", bare, "-o", tmp_path / "run")
@@ -246,9 +243,7 @@ def test_what_the_file_leaves_out_stays(planar: Robot, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("suffix", "written"), [(".yaml", yaml.safe_dump), (".json", json.dumps)])
 @pytest.mark.parametrize("nested", [True, False])
-def test_written_limits_are_read_back(
-    planar: Robot, tmp_path: Path, suffix: str, written: Callable[..., str], nested: bool
-) -> None:
+def test_written_limits_are_read_back(planar, tmp_path, suffix, written, nested):
     half = {name: (0.5 * np.array(x)).tolist() for name, x in numbers(planar.limits).items()}
     text = written({"limits": half} if nested else half)
     assert numbers(limits_of(tmp_path, text, planar, suffix)) == half
@@ -274,9 +269,7 @@ BAD_LIMITS = {
 
 
 @pytest.mark.parametrize("text", BAD_LIMITS)
-def test_bad_limits_are_refused_in_one_line(
-    planar: Robot, tmp_path: Path, refused: Call, text: str
-) -> None:
+def test_bad_limits_are_refused_in_one_line(planar, tmp_path, refused, text):
     refused("no such file", load_limits, tmp_path / "limits.yaml", planar)
     said = refused(BAD_LIMITS[text], limits_of, tmp_path, text, planar, error=BadInput)
     assert str(tmp_path / "limits.yaml") in said
@@ -313,9 +306,7 @@ def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
         ("\nlink1.mcx", "\nlink1.mcy", "line 2 is of 'link1.mcy', not of 'link1.mcx'"),
     ],
 )
-def test_an_estimate_that_is_none_is_refused(
-    kept: Path, refused: Call, old: str, new: str, why: str
-) -> None:
+def test_an_estimate_that_is_none_is_refused(kept, refused, old, new, why):
     file = kept.with_name("arm-estimate.csv")
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new, 1))

@@ -82,9 +82,7 @@ def test_power_goes_into_energy_and_friction_on_the_motion_commanded(builtin: Ro
 @example(seed=45038, n=6, shafts=2)  # the sets alternate
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), shafts=st.integers(0, 2))
 @settings(max_examples=200)
-def test_dry_friction_of_joints_and_shafts_obeys_coulombs_law(
-    seed: int, n: int, shafts: int
-) -> None:
+def test_dry_friction_of_joints_and_shafts_obeys_coulombs_law(seed, n, shafts):
     """K δ + Gᵀλ = impulse for some −backward ≤ λ ≤ forward that opposes every motion."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((n, n))
@@ -150,9 +148,7 @@ def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter(planar: Robot) -
         ("torque_gain", {}, [0.1]),
     ],
 )
-def test_a_known_effect_is_the_one_that_is_fitted(
-    planar: Robot, name: str, shape: dict[str, float], values: list[float]
-) -> None:
+def test_a_known_effect_is_the_one_that_is_fitted(planar, name, shape, values):
     """The plant and the effect that will be fitted are written apart and must agree."""
     kind = EFFECTS[name]
     effect = kind(planar.joints[: kind.acts_on.count or 1], **shape).with_values(values)

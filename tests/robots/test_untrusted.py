@@ -127,9 +127,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("name", XACRO)
-def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(
-    folder: Path, refused: Call, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(folder, refused, monkeypatch, name):
     monkeypatch.setattr(xacro, "SECONDS", 2)
     before, words = XACRO[name]
     path, start = folder / "arm.xacro", sum(os.times()[:4])  # of this process and its children
@@ -251,9 +249,7 @@ FILES: dict[str, tuple[str, str]] = {  # what stands in a file, what is said
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_other_files_neither_reach_nor_build_what_they_may_not(
-    folder: Path, refused: Call, capfd: pytest.CaptureFixture[str], file: str
-) -> None:
+def test_other_files_neither_reach_nor_build_what_they_may_not(folder, refused, capfd, file):
     text, words = FILES[file]
     (folder.parent / "up.xml").write_text("<mujoco/>")
     shutil.copy(DATA / "wedge.stl", folder.parent / "w.stl")
@@ -268,9 +264,7 @@ def test_other_files_neither_reach_nor_build_what_they_may_not(
     assert capfd.readouterr() == ("", "")
 
 
-def test_shapes_without_numbers_are_refused_without_a_word_of_pinocchio(
-    folder: Path, refused: Call, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_shapes_without_numbers_are_refused_without_a_word_of_pinocchio(folder, refused, capfd):
     path = folder / "a.urdf"
     for shape in ("<box/>", "<sphere/>", '<cylinder radius="1"/>', "<mesh/>", "<ball/>", ""):
         path.write_text(shaped(shape))
