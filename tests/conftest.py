@@ -5,7 +5,7 @@ import os
 import shlex
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import hypothesis
 import numpy as np
 import pytest
-from planted import coarse_steps
 
 from excitant.cli import main
 from excitant.design import random_trajectory
@@ -57,6 +56,14 @@ def data_folder() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def coarse_steps() -> Iterator[None]:
+    """Virtual arms take a quarter of their steps: torque feels it by 1e-3 of its size at most."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("excitant.robots.plant.arm.LONGEST_STEP", 2e-3)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -117,7 +124,6 @@ def runs() -> Callable[..., list[Recording]]:
     nominal description, seen by true sensors.
     """
 
-    @coarse_steps
     def recorded(
         robot: Robot, seed: int | Sequence[int], hidden: Sequence[HiddenEffect] | None = (),
         sensors: Sensors | None = None, tolerance: float = 0.0, duration: float = 10.0,

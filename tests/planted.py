@@ -1,7 +1,6 @@
 """Motions that excite an arm, and what a virtual arm hides; what fixtures give."""
 
 from collections.abc import Callable, Sequence
-from unittest.mock import patch
 
 import numpy as np
 
@@ -12,8 +11,6 @@ from excitant.robots import Motion, Robot
 from excitant.robots.plant.planting import STRUCTURES
 from excitant.robots.virtual_arm import HiddenEffect, draw_hidden_effect
 
-coarse_steps = patch("excitant.robots.plant.arm.LONGEST_STEP", 2e-3)
-"""Virtual arms in a quarter of the steps, which torque feels by 1e-3 of its size at most."""
 Runs = Callable[..., list[Recording]]
 Diagnosed = Callable[..., Diagnosis]
 Case = Callable[[str], tuple[HiddenEffect, Diagnosis]]

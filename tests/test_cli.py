@@ -13,7 +13,6 @@ from unittest import mock
 import numpy as np
 import pandas as pd
 import pytest
-from planted import coarse_steps
 
 from excitant import __version__
 from excitant.cli import main
@@ -25,7 +24,6 @@ REPORT = {"result.json", "summary.txt", "report.html"}
 
 
 @pytest.fixture(scope="module")
-@coarse_steps
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A trajectory of the planar arm and two recordings of it."""
     folder = tmp_path_factory.mktemp("inputs")

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from planted import coarse_steps
 
 from excitant import fleets
 from excitant.design import random_trajectory
@@ -28,7 +27,6 @@ ROBOT = load_robot("planar_2r")
 
 
 @pytest.fixture(scope="module")
-@coarse_steps
 def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two sound data sets, each a recording and a description, and two that are not."""
     root = tmp_path_factory.mktemp("fleet")

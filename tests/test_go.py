@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from planted import coarse_steps
 
 from excitant.design import random_trajectory
 from excitant.reports import load_run
@@ -21,7 +20,6 @@ SECTIONS = ("Robot", "Identification", "Identifiability", "Diagnosis")
 
 
 @pytest.fixture(scope="module")
-@coarse_steps
 def logs() -> Logs:
     """Two motions of an arm with more friction than its model, and of one that is its model."""
     robot, tables = load_robot("planar_2r"), {}

@@ -7,7 +7,6 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from planted import coarse_steps
 
 import excitant as ex
 from excitant import api
@@ -34,7 +33,6 @@ SHOWN = {
 
 
 @pytest.fixture(scope="module")
-@coarse_steps
 def shown() -> dict[str, str]:
     """What lines would show, as Jupyter asks for it."""
     names: dict[str, object] = {}

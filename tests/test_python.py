@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from planted import coarse_steps
 
 import excitant as ex
 from excitant.design import play
@@ -23,7 +22,6 @@ Tables = tuple[pd.DataFrame, pd.DataFrame]
 
 
 @pytest.fixture(scope="module")
-@coarse_steps
 def tables(planar: Robot) -> Tables:
     """Two recordings of a virtual arm as tables."""
     rng = np.random.default_rng(4)
@@ -43,7 +41,6 @@ def held(tables: Tables) -> Recording:
 
 
 @pytest.fixture(scope="module")
-@coarse_steps
 def panda() -> dict[str, object]:
     """Every noun of every day, of an arm with seven joints."""
     robot, rng = ex.load_robot("panda"), np.random.default_rng(3)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
 from excitant.analysis.confirmation import HoldoutScale
@@ -99,9 +100,7 @@ def test_what_no_candidate_describes_is_unknown(ur10: Robot, diagnosed: Diagnose
     assert "remain unexplained" in result["headline"]
 
 
-@pytest.mark.parametrize(
-    ("name", "seed"), [("planar_2r", 0), pytest.param("ur10", 2, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("name", "seed"), [("planar_2r", 0), slow("ur10", 2)])
 def test_nothing_hidden_nothing_named(name: str, seed: int, diagnosed: Diagnosed) -> None:
     diagnosis = diagnosed(load_robot(name), seed)
     assert diagnosis.findings == ()
@@ -352,9 +351,7 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     assert headline(diagnosis).endswith(at_rest(diagnosis))
 
 
-@pytest.mark.parametrize(
-    ("name", "link"), [("ur10", 3), pytest.param("puma560", 3, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("name", "link"), [("ur10", 3), slow("puma560", 3)])
 def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(name, link, diagnosed):
     robot = load_robot(name)
     bodies = robot.phi.reshape(-1, 10).copy()

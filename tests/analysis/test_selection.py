@@ -8,6 +8,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from known_arms import write_csv
+from marks import slow
 from planted import Runs, hidden
 
 from excitant.analysis import effect_choice
@@ -64,7 +65,7 @@ def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(planar, 
     assert violations(better.phi, planar.links) == []
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *(slow(k) for k in (1, 2))])
 def test_a_plain_arm_gets_the_standard_model(planar: Robot, runs: Runs, seed: int) -> None:
     effects = choose_effects(planar, recorded(runs, planar, 10 + seed))
     assert effects == STANDARD

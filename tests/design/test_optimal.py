@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 from limit_use import assert_holds_for_every_mass, assert_limits_hold, limited
+from marks import slow
 from threadpoolctl import threadpool_limits
 
 from excitant.design import (
@@ -35,7 +36,7 @@ def arm() -> Robot:
     return limited(first, position=[-np.pi, np.pi], acceleration=10.0)
 
 
-@pytest.fixture(scope="module", params=[pytest.param(1.0, marks=pytest.mark.slow), 0.25])
+@pytest.fixture(scope="module", params=[slow(1.0), 0.25])
 def found(arm: Robot, request: pytest.FixtureRequest) -> Design:
     """With ample torque, and with so little that it binds."""
     robot = limited(arm, torque=request.param * arm.limits.torque)

@@ -17,6 +17,7 @@ from estimators import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, write_csv
+from marks import slow
 from plant_recordings import swinging
 
 from excitant.exceptions import BadInput, UnknownName
@@ -312,7 +313,7 @@ def test_any_chain_needs_the_same_torque_in_every_format(random_chain, seed, nv,
 AGREE = 0.02  # of the torque's standard deviation: MuJoCo's dry friction turns within 2 ms
 
 
-@pytest.mark.parametrize("name", ["planar_2r", pytest.param("ur10", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["planar_2r", slow("ur10")])
 def test_the_models_need_in_mujoco_what_excitant_predicts(name: str, runs: Any) -> None:
     robot = load_robot(name)
     fit, held = runs(robot, 4, tolerance=0.03)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from planted import coarse_steps
 from planted_faults import PLANTS, Plant, edited, recorded, scaled, with_rows
 
 import excitant as ex
@@ -67,7 +66,6 @@ PLANAR = load_robot("planar_2r")
 
 
 @functools.cache
-@coarse_steps
 def run(name: str, seed: int = 0) -> Log:
     return recorded(load_robot(name), seed)
 

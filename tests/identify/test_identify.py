@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from known_arms import Call
+from marks import slow
 from plant_recordings import PENDULUM
 
 from excitant.exceptions import RankDeficient
@@ -15,6 +16,7 @@ from excitant.identify import Estimate, Recording, identify_robot, load_dataset,
 from excitant.identify.tables import body_changes
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.parameters import from_pseudo_inertia, violations
+from excitant.robots.virtual_arm import industrial_sensors
 
 
 def identified(robot: Robot, runs: list[Recording]) -> Estimate:
@@ -26,7 +28,7 @@ def by_name(found: Estimate) -> dict[str, Any]:
     return {p["name"]: p for p in found.result()["parameters"]}
 
 
-@pytest.fixture(scope="module", params=["ur10", pytest.param("panda", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["ur10", slow("panda")])
 def ideal(request: pytest.FixtureRequest, runs: Call) -> Estimate:
     """An arm whose values are off by some per cent, seen by true sensors."""
     robot = load_robot(request.param)
@@ -106,7 +108,7 @@ def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: 
 
 @pytest.fixture(scope="module")
 def nominal(ur10: Robot, runs: Call) -> list[Recording]:
-    return runs(ur10, 1)
+    return runs(ur10, 1, sensors=industrial_sensors(ur10))
 
 
 def in_amperes(runs: list[Recording], gains: np.ndarray | float) -> list[Recording]:

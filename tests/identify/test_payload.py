@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from estimators import TrueArm
 from known_arms import Call, smooth_motion, write_csv
-from planted import coarse_steps
 from scipy.interpolate import BPoly
 from scipy.stats import binom
 
@@ -60,7 +59,6 @@ def task(robot: Robot, rng: np.random.Generator) -> BPoly:
 
 
 @pytest.fixture(scope="module")
-@coarse_steps
 def held() -> Runs:
     """Ten seconds of a virtual arm's task with its payload, and an excitation without."""
     payload = HiddenEffect("payload", PANDA.joints[-1], tuple(zip(STANDARD, PHI, strict=True)))

@@ -23,6 +23,7 @@ from estimators import truth
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, recorded, smooth_motion
+from marks import slow
 
 from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
@@ -129,16 +130,15 @@ def printed(*words: str) -> str:
     return subprocess.check_output([sys.executable, *words], text=True)
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-def test_numbers_are_read_without_pandas(suffix: str, table: pd.DataFrame, save: Call) -> None:
+def test_numbers_are_read_without_pandas(table: pd.DataFrame, save: Call) -> None:
     code = f"""
 import sys
 from excitant.identify import load_recording, read_chunks
-log = {str(save(table, f"log{suffix}"))!r}
-rows = len(load_recording(log, 2)), sum(map(len, read_chunks(log, 2, 100)))
-print(*rows, "pandas" in sys.modules)
+for log in {[str(save(table, f"log.{suffix}")) for suffix in ("parquet", "npz")]}:
+    rows = len(load_recording(log, 2)), sum(map(len, read_chunks(log, 2, 100)))
+    print(*rows, "pandas" in sys.modules)
 """
-    assert printed("-c", code).split() == [str(len(table)), str(len(table)), "False"]
+    assert printed("-c", code).split() == [str(len(table)), str(len(table)), "False"] * 2
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
@@ -235,7 +235,7 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
     return (whole.take(slice(k, k + rows)) for k in range(0, len(whole), rows))
 
 
-@pytest.mark.parametrize("jitter", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("jitter", [0.0, slow(0.3)])
 def test_windows_of_a_long_log_give_its_estimate(jitter: float, monkeypatch: Any) -> None:
     monkeypatch.setattr("excitant.identify.dataset.WINDOW_S", 6.0)
     t = np.arange(120_000) / RATE

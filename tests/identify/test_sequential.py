@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +11,7 @@ import scipy.signal
 from estimators import TrueArm
 from khosla import torque_matrix
 from known_arms import write_csv
+from marks import slow
 from seed import dd_arm_chain
 
 from excitant.design import random_trajectory
@@ -25,10 +25,6 @@ from excitant.robots.effects import CoulombFriction, standard_effects
 from excitant.robots.torque import observation_columns
 
 SIX = ("ur10", "cmu_dd_arm_ii")
-
-
-def slow(*values: Any) -> Any:
-    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def truth_near(robot: Robot, rng: np.random.Generator, spread: float = 0.1) -> TrueArm:

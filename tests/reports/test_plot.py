@@ -20,9 +20,13 @@ from excitant.robots import Robot
 
 
 @pytest.fixture(scope="module")
-def estimate(planar: Robot, runs: Callable[..., list[Recording]]) -> Estimate:
-    fit, held = runs(planar, 3)
-    return identify_robot(planar, fit, validate=held)
+def recordings(planar: Robot, runs: Callable[..., list[Recording]]) -> list[Recording]:
+    return runs(planar, 3)
+
+
+@pytest.fixture(scope="module")
+def estimate(planar: Robot, recordings: list[Recording]) -> Estimate:
+    return identify_robot(planar, recordings[0], validate=recordings[1])
 
 
 @pytest.fixture(autouse=True)
@@ -136,12 +140,12 @@ def test_motions_are_drawn_against_limits(planar: Robot) -> None:
     assert len(ex.plot.motion(design, joints=["joint2"])) == 4  # torque too
 
 
-def test_unknown_names_and_nothing_to_draw_are_refused(estimate, planar, runs):
+def test_unknown_names_and_nothing_to_draw_are_refused(estimate, planar, recordings):
     with pytest.raises(UnknownName, match="unknown joint 'joint3': did you mean 'joint"):
         ex.plot.residuals(estimate, "joint3")
     with pytest.raises(UnknownName, match="unknown parameter 'mass'"):
         ex.plot.parameters(estimate, "mass")
-    bare = identify_robot(planar, runs(planar, 0, names=["run"]), effects=())
+    bare = identify_robot(planar, recordings[0], effects=())
     with pytest.raises(BadInput, match="nothing to draw"):
         ex.plot.friction(bare)
 

@@ -36,6 +36,9 @@ from excitant.robots.plant.physics import Gear
 from excitant.robots.plant.planting import KINDS, parameters_of, plant
 
 
+pytestmark = pytest.mark.usefixtures("own_steps")
+
+
 def without_gravity(robot: Robot, strength: float) -> Robot:
     """The bare arm without gravity, with this limit of torque."""
     limits = replace(robot.limits, torque=np.full(robot.nv, strength))
@@ -44,7 +47,7 @@ def without_gravity(robot: Robot, strength: float) -> Robot:
 
 def mujoco_error(robot: Robot) -> float:
     """Largest difference of the recorded torque from MuJoCo's, relative to the largest torque."""
-    run, model = Recorded(robot, duration=3.0), mujoco_model(robot)
+    run, model = Recorded(robot), mujoco_model(robot)
     motion, data, expected = run.motion, mujoco.MjData(model), []
     rows = [model.joint(joint).dofadr[0] for joint in robot.joints]
     for state in zip(motion.q, motion.dq, motion.ddq, strict=True):
@@ -68,7 +71,7 @@ def test_half_the_step_leaves_a_quarter_of_the_error(ur10: Robot, monkeypatch: A
 
 def test_power_goes_into_energy_and_friction_on_the_motion_commanded(builtin: Robot) -> None:
     """∫ τ·q̇ dt = ΔE + ∫ (F_v q̇² + F_c |q̇|) dt, with the rotors' kinetic energy in E."""
-    run, numbers = Recorded(builtin, duration=3.0), {e.name: e.values for e in builtin.effects}
+    run, numbers = Recorded(builtin), {e.name: e.values for e in builtin.effects}
     dq, E = run.motion.dq, energy(builtin, np.array(numbers["rotor_inertia"]), run.motion)
     friction = numbers["viscous_friction"] * dq**2 + numbers["coulomb_friction"] * np.abs(dq)
     power = np.sum(run.tau * dq - friction, axis=1)
@@ -328,12 +331,12 @@ def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
     payload, phi = drawn(builtin, "payload", 0), np.array(builtin.phi)
     values = [value for _, value in payload.parameters]
     assert violations(values, ("payload",)) == []
-    run = Recorded(builtin, payload, duration=3.0)
+    run = Recorded(builtin, payload)
     formula = EFFECTS["payload"]((payload.joint,)).with_values(values)
     heavier = torque(builtin.with_effects((*builtin.effects, formula)), run.motion)
     difference = np.abs(run.tau - heavier)[run.sliding].max(axis=0)
     assert (difference <= 1e-3 * np.abs(heavier).max(axis=0)).all()
-    bare = Recorded(builtin.with_effects(()), payload, duration=1.0)
+    bare = Recorded(builtin.with_effects(()), payload, duration=0.5)
     assert np.abs(bare.motion.q - swing(builtin)(bare.motion.t, 0)).max() < 0.05
     assert np.array_equal(builtin.phi, phi)
     assert not builtin.model.armature.any()

@@ -14,6 +14,7 @@ from excitant.robots import effects as fx
 from excitant.robots.simulation import REST, Controller, Diverged, simulate
 
 TIME = np.arange(0, 1.5, 5e-3)
+pytestmark = pytest.mark.usefixtures("own_steps")
 
 
 def falling(robot: Robot, t: np.ndarray, *q: float, step: float = 1e-3) -> Motion:

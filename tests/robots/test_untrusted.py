@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import robustness_inputs
 from known_arms import Call
+from marks import slow
 from robustness import READERS
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
@@ -302,7 +303,7 @@ def test_a_data_set_names_no_robot_elsewhere(folder: Path, refused: Call) -> Non
 # Damaged at random
 
 CASES = [(name, 200) for name in READERS if name.startswith("data/")]
-CASES += [pytest.param("data/gantry.urdf", 4000, marks=pytest.mark.slow)]
+CASES += [slow("data/gantry.urdf", 4000)]
 MORE = {  # of what a description can have, in the gantry
     b'<axis xyz="0 0 -1"/>': b'<dynamics damping="1" friction="2"/>',
     b'<link name="hand">': SHAPE.format('<cylinder radius="0.05" length="0.3"/>').encode(),
