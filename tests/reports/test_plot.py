@@ -136,7 +136,7 @@ def test_motions_are_drawn_against_limits(planar: Robot) -> None:
     limited, free = ex.plot.motion(trajectory, planar)[1], ex.plot.motion(trajectory)[1]
     assert "of limit" in limited.get_title("right")
     assert free.get_title("right") == "no limit"
-    design = design_trajectory(planar, duration=6.0, harmonics=3, starts=1, jobs=1, time_limit=1.0)
+    design = design_trajectory(planar, duration=6.0, harmonics=3, starts=1, jobs=1, time_limit=0.0)
     assert len(ex.plot.motion(design, joints=["joint2"])) == 4  # torque too
 
 

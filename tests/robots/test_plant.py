@@ -35,7 +35,6 @@ from excitant.robots.plant import arm as plant_arm
 from excitant.robots.plant.physics import Gear
 from excitant.robots.plant.planting import KINDS, parameters_of, plant
 
-
 pytestmark = pytest.mark.usefixtures("own_steps")
 
 
@@ -156,7 +155,7 @@ def test_a_known_effect_is_the_one_that_is_fitted(planar, name, shape, values):
     kind = EFFECTS[name]
     effect = kind(planar.joints[: kind.acts_on.count or 1], **shape).with_values(values)
     known = planar.with_effects((*planar.effects, effect))
-    run = Recorded(known)
+    run = Recorded(known, duration=1.0)
     run.robot, dq = planar, run.motion.dq
     shaft = dq[:, 0] + shape.get("ratio", -1.0) * dq[:, 1]  # of a coupling, which may stick
     # nearer to rest a small exponent is too steep for a step to follow
@@ -211,14 +210,14 @@ def test_encoders_that_lie(ur10: Robot, name: str, value: float) -> None:
 
 
 def test_torque_gain_and_crosstalk(planar: Robot) -> None:
-    true, (first, second) = Recorded(planar).tau, planar.joints
+    true, (first, second) = Recorded(planar, duration=0.5).tau, planar.joints
     crosstalk = np.outer(true[:, 0], [0, 0.1])
     for effect, expected in (
         (hidden("torque_gain", second, gain=1.2), true * [1, 1.2]),
         (hidden("torque_gain", first, second, gain=0.9), 0.9 * true),
         (hidden("sensor_crosstalk", second, first, gain=0.1), true + crosstalk),
     ):
-        assert np.allclose(Recorded(planar, effect).tau, expected)
+        assert np.allclose(Recorded(planar, effect, duration=0.5).tau, expected)
 
 
 @pytest.mark.parametrize(("delay", "late"), [(0.0137, ["tau2"]), (-0.0137, ["q2", "dq2"])])
