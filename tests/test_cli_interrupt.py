@@ -152,7 +152,7 @@ def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
     assert done.stderr.endswith("excitant: interrupted; nothing was written\n")
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("name", ["SIGINT", slow("SIGTERM")])
 def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
     """Its design does not go on with the best motion so far."""
     code = (

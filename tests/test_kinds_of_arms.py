@@ -83,7 +83,7 @@ def test_every_command(kind: str, here: Path, excitant: Any) -> None:
     arm, robot = prepared(kind)
     runs = "run1.csv --validate run2.csv"
     options = {"analyze": "", "identify": runs, "diagnose": f"{runs} --no-experiments"}
-    options["design"] = "--time-limit 2 --starts 1 --harmonics 3 --duration 6"
+    options["design"] = "--time-limit 0.5 --starts 1 --harmonics 3 --duration 6"
     found = {verb: excitant(f"{verb} {arm} {more} --json") for verb, more in options.items()}
     assert {verb: ran.err for verb, ran in found.items() if ran.status} == {}
     for joint in found["identify"].result["joints"]:

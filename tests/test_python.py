@@ -44,7 +44,7 @@ def held(tables: Tables) -> Recording:
 def panda() -> dict[str, object]:
     """Every noun of every day, of an arm with seven joints."""
     robot, rng = ex.load_robot("panda"), np.random.default_rng(3)
-    design = ex.design_trajectory(robot, duration=8.0, starts=1, jobs=1, time_limit=1.0)
+    design = ex.design_trajectory(robot, duration=8.0, starts=1, jobs=1, time_limit=0.0)
     path = ex.random_trajectory(robot, rng, 10.0, 5)
     table = ex.virtual_arm(robot, rng).record(path, 10.0, rng)
     run = ex.recording_from_table(table, robot, file="a.csv", name="a")

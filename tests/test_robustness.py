@@ -33,7 +33,7 @@ def test_every_file_is_sound_before_it_is_damaged(corpus: Path) -> None:
         assert all((corpus / name).is_file() for name in files), line
 
 
-PARTS = (("fuzz 12", 1), ("fuzz 100", 2), ("limits 1", 1), ("kills 1", 3), ("arms 1", 3))
+PARTS = (("fuzz 6", 1), ("fuzz 100", 2), ("limits 1", 1), ("kills 1", 3), ("arms 1", 3))
 SLOW = [slow(*part) for part in PARTS[1:]]
 
 
