@@ -66,6 +66,14 @@ def coarse_steps() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def own_steps() -> Iterator[None]:
+    """Virtual arms take the steps of which their laws are told."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("excitant.robots.plant.arm.LONGEST_STEP", 5e-4)
+        yield
+
+
 @pytest.fixture(scope="session")
 def planar() -> Robot:
     return load_robot("planar_2r")

@@ -16,7 +16,6 @@ from excitant.identify import Estimate, Recording, identify_robot, load_dataset,
 from excitant.identify.tables import body_changes
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.parameters import from_pseudo_inertia, violations
-from excitant.robots.virtual_arm import industrial_sensors
 
 
 def identified(robot: Robot, runs: list[Recording]) -> Estimate:
@@ -107,8 +106,8 @@ def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: 
 
 
 @pytest.fixture(scope="module")
-def nominal(ur10: Robot, runs: Call) -> list[Recording]:
-    return runs(ur10, 1, sensors=industrial_sensors(ur10))
+def nominal(ur10: Robot, runs: Call, own_steps: None) -> list[Recording]:
+    return runs(ur10, 1)
 
 
 def in_amperes(runs: list[Recording], gains: np.ndarray | float) -> list[Recording]:

@@ -1,6 +1,6 @@
 """Arms to state laws on: the built-in ones, and one with a sliding joint and fixed links."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,6 @@ import pytest
 from excitant.exceptions import ExcitantError
 from excitant.robots import Motion, Robot, load_robot
 from excitant.robots.urdf import robot_from_urdf
-
-
-@pytest.fixture(scope="module")
-def own_steps() -> Iterator[None]:
-    """Virtual arms take the steps of which their laws are told."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("excitant.robots.plant.arm.LONGEST_STEP", 5e-4)
-        yield
 
 
 @pytest.fixture(scope="session")
