@@ -5,7 +5,7 @@ import os
 import shlex
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -56,6 +56,22 @@ def data_folder() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def coarse_steps() -> Iterator[None]:
+    """Virtual arms take a quarter of their steps: torque feels it by 1e-3 of its size at most."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("excitant.robots.plant.arm.LONGEST_STEP", 2e-3)
+        yield
+
+
+@pytest.fixture(scope="module")
+def own_steps() -> Iterator[None]:
+    """Virtual arms take the steps of which their laws are told."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("excitant.robots.plant.arm.LONGEST_STEP", 5e-4)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -104,9 +104,7 @@ def test_a_first_run_is_slower_and_checked_by_itself(here: Path, excitant: Any) 
     assert checked.endswith("between samples too; not checked: self-collision; floor")
 
 
-def test_a_first_run_beyond_a_limit_is_not_written_and_the_design_kept(
-    here: Path, excitant: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_first_run_beyond_a_limit_is_not_written_and_the_design_kept(here, excitant, monkeypatch):
     """What holds the arm is no less at a lower speed; here, its limits are a hundredth."""
     monkeypatch.setattr(
         "excitant.design.played.check",
@@ -346,9 +344,7 @@ def test_bad_input_is_refused_in_one_line(line: str, here: Path, refused: Any) -
         ("torque: [900, 0.05]", r"torque of joint2 comes to .* limit of -?0\.05$"),
     ],
 )
-def test_a_motion_beyond_its_limits_exits_with_one(
-    limits: str, culprit: str, form: str, here: Path, excitant: Any
-) -> None:
+def test_a_motion_beyond_its_limits_exits_with_one(limits, culprit, form, here, excitant):
     (here / "tight.yaml").write_text(limits)
     ran = excitant(f"check planar_2r trajectory.csv --limits tight.yaml -o out{form}")
     assert ran.status == 1

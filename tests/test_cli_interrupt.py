@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from marks import slow
 
 from excitant.design import random_trajectory, trajectory_json
 from excitant.robots import load_robot
@@ -68,7 +69,7 @@ def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[i
     return started.returncode, err
 
 
-@pytest.mark.parametrize("group", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("group", [True, slow(False)])
 def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
     """At the terminal, and where the process alone is interrupted."""
     line = "excitant: interrupted; the best motion so far was written\n"
@@ -151,7 +152,7 @@ def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
     assert done.stderr.endswith("excitant: interrupted; nothing was written\n")
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("name", ["SIGINT", slow("SIGTERM")])
 def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
     """Its design does not go on with the best motion so far."""
     code = (

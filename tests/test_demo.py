@@ -50,9 +50,7 @@ def test_what_is_named_makes_the_model_better(result: dict[str, Any]) -> None:
         assert joint["validate"]["rms"] < joint["baseline"]["rms"] or joint["validate"]["r2"] > 0.97
 
 
-def test_the_written_recordings_give_the_same_diagnosis(
-    result: dict[str, Any], excitant: Any, tmp_path: Path
-) -> None:
+def test_the_written_recordings_give_the_same_diagnosis(result, excitant, tmp_path):
     run, held = (result["folder"] / f"{name}.parquet" for name in ("excitation", "holdout"))
     again = excitant("diagnose planar_2r --json", run, "--validate", held, "-o", tmp_path).result
     for found, expected in zip(again["findings"], result["diagnose"]["findings"], strict=True):
@@ -77,9 +75,7 @@ def test_the_hidden_effect_is_named_on_an_arm_of_six_joints() -> None:
         ({"effect": "backlash", "joints": ["j1"], "verdict": "named"}, "missed"),
     ],
 )
-def test_an_answer_is_right_where_the_truth_is_named_or_left_open(
-    entry: dict[str, Any], expected: str
-) -> None:
+def test_an_answer_is_right_where_the_truth_is_named_or_left_open(entry, expected):
     whole = {"joints": ["j1"], "verdict": "undecided", "rivals": []}
     parts = [whole | part for part in entry.get("parts", ())]
     others = whole | {"effect": "payload", "joints": ["j6"], "verdict": "named"}

@@ -79,9 +79,7 @@ def test_a_model_that_is_right_is_kept(here: Path, excitant: Any) -> None:
 
 
 @pytest.mark.slow
-def test_wrong_data_are_refused_first_until_they_are_repaired(
-    logs: Logs, here: Path, excitant: Any
-) -> None:
+def test_wrong_data_are_refused_first_until_they_are_repaired(logs, here, excitant):
     one = logs["worn-one"]
     one.assign(q2=np.degrees(one["q2"]), dq2=np.degrees(one["dq2"])).to_csv("deg.csv", index=False)
     words = "go planar_2r deg.csv --validate worn-two.csv -o out"
@@ -97,9 +95,7 @@ def test_wrong_data_are_refused_first_until_they_are_repaired(
     assert load_run(here / "out")[0].verdict.effect == "coulomb_friction"
 
 
-def test_a_hold_out_that_nothing_predicts_is_no_ground_for_a_model(
-    logs: Logs, here: Path, excitant: Any
-) -> None:
+def test_a_hold_out_that_nothing_predicts_is_no_ground_for_a_model(logs, here, excitant):
     """As where it is of another arm: its torque is that of another motion."""
     two = logs["worn-two"]
     other = {f"tau{j}": two[f"tau{j}"].to_numpy()[::-1] for j in (1, 2)}
@@ -123,9 +119,7 @@ def test_a_folder_stands_for_its_robot_and_recordings(logs: Logs, here: Path, ex
 
 
 @pytest.mark.slow
-def test_the_example_is_what_its_script_writes_and_shows_its_friction(
-    here: Path, excitant: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_is_what_its_script_writes_and_shows_its_friction(here, excitant, monkeypatch):
     spec = importlib.util.spec_from_file_location("cell3", EXAMPLE.with_suffix(".py"))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

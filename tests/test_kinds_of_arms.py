@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow
 from urdf_arms import urdf_of
 
 from excitant.identify import identify_robot, load_recording
@@ -77,14 +78,12 @@ def prepared(kind: str) -> tuple[str, Robot]:
     return "arm.yaml", robot
 
 
-@pytest.mark.parametrize(
-    "kind", [kind if kind in FAST else pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS]
-)
+@pytest.mark.parametrize("kind", [kind if kind in FAST else slow(kind) for kind in KINDS])
 def test_every_command(kind: str, here: Path, excitant: Any) -> None:
     arm, robot = prepared(kind)
     runs = "run1.csv --validate run2.csv"
     options = {"analyze": "", "identify": runs, "diagnose": f"{runs} --no-experiments"}
-    options["design"] = "--time-limit 2 --starts 1 --harmonics 3 --duration 6"
+    options["design"] = "--time-limit 0.5 --starts 1 --harmonics 3 --duration 6"
     found = {verb: excitant(f"{verb} {arm} {more} --json") for verb, more in options.items()}
     assert {verb: ran.err for verb, ran in found.items() if ran.status} == {}
     for joint in found["identify"].result["joints"]:
@@ -108,7 +107,7 @@ def test_currents_where_rotors_are_like_masses_get_gains_of_the_right_size(here:
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning", "error::scipy.linalg.LinAlgWarning")
-@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) for k in EVERY_VERB])
+@pytest.mark.parametrize("kind", [slow(k) for k in EVERY_VERB])
 def test_every_verb_in_every_way(kind: str, here: Path, excitant: Any) -> None:
     """All verbs with all that changes their numerical core: a result each, and no warning."""
     arm, _ = prepared(kind)

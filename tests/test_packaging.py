@@ -90,9 +90,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def excitant_alone(
-    wheel: Path, project: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def excitant_alone(wheel, project, tmp_path_factory) -> Path:
     """Programs of an environment that holds the wheel and what it declares, nothing else."""
     home = tmp_path_factory.mktemp("empty")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
@@ -130,9 +128,7 @@ EXTRAS = ("cluster", "docs", "mjcf", "ros", "dev")
 @pytest.mark.parametrize(
     ("lock", "extras"), [("requirements.lock", ()), ("requirements-dev.lock", EXTRAS)]
 )
-def test_lock_pins_every_requirement_and_names_no_place(
-    project: dict[str, Any], lock: str, extras: tuple[str, ...]
-) -> None:
+def test_lock_pins_every_requirement_and_names_no_place(project, lock, extras):
     lines = (ROOT / lock).read_text().splitlines()
     pinned = map(Requirement, (line for line in lines if line and not line.startswith("#")))
     pins = {canonicalize_name(pin.name): pin for pin in pinned}

@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,9 +46,7 @@ def test_clearance_is_a_requirement() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["json", "csv"])
-def test_a_good_motion_passes(
-    planar: Robot, motion: FourierTrajectory, tmp_path: Path, excitant: Command, suffix: str
-) -> None:
+def test_a_good_motion_passes(planar, motion, tmp_path, excitant, suffix):
     file = tmp_path / f"trajectory.{suffix}"
     text = trajectory_csv(motion) if suffix == "csv" else trajectory_json(motion, planar)
     file.write_text(text, encoding="utf-8")
@@ -137,9 +134,7 @@ def test_the_arm_has_what_is_said_to_be_planted(planar: Robot) -> None:
     ],
     ids=["a moving start", "no such file", "another arm", "too short"],
 )
-def test_bad_input_is_refused_in_one_line(
-    tmp_path: Path, excitant: Command, joints: int, size: float, period: float, evidence: str
-) -> None:
+def test_bad_input_is_refused_in_one_line(tmp_path, excitant, joints, size, period, evidence):
     file = tmp_path / "motion.csv"
     if size is not None:
         rng = np.random.default_rng(0)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import robustness as bench
+from marks import slow
 from robustness_inputs import extreme_arm, motion, write_corpus
 
 from excitant.design import random_trajectory, trajectory_csv
@@ -32,8 +33,8 @@ def test_every_file_is_sound_before_it_is_damaged(corpus: Path) -> None:
         assert all((corpus / name).is_file() for name in files), line
 
 
-PARTS = (("fuzz 12", 1), ("fuzz 100", 2), ("limits 1", 1), ("kills 1", 3), ("arms 1", 3))
-SLOW = [pytest.param(*part, marks=pytest.mark.slow) for part in PARTS[1:]]
+PARTS = (("fuzz 6", 1), ("fuzz 100", 2), ("limits 1", 1), ("kills 1", 3), ("arms 1", 3))
+SLOW = [slow(*part) for part in PARTS[1:]]
 
 
 @pytest.mark.parametrize(("part", "seed"), [PARTS[0], *SLOW])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
 from excitant.analysis.confirmation import HoldoutScale
@@ -99,9 +100,7 @@ def test_what_no_candidate_describes_is_unknown(ur10: Robot, diagnosed: Diagnose
     assert "remain unexplained" in result["headline"]
 
 
-@pytest.mark.parametrize(
-    ("name", "seed"), [("planar_2r", 0), pytest.param("ur10", 2, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("name", "seed"), [("planar_2r", 0), slow("ur10", 2)])
 def test_nothing_hidden_nothing_named(name: str, seed: int, diagnosed: Diagnosed) -> None:
     diagnosis = diagnosed(load_robot(name), seed)
     assert diagnosis.findings == ()
@@ -250,9 +249,7 @@ def cause(
         ((0.0, 1.0), (0.0, 0.0), 0.6, ("joint2", 0.05), ""),
     ],
 )
-def test_why_a_cause_that_pays_is_not_decided(
-    rms: Pair, left: Pair, own: float, rough: tuple[str, float], said: str
-) -> None:
+def test_why_a_cause_that_pays_is_not_decided(rms, left, own, rough, said):
     """Torque and slow structure left of this rms at each of two joints; what causes explain."""
     found = cause("viscous_friction", own, "joint2", rms)
     large = cause("viscous_friction", 0.6, "joint2", rms)
@@ -305,9 +302,7 @@ def reason_among(*causes: Finding) -> str:
         (SWUNG, cause("torque_gain", 2.0, "joint2", -0.9 * SWING), ""),
     ],
 )
-def test_causes_that_another_may_be_or_that_are_faint_are_not_decided(
-    found: Finding, other: Finding, said: str
-) -> None:
+def test_causes_that_another_may_be_or_that_are_faint_are_not_decided(found, other, said):
     reason = reason_among(found, other)
     assert said in reason
     assert bool(said) == bool(reason)
@@ -356,12 +351,8 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     assert headline(diagnosis).endswith(at_rest(diagnosis))
 
 
-@pytest.mark.parametrize(
-    ("name", "link"), [("ur10", 3), pytest.param("puma560", 3, marks=pytest.mark.slow)]
-)
-def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(
-    name: str, link: int, diagnosed: Diagnosed
-) -> None:
+@pytest.mark.parametrize(("name", "link"), [("ur10", 3), slow("puma560", 3)])
+def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(name, link, diagnosed):
     robot = load_robot(name)
     bodies = robot.phi.reshape(-1, 10).copy()
     bodies[link] = 0

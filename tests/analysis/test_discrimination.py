@@ -50,9 +50,7 @@ def swing(robot: Robot, amplitude: float = 0.5, hz: float = 0.25, seconds: float
     ("kind", "cosine", "rel"),
     [(kinds.TorqueOffset, 0.0, 1e-3), (kinds.CoulombFriction, np.sqrt(8) / np.pi, 0.08)],
 )
-def test_a_cause_separates_by_what_its_rival_does_not_follow(
-    planar: Robot, kind: type[Effect], cosine: float, rel: float
-) -> None:
+def test_a_cause_separates_by_what_its_rival_does_not_follow(planar, kind, cosine, rel):
     """⟨sign q̇, q̇⟩² / (‖sign q̇‖² ‖q̇‖²) is 8 / π² on a sine, to which a constant is orthogonal."""
     level, motion, bare = 0.2, swing(planar), planar.with_effects(())
     pair = contest(bare, kind(LAST, (level,)), kinds.ViscousFriction(LAST), tolerance=1e-9)
@@ -128,9 +126,7 @@ def test_runs_decide_with_the_power_that_is_promised() -> None:
         (kinds.StribeckFriction(LAST, (0.2,)), kinds.CoulombFriction(LAST), (0.9, 0.4)),
     ],
 )
-def test_the_motion_separates_what_a_poor_one_does_not(
-    planar: Robot, found: Effect, rival: Effect, sine: tuple[float, float]
-) -> None:
+def test_the_motion_separates_what_a_poor_one_does_not(planar, found, rival, sine):
     poor, pair = swing(planar, *sine), contest(planar, found, rival)
     motions, highest = discriminating_motions(pair, np.random.default_rng(0))
     [best] = motions

@@ -102,9 +102,7 @@ def test_a_motion_at_rest_shows_what_gravity_does_and_no_more(ur10: Robot) -> No
         ({"measured": ["elbow"]}, "elbow"),
     ],
 )
-def test_circumstances_that_contradict_each_other_are_refused(
-    ur10: Robot, given: dict[str, object], said: str
-) -> None:
+def test_circumstances_that_contradict_each_other_are_refused(ur10, given, said):
     motion = motion_of(ur10) if "motion" in given else None
     with pytest.raises(UnknownName if said == "elbow" else BadInput, match=said):
         analyze(ur10, **(given | {"motion": motion}))

@@ -100,9 +100,7 @@ def test_panda_lacks_the_hand_that_its_description_has(data_folder: Path) -> Non
         ("dualarm_v2", ["exc_13p5"], ["exc_52p2"], True),
     ],
 )
-def test_arms_on_another_excitation(
-    name: str, fitted: list[str], held: list[str], slow: bool, data_folder: Path
-) -> None:
+def test_arms_on_another_excitation(name, fitted, held, slow, data_folder):
     diagnosis = diagnosed(data_folder / name, 4, fitted, held)
     assert seen(diagnosis, FRICTION) == [*diagnosis.robot.joints]
     assert not slow or seen(diagnosis, SLOW)
@@ -121,9 +119,7 @@ MOTIONS = ("sin_sin", "sin_time_square", "up_and_down")  # powered all along
 
 
 @pytest.mark.slow
-def test_servo_rotor_is_as_heavy_as_published_and_friction_grows_with_load(
-    data_folder: Path, tmp_path: Path
-) -> None:
+def test_servo_rotor_is_as_heavy_as_published_and_friction_grows_with_load(data_folder, tmp_path):
     """Two position gains fitted, a third held out; torque by the published motor constants."""
     folder = data_folder / "bam_xl330"
     files = (folder / f"{name}.json" for name in ("dataset", "known"))

@@ -8,6 +8,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from known_arms import write_csv
+from marks import slow
 from planted import Runs, hidden
 
 from excitant.analysis import effect_choice
@@ -52,9 +53,7 @@ def plain(planar: Robot, two: list[Recording]) -> Estimate:
 
 
 @pytest.mark.slow
-def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(
-    planar: Robot, two: list[Recording], plain: Estimate
-) -> None:
+def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(planar, two, plain):
     effects = choose_effects(planar, two[:1])
     assert effects[:4] == STANDARD
     chosen = {(effect.name, joint) for effect in effects[4:] for joint in effect.joints}
@@ -66,16 +65,14 @@ def test_planted_effects_are_chosen_and_predict_an_unseen_motion_better(
     assert violations(better.phi, planar.links) == []
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *(slow(k) for k in (1, 2))])
 def test_a_plain_arm_gets_the_standard_model(planar: Robot, runs: Runs, seed: int) -> None:
     effects = choose_effects(planar, recorded(runs, planar, 10 + seed))
     assert effects == STANDARD
     assert len(described(effects)) == 1
 
 
-def test_what_the_motion_leaves_undetermined_is_not_chosen(
-    planar: Robot, two: list[Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_motion_leaves_undetermined_is_not_chosen(planar, two, monkeypatch):
     """Whether the refusal names the effect itself, or only what it leaves undetermined."""
     first, second = (kinds.Spring((joint,)) for joint in JOINTS)
     causes = [Candidate(effect, slice(0), np.zeros((0, 0))) for effect in (first, second)]
@@ -112,9 +109,7 @@ def test_plain_larger_arms_get_hardly_anything(runs: Runs) -> None:
     ],
     ids=lambda effect: effect.name,
 )
-def test_identify_takes_every_kind(
-    planar: Robot, two: list[Recording], plain: Estimate, effect: kinds.Effect
-) -> None:
+def test_identify_takes_every_kind(planar, two, plain, effect):
     """One more kind of effect never makes the fit of what it was fitted to worse."""
     more = identify_robot(planar, two[:1], validate=two[1:], effects=(*STANDARD, effect))
     before, after = (fit.train.rms / plain.least_squares.sigma for fit in (plain, more))

@@ -82,9 +82,7 @@ def test_recursion_and_regressor_agree(name: str, gravity: tuple[float, ...] | N
 
 
 @given(seed=SEEDS, nv=st.integers(1, 7), right=st.booleans())
-def test_three_methods_agree_on_random_chains(
-    random_chain: Callable[..., DHChain], seed: int, nv: int, right: bool
-) -> None:
+def test_three_methods_agree_on_random_chains(random_chain, seed, nv, right):
     chain = random_chain(seed, nv, "modified")
     chain = special(chain, seed) if right else chain
     robot, revolute = robot_from_dh(chain), int(chain.revolute.sum())
@@ -101,9 +99,7 @@ def test_three_methods_agree_on_random_chains(
 
 @pytest.mark.parametrize("kind", ["general", "special", "branched"])
 @given(seed=SEEDS, nv=st.integers(2, 6), held=st.sampled_from(["none", "any", "pose"]))
-def test_held_joints_in_both_methods(
-    random_chain: Callable[..., DHChain], kind: str, seed: int, nv: int, held: str
-) -> None:
+def test_held_joints_in_both_methods(random_chain, kind, seed, nv, held):
     chain = random_chain(seed, nv, "modified")
     chain = special(chain, seed) if kind == "special" else chain
     robot = branched(seed, nv) if kind == "branched" else robot_from_dh(chain)

@@ -105,9 +105,7 @@ UNREADABLE = (
 
 
 @pytest.mark.parametrize(("name", "content", "why"), UNREADABLE)
-def test_what_is_no_trajectory_is_refused_in_one_line(
-    planar: Robot, tmp_path: Path, name: str, content: bytes | None, why: str
-) -> None:
+def test_what_is_no_trajectory_is_refused_in_one_line(planar, tmp_path, name, content, why):
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
@@ -159,9 +157,7 @@ def test_files_are_read_back_equal_by_others(ur10: Robot, motion: Motion, tmp_pa
 
 @pytest.mark.parametrize("steptime", [1 / 125, 1 / 500])
 @pytest.mark.parametrize("scale", [0.2, 1.0])
-def test_urscript_commands_the_motion_in_every_step_of_the_controller(
-    ur10: Robot, steptime: float, scale: float
-) -> None:
+def test_urscript_commands_the_motion_in_every_step_of_the_controller(ur10, steptime, scale):
     """Slowly unless told otherwise; between poses by a line, whatever the rates are."""
     path = drawn(FourierSeries(3.0, 3), 6, 0.5)
     [text] = write_formats({"trajectory": path.motion(100.0)}, ur10, ["urscript"]).values()
@@ -264,9 +260,7 @@ def test_client_stops_in_one_line(
     assert (len(arm.goals), arm.cancelled) == (goals, status == 130)
 
 
-def test_client_without_go_moves_nothing_and_needs_no_ros(
-    planar: Robot, way: dict[str, Motion], tmp_path: Path
-) -> None:
+def test_client_without_go_moves_nothing_and_needs_no_ros(planar, way, tmp_path):
     module = client(way, planar, tmp_path)
 
     command = [sys.executable, "-I", module.__file__]

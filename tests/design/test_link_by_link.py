@@ -19,7 +19,7 @@ from excitant.robots import Robot, base_parameters, load_robot
 def puma() -> LinkByLinkDesign:
     """The first joints of an arm whose inner joints carry the outer ones' weight."""
     robot = load_robot("puma560", lock={"joint4": 0.0, "joint5": 0.3, "joint6": 0.0})
-    options = {"duration": 5.0, "harmonics": 3, "columns": "inertial", "starts": 2, "jobs": 1}
+    options = {"duration": 5.0, "harmonics": 2, "columns": "inertial", "starts": 1, "jobs": 1}
     return design_link_by_link(robot, **options)
 
 

@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 from limit_use import assert_holds_for_every_mass, assert_limits_hold, limited
+from marks import slow
 from threadpoolctl import threadpool_limits
 
 from excitant.design import (
@@ -24,21 +24,23 @@ from excitant.design import (
     random_trajectory,
 )
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots import Robot
+from excitant.robots import Robot, load_robot
 from excitant.robots.effects import standard_effects
 from excitant.robots.torque import observation_columns
 
 
 @pytest.fixture(scope="module")
-def arm(ur10: Robot) -> Robot:
-    return limited(ur10, position=[-np.pi, np.pi], acceleration=10.0)
+def arm() -> Robot:
+    """The first four joints of six."""
+    first = load_robot("ur10", lock={"wrist_2_joint": 0.3, "wrist_3_joint": 0.0})
+    return limited(first, position=[-np.pi, np.pi], acceleration=10.0)
 
 
-@pytest.fixture(scope="module", params=[pytest.param(1.0, marks=pytest.mark.slow), 0.25])
+@pytest.fixture(scope="module", params=[slow(1.0), 0.25])
 def found(arm: Robot, request: pytest.FixtureRequest) -> Design:
     """With ample torque, and with so little that it binds."""
     robot = limited(arm, torque=request.param * arm.limits.torque)
-    options: dict[str, Any] = {"columns": "inertial", "harmonics": 4, "periods": 1, "starts": 2}
+    options: dict[str, Any] = {"columns": "inertial", "harmonics": 2, "periods": 1, "starts": 1}
     return design_trajectory(robot, **options, jobs=1, seed=3)
 
 
@@ -49,8 +51,13 @@ def test_improves_on_random_and_holds_every_limit(arm: Robot, found: Design) -> 
     assert (found.limits.torque if weak else found.limits.worst).ratio > 0.999 * found.use
 
 
-def test_result_and_series(found: Design) -> None:
-    result, starts = found.result(), found.result()["starts"]
+@pytest.fixture(scope="module")
+def weighted(planar: Robot) -> Design:
+    return design_trajectory(planar, harmonics=3, periods=1, starts=2, jobs=1, noise=[1.0, 4.0])
+
+
+def test_result_and_series(weighted: Design) -> None:
+    found, result, starts = weighted, weighted.result(), weighted.result()["starts"]
     assert json.loads(json.dumps(result, allow_nan=False)) == result
     assert result["verb"] == "design"
     assert result["condition_number"]["final"] == found.condition_final
@@ -67,8 +74,8 @@ def test_result_and_series(found: Design) -> None:
 
 @pytest.mark.parametrize("criterion", ["d", "a", "e"])
 def test_every_criterion_improves_its_own_value(planar: Robot, criterion: str) -> None:
-    options: dict[str, Any] = {"harmonics": 3, "periods": 1, "starts": 2, "jobs": 1}
-    result = design_trajectory(planar, criterion=criterion, **options)
+    options: dict[str, Any] = {"harmonics": 3, "periods": 1, "starts": 1, "jobs": 1}
+    result = design_trajectory(planar, criterion=criterion, seed=3, **options)
     before, after = (np.linalg.eigvalsh(M) for M in (result.before, result.after))
     gain = {
         "d": np.log(after).sum() - np.log(before).sum(),
@@ -111,18 +118,19 @@ def test_time_limit_returns_the_best_so_far(arm: Robot, limit: float, options: A
     assert any("depends on the machine" in note for note in result.result()["notes"])
 
 
-def test_after_the_time_limit_no_more_than_three_starts_are_drawn(arm: Robot) -> None:
+def test_after_the_time_limit_no_more_than_three_starts_are_drawn(planar: Robot) -> None:
     """In a scene of thousands of pairs, one takes seconds."""
-    result = design_trajectory(arm, jobs=1, time_limit=0.0, starts=8)
+    result = design_trajectory(planar, jobs=1, time_limit=0.0, starts=8)
     assert [bool(start.history) for start in result.starts][:3] == [True] * 3
     assert not any(start.history for start in result.starts[3:])
 
 
-def test_interrupt_returns_the_best_so_far(arm: Robot) -> None:
+def test_interrupt_returns_the_best_so_far(planar: Robot) -> None:
     def stop(done: int, total: int | None, condition: float, worst: float) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
-    result = design_trajectory(arm, columns="inertial", starts=20, jobs=1, progress=stop)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have made it deaf
+    result = design_trajectory(planar, columns="inertial", starts=20, jobs=1, progress=stop)
     assert_limits_hold(result)
     assert result.condition_final < result.condition_initial
     assert {start.status for start in result.starts} == {"interrupted"}
@@ -153,27 +161,20 @@ def test_progress_tells_what_is_reached(planar: Robot) -> None:
     ],
 )
 @pytest.mark.parametrize("design", [design_trajectory, design_link_by_link])
-def test_refuses_impossible_options(
-    planar: Robot, design: Callable[..., object], option: str, value: object, why: str
-) -> None:
+def test_refuses_impossible_options(planar, design, option, value, why):
     with pytest.raises((BadInput, UnknownName), match=why):
         design(planar, **{option: value})
 
 
 def test_a_spline_design_keeps_all_limits(planar: Robot) -> None:
     robot = limited(planar, acceleration=8.0, jerk=15.0)
-    options: Any = {"duration": 6.0, "harmonics": 5, "starts": 2, "jobs": 1, "use": 1.0}
+    options: Any = {"duration": 6.0, "harmonics": 5, "starts": 1, "jobs": 1, "use": 1.0}
     found = design_trajectory(robot, series="spline", **options)
     assert found.trajectory.series.name == "spline"
     assert found.condition_final < 0.5 * found.condition_initial
     assert_limits_hold(found)
     assert np.abs(found.trajectory(np.linspace(0, 6, 20_001), 3)).max() <= 15.0 * (1 + 1e-9)
     assert found.limits.jerk.ratio > 0.9
-
-
-@pytest.fixture(scope="module")
-def weighted(planar: Robot) -> Design:
-    return design_trajectory(planar, harmonics=3, periods=1, starts=2, jobs=1, noise=[1.0, 4.0])
 
 
 def test_what_parameters_are_seen_is_that_of_weighted_least_squares(weighted: Design) -> None:

@@ -42,7 +42,7 @@ def test_limits_hold_between_the_samples_and_the_ends_rest(name: str, share: flo
     drawn = (rng.uniform(low, high) for _ in itertools.count())
     room = 0.9 * HOLDING * robot.limits.torque
     held = (pose for pose in drawn if np.all(holding_torque(robot, pose, pose) < room))
-    for start, goal in itertools.pairwise(itertools.islice(held, 4)):
+    for start, goal in itertools.pairwise(itertools.islice(held, 3)):
         motion = approach(robot, start, goal, rate_hz=RATE)
         assert_follows(robot, motion, start, goal)
         np.testing.assert_allclose(np.diff(motion.t), 1 / RATE, rtol=1e-9)
@@ -59,7 +59,7 @@ def test_one_joint_takes_the_time_of_the_trapezoid(planar: Robot, way: float, v:
     exact = distance / v + v / a if distance > v**2 / a else 2 * np.sqrt(distance / a)
     robot = limited(planar, **FREE | {"velocity": (v, 50.0), "acceleration": (a, 500.0)})
     ends = np.array([[0.0, 0.3], [way, 0.3]])
-    duration = approach(robot, *ends, rate_hz=1000.0).t[-1]
+    duration = approach(robot, *ends, rate_hz=250.0).t[-1]
     assert exact <= duration <= 1.01 * exact
     assert time_optimal(robot, rounded_path(ends, 1.0)).duration == pytest.approx(exact, rel=2e-3)
 
@@ -78,7 +78,7 @@ def test_viscous_friction_limits_the_speed_that_a_torque_limit_allows(planar: Ro
     """Far from the ends the speed is v = (τ − F_c) / F_v, without gravity."""
     robot = limited(planar.with_gravity(np.zeros(3)), **FREE | {"torque": (2.0, np.inf)})
     Fv, Fc = (effect.values[0] for effect in robot.effects[:2] if effect.values)
-    motion = approach(robot, [-30, 0], [30, 0])
+    motion = approach(robot, [-20, 0], [20, 0])
     assert motion.dq[:, 0].max() == pytest.approx((2.0 - Fc) / Fv, rel=5e-3)
 
 

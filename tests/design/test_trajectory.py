@@ -23,9 +23,7 @@ def drawn(series: Series, seed: int, rest: bool = True) -> Trajectory:
 
 @settings(max_examples=40, deadline=None)
 @given(kinds(1, 12), SEEDS, ORDERS)
-def test_derivatives_agree_with_finite_differences_and_the_motion_closes(
-    series: Series, seed: int, order: int
-) -> None:
+def test_derivatives_agree_with_finite_differences_and_the_motion_closes(series, seed, order):
     trajectory, period = drawn(series, seed, rest=False), series.period
     t, w = np.linspace(0.01, 0.99, 23) * period, 2 * np.pi * (series.size // 2) / period
     h = 1e-5 / w

@@ -22,7 +22,7 @@ def arm(*joints: dict[str, object]) -> Robot:
 def test_three_joints_one_of_them_sliding() -> None:
     slide = {"kind": "prismatic", "low": 0.1, "high": 0.6}
     robot = arm({}, slide, {"axis": "0 1 0", "xyz": "0.3 0 0"})
-    found = design_trajectory(robot, duration=5.0, harmonics=4, starts=2, jobs=1)
+    found = design_trajectory(robot, duration=5.0, harmonics=3, starts=1, jobs=1)
     assert found.condition_final < 0.5 * found.condition_initial
     assert_limits_hold(found)
 

@@ -17,6 +17,7 @@ from estimators import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, write_csv
+from marks import slow
 from plant_recordings import swinging
 
 from excitant.exceptions import BadInput, UnknownName
@@ -297,9 +298,7 @@ def test_files_name_what_they_cannot_hold(written: Written) -> None:
 
 
 @given(seed=st.integers(0, 10**6), nv=st.integers(2, 7), convention=st.sampled_from(CONVENTIONS))
-def test_any_chain_needs_the_same_torque_in_every_format(
-    random_chain: Call, seed: int, nv: int, convention: str
-) -> None:
+def test_any_chain_needs_the_same_torque_in_every_format(random_chain, seed, nv, convention):
     model = with_every_effect(robot_from_dh(random_chain(seed, nv, convention)))
     motion, files = states(model, 5, seed), model_files(model, "arm", "arm.yaml")
     alone = robot_from_urdf(files["arm.urdf"], source="arm.urdf", gravity=model.gravity)
@@ -314,7 +313,7 @@ def test_any_chain_needs_the_same_torque_in_every_format(
 AGREE = 0.02  # of the torque's standard deviation: MuJoCo's dry friction turns within 2 ms
 
 
-@pytest.mark.parametrize("name", ["planar_2r", pytest.param("ur10", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["planar_2r", slow("ur10")])
 def test_the_models_need_in_mujoco_what_excitant_predicts(name: str, runs: Any) -> None:
     robot = load_robot(name)
     fit, held = runs(robot, 4, tolerance=0.03)
@@ -354,9 +353,7 @@ def test_a_model_that_mujoco_refuses_is_left_out_with_a_note(planar: Robot, exac
     assert found.result()["joints"][0]["given"] is None
 
 
-def test_command_draws_both_models_in_mujoco(
-    tmp_path: Path, planar: Robot, exact: Call, excitant: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_draws_both_models_in_mujoco(tmp_path, planar, exact, excitant, monkeypatch):
     one = write_csv(tmp_path / "one.csv", exact(planar, np.arange(0, 8, 1 / 100)))
     words = ("identify planar_2r", one, "--mujoco", "-o", tmp_path / "out")
     ran = excitant(*words, "--formats", "ros2_control", "--json")
@@ -466,9 +463,7 @@ def beyond_formats(planar: Robot, exact: Call) -> Estimate:
     return identify_robot(given, [recording], effects=[friction, fx.RotorInertia(planar.joints)])
 
 
-def test_a_file_that_lacks_too_much_is_not_written(
-    beyond_formats: Estimate, tmp_path: Path
-) -> None:
+def test_a_file_that_lacks_too_much_is_not_written(beyond_formats, tmp_path):
     """Nothing else is silent either: each file's own error stands beside it."""
     model = publication(beyond_formats)
     unwritten = {f"identified.{suffix}" for suffix in SUFFIXES}
@@ -497,9 +492,7 @@ def test_a_file_that_lacks_too_much_is_not_written(
     assert "not written" not in forced.note
 
 
-def test_the_error_of_a_file_is_that_of_the_file_read_again(
-    beyond_formats: Estimate, tmp_path: Path
-) -> None:
+def test_the_error_of_a_file_is_that_of_the_file_read_again(beyond_formats, tmp_path):
     """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms."""
     rows, segments = beyond_formats.holdout, beyond_formats.data.validate
     model = beyond_formats.model
@@ -529,9 +522,7 @@ def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
     assert "drive" not in yaml.safe_load(publication(estimate).files["model.yaml"])
 
 
-def test_command_writes_result_but_no_model_when_it_got_worse(
-    tmp_path: Path, planar: Robot, exact: Call, excitant: Call
-) -> None:
+def test_command_writes_result_but_no_model_when_it_got_worse(tmp_path, planar, exact, excitant):
     """Of an arm with large torque offsets, judged on one that the given arm explains."""
     true = exact(planar, np.arange(0, 8, 1 / 100))
     unseen = write_csv(tmp_path / "true.csv", true)

@@ -62,9 +62,7 @@ def test_true_friction_lies_in_the_interval(planar: Robot, runs: Call) -> None:
     assert np.mean(inside) > 0.8  # by chance below in one of some hundred such sets
 
 
-def test_curves_of_currents_are_told_as_the_coefficients_are(
-    planar: Robot, recordings: list[Recording]
-) -> None:
+def test_curves_of_currents_are_told_as_the_coefficients_are(planar, recordings):
     fit, held = (replace(run, tau=run.tau / [20.0, 5.0], unit="A") for run in recordings)
     known = identify_robot(planar, fit, validate=held)
     free = replace(known, drive=replace(known.drive, scale_std=2.0))  # nothing fixes the gains

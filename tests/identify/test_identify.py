@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from known_arms import Call
+from marks import slow
 from plant_recordings import PENDULUM
 
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset, model_files
 from excitant.identify.tables import body_changes
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import Effect
 from excitant.robots.parameters import from_pseudo_inertia, violations
 
 
@@ -27,7 +27,7 @@ def by_name(found: Estimate) -> dict[str, Any]:
     return {p["name"]: p for p in found.result()["parameters"]}
 
 
-@pytest.fixture(scope="module", params=["ur10", pytest.param("panda", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["ur10", slow("panda")])
 def ideal(request: pytest.FixtureRequest, runs: Call) -> Estimate:
     """An arm whose values are off by some per cent, seen by true sensors."""
     robot = load_robot(request.param)
@@ -82,9 +82,7 @@ ROD = PENDULUM.with_parameters([1, 0, 0, -0.2, 0.05, 0, 0.05, 0, 0, 0.002])
 
 
 @pytest.mark.parametrize(("arm", "effects"), [(load_robot("ur10"), ()), (ROD, None)])
-def test_exact_data_give_exact_predictions_and_files_of_that_torque(
-    arm: Robot, effects: tuple[Effect, ...] | None, exact: Call, tmp_path: Path
-) -> None:
+def test_exact_data_give_exact_predictions_and_files_of_that_torque(arm, effects, exact, tmp_path):
     robot = arm.with_effects(())
     recording = exact(robot, np.arange(0, 20, 1 / 128))
     found = identify_robot(robot.with_parameters(1.2 * robot.phi), [recording], effects=effects)
@@ -108,7 +106,7 @@ def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: 
 
 
 @pytest.fixture(scope="module")
-def nominal(ur10: Robot, runs: Call) -> list[Recording]:
+def nominal(ur10: Robot, runs: Call, own_steps: None) -> list[Recording]:
     return runs(ur10, 1)
 
 
@@ -130,9 +128,7 @@ def test_drive_gains_are_recovered_from_current(ur10: Robot, nominal: list[Recor
     np.testing.assert_allclose(heavier.gains, 1.25 * found.gains, rtol=0.01)
 
 
-def test_what_rests_on_drive_gains_carries_their_uncertainty(
-    ur10: Robot, nominal: list[Recording]
-) -> None:
+def test_what_rests_on_drive_gains_carries_their_uncertainty(ur10, nominal):
     """Bodies to 30 % fix the common scale of currents to some per cent, and all that follows it."""
     rng = np.random.default_rng(0)
     noisy = [replace(x, tau=x.tau + 0.01 * rng.standard_normal(x.tau.shape)) for x in nominal]
@@ -171,9 +167,7 @@ def test_what_nothing_fixes_is_told_in_amperes(ur10: Robot, nominal: list[Record
     assert any("friction is told in amperes" in note for note in current.notes)
 
 
-def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(
-    ur10: Robot, nominal: list[Recording]
-) -> None:
+def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(ur10, nominal):
     link, light = 2, ur10.with_parameters(ur10.phi / 3)
     found = identified(light, nominal)
     body, result = body_changes(found)[link], found.result()

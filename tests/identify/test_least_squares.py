@@ -12,6 +12,7 @@ import scipy.signal
 import scipy.stats
 from estimators import HARMONICS, Truth, truth
 from known_arms import Z95, Call, rows_of
+from marks import slow
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, RankDeficient
@@ -194,14 +195,12 @@ def scaled_errors(known: Truth, rng: np.random.Generator, seconds: float) -> np.
 @pytest.mark.parametrize(
     ("robot", "recordings", "seconds", "seed", "deviations", "slack"),
     [
-        ("planar_2r", 40, 20.0, 0, 3, 0.01),
-        pytest.param("planar_2r", 150, 30.0, 1, 2, 0.02, marks=pytest.mark.slow),
-        pytest.param("ur10", 30, 30.0, 1, 2, 0.02, marks=pytest.mark.slow),
+        ("planar_2r", 40, 10.0, 0, 3, 0.01),
+        slow("planar_2r", 150, 30.0, 1, 2, 0.02),
+        slow("ur10", 30, 30.0, 1, 2, 0.02),
     ],
 )
-def test_intervals_cover_the_truth(
-    robot: str, recordings: int, seconds: float, seed: int, deviations: float, slack: float
-) -> None:
+def test_intervals_cover_the_truth(robot, recordings, seconds, seed, deviations, slack):
     """Intervals of one recording depend on each other, recordings do not."""
     known, draws = truth(robot), (np.random.default_rng([seed, k]) for k in range(recordings))
     errors = np.array([scaled_errors(known, rng, seconds) for rng in draws])
@@ -236,8 +235,9 @@ def noise(rho: float, rng: np.random.Generator, n: int) -> Array:
 SIZES = np.array([0.5, 2.0])
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.8])
-@pytest.mark.parametrize("n", [150, pytest.param(600, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("rho", "n"), [(0.8, 150), *(slow(rho, n) for rho, n in ((0.0, 150), (0.0, 600), (0.8, 600)))]
+)
 def test_intervals_hold_95_percent_of_unseen_readings(rho: float, n: int) -> None:
     hits, plain = [], []
     for draw in range(200):

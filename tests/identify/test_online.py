@@ -40,9 +40,7 @@ FORGETTING = {"block": 5, "forgetting": 1.5, "prior": None}  # of the data, not 
 
 
 @pytest.mark.parametrize("options", [{"block": 1}, {"block": 5}, {"block": 7}, FORGETTING])
-def test_the_last_estimate_is_weighted_least_squares(
-    planar: Robot, options: dict[str, Any]
-) -> None:
+def test_the_last_estimate_is_weighted_least_squares(planar, options):
     """Of the rows of all blocks, made from whole arrays; a pause is no motion."""
     tau, half = noisy(planar.with_effects(()), MOTION, SIGMA), len(T) // 2
     online, m = estimator(planar, **options), DIFFERENTIATOR.half_width

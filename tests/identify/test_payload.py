@@ -134,9 +134,7 @@ def test_without_noise_the_body_is_exact(ur10: Robot) -> None:
     np.testing.assert_allclose(between, difference, atol=1e-4 * np.abs(difference).max())
 
 
-def test_currents_need_the_unloaded_arm_and_leave_the_gain_open(
-    held: Runs, found: PayloadEstimate
-) -> None:
+def test_currents_need_the_unloaded_arm_and_leave_the_gain_open(held, found):
     gains = np.array([20.0, 18.0, 17.0, 19.0, 9.0, 8.0, 7.0])
     loaded, free = (replace(r, tau=r.tau / gains, unit="A") for r in held)
     with pytest.raises(BadInput, match="--unloaded"):
@@ -149,9 +147,7 @@ def test_currents_need_the_unloaded_arm_and_leave_the_gain_open(
     assert any("weigh one load" in said for said in amperes.shortcomings)
 
 
-def test_command_on_an_arm_of_two_parallel_axes(
-    planar_runs: Runs, tmp_path: Path, excitant: Call
-) -> None:
+def test_command_on_an_arm_of_two_parallel_axes(planar_runs, tmp_path, excitant):
     """Which shows what is felt in their plane."""
     held, free = (write_csv(tmp_path / f"{k}.csv", run) for k, run in enumerate(planar_runs))
     options = ("--payload", "--unloaded", free, "--json", "-o", tmp_path / "run")

@@ -2,13 +2,13 @@
 
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
 from known_arms import NONE, Call, Whitened, write_csv
+from marks import slow
 
 from excitant.analysis import identifiability
 from excitant.exceptions import BadInput
@@ -152,7 +152,7 @@ def test_the_prior_and_its_expansion_are_its_density(sigma: float) -> None:
     assert ahead + behind - 2 * value == pytest.approx(2 * step @ H.T @ H @ step, rel=1e-2)
 
 
-@pytest.mark.parametrize("off", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize("off", [slow(0.1), 0.3, slow(1.0)])
 def test_how_far_off_the_given_bodies_are_is_found(off: float) -> None:
     """Bodies drawn from the prior itself: σ within what six links show of it."""
     rng, found = np.random.default_rng(0), []
@@ -215,7 +215,7 @@ def test_a_link_without_mass_is_a_placeholder_of_one() -> None:
     assert (prior_parameters(robot.with_parameters(0 * robot.phi))[:, 0] == 1.0).all()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
 def test_no_scale_or_collinearity_of_data_ends_without_a_result(seed: int) -> None:
     """Noise of 1e-6 of the torque, collinear effects of any unit, torque of the wrong sign."""
     arm, rng = Whitened("panda", 0.1, n=300), np.random.default_rng(seed)
@@ -436,9 +436,7 @@ BOXES = {0: {"com_box": CORNER}, 2: {"com_box": CORNER, "com_ellipsoid": AWAY}}
         (40.0, {3: POINT}, ("com_box of {3}", "body_ellipsoid of {3}"), "total_mass"),
     ],
 )
-def test_contradictions_are_named_in_one_line(
-    tmp_path: Path, total: float | None, about: Any, named: Any, silent: str
-) -> None:
+def test_contradictions_are_named_in_one_line(tmp_path, total, about, named, silent):
     links, file = SEEN.robot.links, tmp_path / "known.yaml"
     content = {"links": {links[k]: v for k, v in about.items()}}
     file.write_text(yaml.safe_dump(content | ({"total_mass": total} if total else {})))

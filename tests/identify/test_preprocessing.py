@@ -30,7 +30,7 @@ from excitant.identify.signals import (
     resolution,
     smoothed,
 )
-from excitant.robots import Robot, load_robot, rigid_body_torque
+from excitant.robots import load_robot, rigid_body_torque
 from excitant.robots.regressor import regressor
 
 RATE, CUTOFF = 256.0, 10.0  # a rate whose steps are exact in binary
@@ -111,9 +111,7 @@ def test_a_cutoff_that_does_not_fit_is_refused() -> None:
         assert segment.cutoff_hz == pytest.approx(expected)
 
 
-def test_columns_and_torque_pass_the_same_filter_also_in_parts(
-    ur10: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_columns_and_torque_pass_the_same_filter_also_in_parts(ur10, monkeypatch):
     t = T[:2000]
     [segment] = prepared(t, smooth_motion(ur10, t).q)
     kinds = (regressor, rigid_body_torque)

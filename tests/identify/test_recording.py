@@ -23,6 +23,7 @@ from estimators import truth
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, recorded, smooth_motion
+from marks import slow
 
 from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
@@ -130,23 +131,20 @@ def printed(*words: str) -> str:
     return subprocess.check_output([sys.executable, *words], text=True)
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-def test_numbers_are_read_without_pandas(suffix: str, table: pd.DataFrame, save: Call) -> None:
+def test_numbers_are_read_without_pandas(table: pd.DataFrame, save: Call) -> None:
     code = f"""
 import sys
 from excitant.identify import load_recording, read_chunks
-log = {str(save(table, f"log{suffix}"))!r}
-rows = len(load_recording(log, 2)), sum(map(len, read_chunks(log, 2, 100)))
-print(*rows, "pandas" in sys.modules)
+for log in {[str(save(table, f"log.{suffix}")) for suffix in ("parquet", "npz")]}:
+    rows = len(load_recording(log, 2)), sum(map(len, read_chunks(log, 2, 100)))
+    print(*rows, "pandas" in sys.modules)
 """
-    assert printed("-c", code).split() == [str(len(table)), str(len(table)), "False"]
+    assert printed("-c", code).split() == [str(len(table)), str(len(table)), "False"] * 2
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
 @pytest.mark.parametrize("rows", [1, 100, 210, 1000])
-def test_pieces_put_together_are_the_whole(
-    suffix: str, rows: int, table: pd.DataFrame, save: Call
-) -> None:
+def test_pieces_put_together_are_the_whole(suffix, rows, table, save):
     table = table[:210]
     stamps = 1_700_000_000_000_000_000 + np.round(table.t * 1e9).astype(int)
     columns = {"q1": "a", "q2": "b"}
@@ -269,7 +267,7 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
     return (whole.take(slice(k, k + rows)) for k in range(0, len(whole), rows))
 
 
-@pytest.mark.parametrize("jitter", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("jitter", [0.0, slow(0.3)])
 def test_windows_of_a_long_log_give_its_estimate(jitter: float, monkeypatch: Any) -> None:
     monkeypatch.setattr("excitant.identify.dataset.WINDOW_S", 6.0)
     t = np.arange(120_000) / RATE
@@ -345,9 +343,7 @@ def test_recordings_are_named_relative_to_the_folder_or_are_paths(
         without.recordings([])
 
 
-def test_the_sidecar_names_torque_gains_and_units_and_locks_joints(
-    folder: Path, table: pd.DataFrame
-) -> None:
+def test_the_sidecar_names_torque_gains_and_units_and_locks_joints(folder, table):
     def with_sidecar(content: dict[str, Any]) -> Any:
         (folder / "dataset.json").write_text(json.dumps(content))
         return load_dataset(folder)

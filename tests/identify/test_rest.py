@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from estimators import TrueArm
+from marks import slow
 
 from excitant.design import random_trajectory
 from excitant.identify import Estimate, Recording, identify_link_by_link, identify_robot
@@ -55,10 +56,8 @@ def good() -> Estimate:
 
 
 @pytest.mark.parametrize("toggling", [False, True])
-@pytest.mark.parametrize("count", [1, 3, pytest.param(10, marks=pytest.mark.slow)])
-def test_recordings_in_which_a_joint_rests_spoil_nothing(
-    good: Estimate, count: int, toggling: bool
-) -> None:
+@pytest.mark.parametrize("count", [1, 3, slow(10)])
+def test_recordings_in_which_a_joint_rests_spoil_nothing(good, count, toggling):
     resting = [run(10 + k, (0,), toggling, 4.0) for k in range(count)]
     found = identify_robot(ARM, [run(1), *resting], validate=HOLDOUT)
     # their own noise moves the hold-out error by some per cent; what friction holds, by a factor

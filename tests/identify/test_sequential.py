@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +10,8 @@ import pytest
 import scipy.signal
 from estimators import TrueArm
 from khosla import torque_matrix
-from known_arms import Call, write_csv
+from known_arms import write_csv
+from marks import slow
 from seed import dd_arm_chain
 
 from excitant.design import random_trajectory
@@ -25,10 +25,6 @@ from excitant.robots.effects import CoulombFriction, standard_effects
 from excitant.robots.torque import observation_columns
 
 SIX = ("ur10", "cmu_dd_arm_ii")
-
-
-def slow(*values: Any) -> Any:
-    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def truth_near(robot: Robot, rng: np.random.Generator, spread: float = 0.1) -> TrueArm:
@@ -118,9 +114,7 @@ def test_covariance_against_monte_carlo(planar: Robot) -> None:
 
 
 @pytest.mark.parametrize(("name", "draws"), [("planar_2r", 12), *(slow(name, 6) for name in SIX)])
-def test_values_are_within_two_standard_deviations_as_often_as_they_should(
-    name: str, draws: int
-) -> None:
+def test_values_are_within_two_standard_deviations_as_often_as_they_should(name, draws):
     robot, found = load_robot(name), []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
@@ -142,9 +136,7 @@ def test_values_are_within_two_standard_deviations_as_often_as_they_should(
 @pytest.mark.parametrize(
     ("name", "draws", "total"), [("planar_2r", 4, 20.0), *(slow(name, 1, 60.0) for name in SIX)]
 )
-def test_predicts_as_well_as_all_at_once_in_the_same_time(
-    name: str, draws: int, total: float
-) -> None:
+def test_predicts_as_well_as_all_at_once_in_the_same_time(name, draws, total):
     robot, squares = load_robot(name), []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
@@ -221,9 +213,7 @@ def test_a_joint_at_rest_may_hold_any_torque(planar: Robot) -> None:
     assert alone.refusal
 
 
-def test_command_writes_stages_and_comparison(
-    planar: Robot, tmp_path: Path, excitant: Call
-) -> None:
+def test_command_writes_stages_and_comparison(planar, tmp_path, excitant):
     rng = np.random.default_rng(5)
     truth = truth_near(planar, rng)
     paths = (tmp_path / "one.csv", tmp_path / "two.csv")

@@ -31,7 +31,7 @@ Friction = Callable[[Array], Array]
 
 
 def run_of(seed: int, friction: Friction) -> Recording:
-    motion = smooth_motion(KNOWN.robot, np.arange(0, 25, 1 / 200), seed, HARMONICS / 3)
+    motion = smooth_motion(KNOWN.robot, np.arange(0, 25, 1 / 100), seed, HARMONICS / 3)
     return recorded(KNOWN, motion, seed, noise=2e-3, friction=friction)
 
 

@@ -351,10 +351,15 @@ def compare_run() -> Run:
     return compare(*saved), {}
 
 
+@cache
+def _made(build: Callable[[], Run]) -> Run:
+    result, series = build()
+    return full(**result), series
+
+
 def _saved(build: Callable[[], Run]) -> Run:
     """A result as it is read back, the caller's own."""
-    result, series = build()
-    return full(**result), copy.deepcopy(series)
+    return copy.deepcopy(_made(build))
 
 
 def fleet_run() -> Run:

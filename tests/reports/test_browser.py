@@ -11,7 +11,12 @@ pytestmark = pytest.mark.slow
 
 LOOKS = ((1200, "light"), (800, "light"), (400, "dark"))
 SCREENS = 2  # of 900 pixels, before the first fold
-SIZES = "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
+SCRIPT = (Path(__file__).parent / "page.js").read_text("utf-8")
+
+
+def asked(name: str) -> str:
+    """A function of the script beside, as the browser runs it."""
+    return f"(given) => {{ {SCRIPT}\nreturn {name}(given); }}"
 
 
 class Opened:
@@ -57,14 +62,10 @@ def test_page_opens_alone_and_without_complaint(opened, file):
 
 
 def test_page_is_no_wider_than_the_window(opened):
-    wide, window = opened.page.evaluate(SIZES)
+    wide, window = opened.page.evaluate(asked("size"))
     assert wide <= window
-    outside = """(parts) => [...document.querySelectorAll(parts)]
-      .filter((e) => e.checkVisibility() && !e.closest(".skip, .hidden"))
-      .map((e) => [e.getBoundingClientRect(), e.outerHTML.slice(0, 80)])
-      .filter(([box]) => box.left < -1 || box.right > innerWidth + 1)"""
     parts = "h1, h2, h3, p, li, figure, .panel, .scroll, dl"
-    assert opened.page.evaluate(outside, parts) == []
+    assert opened.page.evaluate(asked("outside"), parts) == []
 
 
 def test_what_matters_comes_before_the_first_fold(opened):
@@ -72,76 +73,14 @@ def test_what_matters_comes_before_the_first_fold(opened):
         assert opened.fold <= SCREENS * 900
 
 
-BROKEN = """() => {
-  const broken = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-  const seen = new Map();  // names of which a part is in each text between marks for a break
-  while (walker.nextNode()) {
-    const node = walker.currentNode, parent = node.parentElement;
-    if (!parent.checkVisibility() || parent.closest("svg, script, style, .hidden")) continue;
-    for (const { 0: word, index } of node.data.matchAll(/[\\w.-]*_[\\w.-]*/g)) {
-      const range = document.createRange();
-      range.setStart(node, index);
-      range.setEnd(node, index + word.length);
-      const lines = new Set([...range.getClientRects()].map((r) => Math.round(r.top)));
-      seen.set(word, lines.size);
-      if (lines.size > 1) broken.push(`${word} in ${parent.tagName} ${parent.className}`);
-    }
-    const before = node.previousSibling;
-    if (before?.nodeName === "WBR") {
-      const whole = parent.textContent.match(/\\S+/g).find((w) => w.includes("_"));
-      if (whole.length <= 24) broken.push(`${whole} may break`);
-    }
-  }
-  return [seen.size, broken];
-}"""
-
-
 def test_no_name_is_broken_within_a_word(opened):
-    seen, broken = opened.page.evaluate(BROKEN)
+    seen, broken = opened.page.evaluate(asked("broken"))
     assert seen > 0 or "_" not in opened.page.locator("main").inner_text()
     assert broken == []
 
 
-CONTRAST = """() => {
-  const parse = (text) => {
-    const [r, g, b, a = 1] = text.match(/[\\d.]+/g).map(Number);
-    return { c: [r, g, b], a };
-  };
-  const over = (top, under) => top.c.map((x, k) => top.a * x + (1 - top.a) * under[k]);
-  const shade = (c) => c.map((x) => x / 255)
-    .map((x) => (x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4))
-    .reduce((sum, x, k) => sum + x * [0.2126, 0.7152, 0.0722][k], 0);
-  const ground = (element) => {
-    const layers = [];
-    for (let e = element; e; e = e.parentElement) {
-      const colour = parse(getComputedStyle(e).backgroundColor);
-      layers.push(colour);
-      if (colour.a === 1) break;
-    }
-    return layers.reverse().reduce((under, top) => over(top, under), [255, 255, 255]);
-  };
-  const poor = new Map();
-  let seen = 0;
-  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-  while (walker.nextNode()) {
-    const text = walker.currentNode.data.trim(), element = walker.currentNode.parentElement;
-    if (!text || !element.checkVisibility({ visibilityProperty: true }) ||
-        element.closest("script, style")) continue;
-    seen += 1;
-    const style = getComputedStyle(element), drawn = element instanceof SVGElement;
-    const under = ground(drawn ? element.closest("svg").parentElement : element);
-    const ink = over(parse(drawn ? style.fill : style.color), under);
-    const [low, high] = [shade(ink), shade(under)].sort((x, y) => x - y);
-    const ratio = (high + 0.05) / (low + 0.05);
-    const pair = `${element.tagName} ${ink.map(Math.round)} on ${under.map(Math.round)}`;
-    if (ratio < 4.5) poor.set(pair, `${ratio.toFixed(2)}: ${text.slice(0, 40)}`);
-  }
-  return [seen, Object.fromEntries(poor)];
-}"""
-
-
 def test_text_stands_out_from_its_ground(opened):
-    seen, poor = opened.page.evaluate(CONTRAST)
+    seen, poor = opened.page.evaluate(asked("contrast"))
     assert seen > 20
     assert poor == {}
 
@@ -153,28 +92,14 @@ def test_contents_lead_to_their_sections_and_are_shut_on_a_phone(opened):
     for link in links:
         link.click()
         assert opened.page.evaluate("location.hash") == link.get_attribute("href")
-        heading = opened.page.evaluate(
-            """() => { const h = document.querySelector(":target");
-            const end = innerHeight + scrollY >= document.documentElement.scrollHeight - 2;
-            return { level: h.tagName, text: h.textContent, top: h.getBoundingClientRect().top,
-                     end }; }"""
-        )
+        heading = opened.page.evaluate(asked("heading"))
         assert heading["level"] in ("H2", "H3")
         assert heading["text"].strip() == link.text_content().strip()
         assert -2 <= heading["top"] < (900 if heading["end"] else 60), heading
 
 
-INKED = """() => [...document.querySelectorAll(".plot canvas")].map((canvas) => {
-  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-  const { width, height } = canvas.getBoundingClientRect();
-  let inked = 0;
-  for (let k = 3; k < data.length; k += 4) inked += data[k] > 128;
-  return [width, height, inked / (data.length / 4)];
-})"""
-
-
 def test_every_figure_is_drawn_as_large_as_its_place(opened):
-    for width, height, inked in opened.page.evaluate(INKED):
+    for width, height, inked in opened.page.evaluate(asked("inked")):
         assert width > 200
         assert height > 60
         assert inked > 0.003
@@ -186,36 +111,12 @@ def test_every_figure_is_drawn_as_large_as_its_place(opened):
 
 
 def test_tables_that_go_on_show_it(opened):
-    seen = opened.page.evaluate(
-        """async () => {
-          const found = [];
-          const settled = async (box, wanted) => {  // observers speak with the next frame
-            for (let k = 0; k < 40 && box.classList.contains("more") !== wanted; k += 1)
-              await new Promise((done) => setTimeout(done, 50));
-            return box.classList.contains("more");
-          };
-          for (const box of document.querySelectorAll(".scroll")) {
-            const goesOn = box.scrollWidth > box.clientWidth + 2;
-            const before = await settled(box, goesOn);
-            box.scrollLeft = box.scrollWidth;
-            found.push([goesOn, before, await settled(box, false)]);
-            box.scrollLeft = 0;
-          }
-          return found;
-        }"""
-    )
+    seen = opened.page.evaluate(asked("tables"))
     assert all(goes_on == before and not after for goes_on, before, after in seen)
 
 
 def test_no_cell_is_a_ladder_of_words(opened):
-    ladders = """() => [...document.querySelectorAll("td, tbody th")].filter((cell) => {
-      const { width, height } = cell.getBoundingClientRect();
-      const line = parseFloat(getComputedStyle(cell).lineHeight);
-      const walker = document.createRange();
-      walker.selectNodeContents(cell);
-      return width < 100 && walker.getBoundingClientRect().height > 8 * line && height;
-    }).map((cell) => cell.textContent.slice(0, 60))"""
-    assert opened.page.evaluate(ladders) == []
+    assert opened.page.evaluate(asked("ladders")) == []
 
 
 def test_drawing_opens_and_closes_by_mouse_and_keyboard(opened):
@@ -258,15 +159,15 @@ def test_paper_shows_all_in_light_colours(browser, file):
     page = Opened(browser, file, 690, "dark").page  # A4 within its margins
     page.emulate_media(media="print", color_scheme="dark")
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
-    wide, window = page.evaluate(SIZES)
+    wide, window = page.evaluate(asked("size"))
     assert wide <= window
     driver.expect(page.locator("body")).to_have_css("background-color", "rgb(255, 255, 255)")
     assert page.locator(".enlarge:visible").count() == 0
     driver.expect(page.locator(".plot:not(:has(canvas))")).to_have_count(0)
-    assert all(width < 330 for width, *_ in page.evaluate(INKED))
+    assert all(width < 330 for width, *_ in page.evaluate(asked("inked")))
     tables = page.locator("table:not(.player table)").all()  # players do not move on paper
     assert all(table.bounding_box()["height"] > 20 for table in tables)
-    _, poor = page.evaluate(CONTRAST)
+    _, poor = page.evaluate(asked("contrast"))
     assert poor == {}
     page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert page.locator("main details[open]").count() == 0

@@ -20,9 +20,13 @@ from excitant.robots import Robot
 
 
 @pytest.fixture(scope="module")
-def estimate(planar: Robot, runs: Callable[..., list[Recording]]) -> Estimate:
-    fit, held = runs(planar, 3)
-    return identify_robot(planar, fit, validate=held)
+def recordings(planar: Robot, runs: Callable[..., list[Recording]]) -> list[Recording]:
+    return runs(planar, 3)
+
+
+@pytest.fixture(scope="module")
+def estimate(planar: Robot, recordings: list[Recording]) -> Estimate:
+    return identify_robot(planar, recordings[0], validate=recordings[1])
 
 
 @pytest.fixture(autouse=True)
@@ -132,18 +136,16 @@ def test_motions_are_drawn_against_limits(planar: Robot) -> None:
     limited, free = ex.plot.motion(trajectory, planar)[1], ex.plot.motion(trajectory)[1]
     assert "of limit" in limited.get_title("right")
     assert free.get_title("right") == "no limit"
-    design = design_trajectory(planar, duration=6.0, harmonics=3, starts=1, jobs=1, time_limit=1.0)
+    design = design_trajectory(planar, duration=6.0, harmonics=3, starts=1, jobs=1, time_limit=0.0)
     assert len(ex.plot.motion(design, joints=["joint2"])) == 4  # torque too
 
 
-def test_unknown_names_and_nothing_to_draw_are_refused(
-    estimate: Estimate, planar: Robot, runs: Callable[..., list[Recording]]
-) -> None:
+def test_unknown_names_and_nothing_to_draw_are_refused(estimate, planar, recordings):
     with pytest.raises(UnknownName, match="unknown joint 'joint3': did you mean 'joint"):
         ex.plot.residuals(estimate, "joint3")
     with pytest.raises(UnknownName, match="unknown parameter 'mass'"):
         ex.plot.parameters(estimate, "mass")
-    bare = identify_robot(planar, runs(planar, 0, names=["run"]), effects=())
+    bare = identify_robot(planar, recordings[0], effects=())
     with pytest.raises(BadInput, match="nothing to draw"):
         ex.plot.friction(bare)
 

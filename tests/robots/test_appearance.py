@@ -101,9 +101,7 @@ def test_a_link_without_collision_shapes_is_drawn_by_its_visual_ones(gantry_urdf
 
 
 @pytest.mark.parametrize("kind", ["collision", "visual"])
-def test_meshes_that_are_not_there_or_damaged_leave_rods(
-    tmp_path: Path, gantry_urdf: str, kind: str
-) -> None:
+def test_meshes_that_are_not_there_or_damaged_leave_rods(tmp_path, gantry_urdf, kind):
     text = meshed(gantry_urdf, kind, "bad.stl")
     look = Appearance(robot_from_urdf(text, str(tmp_path / "arm.urdf")))
     rods, missing = look.notes

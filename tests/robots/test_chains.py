@@ -93,9 +93,7 @@ def test_a_follower_of_a_joint_that_moves_is_held_and_that_is_said(random_states
         ({"joints": ["lift"], "lock": {"lift": 0.1}}, BadInput, "both kept"),
     ],
 )
-def test_a_choice_that_cannot_be_is_refused_in_one_line(
-    refused: Call, choice: dict[str, object], error: type[Exception], match: str
-) -> None:
+def test_a_choice_that_cannot_be_is_refused_in_one_line(refused, choice, error, match):
     refused(match, load_robot, TWINS, error=error, **choice)
 
 

@@ -1,7 +1,6 @@
 """Each effect against closed forms, the balance of energy, or the arm moved by brute force."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -46,9 +45,7 @@ COLD = {"time": 20.0, "start": 5.0}
         ("thermal_friction_drift", COLD, (2.0, 3.0), (2 * V + 3 * SIGN) * FADING),
     ],
 )
-def test_friction_has_its_closed_form(
-    planar: Robot, name: str, shape: dict[str, float], values: tuple[float, ...], expected: list
-) -> None:
+def test_friction_has_its_closed_form(planar, name, shape, values, expected):
     effect = EFFECTS[name](planar.joints[:1], values, **shape)
     tau = effect.torque(planar, alike(T, 0.0, V))[:, 0]
     np.testing.assert_allclose(tau, expected, rtol=1e-12, atol=1e-100)
@@ -65,9 +62,7 @@ def test_an_effect_contains_what_it_says(planar: Robot, random_states: Call, nam
         assert close(fitted, part)
 
 
-def test_load_dependent_friction_grows_with_the_torque_of_the_bodies(
-    gantry: Robot, random_states: Call
-) -> None:
+def test_load_dependent_friction_grows_with_the_torque_of_the_bodies(gantry, random_states):
     motion, joints, n = random_states(gantry, 6, 20), gantry.joints, gantry.nv
     loaded = gantry.with_effects((*gantry.effects, fx.TorqueOffset(joints, (9.0,) * n)))
     tau = fx.LoadDependentFriction(joints, (0.2,) * n).torque(loaded, motion)
@@ -122,9 +117,7 @@ def test_spring_is_the_derivative_of_its_energy(planar: Robot, lever: bool) -> N
 
 
 @pytest.mark.parametrize("ratio", [1.0, -1.0, 0.4])
-def test_coupled_friction_takes_the_power_of_its_shaft(
-    gantry: Robot, random_states: Call, ratio: float
-) -> None:
+def test_coupled_friction_takes_the_power_of_its_shaft(gantry, random_states, ratio):
     motion, viscous, coulomb = random_states(gantry, 9, 50), 1.5, 0.7
     pair = (gantry.joints[-1], gantry.joints[0])
     effect = fx.FrictionCoupling(pair, (viscous, coulomb), ratio=ratio)
@@ -158,9 +151,7 @@ def moved(motion: Motion, j: int, shift: float, scale: float) -> Motion:
 
 # differences in time: (w h)² of a frequency below 5 rad/s; rounding over the change
 @pytest.mark.parametrize(("kind", "bound"), [(fx.EncoderOffset, 1e-7), (fx.EncoderScale, 1e-4)])
-def test_encoder_errors_are_the_torque_of_the_true_motion(
-    arm: Robot, kind: Any, bound: float
-) -> None:
+def test_encoder_errors_are_the_torque_of_the_true_motion(arm, kind, bound):
     motion = swinging(arm, np.arange(0, 1, STEP))
     shift, scale = (1e-5, 0.0) if kind is fx.EncoderOffset else (0.0, 1e-5)
     for j, joint in enumerate(arm.joints):
@@ -171,9 +162,7 @@ def test_encoder_errors_are_the_torque_of_the_true_motion(
 
 
 @pytest.mark.parametrize("joint", ["twist", "swing"])
-def test_kinematic_error_is_the_torque_with_the_joint_moved(
-    gantry: Robot, random_states: Call, joint: str
-) -> None:
+def test_kinematic_error_is_the_torque_with_the_joint_moved(gantry, random_states, joint):
     """Torque is quadratic in the place of a joint: half the difference is the linear part."""
     motion, d = random_states(gantry, 2, 20), np.array([0.03, -0.02, 0.05])
     moves = (displaced(gantry, gantry.joint_index(joint), s * d) for s in (1, -1))
@@ -199,9 +188,7 @@ def rubbing(planar: Robot) -> Robot:
 @pytest.mark.parametrize(
     ("delay", "trial"), [(7e-3, 7e-3), (-7e-3, -7e-3), (4e-3, 8e-3), (16e-3, 8e-3)]
 )
-def test_time_delay_is_the_torque_of_then_to_first_order_around_its_trial(
-    rubbing: Robot, delay: float, trial: float
-) -> None:
+def test_time_delay_is_the_torque_of_then_to_first_order_around_its_trial(rubbing, delay, trial):
     t, joint = np.arange(0, 2, STEP), rubbing.joints[1:]
     late = fx.TimeDelay(joint, (delay,), trial=trial).torque(rubbing, swinging(rubbing, t))
     assert not late[:, 0].any()

@@ -62,9 +62,7 @@ def sizes_of(robot: Robot, effect: Effect) -> tuple[fx.Size, ...]:
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.7, np.pi / 2, 2.0, np.pi])
-def test_ripple_and_lever_are_told_by_their_amplitude_whatever_the_phase(
-    planar: Robot, phase: float
-) -> None:
+def test_ripple_and_lever_are_told_by_their_amplitude_whatever_the_phase(planar, phase):
     joint, values = planar.joints[:1], (2.5 * np.cos(phase), 2.5 * np.sin(phase))
     ripple = fx.TorqueRipple(joint, values, order=12.0)
     for effect in (ripple, fx.Spring(joint, values, lever=True)):
@@ -107,9 +105,7 @@ def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
         assert "_" not in said.replace(kind.name, "")
 
 
-def test_torque_is_columns_times_values(
-    arm: Robot, random_states: Call, refused: Call, kind: type[Effect]
-) -> None:
+def test_torque_is_columns_times_values(arm, random_states, refused, kind):
     motion, effect = random_states(arm, 1, 6), valued(arm, kind, 2)
     columns, tau = effect.columns(arm, motion), effect.torque(arm, motion)
     assert columns.shape == (6, arm.nv, len(effect.values))
@@ -123,9 +119,7 @@ def test_torque_is_columns_times_values(
 
 
 @pytest.mark.parametrize("name", JOINTWISE)
-def test_jointwise_effects_are_those_of_each_joint(
-    ur10: Robot, random_states: Call, name: str
-) -> None:
+def test_jointwise_effects_are_those_of_each_joint(ur10, random_states, name):
     states = random_states(ur10, 5, 6)
     motion = Motion(states.t, states.q, states.dq / 50, states.ddq)
     together = EFFECTS[name](ur10.joints)
@@ -142,9 +136,7 @@ def test_jointwise_effects_are_those_of_each_joint(
     assert fx.merged(alone) == [together]
 
 
-def test_columns_depend_on_the_model_where_an_effect_says_so(
-    ur10: Robot, random_states: Call, kind: type[Effect]
-) -> None:
+def test_columns_depend_on_the_model_where_an_effect_says_so(ur10, random_states, kind):
     """On inertias or other effects, which never move what an effect of the motion alone does."""
     motion, effect = random_states(ur10, 7, 8), on(ur10, kind)
     rubbing = [e.with_values([3.0] * ur10.nv) for e in fx.standard_effects(ur10.joints)]
@@ -153,9 +145,7 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(
     assert same != kind.physics.on_model
 
 
-def test_in_a_simulation_it_makes_the_torque_of_its_columns(
-    planar: Robot, random_states: Call, refused: Call, kind: type[Effect]
-) -> None:
+def test_in_a_simulation_it_makes_the_torque_of_its_columns(planar, random_states, refused, kind):
     """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
     effect = valued(planar.with_effects(()), kind, 3)
     robot = planar.with_effects((effect,))
@@ -188,9 +178,7 @@ def proposed(ur10: Robot, facts: list[fx.JointFacts]) -> Proposals:
     return fx.proposals(ur10, facts)
 
 
-def test_every_effect_proposes_shapes_that_can_be(
-    ur10: Robot, proposed: Proposals, facts: list[fx.JointFacts], kind: type[Effect]
-) -> None:
+def test_every_effect_proposes_shapes_that_can_be(ur10, proposed, facts, kind):
     own = {effect: trials for effect, trials in proposed if effect.name == kind.name}
     assert len(own) == sum(effect.name == kind.name for effect, _ in proposed) > 0
     for effect, trials in own.items():
@@ -214,9 +202,7 @@ def test_a_joint_at_rest_is_asked_for_what_shows_there(planar: Robot) -> None:
     assert not resting & {*JOINTWISE} - {"torque_offset"}
 
 
-def test_what_is_believed_is_considered_again_with_shapes_beside_it(
-    ur10: Robot, proposed: Proposals, facts: list[fx.JointFacts]
-) -> None:
+def test_what_is_believed_is_considered_again_with_shapes_beside_it(ur10, proposed, facts):
     grid = [e for e, _ in proposed if e.name == "stribeck_friction"][:8]
     ripple = EFFECTS["torque_ripple"](ur10.joints[:1]).reshaped("order", 9.0)
     found = fx.proposals(ur10, facts, [(grid[3], 1), (ripple, 600)])
@@ -240,9 +226,7 @@ def test_ripple_is_looked_for_where_the_error_has_it(ur10: Robot, proposed: Prop
 
 
 @pytest.mark.parametrize("file_format", ["urdf", "mjcf", "sdf"])
-def test_a_file_of_the_model_holds_it_or_says_that_it_does_not(
-    planar: Robot, kind: type[Effect], file_format: str
-) -> None:
+def test_a_file_of_the_model_holds_it_or_says_that_it_does_not(planar, kind, file_format):
     effect = valued(planar, kind, 4)
     arm = folded(planar.with_effects((effect,)))
     said = "not in this file" in comment(arm, file_format, "model.yaml")
@@ -261,9 +245,7 @@ def test_parameter_names_are_unique(ur10: Robot) -> None:
 
 
 @pytest.mark.parametrize("name", ["payload", "inertial_parameters"])
-def test_added_inertia_is_that_of_a_changed_link(
-    arm: Robot, random_states: Call, name: str
-) -> None:
+def test_added_inertia_is_that_of_a_changed_link(arm, random_states, name):
     motion = random_states(arm, 6, 10)
     added = EFFECTS[name](arm.joints[-1:]).with_values(arm.phi[-10:] * 0.3)
     phi = np.array(arm.phi)
@@ -313,9 +295,7 @@ def test_entries_read_back_to_the_same_effects(ur10: Robot) -> None:
         ("time_delay", {"values": [1e-3], "trial": 0}, "trial must not be zero"),
     ],
 )
-def test_bad_entries_are_refused(
-    planar: Robot, name: str, entry: dict[str, object], culprit: str
-) -> None:
+def test_bad_entries_are_refused(planar, name, entry, culprit):
     with pytest.raises(BadInput, match=f"^robot.yaml: .*{culprit}"):
         fx.effects_from_entries([{"effect": name, **entry}], planar, "robot.yaml")
 

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from textwrap import indent
@@ -14,6 +13,7 @@ import yaml
 from arms import ARMS as LIBRARY
 from arms import data_folder
 from known_arms import Call
+from marks import slow
 
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
@@ -42,9 +42,7 @@ def test_any_arm_is_read(spec: RobotSpec, joints: int) -> None:
 
 
 @pytest.mark.usefixtures("own_time")
-@pytest.mark.parametrize(
-    "kind", ["xacro", "mjcf", pytest.param("both arms of two", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("kind", ["xacro", "mjcf", slow("both arms of two")])
 def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Call) -> None:
     robot = load_robot(READ[kind][0])
     if kind == "mjcf":  # which has no word for the limit of a speed
@@ -75,9 +73,7 @@ def test_arms_of_example_robot_data() -> None:
         assert np.isfinite(rigid_body_torque(robot, motion)).all()
 
 
-def test_missing_limits_are_asked_for_with_the_file_to_write(
-    planar: Robot, excitant: Call, tmp_path: Path
-) -> None:
+def test_missing_limits_are_asked_for_with_the_file_to_write(planar, excitant, tmp_path):
     bare, limits = tmp_path / "bare.urdf", tmp_path / "limits.yaml"
     bare.write_text(re.sub('(velocity|effort)="[^"]*"', r'\1="0"', planar.urdf))
     ran = excitant("design --time-limit 2", bare, "-o", tmp_path / "run")
@@ -246,9 +242,7 @@ def test_what_the_file_leaves_out_stays(planar: Robot, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("suffix", "written"), [(".yaml", yaml.safe_dump), (".json", json.dumps)])
 @pytest.mark.parametrize("nested", [True, False])
-def test_written_limits_are_read_back(
-    planar: Robot, tmp_path: Path, suffix: str, written: Callable[..., str], nested: bool
-) -> None:
+def test_written_limits_are_read_back(planar, tmp_path, suffix, written, nested):
     half = {name: (0.5 * np.array(x)).tolist() for name, x in numbers(planar.limits).items()}
     text = written({"limits": half} if nested else half)
     assert numbers(limits_of(tmp_path, text, planar, suffix)) == half
@@ -274,9 +268,7 @@ BAD_LIMITS = {
 
 
 @pytest.mark.parametrize("text", BAD_LIMITS)
-def test_bad_limits_are_refused_in_one_line(
-    planar: Robot, tmp_path: Path, refused: Call, text: str
-) -> None:
+def test_bad_limits_are_refused_in_one_line(planar, tmp_path, refused, text):
     refused("no such file", load_limits, tmp_path / "limits.yaml", planar)
     said = refused(BAD_LIMITS[text], limits_of, tmp_path, text, planar, error=BadInput)
     assert str(tmp_path / "limits.yaml") in said
@@ -313,9 +305,7 @@ def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
         ("\nlink1.mcx", "\nlink1.mcy", "line 2 is of 'link1.mcy', not of 'link1.mcx'"),
     ],
 )
-def test_an_estimate_that_is_none_is_refused(
-    kept: Path, refused: Call, old: str, new: str, why: str
-) -> None:
+def test_an_estimate_that_is_none_is_refused(kept, refused, old, new, why):
     file = kept.with_name("arm-estimate.csv")
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new, 1))

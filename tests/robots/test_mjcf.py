@@ -126,9 +126,7 @@ BOUNDS = ("", 'boundmass="2.5" boundinertia="0.02"', 'balanceinertia="true"', *T
     bounds=st.sampled_from(BOUNDS),
 )
 @settings(suppress_health_check=list(HealthCheck))
-def test_any_compiler_gives_the_torque_of_mujoco(
-    tmp_path: Path, seed: int, angle: str, sequence: str, geoms: str, bounds: str
-) -> None:
+def test_any_compiler_gives_the_torque_of_mujoco(tmp_path, seed, angle, sequence, geoms, bounds):
     rng, size = np.random.default_rng(seed), 1.0 if angle == "radian" else 57.0
     bodies = "".join(geom_body(rng, k, size) for k in range(3)) + "</body>" * 3
     path = tmp_path / "arm.xml"

@@ -134,9 +134,7 @@ INERTIAS: dict[str, list[tuple[str, str, Change, str]]] = {
     ("check", "arm", "links", "change", "words"),
     [(check, *case) for check, cases in INERTIAS.items() for case in cases],
 )
-def test_an_inertia_that_cannot_be_is_named(
-    check: str, arm: str, links: str, change: Change, words: str
-) -> None:
+def test_an_inertia_that_cannot_be_is_named(check, arm, links, change, words):
     robot = planted(arm, links, change)
     assert found(robot) == {(check, link) for link in links.split()}
     (warning,) = (w for w in ModelCheck(robot).warnings if not w.hint)
@@ -176,9 +174,7 @@ def test_what_no_torque_depends_on_is_only_a_hint() -> None:
         ("joint1", stated("limit", effort="20"), "gravity", False),
     ],
 )
-def test_a_joint_that_cannot_be_is_named(
-    joint: str, change: Change, check: str, hint: bool
-) -> None:
+def test_a_joint_that_cannot_be_is_named(joint, change, check, hint):
     robot = planted("planar_2r", joint, change)
     assert (found(robot, hint=hint), found(robot, hint=not hint)) == ({(check, joint)}, set())
 

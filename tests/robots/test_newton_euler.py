@@ -94,9 +94,7 @@ def test_property_2_torque_is_quadratic_and_force_linear_in_a_centre_of_mass(
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", ["a", "d"])
-def test_property_3_torque_is_quadratic_in_a_link_length(
-    random_chain: Call, seed: int, name: str
-) -> None:
+def test_property_3_torque_is_quadratic_in_a_link_length(random_chain, seed, name):
     """And the force of a translational joint is linear in it."""
     chain = random_chain(seed, 6)
     lengths = getattr(chain, name) + 0.3 * np.outer(range(5), np.eye(6)[2])
@@ -177,9 +175,7 @@ def test_initial_values_are_possible_and_link_5_as_estimated_is_not() -> None:
     ("name", "gravity", "count"),
     [("puma560", (3, 0, -9.3), 38), ("planar_2r", (0, 0, 0), 4), ("planar_2r", (0, -9.81, 0), 4)],
 )
-def test_base_parameters_counted_in_three_ways(
-    random_states: Call, name: str, gravity: tuple[float, ...], count: int
-) -> None:
+def test_base_parameters_counted_in_three_ways(random_states, name, gravity, count):
     """Ranks of two regressors that share no code, and a rule that needs none."""
     robot = load_robot(name).with_gravity(gravity)
     chain, motion = dh_from_robot(robot), random_states(robot, 5, 200)

@@ -125,9 +125,7 @@ def finite_difference(robot: Robot, motion: Motion, by: str, joint: int) -> np.n
 
 
 @given(seed=SEEDS)
-def test_regressor_times_parameters_is_newton_euler(
-    arm: Robot, random_states: Call, random_bodies: Call, seed: int
-) -> None:
+def test_regressor_times_parameters_is_newton_euler(arm, random_states, random_bodies, seed):
     motion = random_states(arm, seed, 5)
     for robot in (arm, arm.with_parameters(random_bodies(seed, arm.nv))):
         tau = rigid_body_torque(robot, motion)
@@ -135,9 +133,7 @@ def test_regressor_times_parameters_is_newton_euler(
 
 
 @pytest.mark.parametrize("by", ["q", "dq", "ddq"])
-def test_derivatives_are_those_of_finite_differences(
-    arm: Robot, random_states: Call, by: str
-) -> None:
+def test_derivatives_are_those_of_finite_differences(arm, random_states, by):
     motion = random_states(arm, 3, 4)
     found = regressor_derivatives(arm, motion)
     assert np.array_equal(found.Y, regressor(arm, motion))

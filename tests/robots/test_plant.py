@@ -35,6 +35,8 @@ from excitant.robots.plant import arm as plant_arm
 from excitant.robots.plant.physics import Gear
 from excitant.robots.plant.planting import KINDS, parameters_of, plant
 
+pytestmark = pytest.mark.usefixtures("own_steps")
+
 
 def without_gravity(robot: Robot, strength: float) -> Robot:
     """The bare arm without gravity, with this limit of torque."""
@@ -44,7 +46,7 @@ def without_gravity(robot: Robot, strength: float) -> Robot:
 
 def mujoco_error(robot: Robot) -> float:
     """Largest difference of the recorded torque from MuJoCo's, relative to the largest torque."""
-    run, model = Recorded(robot, duration=3.0), mujoco_model(robot)
+    run, model = Recorded(robot), mujoco_model(robot)
     motion, data, expected = run.motion, mujoco.MjData(model), []
     rows = [model.joint(joint).dofadr[0] for joint in robot.joints]
     for state in zip(motion.q, motion.dq, motion.ddq, strict=True):
@@ -68,7 +70,7 @@ def test_half_the_step_leaves_a_quarter_of_the_error(ur10: Robot, monkeypatch: A
 
 def test_power_goes_into_energy_and_friction_on_the_motion_commanded(builtin: Robot) -> None:
     """∫ τ·q̇ dt = ΔE + ∫ (F_v q̇² + F_c |q̇|) dt, with the rotors' kinetic energy in E."""
-    run, numbers = Recorded(builtin, duration=3.0), {e.name: e.values for e in builtin.effects}
+    run, numbers = Recorded(builtin), {e.name: e.values for e in builtin.effects}
     dq, E = run.motion.dq, energy(builtin, np.array(numbers["rotor_inertia"]), run.motion)
     friction = numbers["viscous_friction"] * dq**2 + numbers["coulomb_friction"] * np.abs(dq)
     power = np.sum(run.tau * dq - friction, axis=1)
@@ -82,9 +84,7 @@ def test_power_goes_into_energy_and_friction_on_the_motion_commanded(builtin: Ro
 @example(seed=45038, n=6, shafts=2)  # the sets alternate
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6), shafts=st.integers(0, 2))
 @settings(max_examples=200)
-def test_dry_friction_of_joints_and_shafts_obeys_coulombs_law(
-    seed: int, n: int, shafts: int
-) -> None:
+def test_dry_friction_of_joints_and_shafts_obeys_coulombs_law(seed, n, shafts):
     """K δ + Gᵀλ = impulse for some −backward ≤ λ ≤ forward that opposes every motion."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((n, n))
@@ -150,14 +150,12 @@ def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter(planar: Robot) -
         ("torque_gain", {}, [0.1]),
     ],
 )
-def test_a_known_effect_is_the_one_that_is_fitted(
-    planar: Robot, name: str, shape: dict[str, float], values: list[float]
-) -> None:
+def test_a_known_effect_is_the_one_that_is_fitted(planar, name, shape, values):
     """The plant and the effect that will be fitted are written apart and must agree."""
     kind = EFFECTS[name]
     effect = kind(planar.joints[: kind.acts_on.count or 1], **shape).with_values(values)
     known = planar.with_effects((*planar.effects, effect))
-    run = Recorded(known)
+    run = Recorded(known, duration=1.0)
     run.robot, dq = planar, run.motion.dq
     shaft = dq[:, 0] + shape.get("ratio", -1.0) * dq[:, 1]  # of a coupling, which may stick
     # nearer to rest a small exponent is too steep for a step to follow
@@ -212,14 +210,14 @@ def test_encoders_that_lie(ur10: Robot, name: str, value: float) -> None:
 
 
 def test_torque_gain_and_crosstalk(planar: Robot) -> None:
-    true, (first, second) = Recorded(planar).tau, planar.joints
+    true, (first, second) = Recorded(planar, duration=0.5).tau, planar.joints
     crosstalk = np.outer(true[:, 0], [0, 0.1])
     for effect, expected in (
         (hidden("torque_gain", second, gain=1.2), true * [1, 1.2]),
         (hidden("torque_gain", first, second, gain=0.9), 0.9 * true),
         (hidden("sensor_crosstalk", second, first, gain=0.1), true + crosstalk),
     ):
-        assert np.allclose(Recorded(planar, effect).tau, expected)
+        assert np.allclose(Recorded(planar, effect, duration=0.5).tau, expected)
 
 
 @pytest.mark.parametrize(("delay", "late"), [(0.0137, ["tau2"]), (-0.0137, ["q2", "dq2"])])
@@ -332,12 +330,12 @@ def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
     payload, phi = drawn(builtin, "payload", 0), np.array(builtin.phi)
     values = [value for _, value in payload.parameters]
     assert violations(values, ("payload",)) == []
-    run = Recorded(builtin, payload, duration=3.0)
+    run = Recorded(builtin, payload)
     formula = EFFECTS["payload"]((payload.joint,)).with_values(values)
     heavier = torque(builtin.with_effects((*builtin.effects, formula)), run.motion)
     difference = np.abs(run.tau - heavier)[run.sliding].max(axis=0)
     assert (difference <= 1e-3 * np.abs(heavier).max(axis=0)).all()
-    bare = Recorded(builtin.with_effects(()), payload, duration=1.0)
+    bare = Recorded(builtin.with_effects(()), payload, duration=0.5)
     assert np.abs(bare.motion.q - swing(builtin)(bare.motion.t, 0)).max() < 0.05
     assert np.array_equal(builtin.phi, phi)
     assert not builtin.model.armature.any()

@@ -14,6 +14,7 @@ from excitant.robots import effects as fx
 from excitant.robots.simulation import REST, Controller, Diverged, simulate
 
 TIME = np.arange(0, 1.5, 5e-3)
+pytestmark = pytest.mark.usefixtures("own_steps")
 
 
 def falling(robot: Robot, t: np.ndarray, *q: float, step: float = 1e-3) -> Motion:
@@ -28,11 +29,11 @@ def with_drives(robot: Robot, rotor: float | np.ndarray, viscous: float | np.nda
 
 
 def test_a_pendulum_swings_as_elliptic_functions_say() -> None:
-    """2.5 rad to either side, four periods: sin(θ/2) = k sn(K(k) − ω₀ t, k)."""
+    """2.5 rad to either side, two periods: sin(θ/2) = k sn(K(k) − ω₀ t, k)."""
     inertia, moment, amplitude = 0.1 + 4 * 0.5**2, 4 * 9.81 * 0.5, 2.5
     k, omega = np.sin(amplitude / 2), np.sqrt(moment / inertia)
     K = scipy.special.ellipk(k**2)
-    t = np.arange(0, 16 * K / omega, 2e-3)
+    t = np.arange(0, 8 * K / omega, 2e-3)
     exact = 2 * np.arcsin(k * scipy.special.ellipj(K - omega * t, k**2)[0])
     swings = (falling(PENDULUM, t, amplitude, step=step) for step in (1e-3, 5e-4))
     errors = [np.abs(motion.q[:, 0] - exact).max() for motion in swings]
@@ -96,7 +97,7 @@ def test_a_falling_arm_is_that_of_mujoco(planar: Robot) -> None:
 
 def test_dry_friction_is_that_of_the_plant(ur10: Robot, runs: Call) -> None:
     """The virtual arm knows stiction as a set and shares no code; 3 % wrong masses for both."""
-    [seen] = runs(ur10, 3, duration=6.0, names=["run"])
+    [seen] = runs(ur10, 3, duration=4.0, names=["run"])
     motion = Motion(seen.t, seen.q, seen.dq, np.gradient(seen.dq, seen.t, axis=0))
     loops = (Controller(6.0, believed=ur10.with_parameters(s * ur10.phi)) for s in (1.0, 1.03))
     right, wrong = (simulate(ur10, motion, loop).rms.max() for loop in loops)

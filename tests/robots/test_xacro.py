@@ -3,7 +3,6 @@
 import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -93,9 +92,7 @@ def test_written_out_it_is_the_same_arm(arm: Path) -> None:
         ("links.xacro", "limbs.xacro", {}, "limbs.xacro"),
     ],
 )
-def test_what_is_missing_is_said_in_one_line(
-    arm: Path, refused: Call, capfd: Any, old: str, new: str, arguments: Any, words: str
-) -> None:
+def test_what_is_missing_is_said_in_one_line(arm, refused, capfd, old, new, arguments, words):
     write(arm, old, new)
     assert "bars.urdf.xacro" in refused(words, load_robot, arm, xacro_args=arguments)
     assert capfd.readouterr().err == ""
