@@ -21,6 +21,7 @@ from excitant.analysis.selection import Rival, underlies
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE
 from excitant.identify.accuracy import Series, series
 from excitant.identify.drive_gains import DriveGains
+from excitant.identify.objections import HoldOut
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
@@ -161,6 +162,16 @@ class Holdout:
         error = (((measured - predicted) * weight) ** 2).sum()
         other = (((measured - than) * weight) ** 2).sum()
         return bool(error > (1 + share) * other)
+
+    def judging(self, predicted: Array) -> HoldOut:
+        """It with the torque of a model at its rows, shape (n, nv), as a file is judged."""
+        return HoldOut(
+            self.observed.segments,
+            self.series,
+            self.gains,
+            predicted,
+            self.simulated,
+        )
 
     def rms_like(self, error: Array, joints: Sequence[int], lead: int) -> float:
         """Rms of an error over the joints that turn or slide as a leading one does."""

@@ -41,6 +41,7 @@ from excitant.analysis.set_up import SetUp, refined, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.drive_gains import DriveGains, current_gains
+from excitant.identify.objections import objections
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recordings, recordings_of
@@ -245,8 +246,10 @@ def diagnose(
         of_set_up = [*_of_faults(mounted, raw, fit, holdout), *of_set_up]
     findings = [_judged_set_up(mounted, finding) for finding in of_set_up]
     body_std = EVIDENCE.tolerance * max(1.0, fit.evidence.tolerance[0])
+    standing = _impossible(mounted, fit, holdout)
     for finding in sorted(causes, key=lambda f: -f.explained):
-        reason = finding.downgrade or reason_to_downgrade(
+        reason = finding.downgrade or standing
+        reason = reason or reason_to_downgrade(
             mounted.robot, finding, causes, left, body_std
         )
         findings.append(replace(finding, downgrade=reason))
@@ -271,6 +274,16 @@ def diagnose(
         drive=drive,
         set_up=mounted,
     )
+
+
+def _impossible(mounted: SetUp, fit: Extension, holdout: Holdout) -> str:
+    """What is physically impossible in the data or in the best model, with all causes; or empty."""
+    judged = holdout.judging(fit.predicted)
+    against = [
+        each.why for each in objections(fit.model, judged) if not each.relative
+    ]
+    first = next(iter((*mounted.standing, *against)), "")
+    return first and f"something impossible stands beside it: {first}"
 
 
 def _extended(

@@ -9,7 +9,6 @@ from excitant.analysis.diagnosis import Diagnosis
 from excitant.identify.estimate import Estimate
 from excitant.identify.export import Publication, publication, published
 from excitant.identify.faults import proven
-from excitant.identify.objections import HoldOut
 
 
 def publication_of(noun: object, *, force: bool = False) -> Publication | None:
@@ -32,19 +31,11 @@ def extended_publication(
     Faults, as `with_repairs` tells them, or a larger error on the hold-out than that of the
     given model forbid it unless by ``force``.
     """
-    holdout = diagnosis.holdout
-    judged = HoldOut(
-        diagnosis.data.validate,
-        holdout.series,
-        holdout.gains,
-        diagnosis.extension.predicted,
-        holdout.simulated,
-    )
     return published(
         diagnosis.extension.model,
         "extended",
         "extended.yaml",
-        judged,
+        diagnosis.holdout.judging(diagnosis.extension.predicted),
         force=force,
         faults=proven(faults),
     )

@@ -78,6 +78,7 @@ class SetUp:
         repaired: Faults of the data that are repaired, by recording.
         notes: What was done, a sentence each.
         shown: Faults of the arm, which all recordings share.
+        standing: Faults that leave every figure wrong and that nothing repairs, a sentence each.
     """
 
     given: Robot
@@ -86,6 +87,7 @@ class SetUp:
     repaired: dict[str, tuple[Fault, ...]]
     notes: tuple[str, ...] = ()
     shown: tuple[Fault, ...] = ()
+    standing: tuple[str, ...] = ()
 
     @cached_property
     def rivals(self) -> tuple[Rival, ...]:
@@ -160,10 +162,17 @@ def set_up(
         for name, faults in found.faults.items()
         if (remedied := tuple(f for f in faults if f.remedies))
     }
-    installed = Installation(shown).robot(robot)
-    return SetUp(
-        robot, installed, {}, repaired, found.notes, shown
-    ), found.recordings
+    standing = [f for f in every if not f.remedies and f.fault not in INSTALLATION]
+    installation = SetUp(
+        robot,
+        Installation(shown).robot(robot),
+        {},
+        repaired,
+        found.notes,
+        shown,
+        tuple(dict.fromkeys(fault.detail for fault in standing)),
+    )
+    return installation, found.recordings
 
 
 def _effect_of(fault: str, at: tuple[str, ...], joints: tuple[str, ...]) -> Effect:

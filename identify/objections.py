@@ -74,6 +74,7 @@ class Objection(NamedTuple):
 
     why: str
     advice: str
+    relative: bool = False  # to the model as given: nothing impossible
 
 
 _COLUMNS = (
@@ -103,7 +104,7 @@ def objections(model: Robot, judged: HoldOut) -> list[Objection]:
     if judged.got_worse:
         why = f"it predicts the hold-out worse than the model as given, {judged.got_worse}"
         advice = "see whether fit and hold-out are of the same arm and load, or excite more"
-        against.append(Objection(why, advice))
+        against.append(Objection(why, advice, relative=True))
     return against
 
 

@@ -82,6 +82,23 @@ def test_torques_exchanged_between_two_recordings_are_put_back(planar: Robot) ->
     np.testing.assert_allclose(found.extended.rms, as_recorded.extended.rms, rtol=1e-9)
 
 
+def test_no_cause_is_named_while_a_joint_is_missed(planar: Robot) -> None:
+    """Torque of the last joint is that of something else, in the hold-out of something faster."""
+    both = recorded(bare(planar), 5)
+    verdicts = []
+    for size in (0.0, 3.0):
+        disturbed = []
+        for run, hz in zip(both, (1.7, 2.3), strict=True):
+            other = size * run.tau[:, 1].std() * np.sin(2 * np.pi * hz * run.t)
+            disturbed.append(replace(run, tau=run.tau + np.outer(other, [0, 1])))
+        diagnosis = diagnose(bare(planar), disturbed[:1], validate=disturbed[1:])
+        verdicts.append({f.verdict for f in diagnosis.findings})
+    assert "named" in verdicts[0]
+    assert verdicts[1] == {"undecided"}
+    why = {f.downgrade for f in diagnosis.findings}
+    assert any("something impossible stands beside it: it " in reason for reason in why)
+
+
 def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: Robot) -> None:
     gravity = TURNED
     fitted, held = recorded(bare(ur10), 1, gravity)
