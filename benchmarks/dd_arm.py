@@ -17,7 +17,7 @@ from excitant.design import random_trajectory
 from excitant.identify import Data, Recording
 from excitant.identify.differentiators import LocalPolynomial
 from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment, prepare
 from excitant.identify.prior import link_coordinates, prior_parameters
 from excitant.identify.rows import FitRows, fit_rows
@@ -70,16 +70,23 @@ class Recovery(NamedTuple):
 
 def simulated(truth: Robot, rng: np.random.Generator, seconds: float) -> list[Recording]:
     """Recordings of one period each: quantised positions, torque with noise."""
-    found = []
-    for k in range(max(1, round(seconds / PERIOD_S))):
-        trajectory = random_trajectory(dd_arm("initial"), rng, PERIOD_S, HARMONICS)
-        motion = trajectory.at(np.arange(0, PERIOD_S, STEP_S))
-        tau = TrueArm(truth.model, VISCOUS, COULOMB).torque(motion)
-        size = NOISE_SHARE * np.sqrt((tau**2).mean(axis=0))
-        tau += size * rng.standard_normal(tau.shape)
-        measured = ENCODER * np.round(motion.q / ENCODER)
-        found.append(Recording(f"run {k + 1}", "simulated", motion.t, measured, tau))
-    return found
+    count = max(1, round(seconds / PERIOD_S))
+    return [recorded(truth, motion_of(rng), rng, f"run {k + 1}") for k in range(count)]
+
+
+def motion_of(rng: np.random.Generator) -> Motion:
+    """One period of a random motion."""
+    path = random_trajectory(dd_arm("initial"), rng, PERIOD_S, HARMONICS)
+    return path.at(np.arange(0, PERIOD_S, STEP_S))
+
+
+def recorded(
+    truth: Robot, motion: Motion, rng: np.random.Generator, name: str, step: float = ENCODER
+) -> Recording:
+    """A motion as the sensors read it, without velocity."""
+    tau = TrueArm(truth.model, VISCOUS, COULOMB).torque(motion)
+    tau += NOISE_SHARE * np.sqrt((tau**2).mean(axis=0)) * rng.standard_normal(tau.shape)
+    return Recording(name, "simulated", motion.t, step * np.round(motion.q / step), tau)
 
 
 def fitted(
@@ -144,8 +151,17 @@ def recovery(seconds: float = 60.0, *, likely: bool = True, seed: int = 0) -> Re
     moved = [fit_physical(R, z, each, rows.open_prior).x for each in priors]
     moves = np.array(moved) - found.x
     B, std = rows.base.regrouping, np.sqrt(np.diag(fit.covariance))
+    columns, phi, L = tables(), found.x[:60], found.root[:60]
+    S = scipy.linalg.null_space(B[:, :60] @ L)
+    gradients = columns.gradients(phi)
+    before = np.linalg.norm(gradients @ L, axis=1)
+    after = np.sqrt(np.einsum("kp,pq,kq->k", gradients, found.covariance[:60, :60], gradients))
+    silent = (np.linalg.norm(gradients @ L @ S, axis=1) / before) ** 2
+    changes = np.array([columns.values(phi + move[:60]) - columns.values(phi) for move in moves])
+    values = (columns.values(each) for each in (given.phi, truth.phi, phi))
+    figures = np.array([*values, after, after / before, silent, np.abs(changes).max(axis=0)]).T
     return Recovery(
-        tuple(_entries(given, truth, found, prior, rows, moves)),
+        tuple(Entry(entry, *row) for entry, row in zip(columns.entries, figures, strict=True)),
         B @ np.concatenate([truth.phi, VISCOUS, COULOMB]),
         fit.beta,
         std,
@@ -239,28 +255,6 @@ def null_steps(prior: np.ndarray, rows: FitRows, rng: np.random.Generator) -> li
         Q += np.triu(Q, 1).transpose(0, 2, 1)
         steps.append(T @ y * PRIOR_STEP / np.abs(np.linalg.eigvalsh(Q)).max())
     return steps
-
-
-def _entries(
-    given: Robot,
-    truth: Robot,
-    found: PhysicalFit,
-    prior: np.ndarray,
-    rows: FitRows,
-    moves: np.ndarray,
-) -> Iterator[Entry]:
-    columns, phi = tables(), found.x[:60]
-    L = found.root[:60]
-    S = scipy.linalg.null_space(rows.base.regrouping[:, :60] @ L)
-    gradients = columns.gradients(phi)
-    before = np.linalg.norm(gradients @ L, axis=1)
-    std = np.sqrt(np.einsum("kp,pq,kq->k", gradients, found.covariance[:60, :60], gradients))
-    silent = (np.linalg.norm(gradients @ L @ S, axis=1) / before) ** 2
-    changes = np.array([columns.values(phi + move[:60]) - columns.values(phi) for move in moves])
-    values = (columns.values(each) for each in (given.phi, truth.phi, phi))
-    parts = (*values, std, std / before, silent, np.abs(changes).max(axis=0))
-    for entry, *figures in zip(columns.entries, *parts, strict=True):
-        yield Entry(entry, *(float(figure) for figure in figures))
 
 
 class NearestBody(NamedTuple):
@@ -371,45 +365,32 @@ def body_lines() -> Iterator[str]:
         yield pd.DataFrame(values, standard.STANDARD).to_string(float_format="{:.6f}".format)
 
 
-class Velocity(NamedTuple):
-    """Rms torque error on motions not fitted, by encoder and way to velocities, each (6,) [N·m]."""
+def velocities(seed: int = 0, tacho: float = TACHO, runs: int = 3) -> pd.DataFrame:
+    """Rms torque error on motions not fitted, relative to the paper's velocity and filter of it.
 
-    bits: int
-    five_points: np.ndarray  # tacho velocity and the paper's filter of it
-    positions: np.ndarray  # `identify` without the measured velocity
-    fused: np.ndarray  # `identify` with it
-    crossover_hz: np.ndarray  # above which velocity counts more than position
-
-
-def velocities(seed: int = 0, tacho: float = TACHO, runs: int = 3) -> Iterator[Velocity]:
-    """Encoders of 12, 14 and 16 bits with a tacho of some noise, as a share of the top speed."""
+    By `identify` before it used measured velocity, and after. Encoders have 12, 14 and 16 bits; the
+    noise of the tacho is a share of the top speed.
+    """
     given, truth = dd_arm("initial"), dd_arm("estimated", likely=True)
-    arm, rng = TrueArm(truth.model, VISCOUS, COULOMB), np.random.default_rng(seed)
-    paths = [random_trajectory(given, rng, PERIOD_S, HARMONICS) for _ in range(2 * runs)]
-    motions = [path.at(np.arange(0, PERIOD_S, STEP_S)) for path in paths]
+    rng, table = np.random.default_rng(seed), {}
+    motions = [motion_of(rng) for _ in range(2 * runs)]
     for bits in (12, 14, 16):
-        step, recordings = 2 * np.pi / 2**bits, list[Recording]()
+        alone, fused = [], []
         for motion in motions[:runs]:
-            tau, white = arm.torque(motion), rng.standard_normal((2, *motion.q.shape))
-            tau += NOISE_SHARE * np.sqrt((tau**2).mean(axis=0)) * white[0]
-            dq = motion.dq + tacho * np.abs(motion.dq).max(axis=0) * white[1]
-            q = step * np.round(motion.q / step)
-            recordings.append(Recording("run", "simulated", motion.t, q, tau, dq=dq))
-        alone = [replace(recording, dq=None) for recording in recordings]
-        rows = fitted(given, recordings)
+            alone.append(recorded(truth, motion, rng, "run", 2 * np.pi / 2**bits))
+            noise = tacho * np.abs(motion.dq).max(axis=0) * rng.standard_normal(motion.q.shape)
+            fused.append(replace(alone[-1], dq=motion.dq + noise))
+        rows = fitted(given, fused)
         beta = rows.base.regrouping @ np.concatenate([truth.phi, VISCOUS, COULOMB])
         W = np.concatenate([observation_columns(given, rows.effects, m) for m in motions[runs:]])
         W = W[:, :, list(rows.base.columns)]
-        paper = replace(rows.data, train=tuple(map(_five_points, recordings)))
-        errors = [
-            np.sqrt(((W @ (weighted_least_squares(each.reduced).beta - beta)) ** 2).mean(axis=0))
-            for each in (
-                fit_rows(given, rows.effects, rows.base, paper), fitted(given, alone), rows
-            )
-        ]  # fmt: skip
-        sensors = rows.data.sensors
-        assert sensors is not None
-        yield Velocity(bits, *errors, sensors.crossover_hz)
+        paper = replace(rows.data, train=tuple(map(_five_points, fused)))
+        ways = (fit_rows(given, rows.effects, rows.base, paper), fitted(given, alone), rows)
+        fits = [weighted_least_squares(each.reduced).beta for each in ways]
+        five, *others = [np.sqrt(((W @ (fit - beta)) ** 2).mean(axis=0)) for fit in fits]
+        table |= {(bits, way): e / five for way, e in zip(("before", "after"), others, strict=True)}
+        table[bits, "velocity above [Hz]"] = rows.data.sensors.crossover_hz
+    return pd.DataFrame(table, index=range(1, 7)).T
 
 
 def _five_points(recording: Recording) -> Segment:
@@ -423,16 +404,6 @@ def _five_points(recording: Recording) -> Segment:
     tau, raw = segment.tau[inner], segment.tau_raw[inner]
     # five points pass what one sample of several would fold
     return replace(segment, motion=motion, tau=tau, tau_raw=raw, keep=keep, whole=True)
-
-
-def velocity_lines(found: Iterator[Velocity]) -> Iterator[str]:
-    yield "rms torque error on motions not fitted, joints 1 to 6, relative to five points"
-    for each in found:
-        for name, error in (("before", each.positions), ("after", each.fused)):
-            cells = " ".join(f"{ratio:7.2f}" for ratio in error / each.five_points)
-            yield f"{each.bits} bits {name:<7}{cells}"
-        cells = " ".join(f"{f:7.2f}" for f in each.crossover_hz)
-        yield f"   velocity above [Hz] {cells}".replace("   velocity", "velocity", 1)
 
 
 def main(
@@ -460,7 +431,8 @@ def main(
         print("\n".join(two_by_two_lines(both)))
         return
     if velocity:
-        print("\n".join(velocity_lines(velocities(seed, tacho))))
+        print("rms torque error on motions not fitted, joints 1 to 6, relative to five points")
+        print(velocities(seed, tacho).to_string(float_format="{:.2f}".format))
         return
     print("\n".join(count_lines(np.random.default_rng(seed))), end="\n\n")
     print("\n".join(body_lines()), end="\n\n")

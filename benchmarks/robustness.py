@@ -23,7 +23,6 @@ from typing import Annotated, Any, Literal
 import common
 import numpy as np
 import pandas as pd
-import pinocchio as pin
 import psutil
 import robustness_inputs as inputs
 import yaml
@@ -108,19 +107,15 @@ def half_written(folder: Path) -> str:
     return "" if whole else "half-written"
 
 
-def off(robot: Any, states: tuple[Array, ...], truth: Array) -> Array:
-    """Error of a model's torque relative to the standard deviation of the true one, per joint."""
-    found = torque(robot, Motion(np.arange(len(truth), dtype=float), *states))
-    spread = np.maximum(truth.std(axis=0), 1e-3 * truth.std(axis=0).max())
-    return np.sqrt(np.mean((found - truth) ** 2, axis=0)) / spread
-
-
 def wrong_model(folder: Path, states: tuple[Array, ...], truth: Array) -> str:
     """How wrong a published model is on a motion that it never saw, if nothing was said of it."""
     result = json.loads((folder / "result.json").read_text())
     if not result["published"] or result["faults"] or result["notes"]:
         return ""
-    error = off(load_robot(folder / "model.yaml"), states, truth)
+    motion = Motion(np.arange(len(truth), dtype=float), *states)
+    missed = torque(load_robot(folder / "model.yaml"), motion) - truth
+    spread = np.maximum(truth.std(axis=0), 1e-3 * truth.std(axis=0).max())
+    error = np.sqrt(np.mean(missed**2, axis=0)) / spread
     claimed = np.array([j["validate"]["nrmse"] or 0.0 for j in result["joints"]])
     bad = error > np.maximum(WRONG, CLAIMED * claimed)
     names = [j["name"] for j in result["joints"]]
@@ -134,13 +129,8 @@ def wrong_model(folder: Path, states: tuple[Array, ...], truth: Array) -> str:
 # Damaged inputs
 
 
-def _recording(folder: Path, name: str) -> object:
-    return load_recording(folder / name, load_robot("planar_2r"))
-
-
-def _mapped(folder: Path, _: str) -> object:
-    columns = load_column_map(folder / "columns.yaml")
-    return load_recording(folder / "ms.csv", load_robot("planar_2r"), mapping=columns)
+def _recording(folder: Path, name: str, mapping: Any = None) -> object:
+    return load_recording(folder / name, load_robot("planar_2r"), mapping=mapping)
 
 
 def _robot(folder: Path, name: str) -> object:
@@ -148,14 +138,6 @@ def _robot(folder: Path, name: str) -> object:
         name = "data/bars/arm/bars.urdf.xacro"
     tip = {"data/twins.urdf": "left_hand", "data/gripper.xml": "left"}.get(name)
     return load_robot(folder / name, tip=tip)
-
-
-def _trajectory(folder: Path, name: str) -> object:
-    return load_trajectory(folder / name, load_robot("planar_2r"))
-
-
-def _saved(folder: Path, _: str) -> object:
-    return page_of(*load_run(folder / "model"))
 
 
 READERS: dict[str, Callable[[Path, str], object]] = {
@@ -166,9 +148,18 @@ READERS: dict[str, Callable[[Path, str], object]] = {
     **dict.fromkeys(("data/slider.yaml", "data/slider.xml", "data/drill.yaml"), _robot),
     **dict.fromkeys(("data/gripper.xml", "data/pan_tilt.urdf.xacro"), _robot),
     **dict.fromkeys(("data/bars/arm/bars.urdf.xacro", "data/bars/parts/links.xacro"), _robot),
-    **dict.fromkeys(("columns.yaml", "ms.csv"), _mapped),
-    **dict.fromkeys(("trajectory.csv", "trajectory.json"), _trajectory),
-    **dict.fromkeys(("model/result.json", "model/series.npz"), _saved),
+    **dict.fromkeys(
+        ("columns.yaml", "ms.csv"),
+        lambda folder, _: _recording(folder, "ms.csv", load_column_map(folder / "columns.yaml")),
+    ),
+    **dict.fromkeys(
+        ("trajectory.csv", "trajectory.json"),
+        lambda folder, name: load_trajectory(folder / name, load_robot("planar_2r")),
+    ),
+    **dict.fromkeys(
+        ("model/result.json", "model/series.npz"),
+        lambda folder, _: page_of(*load_run(folder / "model")),
+    ),
     "limits.yaml": lambda folder, name: load_limits(folder / name, load_robot("planar_2r")),
     "cell.yaml": lambda folder, name: load_obstacles(folder / name),
     "known.yaml": lambda folder, name: load_knowledge(folder / name, load_robot("planar_2r").links),
@@ -214,8 +205,10 @@ def fuzz(rng: Rng, folder: Path, corpus: Path) -> Case:
         found = verdict(status, err, folder / "out" if into == "out" else None)
         said = status if isinstance(status, str) else err
         recorded = line.startswith("identify") and name.endswith(".csv")
-        if recorded and found == "result" and (wrong := _wrong_planar(rng, folder / "out")):
-            found, said = "wrong in silence", wrong
+        if recorded and found == "result":
+            arm = inputs.planar(load_robot("planar_2r").urdf)
+            wrong = wrong_unseen(rng, arm, folder / "out")
+            found, said = ("wrong in silence", wrong) if wrong else (found, said)
     else:
         found, said = attempt(partial(READERS[name], folder, name))
     new = {path.name for path in {*folder.rglob("*")} - before if "out" not in str(path)}
@@ -255,13 +248,10 @@ def attempt(read: Callable[[], object]) -> tuple[str, str]:
     return ("noise of a library", noise) if noise else ("result", "")
 
 
-def _wrong_planar(rng: Rng, folder: Path) -> str:
-    model = pin.buildModelFromXML(load_robot("planar_2r").urdf)
-    states = inputs.motion(rng, np.arange(0, 8, 0.01), np.ones(2))
-    truth = inputs.simulated(inputs.heavier(model, 1.08), states) + inputs.rubbing(
-        states[1], np.array([2.0, 1.0])
-    )
-    return wrong_model(folder, states, truth)
+def wrong_unseen(rng: Rng, arm: inputs.ExtremeArm, folder: Path) -> str:
+    """How wrong a published model is on a motion by chance of the true arm."""
+    states = inputs.motion(rng, np.arange(0, 10, 0.02), arm.scale)
+    return wrong_model(folder, states, arm.torque(states))
 
 
 # Extreme arms
@@ -269,11 +259,12 @@ def _wrong_planar(rng: Rng, folder: Path) -> str:
 
 def arms(rng: Rng, folder: Path, _: Path) -> Case:
     """Every verb on one extreme arm."""
-    arm = inputs.extreme_arm(rng)
+    arm, t = inputs.extreme_arm(rng), np.arange(0, 12, 0.01)
     for name, text in arm.files.items():
         (folder / name).write_text(text)
     for name in ("run1", "run2"):
-        arm.table(rng).to_csv(folder / f"{name}.csv", index=False)
+        table = arm.table(rng, t, inputs.motion(rng, t, arm.scale))
+        table.to_csv(folder / f"{name}.csv", index=False)
     search = "--harmonics 3 --duration 6 --starts 1 --jobs 1 --time-limit 4 --ignore-collisions"
     move, runs = "arm.yaml design/trajectory.json", "arm.yaml run1.csv --validate run2.csv"
     lines = {
@@ -306,8 +297,7 @@ def arms(rng: Rng, folder: Path, _: Path) -> Case:
 
 def _wrong_of_arm(rng: Rng, arm: inputs.ExtremeArm, folder: Path, verb: str) -> str:
     if verb in ("identify", "auto"):
-        states = inputs.motion(rng, np.arange(0, 10, 0.02), arm.scale)
-        return wrong_model(folder / verb, states, arm.torque(states))
+        return wrong_unseen(rng, arm, folder / verb)
     if verb == "diagnose":
         findings = json.loads((folder / verb / "result.json").read_text())["findings"]
         true = {"friction", "inertial_parameters", "payload", "rotor_inertia"}

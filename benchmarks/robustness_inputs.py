@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import yaml
 
 Rng = np.random.Generator
 Array = np.ndarray
-DATA = Path(__file__).resolve().parents[1] / "tests" / "robots" / "data"
+TESTS = Path(__file__).resolve().parents[1] / "tests"
 
 # Damage of files
 
@@ -115,37 +116,6 @@ _TABLES: dict[str, Damage] = {
 # Sound files
 
 
-def write_bag(path: Path, joints: tuple[str, ...], t: Array, channels: tuple[Array, ...]) -> None:
-    """Joint states in a ROS 1 (.bag) or ROS 2 bag (a folder of MCAP or SQLite)."""
-    from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
-
-    first = path.suffix == ".bag"
-    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
-    plugins = {".mcap": rosbag2.StoragePlugin.MCAP, ".db3": rosbag2.StoragePlugin.SQLITE3}
-    state, header, time = (
-        store.types[f"{package}/msg/{name}"]
-        for package, name in (
-            ("sensor_msgs", "JointState"), ("std_msgs", "Header"), ("builtin_interfaces", "Time"),
-        )
-    )  # fmt: skip
-    bag: Any = (
-        rosbag1.Writer(path)
-        if first
-        else rosbag2.Writer(path.with_suffix(""), version=9, storage_plugin=plugins[path.suffix])
-    )
-    serialize = store.serialize_ros1 if first else store.serialize_cdr
-    with bag as writer:
-        to = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
-        for k, seconds in enumerate(t):
-            ns = 1_700_000_000 * 10**9 + round(seconds * 1e9)
-            stamp = time(sec=ns // 10**9, nanosec=ns % 10**9)
-            head = header(stamp=stamp, frame_id="", **({"seq": k} if first else {}))
-            values = [np.ascontiguousarray(x[k]) for x in channels]
-            message = state(head, [*joints], *values)
-            writer.write(to, ns, serialize(message, state.__msgtype__))
-
-
 MAP = "t: time\nq: 'angle_{1}'\ntau: 'moment_{1}'\nunits: {t: ms}\n"
 CELL = """- workspace: {low: [-0.9, -0.5, -0.9], high: [1.0, 0.5, 1.0]}
 - name: ceiling
@@ -163,18 +133,20 @@ def write_corpus(folder: Path) -> None:
     from excitant.design import random_trajectory, trajectory_csv, trajectory_json
     from excitant.robots import load_robot
 
-    shutil.copytree(DATA, folder / "data")
+    sys.path.append(str(TESTS))
+    from bags import joint_states
+
+    shutil.copytree(TESTS / "robots" / "data", folder / "data")
     arm, rng = load_robot("planar_2r"), np.random.default_rng(0)
     (folder / "planar.urdf").write_text(arm.urdf)
     texts = {"arm.yaml": "model: planar.urdf\ngravity: [0, 0, -9.81]\nlimits: {acceleration: 20}\n"}
+    t, few = np.arange(0, 8, 0.01), slice(250)
     for name in ("run1", "run2"):
         path = random_trajectory(arm, rng, 8.0, 4)
-        t = np.arange(0, 8, 0.01)
         states = tuple(path(t, order) for order in range(3))
-        table, tau = two_link_table(rng, t, states), None
+        table = planar(arm.urdf).table(rng, t, states)
         table.to_csv(folder / f"{name}.csv", index=False)
-        tau = table[["tau1", "tau2"]].to_numpy()
-    q, few = states[0], slice(250)
+    q, dq, tau = (x[few] for x in (*states[:2], table[["tau1", "tau2"]].to_numpy()))
     (folder / "trajectory.csv").write_text(trajectory_csv(path))
     (folder / "trajectory.json").write_text(trajectory_json(path, arm))
     table[few].to_csv(folder / "log.csv", index=False, sep=";", decimal=",")
@@ -182,9 +154,9 @@ def write_corpus(folder: Path) -> None:
     table[few].to_json(folder / "log.jsonl", orient="records", lines=True)
     table[few].to_parquet(folder / "log.parquet")
     np.savez(folder / "log.npz", **{name: table[name][few] for name in table})
-    scipy.io.savemat(folder / "log.mat", {"t": t[few], "q": q[few], "tau": tau[few]})  # type: ignore[index]
-    for name in ("log.bag", "ros.mcap", "sql.db3"):
-        write_bag(folder / name, arm.joints, t[few], (q[few], states[1][few], tau[few]))  # type: ignore[index]
+    scipy.io.savemat(folder / "log.mat", {"t": t[few], "q": q, "tau": tau})
+    for name, kind in (("log.bag", "bag"), ("ros", "mcap"), ("sql", "db3")):
+        joint_states(folder / name, kind, arm.joints, t[few], (q, dq, tau))
     renamed = {"t": "time"} | {f"q{j}": f"angle_{j}" for j in (1, 2)}
     renamed |= {f"tau{j}": f"moment_{j}" for j in (1, 2)}
     table[few].assign(t=1e3 * t[few]).rename(columns=renamed).to_csv(folder / "ms.csv", index=False)
@@ -202,18 +174,6 @@ def write_corpus(folder: Path) -> None:
     (folder / "set" / "dataset.json").write_text(json.dumps(about, indent=1))
     runs = f"{folder}/run1.csv --validate {folder}/run2.csv -o {folder}/model"
     assert main(f"identify planar_2r {runs}".split()) == 0
-
-
-def two_link_table(rng: Rng, t: Array, states: tuple[Array, ...]) -> pd.DataFrame:
-    """What planar_2r, 8 % heavier than described and rubbing, would record."""
-    from excitant.robots import load_robot
-
-    model = pin.buildModelFromXML(load_robot("planar_2r").urdf)
-    tau = simulated(heavier(model, 1.08), states) + rubbing(states[1], np.array([2.0, 1.0]))
-    noisy = tau + 0.005 * np.abs(tau).max(axis=0) * rng.standard_normal(tau.shape)
-    q = states[0] + 2e-5 * rng.standard_normal(tau.shape)
-    names = [f"{x}{j + 1}" for x in ("q", "tau") for j in range(2)]
-    return pd.DataFrame(np.column_stack([t, q, noisy]), columns=["t", *names])
 
 
 # Arms and their simulation, which share nothing with excitant
@@ -258,19 +218,23 @@ class ExtremeArm:
     friction: Array
     scale: Array  # of its motions: 1 where a joint turns
 
-    def table(self, rng: Rng, duration: float = 12.0) -> pd.DataFrame:
+    def table(self, rng: Rng, t: Array, states: tuple[Array, ...]) -> pd.DataFrame:
         """A recording with noise of 0.5 % of the largest torque."""
-        t = np.arange(0, duration, 0.01)
-        q, dq, ddq = motion(rng, t, self.scale)
-        tau = self.torque((q, dq, ddq))
+        tau = self.torque(states)
         tau += 0.005 * np.abs(tau).max(axis=0) * rng.standard_normal(tau.shape)
-        columns = [f"{x}{j + 1}" for x in ("q", "tau") for j in range(q.shape[1])]
-        noisy = q + 2e-5 * rng.standard_normal(q.shape)
+        columns = [f"{x}{j + 1}" for x in ("q", "tau") for j in range(tau.shape[1])]
+        noisy = states[0] + 2e-5 * rng.standard_normal(tau.shape)
         return pd.DataFrame(np.column_stack([t, noisy, tau]), columns=["t", *columns])
 
     def torque(self, states: tuple[Array, ...]) -> Array:
         """What the arm needs for a motion."""
         return simulated(self.true, states) + rubbing(states[1], self.friction)
+
+
+def planar(urdf: str) -> ExtremeArm:
+    """What planar_2r is, 8 % heavier than described and rubbing."""
+    model = heavier(pin.buildModelFromXML(urdf), 1.08)
+    return ExtremeArm("planar_2r", {}, model, np.array([2.0, 1.0]), np.ones(2))
 
 
 ANGLES = {

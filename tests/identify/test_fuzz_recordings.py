@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 import scipy.io
+from bags import joint_states
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from known_arms import Call
@@ -46,7 +47,7 @@ FORMS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 @pytest.fixture(params=[*FORMS, "mat", "bag", "mcap", "db3"])
-def log(request: Any, save: Call, write_joint_states: Call, tmp_path: Path) -> Path:
+def log(request: Any, save: Call, tmp_path: Path) -> Path:
     """The same log in a file of some kind."""
     kind, path = request.param, tmp_path / f"log.{request.param}"
     if kind in FORMS:
@@ -56,7 +57,7 @@ def log(request: Any, save: Call, write_joint_states: Call, tmp_path: Path) -> P
         scipy.io.savemat(path, {"t": T, "q": Q, "tau": TAU}, do_compression=True)
         return path
     folder = path if kind == "bag" else tmp_path / "log"
-    write_joint_states(folder, kind, ROBOT.joints, T, (Q, Q, TAU))
+    joint_states(folder, kind, ROBOT.joints, T, (Q, Q, TAU))
     return path if kind == "bag" else folder / path.name
 
 

@@ -18,6 +18,7 @@ import pandas as pd
 import pytest
 import scipy.io
 import yaml
+from bags import joint_states
 from known_arms import Call
 
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
@@ -622,7 +623,7 @@ def test_a_mat_file_that_ends_its_reader_is_damaged(
 
 
 @pytest.fixture
-def bag(write_joint_states: Call, tmp_path: Path) -> Call:
+def bag(tmp_path: Path) -> Call:
     """``bag(kind, *topics)``: joint states with a gripper, and messages of another node."""
 
     def written(
@@ -632,7 +633,7 @@ def bag(write_joint_states: Call, tmp_path: Path) -> Call:
         names = [prefix + name for name in ("gripper", *(JOINTS[k] for k in ORDER))]
         channels = [np.column_stack([0.1 + 0 * T, x]) if len(x) else x for x in states]
         topics = topics or ("/joint_states",)
-        write_joint_states(path, kind, names, t, channels, topics=topics, hand=True, **more)
+        joint_states(path, kind, names, t, channels, topics=topics, hand=True, **more)
         return path
 
     return written
@@ -707,14 +708,14 @@ def test_a_bag_brings_its_robot_and_limits(bag: Call) -> None:
 
 
 def test_a_bag_alone_is_enough_for_a_verdict(
-    write_joint_states: Call, runs: Call, planar: Robot, excitant: Call, tmp_path: Path
+    runs: Call, planar: Robot, excitant: Call, tmp_path: Path
 ) -> None:
     sensors = industrial_sensors(planar)
     [run] = runs(planar, 1, sensors=sensors, tolerance=0.03, duration=16.0, names=["run"])
     path, names = tmp_path / "bag", ["left/joint2", "left/joint1"]
     channels = [x[:, ::-1] for x in (run.q, run.dq, run.tau)]
     texts = {"robot_description": planar.urdf}
-    write_joint_states(path, "mcap", names, run.t, channels, texts=texts)
+    joint_states(path, "mcap", names, run.t, channels, texts=texts)
     ran = excitant("go", path, "-o", tmp_path / "out")
     assert ran.status == 0
     assert ran.err.count("'left/' is taken off the names") == 1
