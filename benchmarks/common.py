@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import joblib
 import numpy as np
@@ -17,6 +17,11 @@ from excitant.processes import owned
 _BESIDE = Path(__file__).resolve().parents[2] / "shared"
 DATA = Path(os.environ.get("EXCITANT_DATA", _BESIDE / "data"))  # recordings of real arms
 PROBLEMS = Path(os.environ.get("EXCITANT_PROBLEMS", _BESIDE / "problems"))  # of design
+
+Output = Annotated[
+    Path | None,
+    Parameter(alias="-o", help="File to which every answer is appended as a line of JSON."),
+]
 
 
 def run(main: Callable[..., Any]) -> None:
@@ -56,13 +61,18 @@ def answers(
     results: list[dict[str, Any]] = []
     work = joblib.Parallel(jobs, return_as="generator_unordered")
     for result in work(joblib.delayed(owned(case))(*words) for words in inputs):
-        results.append(result)
-        if output:
-            with output.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(result) + "\n")
-        if sys.stderr.isatty():
-            print(f"\r{len(results)} done", end="", file=sys.stderr, flush=True)
+        note(result, results, output)
     return results
+
+
+def note(result: dict[str, Any], results: list[dict[str, Any]], output: Path | None) -> None:
+    """Append a result to the others and to a file, and count them on a terminal."""
+    results.append(result)
+    if output:
+        with output.open("a", encoding="utf-8") as lines:
+            lines.write(json.dumps(result) + "\n")
+    if sys.stderr.isatty():
+        print(f"\r{len(results)} done", end="", file=sys.stderr, flush=True)
 
 
 def wilson(hits: Sequence[Any], digits: int = 0) -> str:

@@ -124,7 +124,7 @@ def _children() -> float:
 
 def judged(problem: Problem, row: Row, file: Path) -> Row:
     model = pin.buildModelFromUrdf(str(problem.urdf))
-    states = read_motion(file, problem.robot.nv)
+    states = read_motion(file)
     found = conditioning(model, problem.limits, states)
     exact = file.with_suffix(".json")
     motion = load_trajectory(exact if exact.exists() else file, problem.robot)

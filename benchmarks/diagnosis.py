@@ -7,15 +7,14 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import common
 import numpy as np
+import pandas as pd
 import scipy
 import worlds_plant as worlds
 from common import wilson
-from cyclopts import Parameter
 from threadpoolctl import threadpool_limits
 from worlds_plant import DURATION, Hidden, Plant, Rng, Trajectory
 
@@ -226,7 +225,7 @@ def of_the_world(effect: str, off: float, hidden: Sequence[Hidden]) -> bool:
 
 
 def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
-    yield from _worlds(results)
+    yield _worlds(results)
     done = [r for r in results if "score" in r]
     groups = {c: [r["score"] for r in done if r["category"] == c] for c in CATEGORIES}
     outside, clean = groups["outside"], groups["nothing"]
@@ -268,22 +267,21 @@ def report(results: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield from (f"no result, {n} times: {why}" for why, n in failed.most_common())
 
 
-def _worlds(results: Sequence[dict[str, Any]]) -> Iterator[str]:
-    heads = (*("named [%]", "found [%]", "wrong [%]", "silent [%]", "no result"), "median s")
-    yield f"{'world':20s} cases " + " ".join(f"{head:>12s}" for head in heads)
+def _worlds(results: Sequence[dict[str, Any]]) -> str:
+    table: dict[str, dict[str, Any]] = {}
     for world in [*(", ".join(world) for world in WORLDS), "all"]:
         here = [r for r in results if world in ("all", r["world"])]
         scores = [r["score"] for r in here if "score" in r]
-        hiding = [s for s in scores if s["named"]]
-        shares = (
-            [hit for s in scores for hit in s["named"]],
-            [hit for s in scores for hit in s["found"]],
-            [s["wrong"] for s in scores],
-            [s["silent"] for s in hiding],
-        )
-        cells = [*map(wilson, shares), str(len(here) - len(scores))]
-        cells.append(f"{np.median([r['seconds'] for r in here]):.1f}" if here else "-")
-        yield f"{world:20s} {len(here):5d} " + " ".join(f"{cell:>12s}" for cell in cells)
+        table[world] = {
+            "cases": len(here),
+            "named [%]": wilson([hit for s in scores for hit in s["named"]]),
+            "found [%]": wilson([hit for s in scores for hit in s["found"]]),
+            "wrong [%]": wilson([s["wrong"] for s in scores]),
+            "silent [%]": wilson([s["silent"] for s in scores if s["named"]]),
+            "no result": len(here) - len(scores),
+            "median s": f"{np.median([r['seconds'] for r in here]):.1f}" if here else "-",
+        }
+    return pd.DataFrame(table).T.to_string()
 
 
 def main(
@@ -292,14 +290,13 @@ def main(
     seed: int | None = None,
     case: int | None = None,
     jobs: int = 2,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    output: common.Output = None,
 ) -> None:
     """Draw and diagnose arms.
 
     Args:
         count: Number of cases.
         case: Tell all of this case alone.
-        output: File to which every case is appended as a line of JSON.
     """
     seed = common.printed_seed(seed)
     if case is not None:

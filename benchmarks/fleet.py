@@ -103,11 +103,6 @@ def write_fleet(root: Path, arms: int, seed: int, jobs: int) -> dict[str, str]:
     return faulty
 
 
-def command(folder: Path, out: Path, jobs: int) -> list[str]:
-    words = [sys.executable, "-m", "excitant", "fleet", str(folder)]
-    return [*words, "-o", str(out), "--jobs", str(jobs)]
-
-
 def judged(result: dict[str, Any], faulty: dict[str, str]) -> None:
     """Print what was found of what was planted, and what else was said."""
     sets = {each["name"]: each for each in result["data_sets"]}
@@ -144,7 +139,8 @@ def main(*, arms: int = 40, jobs: int = 2, seed: int | None = None) -> None:
         folder, out = here / "arms", here / "out"
         faulty, sets = write_fleet(folder, arms, seed, jobs), arms * DATES
         begun = time.monotonic()
-        process = subprocess.Popen(command(folder, out, jobs), stdout=subprocess.DEVNULL)
+        words = ["-m", "excitant", "fleet", str(folder), "-o", str(out), "--jobs", str(jobs)]
+        process = subprocess.Popen([sys.executable, *words], stdout=subprocess.DEVNULL)
         _, _, usage = os.wait4(process.pid, 0)  # of the head; the workers are its children
         took = time.monotonic() - begun
         print(f"{sets} data sets in {took:.0f} s, {took * jobs / sets:.2f} s of a process each")

@@ -33,13 +33,10 @@ class Conditioning:
     base: int
 
 
-def read_motion(path: Path, nv: int) -> States:
+def read_motion(path: Path) -> States:
     """States of a table ``t,q1..,dq1..,ddq1..``."""
-    with path.open(encoding="utf-8") as file:
-        names = file.readline().strip().split(",")
-        table = np.loadtxt(file, delimiter=",")
-    columns = [[names.index(f"{kind}{j + 1}") for j in range(nv)] for kind in ("q", "dq", "ddq")]
-    return States(*(table[:, c] for c in columns))
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    return States(*np.split(table[:, 1:], 3, axis=1))
 
 
 def random_states(limits: dict[str, Any], rng: np.random.Generator, n: int = _STATES) -> States:

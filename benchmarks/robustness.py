@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from queue import Queue
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import common
 import numpy as np
@@ -27,7 +27,6 @@ import psutil
 import robustness_inputs as inputs
 import yaml
 from common import wilson
-from cyclopts import Parameter
 
 from excitant.cli import main as excitant
 from excitant.design import load_trajectory
@@ -279,10 +278,9 @@ def arms(rng: Rng, folder: Path, _: Path) -> Case:
         "rehearse": f"rehearse {move}",
         "report": "report identify",
     }
+    needs = dict.fromkeys(("check", "simulate", "rehearse"), "design") | {"report": "identify"}
     for verb, line in lines.items():
-        needs = {"check": "design", "simulate": "design", "rehearse": "design"}.get(verb, "")
-        needs = "identify" if verb == "report" else needs
-        if needs and not (folder / needs).exists():
+        if not (folder / needs.get(verb, "")).exists():
             continue
         own = verb not in ("simulate", "report")
         status, _out, err = command(f"{line} -o {verb}" if own else line)
@@ -479,9 +477,7 @@ def session(leader: int) -> list[psutil.Process]:
 
 # The campaign
 
-PARTS: dict[str, Callable[[Rng, Path, Path], Case]] = {
-    "fuzz": fuzz, "arms": arms, "limits": limits, "kills": kills,
-}  # fmt: skip
+PARTS = {part.__name__: part for part in (fuzz, arms, limits, kills)}
 
 
 def serve(part: str, seed: str, corpus: str, keep: str) -> None:
@@ -548,12 +544,7 @@ def campaign(
     def note(case: int, what: str, found: str, said: str, peak: float = 0.0) -> None:
         found = "memory" if found in GOOD and peak > MEMORY else found
         entry = {"part": part, "case": case, "what": what, "found": found, "said": said}
-        results.append(entry | {"peak": peak})
-        if output:
-            with output.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(results[-1]) + "\n")
-        if sys.stderr.isatty():
-            print(f"\r{part}: {len(results)}, {queue.qsize()} to go ", end="", file=sys.stderr)
+        common.note(entry | {"peak": peak}, results, output)
 
     with ThreadPoolExecutor(jobs) as pool:
         for worker in [pool.submit(attend, (part, *about), queue, note) for _ in range(jobs)]:
@@ -584,7 +575,7 @@ def main(
     case: int | None = None,
     keep: Path | None = None,
     jobs: int = 2,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    output: common.Output = None,
 ) -> int:
     """Try promises at random; exit status 1 where one is broken.
 
@@ -593,7 +584,6 @@ def main(
         count: Number of cases of each part; by default 10 000, 200, 300 and 100.
         case: Only this case of the parts that are named.
         keep: Folder in which the files of a case are left.
-        output: File to which every answer is appended as a line of JSON.
     """
     seed = common.printed_seed(seed)
     every = list[dict[str, Any]]()

@@ -3,13 +3,11 @@
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import common
 import numpy as np
 from common import wilson
-from cyclopts import Parameter
 from diagnosis import HARMONICS, record
 from worlds_plant import DURATION, KINDS, Drawing, Hidden, Plant, given_and_true
 
@@ -63,7 +61,7 @@ def run_case(name: str, kind: str, number: int, time_limit: float) -> dict[str, 
     try:
         motions = poor(robot, rng), poor(robot, rng)
         plant, hidden = Drawing(true, given, motions, rng, _SIZES).hide(true, kind, set())
-        first, holdout = (recorded(plant, motion, DURATION, rng, "poor") for motion in motions)
+        first, holdout = (record(plant, motion, "white", 1.0, rng, "poor") for motion in motions)
         before = diagnose(robot, [first], validate=[holdout])
         proposed = plan(before, np.random.default_rng(0), time_limit=time_limit)
         runs = list(_runs(plant, proposed, rng))
@@ -74,19 +72,14 @@ def run_case(name: str, kind: str, number: int, time_limit: float) -> dict[str, 
     return case | {"joints": hidden.joints, "size": hidden.size, "outcomes": outcomes}
 
 
-def recorded(
-    plant: Plant, motion: Trajectory, duration: float, rng: np.random.Generator, name: str
-) -> Recording:
-    return record(plant, motion, "white", 1.0, rng, name, duration)
-
-
 def _runs(plant: Plant, proposed: Plan, rng: np.random.Generator) -> Iterator[Recording]:
     """Every motion as often as the pairs that it serves need it."""
     for k, motion in enumerate(proposed.motions, start=1):
         served = [e for e in proposed.experiments.values() if e.file == f"separate-{k}.csv"]
         count = min(max((e.repetitions or 1 for e in served), default=0), _MOST_RUNS)
         for repeat in range(count):
-            yield recorded(plant, motion, motion.period, rng, f"separate-{k}-{repeat + 1}")
+            name = f"separate-{k}-{repeat + 1}"
+            yield record(plant, motion, "white", 1.0, rng, name, motion.period)
 
 
 def _outcomes(
@@ -115,23 +108,21 @@ def main(
     draws: int = 2,
     time_limit: float = 15.0,
     jobs: int = 2,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+    output: common.Output = None,
 ) -> None:
     """Hide effects, propose motions, run them.
 
     Args:
         draws: Number of each kind and arm.
         time_limit: Of the search for a motion [s].
-        output: File to which every case is appended as a line of JSON.
     """
     cases = itertools.product(arms, kinds, range(draws), [time_limit])
     results = common.answers(run_case, cases, jobs, output)
     outcomes = [outcome for case in results for outcome in case["outcomes"]]
     moved = [o for o in outcomes if o["how"] == "motion"]
-    hidden = [o["settled"] for o in moved if o["true"]]
-    all_moved = [o["settled"] for o in moved]
-    print(f"settled by motion, pairs with the hidden effect: {wilson(hidden)} % of {len(hidden)}")
-    print(f"settled by motion, all pairs: {wilson(all_moved)} % of {len(moved)}")
+    for pairs, some in (("pairs with the hidden effect", [True]), ("all pairs", [True, False])):
+        hits = [o["settled"] for o in moved if o["true"] in some]
+        print(f"settled by motion, {pairs}: {wilson(hits)} % of {len(hits)}")
     print(f"{len(outcomes) - len(moved)} pairs need an action: no motion tells them apart")
     print(f"{sum('error' in case for case in results)} of {len(results)} cases without a result")
 

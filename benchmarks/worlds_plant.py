@@ -149,15 +149,25 @@ def rms(x: Array) -> Array:
     return np.sqrt(np.mean(np.square(x), axis=0))
 
 
-def joint_law(kind: str, rng: Rng, q: Array, dq: Array, j: int) -> tuple[Shape, dict[str, float]]:
-    """Torque of an effect of a joint up to a factor, in closed form, from a typical motion."""
+LAWS: dict[str, Callable[[State, int], Array]] = {  # without parameters
+    "viscous_friction": lambda s, j: s.dq[:, j],
+    "coulomb_friction": lambda s, j: sign(s.dq[:, j]),
+    "load_dependent_friction": lambda s, j: np.abs(s.rigid[:, j]) * sign(s.dq[:, j]),
+    "torque_offset": lambda s, j: np.ones(len(s.t)),
+    "rotor_inertia": lambda s, j: s.ddq[:, j],
+}
+
+
+def joint_law(
+    kind: str, rng: Rng, q: Array, dq: Array, joints: Sequence[int]
+) -> tuple[Shape, dict[str, float]]:
+    """Torque of an effect of joints up to a factor, in closed form, from a typical motion."""
+    j, identity = joints[-1], np.eye(dq.shape[1])
+    if kind in LAWS:
+        return lambda s: LAWS[kind](s, j), {}
     fastest, middle = float(np.abs(dq[:, j]).max()), float(q[:, j].mean())
     p: dict[str, float] = {}
     match kind:
-        case "viscous_friction":
-            return lambda s: s.dq[:, j], p
-        case "coulomb_friction":
-            return lambda s: sign(s.dq[:, j]), p
         case "stribeck_friction":  # beside the known Fc: (Fs - Fc) exp(-(v/vs)²)
             p["vs"] = vs = rng.uniform(0.03, 0.2) * fastest
             return lambda s: sign(s.dq[:, j]) * np.exp(-((s.dq[:, j] / vs) ** 2)), p
@@ -173,12 +183,13 @@ def joint_law(kind: str, rng: Rng, q: Array, dq: Array, j: int) -> tuple[Shape, 
         case "thermal_friction_drift":
             p["time"] = time = rng.uniform(4.0, 10.0)
             return lambda s: (sign(s.dq[:, j]) + s.dq[:, j]) * np.exp(-s.t / time), p
-        case "load_dependent_friction":
-            return lambda s: np.abs(s.rigid[:, j]) * sign(s.dq[:, j]), p
-        case "torque_offset":
-            return lambda s: np.ones(len(s.t)), p
-        case "rotor_inertia":
-            return lambda s: s.ddq[:, j], p
+        case "friction_coupling":
+            p["dry"], p["ratio"] = dry, ratio = rng.uniform(), float(rng.choice([-1, 1]))
+            sliding = identity[joints[0]] + ratio * identity[j]
+            rest = (1 - dry) / rms(dq @ sliding)
+            return lambda s: dry * sign(s.dq @ sliding) + rest * (s.dq @ sliding), p
+        case "inertia_coupling":
+            return lambda s: s.ddq[:, joints[::-1]] @ identity[joints], p
         case "spring":
             p["rest"] = rest = middle + rng.uniform(-0.5, 0.5)
             return lambda s: s.q[:, j] - rest, p
@@ -253,27 +264,9 @@ class Drawing:
     def law(self, kind: str, joints: Sequence[int], size: float) -> tuple[Any, dict[str, Any]]:
         """The law of an effect with its factors, scaled to show so much, and its parameters."""
         q, dq = (np.concatenate([getattr(s, x) for s in self.states]) for x in ("q", "dq"))
-        identity = np.eye(len(self.usual))
-        unit = identity[joints].sum(axis=0)
-        if kind == "friction_coupling":
-            (j, k), share = joints, self.rng.uniform()
-            ratio = float(self.rng.choice([-1, 1]))
-            typical = rms(dq[:, j] + ratio * dq[:, k])
-            unit[k] = ratio
-
-            def shape(s: State) -> Array:
-                v = s.dq[:, j] + ratio * s.dq[:, k]
-                return share * sign(v) + (1 - share) * v / typical
-
-            found: dict[str, Any] = {"ratio": ratio, "dry": share}
-        elif kind == "inertia_coupling":
-
-            def shape(s: State) -> Array:
-                return s.ddq[:, joints[::-1]] @ identity[joints]
-
-            found = {}
-        else:
-            shape, found = joint_law(kind, self.rng, q, dq, joints[-1])
+        shape, found = joint_law(kind, self.rng, q, dq, joints)
+        unit = np.eye(len(self.usual))[joints].sum(axis=0)
+        unit[joints[-1]] *= found.get("ratio", 1.0)
         factor = size / self.size(replace(self.plant, laws=((shape, unit),)))
         if kind in ("torque_offset", "torque_ripple"):
             factor *= float(self.rng.choice([-1, 1]))
@@ -293,9 +286,7 @@ class Drawing:
                 return list(range(nv))
             case "time_delay" if rng.random() < 0.5:
                 return list(range(nv))
-        inner = (
-            kind == "encoder_offset" and nv > 2
-        )  # those of the first and last joint may not show
+        inner = kind == "encoder_offset" and nv > 2  # elsewhere it may not show
         some = range(inner, nv - inner)
         return [int(rng.choice([j for j in some if j not in taken] or some))]
 
