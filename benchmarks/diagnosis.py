@@ -73,9 +73,7 @@ def record(
     if reading == "coloured":
         step = 2 * HEADROOM * np.abs(tau).max(axis=0) / 2**BITS
         tau = step * np.round(tau / step)
-    q = q + ENCODER * rng.normal(size=q.shape)
-    for edit in plant.edits:
-        q, tau = edit(q, tau)
+    q, tau = plant.edit(q + ENCODER * rng.normal(size=q.shape), tau)
     if reading == "current":
         return Recording(name, name, t, q, tau / gains, "A")
     return Recording(name, name, t, q, tau)
@@ -166,10 +164,8 @@ def score(
     """Of each hidden effect, whether it is named and found; what is named and not there."""
     sure = [f for f in findings if f["verdict"] in ("named", "unknown")]
     named = [any(is_it(f, h, robot) for f in sure) for h in hidden]
-    found = [
-        name or any(is_it(each, h, robot) for f in findings for each in (f, *f["rivals"]))
-        for name, h in zip(named, hidden, strict=True)
-    ]
+    said = [each for f in findings for each in (f, *f["rivals"])]
+    found = [any(is_it(each, h, robot) for each in said) for h in hidden]
     settled = [
         name or any(_only_names(f, h, robot) for f in findings)
         for name, h in zip(named, hidden, strict=True)

@@ -1,6 +1,6 @@
 """What each estimator makes of a UR10 whose parameters are known; see README.md."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import common
@@ -134,28 +134,6 @@ def estimates(
     return dict(zip(METHODS, fits, strict=True)), estimators.errors_in_variables(even, odd)[1]
 
 
-def cells(
-    name: str, draws: int, seconds: float, seed: int, kinds: Sequence[str]
-) -> Iterator[tuple[str, dict[str, tuple[float, float]], float]]:
-    """Of each kind of noise and filter both figures by method, and the test's median chance."""
-    known = truth(name)
-    held = judge(known, seed)
-    for kind in kinds:
-        k = KINDS.index(kind)
-        recordings = [
-            recorded(known, kind, np.random.default_rng([seed, k, d]), seconds)
-            for d in range(draws)
-        ]
-        for filtering, cutoff_hz in FILTERS.items():
-            runs = [estimates(known, recording, cutoff_hz) for recording in recordings]
-            figures = {}
-            for method in METHODS:
-                errors = [held(fits[method]) for fits, _ in runs]
-                scaled = float(np.sqrt(np.mean([e**2 for e, _ in errors])))
-                figures[method] = scaled, float(np.mean([worst for _, worst in errors]))
-            yield f"{kind}, {filtering}", figures, float(np.median([p for _, p in runs]))
-
-
 def main(
     *,
     robot: str = "ur10",
@@ -169,12 +147,22 @@ def main(
     Args:
         draws: Number of recordings of each kind of noise.
     """
-    table = pd.DataFrame(index=[*METHODS, "test, p"])
-    for name, figures, p in cells(robot, draws, seconds, seed, kinds):
-        table[name, "N·m"] = pd.Series({m: f for m, (f, _) in figures.items()} | {"test, p": p})
-        table[name, "%"] = pd.Series({m: 100 * nrmse for m, (_, nrmse) in figures.items()})
-    table.columns = pd.MultiIndex.from_tuples(table.columns)
-    print(table.T.to_string(float_format="{:.3g}".format, na_rep=""))
+    known = truth(robot)
+    held, table = judge(known, seed), {}
+    for kind in kinds:
+        rngs = [np.random.default_rng([seed, KINDS.index(kind), draw]) for draw in range(draws)]
+        recordings = [recorded(known, kind, rng, seconds) for rng in rngs]
+        for filtering, cutoff_hz in FILTERS.items():
+            fits, chances = zip(*(estimates(known, r, cutoff_hz) for r in recordings), strict=True)
+            scaled, shares = {"test, p": np.median(chances)}, {}
+            for method in METHODS:
+                errors, worst = zip(*(held(fit[method]) for fit in fits), strict=True)
+                scaled[method] = np.sqrt(np.mean(np.square(errors)))
+                shares[method] = 100 * np.mean(worst)
+            name = f"{kind}, {filtering}"
+            table |= {(name, "N·m"): scaled, (name, "%"): shares}
+    frame = pd.DataFrame(table, index=[*METHODS, "test, p"])
+    print(frame.T.to_string(float_format="{:.3g}".format, na_rep=""))
 
 
 if __name__ == "__main__":

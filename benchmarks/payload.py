@@ -27,14 +27,6 @@ ASKED = (1.0, 2.0, 5.0, 10.0)  # s with the load
 GOAL, LEVEL = 0.02, 1.96  # of the mass; standard deviations of a 95 % interval
 
 
-class Cost(NamedTuple):
-    """Processor time of samples [µs], the least of the replays, and the worst of any [µs]."""
-
-    parameters: int
-    samples: np.ndarray
-    worst_of_any: float
-
-
 class Run(NamedTuple):
     """A payload and its estimates after each of `ASKED`, shape (4,) and (4, 3) for the centre."""
 
@@ -46,8 +38,11 @@ class Run(NamedTuple):
     centre_std: np.ndarray
 
 
-def cost(recording: Recording, replays: int) -> Cost:
-    """Cost of `OnlineEstimator.push`, friction, offset and rotor inertia estimated too."""
+def cost(recording: Recording, replays: int) -> str:
+    """Processor time of `OnlineEstimator.push`, friction, offset and rotor inertia estimated too.
+
+    Of each sample the least of the replays.
+    """
     taken, robot = np.empty((replays, len(recording.t))), dd_arm("initial")
     choice = causal_polynomial(position_spectrum(recording.t, recording.q)).differentiator
     for replay in taken:
@@ -59,7 +54,12 @@ def cost(recording: Recording, replays: int) -> Cost:
             estimator.push(*sample)
             replay[k] = (time.thread_time_ns() - start) / 1e3
         gc.enable()
-    return Cost(len(estimator.base), taken.min(axis=0), float(taken.max()))
+    least = taken.min(axis=0)
+    return (
+        f"cost per sample, {len(estimator.base)} parameters at {1 / STEP_S:.0f} Hz: "
+        f"mean {least.mean():.0f} µs, median {np.median(least):.0f} µs, "
+        f"worst {least.max():.0f} µs (of any replay {taken.max():.0f} µs)"
+    )
 
 
 def loaded_arm(truth: Robot, rng: np.random.Generator) -> tuple[Robot, float, np.ndarray]:
@@ -129,12 +129,7 @@ def main(*, runs: int = 200, replays: int = 20, seed: int = 0) -> None:
     """
     truth = dd_arm("estimated", likely=True)
     [recording] = simulated(truth, np.random.default_rng(seed), 10.0)
-    spent = cost(recording, replays)
-    print(
-        f"cost per sample, {spent.parameters} parameters at {1 / STEP_S:.0f} Hz: "
-        f"mean {spent.samples.mean():.0f} µs, median {np.median(spent.samples):.0f} µs, "
-        f"worst {spent.samples.max():.0f} µs (of any replay {spent.worst_of_any:.0f} µs)"
-    )
+    print(cost(recording, replays))
     if runs:
         low, high = 100 * np.array(binom.interval(0.95, runs, 0.95)) / runs
         print(f"{runs} payloads of {MASS[0]} to {MASS[1]} kg; by chance, 95 % intervals hold")

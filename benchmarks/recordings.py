@@ -78,12 +78,11 @@ def report(split: Split, chosen: bool) -> None:
     except ExcitantError as error:
         print(f"\n{split.dataset}: left out, {error}")
         return
+    options = {"validate": judge, "cutoff_hz": split.cutoff_hz}
     start = time.perf_counter()
-    standard = identify_robot(robot, fit, validate=judge, cutoff_hz=split.cutoff_hz)
-    rows = {
-        "given": (standard.baseline, ""),
-        "standard": (standard.validate, _said(standard, start)),
-    }
+    standard = identify_robot(robot, fit, **options)
+    rows = {"given": (standard.baseline, "")}
+    rows["standard"] = standard.validate, _said(standard, start)
     cutoff_hz, unit = standard.data.cutoff_hz, standard.data.unit
     what = " + ".join(split.judge) if split.share is None else SHARES[split.share]
     title = f"{split.dataset} {' + '.join(split.fit)}: {what}"
@@ -95,10 +94,8 @@ def report(split: Split, chosen: bool) -> None:
         start = time.perf_counter()
         try:
             effects = choose_effects(robot, fit, cutoff_hz=split.cutoff_hz)
-            best = identify_robot(
-                robot, fit, validate=judge, effects=effects, cutoff_hz=split.cutoff_hz
-            )
-            rows["chosen"] = (best.validate, _said(best, start))
+            best = identify_robot(robot, fit, effects=effects, **options)
+            rows["chosen"] = best.validate, _said(best, start)
             closing = [f"    + {sentence}" for sentence in described(effects)]
         except ExcitantError as error:
             closing = [f"  chosen    failed: {error}"]

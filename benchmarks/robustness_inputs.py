@@ -71,47 +71,36 @@ def damaged_table(rng: Rng, table: pd.DataFrame) -> tuple[str, pd.DataFrame]:
     at, much = int(rng.integers(n)), int(rng.integers(1, n // 4))
     size = float(table[one].abs().max())
     span = slice(at, at + much)
-    kind = str(rng.choice([*_TABLES]))
-    _TABLES[kind](rng, rows, one, two, span, size)
-    if kind == "lost":
+    held = {"hole": np.nan, "held": table[one][at], "zeros": 0.0}
+    kind = str(rng.choice([*COLUMNS, *held, "swapped", "lost", "again"]))
+    if kind in COLUMNS:
+        column = "t" if kind in ("time", "backwards") else one
+        rows[column] = COLUMNS[kind](rng, table[column].to_numpy(), size)
+    elif kind in held:
+        rows.iloc[span, rows.columns.get_loc(one)] = held[kind]
+    elif kind == "swapped":
+        rows[[one, two]] = table[[two, one]].to_numpy()
+    elif kind == "lost":
         rows = rows.drop(rows.index[span])
-    elif kind == "again":
+    else:
         rows = pd.concat([rows[:at], rows[at:][:much], rows[at:]])
     return f"{kind} {one}" + (f", {two}" if kind == "swapped" else ""), rows
 
 
-def _set(rows: pd.DataFrame, column: str, span: slice, values: Any) -> None:
-    rows.iloc[span, rows.columns.get_loc(column)] = values  # type: ignore[call-overload]
-
-
-def _swap(rows: pd.DataFrame, one: str, two: str) -> None:
-    rows[one], rows[two] = rows[two].copy(), rows[one].copy()
-
-
-Damage = Callable[[Rng, pd.DataFrame, str, str, slice, float], Any]
-_TABLES: dict[str, Damage] = {
-    "spike": lambda rng, x, a, b, s, m: _set(x, a, slice(s.start, s.start + 1), 10**3 * m),
-    "hole": lambda rng, x, a, b, s, m: _set(x, a, s, np.nan),
-    "held": lambda rng, x, a, b, s, m: _set(x, a, s, x[a].iloc[s.start]),
-    "zeros": lambda rng, x, a, b, s, m: _set(x, a, s, 0.0),
-    "dead": lambda rng, x, a, b, s, m: _set(x, a, slice(None), rng.choice([0.0, m])),
-    "negative": lambda rng, x, a, b, s, m: _set(x, a, slice(None), -x[a]),
-    "degrees": lambda rng, x, a, b, s, m: _set(x, a, slice(None), np.rad2deg(x[a])),
-    "noise": lambda rng, x, a, b, s, m: _set(
-        x, a, slice(None), x[a] + 0.3 * m * rng.standard_normal(len(x))
-    ),
-    "coarse": lambda rng, x, a, b, s, m: _set(x, a, slice(None), (m / 4) * (x[a] * 4 // m)),
-    "clipped": lambda rng, x, a, b, s, m: _set(x, a, slice(None), x[a].clip(-m / 3, m / 3)),
-    "swapped": lambda rng, x, a, b, s, m: _swap(x, a, b),
-    "late": lambda rng, x, a, b, s, m: _set(x, a, slice(None), x[a].shift(8, fill_value=0.0)),
-    "time": lambda rng, x, a, b, s, m: _set(
-        x, "t", slice(None), x["t"] * rng.choice([1e-3, 0.5, 1e3, 1e6, 1e9])
-    ),
-    "backwards": lambda rng, x, a, b, s, m: _set(x, "t", slice(None), x["t"].to_numpy()[::-1]),
-    "shuffled": lambda rng, x, a, b, s, m: _set(x, a, slice(None), rng.permutation(x[a])),
-    "lost": lambda *_: None,
-    "again": lambda *_: None,
+COLUMNS: dict[str, Callable[[Rng, Array, float], Any]] = {
+    "spike": lambda rng, x, m: np.where(np.arange(len(x)) == rng.integers(len(x)), 1e3 * m, x),
+    "dead": lambda rng, x, m: rng.choice([0.0, m]),
+    "negative": lambda rng, x, m: -x,
+    "degrees": lambda rng, x, m: np.rad2deg(x),
+    "noise": lambda rng, x, m: x + 0.3 * m * rng.standard_normal(len(x)),
+    "coarse": lambda rng, x, m: (m / 4) * (x * 4 // m),
+    "clipped": lambda rng, x, m: x.clip(-m / 3, m / 3),
+    "late": lambda rng, x, m: np.append(np.zeros(8), x[:-8]),
+    "time": lambda rng, x, m: x * rng.choice([1e-3, 0.5, 1e3, 1e6, 1e9]),
+    "backwards": lambda rng, x, m: x[::-1],
+    "shuffled": lambda rng, x, m: rng.permutation(x),
 }
+"""Of a column, or of time, and the largest value of the column."""
 
 # Sound files
 

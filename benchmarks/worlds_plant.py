@@ -76,7 +76,7 @@ class Plant:
     delay: Array | float = 0.0  # of these [s]
     offset: Array | float = 0.0  # true position less reading [rad]
     scale: Array | float = 1.0  # true motion over reading
-    edits: tuple[Edit, ...] = ()  # of what was recorded: q, tau
+    edit: Edit = lambda q, tau: (q, tau)  # of what was recorded
 
     @cached_property
     def model(self) -> Any:
@@ -367,22 +367,15 @@ class Drawing:
     def misfit(self, plant: Plant) -> float:
         """Rms of a plant's torque beside what that without effects needs, as it is recorded."""
 
-        def recorded(motion: Trajectory) -> Trajectory:
-            def moved(t: Array, order: int) -> Array:
+        def wrong(motion: Trajectory) -> Array:
+            def read(t: Array, order: int) -> Array:
                 q = motion(t, order)
-                for edit in plant.edits:
-                    q = edit(q, q)[0]
-                return q
+                return plant.edit(q, q)[0]
 
-            return moved
-
-        wrong = []
-        for motion in self.motions:
             tau = plant.torque(motion, self.t)
-            for edit in plant.edits:
-                tau = edit(tau, tau)[1]
-            wrong.append(tau - self.plant.torque(recorded(motion), self.t))
-        return float((rms(np.concatenate(wrong)) / self.usual).max())
+            return plant.edit(tau, tau)[1] - self.plant.torque(read, self.t)
+
+        return float((rms(np.concatenate([*map(wrong, self.motions)])) / self.usual).max())
 
     def _otherwise(self, plant: Plant, kind: str) -> tuple[Plant, Hidden]:
         rng, names = self.rng, plant.robot.joints
@@ -411,15 +404,15 @@ class Drawing:
                 order[[a, b]] = order[[b, a]]
                 whole = bool(rng.random() < 0.5)
                 edit: Edit = lambda q, tau: (q[:, order] if whole else q, tau[:, order])  # noqa: E731
-                changed, found = {"edits": (edit,)}, {"positions too": whole}
+                changed, found = {"edit": edit}, {"positions too": whole}
                 effect, joints = "wrong_order", (names[a], names[b])
             case "degrees":
-                changed, found = {"edits": (lambda q, tau: (np.degrees(q), tau),)}, {}
+                changed, found = {"edit": lambda q, tau: (np.degrees(q), tau)}, {}
                 effect = "wrong_unit"
             case _:
                 flip[j] = -1.0
                 also = flip if kind == "joint sign" else np.ones(nv)
-                changed, found = {"edits": (lambda q, tau: (q * also, tau * flip),)}, {}
+                changed, found = {"edit": lambda q, tau: (q * also, tau * flip)}, {}
                 effect, joints = "wrong_sign", (names[j],)
         other = replace(plant, **changed)
         return other, Hidden(kind, effect, tuple(joints), found, self.misfit(other))
