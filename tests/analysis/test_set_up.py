@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
-from plant_recordings import mujoco_model
+from diagnosis import record
+from marks import slow
+from worlds_plant import Plant, perturbed
 
 from excitant.analysis.diagnosis import Diagnosis, _judged_set_up, diagnose
 from excitant.analysis.set_up import SetUp, refined, set_up
@@ -18,23 +19,12 @@ from excitant.identify.rows import split
 from excitant.robots import Robot, load_robot
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.motion import Motion
-from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.urdf import robot_from_urdf
 
-RATE, DURATION = 125.0, 12.0
+DURATION = 12.0  # s
 SIDEWAYS, TURNED = (9.81, 0.0, 0.0), (3.2, -7.1, 5.96)
 pytestmark = pytest.mark.filterwarnings("ignore::excitant.exceptions.FaultWarning")
-
-
-def perturbed(robot: Robot, rng: np.random.Generator, share: float) -> Robot:
-    """The arm with every pseudo-inertia P = L Lᵀ replaced by L (1 + E) (1 + E)ᵀ Lᵀ."""
-    bodies = []
-    for values in robot.phi.reshape(-1, 10):
-        root = np.linalg.cholesky(pseudo_inertia(values))
-        root = root @ (np.eye(4) + share / 2 * rng.normal(size=(4, 4)))
-        bodies.append(from_pseudo_inertia(root @ root.T))
-    return robot.with_parameters(np.concatenate(bodies))
 
 
 def recorded(
@@ -44,22 +34,9 @@ def recorded(
     rng = np.random.default_rng(seed)
     true = perturbed(robot, rng, off)
     true = true if gravity is None else true.with_gravity(gravity)
-    friction = rng.uniform(0.01, 0.03, (2, robot.nv)) * robot.limits.torque
-    model = mujoco_model(replace(true, description=true.urdf))
-    data = mujoco.MjData(model)
-    found = []
-    for name in ("fitted", "held"):
-        motion = random_trajectory(robot, rng, DURATION, 4).motion(RATE)
-        tau = np.empty_like(motion.q)
-        for k in range(len(motion)):
-            data.qpos, data.qvel, data.qacc = motion.q[k], motion.dq[k], motion.ddq[k]
-            mujoco.mj_inverse(model, data)
-            tau[k] = data.qfrc_inverse
-        tau += friction[0] * motion.dq + friction[1] * np.tanh(motion.dq / 1e-3)
-        tau += 0.01 * tau.std(axis=0) * rng.normal(size=tau.shape)
-        q = motion.q + 2e-5 * rng.normal(size=tau.shape)
-        found.append(Recording(name, name, motion.t, q, tau, None))
-    return found
+    plant = Plant(true, *rng.uniform(0.01, 0.03, (2, robot.nv)) * robot.limits.torque)
+    paths = ((random_trajectory(robot, rng, DURATION, 4), name) for name in ("fitted", "held"))
+    return [record(plant, path, "white", 1.0, rng, name, DURATION) for path, name in paths]
 
 
 def lead(diagnosis: Diagnosis) -> str:
@@ -111,10 +88,8 @@ def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: R
     assert np.median(diagnosis.extended.nrmse) < 0.05 < 0.5 < np.median(diagnosis.simulation.nrmse)
     assert not {f.effect.name for f in diagnosis.findings} & {"encoder_offset", "torque_gain"}
     idle = _judged_set_up(diagnosis.set_up, replace(first, rms_after=first.rms_before))
-    assert (idle.verdict, idle.downgrade) == (
-        "undecided",
-        "it does not predict the hold-out better",
-    )
+    why = "it does not predict the hold-out better"
+    assert (idle.verdict, idle.downgrade) == ("undecided", why)
 
 
 def with_zero_off(robot: Robot, joint: int, angle: float) -> list[Recording]:
@@ -147,16 +122,13 @@ def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(
     assert not replace(first, covariance=np.array([[0.49]])).is_nominal
 
 
-@pytest.mark.parametrize(
-    ("joint", "angle"), [(2, -2.0), pytest.param(3, np.pi, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("joint", "angle"), [(2, -2.0), slow(3, np.pi)])
 def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: float) -> None:
     robot = bare(ur10)
     fitted, held = with_zero_off(robot, joint, angle)
     found, amended = set_up(robot, [fitted, held])
-    assert [(e.name, e.joints) for e in found.effects] == [
-        ("encoder_offset", (robot.joints[joint],))
-    ]
+    told = [(e.name, e.joints) for e in found.effects]
+    assert told == [("encoder_offset", (robot.joints[joint],))]
     data = split(amended[:1], amended[1:]).train
     found = refined(found, data, series(data).measured, prior_parameters(robot))
     assert_zero_found(found, robot.joints[joint], angle)
@@ -197,7 +169,7 @@ def as_currents(recordings: list[Recording], seed: int) -> list[Recording]:
     return [replace(r, tau=r.tau / gains, unit="A") for r in recordings]
 
 
-@pytest.mark.parametrize("gravity", [SIDEWAYS, pytest.param(TURNED, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("gravity", [SIDEWAYS, slow(TURNED)])
 def test_currents_tell_how_an_arm_is_mounted(ur10: Robot, gravity: tuple[float, ...]) -> None:
     for recording in as_currents(recorded(bare(ur10), 1, gravity, off=0.0), 1):
         (fault,) = [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
@@ -212,10 +184,7 @@ def test_all_recordings_of_an_arm_share_its_set_up() -> None:
     found, amended = set_up(robot, recordings)
     told = {(each.name, each.joints) for each in (*found.faults, *found.effects)}
     alike = {(rival.candidate.effect.name, rival.candidate.effect.joints) for rival in found.rivals}
-    same = {
-        ("wrong_sign", (robot.joints[1],)),
-        ("encoder_offset", (robot.joints[2],)),
-    }
+    same = {("wrong_sign", (robot.joints[1],)), ("encoder_offset", (robot.joints[2],))}
     assert told <= same == told | alike
     for recording in amended:
         tau = rigid_body_torque(found.robot, motion_of(recording))
@@ -255,7 +224,7 @@ def test_degrees_beyond_all_limits_are_degrees_also_of_currents(ur10: Robot) -> 
         assert [f.fault for f in faults if f.fault.startswith("wrong")] == ["wrong_unit"]
 
 
-@pytest.mark.parametrize("off", [pytest.param(0.1, marks=pytest.mark.slow), 0.3])
+@pytest.mark.parametrize("off", [slow(0.1), 0.3])
 def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(
     ur10: Robot, off: float
 ) -> None:
@@ -263,9 +232,7 @@ def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(
         assert not [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
 
 
-@pytest.mark.parametrize(
-    "off", [*(pytest.param(x, marks=pytest.mark.slow) for x in (0.0, 0.1)), 0.3]
-)
+@pytest.mark.parametrize("off", [slow(0.0), slow(0.1), 0.3])
 def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(
     ur10: Robot, off: float
 ) -> None:
@@ -328,7 +295,7 @@ def test_nothing_within_two_standard_deviations_is_a_finding(frictionless: Diagn
         assert (size > 2 * np.array(f.std)).any()
 
 
-@pytest.mark.parametrize("seed", [6, pytest.param(7, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [6, slow(7)])
 def test_drive_gains_that_nobody_told_are_no_cause(ur10: Robot, seed: int) -> None:
     """Bodies and friction as given, each joint's torque read as a current of its own gain."""
     rng = np.random.default_rng(seed)

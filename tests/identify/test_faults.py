@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow
 from mistakes import PLANTS, Mistake, edited, recorded, scaled, with_rows
 
 import excitant as ex
@@ -24,7 +25,6 @@ from excitant.robots.virtual_arm import industrial_sensors
 
 N = 1001  # samples of a recording
 Read = Callable[..., Any]
-slow = functools.partial(pytest.param, marks=pytest.mark.slow)
 
 
 def shifted_rows(robot: Robot, log: Log, rng: np.random.Generator) -> Log:
