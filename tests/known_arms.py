@@ -1,6 +1,7 @@
 """Arms of which everything is known: their motion, their recordings, and whitened rows of them."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,10 +47,7 @@ def recorded(
 
 
 def write_csv(path: Path, run: Recording) -> Path:
-    kinds = ("q", "i" if run.unit == "A" else "tau")
-    names = ["t", *(f"{kind}{j + 1}" for kind in kinds for j in range(run.q.shape[1]))]
-    table = np.column_stack([run.t, run.q, run.tau])
-    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="")
+    replace(run, dq=None).to_frame().to_csv(path, index=False)
     return path
 
 

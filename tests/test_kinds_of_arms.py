@@ -4,9 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 import pytest
 from marks import slow
+from robustness_inputs import ExtremeArm, motion
 from urdf_arms import urdf_of
 
 from excitant.identify import identify_robot, load_recording
@@ -43,7 +45,7 @@ def description(kind: str) -> str:
     return urdf_of(*({"mass": 3 / k, "inertia": 0.02 / k} | joint for k, joint in joints))
 
 
-def recorded(robot: Robot, seed: int) -> np.ndarray:
+def recorded(robot: Robot, seed: int) -> pd.DataFrame:
     """Time, positions and torque of an arm whose bodies are 5 % heavier and whose joints rub."""
     rng, t = np.random.default_rng(seed), np.arange(0, 10, 0.01)
     model, n = robot.model.copy(), robot.nv
@@ -51,15 +53,14 @@ def recorded(robot: Robot, seed: int) -> np.ndarray:
     for k, body in enumerate(1.05 * robot.phi.reshape(n, 10), start=1):
         true = pin.Inertia.FromDynamicParameters(body) if body[0] > 0 else unknown
         model.inertias[k] = true
-    omega = 2 * np.pi * np.array([0.1, 0.2, 0.3, 0.5])[:, None]
-    size = rng.uniform(-0.3, 0.3, (4, n)) * np.where(robot.revolute, 1.0, 0.3)
-    angle = omega * t[:, None, None] + rng.uniform(0, 2 * np.pi, (4, n))
-    q, dq, ddq = ((size * omega**k * np.sin(angle + k * np.pi / 2)).sum(axis=1) for k in range(3))
-    data = model.createData()
-    tau = np.array([pin.rnea(model, data, *row).copy() for row in zip(q, dq, ddq, strict=True)])
-    tau += HIDDEN * np.tanh(dq / 0.005) + 0.5 * dq
-    tau += 0.005 * np.abs(tau).max(axis=0) * rng.standard_normal(tau.shape)
-    return np.column_stack([t, q + 2e-5 * rng.standard_normal(q.shape), tau])
+    scale = np.where(robot.revolute, 1.0, 0.3)
+    true = ExtremeArm(robot.name, {}, model, np.full(n, HIDDEN), scale)
+    return true.table(rng, t, motion(rng, t, scale))
+
+
+def as_currents(table: pd.DataFrame, gains: Any) -> pd.DataFrame:
+    read = table.filter(like="tau") / gains
+    return table.drop(columns=read).join(read.rename(columns=lambda name: name.replace("tau", "i")))
 
 
 def prepared(kind: str) -> tuple[str, Robot]:
@@ -72,9 +73,8 @@ def prepared(kind: str) -> tuple[str, Robot]:
     robot = load_robot("arm.yaml")
     for seed in (1, 2):
         run = recorded(robot, seed)
-        for file, torque in ((f"run{seed}.csv", "tau"), (f"currents{seed}.csv", "i")):
-            names = [f"{x}{j + 1}" for x in ("q", torque) for j in range(robot.nv)]
-            np.savetxt(file, run, delimiter=",", header=",".join(["t", *names]), comments="")
+        run.to_csv(f"run{seed}.csv", index=False)
+        as_currents(run, 1.0).to_csv(f"currents{seed}.csv", index=False)
     return "arm.yaml", robot
 
 
@@ -98,9 +98,7 @@ def test_currents_where_rotors_are_like_masses_get_gains_of_the_right_size(here:
     Path("arm.urdf").write_text(description("two sliding joints"))
     Path("arm.yaml").write_text("model: arm.urdf\ngravity: [0, 0, 0]\n")
     robot, gains = load_robot("arm.yaml"), np.array([3.0, 7.0])
-    table, names = recorded(robot, 1), ["t", "q1", "q2", "i1", "i2"]
-    table[:, 3:] /= gains
-    np.savetxt("run.csv", table, delimiter=",", header=",".join(names), comments="")
+    as_currents(recorded(robot, 1), gains).to_csv("run.csv", index=False)
     found = identify_robot(robot, [load_recording("run.csv", robot)])
     assert np.abs(np.log(found.gains / gains)).max() < np.log(3)
     assert (found.validate.r2 > 0.99).all()

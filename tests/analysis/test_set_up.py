@@ -24,6 +24,7 @@ from excitant.robots.urdf import robot_from_urdf
 
 DURATION = 12.0  # s
 SIDEWAYS, TURNED = (9.81, 0.0, 0.0), (3.2, -7.1, 5.96)
+OF_SET_UPS = {"wrong_mounting", "wrong_zero", "wrong_sign", "wrong_order"}
 pytestmark = pytest.mark.filterwarnings("ignore::excitant.exceptions.FaultWarning")
 
 
@@ -238,8 +239,7 @@ def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(
 ) -> None:
     for seed in range(2):
         for recording in recorded(bare(ur10), 10 + seed, off=off):
-            faults = {fault.fault for fault in find_faults(bare(ur10), recording)}
-            assert not faults & {"wrong_mounting", "wrong_zero", "wrong_sign", "wrong_order"}
+            assert not {fault.fault for fault in find_faults(bare(ur10), recording)} & OF_SET_UPS
 
 
 def test_a_heavy_load_is_no_other_set_up(ur10: Robot) -> None:
@@ -247,8 +247,7 @@ def test_a_heavy_load_is_no_other_set_up(ur10: Robot) -> None:
     body[50:60] += [12.0, 0.6, 0.3, 1.5, 0.6, 0.0, 0.6, 0.0, 0.0, 0.5]
     loaded = bare(ur10).with_parameters(body)
     for recording in recorded(loaded, 4):
-        faults = {fault.fault for fault in find_faults(bare(ur10), recording)}
-        assert not faults & {"wrong_mounting", "wrong_zero", "wrong_sign", "wrong_order"}
+        assert not {fault.fault for fault in find_faults(bare(ur10), recording)} & OF_SET_UPS
 
 
 def test_the_description_of_an_arm_has_its_zero_positions(ur10: Robot) -> None:
@@ -298,20 +297,10 @@ def test_nothing_within_two_standard_deviations_is_a_finding(frictionless: Diagn
 @pytest.mark.parametrize("seed", [6, slow(7)])
 def test_drive_gains_that_nobody_told_are_no_cause(ur10: Robot, seed: int) -> None:
     """Bodies and friction as given, each joint's torque read as a current of its own gain."""
-    rng = np.random.default_rng(seed)
-    gains = np.exp(rng.uniform(*np.log([2.0, 30.0]), ur10.nv))
-    friction = np.random.default_rng(seed)
-    perturbed(bare(ur10), friction, 0.0)
-    viscous, coulomb = friction.uniform(0.01, 0.03, (2, ur10.nv)) * ur10.limits.torque
-    given = ur10.with_effects(
-        [
-            ViscousFriction(ur10.joints).with_values(viscous.tolist()),
-            CoulombFriction(ur10.joints).with_values(coulomb.tolist()),
-        ]
-    )
-    recordings = [
-        replace(r, tau=r.tau / gains, unit="A") for r in recorded(bare(ur10), seed, off=0.0)
-    ]
+    plain = recorded(bare(ur10), seed, off=0.0)
+    recordings = as_currents(plain, seed)
+    gains = plain[0].tau[0] / recordings[0].tau[0]
+    given = with_friction_off(ur10, seed, 0.0)
     diagnosis = diagnose(given, recordings[:1], validate=recordings[1:])
     assert diagnosis.findings == ()
     assert diagnosis.drive is not None
@@ -324,12 +313,8 @@ def with_friction_off(robot: Robot, seed: int, off: float) -> Robot:
     perturbed(robot, rng, 0.0)
     viscous, coulomb = rng.uniform(0.01, 0.03, (2, robot.nv)) * robot.limits.torque
     ways = 1 + off * rng.choice([-1, 1], (2, robot.nv))
-    return robot.with_effects(
-        [
-            ViscousFriction(robot.joints).with_values((viscous * ways[0]).tolist()),
-            CoulombFriction(robot.joints).with_values((coulomb * ways[1]).tolist()),
-        ]
-    )
+    values = zip((ViscousFriction, CoulombFriction), ways * (viscous, coulomb), strict=True)
+    return robot.with_effects([kind(robot.joints, tuple(each)) for kind, each in values])
 
 
 @pytest.mark.slow

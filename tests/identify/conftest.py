@@ -27,9 +27,7 @@ def save(tmp_path: Path) -> Callable[..., Path]:
 
     def saved(log: pd.DataFrame | Recording, name: str, **options: Any) -> Path:
         path = tmp_path / name
-        if isinstance(log, Recording):
-            columns = {f"{n}{j + 1}": x[:, j] for n, x in log.channels() for j in range(log.nv)}
-            log = pd.DataFrame({"t": log.t} | columns)
+        log = log.to_frame() if isinstance(log, Recording) else log
         if path.suffix == ".npz":
             np.savez(path, **{column: log[column] for column in log})
         elif path.suffix == ".parquet":

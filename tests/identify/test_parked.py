@@ -13,6 +13,7 @@ from urdf_arms import urdf_of
 import excitant as ex
 from excitant.api import as_recorded
 from excitant.exceptions import BadRecording
+from excitant.identify import Recording
 from excitant.robots import Motion, load_robot, torque
 from excitant.robots.effects import Payload, ViscousFriction
 
@@ -30,18 +31,15 @@ def save(here: Path) -> Save:
     def saved(file: str, stands: dict[int, float], seed: int = 0, noise: float = 0) -> pd.DataFrame:
         robot, rng = load_robot("arm.urdf"), np.random.default_rng(seed)
         t = np.arange(800) / 100
-        motion = smooth_motion(robot, t, seed)
-        q, dq, ddq = (np.array(x) for x in (motion.q, motion.dq, motion.ddq))
-        for j, position in stands.items():
-            q[:, j], dq[:, j], ddq[:, j] = position, 0, 0
+        moving = smooth_motion(robot, t, seed)
+        q, dq, ddq = (np.array(x) for x in (moving.q, moving.dq, moving.ddq))
+        q[:, [*stands]], dq[:, [*stands]], ddq[:, [*stands]] = [*stands.values()], 0, 0
         friction = [ViscousFriction(robot.joints, (2.0, 3.0, 1.0))]
         tau = torque(robot.with_effects(friction), Motion(t, q, dq, ddq))
         tau += rng.normal(size=tau.shape)  # as no model would compute it
-        channels = {"q": q + noise * rng.normal(size=q.shape), "tau": tau}
-        if noise:
-            channels["dq"] = dq + noise * rng.normal(size=q.shape)
-        columns = {f"{n}{j + 1}": x[:, j] for n, x in channels.items() for j in range(3)}
-        table = pd.DataFrame({"t": t} | columns)
+        q = q + noise * rng.normal(size=q.shape)
+        speeds = dq + noise * rng.normal(size=q.shape) if noise else None
+        table = Recording("run", file, t, q, tau, dq=speeds).to_frame()
         table.to_csv(file, index=False)
         return table
 
