@@ -226,17 +226,13 @@ def test_degrees_beyond_all_limits_are_degrees_also_of_currents(ur10: Robot) -> 
 
 
 @pytest.mark.parametrize("off", [slow(0.1), 0.3])
-def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(
-    ur10: Robot, off: float
-) -> None:
+def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(ur10: Robot, off: float):
     for recording in as_currents(recorded(bare(ur10), 20, off=off), 20):
         assert not [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
 
 
 @pytest.mark.parametrize("off", [slow(0.0), slow(0.1), 0.3])
-def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(
-    ur10: Robot, off: float
-) -> None:
+def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(ur10: Robot, off: float):
     for seed in range(2):
         for recording in recorded(bare(ur10), 10 + seed, off=off):
             assert not {fault.fault for fault in find_faults(bare(ur10), recording)} & OF_SET_UPS
@@ -279,9 +275,7 @@ def test_friction_that_the_model_lacks_is_one_finding(frictionless: Diagnosis) -
     assert f"viscous friction {min(values):.2g} to {max(values):.2g} N·m·s/rad" in entry["sentence"]
 
 
-def test_without_friction_of_all_joints_the_error_is_the_given_models(
-    frictionless: Diagnosis,
-) -> None:
+def test_without_friction_of_all_joints_the_error_is_the_given_models(frictionless: Diagnosis):
     before, after = frictionless.before_and_after(frictionless.findings)
     given = frictionless.simulation.rms
     assert before == pytest.approx(np.sqrt((given**2).mean()), rel=0.05)
@@ -319,9 +313,7 @@ def with_friction_off(robot: Robot, seed: int, off: float) -> Robot:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("off", [0.1, 0.3])
-def test_given_friction_that_is_off_is_told_and_is_no_finer_friction(
-    ur10: Robot, off: float
-) -> None:
+def test_given_friction_that_is_off_is_told_and_is_no_finer_friction(ur10: Robot, off: float):
     given = with_friction_off(bare(ur10), 9, off)
     fitted, held = recorded(bare(ur10), 9, off=0.0)
     diagnosis = diagnose(given, [fitted], validate=[held])

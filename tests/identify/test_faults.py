@@ -232,9 +232,7 @@ def test_the_same_recording_under_two_names_is_found(clean: Log, read: Read) -> 
 
 
 @pytest.mark.parametrize("repaired", [False, True])
-def test_torques_exchanged_between_recordings_are_found(
-    clean: Log, read: Read, repaired: bool
-) -> None:
+def test_torques_exchanged_between_recordings_are_found(clean: Log, read: Read, repaired: bool):
     other = run("planar_2r", 1)
     mixed = replace(clean, tau=other.tau), replace(other, tau=clean.tau), run("planar_2r", 2)
     checked = read(*mixed, repaired=repaired)

@@ -36,7 +36,7 @@ from excitant.identify.faults.fault import Fault, Remedy, after_repair
 from excitant.identify.faults.stated import map_of
 from excitant.identify.reading import mat
 from excitant.identify.reading.mapping import column_map
-from excitant.robots import Robot, load_robot
+from excitant.robots import load_robot
 from excitant.robots.virtual_arm import industrial_sensors
 
 T = np.arange(300) / 100
@@ -528,9 +528,7 @@ def test_numbers_without_names_are_refused_with_the_map_that_reads_them(
 
 
 @pytest.mark.parametrize(("other", "why"), [("left", "positions could be"), ("motor", None)])
-def test_words_before_joints_name_an_arm_but_not_its_motors(
-    other: str, why: str | None, load: Call, log: Path
-) -> None:
+def test_words_before_joints_name_an_arm_but_not_its_motors(other, why, load, log):
     """Of two arms the user says which; motors turn otherwise than joints."""
     words = ("q", "dq", "tau")
     arm, extra = (named("t", [f"{x}_{y}_{{}}" for y in words]) for x in ("right", other))
@@ -641,9 +639,7 @@ def bag(tmp_path: Path) -> Call:
 
 @pytest.mark.parametrize("prefix", ["", "left_arm/", "ur10_"])
 @pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
-def test_bags_are_read_by_joint_name_whatever_stands_before(
-    kind: str, prefix: str, load: Call, bag: Call
-) -> None:
+def test_bags_are_read_by_joint_name_whatever_stands_before(kind, prefix, load, bag):
     path = bag(kind, "/joint_states", "/joint_command", prefix=prefix)
     for file in [path] if kind == "bag" else [path, next(path.glob(f"*.{kind}"))]:
         found = same(load(file), unit="N·m")
@@ -707,9 +703,7 @@ def test_a_bag_brings_its_robot_and_limits(bag: Call) -> None:
     same(found, unit="N·m")
 
 
-def test_a_bag_alone_is_enough_for_a_verdict(
-    runs: Call, planar: Robot, excitant: Call, tmp_path: Path
-) -> None:
+def test_a_bag_alone_is_enough_for_a_verdict(runs, planar, excitant, tmp_path):
     sensors = industrial_sensors(planar)
     [run] = runs(planar, 1, sensors=sensors, tolerance=0.03, duration=16.0, names=["run"])
     path, names = tmp_path / "bag", ["left/joint2", "left/joint1"]

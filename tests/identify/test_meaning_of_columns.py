@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_arms import Call
-from mistakes import PLANTS, coupled, recorded, shifted
+from mistakes import PLANTS, coupled, geared, recorded, shifted, weight, with_rows
 
 from excitant.identify import Recording, load_dataset
 from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
 from excitant.identify.faults.fault import Log
 from excitant.identify.faults.torque_fit import TorqueFit, smooth, torque_fit
 from excitant.options import Data
-from excitant.robots import Motion, Robot, load_robot, rigid_body_torque
+from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
 
 ARMS = ("ur5e", "panda")  # gravity tells; a SCARA's does not
@@ -34,27 +34,14 @@ def faults_after(logged: tuple[Robot, Recording], change: Change) -> dict[str, F
     return {fault.fault: fault for fault in find_faults(robot, change(robot, recording))}
 
 
-def without_gravity(robot: Robot, recording: Recording) -> Recording:
-    still = np.zeros_like(recording.q)
-    held = rigid_body_torque(robot, Motion(recording.t, recording.q, still, still))
-    return replace(recording, tau=recording.tau - held)
-
-
-def motor_side(robot: Robot, recording: Recording) -> Recording:
-    dq = None if recording.dq is None else 101 * recording.dq
-    return replace(recording, q=101 * recording.q, dq=dq, tau=recording.tau / 101)
-
-
-def frozen(robot: Robot, recording: Recording) -> Recording:
-    stopped = np.minimum(np.arange(len(recording)), int(0.6 * len(recording)))
-    held = {name: x[stopped] for name, x in recording.channels()}
-    return replace(recording, **held)
-
-
 def late(_: Robot, recording: Recording, seconds: float = 0.3) -> Recording:
     """Torque that was read before it begins is that of the first row."""
     before = np.arange(len(recording)) - round(seconds / np.diff(recording.t).mean())
     return replace(recording, tau=recording.tau[np.maximum(before, 0)])
+
+
+def stops(n: int) -> np.ndarray:
+    return np.minimum(np.arange(n), int(0.6 * n))
 
 
 Code = Callable[[np.ndarray], np.ndarray]
@@ -114,17 +101,23 @@ def test_currents_called_torque_are_told(logged: tuple[Robot, Recording]) -> Non
 @pytest.mark.parametrize(
     ("change", "name", "said"),
     [
-        (without_gravity, "wrong_mounting", "the torque has no gravity"),
-        (motor_side, "wrong_unit", "leaves the joints' limits"),
+        (
+            lambda arm, run: replace(run, tau=run.tau - weight(arm, run.q)),
+            "wrong_mounting",
+            "the torque has no gravity",
+        ),
+        (lambda _, run: geared(run, 101.0), "wrong_unit", "leaves the joints' limits"),
         (lambda _, run: shifted(run, 1, 2), "wrong_zero", "so read"),
         (lambda _, run: coupled(run), "coupled_axes", " added, and torque is that of these axes"),
-        (frozen, "duplicate_samples", "frozen from t = "),
+        (
+            lambda _, run: with_rows(run, stops(len(run))),
+            "duplicate_samples",
+            "frozen from t = ",
+        ),
         (late, "time_delay", "the torque lags the motion by "),
     ],
 )
-def test_what_the_log_means_is_named(
-    logged: tuple[Robot, Recording], change: Change, name: str, said: str
-) -> None:
+def test_what_the_log_means_is_named(logged, change, name, said):
     found = faults_after(logged, change)
     assert said in found[name].detail
     assert "wrong_sample_rate" not in found  # measured velocities confirm the clock

@@ -40,7 +40,7 @@ from excitant.identify import (
 )
 from excitant.identify.dataset import excerpt
 from excitant.identify.faults import find_faults
-from excitant.robots import Robot, load_robot
+from excitant.robots import load_robot
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]
 
@@ -211,9 +211,7 @@ K = np.arange(60.0)
         (1.0, np.sin(K / 20), np.cos(K / 20), 60),  # counts samples
     ],
 )
-def test_rows_seconds_apart_are_poses(
-    planar: Robot, save: Call, step: float, q: np.ndarray, speed: Any, samples: int | None
-) -> None:
+def test_rows_seconds_apart_are_poses(planar, save, step, q, speed, samples):
     """Rows that no arm can reach in milliseconds are seconds apart, and show no motion."""
     log = pd.DataFrame({"t": step * K, "q1": q, "q2": 0.9 * q, "tau1": K, "tau2": -K})
     log = log if speed is None else log.assign(dq1=speed, dq2=0.9 * speed)
