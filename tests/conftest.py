@@ -27,9 +27,7 @@ hypothesis.settings.load_profile("excitant")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--every", type=int, default=1, help="of a slow test of many cases, each N-th case"
-    )
+    parser.addoption("--every", type=int, default=1, help="of a slow test of many cases, each N-th")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

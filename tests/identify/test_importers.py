@@ -22,19 +22,11 @@ from bags import joint_states
 from known_arms import Call
 
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
-from excitant.identify import (
-    ColumnMap,
-    Recording,
-    load_column_map,
-    load_dataset,
-    load_recording,
-    raw_recording,
-    read_chunks,
-    recording_from_table,
-)
+from excitant.identify import ColumnMap, Recording, load_column_map, load_dataset, load_recording
 from excitant.identify.faults.fault import Fault, Remedy, after_repair
 from excitant.identify.faults.stated import map_of
 from excitant.identify.reading import mat
+from excitant.identify.reading.logs import raw_recording, read_chunks, recording_from_table
 from excitant.identify.reading.mapping import column_map
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import industrial_sensors

@@ -27,19 +27,12 @@ from marks import slow
 
 from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
-from excitant.identify import (
-    ColumnMap,
-    Recording,
-    identify_robot,
-    load_dataset,
-    load_recording,
-    prepare,
-    read_chunks,
-    recording_from_table,
-    split,
-)
+from excitant.identify import ColumnMap, Recording, identify_robot, load_dataset, load_recording
 from excitant.identify.dataset import excerpt
 from excitant.identify.faults import find_faults
+from excitant.identify.preprocessing import prepare
+from excitant.identify.reading.logs import read_chunks, recording_from_table
+from excitant.identify.rows import split
 from excitant.robots import load_robot
 
 Corruption = Callable[[pd.DataFrame], pd.DataFrame]

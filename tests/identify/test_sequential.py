@@ -46,15 +46,9 @@ def beta_of(arm: TrueArm, robot: Robot) -> Array:
 
 
 def recorded(
-    robot: Robot,
-    truth: TrueArm,
-    rng: np.random.Generator,
-    name: str = "run",
-    *,
-    moving: Sequence[int] | None = None,
-    duration: float = 10.0,
-    share: float = 0.01,
-) -> Recording:
+    robot: Robot, truth: TrueArm, rng: np.random.Generator, name: str = "run", *,
+    moving: Sequence[int] | None = None, duration: float = 10.0, share: float = 0.01,
+) -> Recording:  # fmt: skip
     """A random motion of some joints, the others held; noise as a share of the torque limits.
 
     Half as much as is white is correlated over ten samples.
@@ -216,8 +210,7 @@ def test_a_joint_at_rest_may_hold_any_torque(planar: Robot) -> None:
 def test_command_writes_stages_and_comparison(planar, tmp_path, excitant):
     rng = np.random.default_rng(5)
     truth = truth_near(planar, rng)
-    paths = (tmp_path / "one.csv", tmp_path / "two.csv")
-    files = [write_csv(path, recorded(planar, truth, rng)) for path in paths]
+    files = [write_csv(tmp_path / f"{k}.csv", recorded(planar, truth, rng)) for k in range(2)]
     options = ("--link-by-link", "--json", "-o", tmp_path / "run")
     result = excitant("identify planar_2r", *files, *options).result
     found = result["link_by_link"]
