@@ -154,9 +154,9 @@ def random_bodies() -> Callable[[int, int], np.ndarray]:
 
     def bodies(seed: int, links: int) -> np.ndarray:
         rng = np.random.default_rng(seed)
-        root = rng.standard_normal((links, 4, 4)) * [0.1, 0.1, 0.1, 1.0]
-        P = root @ root.transpose(0, 2, 1) * np.array([0.1, 0.1, 0.1, 1.0])[:, None]
-        P = P * np.array([0.1, 0.1, 0.1, 1.0])
+        size = np.array([0.1, 0.1, 0.1, 1.0])
+        root = rng.standard_normal((links, 4, 4)) * size
+        P = root @ root.transpose(0, 2, 1) * size[:, None] * size
         return from_pseudo_inertia(P + 1e-3 * np.eye(4)).ravel()
 
     return bodies

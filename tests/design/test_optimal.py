@@ -14,15 +14,9 @@ from limit_use import assert_holds_for_every_mass, assert_limits_hold, limited
 from marks import slow
 from threadpoolctl import threadpool_limits
 
-from excitant.design import (
-    Design,
-    check,
-    condition_number,
-    design_link_by_link,
-    design_trajectory,
-    information,
-    random_trajectory,
-)
+from excitant.design import Design, check, design_trajectory, random_trajectory
+from excitant.design.criterion import condition_number, information
+from excitant.design.sequence import design_link_by_link
 from excitant.exceptions import BadInput, UnknownName
 from excitant.robots import Robot, load_robot
 from excitant.robots.effects import standard_effects

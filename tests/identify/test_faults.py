@@ -226,9 +226,8 @@ def test_the_same_recording_under_two_names_is_found(clean: Log, read: Read) -> 
     assert set(copies) == {"second"}
     assert "first" in copies["second"].detail
     faults = read(clean, clean).faults
-    assert [[fault.fault for fault in each] for each in faults.values()] == [
-        [], ["duplicate_samples"]
-    ]  # fmt: skip
+    kinds = [[fault.fault for fault in each] for each in faults.values()]
+    assert kinds == [[], ["duplicate_samples"]]
 
 
 @pytest.mark.parametrize("repaired", [False, True])

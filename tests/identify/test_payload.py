@@ -15,20 +15,13 @@ from scipy.stats import binom
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
-from excitant.identify import (
-    KnownPayload,
-    PayloadEstimate,
-    PayloadEstimator,
-    Recording,
-    identify_drive_gains,
-    identify_payload,
-    identify_robot,
-    recording_from_table,
-)
-from excitant.identify.drive_gains import DriveGains, payload_gains
+from excitant.identify import PayloadEstimate, PayloadEstimator, Recording, identify_payload
+from excitant.identify.drive_gains import DriveGains, KnownPayload, payload_gains
+from excitant.identify.estimate import identify_robot
 from excitant.identify.export import save_model
 from excitant.identify.information import gaussian, information_of
-from excitant.identify.payload import estimate_payload, payload_information
+from excitant.identify.payload import estimate_payload, identify_drive_gains, payload_information
+from excitant.identify.reading.logs import recording_from_table
 from excitant.identify.regression import Regression, dense
 from excitant.robots import Array, Motion, Robot, base_parameters, load_robot, torque
 from excitant.robots.effects import Payload, standard_effects

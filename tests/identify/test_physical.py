@@ -12,15 +12,8 @@ from marks import slow
 
 from excitant.analysis import identifiability
 from excitant.exceptions import BadInput
-from excitant.identify import identify_robot
-from excitant.identify.knowledge import (
-    Box,
-    Ellipsoid,
-    Knowledge,
-    LinkKnowledge,
-    Quantity,
-    load_knowledge,
-)
+from excitant.identify import identify_robot, load_knowledge
+from excitant.identify.knowledge import Box, Ellipsoid, Knowledge, LinkKnowledge, Quantity
 from excitant.identify.physical import PhysicalFit, agreement, fit_physical
 from excitant.identify.prior import (
     BodyPrior,

@@ -17,12 +17,8 @@ from excitant.identify.prior import prior_parameters
 from excitant.identify.rows import FitRows
 from excitant.identify.shapes import Shapes, refined_shapes
 from excitant.robots import Array, Robot
-from excitant.robots.effects import (
-    Effect,
-    NonlinearViscousFriction,
-    StribeckFriction,
-    standard_effects,
-)
+from excitant.robots.effects import Effect, StribeckFriction, standard_effects
+from excitant.robots.effects.friction import NonlinearViscousFriction
 
 KNOWN = truth("planar_2r")
 JOINTS = KNOWN.robot.joints
