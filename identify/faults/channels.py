@@ -285,14 +285,15 @@ class _Code(NamedTuple):
 
 
 def _wrapped(x: Array) -> _Code | None:
-    """A position that jumps by a turn, of radians or degrees, as often as not."""
+    """A position that jumps by a turn, of radians or degrees, and else by far less."""
     change = np.abs(np.diff(x))
     for turn in (2 * np.pi, 360.0):
         jumps = change > turn / 2
         if not jumps.any() or jumps.mean() > _MOST_JUMPS:
             continue
-        tolerance = 3 * float(np.quantile(change[~jumps], 0.9)) + 2 * quantum(x)
-        if abs(float(np.median(change[jumps])) - turn) < min(tolerance, turn / 4):
+        usual = float(np.quantile(change[~jumps], 0.99))
+        off = abs(float(np.median(change[jumps])) - turn)
+        if usual < turn / 8 and off < turn / 4:
             return _Code("unwrap", turn, np.zeros(0, np.intp))
     return None
 
