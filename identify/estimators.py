@@ -176,7 +176,11 @@ def estimated(
 def _instead(
     problem: Regression, fit: LeastSquares, joints: Sequence[str]
 ) -> tuple[LeastSquares, str]:
-    """Robust regression where gross errors spoil least squares, and the sentence that says so."""
+    """Robust regression where gross errors spoil least squares, and the sentence that says so.
+
+    Both are unbiased if those errors do not depend on the motion: their difference is then within
+    the errors of least squares (Hausman 1978). Else the model lacks something, and all rows count.
+    """
     residuals = problem.counted(problem.residual(fit.beta))
     ratio = noise_of(residuals, problem.p) / _scale(residuals, problem.p)
     if (ratio < ROBUST.outlying).all():
@@ -187,6 +191,12 @@ def _instead(
         return fit, ""
     variances = np.diag(fit.covariance) / np.diag(robust.covariance)
     if not np.exp(np.log(variances).mean()) > ROBUST.gain:
+        return fit, ""
+    moved = robust.beta - fit.beta
+    distance = float(
+        moved @ scipy.linalg.solve(fit.covariance, moved, assume_a="pos")
+    )
+    if distance > float(scipy.special.chdtri(problem.p, FALSE_ALARM)):
         return fit, ""
     sizes = np.abs(problem.residual(robust.beta)) / robust.sigma
     gross = [float((u > ROBUST.gross).mean()) for u in problem.counted(sizes)]

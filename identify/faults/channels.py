@@ -285,14 +285,15 @@ class _Code(NamedTuple):
 
 
 def _wrapped(x: Array) -> _Code | None:
-    """A position that jumps by a turn, of radians or degrees, as often as not."""
+    """A position that jumps by a turn, of radians or degrees, and else by far less."""
     change = np.abs(np.diff(x))
     for turn in (2 * np.pi, 360.0):
         jumps = change > turn / 2
         if not jumps.any() or jumps.mean() > _MOST_JUMPS:
             continue
-        tolerance = 3 * float(np.quantile(change[~jumps], 0.9)) + 2 * quantum(x)
-        if abs(float(np.median(change[jumps])) - turn) < min(tolerance, turn / 4):
+        usual = float(np.quantile(change[~jumps], 0.99))
+        off = abs(float(np.median(change[jumps])) - turn)
+        if usual < turn / 8 and off < turn / 4:
             return _Code("unwrap", turn, np.zeros(0, np.intp))
     return None
 
@@ -376,13 +377,18 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
             k = int(rows[np.argmax(np.abs(x - median)[rows, j])])
             value = float(x[k, j])
             around = float(median[k, j])
+            size = abs(value - around)
+            least = max(noise(x[:, j]), float(log.quanta[name][j]))
+            times = f", {size / least:.0f} times the noise" if least > 0 else ""
             detail = (
                 f"{name} of {joint} is far from its neighbours in {len(rows)} of {len(log)} rows; "
-                f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g} where those around have "
-                f"{around:.5g}"
+                f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g}, which is {size:.4g} from "
+                f"those around{times}"
             )
             evidence = {"channel": name, "rows": rows, "count": len(rows)}
             evidence |= {"value": value, "around": around}
+            if least > 0:
+                evidence["noises"] = size / least
             done = f"interpolates {name} of {joint} over these {len(rows)} rows"
             remedy = Remedy("interpolate", name, (int(j),), rows)
             yield Fault("corrupt_rows", (joint,), detail, evidence, done, (remedy,))

@@ -92,6 +92,8 @@ class Search:
     "Logarithm within which a unit is named: one std of bodies near the nominal ones."
     clock: float = 0.1
     "Least relative error of a clock that the torque alone can show."
+    parts: int = 3
+    "Parts of a log, none of which may speak against an installation."
     latest: float = 0.5
     "Delay of the torque that is looked for at most [s]."
 
@@ -199,7 +201,23 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         best, squares = _simplest(ranked, before, case)
         if squares < SEARCH.explained * float(case.rows.sum()):
             break
-    return [*best.faults] or [*positions_beyond_limits(case)]
+    faults = [*best.faults] if _throughout(case, best) else []
+    return faults or [*positions_beyond_limits(case)]
+
+
+def _throughout(case: TorqueFit, installation: Installation) -> bool:
+    """Whether no part of a log speaks against it, as those do that lack the push of a hand."""
+    dead = {*case.log.joints} - {case.log.joints[j] for j in case.joints}
+    for rows in np.array_split(np.arange(len(case.log)), SEARCH.parts):
+        log = case.log.take(rows)
+        data = smooth(log)
+        part = data and torque_fit(case.robot, log, data, dead)
+        if part and installation.faults:
+            before, [judged] = _judge(part, [installation])
+            allowed = before + SEARCH.fits * float(part.rows.sum())
+            if judged.squares > allowed:
+                return False
+    return True
 
 
 def _gain(case: TorqueFit, one: Installation, other: Installation) -> float:

@@ -1,6 +1,7 @@
 """Estimators on columns that are known and on arms: closed forms, and what each is for."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -14,6 +15,7 @@ from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify import Recording, Regression, identify_robot
 from excitant.identify.estimators import (
     ESTIMATORS,
+    ROBUST,
     closed_loop,
     errors_in_variables,
     every_second,
@@ -240,6 +242,25 @@ def test_every_estimator_identifies_a_robot(name: str, planar: Robot) -> None:
         assert (words in said) == (name == "oe")
 
 
+def test_bursts_of_torque_make_the_default_robust(planar: Robot) -> None:
+    """Of torque, independent of the motion; errors that depend on it are the model's."""
+    rng = np.random.default_rng(1)
+    struck = np.repeat(rng.choice([-1, 0, 1], (50, 2), p=[0.03, 0.94, 0.03]), 20, axis=0)
+    bursts = 3 * NOISY.tau.std(axis=0) * struck[: len(NOISY)]
+    clean = identify_robot(planar, [NOISY])
+    found = identify_robot(planar, [replace(NOISY, tau=NOISY.tau + bursts)])
+    assert found.estimator == ESTIMATORS["irls"]
+    assert "in bursts or contact" in " ".join(found.notes)
+    error = np.abs(found.least_squares.beta - clean.least_squares.beta)
+    assert (error < 4 * found.least_squares.std).all()
+    # only where a joint goes fast: as likely to be physics as bursts
+    speed = np.gradient(NOISY.q, NOISY.t, axis=0)
+    fast = np.abs(speed) > np.quantile(np.abs(speed), 0.95, axis=0)
+    lacking = 3 * NOISY.tau.std(axis=0) * fast * np.sign(speed)
+    found = identify_robot(planar, [replace(NOISY, tau=NOISY.tau + lacking)])
+    assert found.estimator == ESTIMATORS["wls"]
+
+
 def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     """To rounding, which depends on where arrays lie in memory."""
     found = identify_robot(planar, [NOISY])
@@ -251,11 +272,14 @@ def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     np.testing.assert_allclose(found.least_squares.covariance, fit.covariance, rtol=1e-9)
 
 
-def test_a_motion_known_exactly_needs_no_instruments(planar: Robot, exact: Call) -> None:
+def test_a_motion_known_exactly_needs_no_instruments(
+    planar: Robot, exact: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """At a rate at which interpolation between every second sample leaves no error."""
     recording = exact(planar, np.arange(0, 10, 1 / 512))
     found = identify_robot(planar, [recording], estimator="iv")
     assert "no errors of it to be tested" in found.notes[-1]
+    monkeypatch.setattr("excitant.identify.estimators.ROBUST", replace(ROBUST, outlying=np.inf))
     fit, known = found.least_squares, identify_robot(planar, [recording]).least_squares
     assert (np.abs(fit.beta - known.beta) <= 1e-2 * known.std).all()
     np.testing.assert_allclose(fit.covariance, known.covariance, rtol=1e-2)

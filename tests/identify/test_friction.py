@@ -13,7 +13,7 @@ from excitant.robots.effects import CoulombFriction, RotorInertia, StribeckFrict
 
 
 @pytest.fixture(scope="module")
-def recordings(planar: Robot, runs: Call) -> list[Recording]:
+def recordings(planar: Robot, runs: Call, own_steps: None) -> list[Recording]:
     return runs(planar, 3, duration=12.0)
 
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_arms import Call
-from mistakes import PLANTS, coupled, geared, recorded, shifted, weight, with_rows
+from mistakes import PLANTS, READ, coupled, geared, recorded, run_of, shifted, weight, with_rows
 
 from excitant.identify import Recording, load_dataset
 from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
-from excitant.identify.faults.fault import Log
+from excitant.identify.faults.fault import OF_THE_ARM, Log
 from excitant.identify.faults.torque_fit import TorqueFit, smooth, torque_fit
 from excitant.options import Data
 from excitant.robots import Robot, load_robot
@@ -132,6 +132,14 @@ def fit_of(robot: Robot, recording: Recording) -> TorqueFit:
     case = torque_fit(robot, log, smooth(log), set())
     assert case is not None
     return case
+
+
+def test_a_push_by_hand_is_no_installation() -> None:
+    """It would be a mounting or a coupling that most of the log speaks against."""
+    for name, k in (("scara", 0), ("so100", 1)):
+        robot = load_robot(name)
+        log = READ["pushed_by_hand"][1](robot, run_of(robot, (3, 0, k)).log, None)
+        assert not {fault.fault for fault in find_faults(robot, log)} & set(OF_THE_ARM)
 
 
 def test_a_clock_is_left_alone_where_velocities_confirm_it(logged: tuple[Robot, Recording]) -> None:
