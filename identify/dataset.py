@@ -291,6 +291,7 @@ def read_checked(
     without: Sequence[str] = (),
     repaired: bool = False,
     beside: Parked | None = None,
+    held: bool = True,
 ) -> Checked:
     """Recordings of a dataset, with their faults, and without the joints that stand in them.
 
@@ -300,6 +301,7 @@ def read_checked(
         without: Recordings that are held out.
         repaired: Whether to repair what has a remedy; see `check_recordings`.
         beside: Joints that stand in what is fitted; None where these recordings are.
+        held: Whether joints that are chosen and stand are held.
 
     Raises:
         BadInput: Nothing to read.
@@ -316,12 +318,12 @@ def read_checked(
     if repaired:
         raw = [raw_recording(path, free, mapping) for path in paths]
         checked = check_recordings(free, raw, repaired=True)
-        held = beside or parked(robot, free, checked.recordings)
-        return checked.beside(held, held.of(checked.recordings))
+        still = beside or parked(robot, free, checked.recordings, held)
+        return checked.beside(still, still.of(checked.recordings))
     recordings = read_recordings(paths, free, mapping=mapping)
-    held = beside or parked(robot, free, recordings)
-    moving = held.of(recordings)
-    return check_recordings(held.robot, moving).beside(held, moving)
+    still = beside or parked(robot, free, recordings, held)
+    moving = still.of(recordings)
+    return check_recordings(still.robot, moving).beside(still, moving)
 
 
 def _samples(path: Path) -> int:

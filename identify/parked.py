@@ -162,13 +162,16 @@ def _covers(source: Source, robot: Robot, mapping: ColumnMap | None) -> bool:
     return covers(source, robot, mapping)
 
 
-def parked(given: Robot, free: Robot, recordings: Sequence[Recording]) -> Parked:
+def parked(
+    given: Robot, free: Robot, recordings: Sequence[Recording], held: bool = True
+) -> Parked:
     """The arm with the joints held that stand in all recordings.
 
     Args:
         given: The arm as chosen.
         free: The arm whose joints the recordings have; see `freed_for`.
         recordings: What is to be fitted.
+        held: Whether joints that are chosen and stand are held.
 
     Raises:
         BadRecording: A joint moves that is not chosen and changes the torque of one that is; or no
@@ -189,7 +192,8 @@ def parked(given: Robot, free: Robot, recordings: Sequence[Recording]) -> Parked
     standing_joints = [
         j for j, still in zip(free.joints, stand, strict=True) if still
     ]
-    positions = {j: places[j] for j in standing_joints if j in given.joints}
+    chosen = given.joints if held else ()
+    positions = {j: places[j] for j in standing_joints if j in chosen}
     if len(positions) == given.nv:
         span = max(float(np.ptp(each.q, axis=0).max()) for each in recordings)
         raise BadRecording(

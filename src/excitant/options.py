@@ -155,19 +155,31 @@ class Data:
     "Repair the faults of the recordings that can be repaired; else they are only reported."
 
     def read(
-        self, dataset: Dataset, names: Sequence[str], others: Sequence[str] = ()
+        self,
+        dataset: Dataset,
+        names: Sequence[str],
+        others: Sequence[str] = (),
+        *,
+        held: bool = True,
     ) -> Readings:
-        """Recordings to fit (all but others where none is named), and to judge on."""
+        """Recordings to fit (all but others where none is named), and to judge on.
+
+        Joints that stand in what is fitted are held, where they are not to be told of.
+        """
         validate = self.validate or []
         checked = ex.identify.read_checked(
-            dataset, names, without=[*validate, *others], repaired=self.repair
+            dataset,
+            names,
+            without=[*validate, *others],
+            repaired=self.repair,
+            held=held,
         )
-        held = ex.identify.Checked([], {})
+        judging = ex.identify.Checked([], {})
         if validate:
-            held = ex.identify.read_checked(
+            judging = ex.identify.read_checked(
                 dataset, validate, repaired=self.repair, beside=checked.parked
             )
-        return Readings(dataset, checked, held)
+        return Readings(dataset, checked, judging)
 
 
 class Readings:

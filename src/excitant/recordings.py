@@ -370,7 +370,7 @@ def analyze(
     entries = dict[str, Any]()
     if recording:
         dataset = part.dataset(robot, data.map)
-        read = data.read(dataset, recording)
+        read = data.read(dataset, recording, held=False)
         arm = read.robot
         entries = read.entries
         estimate, brief = ex.api.estimate_shown(

@@ -51,7 +51,7 @@ def test_its_interval_is_that_of_draws_of_the_coefficients(estimate: Estimate) -
 
 
 @pytest.mark.slow
-def test_true_friction_lies_in_the_interval(planar: Robot, runs: Call) -> None:
+def test_true_friction_lies_in_the_interval(planar: Robot, runs: Call, own_steps: None) -> None:
     inside, given = [], {effect.name: effect.values for effect in planar.effects}
     for seed in range(8):
         fit, held = runs(planar, seed)

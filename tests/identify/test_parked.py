@@ -81,10 +81,14 @@ def test_every_verb_has_the_same_arm_and_says_so(save: Save, excitant: Any) -> N
     note = "held at 0.4 rad, as it does not move in run1.csv: joint3"
     results = [
         excitant(f"{verb} run1.csv --json {more} -o out")
-        for verb in ("identify arm.urdf", "diagnose arm.urdf", "analyze arm.urdf --recording")
+        for verb in ("identify arm.urdf", "diagnose arm.urdf")
         for more in ("", "--joints joint1,joint2", "--repair")
     ]
     results += [excitant("go arm.urdf run1.csv --json -o out")]
+    analyze = "analyze arm.urdf --recording run1.csv --json -o out"
+    # which says what would show a joint that stands
+    assert excitant(analyze).result["resting_joints"] == ["joint3"]
+    results += [excitant(f"{analyze} --joints joint1,joint2")]
     assert all(note in ran.err and note in ran.result["notes"] for ran in results)
     given, chosen = (results[k].result["base_parameters"] for k in (0, 1))
     assert given == chosen
