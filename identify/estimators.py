@@ -88,6 +88,7 @@ class Robust:
         flattest: Least mean slope of the influence; less is no minimum.
         outlying: Rms of residuals over the scale of most of them, from which on it is tried where
             least squares was asked for, and
+        felt: rms of residuals over that of the torque, less than which models are off by anyway;
         gain: Variance of least squares over its own at which it takes the place of that: as much as
             four times the data give.
         gross: Residual in standard deviations that is called gross: one of 15 000 normal ones.
@@ -100,6 +101,7 @@ class Robust:
     rounding: float = 1e-13
     flattest: float = 0.05
     outlying: float = 2.0
+    felt: float = 0.02
     gain: float = 4.0
     gross: float = 4.0
 
@@ -182,8 +184,10 @@ def _instead(
     the errors of least squares (Hausman 1978). Else the model lacks something, and all rows count.
     """
     residuals = problem.counted(problem.residual(fit.beta))
-    ratio = noise_of(residuals, problem.p) / _scale(residuals, problem.p)
-    if (ratio < ROBUST.outlying).all():
+    rms = noise_of(residuals, problem.p)
+    size = [values.std() for values in problem.counted(problem.tau)]
+    outlying = rms > ROBUST.outlying * _scale(residuals, problem.p)
+    if not (outlying & (rms > ROBUST.felt * np.array(size))).any():
         return fit, ""
     try:
         robust = irls(problem)
