@@ -64,7 +64,7 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 )
 """Name and description of every estimator."""
 
-FALSE_ALARM = 0.01  # of the test for errors in the motion
+FALSE_ALARM = 0.01  # of the tests that compare two estimators
 NORMAL_MEDIAN = 0.6744897501960817  # median magnitude of a standard normal variable
 MOTION_ERROR = (
     1e-6  # of a column's length: smaller errors are those of interpolation
@@ -86,11 +86,11 @@ class Robust:
         settled: Change of the fitted torque, rms, over the noise at which they end.
         rounding: Noise of an exact fit over the largest torque.
         flattest: Least mean slope of the influence; less is no minimum.
-        outlying: Rms of residuals over the scale of most of them, from which on it is tried where
-            least squares was asked for, and
-        felt: rms of residuals over that of the torque, less than which models are off by anyway;
-        gain: Variance of least squares over its own at which it takes the place of that: as much as
-            four times the data give.
+        outlying: Rms of residuals over the scale of most of them from which on it is tried in place
+            of least squares,
+        felt: if the same rms is also more of the torque's than models are off by anyway.
+        gain: Variance of least squares over its own from which on it then takes that place: as much
+            as four times the data give.
         gross: Residual in standard deviations that is called gross: one of 15 000 normal ones.
     """
 

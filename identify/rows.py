@@ -137,12 +137,9 @@ def _refuse_seen(
     Of either, only every row of a number up to `SEEN_APART` may be there. The very objects that are
     fitted may be named: where nothing is to be judged.
     """
-    strides = range(1, SEEN_APART + 1)
-    fitted_runs = [
-        (r, [_runs(r, s) for s in strides]) for r in recordings if validate
-    ]
+    fitted_runs = [(r, _runs(r)) for r in recordings] if validate else []
     for held in validate:
-        thinned = [_runs(held, s) for s in strides]
+        thinned = _runs(held)
         for recording, others in fitted_runs:
             if recording is held:
                 continue
@@ -156,8 +153,11 @@ def _refuse_seen(
                 )
 
 
-def _runs(recording: Recording, stride: int) -> npt.NDArray[np.uint64]:
-    """Numbers, of positions and torques, for `SEEN_ROWS` rows so far apart, none at rest."""
+def _runs(recording: Recording) -> list[npt.NDArray[np.uint64]]:
+    """Numbers for every `SEEN_ROWS` rows of positions and torques, none at rest.
+
+    Of rows in a row first, then of every second, ..., of every `SEEN_APART`-th row.
+    """
     values = np.column_stack([recording.q, recording.tau])
     words = np.ascontiguousarray(values).view(np.uint64)
     rng = np.random.default_rng(0)
@@ -166,15 +166,18 @@ def _runs(recording: Recording, stride: int) -> npt.NDArray[np.uint64]:
         for size in (words.shape[1], SEEN_ROWS)
     )
     rows = (words * columns).sum(axis=1, dtype=np.uint64)
-    runs = [np.zeros(0, np.uint64)]
-    for first in range(stride):
-        some = rows[first::stride]
-        if len(some) >= SEEN_ROWS:
-            changes = np.append(0, np.cumsum(np.diff(some) != 0))
-            moved = changes[SEEN_ROWS - 1 :] - changes[: 1 - SEEN_ROWS]
-            moving = moved >= SEEN_ROWS / 2
-            runs.append(np.convolve(some, places, "valid")[moving])
-    return np.concatenate(runs)
+
+    def numbers(some: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+        if len(some) < SEEN_ROWS:
+            return np.zeros(0, np.uint64)
+        changes = np.append(0, np.cumsum(np.diff(some) != 0))
+        moved = changes[SEEN_ROWS - 1 :] - changes[: 1 - SEEN_ROWS]
+        return np.convolve(some, places, "valid")[moved >= SEEN_ROWS / 2]
+
+    return [
+        np.concatenate([numbers(rows[first::stride]) for first in range(stride)])
+        for stride in range(1, SEEN_APART + 1)
+    ]
 
 
 def _cutoff(harmonics_hz: float, highest: float) -> tuple[float, str]:

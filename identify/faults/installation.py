@@ -201,8 +201,9 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         best, squares = _simplest(ranked, before, case)
         if squares < SEARCH.explained * float(case.rows.sum()):
             break
-    faults = [*best.faults] if _throughout(case, best) else []
-    return faults or [*positions_beyond_limits(case)]
+    if best.faults and _throughout(case, best):
+        return [*best.faults]
+    return [*positions_beyond_limits(case)]
 
 
 def _throughout(case: TorqueFit, installation: Installation) -> bool:
@@ -212,7 +213,7 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
         log = case.log.take(rows)
         data = smooth(log)
         part = data and torque_fit(case.robot, log, data, dead)
-        if part and installation.faults:
+        if part:
             before, [judged] = _judge(part, [installation])
             allowed = before + SEARCH.fits * float(part.rows.sum())
             if judged.squares > allowed:
@@ -413,22 +414,20 @@ def _unlikeness(robot: Robot, data: Smooth) -> float:
 
     The bodies' torque counts up to a factor of each joint.
     """
-    model = rigid_body_torque(robot, data.motion)
-    return _misfit(model, data, range(robot.nv))
+    return float(_misfits(rigid_body_torque(robot, data.motion), data).mean())
 
 
-def _misfit(model: Array, data: Smooth, joints: Sequence[int]) -> float:
-    """The same for a torque of the bodies, shape (N, nv), over some joints."""
+def _misfits(model: Array, data: Smooth) -> Array:
+    """The same of each joint for a torque of the bodies, shape (N, nv); (nv,)."""
     F = data.effects
     squares = []
-    for j in joints:
+    for j in range(model.shape[1]):
         wanted, measured = without_effects(F[:, j], model[:, j], data.tau[:, j])
         along = max(float(wanted @ measured), 0.0)
         factor = along / max(float(wanted @ wanted), 1e-300)
         squares.append(float(((measured - factor * wanted) ** 2).sum()))
-    tau = data.tau[:, [*joints]]
-    whole = np.maximum((tau**2).sum(axis=0), 1e-300)
-    return float(np.log(np.maximum(squares / whole, MODEL_ERROR**2)).mean())
+    whole = np.maximum((data.tau**2).sum(axis=0), 1e-300)
+    return np.asarray(np.log(np.maximum(squares / whole, MODEL_ERROR**2)), float)
 
 
 def _nearest(
@@ -756,16 +755,18 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
     rows = int(min(SEARCH.latest, fit.log.duration / 10) * data.rate)
     lags = step * np.arange(-rows, rows + 1)
     every = tuple(range(robot.nv))
+
+    def advanced(joints: tuple[int, ...], delay: float) -> Smooth:
+        return data.remedied([Remedy("advance", "tau", joints, factor=delay)])
+
+    misfits = np.array(
+        [_misfits(model, advanced(every, lag)) for lag in lags.tolist()]
+    )
     for joints in dict.fromkeys((every, *((j,) for j in fit.joints))):
-
-        def advanced(delay: float, joints: tuple[int, ...] = joints) -> Smooth:
-            remedy = Remedy("advance", "tau", joints, factor=float(delay))
-            return data.remedied([remedy])
-
-        misfits = [_misfit(model, advanced(lag), joints) for lag in lags]
-        near = float(lags[np.argmin(misfits)])
+        near = float(lags[np.argmin(misfits[:, joints].mean(axis=1))])
         if abs(near) > LONGEST_DELAY - step:
-            delay, std = _refined_delay(fit, advanced, near, step)
+            late = partial(advanced, joints)
+            delay, std = _refined_delay(fit, late, near, step)
             if abs(delay) > LONGEST_DELAY + 2 * std:
                 fault = _late(fit.log, joints, delay, std)
                 yield _one(fit, fault, more=2 * float(np.log(len(lags))))

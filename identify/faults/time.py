@@ -130,7 +130,7 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
     """Rows that repeat all values of the row before, with a stamp of their own, in motion.
 
     A long run of them that begins in motion is a logger that stopped: no arm stops at once. So is
-    one of the torques of several joints alone, while most of its rows are in motion.
+    one of the torques of several joints alone, while a joint moves.
     """
     repeats = {
         name: np.all(np.diff(x, axis=0) == 0, axis=1) for name, x in log.channels()
@@ -143,10 +143,9 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
     stopped = (lengths >= FROZEN_ROWS) & moved[starts]
     frozen = [*zip(starts[stopped], ends[stopped], strict=True)]
     frozen += [
-        (start, end)
-        for start, end in _held_torque(log, repeats["tau"])
-        if (np.ptp(log.q[start:end], axis=0) > 20 * log.grain).any()
-        and start not in starts[stopped]
+        span
+        for span in _held_torque(log, repeats["tau"])
+        if span[0] not in starts[stopped]
     ]
     for start, end in frozen:
         rows = np.union1d(rows, np.arange(start, end) + 1)
@@ -168,12 +167,15 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
 
 
 def _held_torque(log: Log, repeats: Mask) -> Iterator[tuple[int, int]]:
-    """First and last rows over which all of several joints keep their torque, beyond chance."""
+    """First and last rows over which all of several joints keep their torque while one moves."""
     starts, lengths = run_lengths(repeats)
     longer = lengths >= max(10, 0.1 / log.step)
     by_chance = lengths[~longer].sum() > 0.01 * len(log)
-    if log.nv > 1 and not by_chance:
-        yield from zip(starts[longer], (starts + lengths)[longer], strict=True)
+    if log.nv == 1 or by_chance:
+        return
+    for start, end in zip(starts[longer], (starts + lengths)[longer], strict=True):
+        if (np.ptp(log.q[start:end], axis=0) > 20 * log.grain).any():
+            yield start, end
 
 
 def hidden_gaps(log: Log) -> Iterator[Fault]:
