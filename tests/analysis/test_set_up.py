@@ -320,11 +320,12 @@ def test_given_friction_that_is_off_is_told_and_is_no_finer_friction(ur10: Robot
     friction = [f.effect for f in diagnosis.findings if f.effect.family == "friction"]
     assert {effect.name for effect in friction} <= {"viscous_friction", "coulomb_friction"}
     assert {f.effect.family for f in diagnosis.findings} == {"friction"}
-    assert all(f.verdict == "named" for f in diagnosis.findings)
-    # what is off by less than the models' own error is not told: 2 % of a joint's torque
+    cancel = {f"it and {kind} friction mostly cancel" for kind in ("viscous", "Coulomb")}
+    assert {f.downgrade for f in diagnosis.findings if f.verdict != "named"} <= cancel
+    # what is off by less than given values may be is not told: ± 5 %, two standard deviations
     off_torque = diagnosis.holdout.error - np.sum([f.torque for f in diagnosis.findings], axis=0)
     rms = diagnosis.holdout.series.rms
-    assert (rms(off_torque) / rms(diagnosis.holdout.series.measured)).max() < 3 * 0.02
+    assert (rms(off_torque) / rms(diagnosis.holdout.series.measured)).max() < 2 * 0.05
 
 
 def test_a_clock_is_not_blamed_for_what_two_joints_do(ur10: Robot) -> None:
