@@ -196,10 +196,11 @@ def _instead(
     variances = np.diag(fit.covariance) / np.diag(robust.covariance)
     if not np.exp(np.log(variances).mean()) > ROBUST.gain:
         return fit, ""
-    moved = robust.beta - fit.beta
-    distance = float(
-        moved @ scipy.linalg.solve(fit.covariance, moved, assume_a="pos")
-    )
+    std = np.sqrt(np.diag(fit.covariance))
+    moved = (robust.beta - fit.beta) / std
+    correlation = fit.covariance / np.outer(std, std)
+    # singular but for rounding where the arm hardly moves
+    distance = float(moved @ scipy.linalg.pinvh(correlation) @ moved)
     if distance > float(scipy.special.chdtri(problem.p, FALSE_ALARM)):
         return fit, ""
     sizes = np.abs(problem.residual(robust.beta)) / robust.sigma

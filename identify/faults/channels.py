@@ -132,14 +132,18 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
 
     Of a channel that is not cut off no more samples lie exactly at the extreme value than in a
     narrow band below it, where even a smooth peak spends longer; the excess is a Poisson count.
+    Limits that some torque exceeds are no drive's.
     """
+    scatters = np.array([noise(x) for x in log.tau.T])
+    highest = np.abs(log.tau).max(axis=0) - 6 * scatters
+    kept = log.unit == "N·m" and (highest <= robot.limits.torque).all()
     for j, sign in product(range(log.nv), (1.0, -1.0)):
         moved = log.moving[:, j]
         x = sign * log.tau[:, j]
         top = float(x.max())
         step = float(log.quanta["tau"][j])
         span = float(np.ptp(x))
-        scatter = noise(x)
+        scatter = float(scatters[j])
         band = max(4 * step, 3 * scatter, 1e-6 * span)  # below the extreme value
         at = moved & (x > top - min(step / 2, 1e-9 * span))
         near = int((moved & ~at & (x > top - band)).sum())
@@ -154,7 +158,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
             limit = float(robot.limits.torque[j])
             at = x > limit - 2 * scatter
             limited = np.isfinite(limit) and scatter <= 0.05 * limit
-            if log.unit != "N·m" or not limited or top > limit + 6 * scatter:
+            if not (kept and limited):
                 continue
             if run_lengths(at)[1].max(initial=0) < _AT_EXTREME:
                 continue
@@ -224,7 +228,10 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
     """
     for name, values in log.channels():
         columns = values.T
-        codes = [(_wrapped if name == "q" else _unsigned)(x) for x in columns]
+        codes = [
+            _wrapped(x) if name == "q" else _unsigned(x) or _sign_bit(x)
+            for x in columns
+        ]
         steps = log.quanta[name]
         known = [
             code._replace(size=code.size / step)
@@ -295,6 +302,20 @@ def _wrapped(x: Array) -> _Code | None:
         off = abs(float(np.median(change[jumps])) - turn)
         if usual < turn / 8 and off < turn / 4:
             return _Code("unwrap", turn, np.zeros(0, np.intp))
+    return None
+
+
+def _sign_bit(x: Array) -> _Code | None:
+    """Values of which those beyond a bit are negative: no other crosses it in large steps alone."""
+    step = float(quantum(x))
+    for bit in step * 2.0 ** np.arange(7, 32) if x.min() >= 0 else ():
+        code = _Code("sign_bit", float(bit), np.zeros(0, np.intp))
+        crossings = np.flatnonzero(np.diff((x >= bit).astype(np.int8)))
+        if 2 <= len(crossings) <= _MOST_JUMPS * len(x):
+            changes = np.abs(np.diff(x)[crossings])
+            decoded = np.abs(np.diff(code.decode(x))[crossings])
+            if changes.min() > bit / 2 and np.median(decoded) < bit / 8:
+                return code
     return None
 
 
@@ -370,13 +391,17 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
         yield dropped(log.joints, whole, detail)
     for name, x in log.channels():
         far[name][whole] = False
-        median = _running_median(x, _MEDIAN_ROWS)
+        if not far[name].any():
+            continue
+        # of a burst the median stands apart, of a single value in motion the cubic
+        parts = [x - _running_median(x, _MEDIAN_ROWS), _distance(log.t, x)]
+        apart = max(parts, key=lambda part: np.abs(part[far[name]]).max())
         for j in np.flatnonzero(far[name].any(axis=0)):
             rows = np.flatnonzero(far[name][:, j])
             joint = log.joints[j]
-            k = int(rows[np.argmax(np.abs(x - median)[rows, j])])
+            k = int(rows[np.argmax(np.abs(apart)[rows, j])])
             value = float(x[k, j])
-            around = float(median[k, j])
+            around = value - float(apart[k, j])
             size = abs(value - around)
             least = max(noise(x[:, j]), float(log.quanta[name][j]))
             times = f", {size / least:.0f} times the noise" if least > 0 else ""
@@ -426,8 +451,17 @@ def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:
 
 
 def _apart(x: Array, r: Array) -> Mask:
-    """Whether values stand apart from the running median, which is unknown at the ends."""
+    """Whether values stand apart from the running median, which is unknown at the ends.
+
+    Friction at a reversal makes none: a value between those of two rows before and two rows after
+    is on its way, and a kink leaves the cubic by less than a step of the values beside it.
+    """
     apart = np.abs(x - _running_median(x, _MEDIAN_ROWS)) > 0.5 * np.abs(r)
+    step = np.abs(np.diff(x, axis=0))
+    slope = np.minimum(step[1:], step[:-1])
+    beside = np.maximum(slope[:-4], slope[4:])
+    apart[3:-3] &= np.abs(r[3:-3]) > beside
+    apart[2:-2] &= (x[2:-2] - x[:-4]) * (x[2:-2] - x[4:]) > 0
     reach = _MEDIAN_ROWS // 2
     apart[:reach] = False
     apart[len(x) - reach :] = False

@@ -382,6 +382,9 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
         for installation in _in_degrees(fit):
             if _is_best_factor(fit, installation.remedies[0]):
                 yield installation
+        for installation in _nearest(fit, [*_orders(fit)]):
+            if not next(positions_beyond_limits(installation.fit(fit)), None):
+                yield installation
         return
     rows = np.maximum(fit.rows, 1.0)
     squares, _ = fit.surprise(0 * fit.power, rows, fit.robot.nv - 1)

@@ -167,14 +167,20 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
 
 
 def _held_torque(log: Log, repeats: Mask) -> Iterator[tuple[int, int]]:
-    """First and last rows over which all of several joints keep their torque while one moves."""
+    """First and last rows over which all of several joints keep their torque while one moves.
+
+    It is not that of drives at their limits, which stay there too.
+    """
     starts, lengths = run_lengths(repeats)
     longer = lengths >= max(10, 0.1 / log.step)
     by_chance = lengths[~longer].sum() > 0.01 * len(log)
     if log.nv == 1 or by_chance:
         return
     for start, end in zip(starts[longer], (starts + lengths)[longer], strict=True):
-        if (np.ptp(log.q[start:end], axis=0) > 20 * log.grain).any():
+        held = log.tau[start]
+        limited = (held == log.tau.min(axis=0)) | (held == log.tau.max(axis=0))
+        moved = np.ptp(log.q[start:end], axis=0) > 20 * log.grain
+        if moved.any() and not limited.all():
             yield start, end
 
 
@@ -519,12 +525,18 @@ def _shared_slope(slopes: Array) -> float | None:
     return shared if (np.abs(slopes / shared - 1) < _MARGIN).all() else None
 
 
-def _windows(log: Log, dq: Array) -> tuple[int, Array, Array]:
-    """Rows of a window, Δq and ∫q̇ dt over windows, each of shape (windows, nv)."""
+def _windows(log: Log, dq: Array) -> tuple[Rows, Array, Array]:
+    """First rows of windows without a gap, Δq and ∫q̇ dt over them, each of shape (windows, nv)."""
     rows = min(max(_WINDOW_ROWS, round(_WINDOW_S / log.step)), len(log) // 20)
-    steps = np.diff(log.t)[:, None] * (dq[1:] + dq[:-1]) / 2
-    way = np.concatenate([np.zeros((1, dq.shape[1])), steps.cumsum(axis=0)])
-    return rows, np.diff(log.q[::rows], axis=0), np.diff(way[::rows], axis=0)
+    steps = np.diff(log.t)[:, None]
+    way = np.cumsum(steps * (dq[1:] + dq[:-1]) / 2, axis=0)
+    gaps = np.cumsum(steps > longest_step(log.step), axis=0)
+    change = np.diff(log.q[::rows], axis=0)
+    ways, broken = (
+        np.diff(x[rows - 1 :: rows], axis=0, prepend=0) for x in (way, gaps)
+    )
+    whole = broken[:, 0] == 0
+    return rows * np.flatnonzero(whole), change[whole], ways[whole]
 
 
 def _slopes(log: Log) -> tuple[Array, Array, list[int]]:
@@ -574,7 +586,7 @@ def _rate_change(log: Log) -> Fault | None:
     clear = with_two[best] <= 0.1 * with_one
     if not clear or not any(abs(after / before / r - 1) < _MARGIN for r in RATES):
         return None
-    at = float(log.t[(int(k[best]) + 1) * rows])
+    at = float(log.t[rows[k[best] + 1]])
     detail = (
         f"the sample rate changes near t = {at:.4g} s though the stamps run on: ∫dq dt is "
         f"{before:.4g} times the change of q before and {after:.4g} times after, at all moving "

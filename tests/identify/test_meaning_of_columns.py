@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_arms import Call
-from mistakes import PLANTS, READ, coupled, geared, recorded, run_of, shifted, weight, with_rows
+from mistakes import MADE, READ, coupled, geared, run_of, shifted, weight, with_rows
 
 from excitant.identify import Recording, load_dataset
 from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
@@ -161,7 +161,7 @@ def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call
 
 def test_sums_of_torques_are_not_likelier_for_being_larger(ur10: Robot) -> None:
     """A small torque and a large one, of an arm that hardly moves."""
-    log = PLANTS["hardly_moving"][1](ur10, recorded(ur10, 1), np.random.default_rng(1))
+    log = MADE["hardly_moving"][1](run_of(ur10, (3, 1, 0), off=0.03))
     assert "coupled_axes" not in {fault.fault for fault in find_faults(ur10, log)}
 
 
