@@ -37,7 +37,7 @@ from excitant.analysis.explanation import (
 )
 from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import frictionless, idle, rivals, select
-from excitant.analysis.set_up import SetUp, refined, set_up
+from excitant.analysis.set_up import SetUp, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.drive_gains import DriveGains, current_gains
@@ -224,9 +224,6 @@ def diagnose(
     if data.unit == "A":
         drive = _gains_of_bodies(train, measured)
     tau = measured * gains_of(mounted.robot, data, drive)
-    mounted = refined(mounted, data.train, tau, prior)
-    if mounted.robot is not train.robot:
-        train = observed(mounted.robot, data.train)
     if drive is not None and data.unit == "A":
         drive = _refined_gains(train, tau, prior, drive)
     gains = gains_of(mounted.robot, data, drive)

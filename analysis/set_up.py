@@ -1,40 +1,30 @@
 """Installation of an arm, amended in the model before any other cause is looked for.
 
-`excitant.identify.faults` finds it by a global search with bodies near the nominal ones. Faults of
-the data (signs, order, units, clock) are repaired; mounting and zero positions are changed in the
-model, and their angles refined by Gauss–Newton steps on all rows, each joint's own effects free and
-the nominal inertias off by `BODY_STD`.
+`excitant.identify.faults` finds it by a search with bodies near the nominal ones. Faults of the
+data (signs, order, units, clock) are repaired, mounting and zero positions changed in the model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 
-from excitant.analysis.candidates import Observed, observed
 from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
-from excitant.identify.drive_gains import BODY_STD
 from excitant.identify.faults import Fault, check_recordings
 from excitant.identify.faults.fault import INSTALLATION, PROVEN
 from excitant.identify.faults.installation import Installation
-from excitant.identify.least_squares import autocorrelation_time
-from excitant.identify.preprocessing import Segment, away_from_rest
-from excitant.identify.prior import link_coordinates, link_weights
 from excitant.identify.recording import Recording
-from excitant.identify.rows import implausible_size
 from excitant.robots.effects import (
     EFFECTS,
     Acts,
     Effect,
     Size,
     Words,
-    standard_effects,
 )
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -149,7 +139,7 @@ class SetUp:
 def set_up(
     robot: Robot, recordings: Sequence[Recording]
 ) -> tuple[SetUp, list[Recording]]:
-    """The installation that recordings show, not yet refined, and the recordings, repaired.
+    """The installation that recordings show, and the recordings, repaired.
 
     Faults of the data that leave every figure wrong are repaired, no others.
     """
@@ -163,16 +153,30 @@ def set_up(
         if (remedied := tuple(f for f in faults if f.remedies))
     }
     standing = [f for f in every if not f.remedies and f.fault not in INSTALLATION]
+    std = {
+        "gravity" if fault.fault == "wrong_mounting" else fault.joints[0]: _std(
+            fault
+        )
+        for fault in shown
+        if fault.fault in INSTALLATION
+    }
     installation = SetUp(
         robot,
         Installation(shown).robot(robot),
-        {},
+        std,
         repaired,
         found.notes,
         shown,
         tuple(dict.fromkeys(fault.detail for fault in standing)),
     )
     return installation, found.recordings
+
+
+def _std(fault: Fault) -> tuple[float, ...]:
+    """Standard deviations of an angle [rad] or of gravity [m/s²]; where unknown, of any."""
+    gravity = fault.evidence.get("gravity", np.ones(1))
+    unknown = np.full(len(gravity), np.pi * np.linalg.norm(gravity))
+    return tuple(np.atleast_1d(fault.evidence.get("std", unknown)).tolist())
 
 
 def _effect_of(fault: str, at: tuple[str, ...], joints: tuple[str, ...]) -> Effect:
@@ -182,90 +186,3 @@ def _effect_of(fault: str, at: tuple[str, ...], joints: tuple[str, ...]) -> Effe
     if fault == "wrong_zero":
         return EFFECTS["encoder_offset"](at)
     return DataFault(at, (), fault)
-
-
-def refined(
-    installation: SetUp, segments: Sequence[Segment], tau: Array, bodies: Array
-) -> SetUp:
-    """The installation with the angles that suit the torque best.
-
-    Args:
-        installation: Mounting and zero positions near those sought.
-        segments: Filtered motion.
-        tau: Torque at its rows, shape (n, nv) [N·m].
-        bodies: Nominal standard parameters, consistent, shape (nv, 10).
-    """
-    size = float(np.linalg.norm(installation.given.gravity))
-    robot = installation.robot
-    std = dict[str, tuple[float, ...]]()
-    if not robot.gravity.any():  # none has no direction
-        std["gravity"] = (0.0, 0.0, 0.0)
-    angles = [
-        effect
-        for effect in installation.effects
-        if effect.family != "static" or robot.gravity.any()
-    ]
-    if not angles:
-        return replace(installation, std=std)
-    for _ in range(8):
-        train = observed(robot, segments)
-        columns = list[Array]()
-        turns = np.zeros((3, 0))
-        for effect in angles:
-            own = train.columns(effect)
-            # of the tangents at gravity of its length
-            if effect.family == "static":
-                turns = np.linalg.svd(robot.gravity[None])[2][1:].T
-                own = own @ turns
-            columns.append(own)
-        x, covariance = _step(train, columns, tau, bodies)
-        at = 0
-        for effect, own in zip(angles, columns, strict=True):
-            part = slice(at, at + own.shape[2])
-            at = part.stop
-            block = covariance[part, part]
-            if effect.family == "static":
-                moved = robot.gravity + turns @ x[part]
-                robot = robot.with_gravity(size * moved / np.linalg.norm(moved))
-                variances = np.diag(turns @ block @ turns.T)
-                std["gravity"] = tuple(np.sqrt(variances).tolist())
-            else:
-                [joint] = effect.joints
-                robot = robot.with_zero(joint, float(x[part][0]))
-                std[joint] = (float(np.sqrt(block[0, 0])),)
-        if (np.abs(x) < 0.1 * np.sqrt(np.diag(covariance))).all():
-            break
-    return replace(installation, robot=robot, std=std)
-
-
-def _step(
-    train: Observed, columns: Sequence[Array], tau: Array, bodies: Array
-) -> tuple[Array, Array]:
-    """Least-squares change of the angles whose columns are given, and its covariance."""
-    robot = train.robot
-    usual = [train.columns(effect) for effect in standard_effects(robot.joints)]
-    own = np.concatenate(usual, axis=2)
-    links = train.links @ link_coordinates(bodies)
-    scale = implausible_size(own, tau)
-    W = np.concatenate([*columns, links, own * scale], axis=2)
-    k = sum(part.shape[2] for part in columns)
-    free = 10.0  # std [rad or m/s²] of angles that the data alone determine
-    weights = link_weights(robot.nv, BODY_STD) ** 2
-    precision = np.concatenate(
-        [np.full(k, free**-2.0), weights, np.ones(len(scale))]
-    )
-    residual = tau - train.torque()
-    counts = away_from_rest(train.segments)
-    least = 1e-9 * np.abs(tau).max()
-    x = np.zeros(W.shape[2])
-    for _ in range(2):
-        left = np.where(counts, residual - W @ x, 0.0)
-        sigma = np.sqrt((left**2).sum(axis=0) / np.maximum(counts.sum(axis=0), 1))
-        inflation = np.array([autocorrelation_time(column) for column in left.T])
-        noise = np.maximum(sigma, least) * np.sqrt(inflation)
-        A = ((W * counts[:, :, None]) / noise[:, None]).reshape(-1, W.shape[2])
-        b = (residual * counts / noise).ravel()
-        H = A.T @ A + np.diag(precision)
-        factor = scipy.linalg.cho_factor(H)
-        x = scipy.linalg.cho_solve(factor, A.T @ b)
-    return x[:k], scipy.linalg.cho_solve(factor, np.eye(len(H))[:, :k])[:k]

@@ -75,7 +75,9 @@ class Search:
     directions: int = 200
     "Directions of gravity on the first grid."
     polished: int = 3
-    "Times that gravity is refined with the noise that the last one leaves."
+    "Newton steps of what is no choice among few: an angle, gravity, a delay."
+    turn: float = 0.02
+    "Angles of their differences [rad], in which squares are parabolic to 1e-4."
     least_noise: float = 0.01
     "Noise that is assumed then at least, in parts of the torque's rms."
     step: float = np.pi / 18
@@ -172,12 +174,16 @@ class _Judged(NamedTuple):
     def rank(self) -> tuple[int, int]:
         """Sort key of those that look the same: fewest faults, order, signs, mounting, offsets."""
         faults = self.installation.faults
-        turns = faults[-1].evidence.get("offset", 0.0) / SEARCH.right
-        odd = abs(turns - round(turns)) > 1e-9  # beyond rounding
+        odd = not _is_right(faults[-1].evidence.get("offset", 0.0))
         kinds = ("wrong_order", "wrong_sign", "wrong_mounting")
         first = faults[0].fault
         place = kinds.index(first) if first in kinds else len(kinds)
         return len(faults), place + odd
+
+
+def _is_right(angle: float) -> bool:
+    turns = angle / SEARCH.right
+    return bool(abs(turns - round(turns)) < 1e-9)  # rounding
 
 
 def odds_against(robot: Robot) -> float:
@@ -202,8 +208,120 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         if squares < SEARCH.explained * float(case.rows.sum()):
             break
     if best.faults and _throughout(case, best):
-        return [*best.faults]
+        return [*_polished(case, best).faults]
     return [*positions_beyond_limits(case)]
+
+
+def _polished(case: TorqueFit, installation: Installation) -> Installation:
+    """It with the angles, gravity and delays that leave the fewest squares, each with its std.
+
+    Bodies are near the nominal ones, noise is what no bodies explain. Zero positions that are right
+    angles, which no other was better than beyond chance, stay such.
+    """
+    faults = installation.faults
+    sizes = [_freedom(fault) for fault in faults]
+    if not sum(sizes):
+        return installation
+    parts = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+    steps = np.full(sum(sizes), SEARCH.turn)
+    for fault, part in zip(faults, parts, strict=True):
+        if fault.fault == "time_delay":
+            steps[part] = 1 / case.data.rate
+    start = installation.fit(case)
+    noise = np.clip(start.power / start.size, SEARCH.least_noise**2, MODEL_ERROR**2)
+    weight = (start.rows / (noise * start.size * len(start.tau)))[start.joints]
+
+    def moved(x: Array) -> Installation:
+        pairs = zip(faults, parts, strict=True)
+        return replace(
+            installation,
+            faults=tuple(_moved(case, fault, x[part]) for fault, part in pairs),
+        )
+
+    def squares(x: Array) -> float:
+        return float(moved(x).fit(case).family(weight)(np.ones(1)))
+
+    x = np.zeros(len(steps))
+    least = squares(x)
+    for _ in range(SEARCH.polished):
+        slope, curvature = _derivatives(squares, x, steps, least)
+        if np.linalg.eigvalsh(curvature).min() <= 0:
+            return installation
+        change = np.linalg.solve(curvature, slope)
+        left = squares(x - steps * change)
+        if left >= least:
+            break
+        x = x - steps * change
+        least = left
+    dispersion = max(1.0, least / float(start.rows.sum()))
+    inverse = np.linalg.inv(curvature) * np.outer(steps, steps)
+    covariance = np.asarray(2 * dispersion * inverse, float)
+    for fault, part in zip(faults, parts, strict=True):
+        if fault.fault == "wrong_zero" and _is_right(fault.evidence["offset"]):
+            x[part] = 0.0
+    pairs = zip(faults, parts, strict=True)
+    known = [
+        _moved(case, fault, x[part], covariance[np.ix_(part, part)])
+        for fault, part in pairs
+    ]
+    return replace(installation, faults=tuple(known))
+
+
+def _derivatives(
+    f: Callable[[Array], float], x: Array, steps: Array, value: float
+) -> tuple[Array, Array]:
+    """Slope (k,) and curvature (k, k) of a function per step, by differences around its value."""
+    moves = np.diag(steps)
+    ahead = np.array([f(x + move) for move in moves])
+    behind = np.array([f(x - move) for move in moves])
+    curvature = np.diag(ahead + behind - 2 * value)
+    for i, k in itertools.combinations(range(len(steps)), 2):
+        both = f(x + moves[i] + moves[k])
+        curvature[i, k] = curvature[k, i] = both - ahead[i] - ahead[k] + value
+    return (ahead - behind) / 2, curvature
+
+
+def _freedom(fault: Fault) -> int:
+    """Number of values of a fault that are no choice among few: none has no direction."""
+    if fault.fault == "wrong_mounting":
+        return 2 * bool(np.any(fault.evidence["gravity"]))
+    return int(fault.fault in ("wrong_zero", "time_delay"))
+
+
+def _moved(
+    case: TorqueFit, fault: Fault, x: Array, covariance: Array | None = None
+) -> Fault:
+    """A fault whose offset [rad], delay [s] or gravity, turned about two axes [rad], changes by x.
+
+    With the covariance of x where that is known.
+    """
+    if not len(x):
+        return fault
+    evidence = fault.evidence
+    if fault.fault == "wrong_mounting":
+        gravity = evidence["gravity"]
+        size = np.linalg.norm(gravity)
+        turns = size * np.linalg.svd(gravity[None])[2][1:].T
+        turned = gravity + turns @ x
+        old = _mounted(case, gravity)
+        new = _mounted(case, turned * size / np.linalg.norm(turned))
+        if covariance is not None:
+            covariance = turns @ covariance @ turns.T
+    else:
+        at = [case.log.joints.index(joint) for joint in fault.joints]
+        name, told = (
+            ("offset", partial(_zero, case.log, at[0]))
+            if fault.fault == "wrong_zero"
+            else ("delay", partial(_late, case.log, at))
+        )
+        std = None if covariance is None else float(np.sqrt(covariance[0, 0]))
+        old = told(evidence[name], evidence.get("std"))
+        new = told(evidence[name] + float(x[0]), std)
+    detail = new.detail + fault.detail.removeprefix(old.detail)
+    evidence = {**evidence, **new.evidence}
+    if covariance is not None:
+        evidence["std"] = np.sqrt(np.diag(covariance)).squeeze()
+    return replace(new, detail=detail, evidence=evidence)
 
 
 def _throughout(case: TorqueFit, installation: Installation) -> bool:
@@ -280,10 +398,11 @@ def _simplest(
     likely: Sequence[_Judged], before: float, case: TorqueFit
 ) -> tuple[Installation, float]:
     """The simplest of those that look the same, which names the others, and how well it fits."""
-    bound = likely[0].odds - SEARCH.alike
-    best, *others = sorted(
-        (each for each in likely if each.odds >= bound), key=lambda each: each.rank
-    )
+    same = [each for each in likely if each.odds >= likely[0].odds - SEARCH.alike]
+    least = min(each.squares for each in same) / SEARCH.halved
+    allowed = max(least, SEARCH.fits * float(case.rows.sum()))
+    same = [each for each in same if each.squares <= allowed]
+    best, *others = sorted(same, key=lambda each: each.rank)
     *faults, last = best.installation.faults
     detail = (
         f"{last.detail}; so read, the torque is that of bodies near the given ones (sum of squares "
@@ -393,10 +512,11 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     yield from _in_degrees(fit)
     yield from _clock(fit)
     yield from _delays(fit)
-    yield from _signs(fit)
+    signs = [*_signs(fit)]
     if not is_described(fit.robot):
+        yield from signs
         return
-    yield from _nearest(fit, [*_orders(fit), *_couplings(fit)])
+    yield from _nearest(fit, [*signs, *_orders(fit), *_couplings(fit)])
     if squares > SEARCH.explained * float(rows.sum()):
         yield from _nearest(fit, [*_two_zeros(fit)])
     yield from _frames(fit)
@@ -547,10 +667,11 @@ def _two_zeros(fit: TorqueFit) -> Iterator[Installation]:
             yield _one(fit, *(_zero(fit.log, j, angle) for j, angle in places))
 
 
-def _zero(log: Log, j: int, offset: float) -> Fault:
+def _zero(log: Log, j: int, offset: float, std: float | None = None) -> Fault:
     joint = log.joints[j]
     side = "+" if offset > 0 else "−"
-    angle = f"{side} {abs(np.degrees(offset)):.3g}°"
+    known = f" ± {np.degrees(std):.2g}" if std else ""
+    angle = f"{side} {abs(np.degrees(offset)):.3g}{known}°"
     detail = f"the zero position of {joint} is off: its true angle is the reading {angle}"
     return Fault("wrong_zero", (joint,), detail, {"offset": offset})
 
@@ -747,7 +868,7 @@ def _clock(fit: TorqueFit) -> Iterator[Installation]:
 
 
 def _delays(fit: TorqueFit) -> Iterator[Installation]:
-    """Torque of all joints, or of one, late or early by more than a drive and its filters are.
+    """Torque of all joints, or of that it suits best, later or earlier than drives and filters are.
 
     Sought at nominal bodies, refined with bodies near them.
     """
@@ -765,48 +886,34 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
     misfits = np.array(
         [_misfits(model, advanced(every, lag)) for lag in lags.tolist()]
     )
-    for joints in dict.fromkeys((every, *((j,) for j in fit.joints))):
+    fall = misfits[rows] - misfits.min(axis=0)
+    latest = max(fit.joints, key=lambda j: fall[j])
+    for joints in dict.fromkeys((every, (latest,))):
         near = float(lags[np.argmin(misfits[:, joints].mean(axis=1))])
-        if abs(near) > LONGEST_DELAY - step:
-            late = partial(advanced, joints)
-            delay, std = _refined_delay(fit, late, near, step)
-            if abs(delay) > LONGEST_DELAY + 2 * std:
-                fault = _late(fit.log, joints, delay, std)
-                yield _one(fit, fault, more=2 * float(np.log(len(lags))))
-                if joints == every:
-                    return
+        if abs(near) <= LONGEST_DELAY - step:
+            continue
+        choices = 2 * float(np.log(len(lags)))
+        late = _polished(fit, _one(fit, _late(fit.log, joints, near), more=choices))
+        evidence = late.faults[0].evidence
+        std = float(evidence.get("std", np.inf))
+        if abs(evidence["delay"]) > LONGEST_DELAY + 2 * std:
+            yield late
 
 
-def _refined_delay(
-    fit: TorqueFit, advanced: Callable[[float], Smooth], near: float, step: float
-) -> tuple[float, float]:
-    """The delay, within two steps of one, that leaves the fewest squares, and its std [s]."""
-
-    def squares(delay: float) -> float:
-        late = replace(fit, data=advanced(delay))
-        return late.surprise(0 * fit.power, fit.rows, fit.robot.nv - 1)[0]
-
-    found = scipy.optimize.minimize_scalar(
-        squares, bounds=(near - 2 * step, near + 2 * step), method="bounded"
-    )
-    delay = float(found.x)
-    beside = squares(delay - step) + squares(delay + step)
-    curvature = max((beside - 2 * found.fun) / step**2, 1e-300)
-    dispersion = max(1.0, found.fun / float(fit.rows.sum()))
-    return delay, float(np.sqrt(2 * dispersion / curvature))
-
-
-def _late(log: Log, joints: Sequence[int], delay: float, std: float) -> Fault:
+def _late(
+    log: Log, joints: Sequence[int], delay: float, std: float | None = None
+) -> Fault:
     names = log.names(joints)
+    known = f" ± {1e3 * std:.2g}" if std else ""
     where = f" of {names[0]}" if len(joints) < log.nv else ""
     size = 1e3 * abs(delay)
     way, side = ("lags", "later") if delay > 0 else ("leads", "earlier")
     return Fault(
         "time_delay",
         names,
-        f"the torque{where} {way} the motion by {size:.1f} ± {1e3 * std:.2g} ms, more than a "
-        "drive and its filters",
-        {"channel": "tau", "delay": delay, "std": std},
+        f"the torque{where} {way} the motion by {size:.1f}{known} ms, more than a drive and its "
+        "filters",
+        {"channel": "tau", "delay": delay},
         f"reads the torque{where} {size:.1f} ms {side}",
         (Remedy("advance", "tau", tuple(joints), factor=delay),),
     )
@@ -823,8 +930,7 @@ def _mounting(fit: TorqueFit) -> Iterator[Installation]:
     rest = replace(motion, dq=still, ddq=still)
     pulls = [(robot.with_gravity(axis), rest) for axis in np.eye(3)]
     parts = [(robot.with_gravity(np.zeros(3)), motion), *pulls]
-    family = fit.mixed([regressor(*part) for part in parts])
-    left = family.family(_weight(fit))
+    left = fit.mixed([regressor(*part) for part in parts]).family(_weight(fit))
 
     def scaled(x: Array) -> Array:
         return np.asarray(
@@ -857,21 +963,21 @@ def _mounting(fit: TorqueFit) -> Iterator[Installation]:
         return
     starts = tried[np.argsort(of_tried, kind="stable")[:3]]
     gravity = min(map(refined, starts), key=lambda end: float(squares(end)))
-    for _ in range(SEARCH.polished):
-        power = replace(fit, robot=robot.with_gravity(gravity)).power
-        noise = np.clip(power / fit.size, SEARCH.least_noise**2, MODEL_ERROR**2)
-        weight = fit.rows / (noise * fit.size * len(fit.tau))
-        left = family.family(weight[fit.joints])
-        gravity = refined(gravity)
-    cosine = np.clip(gravity @ robot.gravity / size**2, -1, 1)
-    angle = np.degrees(np.arccos(cosine))
+    yield _one(fit, _mounted(fit, gravity))
+
+
+def _mounted(fit: TorqueFit, gravity: Array) -> Fault:
+    """The fault of an arm under another gravity than its model's [m/s²]."""
+    given = fit.robot.gravity
+    cosine = gravity @ given / np.linalg.norm(gravity) / np.linalg.norm(given)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     vector = ", ".join(f"{x:.2f}" for x in gravity)
     detail = (
         f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
         f"in the base frame, {angle:.0f}° from the given direction; give robot.yaml that gravity"
     )
-    evidence = {"gravity": gravity, "angle": angle}
-    yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
+    evidence = {"gravity": gravity, "angle": float(angle)}
+    return Fault("wrong_mounting", fit.log.joints, detail, evidence)
 
 
 def _sphere(n: int) -> Array:

@@ -9,13 +9,13 @@ from marks import slow
 from worlds_plant import Plant, perturbed
 
 from excitant.analysis.diagnosis import Diagnosis, _judged_set_up, diagnose
-from excitant.analysis.set_up import SetUp, refined, set_up
+from excitant.analysis.set_up import SetUp, set_up
 from excitant.design import random_trajectory
 from excitant.identify import Recording
-from excitant.identify.accuracy import series
-from excitant.identify.faults import find_faults, shared_installation
-from excitant.identify.prior import prior_parameters
-from excitant.identify.rows import split
+from excitant.identify.faults import find_faults, installation, shared_installation
+from excitant.identify.faults.fault import Fault, Log
+from excitant.identify.faults.installation import Installation
+from excitant.identify.faults.torque_fit import smooth, torque_fit
 from excitant.robots import Robot, load_robot
 from excitant.robots.effects import CoulombFriction, ViscousFriction
 from excitant.robots.motion import Motion
@@ -127,24 +127,21 @@ def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(
 def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: float) -> None:
     robot = bare(ur10)
     fitted, held = with_zero_off(robot, joint, angle)
-    found, amended = set_up(robot, [fitted, held])
+    found, _ = set_up(robot, [fitted, held])
     told = [(e.name, e.joints) for e in found.effects]
     assert told == [("encoder_offset", (robot.joints[joint],))]
-    data = split(amended[:1], amended[1:]).train
-    found = refined(found, data, series(data).measured, prior_parameters(robot))
     assert_zero_found(found, robot.joints[joint], angle)
 
 
 def test_a_zero_position_is_refined_where_the_torque_has_no_gravity(ur10: Robot) -> None:
-    robot, joint = bare(ur10), ur10.joints[2]
-    floating = robot.with_gravity(np.zeros(3))
-    [fitted, *_] = with_zero_off(floating, 2, 0.3)
-    data = split([fitted]).train
-    near = SetUp(robot, floating.with_zero(joint, 0.25), {}, {})
-    found = refined(near, data, series(data).measured, prior_parameters(robot))
-    assert_zero_found(found, joint, 0.3)
-    assert {effect.name for effect in found.effects} == {"gravity_direction", "encoder_offset"}
-    assert all(np.isfinite(found.std_of(effect)).all() for effect in found.effects)
+    robot = bare(ur10)
+    log = Log.of(robot, with_zero_off(robot.with_gravity(np.zeros(3)), 2, 0.3)[0])
+    case = torque_fit(robot, log, smooth(log), set())
+    none = Fault("wrong_mounting", log.joints, "", {"gravity": np.zeros(3)})
+    near = Installation((none, installation._zero(log, 2, 0.25)))
+    unmoved, zero = installation._polished(case, near).faults
+    assert unmoved is none
+    assert abs(zero.evidence["offset"] - 0.3) < min(4 * zero.evidence["std"], 0.01)
 
 
 @pytest.mark.slow
