@@ -5,7 +5,7 @@ from .discrimination_plan import plan
 from .effect_choice import choose_effects, described
 from .examination import Examination, examine
 from .fleet import Examined, Fleet, Value, compare_arms
-from .identifiability import Identifiability, analyze
+from .identifiability import Identifiability, analyze, default_noise
 from .publication import extended_publication
 from .rehearsal import Rehearsal, rehearse
 from .shown import identify_shown
@@ -23,6 +23,7 @@ __all__ = [
     "analyze",
     "choose_effects",
     "compare_arms",
+    "default_noise",
     "described",
     "diagnose",
     "examine",

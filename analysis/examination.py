@@ -207,7 +207,7 @@ class Examination(Shown):
         stated = (
             f"; for good, a file for --map: {' and '.join(maps)}" if maps else ""
         )
-        return f"--repair repairs the recordings{stated}" if faults else ""
+        return f"--repair repairs what can be repaired{stated}" if faults else ""
 
     @property
     def _lacking(self) -> list[str]:

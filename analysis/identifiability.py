@@ -334,7 +334,7 @@ def analyze(
         j for j, name in joints if moving is not None and name not in moving
     ]
     pose = np.zeros(robot.nv)
-    sigma = _default_noise(robot)
+    sigma = default_noise(robot)
     R = base.regrouping
     experiment: Experiment | None = None
     if estimate is not None:
@@ -374,13 +374,11 @@ def _contained(robot: Robot, structural: Structure) -> str:
     )
 
 
-def _default_noise(robot: Robot) -> Array:
+def default_noise(robot: Robot) -> Array:
     """Torque noise (nv,): 1 % of the limit, or 1 N·m where there is none."""
     limits = robot.limits.torque
-    usable = np.isfinite(limits) & (limits > 0)
-    sigma = np.ones(robot.nv)
-    sigma[usable] = RESOLUTION.torque_noise * limits[usable]
-    return sigma
+    stated = np.isfinite(limits) & (limits > 0)
+    return np.where(stated, RESOLUTION.torque_noise * limits, 1.0)
 
 
 def _practical(

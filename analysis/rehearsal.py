@@ -270,25 +270,22 @@ def _named(
 ) -> Item:
     """The change of the arm is named, on its joint, before anything else."""
     # a payload and other added inertia may explain the data equally well; that is no failure
-    planted = f"{plain(change.effect)} on {change.joint}"
+    planted = f"planted {plain(change.effect)} on {change.joint}"
     advice = situation.faster(change.joint)
     if not diagnosis.findings:
         return _item(
-            "diagnosis", change.joint, False, f"{planted}: no finding", advice
+            "diagnosis", change.joint, False, f"{planted}, found nothing", advice
         )
     lead = diagnosis.findings[0]
-    named = f"{lead.verdict} {_cause(lead)}"
-    if lead.rivals:
-        named += (
-            f" (or {', '.join(_cause(rival.candidate) for rival in lead.rivals)})"
-        )
+    found = [_cause(lead), *(_cause(rival.candidate) for rival in lead.rivals)]
+    named = f"found {' or '.join(found)} ({lead.verdict})"
     right = lead.effect.name == change.effect and change.joint in lead.effect.joints
     mass = EFFECTS[change.effect].family == "body"
     others = [
         r for r in lead.rivals if not (mass and r.candidate.effect.family == "body")
     ]
     passed = right and not lead.downgrade and not others
-    item = _item("diagnosis", change.joint, passed, f"{planted}: {named}", advice)
+    item = _item("diagnosis", change.joint, passed, f"{planted}, {named}", advice)
     if not right or lead.effect.values is None:
         return item
     return replace(

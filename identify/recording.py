@@ -176,7 +176,7 @@ def checked(raw: Recording) -> Recording:
     if duration < MINIMUM_DURATION:
         why = (
             f"too short: {len(raw)} samples over {duration:.3g} s, at least "
-            f"{MINIMUM_DURATION:g} s are needed"
+            f"{MINIMUM_DURATION:g} s are needed; leave it out or record longer"
         )
         raise BadRecording(raw.file, why, column=raw.columns[0])
     refuse_constant_torque(raw.tau, raw, np.ptp(raw.q, axis=0) > 0)

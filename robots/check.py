@@ -357,7 +357,7 @@ def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
         ball = np.ptp(moments) <= 1e-9 * moments[-1]
         sentence = ""
         if _in_a_row(robot, links) > 2:
-            sentence = f"have one and the same inertia ({value}), perhaps a placeholder; {advice}"
+            sentence = f"one and the same inertia ({value}), perhaps a placeholder; {advice}"
         elif (
             ball and _power_of_ten(body.mass) and _power_of_ten(float(moments[-1]))
         ):

@@ -391,17 +391,18 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
         yield dropped(log.joints, whole, detail)
     for name, x in log.channels():
         far[name][whole] = False
-        if not far[name].any():
-            continue
-        # of a burst the median stands apart, of a single value in motion the cubic
-        parts = [x - _running_median(x, _MEDIAN_ROWS), _distance(log.t, x)]
-        apart = max(parts, key=lambda part: np.abs(part[far[name]]).max())
+        # a moving joint passes its running median
+        smooth = (
+            x - _distance(log.t, x)
+            if name == "q"
+            else _running_median(x, _MEDIAN_ROWS)
+        )
         for j in np.flatnonzero(far[name].any(axis=0)):
             rows = np.flatnonzero(far[name][:, j])
             joint = log.joints[j]
-            k = int(rows[np.argmax(np.abs(apart)[rows, j])])
+            k = int(rows[np.argmax(np.abs(x - smooth)[rows, j])])
             value = float(x[k, j])
-            around = value - float(apart[k, j])
+            around = float(smooth[k, j])
             size = abs(value - around)
             least = max(noise(x[:, j]), float(log.quanta[name][j]))
             times = f", {size / least:.0f} times the noise" if least > 0 else ""
@@ -410,13 +411,20 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
                 f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g}, which is {size:.4g} from "
                 f"those around{times}"
             )
-            evidence = {"channel": name, "rows": rows, "count": len(rows)}
-            evidence |= {"value": value, "around": around}
+            evidence = {
+                "channel": name,
+                "rows": rows,
+                "count": len(rows),
+                "value": value,
+                "around": around,
+            }
             if least > 0:
                 evidence["noises"] = size / least
-            done = f"interpolates {name} of {joint} over these {len(rows)} rows"
-            remedy = Remedy("interpolate", name, (int(j),), rows)
-            yield Fault("corrupt_rows", (joint,), detail, evidence, done, (remedy,))
+            remedies = (Remedy("interpolate", name, (int(j),), rows),)
+            repair = f"interpolates {name} of {joint} there"
+            yield Fault(
+                "corrupt_rows", (joint,), detail, evidence, repair, remedies
+            )
 
 
 def _outlying(log: Log, jumps: Rows | None) -> dict[str, Mask]:

@@ -117,7 +117,8 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
     missing = int(np.round(steps[at] - 1).sum())
     k = int(at[np.argmax(steps[at])])
     detail = (
-        f"{len(at)} gaps in time, about {missing} samples missing of {len(log) + missing}; the "
+        f"{len(at)} gap{'s' * (len(at) > 1)} in time, about {missing} sample{'s' * (missing > 1)} "
+        f"missing of {len(log) + missing}; the "
         f"longest, {steps[k] * log.step:.4g} s after t = {log.t[k]:.4g} s, is {steps[k]:.3g} times "
         f"the median step of {log.step:.4g} s"
     )

@@ -86,6 +86,7 @@ def check_section(result: Check, series: Series) -> p.Section:
     """Whether somebody's trajectory keeps the limits, and how well it excites."""
     kappa = result.condition_number
     verdicts = result.verdicts
+    excited = excitation_sentence(result.persistency)
     limits = ("hold", p.GOOD) if result.holds else ("exceeded", p.POOR)
     key_figures = p.facts(
         p.Fact("Limits", limits[0], tone=limits[1]),
@@ -100,7 +101,7 @@ def check_section(result: Check, series: Series) -> p.Section:
             ("Key figures", [key_figures]),
             ("Verdicts", [p.notes([v.sentence(verdict) for verdict in verdicts])]),
             ("The arm in motion", [player(result, series)]),
-            ("Excitation", [p.notes(excitation_sentence(result.persistency))]),
+            ("Excitation", [p.notes(excited)]),
             *_motion(result, series),
         ],
         (
@@ -112,7 +113,7 @@ def check_section(result: Check, series: Series) -> p.Section:
                 "",
                 f"condition number {v.number(kappa)} ({result.columns or ''} columns)",
             ),
-            *[("", shown) for shown in _shown(result.persistency)],
+            *(("", words) for words in excited),
         ),
     )
 
@@ -135,12 +136,6 @@ def _kept_sentence(result: Check | Show) -> str:
     keeps = "keeps all limits" if result.holds else "exceeds limits"
     name = result.trajectory or "The trajectory"
     return f"{name} {keeps} of {result.robot}{_unchecked(result)}."
-
-
-def _shown(persistency: Persistency | None) -> list[str]:
-    if persistency is None:
-        return []
-    return [f"shows {persistency.shown} of {persistency.combinations} combinations"]
 
 
 def _unchecked(result: Motion) -> str:

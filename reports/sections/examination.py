@@ -120,7 +120,7 @@ def _brief(
             line = sections[verb].brief[-1 if verb == "analyze" else 0]
             lines.append((label, line[1]))
     warnings = [
-        f"{v.listing(row.where[:_FEW])}: {row.sentence}"
+        f"{v.listing(row.where)}: {row.sentence}"
         for row in result.robots.warnings
         if not row.hint
     ]

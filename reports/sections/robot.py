@@ -21,7 +21,6 @@ def robot_section(result: Robots, series: Series) -> p.Section:
     count = _count(len(joints), "joint")
     sliding = sum(not _turns(joint) for joint in joints)
     mass = v.quantity(result.mass, "kg", 4)
-    total = v.quantity(result.total_mass, "kg", 4)
     what = f"{count} ({sliding} of them sliding)" if sliding else count
     warnings = [_sentence(row) for row in result.warnings if not row.hint]
     hints = [_sentence(row) for row in result.warnings if row.hint]
@@ -60,7 +59,7 @@ def robot_section(result: Robots, series: Series) -> p.Section:
             ("Friction and drives", [_effects(result)]),
             ("Sources", [p.notes([result.sources] if result.sources else [])]),
         ],
-        (("checked", f"{count}, {total}. {verdict}"),),
+        (("checked", f"{count}, {mass} of moving links. {verdict}"),),
     )
 
 

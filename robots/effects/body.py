@@ -193,13 +193,11 @@ def _wrong_mass(
     sizes: Sequence[Size],
 ) -> str:
     [link] = effect.owners(robot)
-    mass = f"mass {sizes[0].value:+.2f} ± {sizes[0].std:.2g} kg"
-    if link == robot.links[-1] and sizes[0].value < 0:
-        return (
-            f"{link} is lighter than the model says ({mass.removeprefix('mass ')}), as if a tool "
-            "in the model were not mounted"
-        )
-    return f"The inertial parameters of {link} are wrong ({mass})"
+    mass = sizes[0].value
+    size = f"{abs(mass):.2f} ± {sizes[0].std:.2g} kg {'lighter' if mass < 0 else 'heavier'}"
+    if link == robot.links[-1] and mass < 0:
+        return f"{link} is {size} than the model says, as if a tool in the model were not mounted"
+    return f"The inertial parameters of {link} are wrong (it is {size} than the model says)"
 
 
 @registered

@@ -58,8 +58,8 @@ def fleet(
 ) -> int:
     """Many arms at many dates: each identified and diagnosed, which differ, what changes.
 
-    What is done is kept: the same command goes on where it was interrupted, and examines again only
-    what has changed.
+    What is done is kept: the same command goes on where it was interrupted, and
+    examines again only what has changed.
 
     Args:
         folders: Data sets (a robot with its recordings), or folders that hold them, at any depth.

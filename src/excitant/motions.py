@@ -212,7 +212,9 @@ def check(
     arm = checked.robot
     effects = ex.api.estimated_effects(columns, arm)
     motion = checked.evenly(ex.api.SAMPLE_HZ)
-    excited = ex.identify.persistency(arm, motion, effects)
+    excited = ex.identify.persistency(
+        arm, motion, effects, sigma=ex.analysis.default_noise(arm)
+    )
     result = checked.result()
     result |= {"trajectory": trajectory, "persistency": excited.result()}
     run.finish(result, checked.series())

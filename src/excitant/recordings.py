@@ -239,8 +239,8 @@ def go(
 ) -> int:
     """All that recordings say of a model, on one page with one verdict.
 
-    The robot as read, faults of the data, the identified model, what can be known, and what is
-    wrong with the given model.
+    The robot as read, faults of the data, the identified model, what can be known,
+    and what is wrong with the given model.
 
     Args:
         recordings: Parquet, CSV, JSON, NPZ, MAT, ROS bag or MCAP, or folders of them; all of the
