@@ -143,6 +143,9 @@ def test_what_faults_prove_wrong_is_not_published(here: Path, excitant: Any) -> 
     assert re.search("one-deg: q is in degrees.*--repair", line)
     ran = excitant("identify planar_2r one-deg.csv --validate two.csv --repair --force -o repaired")
     assert (ran.status, "(repaired)" in ran.out) == (0, True)
+    table.assign(t=np.arange(len(table))).to_csv("counted.csv", index=False)
+    refused = excitant("identify planar_2r counted.csv --cutoff 8 -o counted").err
+    assert "; what may explain it, counted: " in refused
 
 
 def test_a_dead_torque_is_not_fitted_in_silence(here: Path, excitant: Any) -> None:

@@ -864,7 +864,7 @@ def _clock(fit: TorqueFit) -> Iterator[Installation]:
         f"the time runs {factor:.3g} times too {'slow' if factor > 1 else 'fast'} for the torque: "
         f"the median step is {log.step:.4g} s, {log.step / exact:.4g} s would fit"
     )
-    yield _one(fit, slow_clock(log, exact, detail), more=odd)
+    yield _one(fit, slow_clock(log.joints, exact, detail), more=odd)
 
 
 def _delays(fit: TorqueFit) -> Iterator[Installation]:

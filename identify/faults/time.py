@@ -502,7 +502,7 @@ def velocity_faults(log: Log) -> list[Fault]:
         detail += (
             f"; q and dq agree at a step of {1 / shared:.4g} s ({shared:.4g} Hz)"
         )
-        return [slow_clock(log, shared, detail, step=1.0)]
+        return [slow_clock(log.joints, shared, detail, step=1.0)]
     if wrong and (change := _rate_change(log)) is not None:
         return [change]
     if shared is None or not of_clock or _unit_slope(shared) is not None:
@@ -515,7 +515,11 @@ def velocity_faults(log: Log) -> list[Fault]:
         f"{len(follows)} moving joints; the median step is {log.step:.4g} s, "
         f"{log.step / factor:.4g} s would fit"
     )
-    return [slow_clock(log, factor, detail, factor=shared, slopes=b, errors=error)]
+    return [
+        slow_clock(
+            log.joints, factor, detail, factor=shared, slopes=b, errors=error
+        )
+    ]
 
 
 def _shared_slope(slopes: Array) -> float | None:
@@ -604,13 +608,13 @@ def _unit_slope(slope: float) -> float | None:
 
 
 def slow_clock(
-    log: Log, factor: float, detail: str, /, **evidence: object
+    joints: tuple[str, ...], factor: float, detail: str, /, **evidence: object
 ) -> Fault:
     """The fault of a clock that runs so many times too slow."""
     done = f"divides the time by {factor:.5g}"
     remedy = Remedy("scale", "t", factor=1 / factor)
     evidence = {"factor": factor, **evidence}
-    return Fault("wrong_sample_rate", log.joints, detail, evidence, done, (remedy,))
+    return Fault("wrong_sample_rate", joints, detail, evidence, done, (remedy,))
 
 
 def _joint_fault(log: Log, j: int, slope: float, error: float) -> Fault:

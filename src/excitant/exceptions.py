@@ -136,7 +136,7 @@ def line_of(error: BaseException) -> str:
     if message is not None:
         return one_line(f"interrupted; {message or 'nothing was written'}")
     if isinstance(error, ExcitantError):
-        return str(error)
+        return "; ".join([str(error), *getattr(error, "__notes__", ())])
     if isinstance(error, OSError):
         return one_line(f"{error.filename or 'file'}: {error.strerror or error}")
     name = str(getattr(error, "name", "")).partition(".")[0]

@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from os.path import isdir, isfile
 from pathlib import Path
@@ -15,7 +16,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 import excitant as ex
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, ExcitantError
 from excitant.files import require_replaceable
 from excitant.interrupts import check
 from excitant.names import in_folder, one_line, printable
@@ -213,6 +214,16 @@ class Readings:
             "faults": [*checked.entries(), *held.entries()],
             "import": _say(notes),
         }
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Name with an error of what is computed a fault that makes every figure wrong."""
+        try:
+            yield
+        except ExcitantError as error:
+            for fault in ex.identify.proven(self.entries["faults"])[:1]:
+                error.add_note(f"what may explain it, {fault}")
+            raise
 
     def others(self, names: Sequence[str]) -> list[Recording]:
         """Further recordings beside those to fit."""

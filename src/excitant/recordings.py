@@ -248,7 +248,7 @@ def go(
     """
     dataset = part.dataset(robot, data.map)
     read = data.read(dataset, recordings)
-    with progress_bar("go") as advance:
+    with progress_bar("go") as advance, read.blamed():
         examined = ex.api.examined(
             read.robot,
             read.checked,
@@ -308,7 +308,8 @@ def identify(
         holdout = drive.torque(holdout)
     if fit.automatic:
         options["effects"] = "auto"
-    identified = fit.identified(arm, train, options | {"validate": holdout})
+    with read.blamed():
+        identified = fit.identified(arm, train, options | {"validate": holdout})
     estimate: ex.Estimate = getattr(identified, "estimate", identified)
     if fit.automatic:
         notes += ex.analysis.described(estimate.model.effects)
@@ -424,7 +425,7 @@ def diagnose(
     dataset = part.dataset(robot, data.map)
     read = data.read(dataset, recordings)
     entries = read.entries
-    with progress_bar("diagnose"):
+    with progress_bar("diagnose"), read.blamed():
         diagnosis = ex.diagnose(
             read.robot, read.fit, validate=read.holdout, cutoff=data.cutoff
         )

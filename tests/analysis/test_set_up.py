@@ -73,8 +73,7 @@ def test_no_cause_is_named_while_a_joint_is_missed(planar: Robot) -> None:
         verdicts.append({f.verdict for f in diagnosis.findings})
     assert "named" in verdicts[0]
     assert verdicts[1] == {"undecided"}
-    why = {f.downgrade for f in diagnosis.findings}
-    assert any("something impossible stands beside it: it " in reason for reason in why)
+    assert any("impossible stands beside it: it " in f.downgrade for f in diagnosis.findings)
 
 
 def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: Robot) -> None:

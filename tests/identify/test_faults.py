@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow
-from mistakes import PLANTS, Mistake, edited, recorded, scaled, with_rows
+from mistakes import PLANTS, Mistake, edited, recorded, run_of, scaled, with_rows
 
 import excitant as ex
 from excitant.exceptions import BadRecording, FaultWarning
@@ -200,6 +200,14 @@ def test_rows_of_a_fault_are_rows_of_the_file(clean: Log) -> None:
     faults = {f.fault: f for f in find_faults(PLANAR, log)}
     assert list(faults["duplicate_samples"].evidence["rows"]) == [1, 2]
     assert list(faults["corrupt_rows"].evidence["rows"]) == [602]
+
+
+def test_logs_that_count_samples_have_one_clock(read: Read) -> None:
+    """That of one joint alone does not tell its step, that of both does."""
+    both = [run_of(PLANAR, (3, 0, k)).moved(lambda j, k=k: j >= k) for k in range(2)]
+    checked = read(*(replace(log, t=np.arange(N)) for log in both), repaired=True)
+    for recording in checked.recordings:
+        assert np.median(np.diff(recording.t)) == pytest.approx(0.008, rel=0.03)
 
 
 def test_nothing_at_all_is_no_traceback(clean: Log) -> None:

@@ -86,8 +86,7 @@ def test_torque_in_another_unit_is_told_by_its_factor(
     logged: tuple[Robot, Recording], factor: float
 ) -> None:
     found = faults_after(logged, lambda _, run: replace(run, tau=factor * run.tau))
-    fault = found["wrong_unit"]
-    assert fault.channel == "tau"
+    assert found["wrong_unit"].channel == "tau"
     assert found.keys() <= {"wrong_unit", "saturation"}
 
 
@@ -109,11 +108,7 @@ def test_currents_called_torque_are_told(logged: tuple[Robot, Recording]) -> Non
         (lambda _, run: geared(run, 101.0), "wrong_unit", "leaves the joints' limits"),
         (lambda _, run: shifted(run, 1, 2), "wrong_zero", "so read"),
         (lambda _, run: coupled(run), "coupled_axes", " added, and torque is that of these axes"),
-        (
-            lambda _, run: with_rows(run, stops(len(run))),
-            "duplicate_samples",
-            "frozen from t = ",
-        ),
+        (lambda _, run: with_rows(run, stops(len(run))), "duplicate_samples", "frozen from t = "),
         (late, "time_delay", "the torque lags the motion by "),
     ],
 )
