@@ -320,7 +320,8 @@ def _moved(
     detail = new.detail + fault.detail.removeprefix(old.detail)
     evidence = {**evidence, **new.evidence}
     if covariance is not None:
-        evidence["std"] = np.sqrt(np.diag(covariance)).squeeze()
+        stds = np.sqrt(np.diag(covariance)).tolist()
+        evidence["std"] = stds if len(stds) > 1 else stds[0]
     return replace(new, detail=detail, evidence=evidence)
 
 

@@ -114,7 +114,7 @@ def test_currents_called_torque_are_told(logged: tuple[Robot, Recording]) -> Non
 )
 def test_what_the_log_means_is_named(logged, change, name, said):
     found = faults_after(logged, change)
-    assert said in found[name].detail
+    assert said in found[name].entry()["detail"]
     assert "wrong_sample_rate" not in found  # measured velocities confirm the clock
 
 
