@@ -210,6 +210,8 @@ def _remedy(fault: Fault) -> str:
     if fault.repair:
         ways = f"--repair {fault.repair}", stated
         return f"not repaired; {'; '.join(filter(None, ways))}"
+    if "gaps" in fault.evidence:
+        return "nothing to repair: the stamps are right"
     known = "state it in --map" if fault.fault == "wrong_unit" else "record again"
     return f"not repaired; {stated or known}"
 
