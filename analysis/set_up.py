@@ -143,14 +143,16 @@ def set_up(
 
     Faults of the data that leave every figure wrong are repaired, no others.
     """
-    found = check_recordings(robot, recordings, repaired=True, only=PROVEN)
+    found = check_recordings(
+        robot, recordings, repaired=True, only=PROVEN, modelled=INSTALLATION
+    )
     every = [fault for faults in found.faults.values() for fault in faults]
     of_arm = [fault for fault in every if fault.of_the_arm]
     shown = tuple({(f.fault, f.joints): f for f in of_arm}.values())
     repaired = {
         name: remedied
         for name, faults in found.faults.items()
-        if (remedied := tuple(f for f in faults if f.remedies))
+        if (remedied := tuple(filter(_is_of_the_data, faults)))
     }
     standing = [f for f in every if not f.remedies and f.fault not in INSTALLATION]
     std = {
@@ -170,6 +172,10 @@ def set_up(
         tuple(dict.fromkeys(fault.detail for fault in standing)),
     )
     return installation, found.recordings
+
+
+def _is_of_the_data(fault: Fault) -> bool:
+    return bool(fault.remedies) and fault.fault not in INSTALLATION
 
 
 def _std(fault: Fault) -> tuple[float, ...]:

@@ -21,7 +21,7 @@ import numpy as np
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import size_of
 from excitant.identify.faults import Checked, check_recordings
-from excitant.identify.parked import Parked, freed_for, parked
+from excitant.identify.parked import freed_for, parked
 from excitant.identify.reading.bags import described, is_bag
 from excitant.identify.reading.logs import (
     SUFFIXES,
@@ -290,7 +290,7 @@ def read_checked(
     *,
     without: Sequence[str] = (),
     repaired: bool = False,
-    beside: Parked | None = None,
+    beside: Checked | None = None,
     held: bool = True,
 ) -> Checked:
     """Recordings of a dataset, with their faults, and without the joints that stand in them.
@@ -300,7 +300,7 @@ def read_checked(
         names: Recordings by name; see `Dataset.recordings`.
         without: Recordings that are held out.
         repaired: Whether to repair what has a remedy; see `check_recordings`.
-        beside: Joints that stand in what is fitted; None where these recordings are.
+        beside: Recordings that are fitted; None where these are.
         held: Whether joints that are chosen and stand are held.
 
     Raises:
@@ -310,20 +310,22 @@ def read_checked(
     robot = dataset.robot
     mapping = dataset.mapping
     paths = dataset.paths(names, without=without)
-    if beside is None:
+    still = None if beside is None else beside.parked
+    known = () if beside is None else beside.of_the_arm
+    if still is None:
         others = dataset.paths(without) if without else []
         free = freed_for(robot, [*paths, *others], mapping)
     else:
-        free = beside.free
+        free = still.free
     if repaired:
         raw = [raw_recording(path, free, mapping) for path in paths]
-        checked = check_recordings(free, raw, repaired=True)
-        still = beside or parked(robot, free, checked.recordings, held)
+        checked = check_recordings(free, raw, repaired=True, known=known)
+        still = still or parked(robot, free, checked.recordings, held)
         return checked.beside(still, still.of(checked.recordings))
     recordings = read_recordings(paths, free, mapping=mapping)
-    still = beside or parked(robot, free, recordings, held)
+    still = still or parked(robot, free, recordings, held)
     moving = still.of(recordings)
-    return check_recordings(still.robot, moving).beside(still, moving)
+    return check_recordings(still.robot, moving, known=known).beside(still, moving)
 
 
 def _samples(path: Path) -> int:

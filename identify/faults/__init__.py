@@ -84,17 +84,8 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     if read is None:
         return faults
     return tuple(
-        replace(fault, map=map_of(robot, read, _stated(robot, fault)))
-        for fault in faults
+        replace(fault, map=map_of(robot, read, fault.remedies)) for fault in faults
     )
-
-
-def _stated(robot: Robot, fault: Fault) -> Sequence[Remedy]:
-    """What a map may state of a fault: its repair, or a zero position, which is the model's."""
-    if fault.fault != "wrong_zero":
-        return fault.remedies
-    j = robot.joint_index(fault.joints[0])
-    return [Remedy("offset", "q", (j,), factor=fault.evidence["offset"])]
 
 
 def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
@@ -241,24 +232,32 @@ def shared_installation(
     robot: Robot,
     recordings: Sequence[Recording],
     faults: Sequence[Sequence[Fault]],
+    known: tuple[Fault, ...] = (),
 ) -> list[tuple[Fault, ...]]:
     """Faults of each recording, with those of the arm that all recordings together support most.
+
+    First those that are known of it from others, if these support them too.
 
     An arm is installed one way: what a recording shows in which one joint moves, or a hand pushes,
     is no mounting and no zero position where the others speak against it.
     """
-    if len(recordings) == 1:
-        return [tuple(faults[0])]
     of_data = [[f for f in some if not f.of_the_arm] for some in faults]
     of_arm = [tuple(f for f in some if f.of_the_arm) for some in faults]
+
+    def gain(some: tuple[Fault, ...]) -> float:
+        pairs = zip(recordings, of_data, strict=True)
+        return sum(support(robot, each, some, others) for each, others in pairs)
+
+    if known and gain(known) > 0:
+        return [(*data, *known) for data in of_data]
+    if len(recordings) == 1:
+        return [tuple(faults[0])]
     shown = tuple[Fault, ...]()
     most = odds_against(robot)
     for some in filter(None, of_arm):
-        pairs = zip(recordings, of_data, strict=True)
-        gain = sum(support(robot, each, some, others) for each, others in pairs)
-        if gain > most:
+        if gain(some) > most:
             shown = some
-            most = gain
+            most = gain(some)
     if not shown:
         # signs and order may be those of one logger
         return [
@@ -291,6 +290,14 @@ class Checked:
             name: _at_joints(some, robot) for name, some in self.faults.items()
         }
         return replace(self, recordings=recordings, faults=faults, parked=parked)
+
+    @property
+    def of_the_arm(self) -> tuple[Fault, ...]:
+        """Faults of the arm that all recordings share."""
+        every = [
+            tuple(f for f in some if f.of_the_arm) for some in self.faults.values()
+        ]
+        return every[0] if len({*every}) == 1 else ()
 
     def entries(self) -> list[dict[str, Any]]:
         """The faults under their JSON names, each with its recording and whether it is repaired."""
@@ -335,6 +342,8 @@ def check_recordings(
     *,
     repaired: bool = False,
     only: Collection[str] = FAULTS,
+    modelled: Collection[str] = (),
+    known: tuple[Fault, ...] = (),
 ) -> Checked:
     """Recordings with their faults, repaired where that is asked for.
 
@@ -343,6 +352,8 @@ def check_recordings(
         recordings: Recordings as logged, or checked ones.
         repaired: Whether to repair what has a remedy.
         only: Faults that are looked at.
+        modelled: Faults that are left to the model.
+        known: Faults of the arm that other recordings show.
 
     Raises:
         BadRecording: A recording that cannot be used, also not after the repair.
@@ -356,7 +367,7 @@ def check_recordings(
     faults = dict[str, tuple[Fault, ...]]()
     notes = list[str]()
     usable = list[Recording]()
-    shared = shared_installation(robot, exchanged, _with_one_clock(alone))
+    shared = shared_installation(robot, exchanged, _with_one_clock(alone), known)
     for recording, mine in zip(exchanged, shared, strict=True):
         name = recording.name
         among = [found[name] for found in (copies, swaps) if name in found]
@@ -372,10 +383,11 @@ def check_recordings(
                 )
         # what was not read from a file has no columns to name, and was believed
         from_file = bool(recording.columns)
-        if not any(fault.remedies for fault in faults[name]):
+        repairable = [f for f in faults[name] if f.fault not in modelled]
+        if not any(fault.remedies for fault in repairable):
             usable.append(checked(recording) if from_file else recording)
             continue
-        better, done = repair(recording, faults[name])
+        better, done = repair(recording, repairable)
         notes += [f"{name}: {sentence}" for sentence in done]
         usable.append(checked(better) if from_file else better)
         open_faults = tuple(fault for fault in faults[name] if not fault.remedies)

@@ -26,6 +26,7 @@ import scipy
 from excitant.identify.drive_gains import without_effects
 from excitant.identify.faults.fault import (
     ALARM,
+    INSTALLATION,
     Fault,
     Log,
     Remedy,
@@ -121,8 +122,13 @@ class Installation:
 
     @property
     def remedies(self) -> list[Remedy]:
-        """What makes the log one of the model's columns."""
-        return [remedy for fault in self.faults for remedy in fault.remedies]
+        """What makes the log one of the model's columns; the model itself is moved by `robot`."""
+        return [
+            remedy
+            for fault in self.faults
+            if fault.fault not in INSTALLATION
+            for remedy in fault.remedies
+        ]
 
     def robot(self, robot: Robot) -> Robot:
         """The robot mounted and zeroed, its inertias in the frames, as it says."""
@@ -674,7 +680,11 @@ def _zero(log: Log, j: int, offset: float, std: float | None = None) -> Fault:
     known = f" ± {np.degrees(std):.2g}" if std else ""
     angle = f"{side} {abs(np.degrees(offset)):.3g}{known}°"
     detail = f"the zero position of {joint} is off: its true angle is the reading {angle}"
-    return Fault("wrong_zero", (joint,), detail, {"offset": offset})
+    done = f"adds {np.degrees(offset):.4g}° to q of {joint}"
+    remedy = Remedy("offset", "q", (j,), factor=offset)
+    return Fault(
+        "wrong_zero", (joint,), detail, {"offset": offset}, done, (remedy,)
+    )
 
 
 def _in_degrees(fit: TorqueFit) -> Iterator[Installation]:

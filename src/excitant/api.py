@@ -667,7 +667,9 @@ def go(
     parked, fit, holdout = as_recorded(robot, recordings, validate)
     arm = parked.robot
     checked = identify.check_recordings(arm, fit, repaired=repair)
-    held = identify.check_recordings(arm, holdout, repaired=repair)
+    held = identify.check_recordings(
+        arm, holdout, repaired=repair, known=checked.of_the_arm
+    )
     notes = (*parked.notes, *checked.notes, *held.notes)
     return examined(
         arm, checked, held, cutoff=cutoff, progress=progress, notes=notes

@@ -178,7 +178,7 @@ class Data:
         judging = ex.identify.Checked([], {})
         if validate:
             judging = ex.identify.read_checked(
-                dataset, validate, repaired=self.repair, beside=checked.parked
+                dataset, validate, repaired=self.repair, beside=checked
             )
         return Readings(dataset, checked, judging)
 

@@ -223,8 +223,7 @@ def test_a_file_that_is_refused_can_be_read_with_repair(clean: Log, read: Read) 
     checked = read(log, repaired=True)
     entries = {(entry["recording"], entry["fault"]) for entry in checked.entries()}
     assert entries == {("run0", "duplicate_samples"), ("run0", "wrong_sign")}
-    turned = "{sign: {dq: {joint1: -1}}}"
-    assert {entry["map"] for entry in checked.entries()} == {None, turned}
+    assert {entry["map"] for entry in checked.entries()} == {None, "{sign: {dq: {joint1: -1}}}"}
     assert (len(checked.notes), len(checked.recordings[0])) == (2, N)
 
 
@@ -312,8 +311,7 @@ def test_a_clock_that_starts_anew_is_a_cut(clean: Log, read: Read, later: float)
     checked = read(both, repaired=True)
     overlap = later > -clean.t[-1]  # else sorting puts the second run before the first
     assert any(f"2 parts at row {N}" in note for note in checked.notes) == overlap
-    faults = {entry["fault"] for entry in checked.entries()}
-    assert ("dropped_samples" in faults) == (not overlap)
+    assert ("dropped_samples" in {entry["fault"] for entry in checked.entries()}) == (not overlap)
     (repaired,) = checked.recordings
     runs = (clean, second) if overlap else (second, clean)
     np.testing.assert_array_equal(repaired.q, np.concatenate([run.q for run in runs]))

@@ -136,8 +136,7 @@ def test_what_rests_on_drive_gains_carries_their_uncertainty(ur10, nominal):
     drive = current.drive
     assert drive is not None
     assert 0.05 < drive.scale_std < 0.3
-    result = current.result()
-    assert result["drive_gain_std_Nm_per_A"] == drive.std.tolist()
+    assert current.result()["drive_gain_std_Nm_per_A"] == drive.std.tolist()
     assert (drive.std >= drive.scale_std * drive.gains).all()
     ours, theirs = by_name(current), by_name(torque)
     for name in (f"{joint}.Fv" for joint in ur10.joints[:5]):

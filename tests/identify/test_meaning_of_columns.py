@@ -8,7 +8,7 @@ import pytest
 from known_arms import Call
 from mistakes import MADE, READ, coupled, geared, run_of, shifted, weight, with_rows
 
-from excitant.identify import Recording, load_dataset
+from excitant.identify import Recording, faults, load_dataset
 from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
 from excitant.identify.faults.fault import OF_THE_ARM, Log
 from excitant.identify.faults.torque_fit import TorqueFit, smooth, torque_fit
@@ -184,17 +184,21 @@ def test_torque_that_is_late_is_read_later(logged: tuple[Robot, Recording]) -> N
     repaired, _ = repair(run, [fault])
     assert repaired.t[-1] == pytest.approx(run.t[-1] - 0.08, abs=0.01)
     at = np.array([np.interp(repaired.t + 0.08, run.t, tau) for tau in run.tau.T]).T
-    error = (repaired.tau - at).std(axis=0)
-    assert (error < 0.1 * run.tau.std(axis=0)).all()
+    assert ((repaired.tau - at).std(axis=0) < 0.1 * run.tau.std(axis=0)).all()
     # drives and their filters take as long
     assert not find_faults(robot, late(robot, recording, 0.02))
 
 
 def test_zero_positions_of_two_joints_are_told_together(logged: tuple[Robot, Recording]) -> None:
     robot, recording = logged
-    faults = find_faults(robot, shifted(recording, 1, 2))
-    offsets = {f.joints[0]: f.evidence["offset"] for f in faults if f.fault == "wrong_zero"}
+    log = shifted(recording, 1, 2)
+    found = find_faults(robot, log)
+    offsets = {f.joints[0]: f.evidence["offset"] for f in found if f.fault == "wrong_zero"}
     assert offsets == pytest.approx({robot.joints[1]: -np.pi / 2, robot.joints[2]: np.pi / 2})
+    np.testing.assert_allclose(repair(log, found)[0].q, recording.q, atol=1e-9)
+    brief = log.take(slice(300))  # alone it tells nothing
+    assert faults.shared_installation(robot, [brief], [()], found) == [found]
+    assert faults.shared_installation(robot, [recording], [()], found) == [()]
 
 
 def test_a_coupled_wrist_is_uncoupled(logged: tuple[Robot, Recording]) -> None:

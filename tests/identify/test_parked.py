@@ -126,8 +126,7 @@ def test_it_is_not_held_in_two_places_nor_where_its_channel_is_dead(save: Save) 
     parked, _, _ = as_recorded("arm.urdf", [one, two])
     assert parked.robot.joints == NAMES
     assert "joint3 stands at 0.4 rad in table 1, at -0.2 rad in table 2" in parked.notes[0]
-    dead = moving.assign(q3=0.4)
-    assert as_recorded("arm.urdf", dead)[0].robot.joints == NAMES
+    assert as_recorded("arm.urdf", moving.assign(q3=0.4))[0].robot.joints == NAMES
     parked, [run], [] = as_recorded("arm.urdf", one.assign(tau3=0.0))
     assert (parked.robot.joints, run.nv) == (NAMES[:2], 2)
 
