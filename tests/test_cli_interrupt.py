@@ -163,8 +163,7 @@ def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
         "excitant.__main__.run()\n"
     )
     done = ran_amid(code, tmp_path, "demo", "--robot", "planar_2r", "-o", "out")
-    line = "excitant: interrupted; nothing was written\n"
-    assert (done.returncode, done.stderr) == (130, line)
+    assert (done.returncode, done.stderr) == (130, "excitant: interrupted; nothing was written\n")
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
 
 

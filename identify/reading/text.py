@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -27,8 +27,14 @@ _SEPARATORS = ("\t", ";", "|", ",", " ")
 _LONGEST = 1 << 20  # characters of a line
 _HEAD = 1 << 18  # bytes that show how the file is written
 _POINT = re.compile(
-    r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE
+    r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE
 )
+_NUMBER = rf"(?:{_POINT.pattern})"
+_VECTOR = re.compile(
+    rf"[\[(]\s*{_NUMBER}(?:[\s,;]+{_NUMBER})*\s*[\])]|{_NUMBER}(?:\s+{_NUMBER})+",
+    _POINT.flags,
+)
+"""Several numbers in a cell, as arrays are printed."""
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
 _CLOCK = re.compile(r"\d:\d\d")  # in cells that hold a time of day
 _CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
@@ -45,11 +51,18 @@ class _Dialect:
     decimal: str
     # of the columns; numbers from 0 where there is no header
     names: tuple[str, ...]
+    # where each is: its cell of a row, and which of several numbers there
+    places: tuple[tuple[int, int | None], ...]
     skipped: int  # lines before the first row
     quoted: bool = False
     cut: bool = False  # the file ends within a line
     # joints' names, where columns hold them
     labels: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def width(self) -> int:
+        """Number of cells of a row."""
+        return self.places[-1][0] + 1
 
 
 def text_table(path: Path) -> Table:
@@ -60,9 +73,12 @@ def text_table(path: Path) -> Table:
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         import pandas as pd  # here only: it takes long to import
 
-        kept = [
-            k for k, key in enumerate(keys) if columns is None or key in columns
-        ]
+        kept = {
+            key: place
+            for key, place in zip(keys, dialect.places, strict=True)
+            if columns is None or key in columns
+        }
+        asked = sorted({k for k, _ in kept.values()})
         with io.TextIOWrapper(opened(path), dialect.encoding, "replace") as stream:
             lines: Any = _Lines(
                 stream, dialect, str(path), MOST if rows is None else math.inf
@@ -75,8 +91,8 @@ def text_table(path: Path) -> Table:
                     sep=r"\s+" if dialect.separator == " " else dialect.separator,
                     decimal=dialect.decimal,
                     header=None,
-                    names=list(range(len(dialect.names))),
-                    usecols=kept,
+                    names=list(range(dialect.width)),
+                    usecols=asked,
                     index_col=False,
                     quoting=csv.QUOTE_MINIMAL if dialect.quoted else csv.QUOTE_NONE,
                     skipinitialspace=True,
@@ -87,7 +103,12 @@ def text_table(path: Path) -> Table:
                     for part in parts:
                         if dialect.decimal == ",":
                             _write_points(part)
-                        yield {keys[k]: cells(part[k]) for k in kept}
+                        yield {
+                            key: cells(
+                                part[k] if i is None else _numbers(part[k], i)
+                            )
+                            for key, (k, i) in kept.items()
+                        }
             except (ValueError, OSError, OverflowError) as error:
                 raise lines.refusal or unreadable(path, error) from None
 
@@ -98,6 +119,12 @@ def text_table(path: Path) -> Table:
         dialect.labels,
         (_CUT,) if dialect.cut else (),
     )
+
+
+def _numbers(column: pd.Series, which: int) -> pd.Series:
+    """One of several numbers in each cell."""
+    found: pd.Series = column.astype(str).str.findall(_NUMBER, _POINT.flags)
+    return found.str.get(which).astype(float)
 
 
 def _write_points(frame: pd.DataFrame) -> None:
@@ -153,7 +180,7 @@ class _Lines:
 
     def _is_row(self, line: str) -> bool:
         separator = self._dialect.separator
-        expected = len(self._dialect.names)
+        expected = self._dialect.width
         cut = self._dialect.cut and not line.endswith("\n")
         if line.isspace() or line.startswith(_COMMENTS) or cut:
             return False
@@ -183,10 +210,15 @@ def _dialect_of(path: Path) -> _Dialect:
     """
     encoding, text, cut = _head(path)
     lines = text.splitlines()
-    for separator in _SEPARATORS:
-        first = _first_row(lines, separator)
-        if first is not None:
-            return _dialect_from(lines, first, separator, encoding, cut)
+    # a space between numbers is rather a separator, if that suits the names
+    possible = [
+        (first, separator, vectors)
+        for vectors, separator in product((False, True), _SEPARATORS)
+        if (first := _first_row(lines, separator, vectors)) is not None
+    ]
+    named = [each for each in possible if _header(lines[: each[0]], each[1])]
+    for first, separator, vectors in (named or possible)[:1]:
+        return _dialect_from(lines, first, separator, encoding, cut, vectors)
     header = next((line for line in lines if line.strip()), "")
     separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
     names = _cells(header, separator)
@@ -194,13 +226,20 @@ def _dialect_of(path: Path) -> _Dialect:
         why = "no line of names followed by numbers"
         advice = "give a table with named columns"
         raise BadRecording(path, f"cannot be read ({why}); {advice}")
-    return _Dialect(encoding, separator, ".", tuple(names), lines.index(header) + 1)
+    places = tuple((k, None) for k in range(len(names)))
+    after = lines.index(header) + 1
+    return _Dialect(encoding, separator, ".", tuple(names), places, after)
 
 
 def _dialect_from(
-    lines: Sequence[str], first: int, separator: str, encoding: str, cut: bool
+    lines: Sequence[str],
+    first: int,
+    separator: str,
+    encoding: str,
+    cut: bool,
+    vectors: bool,
 ) -> _Dialect:
-    """Format of a table whose first row of numbers is known."""
+    """Format of a table whose first row of numbers is known, and whether cells hold several."""
     shown = lines[first : first + 200]
     rows = [_cells(x, separator) for x in shown if not x.startswith(_COMMENTS)]
     cells = [cell for row in rows for cell in row]
@@ -218,8 +257,27 @@ def _dialect_from(
             labels[int(match[1])] = label
     decimal = "," if commas > points else "."
     quoted = '"' in shown[0]
+    expanded = list[str]()
+    places = list[tuple[int, int | None]]()
+    for k, name in enumerate(names):
+        cell = rows[0][k] if k < len(rows[0]) else ""
+        if vectors and _VECTOR.fullmatch(cell):
+            count = len(re.findall(_NUMBER, cell, _POINT.flags))
+            expanded += [f"{name}[{i}]" for i in range(count)]
+            places += [(k, i) for i in range(count)]
+        else:
+            expanded.append(name)
+            places.append((k, None))
     return _Dialect(
-        encoding, separator, decimal, tuple(names), first, quoted, cut, labels
+        encoding,
+        separator,
+        decimal,
+        tuple(expanded),
+        tuple(places),
+        first,
+        quoted,
+        cut,
+        labels,
     )
 
 
@@ -267,11 +325,13 @@ def _is_number(cell: str) -> bool:
     return bool(_POINT.fullmatch(cell) or _COMMA.fullmatch(cell))
 
 
-def _first_row(lines: Sequence[str], separator: str) -> int | None:
+def _first_row(lines: Sequence[str], separator: str, vectors: bool) -> int | None:
     """The first line of mostly numbers, when the names before it are as many."""
     for k, line in enumerate(lines):
         cells = _cells(line, separator)
         numbers = sum(map(_is_number, cells))
+        if vectors:
+            numbers += sum(bool(_VECTOR.fullmatch(cell)) for cell in cells)
         if (
             line.startswith(_COMMENTS)
             or len(cells) < 2

@@ -280,8 +280,7 @@ def test_without_friction_of_all_joints_the_error_is_the_given_models(frictionle
 
 def test_nothing_within_two_standard_deviations_is_a_finding(frictionless: Diagnosis) -> None:
     for f in frictionless.findings:
-        size = np.abs(np.array(f.effect.values) - f.nominal)
-        assert (size > 2 * np.array(f.std)).any()
+        assert (np.abs(np.array(f.effect.values) - f.nominal) > 2 * np.array(f.std)).any()
 
 
 @pytest.mark.parametrize("seed", [6, slow(7)])

@@ -150,8 +150,7 @@ def test_robust_regression_withstands_wrong_torques() -> None:
     """5 % of the torques are off by 20 standard deviations, all to one side."""
 
     def make(rng: np.random.Generator, share: float) -> Problem:
-        wrong = 20 * SIGMA * (rng.random((N, NV)) < share)
-        return problem(columns(), measured(rng, 0.0) + wrong)
+        return problem(columns(), measured(rng, 0.0) + 20 * SIGMA * (rng.random((N, NV)) < share))
 
     (error, std), (plain, _) = draws(("irls", "wls"), lambda rng: make(rng, 0.05), 30)
     (clean, _), (best, _) = draws(("irls", "wls"), lambda rng: make(rng, 0.0), 30)

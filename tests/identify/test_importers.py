@@ -173,6 +173,15 @@ def test_separators_and_decimal_signs(separator: str, decimal: str, load: Call) 
     same(load(EXACT, sep=separator, decimal=decimal, quoting=int(quoted)))
 
 
+@pytest.mark.parametrize("form", ["{} {}", "[{}, {}]", "({},{})", "[{} {}]"])
+def test_numbers_of_all_joints_in_a_cell(form: str, load: Call) -> None:
+    start, between, end = form.split("{}")  # as arrays are printed
+    columns: Columns = {"t": T}
+    for name, x in zip(KEYS, (Q, DQ, TAU), strict=True):
+        columns[name] = [start + between.join(map(repr, row.tolist())) + end for row in x]
+    same(load(pd.DataFrame(columns)))
+
+
 def test_comments_preambles_units_and_marks_of_encoding(load: Call, log: Path) -> None:
     """Units stand in a row of their own, as data loggers export."""
     scaled = table("t", "q{}", "dq{}", "tau{}", first=1, scale=(1e3, DEG, 30 / np.pi, 1e3))

@@ -322,8 +322,7 @@ def test_noise_is_found_and_what_is_fused_beats_either(bits: int, speed: float) 
     assert re.search(r"speeds count more above \[Hz\] a [\d.]+, b [\d.]+$", said)
     crossover = speed / (2 * np.pi * step / np.sqrt(12))
     np.testing.assert_allclose(sensors.crossover_hz, crossover, rtol=0.4)
-    way = np.cumsum(dq, axis=0) / FAST
-    assert (error(found) < 1.1 * np.minimum(error(q), error(way))).all()
+    assert (error(found) < 1.1 * np.minimum(error(q), error(np.cumsum(dq, axis=0) / FAST))).all()
 
 
 def test_speeds_that_are_perfect_change_nothing_but_noise() -> None:

@@ -74,8 +74,7 @@ def test_one_joint_at_a_time_as_in_the_papers_offline_procedure(toggling: bool) 
     assert not found.refusal
     for each in both:
         assert (np.abs(friction(each) - TRUTH.Fc) < 0.02).all()
-    ratio = both[0].validate.rms / both[1].validate.rms
-    assert (np.abs(ratio - 1) < 0.03).all()
+    assert (np.abs(both[0].validate.rms / both[1].validate.rms - 1) < 0.03).all()
 
 
 def test_a_reading_that_toggles_has_no_direction() -> None:
