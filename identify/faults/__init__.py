@@ -45,9 +45,9 @@ from excitant.identify.faults.stated import map_of
 from excitant.identify.faults.time import (
     gap_faults,
     repeated_rows,
-    slow_clock,
     stamp_faults,
     velocity_faults,
+    with_one_clock,
 )
 from excitant.identify.faults.torque_fit import smooth, torque_fit
 from excitant.identify.recording import Recording, checked
@@ -203,31 +203,6 @@ def find_swapped(
     return exchanged, faults
 
 
-def _with_one_clock(
-    faults: Sequence[Sequence[Fault]],
-) -> list[tuple[Fault, ...]]:
-    """Faults of each recording; those that count samples take the steps that some of them show."""
-    known = [
-        fault.evidence["factor"]
-        for some in faults
-        for fault in some
-        if "step" in fault.evidence and fault.remedies
-    ]
-    if not known or max(known) > 1.05 * min(known):  # two clocks, beyond chance
-        return [tuple(some) for some in faults]
-    factor = float(np.median(known))
-    others = f"; a step is {1 / factor:.4g} s in others that count them"
-    return [
-        tuple(
-            slow_clock(fault.joints, factor, fault.detail + others, step=1.0)
-            if "step" in fault.evidence and not fault.remedies
-            else fault
-            for fault in some
-        )
-        for some in faults
-    ]
-
-
 def shared_installation(
     robot: Robot,
     recordings: Sequence[Recording],
@@ -255,9 +230,10 @@ def shared_installation(
     shown = tuple[Fault, ...]()
     most = odds_against(robot)
     for some in filter(None, of_arm):
-        if gain(some) > most:
+        supported = gain(some)
+        if supported > most:
             shown = some
-            most = gain(some)
+            most = supported
     if not shown:
         # signs and order may be those of one logger
         return [
@@ -367,7 +343,7 @@ def check_recordings(
     faults = dict[str, tuple[Fault, ...]]()
     notes = list[str]()
     usable = list[Recording]()
-    shared = shared_installation(robot, exchanged, _with_one_clock(alone), known)
+    shared = shared_installation(robot, exchanged, with_one_clock(alone), known)
     for recording, mine in zip(exchanged, shared, strict=True):
         name = recording.name
         among = [found[name] for found in (copies, swaps) if name in found]

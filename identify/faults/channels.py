@@ -228,11 +228,11 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
     """
     for name, values in log.channels():
         columns = values.T
-        codes = [
-            _wrapped(x) if name == "q" else _unsigned(x) or _sign_bit(x)
-            for x in columns
-        ]
         steps = log.quanta[name]
+        codes = [
+            _wrapped(x) if name == "q" else _unsigned(x) or _sign_bit(x, step)
+            for x, step in zip(columns, steps, strict=True)
+        ]
         known = [
             code._replace(size=code.size / step)
             for code, step in zip(codes, steps, strict=True)
@@ -305,9 +305,8 @@ def _wrapped(x: Array) -> _Code | None:
     return None
 
 
-def _sign_bit(x: Array) -> _Code | None:
+def _sign_bit(x: Array, step: float) -> _Code | None:
     """Values of which those beyond a bit are negative: no other crosses it in large steps alone."""
-    step = float(quantum(x))
     for bit in step * 2.0 ** np.arange(7, 32) if x.min() >= 0 else ():
         code = _Code("sign_bit", float(bit), np.zeros(0, np.intp))
         crossings = np.flatnonzero(np.diff((x >= bit).astype(np.int8)))

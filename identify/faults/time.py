@@ -617,6 +617,31 @@ def slow_clock(
     return Fault("wrong_sample_rate", joints, detail, evidence, done, (remedy,))
 
 
+def with_one_clock(
+    faults: Sequence[Sequence[Fault]],
+) -> list[tuple[Fault, ...]]:
+    """Faults of each recording; those that count samples take the steps that some of them show."""
+    known = [
+        fault.evidence["factor"]
+        for some in faults
+        for fault in some
+        if "step" in fault.evidence and fault.remedies
+    ]
+    if not known or max(known) > (1 + _MARGIN) * min(known):
+        return [tuple(some) for some in faults]
+    factor = float(np.median(known))
+    others = f"; a step is {1 / factor:.4g} s in others that count them"
+    return [
+        tuple(
+            slow_clock(fault.joints, factor, fault.detail + others, step=1.0)
+            if "step" in fault.evidence and not fault.remedies
+            else fault
+            for fault in some
+        )
+        for some in faults
+    ]
+
+
 def _joint_fault(log: Log, j: int, slope: float, error: float) -> Fault:
     """The wrong unit or sign of one joint's velocity or position."""
     joint = log.joints[j]

@@ -103,9 +103,15 @@ def text_table(path: Path) -> Table:
                     for part in parts:
                         if dialect.decimal == ",":
                             _write_points(part)
+                        several = {
+                            k: _numbers(part[k])
+                            for k in {k for k, i in kept.values() if i is not None}
+                        }
                         yield {
                             key: cells(
-                                part[k] if i is None else _numbers(part[k], i)
+                                part[k]
+                                if i is None
+                                else several[k].str.get(i).astype(float)
                             )
                             for key, (k, i) in kept.items()
                         }
@@ -121,10 +127,9 @@ def text_table(path: Path) -> Table:
     )
 
 
-def _numbers(column: pd.Series, which: int) -> pd.Series:
-    """One of several numbers in each cell."""
-    found: pd.Series = column.astype(str).str.findall(_NUMBER, _POINT.flags)
-    return found.str.get(which).astype(float)
+def _numbers(column: pd.Series) -> pd.Series:
+    """The several numbers of each cell, as text."""
+    return column.astype(str).str.findall(_NUMBER, _POINT.flags)
 
 
 def _write_points(frame: pd.DataFrame) -> None:
@@ -211,13 +216,15 @@ def _dialect_of(path: Path) -> _Dialect:
     encoding, text, cut = _head(path)
     lines = text.splitlines()
     # a space between numbers is rather a separator, if that suits the names
-    possible = [
-        (first, separator, vectors)
-        for vectors, separator in product((False, True), _SEPARATORS)
-        if (first := _first_row(lines, separator, vectors)) is not None
-    ]
-    named = [each for each in possible if _header(lines[: each[0]], each[1])]
-    for first, separator, vectors in (named or possible)[:1]:
+    unnamed = list[tuple[int, str, bool]]()
+    for vectors, separator in product((False, True), _SEPARATORS):
+        first = _first_row(lines, separator, vectors)
+        if first is None:
+            continue
+        if _header(lines[:first], separator):
+            return _dialect_from(lines, first, separator, encoding, cut, vectors)
+        unnamed.append((first, separator, vectors))
+    for first, separator, vectors in unnamed[:1]:
         return _dialect_from(lines, first, separator, encoding, cut, vectors)
     header = next((line for line in lines if line.strip()), "")
     separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
