@@ -15,13 +15,15 @@ import html
 import json
 import os
 import re
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import ChainMap
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 from excitant.exceptions import BadRobot, ExcitantError, UnknownName
 from excitant.files import read_text
@@ -82,10 +84,16 @@ def urdf_from_xacro(
         packages: Folders in which ``$(find name)`` looks: the package itself, or a folder that
             holds it. Folders around the file are searched without being named.
     """
-    folders = [str(folder) for folder in packages]
-    task = (str(path), dict(arguments), folders)
+    folders = list(map(str, packages))
     try:
-        answer = in_child(process, *task, seconds=SECONDS, memory=MEMORY)
+        answer = in_child(
+            process,
+            str(path),
+            dict(arguments),
+            folders,
+            seconds=SECONDS,
+            memory=MEMORY,
+        )
     except Exceeded as error:
         why = f"this xacro file {error}, perhaps in macros that call one another"
         raise BadRobot(path, why) from None
@@ -108,14 +116,14 @@ def process(
     reading = _Reading(Path(path), dict(arguments), packages)
     try:
         root = reading.document(path)
-        built = ET.Element(root.tag)
+        built = Element(root.tag)
         with reading.inside(path):
             reading.build(root, built, _Scope())
         if built.find("link") is None:
             why = "if it only defines macros, give the file that calls them"
             raise BadRobot(path, f"this xacro file builds no links; {why}")
         answer = {
-            "urdf": ET.tostring(built, encoding="unicode"),
+            "urdf": tostring(built, encoding="unicode"),
             "notes": reading.notes,
             "declared": sorted(reading.declared),
         }
@@ -131,65 +139,53 @@ def process(
 class _Macro:
     """A macro: its parameters with their defaults, blocks marked by ``*``, and what it builds."""
 
-    parameters: Mapping[str, _Default | None]
-    body: ET.Element
+    parameters: Mapping[str, _Default]
+    body: Element
 
 
 @dataclass(frozen=True)
 class _Default:
     """Default of a parameter: the caller's property of the same name where ``forward``, or text."""
 
-    forward: bool
-    text: str | None
+    forward: bool = False
+    text: str | None = None
 
 
-@dataclass
-class _Scope:
-    """Properties, macros and namespaces that are visible at one place of a file."""
+class _Scope(ChainMap[str, Any]):
+    """What is visible at one place of a file, and what is around it.
 
-    parent: _Scope | None = None
-    is_namespace: bool = False
-    properties: dict[str, Any] = field(default_factory=dict)
-    unevaluated: set[str] = field(default_factory=set)
-    macros: dict[str, _Macro] = field(default_factory=dict)
-    namespaces: dict[str, _Scope] = field(default_factory=dict)
+    Properties by their names, blocks as ``*name`` and ``**name``, macros as ``xacro:name``,
+    namespaces, which are scopes, as ``name.``.
+    """
 
-    def chain(self) -> Iterator[_Scope]:
-        """The scope and those around it."""
-        scope: _Scope | None = self
-        while scope is not None:
-            yield scope
-            scope = scope.parent
-
-    def owner(self, name: str) -> _Scope:
-        """The nearest scope with a property of a name; KeyError without any."""
-        for scope in self.chain():
-            if name in scope.properties:
-                return scope
-        raise KeyError(name)
-
-    def __contains__(self, name: str) -> bool:
-        return any(name in scope.properties for scope in self.chain())
+    def __init__(
+        self, parent: _Scope | None = None, is_namespace: bool = False
+    ) -> None:
+        super().__init__({}, *(() if parent is None else parent.maps))
+        self.parent = self if parent is None else parent
+        self.is_namespace = is_namespace
 
     def caller(self) -> _Scope:
         """The scope around that of a macro, namespaces left out."""
-        around = list(self.chain())[1:] or [self]
-        if self.is_namespace:
-            return around[0]
-        return next(
-            (scope for scope in around if not scope.is_namespace), around[-1]
-        )
+        around = self.parent
+        while around.is_namespace and not self.is_namespace:
+            around = around.parent
+        return around
 
     def macro(self, name: str) -> tuple[_Macro, _Scope]:
         """A macro, and the scope around its own: its namespace, or that of the call."""
-        for scope in self.chain():
-            if name in scope.macros:
-                return scope.macros[name], self
+        if (macro := self.get(f"xacro:{name}")) is not None:
+            return macro, self
         space, _, rest = name.partition(".")
-        for scope in self.chain():
-            if rest and space in scope.namespaces:
-                return scope.namespaces[space].macro(rest)
-        raise KeyError(name)
+        return self[f"{space}."].macro(rest)
+
+
+@dataclass(frozen=True)
+class _Unevaluated:
+    """A property whose text is evaluated, where it was defined, once it is used."""
+
+    text: str
+    scope: _Scope
 
 
 class _Reading:
@@ -210,53 +206,90 @@ class _Reading:
         self.texts: dict[str, str] = {}
         self.notes: list[str] = []
         self.evaluating: list[str] = []  # properties that need one another
-        own = self._functions()
+        own = {
+            "load_yaml": self.yaml,
+            "abs_filename": self._beside,
+            "dotify": Entries,
+            "arg": self.argument,
+            "tokenize": _tokenize,
+            "fatal": _fatal,
+            **dict.fromkeys(
+                ("message", "warning", "error", "print_location"), _silent
+            ),
+        }
         spaces = {"math": MATH, "python": PYTHON, "xacro": own}
         self.functions = {**MATH, **PYTHON, **own}
         self.functions |= {name: SimpleNamespace(**x) for name, x in spaces.items()}
 
     # Elements
 
-    def build(self, element: ET.Element, out: ET.Element, scope: _Scope) -> None:
+    def build(self, element: Element, out: Element, scope: _Scope) -> None:
         """Add to an element what the content of another builds, its attributes included."""
         for name, value in element.attrib.items():
             if not name.startswith("xacro:"):
                 out.set(name, str(self.value(value, scope)))
         self.build_content(element, out, scope)
 
-    def build_content(
-        self, element: ET.Element, out: ET.Element, scope: _Scope
-    ) -> None:
+    def build_content(self, element: Element, out: Element, scope: _Scope) -> None:
         """Add to an element what the children of another build."""
         text = self.value(element.text or "", scope)
         out.text = f"{out.text or ''}{text}".strip() or None
         for child in element:
             self.build_child(child, out, scope)
 
-    def build_child(
-        self, element: ET.Element, out: ET.Element, scope: _Scope
-    ) -> None:
+    def build_child(self, element: Element, out: Element, scope: _Scope) -> None:
         """Add to an element what another builds."""
         prefix, _, kind = element.tag.rpartition(":")
         if prefix != "xacro":
-            self.build(element, ET.SubElement(out, element.tag), scope)
+            self.build(element, SubElement(out, element.tag), scope)
             return
-        if kind in ("if", "unless"):
-            condition = _required(element, "value")
-            holds = _truth(self.value(condition, scope), condition)
-            if holds == (kind == "if"):
-                self.build_content(element, out, scope)
-            return
-        action = getattr(self, f"_build_{kind}", None)
-        if action is None:
-            self._call(kind, element, out, scope)
-        else:
-            action(element, out, scope)
+        match kind:
+            case "if" | "unless":
+                condition = _required(element, "value")
+                holds = _truth(self.value(condition, scope), condition)
+                if holds == (kind == "if"):
+                    self.build_content(element, out, scope)
+            case "property":
+                self._build_property(element, scope)
+            case "arg":
+                name = _required(element, "name")
+                default = _required(element, "default")
+                self.declared.add(name)
+                if name not in self.arguments:
+                    self.arguments[name] = str(self.value(default, scope))
+            case "macro":
+                name = _required(element, "name").removeprefix("xacro:")
+                if name == "call" or "." in name:
+                    raise self._error(f"a macro cannot be called '{name}'")
+                parameters = dict(_parameters(element.get("params", "")))
+                scope[f"xacro:{name}"] = _Macro(parameters, element)
+            case "insert_block":
+                name = _required(element, "name")
+                if f"**{name}" in scope:
+                    self.build_content(scope[f"**{name}"], out, scope)
+                elif f"*{name}" in scope:
+                    self.build_child(scope[f"*{name}"], out, scope)
+                else:
+                    raise self._error(f"there is no block '{name}'")
+            case "include":
+                self._build_include(element, out, scope)
+            case "element":
+                built = copy.copy(element)
+                built.tag = self._text(element, "xacro:name", scope)
+                self.build_child(built, out, scope)
+            case "attribute":
+                name = self._text(element, "name", scope)
+                out.set(name, self._text(element, "value", scope))
+            case "call":
+                call = copy.copy(element)
+                name = self._text(element, "macro", scope)
+                del call.attrib["macro"]
+                self._call(name, call, out, scope)
+            case _:
+                self._call(kind, element, out, scope)
 
-    def _build_property(
-        self, element: ET.Element, _: ET.Element, scope: _Scope
-    ) -> None:
-        name = str(self.value(_required(element, "name"), scope))
+    def _build_property(self, element: Element, scope: _Scope) -> None:
+        name = self._text(element, "name", scope)
         if not name.isidentifier() or name.startswith("__"):
             raise self._error(
                 f"property '{name}' is no name; use letters, digits and _"
@@ -264,8 +297,8 @@ class _Reading:
         value: Any = element.get("value")
         default = element.get("default")
         if _truth(self.value(element.get("remove", "false"), scope), "remove"):
-            for outer in scope.chain():
-                outer.properties.pop(name, None)
+            for outer in scope.maps:
+                outer.pop(name, None)
             return
         if default is not None:
             if name in scope:
@@ -277,88 +310,32 @@ class _Reading:
         lazy = _truth(
             self.value(element.get("lazy_eval", "true"), scope), "lazy_eval"
         )
-        target = scope
+        target: MutableMapping[str, Any] = scope
         if (reach := element.get("scope")) in ("global", "parent"):
             lazy = False
-            target = (
-                list(scope.chain())[-1] if reach == "global" else scope.caller()
-            )
+            target = scope.maps[-1] if reach == "global" else scope.caller()
         if not lazy and isinstance(value, str):
             value = self.value(value, scope)
-        self._set(target, name, value, lazy)
+        value = _literal(value)
+        unevaluated = lazy and isinstance(value, str)
+        target[name] = _Unevaluated(value, scope) if unevaluated else value
 
-    def _build_arg(self, element: ET.Element, _: ET.Element, scope: _Scope) -> None:
-        name = _required(element, "name")
-        default = _required(element, "default")
-        self.declared.add(name)
-        if name not in self.arguments:
-            self.arguments[name] = str(self.value(default, scope))
-
-    def _build_macro(
-        self, element: ET.Element, _: ET.Element, scope: _Scope
-    ) -> None:
-        name = _required(element, "name").removeprefix("xacro:")
-        if name == "call" or "." in name:
-            raise self._error(f"a macro cannot be called '{name}'")
-        parameters = dict(_parameters(element.get("params", "")))
-        scope.macros[name] = _Macro(parameters, element)
-
-    def _build_insert_block(
-        self, element: ET.Element, out: ET.Element, scope: _Scope
-    ) -> None:
-        name = _required(element, "name")
-        if f"**{name}" in scope:
-            block = scope.owner(f"**{name}").properties[f"**{name}"]
-            self.build_content(block, out, scope)
-        elif f"*{name}" in scope:
-            block = scope.owner(f"*{name}").properties[f"*{name}"]
-            self.build_child(block, out, scope)
-        else:
-            raise self._error(f"there is no block '{name}'")
-
-    def _build_element(
-        self, element: ET.Element, out: ET.Element, scope: _Scope
-    ) -> None:
-        built = copy.copy(element)
-        built.tag = str(self.value(_required(element, "xacro:name"), scope))
-        self.build_child(built, out, scope)
-
-    def _build_attribute(
-        self, element: ET.Element, out: ET.Element, scope: _Scope
-    ) -> None:
-        name, value = (
-            str(self.value(_required(element, key), scope))
-            for key in ("name", "value")
-        )
-        out.set(name, value)
-
-    def _build_call(
-        self, element: ET.Element, out: ET.Element, scope: _Scope
-    ) -> None:
-        call = copy.copy(element)
-        name = str(self.value(_required(element, "macro"), scope))
-        del call.attrib["macro"]
-        self._call(name, call, out, scope)
-
-    def _build_include(
-        self, element: ET.Element, out: ET.Element, scope: _Scope
-    ) -> None:
+    def _build_include(self, element: Element, out: Element, scope: _Scope) -> None:
         optional = _truth(element.get("optional", "false"), "optional")
         inner = scope
         if namespace := element.get("ns"):
             inner = _Scope(scope, is_namespace=True)
             name = str(self.value(namespace, scope))
-            scope.namespaces[name] = inner
-            scope.properties[name] = Properties(self._look_up(inner))
-        named = str(self.value(_required(element, "filename"), scope))
-        for file in self._included(named):
+            scope[f"{name}."] = inner
+            scope[name] = Properties(partial(self._look_up, inner))
+        for file in self._included(self._text(element, "filename", scope)):
             if optional and not os.path.exists(file):
                 continue
             with self.inside(file):
                 self.build_content(self.document(file), out, inner)
 
     def _call(
-        self, name: str, element: ET.Element, out: ET.Element, scope: _Scope
+        self, name: str, element: Element, out: Element, scope: _Scope
     ) -> None:
         """Build what a macro builds with the attributes and blocks of an element."""
         try:
@@ -369,28 +346,27 @@ class _Reading:
         for key, value in element.attrib.items():
             if key not in macro.parameters:
                 raise self._error(f"macro '{name}' has no parameter '{key}'")
-            self._set(inner, key, self.value(value, scope), lazy=False)
-        content = ET.Element("blocks")
+            inner[key] = _literal(self.value(value, scope))
+        content = Element("blocks")
         self.build_content(element, content, scope)
         blocks = list(content)
         for key, default in macro.parameters.items():
             if key.startswith("*"):
                 if not blocks:
                     raise self._error(f"macro '{name}' needs a block for '{key}'")
-                inner.properties[key] = blocks.pop(0)
-            elif key not in inner.properties:
-                value = self._default(name, key, default, scope)
-                self._set(inner, key, value, lazy=False)
+                inner[key] = blocks.pop(0)
+            elif key not in element.attrib:
+                inner[key] = _literal(self._default(name, key, default, scope))
         if blocks:
             raise self._error(f"macro '{name}' has no block for <{blocks[0].tag}>")
         self.build_content(macro.body, out, inner)
 
     def _default(
-        self, macro: str, name: str, default: _Default | None, scope: _Scope
+        self, macro: str, name: str, default: _Default, scope: _Scope
     ) -> Any:
-        if default is not None and default.forward and name in scope:
-            return self._look_up(scope)(name)
-        if default is None or default.text is None:
+        if default.forward and name in scope:
+            return self._look_up(scope, name)
+        if default.text is None:
             raise self._error(
                 f"macro '{macro}' needs a value of its parameter '{name}'"
             )
@@ -398,32 +374,22 @@ class _Reading:
 
     # Values
 
-    def _set(self, scope: _Scope, name: str, value: Any, lazy: bool) -> None:
-        value = _literal(value)
-        scope.properties[name] = value
-        scope.unevaluated.discard(name)
-        if lazy and isinstance(value, str):
-            scope.unevaluated.add(name)
-
-    def _look_up(self, scope: _Scope) -> Callable[[str], Any]:
-        """Function that gives the value of a property; KeyError where there is none."""
-
-        def value(name: str) -> Any:
-            owner = scope.owner(name)
-            if name in owner.unevaluated:
-                if name in self.evaluating:
-                    names = " -> ".join([*self.evaluating, name])
-                    raise self._error(
-                        f"properties need one another in a loop: {names}"
-                    )
-                self.evaluating.append(name)
-                literal = _literal(self.value(owner.properties[name], owner))
-                self.evaluating.pop()
-                owner.properties[name] = literal
-                owner.unevaluated.discard(name)
-            return owner.properties[name]
-
+    def _look_up(self, scope: _Scope, name: str) -> Any:
+        """Value of a property; KeyError where there is none."""
+        value = scope[name]
+        if isinstance(value, _Unevaluated):
+            if name in self.evaluating:
+                names = " -> ".join([*self.evaluating, name])
+                raise self._error(f"properties need one another in a loop: {names}")
+            self.evaluating.append(name)
+            owner = value.scope
+            value = owner[name] = _literal(self.value(value.text, owner))
+            self.evaluating.pop()
         return value
+
+    def _text(self, element: Element, key: str, scope: _Scope) -> str:
+        """Value of an attribute that an element must have, as text."""
+        return str(self.value(_required(element, key), scope))
 
     def value(self, text: str, scope: _Scope) -> Any:
         """Value of a text with its expressions and commands; of a single one with its type."""
@@ -431,7 +397,7 @@ class _Reading:
         for part in _TEXT.finditer(text):
             if part["expression"] is not None:
                 expression = str(self.value(part["expression"], scope))
-                names = Names(self.functions, self._look_up(scope))
+                names = Names(self.functions, partial(self._look_up, scope))
                 parts.append(self._evaluated(expression, names))
             elif part["command"] is not None:
                 parts.append(self._command(str(self.value(part["command"], scope))))
@@ -485,11 +451,8 @@ class _Reading:
             "env": self.environment,
             "optenv": lambda name, default="": self.environment(name, default),
         }
-
-        def look_up(name: str) -> Any:
-            return own[name] if name in own else _typed(self.arguments[name])
-
-        return Names(MATH | PYTHON | own, look_up)
+        arguments = {name: _typed(text) for name, text in self.arguments.items()}
+        return Names(MATH | PYTHON | own, (arguments | own).__getitem__)
 
     def argument(self, name: str) -> str:
         """Value of an argument."""
@@ -510,24 +473,6 @@ class _Reading:
             self.notes.append(f"$(optenv {name}) is taken as not set")
         return default
 
-    def _functions(self) -> dict[str, Any]:
-        """Functions of xacro's own."""
-
-        def silent(*_: object, **__: object) -> str:
-            return ""
-
-        return {
-            "load_yaml": self.yaml,
-            "abs_filename": self._beside,
-            "dotify": Entries,
-            "arg": self.argument,
-            "tokenize": _tokenize,
-            "fatal": _fatal,
-            **dict.fromkeys(
-                ("message", "warning", "error", "print_location"), silent
-            ),
-        }
-
     # Files
 
     @contextmanager
@@ -540,7 +485,7 @@ class _Reading:
         yield
         self.files.pop()
 
-    def document(self, file: str) -> ET.Element:
+    def document(self, file: str) -> Element:
         """Root of a file."""
         try:
             text = read_text(file)
@@ -607,7 +552,7 @@ class _Reading:
         class WithUnits(Loader):
             pass
 
-        names = Names(self.functions, self._look_up(_Scope()))
+        names = Names(self.functions, dict[str, Any]().__getitem__)
 
         def quantity(loader: Any, node: Any) -> float:
             value = self._evaluated(loader.construct_scalar(node), names)
@@ -631,14 +576,14 @@ class _Reading:
         return ""
 
 
-def _required(element: ET.Element, key: str) -> str:
+def _required(element: Element, key: str) -> str:
     value = element.get(key)
     if value is None:
         raise ValueError(f"<{element.tag}> lacks its attribute '{key}'")
     return value
 
 
-def _parameters(text: str) -> Iterator[tuple[str, _Default | None]]:
+def _parameters(text: str) -> Iterator[tuple[str, _Default]]:
     """Parameters of a macro: ``name``, ``name:=default``, ``name:=^|default``, ``*block``."""
     while text := text.lstrip():
         if stated := _MACRO_ARGUMENT.match(text):
@@ -647,7 +592,7 @@ def _parameters(text: str) -> Iterator[tuple[str, _Default | None]]:
             text = text[stated.end() :]
         else:
             name, *rest = text.split(None, 1)
-            yield name, None
+            yield name, _Default()
             text = "".join(rest)
 
 
@@ -693,6 +638,10 @@ def _dotted(content: Any) -> Any:
 def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
     words = re.split(f"[{re.escape(sep)}]", text)
     return [word for word in words if word] if skip_empty else words
+
+
+def _silent(*_: object, **__: object) -> str:
+    return ""
 
 
 def _fatal(*words: object) -> None:
