@@ -9,14 +9,15 @@ URDF has no word for is kept beside it: gravity, armatures, springs, loops.
 from __future__ import annotations
 
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from os.path import isfile
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
@@ -166,7 +167,7 @@ def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
                     within(file, path, packages)
 
 
-def _check_sizes(root: ET.Element, path: Path) -> None:
+def _check_sizes(root: Element, path: Path) -> None:
     """Refuse numbers of copies, grids and memory that no arm needs."""
     rest = [(root, 1.0)]
     while rest:
@@ -265,7 +266,7 @@ def _leave_out_drawing(spec: Any, path: str | Path) -> None:
         for element in list(kind):
             spec.delete(element)
     for mesh in list(spec.meshes):
-        file = _mesh_path(spec, mesh, path)
+        file = _mesh_path(spec, mesh, Path(path).parent)
         if not mesh.file or isfile(file):
             continue
         for geom in [g for g in spec.geoms if g.meshname == mesh.name]:
@@ -279,16 +280,17 @@ def _leave_out_drawing(spec: Any, path: str | Path) -> None:
         spec.delete(mesh)
 
 
-def _mesh_path(spec: Any, mesh: Any, path: str | Path) -> Path:
-    file = Path(str(mesh.file)).name if spec.strippath else str(mesh.file)
-    return real_path(Path(path).parent / str(spec.compiler.meshdir) / file)
+def _mesh_path(spec: Any, mesh: Any, folder: Path) -> Path:
+    file = Path(mesh.file).name if spec.strippath else mesh.file
+    return real_path(folder / spec.compiler.meshdir / file)
 
 
 def _pose(position: Array, quaternion: Array) -> pin.SE3:
-    w, x, y, z = quaternion
-    return pin.SE3(
-        pin.Quaternion(w, x, y, z).normalized().matrix(), np.array(position)
-    )
+    return pin.SE3(pin.Quaternion(*quaternion).normalized(), np.array(position))
+
+
+def _shifted(position: npt.ArrayLike) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array(position))
 
 
 @dataclass
@@ -304,7 +306,7 @@ class _Writer:
 
     def __post_init__(self) -> None:
         model = self.model
-        self.robot = ET.Element("robot", name=self.spec.modelname or "robot")
+        self.robot = Element("robot", name=self.spec.modelname or "robot")
         self.bodies = [
             model.body(b).name or f"body_{b}" for b in range(model.nbody)
         ]
@@ -319,103 +321,93 @@ class _Writer:
         """Write all bodies, the world first; parents come before what they carry."""
         model = self.model
         frames: dict[int, pin.SE3] = {}  # of each body in its link
+        solid = (model.geom_contype | model.geom_conaffinity) != 0
         for b, name in enumerate(self.bodies):
+            body = model.body(b)
             if model.body_gravcomp[b]:
                 self.notes.append(
                     f"body {name}: gravcomp is left out, as a controller's doing"
                 )
             frames[b] = self._joints(b, frames) if b else pin.SE3.Identity()
-            link = ET.SubElement(self.robot, "link", name=name)
-            if b and model.body_mass[b] > 0:
-                place = _pose(model.body_ipos[b], model.body_iquat[b])
+            link = SubElement(self.robot, "link", name=name)
+            mass = float(body.mass[0])
+            if b and mass > 0:
+                place = _pose(body.ipos, body.iquat)
                 R = place.rotation
-                tensor = R @ np.diag(model.body_inertia[b]) @ R.T
-                body = pin.Inertia(
-                    float(model.body_mass[b]), place.translation, tensor
+                tensor = R @ np.diag(body.inertia) @ R.T
+                inertia = frames[b].act(
+                    pin.Inertia(mass, place.translation, tensor)
                 )
-                link.append(
-                    inertial_element(frames[b].act(body).toDynamicParameters())
-                )
-            for g in range(
-                model.body_geomadr[b], model.body_geomadr[b] + model.body_geomnum[b]
-            ):
-                if model.geom_contype[g] or model.geom_conaffinity[g]:
-                    link.extend(self._collisions(g, frames[b]))
+                link.append(inertial_element(inertia.toDynamicParameters()))
+            for g in np.flatnonzero(solid & (model.geom_bodyid == b)):
+                link.extend(self._collisions(model.geom(g), frames[b]))
 
     def _joints(self, b: int, frames: Mapping[int, pin.SE3]) -> pin.SE3:
         """Write the joints of a body; the body's frame in the last link they carry."""
-        model = self.model
+        body = self.model.body(b)
         name = self.bodies[b]
-        parent = int(self.model.body_parentid[b])
-        place = frames[parent] * _pose(model.body_pos[b], model.body_quat[b])
-        first = int(model.body_jntadr[b])
-        count = int(model.body_jntnum[b])
+        parent = int(body.parentid[0])
+        place = frames[parent] * _pose(body.pos, body.quat)
         above = self.bodies[parent]
-        if not count:
+        joints = np.flatnonzero(self.model.jnt_bodyid == b).tolist()
+        if not joints:
             joint_element(
                 self.robot, f"{name}_weld", "fixed", above, name, place.homogeneous
             )
             return pin.SE3.Identity()
-        for j in range(first, first + count):
-            last = j == first + count - 1
+        for j in joints:
+            last = j == joints[-1]
             child = name if last else f"{name}_before_{self.joints[j + 1]}"
             place = self._joint(j, place, above, child)
             if not last:
-                ET.SubElement(self.robot, "link", name=child)
+                SubElement(self.robot, "link", name=child)
             above = child
         return place
 
     def _joint(self, j: int, place: pin.SE3, above: str, child: str) -> pin.SE3:
         """Write a joint that sits on a body's frame; the body's frame in what it carries."""
-        model = self.model
-        kind = int(self.model.jnt_type[j])
+        name = self.joints[j]
+        joint = self.model.jnt(j)
         kinds = self.mujoco.mjtJoint
-        at = pin.SE3(np.eye(3), model.jnt_pos[j].copy())
-        axis = model.jnt_axis[j]
-        back = -float(model.qpos0[model.jnt_qposadr[j]]) * axis
-        if kind == int(kinds.mjJNT_SLIDE):
+        at = _shifted(joint.pos)
+        back = -joint.qpos0[0] * joint.axis
+        if joint.type[0] == kinds.mjJNT_SLIDE:
             word = "prismatic"
-            turned = pin.SE3(np.eye(3), back)
-        elif kind == int(kinds.mjJNT_HINGE):
-            word = "revolute" if model.jnt_limited[j] else "continuous"
+            turned = _shifted(back)
+        elif joint.type[0] == kinds.mjJNT_HINGE:
+            word = "revolute" if joint.limited[0] else "continuous"
             turned = pin.SE3(pin.exp3(back), np.zeros(3))
         else:
             pose = place.homogeneous
-            joint_element(
-                self.robot, self.joints[j], "floating", above, child, pose
-            )
+            joint_element(self.robot, name, "floating", above, child, pose)
             return pin.SE3.Identity()
         start = (place * at * turned).homogeneous
-        element = joint_element(
-            self.robot, self.joints[j], word, above, child, start
-        )
-        ET.SubElement(element, "axis", xyz=numbers_text(axis))
+        element = joint_element(self.robot, name, word, above, child, start)
+        SubElement(element, "axis", xyz=numbers_text(joint.axis))
         self._facts(element, j)
         return at.inverse()
 
-    def _facts(self, element: ET.Element, j: int) -> None:
+    def _facts(self, element: Element, j: int) -> None:
         """Limits, friction, rotor inertia and spring of a joint."""
-        model = self.model
+        joint = self.model.jnt(j)
         name = self.joints[j]
-        dof = int(model.jnt_dofadr[j])
-        at = int(model.jnt_qposadr[j])
         effort, armature, damping = self._actuation(j)
         limit = {"effort": repr(effort), "velocity": "0"}
-        if model.jnt_limited[j]:
-            low, high = model.jnt_range[j].tolist()
+        if joint.limited[0]:
+            low, high = joint.range.tolist()
             limit |= {"lower": repr(low), "upper": repr(high)}
-        ET.SubElement(element, "limit", limit)
-        damping += float(model.dof_damping[dof])
-        friction = float(model.dof_frictionloss[dof])
+        SubElement(element, "limit", limit)
+        damping += float(joint.damping[0])
+        friction = float(joint.frictionloss[0])
         if damping or friction:
-            ET.SubElement(
+            SubElement(
                 element, "dynamics", damping=repr(damping), friction=repr(friction)
             )
-        if armature := armature + float(model.dof_armature[dof]):
+        if armature := armature + float(joint.armature[0]):
             self.armature[name] = armature
-        if stiffness := float(model.jnt_stiffness[j]):
-            self.springs[name] = (stiffness, float(model.qpos_spring[at]))
-        if np.any(model.jnt_stiffnesspoly[j]) or np.any(model.dof_dampingpoly[dof]):
+        if stiffness := float(joint.stiffness[0]):
+            self.springs[name] = (stiffness, float(joint.qpos_spring[0]))
+        if joint.stiffnesspoly.any() or joint.dampingpoly.any():
             self.notes.append(
                 f"joint {name}: higher powers of stiffness and damping are left out"
             )
@@ -426,7 +418,7 @@ class _Writer:
                 "multiplier": repr(slope),
                 "offset": repr(offset),
             }
-            ET.SubElement(element, "mimic", numbers)
+            SubElement(element, "mimic", numbers)
 
     def _actuation(self, j: int) -> tuple[float, float, float]:
         """Torque limit for both directions (0 for none), rotor inertia and damping of drives."""
@@ -435,24 +427,20 @@ class _Writer:
         total = np.zeros(2)
         armature = 0.0
         damping = 0.0
-        direct = [int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT)]
+        direct = [mj.mjtTrn.mjTRN_JOINT, mj.mjtTrn.mjTRN_JOINTINPARENT]
         here = (model.actuator_trnid[:, 0] == j) & np.isin(
             model.actuator_trntype, direct
         )
         for a in np.flatnonzero(here):
-            gear = float(model.actuator_gear[a, 0])
-            gain = float(model.actuator_gainprm[a, 0])
-            force = _range(
-                model.actuator_forcerange[a], model.actuator_forcelimited[a]
-            )
-            plain = model.actuator_gaintype[a] == int(mj.mjtGain.mjGAIN_FIXED)
-            plain &= model.actuator_biastype[a] == int(mj.mjtBias.mjBIAS_NONE)
+            drive = model.actuator(a)
+            gear = float(drive.gear[0])
+            gain = float(drive.gainprm[0])
+            force = _range(drive.forcerange, drive.forcelimited[0])
+            plain = drive.gaintype[0] == mj.mjtGain.mjGAIN_FIXED
+            plain &= drive.biastype[0] == mj.mjtBias.mjBIAS_NONE
             if plain and gain:
-                control = _range(
-                    model.actuator_ctrlrange[a], model.actuator_ctrllimited[a]
-                )
-                reach = np.sort(gain * control)
-                force = np.array([max(force[0], reach[0]), min(force[1], reach[1])])
+                control = _range(drive.ctrlrange, drive.ctrllimited[0])
+                force = np.clip(np.sort(gain * control), *force)
             total = total + (
                 np.sort(gear * force) if gear and (gain or not plain) else 0.0
             )
@@ -463,23 +451,21 @@ class _Writer:
         limit = float(min(-max(low, own[0]), min(high, own[1])))
         return limit if np.isfinite(limit) and limit > 0 else 0.0, armature, damping
 
-    def _equalities(self, *kinds: str) -> Iterator[int]:
-        wanted = [int(getattr(self.mujoco.mjtEq, f"mjEQ_{kind}")) for kind in kinds]
-        here = np.isin(self.model.eq_type, wanted) & (self.model.eq_active0 != 0)
-        yield from map(int, np.flatnonzero(here))
+    def _equalities(self, *kinds: str) -> list[Any]:
+        model = self.model
+        wanted = [getattr(self.mujoco.mjtEq, f"mjEQ_{kind}") for kind in kinds]
+        here = np.isin(model.eq_type, wanted) & (model.eq_active0 != 0)
+        return [model.eq(e) for e in np.flatnonzero(here)]
 
     def _followers(self) -> Iterator[tuple[str, tuple[str, float, float]]]:
         """Joint each follows, offset and multiplier; MuJoCo measures from reference positions."""
-        model = self.model
-        for e in self._equalities("JOINT"):
-            j = int(model.eq_obj1id[e])
-            master = int(model.eq_obj2id[e])
+        for equality in self._equalities("JOINT"):
+            j = int(equality.obj1id[0])
+            master = int(equality.obj2id[0])
             if master < 0:
                 continue
-            rest, other = (
-                float(model.qpos0[model.jnt_qposadr[i]]) for i in (j, master)
-            )
-            offset, slope, *curve = model.eq_data[e, :5].tolist()
+            rest, other = (float(self.model.jnt(i).qpos0[0]) for i in (j, master))
+            offset, slope, *curve = equality.data[:5].tolist()
             if any(curve):
                 self.notes.append(
                     f"joint {self.joints[j]} follows {self.joints[master]} on a curve, taken as a "
@@ -495,40 +481,36 @@ class _Writer:
         model = self.model
         held = {}
         ties = []
-        for e in self._equalities("JOINT"):
-            j = int(model.eq_obj1id[e])
-            if model.eq_obj2id[e] < 0:
-                rest = model.qpos0[model.jnt_qposadr[j]]
-                held[self.joints[j]] = float(rest + model.eq_data[e, 0])
-        for e in self._equalities("CONNECT", "WELD"):
-            ends = [int(model.eq_obj1id[e]), int(model.eq_obj2id[e])]
-            if model.eq_objtype[e] == int(self.mujoco.mjtObj.mjOBJ_SITE):
-                ends = [int(model.site_bodyid[s]) for s in ends]
-            ties.append((self.bodies[ends[0]], self.bodies[ends[1]]))
-        others = len(list(self._equalities("TENDON", "FLEX")))
+        for equality in self._equalities("JOINT"):
+            if equality.obj2id[0] < 0:
+                j = int(equality.obj1id[0])
+                rest = model.jnt(j).qpos0[0]
+                held[self.joints[j]] = float(rest + equality.data[0])
+        for equality in self._equalities("CONNECT", "WELD"):
+            one = int(equality.obj1id[0])
+            other = int(equality.obj2id[0])
+            if model.eq_objtype[equality.id] == self.mujoco.mjtObj.mjOBJ_SITE:
+                one, other = model.site_bodyid[[one, other]]
+            ties.append((self.bodies[one], self.bodies[other]))
+        others = len(self._equalities("TENDON", "FLEX"))
         if others:
             self.notes.append(
                 f"{others} equalities of tendons or flexible bodies are left out"
             )
         return held, tuple(ties)
 
-    def _collisions(self, g: int, frame: pin.SE3) -> Iterator[ET.Element]:
+    def _collisions(self, geom: Any, frame: pin.SE3) -> Iterator[Element]:
         """``<collision>`` elements of a geom; planes and fields have none.
 
         A capsule becomes a cylinder with two spheres, an ellipsoid the box around it. A mesh that
         is turned (refquat) and then stretched unequally has no URDF word and is left out.
         """
-        model = self.model
-        place = frame * _pose(model.geom_pos[g], model.geom_quat[g])
-        kind = (
-            self.mujoco.mjtGeom(model.geom_type[g])
-            .name.removeprefix("mjGEOM_")
-            .lower()
-        )
-        x, y, z = model.geom_size[g].tolist()
-        if kind == "mesh":
-            m = int(model.geom_dataid[g])
-            mesh = self.spec.mesh(model.mesh(m).name)
+        place = frame * _pose(geom.pos, geom.quat)
+        kind = self.mujoco.mjtGeom(geom.type[0]).name
+        x, y, z = geom.size.tolist()
+        if kind == "mjGEOM_MESH":
+            m = int(geom.dataid[0])
+            mesh = self.spec.mesh(self.model.mesh(m).name)
             scale = np.array(mesh.scale)
             turn = _pose(mesh.refpos, mesh.refquat)
             if not mesh.file or (
@@ -537,25 +519,20 @@ class _Writer:
                 return
             back = turn.rotation.T
             moved = pin.SE3(back, -scale * (back @ turn.translation))
-            place = (
-                place
-                * _pose(model.mesh_pos[m], model.mesh_quat[m]).inverse()
-                * moved
-            )
-            file = _mesh_path(
-                self.spec, mesh, Path(self.spec.modelfiledir) / "model.xml"
-            )
+            stored = _pose(self.model.mesh_pos[m], self.model.mesh_quat[m])
+            place = place * stored.inverse() * moved
+            file = _mesh_path(self.spec, mesh, Path(self.spec.modelfiledir))
             yield collision(
                 place, "mesh", filename=str(file), scale=numbers_text(scale)
             )
-        elif kind == "sphere":
+        elif kind == "mjGEOM_SPHERE":
             yield collision(place, "sphere", radius=repr(x))
-        elif kind in ("box", "ellipsoid"):
+        elif kind in ("mjGEOM_BOX", "mjGEOM_ELLIPSOID"):
             yield collision(place, "box", size=numbers_text((2 * x, 2 * y, 2 * z)))
-        elif kind in ("capsule", "cylinder"):
+        elif kind in ("mjGEOM_CAPSULE", "mjGEOM_CYLINDER"):
             yield collision(place, "cylinder", radius=repr(x), length=repr(2 * y))
-            for end in (y, -y) if kind == "capsule" else ():
-                tip = place * pin.SE3(np.eye(3), np.array([0.0, 0.0, end]))
+            for end in (y, -y) if kind == "mjGEOM_CAPSULE" else ():
+                tip = place * _shifted([0.0, 0.0, end])
                 yield collision(tip, "sphere", radius=repr(x))
 
 
