@@ -9,6 +9,7 @@ their formulas.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +19,7 @@ import pandas as pd
 import pinocchio as pin
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, elements, inertia, steiner
 from excitant.robots.plant.arm import (
     Believed,
@@ -28,22 +29,11 @@ from excitant.robots.plant.arm import (
     simulate,
 )
 from excitant.robots.plant.physics import Drives, Truth
-from excitant.robots.plant.planting import HiddenEffect, plant
-from excitant.robots.plant.sensors import Encoder, Recorder, Run, Sensors, recorded
-from excitant.robots.robot import Robot
-
-__all__ = [
-    "HiddenEffect",
-    "Sensors",
-    "VirtualArm",
-    "draw_hidden_effect",
-    "ideal_sensors",
-    "industrial_sensors",
-    "nominal_truth",
-    "typical_motion",
-    "typical_torque",
-    "virtual_arm",
-]
+from excitant.robots.plant.planting import HiddenEffect as HiddenEffect
+from excitant.robots.plant.planting import plant
+from excitant.robots.plant.sensors import Encoder, Recorder, Run, recorded
+from excitant.robots.plant.sensors import Sensors as Sensors
+from excitant.robots.robot import Robot, spans
 
 FRICTION_TOLERANCE = (
     0.05  # largest relative deviation of friction and rotor inertia
@@ -59,7 +49,6 @@ class VirtualArm:
 
     nominal: Robot  # what is known, and what the controller believes
     truth: Truth  # the physics
-    bare: Truth  # the physics without what is hidden
     # what the truth has beside the nominal effects
     hidden: tuple[HiddenEffect, ...]
     sensors: Sensors  # what is recorded
@@ -72,10 +61,9 @@ class VirtualArm:
         progress: Progress | None = None,
     ) -> Run:
         """True run of a trajectory; see `record`."""
-        nominal = nominal_truth(self.nominal)
         return simulate(
             self.nominal,
-            Believed(nominal.model, nominal.drives),
+            Believed(nominal_truth(self.nominal)),
             self.truth.drawn(rng, duration),
             trajectory,
             duration,
@@ -106,20 +94,18 @@ class VirtualArm:
         Raises:
             BadInput: The trajectory starts in motion or cannot be followed.
         """
-        nominal = nominal_truth(self.nominal)
         truth = self.truth.drawn(rng, duration)
         sensors = self.sensors
         gain = truth.recorder.gain
         offset = truth.drives.offset
 
         def motor_torque(t: Array) -> Array:
-            return np.asarray(
-                np.linalg.solve(gain, (torque(t) - offset).T).T, float
-            )
+            motor = np.linalg.solve(gain, (torque(t) - offset).T).T
+            return np.asarray(motor, float)
 
         return simulate(
             self.nominal,
-            Believed(nominal.model, nominal.drives, motor_torque),
+            Believed(nominal_truth(self.nominal), motor_torque),
             truth,
             trajectory,
             duration,
@@ -176,9 +162,9 @@ def virtual_arm(
     """
     if hidden is None:
         hidden = (draw_hidden_effect(robot, rng),)
-    truth = nominal_truth(robot)
-    model = truth.model.copy()
-    drives = truth.drives
+    known = nominal_truth(robot)
+    model = known.model.copy()
+    drives = known.drives
     for j in range(1, robot.nv + 1):
         model.inertias[j] = _perturbed(model.inertias[j], rng, tolerance)
     spread = FRICTION_TOLERANCE if tolerance > 0 else 0.0
@@ -187,16 +173,16 @@ def virtual_arm(
         for name in ("viscous", "coulomb", "stribeck", "rotor")
     }
     drives = replace(drives, **nearby)
-    model.armature = np.array(drives.rotor)
-    bare = replace(truth, model=model, drives=drives)
-    truth = plant(bare, robot.joints, hidden)
+    model.armature = drives.rotor
+    nearly = replace(known, model=model, drives=drives)
+    truth = plant(nearly, robot.joints, hidden)
     for link, body in zip(robot.links, list(truth.model.inertias)[1:], strict=True):
         if body.mass < 0:
             raise BadInput(
                 f"virtual arm: hidden effects leave {link} with {body.mass:.3g} kg"
             )
     return VirtualArm(
-        robot, truth, bare, tuple(hidden), sensors or industrial_sensors(robot)
+        robot, truth, tuple(hidden), sensors or industrial_sensors(robot)
     )
 
 
@@ -254,7 +240,11 @@ def typical_torque(robot: Robot) -> Array:
     truth = nominal_truth(robot)
     motion = typical_motion(robot)
     tau = truth.drives.friction(motion[1]) + _rigid_torque(truth.model, motion)
-    return read_only(np.sqrt(np.mean(tau**2, axis=0)))
+    return _rms(tau)
+
+
+def _rms(values: Array) -> Array:
+    return np.sqrt(np.mean(values**2, axis=0))
 
 
 def _rigid_torque(model: pin.Model, motion: tuple[Array, Array, Array]) -> Array:
@@ -291,7 +281,11 @@ def _spring(x: Numbers) -> dict[str, float]:
     return {"stiffness": x["k"], "rest": -x["moment"] / x["k"] if x["k"] else 0.0}
 
 
-_SAME_PARAMETERS = (  # have the same names and meaning in the plant
+_AFFIXES = re.compile("^(payload|delta)_|_cold$")  # which the plant's names lack
+_SAME_PARAMETERS = (  # have otherwise the same names and meaning in the plant
+    "thermal_friction_drift",
+    "payload",
+    "inertial_parameters",
     "viscous_friction",
     "coulomb_friction",
     "stribeck_friction",
@@ -307,18 +301,9 @@ _SAME_PARAMETERS = (  # have the same names and meaning in the plant
 )
 _TRANSLATION: dict[str, Callable[[Numbers], Numbers]] = {
     **dict.fromkeys(_SAME_PARAMETERS, lambda x: x),
-    "thermal_friction_drift": lambda x: {
-        "Fv": x["Fv_cold"],
-        "Fc": x["Fc_cold"],
-        "time": x["time"],
-    },
     "torque_ripple": _ripple,
     "spring": _spring,
     "torque_gain": lambda x: {"gain": 1 + x["gain"]},
-    "payload": lambda x: {name: x[f"payload_{name}"] for name in STANDARD},
-    "inertial_parameters": lambda x: {
-        name: x[f"delta_{name}"] for name in STANDARD
-    },
 }
 _COMMON = ("friction_coupling", "inertia_coupling", "torque_gain", "time_delay")
 _SHAPES = ("velocity", "exponent", "distance", "time", "order", "ratio")
@@ -330,7 +315,7 @@ def _described(robot: Robot, effect: Any) -> list[HiddenEffect]:
     UnknownName.refuse("effect of a nominal virtual arm", [name], _TRANSLATION)
     if effect.values is None:
         raise BadRobot(robot.source, f"effect {name} has no values; give them")
-    symbols = [p.name.rsplit(".", 1)[-1] for p in effect.parameters(robot)]
+    symbols = [_AFFIXES.sub("", term.name) for term in effect.own_terms]
     shape = {key: getattr(effect, key) for key in _SHAPES if hasattr(effect, key)}
     groups = [(joint,) for joint in effect.joints]
     if name in _COMMON:
@@ -338,7 +323,7 @@ def _described(robot: Robot, effect: Any) -> list[HiddenEffect]:
     rows = np.reshape(effect.values, (len(groups), -1)).tolist()
     hidden = []
     for joints, row in zip(groups, rows, strict=True):
-        numbers = dict(zip(symbols, row, strict=False)) | shape
+        numbers = dict(zip(symbols, row, strict=True)) | shape
         parameters = tuple(_TRANSLATION[name](numbers).items())
         several = joints if len(joints) > 1 else ()
         hidden.append(HiddenEffect(name, joints[0], parameters, several))
@@ -362,9 +347,7 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
         "payload",
     ]
     separable = separable_rotors(robot)
-    if separable:
-        kinds.append("rotor_inertia")
-    kind = str(rng.choice(kinds))
+    kind = str(rng.choice(kinds + ["rotor_inertia"] * bool(separable)))
     if kind == "payload":
         payload = draw_payload(robot, rng)
         load = _load(robot, np.array([value for _, value in payload.parameters]))
@@ -374,7 +357,7 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     j = robot.joint_index(joint)
     floor = VISIBLE_NOISE * float(industrial_sensors(robot).torque_noise[j])
     torque = max(float(rng.uniform(0.08, 0.2) * typical_torque(robot)[j]), floor)
-    _, dq, ddq = (np.sqrt(np.mean(x[:, j] ** 2)) for x in typical_motion(robot))
+    _, dq, ddq = (float(_rms(x[:, j])) for x in typical_motion(robot))
     fast = min(float(robot.limits.velocity[j]), 3.0)
     sizes = {
         "viscous_friction": {"Fv": torque / dq},
@@ -394,26 +377,20 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
 def draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     """A box at the frame farthest out on the last link."""
     model = robot.model
-    reach = sum(
-        float(np.linalg.norm(p.translation))
-        for p in list(model.jointPlacements)[1:]
-    )
+    reach = sum(float(np.linalg.norm(p.translation)) for p in model.jointPlacements)
     fixed = [
-        f.placement.translation
-        for f in list(model.frames)
-        if f.parentJoint == robot.nv
+        f.placement.translation for f in model.frames if f.parentJoint == robot.nv
     ]
     centre = np.array(model.inertias[robot.nv].lever)
     flange = max([centre, *fixed], key=lambda x: float(np.linalg.norm(x - centre)))
-    reach = max(reach + float(np.linalg.norm(flange)), 0.1)
+    reach = max(sum(spans(robot)) + float(np.linalg.norm(flange)), 0.1)
     strongest = float(robot.limits.torque.max())
     moving = sum(body.mass for body in list(model.inertias)[1:])
     mass = min(rng.uniform(0.07, 0.16) * moving, 0.3 * strongest / (9.81 * reach))
     direction = rng.standard_normal(3)
     direction *= np.sign(direction @ (flange - centre)) or 1.0
-    lever = flange + reach * rng.uniform(0.02, 0.06) * direction / np.linalg.norm(
-        direction
-    )
+    direction /= np.linalg.norm(direction)
+    lever = flange + reach * rng.uniform(0.02, 0.06) * direction
     box = pin.Inertia.FromBox(mass, *(reach * rng.uniform(0.03, 0.1, 3)))
     phi = pin.Inertia(mass, lever, box.inertia).toDynamicParameters()
     phi *= _bearable(robot, phi)
@@ -428,29 +405,29 @@ def _load(robot: Robot, payload: Array) -> Array:
     loaded.inertias[robot.nv] = pin.Inertia.FromDynamicParameters(phi)
     motion = typical_motion(robot)
     added = _rigid_torque(loaded, motion) - _rigid_torque(robot.model, motion)
-    return read_only(np.sqrt(np.mean(added**2, axis=0)))
+    return _rms(added)
 
 
 def _bearable(robot: Robot, payload: Array) -> float:
     """Share of a payload that loads no joint with more than 0.9 of its typical torque."""
     noise = industrial_sensors(robot).torque_noise
     bearable = 0.9 * np.maximum(typical_torque(robot), 6 * noise)
-    return min(
-        1.0, float((bearable / np.maximum(_load(robot, payload), 1e-12)).min())
-    )
+    load = np.maximum(_load(robot, payload), 1e-12)
+    return min(1.0, float((bearable / load).min()))
 
 
 def separable_rotors(robot: Robot) -> list[str]:
     """Joints whose rotor inertia makes a torque that no link inertia can make."""
     data = robot.model.createData()
-    q, dq, ddq = typical_motion(robot)
-    states = zip(q, dq, ddq, strict=True)
+    motion = typical_motion(robot)
+    states = zip(*motion, strict=True)
     Y = np.array(
         [pin.computeJointTorqueRegressor(robot.model, data, *x) for x in states]
     )
     basis = np.linalg.svd(Y.reshape(-1, 10 * robot.nv), full_matrices=False)
     span = basis.U[:, basis.S / basis.S[0] > 1e-10]
-    columns = np.einsum("ij,kj->kij", np.eye(robot.nv), ddq).reshape(-1, robot.nv)
+    columns = np.einsum("ij,kj->kij", np.eye(robot.nv), motion[2])
+    columns = columns.reshape(-1, robot.nv)
     rest = columns - span @ (span.T @ columns)
     share = np.linalg.norm(rest, axis=0) / np.linalg.norm(columns, axis=0)
     return [joint for joint, s in zip(robot.joints, share, strict=True) if s > 1e-3]

@@ -27,12 +27,14 @@ from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, BadRobot
 from excitant.robots.motion import Array
-from excitant.robots.plant.physics import Drives, Truth
+from excitant.robots.plant.physics import Truth
 from excitant.robots.plant.sensors import Run
 from excitant.robots.robot import Robot
 
 Trajectory = Callable[[Array, int], Array]
 """Motion as a function of time, shape (n,) [s], and derivative order: shape (n, nv)."""
+State = tuple[Array, Array, Array]
+"""Coordinates x, their velocity, and their mean acceleration over the step before."""
 Progress = Callable[[float], None]
 """Told from time to time which fraction is done."""
 
@@ -59,19 +61,14 @@ class Controller:
 
     def __call__(self, k: int, q: Array, dq: Array) -> Array:
         """Torque at instant k in a state, shape (nv,)."""
-        demand = self.demand(k, q, dq)
-        torque: Array = np.minimum(np.maximum(demand, -self.limit), self.limit)
-        return torque
+        return np.clip(self.demand(k, q, dq), -self.limit, self.limit)
 
     def demand(self, k: int, q: Array, dq: Array) -> Array:
         """Torque at instant k in a state before saturation, shape (nv,)."""
         position = self.position[k] - q
         velocity = self.velocity[k] - dq
-        correction: Array = self.gain[k] @ (
-            BANDWIDTH**2 * position + 2 * BANDWIDTH * velocity
-        )
-        total: Array = self.feedforward[k] + correction
-        return total
+        error = BANDWIDTH**2 * position + 2 * BANDWIDTH * velocity
+        return self.feedforward[k] + self.gain[k] @ error
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +79,9 @@ class Believed:
     or that of another model: a function of instants, shape (n,) [s], to torque, (n, nv) [N·m].
     """
 
-    model: pin.Model  # rotor inertia as armature
-    drives: Drives
+    truth: (
+        Truth  # of which bodies, with rotor inertia as armature, and friction count
+    )
     torque: Callable[[Array], Array] | None = None
 
 
@@ -99,7 +97,7 @@ class ReadingNoise:
         """Values with noise, of any shape."""
         even = width * self.rng.uniform(-0.5, 0.5, values.shape)
         normal = std * self.rng.standard_normal(values.shape)
-        return np.asarray(values + even + normal, float)
+        return values + even + normal
 
 
 def tracking_controller(
@@ -107,7 +105,7 @@ def tracking_controller(
     believed: Believed,
     trajectory: Trajectory,
     t: Array,
-    noise: ReadingNoise | None = None,
+    noise: ReadingNoise | None,
 ) -> Controller:
     """Controller that would follow a trajectory exactly if what it believes were the arm.
 
@@ -118,14 +116,14 @@ def tracking_controller(
         np.ascontiguousarray(trajectory(t, order), dtype=float)
         for order in range(3)
     )
-    model = believed.model
+    model = believed.truth.model
     limit = robot.limits.torque
     data = model.createData()
     gain = np.empty((len(t), robot.nv, robot.nv))
     for k in range(len(t)):
         gain[k] = pin.crba(model, data, q[k])
     if believed.torque is None:
-        feedforward = believed.drives.friction(dq)
+        feedforward = believed.truth.drives.friction(dq)
         for k in range(len(t)):
             feedforward[k] += pin.rnea(model, data, q[k], dq[k], ddq[k])
     else:
@@ -165,8 +163,7 @@ def simulate(
         BadInput: The trajectory starts in motion, or the arm could not follow it at all.
         BadRobot: A joint moves nothing that has mass.
     """
-    start = np.array(trajectory(np.zeros(1), 0)[0], float)
-    speed = np.array(trajectory(np.zeros(1), 1)[0], float)
+    start, speed = (trajectory(np.zeros(1), order)[0] for order in range(2))
     if np.abs(speed).max() > REST_SPEED:
         j = int(np.argmax(np.abs(speed)))
         raise BadInput(
@@ -191,7 +188,7 @@ def simulate(
         for k in range(count):
             if (first + k) % every == 0:
                 samples.append(arm.seen(state, control, 2 * k))
-            state = arm.step(*state, control, 2 * k + 1, (first + k + 0.5) * h)
+            state = arm.step(state, control, 2 * k + 1, (first + k + 0.5) * h)
         if not np.isfinite(state[0]).all():
             raise BadInput(
                 f"trajectory: {robot.name} went unstable before t = {t[-1]:.3g} s; "
@@ -267,7 +264,7 @@ class Arm:
     def at_rest(self, reading: Array) -> Array:
         """Coordinates where the encoders read this and elastic gears hold gravity."""
         motor = self.truth.encoder.position(reading)
-        q = np.array(motor)
+        q = motor.copy()
         for _ in range(20 if self.truth.gears else 0):
             g = pin.computeGeneralizedGravity(self.model, self.data, q)
             for gear in self.truth.gears:
@@ -281,28 +278,22 @@ class Arm:
         return self.truth.encoder.reading(x[self.driven], v[self.driven])
 
     def seen(
-        self, state: tuple[Array, Array, Array], control: Controller, k: int
+        self, state: State, control: Controller, k: int
     ) -> tuple[Array, Array, Array, Array]:
         """Readings, their derivative, motor torque and link positions in a state."""
-        q, dq = self.read(state[0], state[1])
-        return q, dq, control(k, q, dq), state[0][: self.n]
+        x, v, _ = state
+        q, dq = self.read(x, v)
+        return q, dq, control(k, q, dq), x[: self.n]
 
-    def step(
-        self,
-        x: Array,
-        v: Array,
-        a: Array,
-        control: Controller,
-        k: int,
-        t: float = 0.0,
-    ) -> tuple[Array, Array, Array]:
-        """Position, velocity and mean acceleration one step later."""
+    def step(self, state: State, control: Controller, k: int, t: float) -> State:
+        """The state one step later."""
         h = self.h
+        x, v, a = state
         middle = x + (h / 2) * v
         speed = v + (h / 2) * a
         demand = control.demand(k, *self.read(middle, v))
         K, passive, load = self._resistance(middle, speed, v, a, t)
-        reaction: Array = (BANDWIDTH + h / 4 * BANDWIDTH**2) * control.gain[k]
+        reaction = (BANDWIDTH + h / 4 * BANDWIDTH**2) * control.gain[k]
         reaction *= self.truth.encoder.scale
         bounds = self._dry(speed, t, load)
 
@@ -315,7 +306,7 @@ class Arm:
             return velocity_change(mass, h * impulse, v, *bounds, self.G)
 
         dv = solved()
-        torque: Array = demand - reaction @ dv[self.driven]
+        torque = demand - reaction @ dv[self.driven]
         saturated = np.abs(torque) > control.limit
         if np.count_nonzero(saturated):
             reaction[saturated] = 0.0
@@ -416,7 +407,7 @@ def velocity_change(
     delta = dgesv(K, impulse - friction @ G)[2]  # without NumPy's overhead
     if np.count_nonzero((w + G @ delta) * sign <= 0):
         return stick_or_slip(K, impulse, v, forward, backward, G)
-    return np.asarray(delta)
+    return delta
 
 
 def stick_or_slip(
@@ -435,7 +426,7 @@ def stick_or_slip(
         backward: The same against negative motion.
         G: Velocity of each contact, of the N coordinates first, per v, shape (c, N).
     """
-    A: Array = np.asarray(np.linalg.inv(K), dtype=np.float64)
+    A = np.asarray(np.linalg.inv(K), np.float64)
     w = G @ v
     GA = G @ A
     S = GA @ G.T
@@ -450,10 +441,12 @@ def stick_or_slip(
         if stuck.any():
             free = GA @ (impulse - friction @ G)
             among = S[np.ix_(stuck, stuck)]
-            # redundant with shafts: the smallest impulses then
-            solve = np.linalg.solve if len(w) == len(v) else _smallest
-            friction[stuck] = solve(among, (free + w)[stuck])
-        delta: Array = A @ (impulse - friction @ G)
+            stopping = (free + w)[stuck]
+            if len(w) == len(v):
+                friction[stuck] = np.linalg.solve(among, stopping)
+            else:  # redundant with shafts: the smallest impulses then
+                friction[stuck] = np.linalg.lstsq(among, stopping)[0]
+        delta = A @ (impulse - friction @ G)
         own = stuck[: len(v)]
         delta[own] = -v[own]
         return friction, delta
@@ -482,7 +475,3 @@ def stick_or_slip(
     stuck = (side == 0) & dry
     slip = side
     return balanced()[1]
-
-
-def _smallest(S: Array, velocity: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(S, velocity)[0], dtype=np.float64)

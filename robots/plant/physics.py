@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,7 @@ class Telegraph:
     """Torque ±A of a joint that changes sign at random instants (a Poisson process)."""
 
     joint: int
+    _: KW_ONLY
     amplitude: float  # A [N·m]
     rate: float  # mean number of changes per second [1/s]
 
@@ -138,9 +139,8 @@ class Gear:
 
     def deflection(self, torque: float) -> float:
         """Deflection at rest under a torque on the link [rad]."""
-        return torque / self.stiffness + (self.gap / 2) * (
-            (torque > 0) - (torque < 0)
-        )
+        slack = self.gap / 2 * ((torque > 0) - (torque < 0))
+        return torque / self.stiffness + slack
 
 
 @dataclass(frozen=True, eq=False)

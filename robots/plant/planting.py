@@ -61,11 +61,10 @@ class HiddenEffect:
 
     def entry(self) -> dict[str, Any]:
         """Entry of result.json."""
-        parameters = dict(self.parameters)
         return {
             "effect": self.effect,
             "joint": self.joint,
-            "parameters": parameters,
+            "parameters": dict(self.parameters),
         }
 
 
@@ -128,11 +127,7 @@ NUMBERS: dict[str, dict[str, tuple[str, str, Callable[[Array, float], Array]]]] 
     "coulomb_friction": {"Fc": ("drives", "coulomb", np.add)},
     "stribeck_friction": {
         "Fs": ("drives", "stribeck", np.add),
-        "velocity": (
-            "drives",
-            "stribeck_velocity",
-            lambda old, value: 0 * old + value,
-        ),
+        "velocity": ("drives", "stribeck_velocity", np.full_like),
     },
     "rotor_inertia": {"Ia": ("drives", "rotor", np.add)},
     "torque_offset": {"offset": ("drives", "offset", np.add)},
@@ -149,14 +144,13 @@ def _changed(
 ) -> Truth:
     for name, value in stated.items():
         part, field, change = NUMBERS[kind][name]
-        numbers = np.array(getattr(getattr(truth, part), field))
+        owner = getattr(truth, part)
+        numbers = np.array(getattr(owner, field))
         numbers[joints] = change(numbers[joints], value)
-        changed: dict[str, Any] = {
-            part: replace(getattr(truth, part), **{field: numbers})
-        }
+        changed: dict[str, Any] = {part: replace(owner, **{field: numbers})}
         truth = replace(truth, **changed)
     model = truth.model.copy()
-    model.armature = np.array(truth.drives.rotor)
+    model.armature = truth.drives.rotor
     return replace(truth, model=model)
 
 
@@ -217,10 +211,6 @@ def _spring(
     )
 
 
-def _telegraph(joint: int, *, amplitude: float, rate: float) -> Telegraph:
-    return Telegraph(joint, amplitude, rate)
-
-
 LAWS: dict[str, tuple[str, Callable[..., object]]] = {
     "asymmetric_friction": ("dry", _asymmetric),
     "nonlinear_viscous_friction": ("dry", _power_law),
@@ -228,7 +218,7 @@ LAWS: dict[str, tuple[str, Callable[..., object]]] = {
     "thermal_friction_drift": ("dry", _warming),
     "torque_ripple": ("loads", _ripple),
     "spring": ("loads", _spring),
-    "telegraph_torque": ("random", _telegraph),
+    "telegraph_torque": ("random", Telegraph),
 }
 """Further laws of single joints: what the truth has more of, and the law of a joint."""
 
@@ -264,9 +254,8 @@ def _misplaced(
     """The joint's frame moved in its parent's."""
     model = truth.model.copy()
     for j in joints:
-        T = model.jointPlacements[j + 1]
-        moved = np.array(T.translation) + np.array([dx, dy, dz])
-        model.jointPlacements[j + 1] = pin.SE3(np.array(T.rotation), moved)
+        place = model.jointPlacements[j + 1]
+        place.translation = place.translation + np.array([dx, dy, dz])
     return replace(truth, model=model)
 
 
@@ -288,9 +277,8 @@ def _shaft(
     Fc: float = 0.0,
     ratio: float = 1.0,
 ) -> Truth:
-    return _with(
-        truth, "shafts", CoupledShaft((joints[0], joints[1]), ratio, Fv, Fc)
-    )
+    one, other = joints
+    return _with(truth, "shafts", CoupledShaft((one, other), ratio, Fv, Fc))
 
 
 def _coupled_rotors(truth: Truth, joints: list[int], *, Ic: float) -> Truth:
@@ -302,7 +290,7 @@ def _coupled_rotors(truth: Truth, joints: list[int], *, Ic: float) -> Truth:
 def _crosstalk(truth: Truth, joints: list[int], *, gain: float) -> Truth:
     """A share of the second joint's torque in the record of the first."""
     gains = np.array(truth.recorder.gain)
-    gains[joints[0], joints[1]] += gain
+    gains[*joints] += gain
     return replace(truth, recorder=replace(truth.recorder, gain=gains))
 
 
@@ -342,11 +330,8 @@ def _wall(
     damping: float = 0.0,
 ) -> Truth:
     normal = np.array([nx, ny, nz])
-    return _with(
-        truth,
-        "walls",
-        Wall(normal / np.linalg.norm(normal), distance, stiffness, damping),
-    )
+    normal /= np.linalg.norm(normal)
+    return _with(truth, "walls", Wall(normal, distance, stiffness, damping))
 
 
 PLANTERS: dict[str, Callable[..., Truth]] = {

@@ -40,7 +40,7 @@ class Encoder:
 
     def position(self, reading: Array) -> Array:
         """Position that gives a reading."""
-        return np.asarray((reading - self.offset) / self.scale, dtype=np.float64)
+        return (reading - self.offset) / self.scale
 
 
 @dataclass(frozen=True, eq=False)
