@@ -554,7 +554,7 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
 
     def simulated_at(beta: Array, share: float) -> Regression:
         model = model_of(beta, share)
-        motions = [simulate(model, c, Controller()).motion for c in commands]
+        motions = [simulate(model, c, Controller()) for c in commands]
         return regression(motions)
 
     bandwidth_hz = np.array([width for _, _, width in loops])

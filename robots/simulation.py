@@ -23,12 +23,13 @@ from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, ExcitantError
 from excitant.robots.effects.base import Effect, Stepper
-from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
 REST = 1e-3  # rad/s or m/s: v₀
-STEP = 1e-3  # s: a twenty-fifth of the time constant of the default controller
+# s: longest of integration, a twenty-fifth of the time constant of the default controller
+STEP = 1e-3
 ROUNDING = 1e-9  # of the largest torque
 PROBES = (
     6  # states in which an effect is evaluated by acceleration and in another order
@@ -161,15 +162,16 @@ def _inertia(robot: Robot, effect: Effect) -> Array:
 
     def probed(ddq: Array, order: npt.NDArray[np.intp] = natural) -> Array:
         """Torque in the probed states, whose times are in some order."""
-        t = 0.01 * np.asarray(order, float)
         accelerations = np.tile(ddq, (PROBES, 1))
+        t = 0.01 * np.asarray(order, float)
         motion = Motion(t, q[order], dq[order], accelerations)
         return effect.torque(robot, motion)
 
-    base = probed(0 * unit[0])
+    rest = np.zeros(robot.nv)
+    base = probed(rest)
     order = rng.permutation(PROBES)
-    largest = float(np.abs(base).max())
-    if np.abs(probed(0 * unit[0], order) - base[order]).max() > ROUNDING * largest:
+    largest = np.abs(base).max()
+    if np.abs(probed(rest, order) - base[order]).max() > ROUNDING * largest:
         raise BadInput(
             f"{robot.name}: effect {effect.name} depends on the past, which a simulation from "
             "state to state does not know; simulate without it"
@@ -180,7 +182,7 @@ def _inertia(robot: Robot, effect: Effect) -> Array:
     varies = np.abs(once - once[:, :1]).max() > rounding
     if varies or np.abs(twice + 2 * once).max() > rounding:
         return np.zeros_like(unit)
-    return np.asarray(once[:, 0].T, float)
+    return once[:, 0].T
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,53 +198,29 @@ class Controller:
         model, rotors, _ = forward_model(self.believed or robot)
         data = model.createData()
         B = np.array([pin.crba(model, data, pose) + rotors for pose in q])
-        omega = np.broadcast_to(np.asarray(self.omega, float), robot.nv)
-        return B * omega**2, 2 * B * omega
-
-
-@dataclass(frozen=True, eq=False)
-class Simulation:
-    """Response of a simulated robot at the instants of the commanded motion."""
-
-    command: Motion
-    motion: Motion  # accelerations are means over one step on either side
-    tau: Array  # of the controller, shape (n, nv) [N·m]
-
-    def __post_init__(self) -> None:
-        freeze(self, "tau")
-
-    @property
-    def error(self) -> Array:
-        """Commanded minus simulated positions, shape (n, nv) [rad or m]."""
-        return read_only(self.command.q - self.motion.q)
-
-    @property
-    def rms(self) -> Array:
-        """Root mean square error of position per joint, shape (nv,) [rad or m]."""
-        return read_only(np.sqrt((self.error**2).mean(axis=0)))
+        return B * self.omega**2, 2 * B * self.omega
 
 
 def simulate(
-    robot: Robot,
-    command: Motion,
-    controller: Controller | None = None,
-    *,
-    step: float = STEP,
-) -> Simulation:
+    robot: Robot, command: Motion, controller: Controller | None = None
+) -> Motion:
     """Let a model with its effects follow a motion, from that motion's first state.
 
     Args:
         robot: The model; effects need values.
         command: The motion; quintic polynomials between its instants.
         controller: None lets the robot move without torque.
-        step: Longest step of integration, shorter where joints turn back [s].
+
+    Returns:
+        The response at the instants of the motion; accelerations are means over one step on either
+        side.
 
     Raises:
         BadInput: Effects that cannot be simulated, or shapes and times that do not fit.
         Diverged: The simulation left the commanded motion for good, or holds no numbers any more.
     """
-    _check(robot, command, step)
-    counts = _steps(command, step)
+    _check(robot, command)
+    counts = _steps(command)
     inner = _between(command, counts)
     forward = np.zeros_like(inner.q)
     gains = None
@@ -251,29 +229,26 @@ def simulate(
         gains = controller.gains(robot, inner.q)
     # a diverging simulation is refused
     with np.errstate(over="ignore", invalid="ignore"):
-        q, dq, tau = _integrated(robot, inner, forward, gains)
+        q, dq = _integrated(robot, inner, forward, gains)
     ddq = np.gradient(dq, inner.t, axis=0)
     at = np.append(0, np.cumsum(counts))
-    motion = Motion(command.t, q[at], dq[at], ddq[at])
-    return Simulation(command, motion, tau[at])
+    return Motion(command.t, q[at], dq[at], ddq[at])
 
 
-def _check(robot: Robot, command: Motion, step: float) -> None:
+def _check(robot: Robot, command: Motion) -> None:
     if command.nv != robot.nv or len(command) < 2:
         raise BadInput(
             f"simulation: a motion of {command.nv} joints at {len(command)} instants for "
             f"{robot.name} with {robot.nv}; give two instants or more of its joints"
         )
-    if not (np.diff(command.t) > 0).all() or not step > 0:
-        raise BadInput(
-            f"simulation: time of the motion must rise, and the step be positive ({step})"
-        )
+    if not (np.diff(command.t) > 0).all():
+        raise BadInput("simulation: time of the motion must rise")
 
 
-def _steps(command: Motion, step: float) -> npt.NDArray[np.intp]:
+def _steps(command: Motion) -> npt.NDArray[np.intp]:
     """Steps between each two instants, more where a joint turns back: dry friction jumps there."""
     dt = np.diff(command.t)
-    counts = np.maximum(1, np.ceil(dt / step - 1e-9)).astype(np.intp)
+    counts = np.maximum(1, np.ceil(dt / STEP - 1e-9)).astype(np.intp)
     reach = REVERSAL_STEPS * (dt / counts)[:, None] * np.abs(command.ddq)[1:]
     turns = (np.abs(command.dq[1:]) < reach) | (
         command.dq[1:] * command.dq[:-1] < 0
@@ -298,8 +273,8 @@ def _between(motion: Motion, counts: npt.NDArray[np.intp]) -> Motion:
 
 def _integrated(
     robot: Robot, command: Motion, forward: Array, gains: tuple[Array, Array] | None
-) -> tuple[Array, Array, Array]:
-    """Positions, velocities and torque at every instant, each of shape (n, nv)."""
+) -> tuple[Array, Array]:
+    """Positions and velocities at every instant, each of shape (n, nv)."""
     model, rotors, effects = forward_model(robot)
     data = model.createData()
     n = len(command)
@@ -312,7 +287,6 @@ def _integrated(
     allowed = np.inf if gains is None else DIVERGED + np.ptp(target, axis=0)
     positions = np.empty((n, nv))
     velocities = np.empty((n, nv))
-    tau = np.empty((n, nv))
     q = target[0].copy()
     v = speed[0].copy()
     a = np.zeros(nv)
@@ -322,16 +296,15 @@ def _integrated(
     bias = pin.nonLinearEffects
     diagonal = np.arange(nv) * (nv + 1)
     for k in range(n):
-        Kk = K[k]
-        Ck = C[k]
-        u = forward[k] + Kk @ (target[k] - q) + Ck @ (speed[k] - v)
         positions[k] = q
         velocities[k] = v
-        tau[k] = u
         if k % DIVERGENCE_STEPS == 0 or k == n - 1:
             _refuse_divergence(robot, t[k], target[k] - q, v, allowed)
         if k == n - 1:
             break
+        Kk = K[k]
+        Ck = C[k]
+        u = forward[k] + Kk @ (target[k] - q) + Ck @ (speed[k] - v)
         h = t[k + 1] - t[k]
         gh = GAMMA * h
         damping = gh * Ck + (gh * gh) * Kk
@@ -356,7 +329,7 @@ def _integrated(
         v = v + h * a
         for stepper in effects.steppers:
             stepper.advance(q)
-    return positions, velocities, tau
+    return positions, velocities
 
 
 def _refuse_divergence(

@@ -8,8 +8,8 @@ import scipy
 from known_arms import Call
 from plant_recordings import PENDULUM, energy, mujoco_model, swing, swinging
 
-from excitant.exceptions import BadInput, ExcitantError
-from excitant.robots import Motion, Robot, torque
+from excitant.exceptions import BadInput
+from excitant.robots import Motion, Robot, simulation, torque
 from excitant.robots import effects as fx
 from excitant.robots.simulation import REST, Controller, Diverged, simulate
 
@@ -20,7 +20,9 @@ pytestmark = pytest.mark.usefixtures("own_steps")
 def falling(robot: Robot, t: np.ndarray, *q: float, step: float = 1e-3) -> Motion:
     """From rest at some position, without torque."""
     rest = np.zeros((len(t), robot.nv))
-    return simulate(robot, Motion(t, rest + q, rest, rest), step=step).motion
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulation, "STEP", step)
+        return simulate(robot, Motion(t, rest + q, rest, rest))
 
 
 def with_drives(robot: Robot, rotor: float | np.ndarray, viscous: float | np.ndarray) -> Robot:
@@ -73,13 +75,13 @@ def test_the_closed_loop_is_that_of_an_adaptive_solver(ur10: Robot) -> None:
 
     start = np.concatenate([command.q[0], command.dq[0]])
     solved = scipy.integrate.solve_ivp(slope, (0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-9).y.T
-    run = simulate(with_drives(robot, rotor, viscous), command, Controller(omega, believed=robot))
+    motion = simulate(with_drives(robot, rotor, viscous), command, Controller(omega, robot))
     off = np.abs(command.q - solved[:, :6]).max()
     assert off > 0.01
-    assert np.abs(run.motion.q - solved[:, :6]).max() < 2e-3 * off
-    assert np.abs(run.motion.dq - solved[:, 6:]).max() < 2e-3 * np.abs(command.dq).max()
+    assert np.abs(motion.q - solved[:, :6]).max() < 2e-3 * off
+    assert np.abs(motion.dq - solved[:, 6:]).max() < 2e-3 * np.abs(command.dq).max()
     slopes = np.array([slope(at, state)[6:] for at, state in zip(t, solved, strict=True)])
-    assert np.abs(run.motion.ddq - slopes)[2:-2].max() < 5e-3 * np.abs(slopes).max()
+    assert np.abs(motion.ddq - slopes)[2:-2].max() < 5e-3 * np.abs(slopes).max()
 
 
 def test_a_falling_arm_is_that_of_mujoco(planar: Robot) -> None:
@@ -100,7 +102,8 @@ def test_dry_friction_is_that_of_the_plant(ur10: Robot, runs: Call) -> None:
     [seen] = runs(ur10, 3, duration=4.0, names=["run"])
     motion = Motion(seen.t, seen.q, seen.dq, np.gradient(seen.dq, seen.t, axis=0))
     loops = (Controller(6.0, believed=ur10.with_parameters(s * ur10.phi)) for s in (1.0, 1.03))
-    right, wrong = (simulate(ur10, motion, loop).rms.max() for loop in loops)
+    errors = (motion.q - simulate(ur10, motion, loop).q for loop in loops)
+    right, wrong = (np.sqrt((error**2).mean(axis=0)).max() for error in errors)
     assert right < 1.5e-3
     assert wrong > 4 * right
 
@@ -116,10 +119,9 @@ def test_friction_heavier_than_its_joint_neither_chatters_nor_overshoots() -> No
     dry = PENDULUM.with_effects((fx.CoulombFriction(("joint",), (5.0,)),))
     robot, heavier = (dry.with_parameters(s * dry.phi) for s in (1e-4, 0.01 / 1.1))  # 0.01 kg·m²
     command = swinging(robot, np.arange(0, 3, 2e-3))
-    run = simulate(robot, command, Controller(40.0, believed=heavier))
-    assert np.abs(run.error).max() < 0.35  # 5 N·m over 0.01 · 40² N·m/rad
-    same = np.sign(run.motion.dq[:, 0]) == np.sign(command.dq[:, 0])
-    assert same.mean() > 0.95
+    motion = simulate(robot, command, Controller(40.0, believed=heavier))
+    assert np.abs(motion.q - command.q).max() < 0.35  # 5 N·m over 0.01 · 40² N·m/rad
+    assert (np.sign(motion.dq[:, 0]) == np.sign(command.dq[:, 0])).mean() > 0.95
 
 
 def test_the_motor_gives_what_inverse_dynamics_asks(planar: Robot) -> None:
@@ -127,19 +129,20 @@ def test_the_motor_gives_what_inverse_dynamics_asks(planar: Robot) -> None:
     believed = with_drives(planar, 0.2, 0.8)
     effect = fx.PreslidingHysteresis(planar.joints, (1.0, 1.0), 0.02)
     robot = believed.with_effects((*believed.effects, effect))
-    run = simulate(robot, swinging(planar, np.arange(0, 4, 2e-3)), Controller(believed=believed))
-    error = scipy.ndimage.uniform_filter1d(run.tau - torque(robot, run.motion), 50, axis=0)[25:-25]
-    without = torque(robot, run.motion) - torque(believed, run.motion)
+    command, loop = swinging(planar, np.arange(0, 4, 2e-3)), Controller(believed=believed)
+    motion, (K, C) = simulate(robot, command, loop), loop.gains(robot, command.q)
+    tau = torque(believed, command) + np.einsum("kij,kj->ki", K, command.q - motion.q)
+    tau += np.einsum("kij,kj->ki", C, command.dq - motion.dq)
+    error = scipy.ndimage.uniform_filter1d(tau - torque(robot, motion), 50, axis=0)[25:-25]
+    without = torque(robot, motion) - torque(believed, motion)
     assert np.sqrt((error**2).mean()) < 0.05 * np.sqrt((without**2).mean())
 
 
 @pytest.mark.parametrize("count", [2, 300])
 def test_irregular_time_is_followed(planar: Robot, count: int) -> None:
     t = np.cumsum(np.random.default_rng(0).uniform(2e-3, 9e-3, count))
-    run = simulate(planar, swinging(planar, t), Controller())
-    assert (run.motion.t == t).all()
-    assert run.tau.shape == (count, 2)
-    assert np.abs(run.error).max() < 1e-4
+    command = swinging(planar, t)
+    assert np.abs(simulate(planar, command, Controller()).q - command.q).max() < 1e-4
 
 
 def test_what_cannot_be_simulated_is_refused_in_one_line(planar: Robot, refused: Call) -> None:
@@ -147,7 +150,6 @@ def test_what_cannot_be_simulated_is_refused_in_one_line(planar: Robot, refused:
     unknown = planar.with_effects([fx.ViscousFriction(planar.joints)])
     refused("two instants or more", simulate, planar, motion[:1], error=BadInput)
     refused("must rise", simulate, planar, motion[::-1], error=BadInput)
-    refused("step be positive", simulate, planar, motion, step=0.0, error=BadInput)
     refused("no values", simulate, unknown, motion, error=BadInput)
 
 
@@ -156,6 +158,5 @@ def test_an_arm_with_driving_friction_diverges_and_says_where(planar: Robot) -> 
     robot = planar.with_effects((fx.ViscousFriction(planar.joints, (0.0, -3.0)),))
     with pytest.raises(Diverged, match="diverges at t =") as refusal:
         simulate(robot, motion, Controller(2.0, believed=planar.with_effects(())))
-    assert isinstance(refusal.value, ExcitantError)
     assert refusal.value.joint == planar.joints[1]
     assert 0 < refusal.value.t < 5
