@@ -79,14 +79,9 @@ class Parameter:
 
 def _unit(unit: str, slides: bool) -> str:
     """The unit of a coefficient of a turning joint, at one that slides."""
-    if slides:
-        for turning, sliding in (
-            ("(N·m)", "N"),
-            ("N·m", "N"),
-            ("kg·m²", "kg"),
-            ("rad", "m"),
-        ):
-            unit = unit.replace(turning, sliding)
+    sliding = {"(N·m)": "N", "N·m": "N", "kg·m²": "kg", "rad": "m"}
+    for word in sliding if slides else ():
+        unit = unit.replace(word, sliding[word])
     return unit
 
 
@@ -177,14 +172,14 @@ class Words:
 
     Attributes:
         abscissa: Quantity over which the error without it is drawn.
-        separated_by: Experiments, each with the names of the rivals that it tells it from.
+        separated_by: By names of rivals, the experiment that tells it from them.
         sentence: Statement of a diagnosis, as `usual_sentence`.
         noun: The cause with its place, as `usual_noun`.
         drawn: Label and values of the abscissa, NaN where not to be drawn; None: as they are.
     """
 
     abscissa: str = "own torque"
-    separated_by: tuple[tuple[str, str], ...] = ()
+    separated_by: Mapping[str, str] = field(default_factory=dict)
     sentence: Callable[[Any, Robot, Sequence[str], Sequence[Size]], str] = (
         usual_sentence
     )
@@ -307,8 +302,7 @@ class Effect(ABC):
 
     def torque(self, robot: Robot, motion: Motion) -> Array:
         """Torque that the joints must give for it, shape (n, nv) [N·m]."""
-        tau: Array = self.columns(robot, motion) @ np.array(self.coefficients)
-        return tau
+        return self.columns(robot, motion) @ np.array(self.coefficients)
 
     @property
     def coefficients(self) -> tuple[float, ...]:
@@ -350,8 +344,8 @@ class Effect(ABC):
         if self.jointwise and values is not None:
             table = np.reshape(values, (len(self.joints), -1))
             values = tuple(table[kept].ravel().tolist())
-        names = tuple(self.joints[k] for k in kept)
-        return replace(self, joints=names, values=values)
+        moving = tuple(self.joints[k] for k in kept)
+        return replace(self, joints=moving, values=values)
 
     def reshaped(self, name: str, value: float) -> Self:
         """The effect with another value of one field of its shape."""
@@ -408,19 +402,20 @@ class Effect(ABC):
             components.setdefault(vector, []).append(k)
         sizes = []
         for (name, _), at in components.items():
+            first = at[0]
             size, std = length(value[at], covariance[np.ix_(at, at)])
             nominal = float(np.linalg.norm(given[at]))
-            if not self.own_terms[at[0] % count].vector:
-                size = float(value[at[0]])
-                nominal = float(given[at[0]])
-            sizes.append(Size(name, units[at[0]], size, std, nominal))
+            if not self.own_terms[first % count].vector:
+                size = float(value[first])
+                nominal = float(given[first])
+            sizes.append(Size(name, units[first], size, std, nominal))
         return tuple(sizes)
 
 
 class JointwiseEffect(Effect):
     """Effect with coefficients of its own on each joint, which act on that joint only."""
 
-    acts_on: ClassVar[Acts] = Acts.EACH
+    acts_on = Acts.EACH
 
     @abstractmethod
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
@@ -446,7 +441,7 @@ class JointwiseEffect(Effect):
 class JointEffect(JointwiseEffect):
     """Effect on each joint by that joint's own motion at that instant."""
 
-    physics: ClassVar[Physics] = Physics("motion")
+    physics = Physics("motion")
 
     @abstractmethod
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
@@ -463,8 +458,8 @@ class JointEffect(JointwiseEffect):
 class PairEffect(Effect):
     """Effect between two joints, ``joints = (one, other)``."""
 
-    acts_on: ClassVar[Acts] = Acts.PAIR
-    physics: ClassVar[Physics] = Physics("motion")
+    acts_on = Acts.PAIR
+    physics = Physics("motion")
 
 
 Kind = TypeVar("Kind", bound=Effect)
@@ -487,7 +482,7 @@ def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
 def proposals(
     robot: Robot,
     facts: Sequence[JointFacts],
-    selected: Iterable[tuple[Effect, int]] = (),
+    selected: Iterable[tuple[Effect, int]],
 ) -> list[tuple[Effect, int]]:
     """All effects to consider on an arm, each with the number of shapes it is the best of.
 
@@ -501,7 +496,7 @@ def proposals(
                 trials = kind.search.trials(first)
                 candidates = kind.search.candidates(kind(joints), first)
                 proposed += [(effect, trials) for effect in candidates]
-    known = {effect: effect for effect, _ in proposed}
+    known = dict(proposed)
     again = dict[Effect, int]()
     for effect, trials in selected:
         beside = [
@@ -570,7 +565,8 @@ def _from_entry(entry: dict[str, Any], robot: Robot, source: str) -> Effect:
     name = str(entry.pop("effect", ""))
     if name not in EFFECTS:
         raise BadInput(f"{source}: {UnknownName('effect', name, EFFECTS)}")
-    defaults = {field.name: field.default for field in fields(EFFECTS[name])}
+    kind = EFFECTS[name]
+    defaults = {field.name: field.default for field in fields(kind)}
     joints = entry.pop("joints", robot.joints)
     if not isinstance(joints, list | tuple):
         raise BadInput(
@@ -581,7 +577,7 @@ def _from_entry(entry: dict[str, Any], robot: Robot, source: str) -> Effect:
         UnknownName.refuse("joint", joints, robot.joints)
         values = np.array(entry.pop("values"), float).ravel()
         shape = {key: _like(defaults[key], value) for key, value in entry.items()}
-        effect = EFFECTS[name](joints=joints, **shape).with_values(values)
+        effect = kind(joints=joints, **shape).with_values(values)
     except (BadInput, UnknownName) as error:
         raise BadInput(f"{source}: {error}") from None
     except (KeyError, TypeError, ValueError, OverflowError):

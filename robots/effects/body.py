@@ -6,8 +6,7 @@ All are linear in their coefficients to first order, at the given model's torque
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,16 +31,6 @@ PLACEMENT_STEP = 1e-3  # m: torque is quadratic in a placement, so any step woul
 _BODY = tuple(zip(STANDARD, UNITS, strict=True))
 
 
-def _distance(
-    effect: KinematicError,
-    robot: Robot,
-    joints: Sequence[str],
-    sizes: Sequence[Size],
-) -> str:
-    distance = f"{1e3 * sizes[0].value:.0f} ± {1e3 * sizes[0].std:.2g} mm"
-    return f"The axis of {joints[0]} seems {distance} off where the model has it"
-
-
 @registered
 class KinematicError(Effect):
     """The joint sits elsewhere in its parent link than the model says."""
@@ -55,15 +44,15 @@ class KinematicError(Effect):
     physics = Physics(smooth=True)
     search = Search("diagnosis")
     words = Words(
-        separated_by=(
-            (
-                f"{by.KINEMATICS}; or repeat the motion in another pose region",
-                "inertial_parameters",
-            ),
-            (by.UNLOADED, "payload"),
-            (f"{by.LEVEL}; {by.KINEMATICS}", "gravity_direction"),
+        separated_by={
+            "inertial_parameters": f"{by.KINEMATICS}; or repeat the motion in another pose region",
+            "payload": by.UNLOADED,
+            "gravity_direction": f"{by.LEVEL}; {by.KINEMATICS}",
+        },
+        sentence=lambda effect, robot, joints, sizes: (
+            f"The axis of {joints[0]} seems {1e3 * sizes[0].value:.0f} ± "
+            f"{1e3 * sizes[0].std:.2g} mm off where the model has it"
         ),
-        sentence=_distance,
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
@@ -120,10 +109,10 @@ class GravityDirection(Effect):
     physics = Physics(smooth=True)
     search = Search("diagnosis", feasible=_is_gravity)
     words = Words(
-        separated_by=(
-            (f"{by.LEVEL}; or {by.STRETCHED}", "inertial_parameters"),
-            (f"{by.UNLOADED}; {by.LEVEL}", "payload"),
-        ),
+        separated_by={
+            "inertial_parameters": f"{by.LEVEL}; or {by.STRETCHED}",
+            "payload": f"{by.UNLOADED}; {by.LEVEL}",
+        },
         sentence=_true_gravity,
     )
 
@@ -138,14 +127,13 @@ class GravityDirection(Effect):
         return robot.with_gravity(robot.gravity + self.coefficients)
 
 
-@dataclass(frozen=True)
 class AddedInertia(Effect):
     """Inertial parameters added to the link that one joint carries, about the joint frame."""
 
-    family: ClassVar[str] = "body"
-    acts_on: ClassVar[Acts] = Acts.ONE
-    physics: ClassVar[Physics] = Physics("motion")
-    search: ClassVar[Search] = Search("diagnosis")
+    family = "body"
+    acts_on = Acts.ONE
+    physics = Physics("motion")
+    search = Search("diagnosis")
 
     def owners(self, robot: Robot) -> tuple[str, ...]:
         return tuple(robot.links[row] for row in self.rows(robot))
@@ -156,7 +144,7 @@ class AddedInertia(Effect):
         return np.concatenate(parts, axis=2)
 
     def applied(self, robot: Robot) -> Robot:
-        phi = robot.phi.reshape(-1, 10).copy()
+        phi = np.array(robot.phi).reshape(-1, 10)
         phi[self.rows(robot)] += np.reshape(self.coefficients, (-1, 10))
         return robot.with_parameters(phi)
 
@@ -174,7 +162,9 @@ class Payload(AddedInertia):
         feasible=lambda effect, robot, values, std: above(values[:1], 0.0, std[:1]),
     )
     words = Words(
-        separated_by=((by.UNLOADED, "inertial_parameters"),),
+        separated_by={
+            "inertial_parameters": by.UNLOADED,
+        },
         sentence=lambda effect, robot, joints, sizes: (
             f"A payload of {sizes[0]} on the last link is missing from the model"
         ),

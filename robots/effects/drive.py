@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,19 +52,13 @@ class TorqueOffset(JointEffect):
     )
     words = Words(
         "time",
-        (
-            (
-                f"{by.POSTURE}: an offset does not turn with gravity",
-                "inertial_parameters",
-            ),
-            ("repeat the motion without the load: an offset stays", "payload"),
-            (by.STATIC, "spring torque_ripple"),
-            (
-                f"{by.TURNED}: an offset stays, tilt turns along",
-                "gravity_direction",
-            ),
-            (f"{by.ZERO}; {by.UNPOWERED}", "encoder_offset"),
-        ),
+        {
+            "inertial_parameters": f"{by.POSTURE}: an offset does not turn with gravity",
+            "payload": "repeat the motion without the load: an offset stays",
+            "spring torque_ripple": by.STATIC,
+            "gravity_direction": f"{by.TURNED}: an offset stays, tilt turns along",
+            "encoder_offset": f"{by.ZERO}; {by.UNPOWERED}",
+        },
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
@@ -91,19 +84,16 @@ class RotorInertia(JointEffect):
     )
     words = Words(
         "acceleration",
-        (
-            (by.FOLDED, "inertial_parameters"),
-            (f"find the resonance by a chirp; {by.LOCKED}", "joint_elasticity"),
-            (
-                "hold the joint at several angles: a spring pulls at rest, inertia does not",
-                "spring",
-            ),
-            (by.HOLD_OTHER, "inertia_coupling"),
-            (f"{by.LEVER}; {by.DATA_SHEET}", "torque_gain"),
-            (by.UNLOADED, "payload"),
-            (by.SECOND, "time_delay torque_ripple"),
-            (by.DATA_SHEET, "kinematic_error"),
-        ),
+        {
+            "inertial_parameters": by.FOLDED,
+            "joint_elasticity": f"find the resonance by a chirp; {by.LOCKED}",
+            "spring": "hold the joint at several angles: a spring pulls at rest, inertia does not",
+            "inertia_coupling": by.HOLD_OTHER,
+            "torque_gain": f"{by.LEVER}; {by.DATA_SHEET}",
+            "payload": by.UNLOADED,
+            "time_delay torque_ripple": by.SECOND,
+            "kinematic_error": by.DATA_SHEET,
+        },
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
@@ -142,14 +132,10 @@ def _orders(facts: JointFacts) -> Array:
         return np.zeros(0)
     step = _step(facts)
     first = 1.0 + step
-    last = (
-        2
-        * np.pi
-        * facts.cutoff_hz
-        / max(float(np.median(np.abs(facts.dq))), SLOWEST_MEDIAN)
-    )
+    speed = max(float(np.median(np.abs(facts.dq))), SLOWEST_MEDIAN)
+    last = 2 * np.pi * facts.cutoff_hz / speed
     count = min(MOST_ORDERS, max(0, int((last - first) / step) + 1))
-    return np.asarray(first + step * np.arange(count), float)
+    return first + step * np.arange(float(count))
 
 
 def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
@@ -177,10 +163,7 @@ def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
     determinant = power**2 - np.abs(square) ** 2
     least = 4 * DEPENDENT * n**2
     fall = 2 * (power * np.abs(own) ** 2 - (square.conj() * own**2).real)
-    gains = np.where(
-        determinant > least, fall / np.maximum(determinant, least), 0.0
-    )
-    return np.asarray(gains, float)
+    return np.where(determinant > least, fall / np.maximum(determinant, least), 0.0)
 
 
 def _best_orders(ripple: TorqueRipple, facts: JointFacts) -> list[Effect]:
@@ -195,11 +178,9 @@ def _best_orders(ripple: TorqueRipple, facts: JointFacts) -> list[Effect]:
     apart = 3 * _step(facts)
     best: list[float] = []
     for order in orders[np.argsort(-gains)].tolist():
-        if len(best) == RIPPLE_CANDIDATES:
-            break
         if all(abs(order - other) > apart for other in best):
             best.append(order)
-    return [replace(ripple, order=order) for order in best]
+    return [replace(ripple, order=order) for order in best[:RIPPLE_CANDIDATES]]
 
 
 def _finer_orders(
@@ -213,13 +194,6 @@ def _finer_orders(
         ]
         finer += between(ripple, ends, facts)
     return finer
-
-
-def _within_a_period(
-    ripple: TorqueRipple, label: str, q: Array
-) -> tuple[str, Array]:
-    period = 2 * np.pi / ripple.order
-    return "joint position within one period of the ripple [rad]", np.mod(q, period)
 
 
 @registered
@@ -237,12 +211,15 @@ class TorqueRipple(JointEffect):
     )
     words = Words(
         "position",
-        (
-            (by.STATIC, "spring inertial_parameters"),
-            (by.ORDERS, "joint_elasticity backlash"),
-            (by.UNLOADED, "payload"),
+        {
+            "spring inertial_parameters": by.STATIC,
+            "joint_elasticity backlash": by.ORDERS,
+            "payload": by.UNLOADED,
+        },
+        drawn=lambda ripple, label, q: (
+            "joint position within one period of the ripple [rad]",
+            np.mod(q, 2 * np.pi / ripple.order),
         ),
-        drawn=_within_a_period,
     )
 
     order: float = 1.0  # N, periods per turn of the joint
@@ -278,14 +255,11 @@ class Spring(JointEffect):
     )
     words = Words(
         "position",
-        (
-            (
-                f"{by.UNPOWERED}; or {by.TILTED}, a spring's stays",
-                "inertial_parameters",
-            ),
-            (by.UNLOADED, "payload"),
-            (f"{by.TURNED}: a spring's torque stays", "gravity_direction"),
-        ),
+        {
+            "inertial_parameters": f"{by.UNPOWERED}; or {by.TILTED}, a spring's stays",
+            "payload": by.UNLOADED,
+            "gravity_direction": f"{by.TURNED}: a spring's torque stays",
+        },
     )
     terms = (Parameter("k", "N·m/rad"), Parameter("moment", "N·m"))
 
@@ -307,12 +281,11 @@ class Spring(JointEffect):
         return (np.cos(q), np.sin(q)) if self.lever else (q, np.ones_like(q))
 
 
-@dataclass(frozen=True)
 class _Lag(Effect):
     """The link lags behind the motor, on whose side the encoder sits."""
 
-    family: ClassVar[str] = "transmission"
-    acts_on: ClassVar[Acts] = Acts.ONE
+    family = "transmission"
+    acts_on = Acts.ONE
 
 
 @registered
@@ -323,13 +296,10 @@ class JointElasticity(_Lag):
     physics = Physics(smooth=True)
     terms = (Parameter("compliance", "rad/(N·m)", 0.0),)
     words = Words(
-        separated_by=(
-            (
-                f"{by.LOCKED}: play yields at once, a spring in proportion",
-                "backlash",
-            ),
-            (by.UNLOADED, "payload"),
-        )
+        separated_by={
+            "backlash": f"{by.LOCKED}: play yields at once, a spring in proportion",
+            "payload": by.UNLOADED,
+        }
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
@@ -359,7 +329,11 @@ class Backlash(_Lag):
             ),
         )
     )
-    words = Words(separated_by=((by.SPEEDS, "time_delay"),))
+    words = Words(
+        separated_by={
+            "time_delay": by.SPEEDS,
+        }
+    )
 
     trial: float = 3e-3  # gap for which the flights are computed [rad]
 

@@ -85,7 +85,7 @@ def separating_experiment(
     if one.name == other.name:
         return SAME
     for effect, rival in ((one, other), (other, one)):
-        for experiment, rivals in effect.words.separated_by:
+        for rivals, experiment in effect.words.separated_by.items():
             if rival.name in rivals.split():
                 return experiment
     return BETWEEN.get(frozenset((one.family, other.family)), GENERAL)

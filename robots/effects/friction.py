@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -43,11 +42,11 @@ REVERSAL_DISTANCES = (
 
 
 class _Friction:
-    family: ClassVar[str] = "friction"
+    family = "friction"
 
 
 class _StandardFriction(_Friction, JointEffect):
-    search: ClassVar[Search] = Search("standard")
+    search = Search("standard")
 
 
 @registered
@@ -61,15 +60,15 @@ class ViscousFriction(_StandardFriction):
     )
     words = Words(
         "velocity",
-        (
-            (by.LADDER, "coulomb_friction stribeck_friction"),
-            (by.LADDER, "nonlinear_viscous_friction asymmetric_friction"),
-            (by.WARM, "thermal_friction_drift"),
-            (by.CURRENT, "torque_gain"),
-            (by.LOADS, "load_dependent_friction"),
-            (by.HOLD_OTHER, "friction_coupling"),
-            (by.KINEMATICS, "encoder_scale"),
-        ),
+        {
+            "coulomb_friction stribeck_friction": by.LADDER,
+            "nonlinear_viscous_friction asymmetric_friction": by.LADDER,
+            "thermal_friction_drift": by.WARM,
+            "torque_gain": by.CURRENT,
+            "load_dependent_friction": by.LOADS,
+            "friction_coupling": by.HOLD_OTHER,
+            "encoder_scale": by.KINEMATICS,
+        },
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
@@ -95,14 +94,14 @@ class CoulombFriction(_StandardFriction):
     )
     words = Words(
         "velocity",
-        (
-            (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
-            (by.AT_REST, "asymmetric_friction"),
-            (by.REVERSALS, "presliding_hysteresis backlash"),
-            (by.LOADS, "load_dependent_friction"),
-            (by.HOLD_OTHER, "friction_coupling"),
-            (by.WARM, "thermal_friction_drift"),
-        ),
+        {
+            "stribeck_friction nonlinear_viscous_friction": by.LADDER,
+            "asymmetric_friction": by.AT_REST,
+            "presliding_hysteresis backlash": by.REVERSALS,
+            "load_dependent_friction": by.LOADS,
+            "friction_coupling": by.HOLD_OTHER,
+            "thermal_friction_drift": by.WARM,
+        },
     )
 
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
@@ -138,13 +137,13 @@ class AsymmetricFriction(_Friction, JointEffect):
     )
     words = Words(
         "velocity",
-        (
-            (f"{by.AT_REST}, and once with the motor unpowered", "torque_offset"),
-            (by.LADDER, "stribeck_friction nonlinear_viscous_friction"),
-            (by.LOADS, "load_dependent_friction"),
-            (by.WARM, "thermal_friction_drift"),
-            (by.HOLD_OTHER, "friction_coupling"),
-        ),
+        {
+            "torque_offset": f"{by.AT_REST}, and once with the motor unpowered",
+            "stribeck_friction nonlinear_viscous_friction": by.LADDER,
+            "load_dependent_friction": by.LOADS,
+            "thermal_friction_drift": by.WARM,
+            "friction_coupling": by.HOLD_OTHER,
+        },
     )
 
     viscous: bool = True  # whether viscous friction differs too
@@ -179,13 +178,13 @@ class StribeckFriction(_Friction, JointEffect):
     )
     words = Words(
         "velocity",
-        (
-            (by.LADDER, "nonlinear_viscous_friction"),
-            (by.REVERSALS, "presliding_hysteresis backlash"),
-            (f"{by.LADDER}, at two payloads", "load_dependent_friction"),
-            (by.HOLD_OTHER, "friction_coupling"),
-            (by.WARM, "thermal_friction_drift"),
-        ),
+        {
+            "nonlinear_viscous_friction": by.LADDER,
+            "presliding_hysteresis backlash": by.REVERSALS,
+            "load_dependent_friction": f"{by.LADDER}, at two payloads",
+            "friction_coupling": by.HOLD_OTHER,
+            "thermal_friction_drift": by.WARM,
+        },
     )
 
     velocity: float = 0.1  # v_s [rad/s]
@@ -224,16 +223,13 @@ class LoadDependentFriction(_Friction, JointwiseEffect):
     terms = (Parameter("Fl", "1", 0.0),)
     words = Words(
         "load",
-        (
-            (
-                f"{by.BACKWARDS}, a gain does not; then with a known payload",
-                "torque_gain",
-            ),
-            (f"{by.REVERSALS}, at two payloads", "presliding_hysteresis"),
-            (by.REVERSALS, "backlash"),
-            (f"{by.LADDER}, at two payloads", "nonlinear_viscous_friction"),
-            (by.HOLD_OTHER, "friction_coupling"),
-        ),
+        {
+            "torque_gain": f"{by.BACKWARDS}, a gain does not; then with a known payload",
+            "presliding_hysteresis": f"{by.REVERSALS}, at two payloads",
+            "backlash": by.REVERSALS,
+            "nonlinear_viscous_friction": f"{by.LADDER}, at two payloads",
+            "friction_coupling": by.HOLD_OTHER,
+        },
     )
 
     def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
@@ -277,7 +273,9 @@ class PreslidingHysteresis(_Friction, JointwiseEffect):
     )
     words = Words(
         "reversal",
-        ((by.REVERSALS, "backlash"),),
+        {
+            "backlash": by.REVERSALS,
+        },
         drawn=lambda effect, label, x: (label, _near_reversals(effect, x)),
     )
 
@@ -289,9 +287,8 @@ class PreslidingHysteresis(_Friction, JointwiseEffect):
     def stepper(self, robot: Robot) -> Bristles:
         force = np.zeros(robot.nv)
         force[self.rows(robot)] = self.coefficients
-        return Bristles(
-            self.distance, force, np.zeros(robot.nv), np.full(robot.nv, np.nan)
-        )
+        unknown = np.full(robot.nv, np.nan)
+        return Bristles(self.distance, force, np.zeros(robot.nv), unknown)
 
 
 def _near_reversals(effect: PreslidingHysteresis, x: Array) -> Array:
@@ -340,10 +337,8 @@ def bristles(q: Array, distance: float) -> Array:
     for sign, keeps in zip(signs[:-1].tolist(), kept, strict=True):
         states.append(sign + (states[-1] - sign) * keeps)
     run = np.append(0, np.searchsorted(first, np.arange(len(steps)), "right"))
-    z = signs[run] + (np.array(states)[run] - signs[run]) * np.exp(
-        starts[run] - way
-    )
-    return np.asarray(z, float)
+    fading = np.exp(starts[run] - way)
+    return signs[run] + (np.array(states)[run] - signs[run]) * fading
 
 
 @registered
@@ -362,7 +357,12 @@ class FrictionCoupling(_Friction, PairEffect):
             replace(effect, ratio=ratio) for ratio in (1.0, -1.0)
         ],
     )
-    words = Words("other velocity", ((by.HOLD_OTHER, "inertia_coupling"),))
+    words = Words(
+        "other velocity",
+        {
+            "inertia_coupling": by.HOLD_OTHER,
+        },
+    )
 
     ratio: float = 1.0  # ρ
 
@@ -370,9 +370,8 @@ class FrictionCoupling(_Friction, PairEffect):
         i, k = self.rows(robot)
         speed = motion.dq[:, i] + self.ratio * motion.dq[:, k]
         columns = np.zeros((len(motion), robot.nv, 2))
-        for row, lever in ((i, 1.0), (k, self.ratio)):
-            columns[:, row, 0] = lever * speed
-            columns[:, row, 1] = lever * np.sign(speed)
+        columns[:, i] = np.column_stack([speed, np.sign(speed)])
+        columns[:, k] = self.ratio * columns[:, i]
         return columns
 
 

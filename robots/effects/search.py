@@ -69,9 +69,8 @@ def joint_facts(
 
     Noise is a density of the positions, (nv,) [rad²/Hz or m²/Hz].
     """
-    q = np.concatenate([motion.q for motion in motions])
-    dq = np.concatenate([motion.dq for motion in motions])
-    ddq = np.concatenate([motion.ddq for motion in motions])
+    states = [(motion.q, motion.dq, motion.ddq) for motion in motions]
+    q, dq, ddq = (np.concatenate(parts) for parts in zip(*states, strict=True))
     start = min(float(motion.t[0]) for motion in motions)
     duration = max(float(motion.t[-1]) for motion in motions) - start
     hidden_time = max(float(motion.t[1] - motion.t[0]) for motion in motions)
@@ -206,10 +205,8 @@ class Search:
     @property
     def tuned(self) -> Shape | None:
         """The shape that a fit may refine, if any."""
-        tunable = (
-            shape for shape in self.shapes if shape.positive and not shape.trial
-        )
-        return next(tunable, None)
+        tuned = (s for s in self.shapes if s.positive and not s.trial)
+        return next(tuned, None)
 
 
 def alternatives(effect: Effect, facts: JointFacts) -> list[Effect]:

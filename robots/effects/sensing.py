@@ -6,8 +6,6 @@ All are linear in their coefficients to first order, at the given model's torque
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -56,14 +54,14 @@ class TorqueGain(Effect):
     search = Search("diagnosis", places=_each_then_all)
     words = Words(
         "torque",
-        (
-            (f"{by.LOADS}: a gain scales its torque too", "inertial_parameters"),
-            (f"{by.LOADS} beside the unknown one", "payload"),
-            (f"{by.LEVEL}; {by.LOADS}", "gravity_direction"),
-            (f"{by.LOADS}; {by.KINEMATICS}", "kinematic_error"),
-            (by.KINEMATICS, "encoder_scale"),
-            (f"{by.ZERO}; {by.LOADS}", "encoder_offset"),
-        ),
+        {
+            "inertial_parameters": f"{by.LOADS}: a gain scales its torque too",
+            "payload": f"{by.LOADS} beside the unknown one",
+            "gravity_direction": f"{by.LEVEL}; {by.LOADS}",
+            "kinematic_error": f"{by.LOADS}; {by.KINEMATICS}",
+            "encoder_scale": by.KINEMATICS,
+            "encoder_offset": f"{by.ZERO}; {by.LOADS}",
+        },
         sentence=_gain,
     )
 
@@ -72,13 +70,6 @@ class TorqueGain(Effect):
         rows = self.rows(robot)
         columns[:, rows, 0] = carried_torque(robot, motion)[:, rows]
         return columns
-
-
-def _lag(
-    effect: TimeDelay, robot: Robot, joints: Sequence[str], sizes: Sequence[Size]
-) -> str:
-    delay = f"{1e3 * sizes[0].value:.1f} ± {1e3 * sizes[0].std:.2g} ms"
-    return f"The torque lags the motion by {delay}"
 
 
 @registered
@@ -107,11 +98,14 @@ class TimeDelay(Effect):
     )
     words = Words(
         "torque rate",
-        (
-            (by.SPEEDS, "inertial_parameters encoder_scale"),
-            (by.WARM, "thermal_friction_drift"),
+        {
+            "inertial_parameters encoder_scale": by.SPEEDS,
+            "thermal_friction_drift": by.WARM,
+        },
+        sentence=lambda effect, robot, joints, sizes: (
+            "The torque lags the motion by "
+            f"{1e3 * sizes[0].value:.1f} ± {1e3 * sizes[0].std:.2g} ms"
         ),
-        sentence=_lag,
     )
 
     trial: float = 1e-3  # delay at which the column is the exact difference [s]
@@ -132,14 +126,13 @@ class TimeDelay(Effect):
         return columns
 
 
-@dataclass(frozen=True)
 class _EncoderError(Effect):
     """A joint is elsewhere than its encoder says."""
 
-    family: ClassVar[str] = "geometry"
-    acts_on: ClassVar[Acts] = Acts.ONE
-    physics: ClassVar[Physics] = Physics(smooth=True)
-    search: ClassVar[Search] = Search("diagnosis")
+    family = "geometry"
+    acts_on = Acts.ONE
+    physics = Physics(smooth=True)
+    search = Search("diagnosis")
 
 
 @registered
@@ -149,18 +142,13 @@ class EncoderOffset(_EncoderError):
     name = "encoder_offset"
     terms = (Parameter("offset_angle", "rad", typical=0.3),)
     words = Words(
-        separated_by=(
-            (
-                f"{by.ZERO}; the last joint's offset is a turned last link",
-                "inertial_parameters",
-            ),
-            (f"{by.ZERO}; or {by.UNLOADED}", "payload"),
-            (
-                f"{by.TURNED}: tilt's phase follows q1, an encoder's offset does not",
-                "gravity_direction",
-            ),
-            (f"{by.ZERO}, and at the far end of its range", "encoder_scale"),
-        )
+        separated_by={
+            "inertial_parameters": f"{by.ZERO}; the last joint's offset is a turned last link",
+            "payload": f"{by.ZERO}; or {by.UNLOADED}",
+            "gravity_direction": f"{by.TURNED}: tilt's phase follows q1, "
+            "an encoder's offset does not",
+            "encoder_scale": f"{by.ZERO}, and at the far end of its range",
+        }
     )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
@@ -174,7 +162,11 @@ class EncoderScale(_EncoderError):
 
     name = "encoder_scale"
     terms = (Parameter("scale", "1", typical=0.3),)
-    words = Words(separated_by=((by.KINEMATICS, "inertial_parameters"),))
+    words = Words(
+        separated_by={
+            "inertial_parameters": by.KINEMATICS,
+        }
+    )
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]

@@ -93,7 +93,7 @@ def test_amplitude_has_the_spread_of_its_samples() -> None:
 def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
     assert EFFECTS[kind.name] is kind
     assert len(EFFECTS) == 24
-    told = (name for _, names in kind.words.separated_by for name in names.split())
+    told = (name for names in kind.words.separated_by for name in names.split())
     assert {*kind.search.contains, *told} <= {*EFFECTS}
     assert set(kind.search.imitates) <= set(kind.search.contains)
     assert frozenset((kind.family,)) in BETWEEN
