@@ -53,11 +53,8 @@ class Angles:
 
     def exact(self, values: Iterable[float]) -> Array:
         """Angles that were read as numbers, with the digits that these need [rad]."""
-        given = [float(value) for value in values]
-        pairs = ((self.meant(repr(value)), value) for value in given)
-        return np.array(
-            [value if exact is None else exact for exact, value in pairs]
-        )
+        words = [repr(float(value)) for value in values]
+        return np.array([self._exact(word) for word in words], float)
 
     def urdf(self, text: str) -> str:
         """A URDF whose ``rpy`` are exact; what they are not is left as it is."""
@@ -68,15 +65,15 @@ class Angles:
     def _words(self, text: str) -> str:
         words = text.split()
         try:
-            exact = [self.meant(word) for word in words]
+            exact = list(map(self._exact, words))
         except ValueError:
             return text  # refused where it is read as numbers
-        if all(angle is None for angle in exact):
-            return text
-        return " ".join(
-            word if a is None else repr(a)
-            for word, a in zip(words, exact, strict=True)
-        )
+        return text if exact == words else " ".join(map(str, exact))
+
+    def _exact(self, word: str) -> float | str:
+        """What an angle stands for, or itself."""
+        exact = self.meant(word)
+        return word if exact is None else exact
 
     def quaternion(self, wxyz: Array) -> Array:
         """A quaternion of turns by multiples of 15°, where rounding explains the rest."""

@@ -14,7 +14,7 @@ import pinocchio as pin
 from excitant.names import listed
 from excitant.robots.geometry import joint_axes, readable_solids, zero_pose
 from excitant.robots.motion import Array
-from excitant.robots.robot import Robot
+from excitant.robots.robot import Robot, spans
 
 _ROD = 0.02  # of the arm's extent: radius of what stands for a link without shapes
 _LISTED = 3  # links by name
@@ -22,15 +22,6 @@ _INSTEAD = {
     "visual": "drawn by visual shapes, which are not checked",
     "rod": "without shapes, drawn as rods from joint to joint",
 }
-
-
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    """A shape of coal that a joint carries, by its index; 0 for the base."""
-
-    joint: int
-    place: pin.SE3  # in the frame of the joint
-    shape: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,21 +35,21 @@ class Appearance:
     robot: Robot
 
     @cached_property
-    def _shown(self) -> dict[str, list[_Piece]]:
+    def _shown(self) -> dict[str, list[pin.GeometryObject]]:
         """Pieces by what they are: ``collision``, ``visual``, ``rod``."""
-        shown: dict[str, list[_Piece]] = {}
+        shown: dict[str, list[pin.GeometryObject]] = {}
         bare = set(range(self.robot.nv + 1))
         for kind in ("collision", "visual"):
             shown[kind] = [
-                _Piece(body.parentJoint, body.placement, body.geometry)
-                for body in (readable_solids(self.robot, kind) if bare else ())
-                if body.parentJoint in bare
+                piece
+                for piece in (readable_solids(self.robot, kind) if bare else ())
+                if piece.parentJoint in bare
             ]
-            bare -= {piece.joint for piece in shown[kind]}
+            bare -= {piece.parentJoint for piece in shown[kind]}
         shown["rod"] = [rod for joint in sorted(bare) for rod in self._rods(joint)]
         return shown
 
-    def _rods(self, joint: int) -> Iterator[_Piece]:
+    def _rods(self, joint: int) -> Iterator[pin.GeometryObject]:
         """What stands for a link: its joint, and rods to the joints, or the tool, that it carries.
 
         A joint that turns is a bar along its axis, one that slides a block on a rail.
@@ -66,32 +57,27 @@ class Appearance:
         robot = self.robot
         radius = _ROD * self._extent
         model = robot.model
-        tool = robot.model.frames[robot.tip]
+        tool = model.frames[robot.tip]
         places = list(model.jointPlacements)
         if joint and robot.revolute[joint - 1]:
-            yield _Piece(
-                joint, self._along(joint), coal.Cylinder(1.6 * radius, 5 * radius)
-            )
+            bar = coal.Cylinder(1.6 * radius, 5 * radius)
+            yield _piece(joint, self._along(joint), bar)
         elif joint:
-            yield _Piece(
-                joint, self._along(joint), coal.Box(*np.full(3, 3.2 * radius))
-            )
+            block = coal.Box(*np.full(3, 3.2 * radius))
+            yield _piece(joint, self._along(joint), block)
             low, high = robot.limits.position[joint - 1]
             if np.isfinite(high - low):
                 rail = places[joint] * self._along(joint, (low + high) / 2)
                 shape = coal.Cylinder(radius / 2, float(high - low))
-                yield _Piece(model.parents[joint], rail, shape)
+                yield _piece(model.parents[joint], rail, shape)
         ends = [
             places[k] for k in range(1, robot.nv + 1) if model.parents[k] == joint
         ]
         ends += [tool.placement] * (tool.parentJoint == joint)
-        for end in (np.array(place.translation) for place in ends):
+        for end in (place.translation for place in ends):
             if (length := float(np.linalg.norm(end))) > radius:
-                yield _Piece(
-                    joint,
-                    pin.SE3(_turned(end), end / 2),
-                    coal.Cylinder(radius, length),
-                )
+                middle = pin.SE3(_turned(end), end / 2)
+                yield _piece(joint, middle, coal.Cylinder(radius, length))
 
     def _along(self, joint: int, shift: float = 0.0) -> pin.SE3:
         """A frame whose z is the joint's axis, shifted along it, in the frame of the joint."""
@@ -103,32 +89,25 @@ class Appearance:
         """Axis of each joint in its own frame, shape (nv, 3)."""
         data = self.robot.model.createData()
         axes = joint_axes(self.robot, zero_pose(self.robot), data)
-        turns = [np.asarray(place.rotation) for place in list(data.oMi)[1:]]
-        own: Array = np.einsum("jki,jk->ji", turns, axes)
-        return own
+        turns = [place.rotation for place in list(data.oMi)[1:]]
+        return np.einsum("jki,jk->ji", turns, axes)
 
     @cached_property
     def _extent(self) -> float:
         """Length of the arm along its joints [m]; 1 of an arm without any."""
-        model = self.robot.model
-        places = [
-            *list(model.jointPlacements),
-            model.frames[self.robot.tip].placement,
-        ]
-        return (
-            float(sum(np.linalg.norm(place.translation) for place in places)) or 1.0
-        )
+        tool = self.robot.model.frames[self.robot.tip].placement
+        reach = float(np.linalg.norm(tool.translation))
+        return sum(spans(self.robot)) + reach or 1.0
 
     @property
     def notes(self) -> list[str]:
         """What is not drawn by collision shapes, and which meshes are missing; a sentence each."""
         notes: list[str] = []
+        names = ("base", *self.robot.links)
         for kind, how in _INSTEAD.items():
-            links = [
-                self._link(j)
-                for j in sorted({piece.joint for piece in self._shown[kind]})
-            ]
-            if links:
+            joints = sorted({piece.parentJoint for piece in self._shown[kind]})
+            if joints:
+                links = [names[joint] for joint in joints]
                 notes.append(f"{how}: {listed(links, _LISTED)}")
         for kind in ("collision", "visual") if notes else ("collision",):
             _, missing, _ = self.robot.format.count_shapes(self.robot, kind)
@@ -136,11 +115,8 @@ class Appearance:
                 notes.append(f"{missing} {kind} meshes were not found")
         return notes
 
-    def _link(self, joint: int) -> str:
-        return self.robot.links[joint - 1] if joint else "base"
-
     @property
-    def _pieces(self) -> list[_Piece]:
+    def _pieces(self) -> list[pin.GeometryObject]:
         return [piece for pieces in self._shown.values() for piece in pieces]
 
     def entries(self) -> dict[str, Any]:
@@ -153,27 +129,22 @@ class Appearance:
             x, y, z [m] and the quaternion x, y, z, w.
         """
         robot = self.robot
-        frame = self.robot.model.frames[self.robot.tip]
+        model = robot.model
+        frame = model.frames[robot.tip]
         joints = [
             {
-                "parent": int(parent),
-                "place": _place(place),
+                "parent": int(model.parents[j]),
+                "place": _place(model.jointPlacements[j]),
                 "axis": axis,
-                "slides": not turns,
+                "slides": not robot.revolute[j - 1],
             }
-            for parent, place, axis, turns in zip(
-                list(robot.model.parents)[1:],
-                list(robot.model.jointPlacements)[1:],
-                self._axes.tolist(),
-                robot.revolute.tolist(),
-                strict=True,
-            )
+            for j, axis in enumerate(self._axes.tolist(), start=1)
         ]
         shapes = [
             {
-                "joint": piece.joint,
-                "place": _place(piece.place),
-                **_measures(piece.shape),
+                "joint": piece.parentJoint,
+                "place": _place(piece.placement),
+                **_measures(piece.geometry),
             }
             for piece in self._pieces
         ]
@@ -189,21 +160,25 @@ class Appearance:
         """Of shape k that is a mesh ``mesh<k>_points`` (n, 3) [m] and ``mesh<k>_faces`` (m, 3)."""
         arrays: dict[str, Array] = {}
         for k, piece in enumerate(self._pieces):
-            if _measures(piece.shape)["kind"] == "mesh":
-                points, faces = _triangles(piece.shape)
+            if _measures(piece.geometry)["kind"] == "mesh":
+                points, faces = _triangles(piece.geometry)
                 arrays |= {f"mesh{k}_points": points, f"mesh{k}_faces": faces}
         return arrays
 
 
+def _piece(joint: int, place: pin.SE3, shape: Any) -> pin.GeometryObject:
+    """A shape that a joint carries, by its index, 0 for the base, in the joint's frame."""
+    return pin.GeometryObject("", joint, 0, place, shape)
+
+
 def _turned(axis: Array) -> Array:
     """A rotation that turns z into a direction, shape (3, 3)."""
-    return np.asarray(
-        pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
-    )
+    z = np.array([0.0, 0.0, 1.0])
+    return pin.Quaternion.FromTwoVectors(z, axis).matrix()
 
 
 def _place(place: pin.SE3) -> list[float]:
-    return [float(x) for x in pin.SE3ToXYZQUAT(place)]
+    return pin.SE3ToXYZQUAT(place).tolist()
 
 
 def _measures(shape: Any) -> dict[str, Any]:
@@ -230,6 +205,5 @@ def _triangles(shape: Any) -> tuple[Array, Array]:
     else:
         faces = [shape.polygons(k) for k in range(shape.num_polygons)]
         points = shape.points()
-    return np.array(points, float), np.array(
-        [[face[k] for k in range(3)] for face in faces], float
-    )
+    corners = [[face[k] for k in range(3)] for face in faces]
+    return np.array(points, float), np.array(corners, float)

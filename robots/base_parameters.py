@@ -21,13 +21,13 @@ import numpy.typing as npt
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.parameters import moved_parameters
-from excitant.robots.robot import Robot
+from excitant.robots.robot import Robot, spans
 from excitant.robots.torque import column_names, observation_columns
 
 # of the longest column: arms show parts of 0.1, angles in seven digits 1e-7
 TOLERANCE = 1e-6
 _ABSENT = 1e-8  # of the longest column: a column of zeros
-_STATES = 600
+_HALF = 300  # of the random states
 _PRESENT = 1e-10  # of a column's largest entry: the torque contains it
 # decades below the limit, so that friction at low speed shows its shape
 _SLOWEST = -3.0
@@ -41,11 +41,7 @@ LENGTH_POWERS = read_only([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 def arm_length(robot: Robot) -> float:
     """Length of an arm, from its first joint to its last along the links; 1 m when zero [m]."""
-    steps = [
-        np.linalg.norm(place.translation)
-        for place in list(robot.model.jointPlacements)[2:]
-    ]
-    return float(sum(steps)) or 1.0
+    return sum(spans(robot)[1:]) or 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,46 +115,35 @@ class Observation:
     units: Array  # what the columns were divided by; infinite for a column of zeros, shape (p,)
 
 
-def base_parameters(
-    robot: Robot,
-    effects: Sequence[Effect] = (),
-    *,
-    rng: np.random.Generator | None = None,
-) -> BaseParameters:
+def base_parameters(robot: Robot, effects: Sequence[Effect] = ()) -> BaseParameters:
     """Base parameters of the links, with those of effects when given.
 
     Args:
         robot: The arm; gravity and locked joints count.
         effects: Effects whose coefficients are unknown too.
-        rng: Draws the states; always the same ones when None. The result does not depend on it.
     """
-    rng = np.random.default_rng(0) if rng is None else rng
-    return regroup(observe(robot, effects, structural_motion(robot, rng)))
+    motion = structural_motion(robot, np.random.default_rng(0))
+    return regroup(observe(robot, effects, motion))
 
 
-def structural_motion(
-    robot: Robot, rng: np.random.Generator, states: int = _STATES
-) -> Motion:
+def structural_motion(robot: Robot, rng: np.random.Generator) -> Motion:
     """Random states that show all that a motion can: half over full turns, half within limits.
 
     The first half has velocities and accelerations of √(g/L) and g/L for an arm of length L.
     Those within the limits come at all speeds, down to a thousandth of the limit.
     """
-    half = states // 2
     length = arm_length(robot)
     gravity = float(np.linalg.norm(robot.gravity)) or length
     rate = np.sqrt(gravity / length)
-    free = rng.uniform(-1.0, 1.0, (3, half, robot.nv)) * np.where(
-        robot.revolute, 1.0, length
-    )
+    free = rng.uniform(-1.0, 1.0, (3, _HALF, robot.nv))
+    free *= np.where(robot.revolute, 1.0, length)
     free *= np.array([1.0, rate, rate**2])[:, None, None]
     free[0] *= np.where(robot.revolute, np.pi, 1.0)
-    bound = np.array(robot.random_motion(rng, states - half))
-    slow = rng.uniform(_SLOWEST, 0, states - half) * (np.arange(states - half) % 2)
+    bound = np.array(robot.random_motion(rng, _HALF))
+    slow = rng.uniform(_SLOWEST, 0, _HALF) * (np.arange(_HALF) % 2)
     bound[1] *= 10.0 ** slow[:, None]
-    return Motion(
-        np.arange(states, dtype=float), *np.concatenate([free, bound], axis=1)
-    )
+    states = np.concatenate([free, bound], axis=1)
+    return Motion(np.arange(2.0 * _HALF), *states)
 
 
 def observe(
@@ -251,8 +236,7 @@ def _rounded(B: Array) -> Array:
     """Coefficients without the digits that come from the draw of the states."""
     exponent = np.floor(np.log10(np.abs(B), out=np.zeros_like(B), where=B != 0))
     unit = 10.0 ** (_DIGITS - 1 - exponent)
-    rounded: Array = np.round(B * unit) / unit
-    return rounded
+    return np.round(B * unit) / unit
 
 
 def categories(base: BaseParameters) -> tuple[str, ...]:
@@ -262,13 +246,11 @@ def categories(base: BaseParameters) -> tuple[str, ...]:
     of the regressor, and unidentifiable when it lies inside it (no torque contains it). Both
     can be read off B, whatever the units: a null vector is e_j − Σᵢ B_ij e_columns[i].
     """
-    shown: npt.NDArray[np.bool_] = np.any(base.regrouping != 0, axis=0)
-    alone = np.zeros(len(base.names), dtype=bool)
-    alone[list(base.columns)] = (base.regrouping != 0).sum(axis=1) == 1
-    return tuple(
-        "unidentifiable" if not s else "unique" if a else "combined"
-        for s, a in zip(shown, alone, strict=True)
-    )
+    present = base.regrouping != 0
+    categories = np.where(present.any(axis=0), "combined", "unidentifiable")
+    alone = present.sum(axis=1) == 1
+    categories[np.array(base.columns)[alone]] = "unique"
+    return tuple(categories.tolist())
 
 
 def last_rows(
@@ -285,4 +267,4 @@ def last_rows(
     W = observation_columns(robot, effects, Motion(np.arange(100.0), q, dq, ddq))
     size = np.abs(W[:, :, list(base.columns)]).max(axis=0)
     present = size > _PRESENT * size.max(axis=0)
-    return np.asarray(robot.nv - 1 - np.argmax(present[::-1], axis=0), np.intp)
+    return robot.nv - 1 - np.argmax(present[::-1], axis=0)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.names import listed
@@ -42,9 +42,7 @@ class RobotSpec:
     @property
     def is_part(self) -> bool:
         """Whether a part of the robot is chosen, other than by holding single joints."""
-        return any(
-            value is not None for value in (self.joints, self.base, self.tip)
-        )
+        return (self.joints, self.base, self.tip) != (None, None, None)
 
 
 @dataclass(frozen=True)
@@ -91,9 +89,8 @@ class Tree:
 
     def chain(self, base: str | None, tip: str | None) -> list[TreeJoint]:
         """Joints from a base, or the root, to a tip, or to all ends."""
-        for name in (base, tip):
-            if name is not None and name not in self.links:
-                raise UnknownName("link", name, self.links)
+        ends = [name for name in (base, tip) if name is not None]
+        UnknownName.refuse("link", ends, self.links)
         if tip is None:
             return [
                 joint
@@ -112,7 +109,7 @@ class Tree:
         return upward[: names.index(base) if base else None][::-1]
 
 
-def tree(root: ET.Element, source: str) -> Tree:
+def tree(root: Element, source: str) -> Tree:
     """The tree of a URDF whose joints all name a known parent and child."""
     joints = {}
     for element in root.findall("joint"):
@@ -152,16 +149,12 @@ def held_joints(
     """
     movable = [j for j in robot.joints.values() if j.kind in (*_SINGLE, *_SEVERAL)]
     names = [joint.name for joint in movable]
-    for name in (*spec.lock, *(spec.joints or ())):
-        if name not in names:
-            raise UnknownName("joint", name, names)
+    UnknownName.refuse("joint", (*spec.lock, *(spec.joints or ())), names)
     kept = _kept(robot, spec, movable)
     _refuse_dependent(robot, kept, spec, loops)
     moving = {joint.name for joint in kept}
     held = {
-        joint.name: None
-        if joint.kind in _SEVERAL
-        else _position(robot, joint, spec.lock)
+        joint.name: _position(robot, joint, spec.lock)
         for joint in movable
         if joint.name not in moving
     }
@@ -229,8 +222,12 @@ def _refuse_dependent(
             )
 
 
-def _position(robot: Tree, joint: TreeJoint, lock: Mapping[str, float]) -> float:
-    """Position at which a joint is held: as given, as of the joint it follows, or zero."""
+def _position(
+    robot: Tree, joint: TreeJoint, lock: Mapping[str, float]
+) -> float | None:
+    """Position at which a joint is held: as given, as of the joint it follows, zero, or none."""
+    if joint.kind in _SEVERAL:
+        return None
     factor = 1.0
     offset = 0.0
     seen = {joint.name}
@@ -252,9 +249,12 @@ def _notes(
     robot: Tree, spec: RobotSpec, moving: set[str], held: Mapping[str, float | None]
 ) -> Iterator[str]:
     """Sentences on joints that are held by default: why, and where."""
-    at_zero: list[str] = []
-    with_master: list[str] = []
-    uncoupled: list[str] = []
+    groups: dict[str, list[str]] = {
+        "mimic joints held as the joints they mimic": [],
+        "mimic joints held, whose motion with the joints they mimic is not modelled": [],
+        "held at 0, as they are not chosen": [],
+    }
+    with_master, uncoupled, at_zero = groups.values()
     for name, value in held.items():
         joint = robot.joints[name]
         if name in spec.lock:
@@ -266,12 +266,6 @@ def _notes(
         else:
             group = uncoupled if joint.mimic[0] in moving else with_master
             group.append(f"{name} at {value:g}")
-    if with_master:
-        yield f"mimic joints held as the joints they mimic: {listed(with_master, _SHOWN)}"
-    if uncoupled:
-        yield (
-            "mimic joints held, whose motion with the joints they mimic is not modelled: "
-            f"{listed(uncoupled, _SHOWN)}"
-        )
-    if at_zero:
-        yield f"held at 0, as they are not chosen: {listed(at_zero, _SHOWN)}"
+    for what, names in groups.items():
+        if names:
+            yield f"{what}: {listed(names, _SHOWN)}"

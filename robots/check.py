@@ -8,11 +8,12 @@ within. A tensor about the joint frame given as one about the centre of mass c s
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from itertools import islice
 from typing import Any
+from xml.etree.ElementTree import Element, fromstring
 
 import numpy as np
 import pinocchio as pin
@@ -22,8 +23,8 @@ from excitant.robots.geometry import Body, bent_pose, sketch, zero_pose
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import PLACEHOLDER, elements, violations
 from excitant.robots.regressor import rigid_body_torque
-from excitant.robots.robot import Robot
-from excitant.robots.urdf_writer import child_attribute, floats
+from excitant.robots.robot import Robot, spans
+from excitant.robots.urdf_writer import child_attribute, floats, stated_joints
 
 _MASS = 0.05  # relative deviation from the stated mass that goes unsaid
 _BASE = 0.4  # of the stated mass: what a base that the model leaves out may weigh
@@ -90,7 +91,7 @@ class ModelCheck:
         """Largest gravity torque of each joint within the ranges, by search, (nv,) [N·m or N]."""
         robot = self.robot
         model = robot.model
-        data = robot.model.createData()
+        data = model.createData()
 
         def weight(q: Array) -> Array:
             return np.abs(
@@ -99,7 +100,7 @@ class ModelCheck:
 
         poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
         tau = weight(poses)
-        (low, high) = np.clip(robot.limits.position, -np.pi, np.pi).T
+        low, high = np.clip(robot.limits.position, -np.pi, np.pi).T
         best = poses[tau.argmax(axis=0)]
         peak = tau.max(axis=0)
         for j in np.flatnonzero(peak > _LEVEL):
@@ -130,7 +131,7 @@ class ModelCheck:
         A warning names what is almost surely wrong or missing; a hint what may well be right.
         """
         robot = self.robot
-        root = ET.fromstring(self.robot.description)
+        root = fromstring(robot.description)
         warnings = [
             *_inertias(robot, self.bodies),
             *_axes(robot, root),
@@ -162,13 +163,13 @@ class ModelCheck:
     def result(self) -> dict[str, Any]:
         """Joints, links, limits, effects and warnings, for ``result.json``."""
         robot = self.robot
-        limits = self.robot.limits
+        limits = robot.limits
         joints = [
             {
                 "name": joint,
                 "link": robot.links[j],
                 "kind": "revolute" if robot.revolute[j] else "prismatic",
-                "position": [_finite(x) for x in limits.position[j]],
+                "position": list(map(_finite, limits.position[j])),
                 "velocity": _finite(limits.velocity[j]),
                 "acceleration": _finite(limits.acceleration[j]),
                 "torque": _finite(limits.torque[j]),
@@ -241,10 +242,9 @@ def _link(body: Body) -> dict[str, Any]:
     }
 
 
-def _axes(robot: Robot, root: ET.Element) -> Warnings:
+def _axes(robot: Robot, root: Element) -> Warnings:
     """Axes that are no unit vectors."""
-    for joint in root.findall("joint"):
-        name = str(joint.get("name"))
+    for name, joint in stated_joints(root).items():
         text = child_attribute(joint, "axis", "xyz", "1 0 0")
         length = float(np.linalg.norm(floats(text)))
         if name in robot.joints and abs(length - 1) > _UNIT:
@@ -254,17 +254,13 @@ def _axes(robot: Robot, root: ET.Element) -> Warnings:
             yield ModelWarning("joint_axis", (name,), sentence)
 
 
-def _limits(robot: Robot, root: ET.Element) -> Warnings:
+def _limits(robot: Robot, root: Element) -> Warnings:
     """Limits that are absent, zero or upside down, and zeros that lie outside them."""
     for name, values, unit in (
         ("velocity", robot.limits.velocity, "rad/s or m/s"),
         ("effort", robot.limits.torque, "N·m or N"),
     ):
-        absent = [
-            j
-            for j, x in zip(robot.joints, values, strict=True)
-            if not np.isfinite(x)
-        ]
+        absent = np.array(robot.joints)[~np.isfinite(values)].tolist()
         if absent:
             yield ModelWarning(
                 f"no_{name}_limit",
@@ -272,7 +268,7 @@ def _limits(robot: Robot, root: ET.Element) -> Warnings:
                 f"no {name} limit, or zero, so that nothing bounds it here; give it in the "
                 f"<limit> [{unit}] or with --limits",
             )
-    stated = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    stated = stated_joints(root)
     for joint, (low, high) in zip(robot.joints, robot.limits.position, strict=True):
         kind = stated[joint].get("type")
         limit = stated[joint].find("limit")
@@ -320,27 +316,24 @@ def _inertias(robot: Robot, stated: Sequence[Body]) -> Warnings:
             )
             yield ModelWarning("no_inertia", (link,), sentence)
     # a marker or a point mass fixed to a moving link needs no tensor of its own
-    points = [
-        b
-        for b in moving
-        if not b.inertia.any() and (b.link != b.carrier or b.mass == 0)
+    moving = [
+        body
+        for body in moving
+        if body.given
+        and (body.inertia.any() or (body.link == body.carrier and body.mass != 0))
     ]
-    moving = [body for body in moving if body.given and body not in points]
-    alike = list(
-        _placeholders(robot, [body for body in moving if body.link == body.carrier])
-    )
+    own = [body for body in moving if body.link == body.carrier]
+    alike = list(_placeholders(robot, own))
     yield from alike
     named = {link for warning in alike for link in warning.where}
     for body in moving:
         doubts = (
-            (k, text)
-            for k, check in _LINK_CHECKS.items()
+            ModelWarning(name, (body.link,), text, hint=_UNSEEN in text)
+            for name, check in _LINK_CHECKS.items()
             for text in check(robot, body)
         )
-        if body.link not in named and (first := next(doubts, None)):
-            yield ModelWarning(
-                first[0], (body.link,), first[1], hint=_UNSEEN in first[1]
-            )
+        if body.link not in named:
+            yield from islice(doubts, 1)
 
 
 def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
@@ -351,7 +344,8 @@ def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
         seen.setdefault(tuple(float(f"{x:.6g}") for x in values), []).append(body)
     advice = "replace it by values from CAD, a data sheet or identification"
     for group in seen.values():
-        body, links = group[0], tuple(body.link for body in group)
+        body = group[0]
+        links = tuple(body.link for body in group)
         moments = np.linalg.eigvalsh(body.inertia)
         value = f"{body.mass:.4g} kg and {moments[-1]:.3g} kg·m²"
         ball = np.ptp(moments) <= 1e-9 * moments[-1]
@@ -367,11 +361,11 @@ def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
         if sentence:
             yield ModelWarning("placeholder_inertia", links, sentence)
     arm = float(robot.phi[::10].sum())
-    masses = {
-        body.link: robot.phi[10 * robot.links.index(body.link)] for body in own
-    }
+    masses = dict(zip(robot.links, robot.phi[::10], strict=True))
     light = {
-        link: mass for link, mass in masses.items() if 0 < mass < PLACEHOLDER * arm
+        body.link: masses[body.link]
+        for body in own
+        if 0 < masses[body.link] < PLACEHOLDER * arm
     }
     if light:
         yield ModelWarning(
@@ -385,7 +379,7 @@ def _placeholders(robot: Robot, own: Sequence[Body]) -> Warnings:
 def _in_a_row(robot: Robot, links: Sequence[str]) -> int:
     """Number of these links on one path from the base; parallel legs may be equal."""
     joints = {robot.links.index(link) + 1 for link in links}
-    return max(len(joints & set(robot.model.supports[j])) for j in joints)
+    return max(len(joints & {*robot.model.supports[j]}) for j in joints)
 
 
 def _power_of_ten(value: float) -> bool:
@@ -398,10 +392,9 @@ def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
     ):
         advice = "check its numbers and their order (ixx ixy ixz iyy iyz izz)"
         if body.mass > 0:
-            shifted = np.linalg.eigvalsh(
-                body.second_moment + np.outer(body.com, body.com)
-            )
-            spread = np.linalg.eigvalsh(body.second_moment)
+            moment = body.second_moment
+            shifted = np.linalg.eigvalsh(moment + np.outer(body.com, body.com))
+            spread = np.linalg.eigvalsh(moment)
             if shifted[0] > 0 and np.linalg.norm(body.com) > _EXTENT:
                 advice = (
                     "the parallel-axis term may be subtracted twice; give the tensor about the "
@@ -417,13 +410,11 @@ def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
 def _centre_outside(robot: Robot, body: Body) -> Iterator[str]:
     gap = float(np.linalg.norm(body.com - np.clip(body.com, *body.box)))
     size = body.size
-    arm = _arm_size(robot)
+    arm = sum(spans(robot))
     if size > _EXTENT:
-        least = (
-            _OUTSIDE[bool(body.shapes)] * size
-            + _EXTENT
-            + (not body.shapes) * 0.1 * arm
-        )
+        least = _OUTSIDE[bool(body.shapes)] * size + _EXTENT
+        if not body.shapes:
+            least += 0.1 * arm
         where = f"{_length(gap)} outside the link, which measures {_length(size)}"
     else:
         least = 0.75 * arm
@@ -436,15 +427,6 @@ def _centre_outside(robot: Robot, body: Body) -> Iterator[str]:
 
 def _length(metres: float) -> str:
     return f"{metres:.3g} m" if metres >= 1 else f"{1e3 * metres:.3g} mm"
-
-
-def _arm_size(robot: Robot) -> float:
-    return float(
-        sum(
-            np.linalg.norm(p.translation)
-            for p in list(robot.model.jointPlacements)[1:]
-        )
-    )
 
 
 def _light(robot: Robot, body: Body) -> Iterator[str]:
@@ -469,7 +451,7 @@ def _about_joint(robot: Robot, body: Body) -> Iterator[str]:
     reduced = given - np.outer(body.com, body.com)
     off, near = (float(np.linalg.norm(S - expected)) for S in (given, reduced))
     if (
-        np.linalg.norm(body.com) >= _LEVER * _arm_size(robot)
+        np.linalg.norm(body.com) >= _LEVER * sum(spans(robot))
         and np.linalg.eigvalsh(reduced)[0] > 0
         and off >= _EXCESS * float(np.linalg.norm(expected))
         and near <= _CLOSER * off
@@ -486,14 +468,11 @@ def _size(robot: Robot, body: Body) -> Iterator[str]:
     radius = float(np.sqrt(values[-1]))
     size = body.size
     if not body.shapes:
-        size = max(size, 0.25 * _arm_size(robot))
+        size = max(size, 0.25 * sum(spans(robot)))
     too_small = radius < _TOO_NARROW * size and body.shapes
     if size >= _EXTENT and (too_small or radius > _TOO_WIDE * size):
-        excess = (
-            (values[-1] - size**2 / 16)
-            * body.mass
-            * np.outer(vectors[:, -1], vectors[:, -1])
-        )
+        axis = vectors[:, -1]
+        excess = (values[-1] - size**2 / 16) * body.mass * np.outer(axis, axis)
         unit = "check its unit (kg·m², not g·mm² or kg·mm²)"
         yield (
             f"its inertia is {'too small' if too_small else 'too large'} for {body.mass:.3g} kg: "
@@ -509,14 +488,12 @@ def _moves_nothing(robot: Robot, body: Body, moment: Array) -> bool:
     k = robot.links.index(body.link)
     phi = robot.phi.copy()
     phi[10 * k + 4 : 10 * k + 10] -= elements(np.trace(moment) * np.eye(3) - moment)
-    motion = Motion(
-        np.arange(5.0), *robot.random_motion(np.random.default_rng(0), 5)
-    )
+    states = robot.random_motion(np.random.default_rng(0), 5)
+    motion = Motion(np.arange(5.0), *states)
     before = rigid_body_torque(robot, motion)
-    change = np.abs(
-        rigid_body_torque(robot.with_parameters(phi), motion) - before
-    ).max(axis=0)
-    return bool((change <= _SLIGHT * np.abs(before).max(axis=0)).all())
+    change = rigid_body_torque(robot.with_parameters(phi), motion) - before
+    largest = _SLIGHT * np.abs(before).max(axis=0)
+    return bool((np.abs(change).max(axis=0) <= largest).all())
 
 
 def _across(robot: Robot, body: Body) -> Iterator[str]:
@@ -524,15 +501,14 @@ def _across(robot: Robot, body: Body) -> Iterator[str]:
     solids = body.solid_second_moment
     if solids is None:
         return
-    (own, axis), (other, inertia) = (
-        np.linalg.eigh(S) for S in (solids, body.second_moment)
-    )
-    axis = axis[:, -1]
-    inertia = inertia[:, -1]
+    own, axes = np.linalg.eigh(solids)
+    other, principal = np.linalg.eigh(body.second_moment)
+    axis = axes[:, -1]
+    inertia = principal[:, -1]
     long = (
         own[-1] > _ELONGATED[0] * own[-2] and other[-1] > _ELONGATED[1] * other[-2]
     )
-    angle = float(np.degrees(np.arccos(min(1.0, abs(float(axis @ inertia))))))
+    angle = np.degrees(np.arccos(min(1.0, abs(axis @ inertia))))
     if long and angle >= _ACROSS:
         along, lie = ("xyz"[int(np.argmax(np.abs(x)))] for x in (inertia, axis))
         yield (

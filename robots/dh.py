@@ -32,12 +32,13 @@ both along the axes of the link frame, with products as tensor elements (xy is â
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+from xml.etree.ElementTree import Element, SubElement
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
@@ -119,26 +120,19 @@ class DHChain:
         """
         q = np.asarray(q, float)
         about_z, about_x = np.zeros((2, *q.shape, 4, 4))
+        theta = self.theta + q * self.revolute
+        d = self.d + q * ~self.revolute
         for T, angle, (j, k), axis, shift in (
-            (
-                about_z,
-                self.theta + q * self.revolute,
-                (0, 1),
-                2,
-                self.d + q * ~self.revolute,
-            ),
+            (about_z, theta, (0, 1), 2, d),
             (about_x, self.alpha, (1, 2), 0, self.a),
         ):
             T[..., j, j] = T[..., k, k] = np.cos(angle)
             T[..., k, j], T[..., j, k] = np.sin(angle), -np.sin(angle)
             T[..., axis, axis] = T[..., 3, 3] = 1.0
             T[..., axis, 3] = shift
-        pose: Array = (
-            about_z @ about_x
-            if self.convention == "standard"
-            else about_x @ about_z
-        )
-        return pose
+        if self.convention == "standard":
+            return about_z @ about_x
+        return about_x @ about_z
 
 
 def joint_frames(chain: DHChain) -> Array:
@@ -150,8 +144,7 @@ def joint_frames(chain: DHChain) -> Array:
     """
     if chain.convention == "modified":
         return np.tile(np.eye(4), (chain.nv, 1, 1))
-    inner: Array = chain.poses(np.zeros((1, chain.nv)))[0]
-    return inner
+    return chain.poses(np.zeros((1, chain.nv)))[0]
 
 
 def robot_from_dh(chain: DHChain, limits: Limits | None = None) -> Robot:
@@ -172,14 +165,14 @@ def robot_from_dh(chain: DHChain, limits: Limits | None = None) -> Robot:
 
 def urdf_of_chain(chain: DHChain, source: str) -> str:
     """URDF of a chain without limits: links in their joint frames, shapes, tool."""
-    root = ET.Element("robot", name=chain.name)
+    root = Element("robot", name=chain.name)
     steps = chain.poses(np.zeros((1, chain.nv)))[0]
     inner = joint_frames(chain)
     bodies = moved_parameters(chain.phi.reshape(-1, 10), inner)
     base, tool, flange = (
         _unused(name, chain) for name in ("base", "tool", "flange")
     )
-    links = [ET.SubElement(root, "link", name=base)]
+    links = [SubElement(root, "link", name=base)]
     place = chain.base
     for i, (joint, link) in enumerate(zip(chain.joints, chain.links, strict=True)):
         if bodies[i, 0] == 0:
@@ -191,16 +184,15 @@ def urdf_of_chain(chain: DHChain, source: str) -> str:
         element = joint_element(
             root, joint, kind, links[-1].attrib["name"], link, start
         )
-        ET.SubElement(element, "axis", xyz="0 0 1")
-        ET.SubElement(element, "limit", velocity="0", effort="0")
-        links.append(ET.SubElement(root, "link", name=link))
+        SubElement(element, "axis", xyz="0 0 1")
+        SubElement(element, "limit", velocity="0", effort="0")
+        links.append(SubElement(root, "link", name=link))
         links[-1].append(inertial_element(bodies[i]))
         place = inner[i]
     joint_element(root, flange, "fixed", chain.links[-1], tool, place @ chain.tool)
-    ET.SubElement(root, "link", name=tool)
-    for element, frame, shapes in zip(
-        links, [np.eye(4), *inner], chain.shapes, strict=False
-    ):
+    SubElement(root, "link", name=tool)
+    frames = (np.eye(4), *inner)
+    for element, frame, shapes in zip(links, frames, chain.shapes, strict=False):
         element.extend(_collision(shape, pin.SE3(frame)) for shape in shapes)
     return urdf_text(root)
 
@@ -211,23 +203,19 @@ def _unused(name: str, chain: DHChain) -> str:
     return name
 
 
-def _collision(shape: CylinderRecord, frame: pin.SE3) -> ET.Element:
+def _collision(shape: CylinderRecord, frame: pin.SE3) -> Element:
     """A cylinder along z turned onto the line between both ends, or a sphere."""
     start, end = (frame.act(np.array(x)) for x in (shape.start, shape.end))
     length = float(np.linalg.norm(end - start))
     centre = (start + end) / 2
-    radius = shape.radius
+    radius = repr(float(shape.radius))
     if length == 0:
-        return collision(
-            pin.SE3(np.eye(3), centre), "sphere", radius=repr(float(radius))
-        )
+        return collision(pin.SE3(np.eye(3), centre), "sphere", radius=radius)
     z = (end - start) / length
     y = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     y = y / np.linalg.norm(y)
     place = pin.SE3(np.column_stack([np.cross(y, z), y, z]), centre)
-    return collision(
-        place, "cylinder", radius=repr(float(radius)), length=repr(length)
-    )
+    return collision(place, "cylinder", radius=radius, length=repr(length))
 
 
 def chain_from_record(record: RobotRecord, source: str, angles: Angles) -> DHChain:
@@ -247,29 +235,25 @@ def chain_from_record(record: RobotRecord, source: str, angles: Angles) -> DHCha
             source, "'convention: None' must be one of standard, modified"
         )
 
-    def radians(values: Iterable[float]) -> Array:
-        given = tuple(values)
-        return (
-            np.radians(given) if record.angles == "degrees" else angles.exact(given)
-        )
+    def radians(values: Sequence[float]) -> Array:
+        if record.angles == "degrees":
+            return np.radians(values)
+        return angles.exact(values)
 
-    links = tuple(
-        str(row.link or f"link{i}") for i, row in enumerate(rows, start=1)
-    )
+    links = [str(row.link or f"link{i}") for i, row in enumerate(rows, start=1)]
+    joints = [str(row.joint or f"joint{i}") for i, row in enumerate(rows, start=1)]
     base = record.base if isinstance(record.base, PlaceRecord) else PlaceRecord()
     tool = record.tool or PlaceRecord()
     return DHChain(
         name=str(record.name or Path(source).stem),
         convention=record.convention,
-        joints=tuple(
-            str(row.joint or f"joint{i}") for i, row in enumerate(rows, start=1)
-        ),
-        links=links,
+        joints=tuple(joints),
+        links=tuple(links),
         revolute=np.array([row.type == "revolute" for row in rows]),
         a=np.array([row.a for row in rows]),
         d=np.array([row.d for row in rows]),
-        alpha=radians(row.alpha for row in rows),
-        theta=radians(row.theta for row in rows),
+        alpha=radians([row.alpha for row in rows]),
+        theta=radians([row.theta for row in rows]),
         phi=np.concatenate(
             [_phi(row, n, source) for row, n in zip(rows, links, strict=True)]
         ),
@@ -294,19 +278,14 @@ def _phi(row: DHRecord, link: str, source: str) -> Array:
             f"{link}: give the inertia as 'I: {{xx: .., yy: .., zz: .., xy: ..}}' about the link "
             "frame, or as 'Ic' about the centre of mass",
         )
-    mc = (
-        np.array(row.mc or (0.0, 0.0, 0.0))
-        if row.com is None
-        else row.m * np.array(row.com)
-    )
-    about = np.array(
-        [tensor.xx, tensor.xy, tensor.yy, tensor.xz, tensor.yz, tensor.zz]
-    )
+    mc = np.array(row.mc or (0.0, 0.0, 0.0))
+    if row.com is not None:
+        mc = row.m * np.array(row.com)
+    about = np.array(msgspec.structs.astuple(tensor))
     if row.I is None:
         about = about + elements(steiner(row.m, mc / row.m))
     return np.concatenate([[row.m], mc, about])
 
 
 def _place(position: Sequence[float], rpy: Array) -> Array:
-    T: Array = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(position)).homogeneous
-    return T
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(position)).homogeneous

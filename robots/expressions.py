@@ -60,9 +60,6 @@ class Names(dict[str, Any]):
         except KeyError:
             return super().__getitem__(name)
 
-    def __missing__(self, name: str) -> Any:
-        raise KeyError(name)
-
 
 class Properties:
     """Properties of a namespace, as attributes."""
@@ -131,14 +128,6 @@ def evaluate(expression: str, names: Names) -> Any:
     return value
 
 
-def _isinstance(value: object, kinds: Any) -> bool:
-    return isinstance(value, kinds)
-
-
-def _repr(value: object) -> str:
-    return repr(value)
-
-
 _BUILTINS = (
     "list dict map len str float int bool min max round sorted range abs all any "
     "complex divmod enumerate filter frozenset ord reversed set sum tuple zip"
@@ -147,8 +136,9 @@ PYTHON: dict[str, Any] = {
     **{name: getattr(builtins, name) for name in _BUILTINS.split()},
     "True": True,
     "False": False,
-    "isinstance": _isinstance,
-    "repr": _repr,
+    # simpleeval refuses these two themselves
+    "isinstance": lambda value, kinds: isinstance(value, kinds),
+    "repr": lambda value: repr(value),
 }
 """Functions of Python without effects."""
 

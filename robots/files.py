@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import xml.etree.ElementTree as ET
@@ -175,23 +174,3 @@ def _package_name(folder: Path) -> str:
     except (OSError, UnicodeDecodeError, BadRobot):
         name = None
     return (name or "").strip()
-
-
-def extent(content: object, most: float = math.inf) -> int:
-    """Number of values and characters in nested lists and dictionaries, what is shared each time.
-
-    Raises:
-        ValueError: More than ``most``, as in lists that hold themselves.
-    """
-    total = 0
-    rest = [content]
-    while rest:
-        value = rest.pop()
-        total += 1 + (len(value) if isinstance(value, str) else 0)
-        if isinstance(value, dict):
-            rest += [*dict.keys(value), *dict.values(value)]
-        elif isinstance(value, (list, tuple, set, frozenset)):
-            rest += list.__iter__(value) if isinstance(value, list) else value
-        if total + len(rest) > most:
-            raise ValueError(f"it stands for more than {most:g} values")
-    return total

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from typing import Any
 
 import coal
@@ -16,7 +16,8 @@ import pinocchio as pin
 from excitant.exceptions import BadRobot
 from excitant.names import listed
 from excitant.robots.motion import Array
-from excitant.robots.robot import Robot
+from excitant.robots.robot import Robot, spans
+from excitant.robots.schema import HalfSpaceRecord
 
 _DRAWN = 300  # poses tried for one in which the arm does not hide itself
 _BEND = 1.9  # rad, either way, of those
@@ -81,7 +82,7 @@ class Body:
     def second_moment(self) -> Array:
         """Second moment per mass about the centre of mass, ½ tr(I)/m 1 − I/m, (3, 3) [m²]."""
         moment = 0.5 * np.trace(self.inertia) * np.eye(3) - self.inertia
-        return np.asarray(moment / self.mass)
+        return moment / self.mass
 
     @property
     def solid_second_moment(self) -> Array | None:
@@ -93,7 +94,7 @@ class Body:
         spread = np.average(
             [shape.spread for shape in self.shapes], axis=0, weights=volumes
         )
-        return np.asarray(spread + np.cov(centres.T, aweights=volumes, ddof=0))
+        return spread + np.cov(centres.T, aweights=volumes, ddof=0)
 
 
 def zero_pose(robot: Robot) -> Array:
@@ -107,8 +108,7 @@ def bent_pose(robot: Robot) -> Array:
     low, high = np.minimum(low, robot.limits.position[:, 1]), np.maximum(low, high)
     poses = np.random.default_rng(0).uniform(low, high, (_DRAWN, robot.nv))
     poses[:, 0] = np.clip(0.3, *robot.limits.position[0])
-    best: Array = max(poses, key=lambda q: _clarity(_points(robot, q)))
-    return best
+    return max(poses, key=lambda q: _clarity(_points(robot, q)))
 
 
 def _clarity(points: Array) -> float:
@@ -125,9 +125,9 @@ def _clarity(points: Array) -> float:
 
 def _points(robot: Robot, q: Array) -> Array:
     model = robot.model
-    data = robot.model.createData()
+    data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    places = [pin.SE3.Identity(), *list(data.oMi)[1:], data.oMf[robot.tip]]
+    places = [*data.oMi, data.oMf[robot.tip]]
     return np.array([place.translation for place in places])
 
 
@@ -135,8 +135,7 @@ def joint_axes(robot: Robot, q: Array, data: Any) -> Array:
     """Directions of the joints in the base frame in a pose, shape (nv, 3)."""
     # Pinocchio gives the Jacobian of a single joint as a vector, here and elsewhere
     J = np.reshape(pin.computeJointJacobians(robot.model, data, q), (6, -1))
-    directions: Array = np.where(robot.revolute[:, None], J[3:].T, J[:3].T)
-    return directions
+    return np.where(robot.revolute[:, None], J[3:].T, J[:3].T)
 
 
 def sketch(robot: Robot, q: Array) -> dict[str, Array]:
@@ -148,7 +147,7 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
         base), both ends of its axis and its radius, shape (k, 8) [m].
     """
     model = robot.model
-    data = robot.model.createData()
+    data = model.createData()
     axes = joint_axes(robot, q, data)
     pin.updateFramePlacements(model, data)
     solids = []
@@ -156,28 +155,14 @@ def sketch(robot: Robot, q: Array) -> dict[str, Array]:
         frame = data.oMf[model.getFrameId(body.link, pin.FrameType.BODY)]
         joint = robot.links.index(body.carrier) + 1 if body.carrier else 0
         for shape in body.shapes:
-            solids.append(
-                [
-                    joint,
-                    *frame.act(shape.start),
-                    *frame.act(shape.end),
-                    shape.radius,
-                ]
-            )
+            ends = (*frame.act(shape.start), *frame.act(shape.end))
+            solids.append((joint, *ends, shape.radius))
     return {
-        "pose": np.asarray(q, float),
+        "pose": q,
         "points": _points(robot, q),
         "axes": axes,
         "solids": np.reshape(solids, (-1, 8)),
     }
-
-
-@dataclass(frozen=True)
-class HalfSpace:
-    """All points x with n·x ≤ offset, in the base frame."""
-
-    normal: tuple[float, float, float]
-    offset: float  # [m]
 
 
 @dataclass(frozen=True)
@@ -207,23 +192,15 @@ class Obstacle:
             plane = coal.Halfspace(np.array(v.normal) / length, v.offset / length)
             return [(self.name, plane, here)]
         if self.shape == "sphere":
-            return [
-                (
-                    self.name,
-                    coal.Sphere(v.radius),
-                    pin.SE3(np.eye(3), np.array(v.position)),
-                )
-            ]
+            here.translation = np.array(v.position)
+            return [(self.name, coal.Sphere(v.radius), here)]
         place = pin.SE3(pin.rpy.rpyToMatrix(*v.rpy), np.array(v.position))
         return [(self.name, coal.Box(*v.size), place)]
 
     def plain(self) -> dict[str, Any]:
         """Name, shape and values for JSON, with the keys of an obstacle file."""
         values = msgspec.to_builtins(self.values)
-        lists = {
-            k: list(x) if isinstance(x, tuple) else x for k, x in values.items()
-        }
-        return {"name": self.name, "shape": self.shape, **lists}
+        return {"name": self.name, "shape": self.shape, **values}
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,16 +238,15 @@ class Scene:
         for results in self._results(q):
             counts = self.scale * [result.min_distance for result in results]
             pairs.append(pair := int(counts.argmin()))
-            distance.append(results[pair].min_distance)
-            points.append(
-                [results[pair].getNearestPoint1(), results[pair].getNearestPoint2()]
-            )
+            least = results[pair]
+            distance.append(least.min_distance)
+            points.append([least.getNearestPoint1(), least.getNearestPoint2()])
         return np.array(pairs), np.array(distance), np.array(points)
 
     def _results(self, q: Array) -> Iterator[Any]:
         """What Pinocchio finds of all pairs at every pose."""
         model = self.robot.model
-        data = self.robot.model.createData()
+        data = model.createData()
         work = self.geometry.createData()
         for pose in q:
             pin.computeDistances(model, data, self.geometry, work, pose)
@@ -279,26 +255,24 @@ class Scene:
     def gradient(self, q: Array, pair: int) -> tuple[float, Array]:
         """Distance of one pair at one pose, and its derivative by q, shape (nv,) [m/rad]."""
         model = self.robot.model
-        data = self.robot.model.createData()
+        data = model.createData()
         work = self.geometry.createData()
         pin.computeJointJacobians(model, data, q)
         pin.updateGeometryPlacements(model, data, self.geometry, work)
         result = pin.computeDistance(self.geometry, work, pair)
-        points = result.getNearestPoint1(), result.getNearestPoint2()
         ends = self.geometry.collisionPairs[pair]
-        bodies = [
-            self.geometry.geometryObjects[i].parentJoint
-            for i in (ends.first, ends.second)
-        ]
         first, second = (
-            _velocity(model, data, j, p)
-            for j, p in zip(bodies, points, strict=True)
+            _velocity(
+                model, data, self.geometry.geometryObjects[i].parentJoint, point
+            )
+            for i, point in (
+                (ends.first, result.getNearestPoint1()),
+                (ends.second, result.getNearestPoint2()),
+            )
         )
-        normal = np.array(result.normal)  # from the first body to the second
+        slope = result.normal @ (second - first)  # normal from first to second
         scale = float(self.scale[pair])
-        return scale * float(result.min_distance), scale * (
-            normal @ (second - first)
-        )
+        return scale * float(result.min_distance), scale * slope
 
     def speeds(self) -> Array:
         """Bound on the change of each pair's distance by each joint, (pairs, nv) [m/rad].
@@ -320,9 +294,7 @@ def _velocity(model: Any, data: Any, joint: int, point: Array) -> Array:
     J = np.reshape(
         pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED), (6, -1)
     )
-    lever = np.asarray(point) - data.oMi[joint].translation
-    moved: Array = J[:3] - pin.skew(lever) @ J[3:]
-    return moved
+    return J[:3] - pin.skew(point - data.oMi[joint].translation) @ J[3:]
 
 
 def _reaches(scene: Scene) -> Array:
@@ -337,17 +309,14 @@ def _reaches(scene: Scene) -> Array:
         if body.parentJoint == 0:
             continue
         body.geometry.computeLocalAABB()
-        length = float(np.linalg.norm(body.placement.translation))
+        length = np.linalg.norm(body.placement.translation)
         length += (
-            float(np.linalg.norm(body.geometry.aabb_center))
-            + body.geometry.aabb_radius
+            np.linalg.norm(body.geometry.aabb_center) + body.geometry.aabb_radius
         )
         for j in reversed(list(model.supports[body.parentJoint])[1:]):
             reach[i, j - 1] = length
-            length += (
-                float(np.linalg.norm(model.jointPlacements[j].translation))
-                + slide[j - 1]
-            )
+            step = np.linalg.norm(model.jointPlacements[j].translation)
+            length += step + slide[j - 1]
     return reach
 
 
@@ -394,11 +363,9 @@ def scene(
     kept = np.flatnonzero(apart | beside)
     scale = np.maximum(1.0, 2 * clearance / np.maximum(largest, _MOVING))
     scale = np.where(beside, 1.0, scale)[kept]
-    return (
-        _paired(robot, geometry, [pairs[k] for k in kept], obstacles, scale)
-        if len(kept)
-        else None
-    )
+    if not len(kept):
+        return None
+    return _paired(robot, geometry, [pairs[k] for k in kept], obstacles, scale)
 
 
 def usual_scene(robot: Robot, clearance: float = CLEARANCE) -> Scene | None:
@@ -410,7 +377,7 @@ def usual_scene(robot: Robot, clearance: float = CLEARANCE) -> Scene | None:
 
 def floor(height: float) -> Obstacle:
     """The floor at a height in the base frame [m]."""
-    return Obstacle(_FLOOR, "half_space", HalfSpace((0.0, 0.0, 1.0), height))
+    return Obstacle(_FLOOR, "half_space", HalfSpaceRecord((0.0, 0.0, 1.0), height))
 
 
 def base_plane(robot: Robot) -> float | None:
@@ -441,12 +408,9 @@ def _corners(body: Any) -> Array:
     """Corners of the box around a solid, in the frame of its joint, shape (8, 3) [m]."""
     box = body.geometry
     box.computeLocalAABB()
-    corners = np.array(
-        list(product(*zip(box.aabb_local.min_, box.aabb_local.max_, strict=True)))
-    )
-    return np.asarray(
-        corners @ body.placement.rotation.T + body.placement.translation
-    )
+    ranges = zip(box.aabb_local.min_, box.aabb_local.max_, strict=True)
+    corners = np.array(list(product(*ranges)))
+    return corners @ body.placement.rotation.T + body.placement.translation
 
 
 def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
@@ -459,11 +423,9 @@ def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
     of it, since it carries a tool that the description may lack. Arms without any length have none.
     """
     model = robot.model
-    places = [np.array(place.translation) for place in list(model.jointPlacements)]
-    longest = max(
-        (float(np.linalg.norm(place)) for place in places[2:]), default=0.0
-    )
-    points = [[np.zeros(3), np.array(body.lever)] for body in list(model.inertias)]
+    places = [np.array(place.translation) for place in model.jointPlacements]
+    longest = max(spans(robot)[1:], default=0.0)
+    points = [[np.zeros(3), np.array(body.lever)] for body in model.inertias]
     for joint, place in enumerate(places[1:], start=1):
         points[model.parents[joint]].append(place)
     solid = set()
@@ -475,12 +437,9 @@ def centre_regions(robot: Robot) -> dict[str, tuple[Array, Array]]:
         low = np.min(points[joint], axis=0)
         high = np.max(points[joint], axis=0)
         last = joint == robot.nv
-        shape = joint in solid and not last
-        margin = (
-            _AROUND * float(np.linalg.norm(high - low))
-            if shape
-            else longest / (2 - last)
-        )
+        margin = longest / (2 - last)
+        if joint in solid and not last:
+            margin = _AROUND * float(np.linalg.norm(high - low))
         if margin > 0:
             regions[link] = low - margin, high + margin
     return regions
@@ -505,32 +464,28 @@ def unchecked(robot: Robot, scene: Scene | None) -> str:
     shapeless = [
         link or "base" for link in ("", *robot.links) if link in drawn - solid
     ]
+    moving = solid - {""}
     gaps = []
-    if missing or not solid - {""} or scene is None:
-        why = (
-            f", {missing} of {stated} collision meshes not found" if missing else ""
-        )
+    if missing or not moving or scene is None:
+        why = ""
+        if missing:
+            why = f", {missing} of {stated} collision meshes not found"
+        elif not moving:
+            why = f", no {'moving ' * bool(stated)}link has a collision shape"
         if outside:
             why += f" ({outside} outside the description's folder: --package FOLDER allows them)"
-        lack = (
-            ""
-            if solid - {""}
-            else f", no {'moving ' * bool(stated)}link has a collision shape"
-        )
-        gaps.append(f"self-collision{why or lack}")
+        gaps.append(f"self-collision{why}")
     elif shapeless:
         gaps.append(f"{listed(shapeless, _LISTED)}, without collision shapes")
-    if scene is not None and (scene.scale > 1).any():
+    if scene is not None and (near := int((scene.scale > 1).sum())):
         most = int(np.argmax(scene.scale))
-        count = int((scene.scale > 1).sum()) - 1
+        count = near - 1
         more = f", and {count} more pair{'s' * (count > 1)} alike" if count else ""
         gaps.append(
             f"full clearance between {' and '.join(scene.pairs[most])}, never far apart (half of "
             f"their largest distance is kept{more})"
         )
-    if scene is None or all(
-        obstacle.name != _FLOOR for obstacle in scene.obstacles
-    ):
+    if scene is None or _FLOOR not in [o.name for o in scene.obstacles]:
         gaps.append(_FLOOR)
     return "; ".join(gaps)
 
@@ -554,15 +509,12 @@ def _paired(
 def _pairs(robot: Robot, geometry: Any, boxed: set[str]) -> list[tuple[int, int]]:
     """Bodies on joints that are not neighbours; the tool point with its workspace alone."""
     joints = [body.parentJoint for body in geometry.geometryObjects]
-    parents = list(robot.model.parents)
-    alone = [
-        body.name in boxed or body.name == _TOOL
-        for body in geometry.geometryObjects
-    ]
+    parents = robot.model.parents
+    names = {*boxed, _TOOL}
+    alone = [body.name in names for body in geometry.geometryObjects]
     return [
         (i, k)
-        for i in range(len(joints))
-        for k in range(i + 1, len(joints))
+        for i, k in combinations(range(len(joints)), 2)
         if joints[i] != joints[k]
         and (alone[i] or parents[joints[i]] != joints[k])
         and (alone[k] or parents[joints[k]] != joints[i])

@@ -36,15 +36,14 @@ def limits_from(
     content: Mapping[str, Any], robot: Robot, path: str | Path
 ) -> Limits:
     """Limits from the content of a file; see `load_limits`."""
+    where = ""
     if (by_joint := _joint_limits(content)) is not None:
-        record = convert(
-            _by_quantity(by_joint, robot, path), LimitsRecord, path, ".joint_limits"
-        )
-        return merge_limits(robot, record, str(path))
-    nested = "limits" in content
-    record = convert(
-        content.get("limits", content), LimitsRecord, path, ".limits" * nested
-    )
+        content = _by_quantity(by_joint, robot, path)
+        where = ".joint_limits"
+    elif "limits" in content:
+        content = content["limits"]
+        where = ".limits"
+    record = convert(content, LimitsRecord, path, where)
     return merge_limits(robot, record, str(path))
 
 
@@ -98,14 +97,12 @@ def merge_limits(robot: Robot, record: LimitsRecord, source: str) -> Limits:
 def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
     ranges = name == "position"
     if isinstance(value, dict):
-        for joint in value:
-            if joint not in robot.joints:
-                unknown = UnknownName("joint", joint, robot.joints)
-                raise BadInput(f"{source}: {name} limits: {unknown}")
-        own = dict(
-            zip(robot.joints, getattr(robot.limits, name).tolist(), strict=True)
-        )
-        value = list((own | value).values())
+        try:
+            UnknownName.refuse("joint", value, robot.joints)
+        except UnknownName as unknown:
+            raise BadInput(f"{source}: {name} limits: {unknown}") from None
+        own = getattr(robot.limits, name).tolist()
+        value = [value.get(j, x) for j, x in zip(robot.joints, own, strict=True)]
     try:
         limit = np.broadcast_to(
             np.asarray(value, float), (robot.nv, 2)[: 1 + ranges]

@@ -24,7 +24,6 @@ from excitant.robots.effects import (
     Spring,
     ViscousFriction,
     effects_from_entries,
-    plain,
 )
 from excitant.robots.files import is_exposed, read_description, real_path, within
 from excitant.robots.limits import LIMIT_NAMES
@@ -35,16 +34,19 @@ from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
 from excitant.robots.urdf import number, robot_from_urdf
 from excitant.robots.urdf_model import with_held
-from excitant.robots.urdf_writer import child_attribute, limits_in_urdf
+from excitant.robots.urdf_writer import (
+    child_attribute,
+    limits_in_urdf,
+    stated_joints,
+)
 from excitant.robots.xacro import is_xacro, urdf_from_xacro
 
 
 def builtin_robots() -> tuple[str, ...]:
     """Names of the arms that come with excitant."""
-    files = (
-        Path(f.name) for f in resources.files("excitant.robots.library").iterdir()
-    )
-    return tuple(sorted({f.stem for f in files if f.suffix in (".urdf", ".yaml")}))
+    files = resources.files("excitant.robots.library").iterdir()
+    paths = (Path(file.name) for file in files)
+    return tuple(sorted({p.stem for p in paths if p.suffix in (".urdf", ".yaml")}))
 
 
 def load_robot(
@@ -94,11 +96,8 @@ def load_robot(
         whole = _builtin(name)
         return _narrowed(whole, spec) if spec.is_part or spec.lock else whole
     if exists(path):
-        return (
-            _from_yaml(path, spec)
-            if path.suffix in (".yaml", ".yml")
-            else _from_model(spec)
-        )
+        is_yaml = path.suffix in (".yaml", ".yml")
+        return _from_yaml(path, spec) if is_yaml else _from_model(spec)
     if path.suffix or "/" in name:
         why = "no such file; give a URDF, xacro, MJCF, a robot.yaml or a built-in name"
         raise BadRobot(path, why)
@@ -106,8 +105,7 @@ def load_robot(
 
 
 def _builtin(name: str) -> Robot:
-    folder = resources.files("excitant.robots.library")
-    model = folder / f"{name}.urdf"
+    model = resources.files("excitant.robots.library") / f"{name}.urdf"
     record = builtin_record(name)
     if not model.is_file():
         return _from_dh(record, RobotSpec(name))
@@ -210,29 +208,14 @@ def _with_stated_effects(
     names = {effect.name for effect in stated}
     others = [effect for effect in robot.effects if effect.name not in names]
     replaced = [
-        plain(effect.name)
+        effect.label
         for effect in robot.effects
         if effect.name in names
-        and not any(_states(entry, effect) for entry in stated)
+        and all(entry.among(effect.joints) != effect for entry in stated)
     ]
     note = f"{', '.join(replaced)}: as in {Path(source).name}, not as in its model"
     changed = robot.with_effects([*others, *stated])
     return replace(changed, notes=(*robot.notes, *[note] * bool(replaced)))
-
-
-def _states(entry: Effect, effect: Effect) -> bool:
-    """Whether an entry has the same values at all joints of an effect of the model."""
-    if entry.name != effect.name:
-        return False
-    stated = _values_by_joint(entry)
-    return all(stated.get(j) == row for j, row in _values_by_joint(effect).items())
-
-
-def _values_by_joint(effect: Effect) -> dict[str, list[float]]:
-    values = np.reshape(
-        effect.values or (), (max(len(effect.joints), 1), -1)
-    ).tolist()
-    return dict(zip(effect.joints, values, strict=False))
 
 
 def _from_model(spec: RobotSpec, gravity: npt.ArrayLike | None = None) -> Robot:
@@ -271,38 +254,29 @@ def _described(path: Path, spec: RobotSpec) -> Description:
 
 def _effects(robot: Robot, description: Description) -> Iterator[Effect]:
     """Friction, rotor inertia and springs that a description states of the joints that move."""
-    joints = ET.fromstring(robot.description).findall("joint")
-    stated = {str(joint.get("name")): joint for joint in joints}
+    stated = stated_joints(ET.fromstring(robot.description))
     for kind, key in ((ViscousFriction, "damping"), (CoulombFriction, "friction")):
         values = {}
         for name in robot.joints:
             text = child_attribute(stated[name], "dynamics", key, "0")
-            values[name] = number(text, key, stated[name], robot.source)
-        values = {name: value for name, value in values.items() if value}
+            if value := number(text, key, stated[name], robot.source):
+                values[name] = value
         if values:
             yield kind(tuple(values), tuple(values.values()))
-    armature = {
-        j: description.armature[j]
-        for j in robot.joints
-        if description.armature.get(j)
-    }
-    if armature:
-        yield RotorInertia(tuple(armature), tuple(armature.values()))
-    springs = {
-        j: description.springs[j] for j in robot.joints if j in description.springs
-    }
-    if springs:
-        values_of = [
-            (stiffness, -stiffness * rest) for stiffness, rest in springs.values()
-        ]
-        yield Spring(tuple(springs)).with_values(np.array(values_of))
+    turning = tuple(j for j in robot.joints if j in description.armature)
+    if turning:
+        yield RotorInertia(turning, tuple(description.armature[j] for j in turning))
+    sprung = tuple(j for j in robot.joints if j in description.springs)
+    if sprung:
+        springs = (description.springs[j] for j in sprung)
+        values_of = [(stiffness, -stiffness * rest) for stiffness, rest in springs]
+        yield Spring(sprung).with_values(np.array(values_of))
 
 
 def _narrowed(whole: Robot, spec: RobotSpec) -> Robot:
     """A part of a robot that is loaded, with its limits and effects."""
-    for joint in spec.joints or ():  # as if the robot had no other joints
-        if joint not in whole.joints:
-            raise UnknownName("joint", joint, whole.joints)
+    # as if the robot had no other joints
+    UnknownName.refuse("joint", spec.joints or (), whole.joints)
     lock = {**dict(whole.locked), **spec.lock}
     part = replace(spec, path=whole.source, lock=lock, packages=whole.packages)
     held = robot_from_urdf(
@@ -353,8 +327,11 @@ def freed(robot: Robot, names: Collection[str]) -> Robot:
     for name in LIMIT_NAMES:
         rows[name] = np.array(getattr(whole.limits, name))
         rows[name][own] = getattr(robot.limits, name)
-    whole = whole.with_limits(replace(robot.limits, **rows))
     whole = replace(
-        whole, tool=robot.tool, notes=robot.notes, unchosen=robot.unchosen
+        whole,
+        limits=replace(robot.limits, **rows),
+        tool=robot.tool,
+        notes=robot.notes,
+        unchosen=robot.unchosen,
     )
     return whole.with_effects(robot.effects)

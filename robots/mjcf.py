@@ -58,7 +58,7 @@ class Description:
 
 
 def description_from_mjcf(
-    path: str | Path, packages: Iterable[str | Path] = ()
+    path: str | Path, packages: Iterable[str | Path]
 ) -> Description:
     """Description of the robot in an MJCF file; `BadRobot` where MuJoCo is missing or refuses.
 
@@ -67,10 +67,8 @@ def description_from_mjcf(
     try:
         import mujoco
     except ImportError:
-        raise BadRobot(
-            path,
-            "MJCF files are read by MuJoCo; install it (pip install 'excitant[mjcf]')",
-        ) from None
+        why = "MJCF files are read by MuJoCo; install it (pip install 'excitant[mjcf]')"
+        raise BadRobot(path, why) from None
     _check_files(Path(path), tuple(packages))
     angles = Angles()
     warned = mujoco.get_mju_user_warning()
@@ -132,18 +130,15 @@ def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
         text = read_description(part)
         size += len(text)
         if len(parts) > _FILES or size > LARGEST:
-            raise BadRobot(
-                path,
-                f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB",
-            )
+            why = f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB"
+            raise BadRobot(path, why)
         root = parse_xml(text, part, "MJCF")
         here = real_path(part).parent
         _check_sizes(root, part)
         for element in root.iter():
-            keys = ("meshdir", "texturedir", "assetdir")
-            folders |= {
-                element.get(key, "") for key in keys if element.tag == "compiler"
-            }
+            if element.tag == "compiler":
+                keys = ("meshdir", "texturedir", "assetdir")
+                folders |= {element.get(key, "") for key in keys}
             files = [
                 name
                 for key, name in element.attrib.items()
@@ -175,10 +170,9 @@ def _check_sizes(root: Element, path: Path) -> None:
         numbers = {key: _product(element.get(key, "")) for key in _SIZES}
         large = [key for key, most in _SIZES.items() if numbers[key] > most]
         if element.tag == "size":
-            large += [
-                key for key, text in element.attrib.items() if _product(text) > 1e6
-            ]
-        copies *= numbers["count"] if element.tag == "replicate" else 1.0
+            large += [key for key, text in element.items() if _product(text) > 1e6]
+        elif element.tag == "replicate":
+            copies *= numbers["count"]
         if large or copies > _COPIES:
             key = (*large, "count")[0]
             what = f'<{element.tag} {key}="{element.get(key)}">'
@@ -272,10 +266,10 @@ def _leave_out_drawing(spec: Any, path: str | Path) -> None:
         for geom in [g for g in spec.geoms if g.meshname == mesh.name]:
             body = geom.parent
             if not body.explicitinertial or spec.compiler.inertiafromgeom == 1:
-                raise BadRobot(
-                    path,
-                    f"body '{body.name}' has its mass from {file}, which is missing",
+                why = (
+                    f"body '{body.name}' has its mass from {file}, which is missing"
                 )
+                raise BadRobot(path, why)
             spec.delete(geom)
         spec.delete(mesh)
 
@@ -311,8 +305,8 @@ class _Writer:
             model.body(b).name or f"body_{b}" for b in range(model.nbody)
         ]
         self.joints = []
-        for j, b in enumerate(model.jnt_bodyid.tolist()):
-            k = j - int(model.body_jntadr[b]) + 1
+        for j, b in enumerate(model.jnt_bodyid):
+            k = j - model.body_jntadr[b] + 1
             unnamed = f"{self.bodies[b]}_joint{k if k > 1 else ''}"
             self.joints.append(model.jnt(j).name or unnamed)
         self.followers = dict(self._followers())
@@ -537,8 +531,6 @@ class _Writer:
 
 
 def _range(limits: Array, limited: bool) -> Array:
-    return (
-        np.array(limits)
-        if limited and limits[0] < limits[1]
-        else np.array([-np.inf, np.inf])
-    )
+    if limited and limits[0] < limits[1]:
+        return limits
+    return np.array([-np.inf, np.inf])

@@ -80,7 +80,7 @@ def elements(tensor: Array) -> Array:
 
 def steiner(mass: float, c: Array) -> Array:
     """M (c² 1 − c cᵀ): what a tensor about the centre of mass lacks of one about −c, (3, 3)."""
-    return np.asarray(mass * (c @ c * np.eye(3) - np.outer(c, c)))
+    return mass * (c @ c * np.eye(3) - np.outer(c, c))
 
 
 def inertia(phi: npt.ArrayLike) -> pin.Inertia:
@@ -94,7 +94,7 @@ def inertia(phi: npt.ArrayLike) -> pin.Inertia:
 
 def _lever_moment(P: Array) -> Array:
     """Second moment of the mass if it were all in its centre, m c cᵀ, (3, 3)."""
-    return np.asarray(np.outer(P[:3, 3], P[:3, 3]) / P[3, 3])
+    return np.outer(P[:3, 3], P[:3, 3]) / P[3, 3]
 
 
 def violations(phi: npt.ArrayLike, links: tuple[str, ...]) -> list[str]:

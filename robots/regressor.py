@@ -40,11 +40,10 @@ def regressor(robot: Robot, motion: Motion) -> Array:
 
 def _evaluate(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
     model = robot.model
-    data = robot.model.createData()
+    data = model.createData()
     Y = np.empty((len(q), robot.nv, 10 * robot.nv))
-    compute = pin.computeJointTorqueRegressor
-    for k in range(len(q)):
-        Y[k] = compute(model, data, q[k], dq[k], ddq[k])
+    for k, state in enumerate(zip(q, dq, ddq, strict=True)):
+        Y[k] = pin.computeJointTorqueRegressor(model, data, *state)
     return Y
 
 
@@ -83,7 +82,7 @@ def regressor_derivatives(robot: Robot, motion: Motion) -> RegressorDerivatives:
 
 def rigid_body_torque(robot: Robot, motion: Motion) -> Array:
     """Torque of the rigid bodies alone by recursive Newton-Euler, shape (n, nv) [N·m]."""
-    moved = (np.asarray(x, float).T for x in (motion.q, motion.dq, motion.ddq))
+    moved = (motion.q.T, motion.dq.T, motion.ddq.T)
     tau = pin.rneaInParallel(1, pin.ModelPool(robot.model, 1), *moved)
     # that of one joint comes without its dimension
     return np.reshape(tau.T, motion.q.shape)
@@ -119,7 +118,7 @@ def torque_derivatives(robot: Robot, motion: Motion) -> tuple[Array, Array, Arra
     Row i, column j: torque of joint i by motion of joint j (Carpentier and Mansard 2018).
     """
     model = robot.model
-    data = robot.model.createData()
+    data = model.createData()
     # what one joint does lies together
     by_joint = np.empty((3, robot.nv, len(motion), robot.nv))
     parts = by_joint.transpose(0, 2, 3, 1)

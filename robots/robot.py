@@ -15,7 +15,7 @@ from excitant.exceptions import UnknownName
 from excitant.robots.limits import Limits
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import STANDARD, BaseEstimate, inertia
-from excitant.robots.shown import Shown, Table, data_frame
+from excitant.robots.shown import Shown, Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -114,10 +114,8 @@ class Robot(Shown):
     @property
     def phi(self) -> Array:
         """Standard parameters of all links, shape (10 nv,)."""
-        inertias = list(self.model.inertias)[1:]
-        return read_only(
-            np.concatenate([body.toDynamicParameters() for body in inertias])
-        )
+        bodies = list(self.model.inertias)[1:]
+        return read_only([body.toDynamicParameters() for body in bodies]).ravel()
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -127,16 +125,14 @@ class Robot(Shown):
     @property
     def tip(self) -> int:
         """Pinocchio's frame of the tool: the link named so, or the last that the last joint has."""
-        frames = list(enumerate(list(self.model.frames)))
-        bodies = [
-            (k, frame) for k, frame in frames if frame.type == pin.FrameType.BODY
-        ]
-        named = [k for k, frame in bodies if frame.name == self.tool]
-        return (
-            named[0]
-            if named
-            else max(k for k, f in bodies if f.parentJoint == self.nv)
-        )
+        bodies = {
+            k: frame
+            for k, frame in enumerate(self.model.frames)
+            if frame.type == pin.FrameType.BODY
+        }
+        named = [k for k, frame in bodies.items() if frame.name == self.tool]
+        last = [k for k, f in bodies.items() if f.parentJoint == self.nv]
+        return named[0] if named else last[-1]
 
     def torque_unit(self, measured: str = "N·m", joint: int | None = None) -> str:
         """Unit of torque measured in N·m (or A) at a joint, or at all: slides have N."""
@@ -152,9 +148,7 @@ class Robot(Shown):
     def with_parameters(self, phi: npt.ArrayLike) -> Robot:
         """The same arm with other standard parameters, shape (10 nv,)."""
         model = self.model.copy()
-        for j, values in enumerate(
-            np.reshape(np.asarray(phi, float), (self.nv, 10)), start=1
-        ):
+        for j, values in enumerate(np.reshape(phi, (self.nv, 10)), start=1):
             model.inertias[j] = inertia(values)
         return replace(self, model=model, described=False, estimate=None)
 
@@ -173,10 +167,13 @@ class Robot(Shown):
         model.jointPlacements[j] = model.jointPlacements[j] * turn.M
         zeros = dict(self.zeros)
         zeros[joint] = zeros.get(joint, 0.0) + angle
-        changed = replace(
-            self, model=model, zeros=tuple(zeros.items()), described=False
+        return replace(
+            self,
+            model=model,
+            zeros=tuple(zeros.items()),
+            described=False,
+            estimate=None,
         )
-        return replace(changed, estimate=None)
 
     def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same arm with these effects instead of its own."""
@@ -199,20 +196,17 @@ class Robot(Shown):
             self.limits.acceleration < 1e4, self.limits.acceleration, 10.0
         )
         shape = (n, self.nv)
-        return (
-            rng.uniform(low, high, shape),
-            rng.uniform(-speed, speed, shape),
-            rng.uniform(-acceleration, acceleration, shape),
-        )
+        q = rng.uniform(low, high, shape)
+        dq = rng.uniform(-speed, speed, shape)
+        return q, dq, rng.uniform(-acceleration, acceleration, shape)
 
     def to_frame(self) -> pd.DataFrame:
         """Standard parameters of the links, a row each."""
-        values = zip(self.links, self.phi.reshape(-1, 10).tolist(), strict=True)
-        rows = [
-            {"link": link} | dict(zip(STANDARD, own, strict=True))
-            for link, own in values
-        ]
-        return data_frame(rows, "link")
+        import pandas as pd
+
+        rows = self.phi.reshape(-1, 10)
+        links = pd.Index(self.links, name="link")
+        return pd.DataFrame(rows, links, columns=list(STANDARD))
 
     def _lines(self) -> list[str]:
         held = [f"{joint} at {q:.4g}" for joint, q in self.locked]
@@ -227,15 +221,18 @@ class Robot(Shown):
     def _table(self) -> Table:
         limits = self.limits
         columns = (
-            *limits.position.T,
-            limits.velocity,
-            limits.torque,
-            self.phi[::10],
+            self.joints,
+            self.links,
+            *limits.position.T.tolist(),
+            limits.velocity.tolist(),
+            limits.torque.tolist(),
+            self.phi[::10].tolist(),
         )
-        values = np.column_stack(columns).tolist()
-        rows = [
-            (*names, *row)
-            for *names, row in zip(self.joints, self.links, values, strict=True)
-        ]
         heads = ("joint", "link", "from", "to", "speed", "torque", "mass [kg]")
-        return heads, rows
+        return heads, list(zip(*columns, strict=True))
+
+
+def spans(robot: Robot) -> list[float]:
+    """Distance of each joint's frame from that of the joint before, nv of them [m]."""
+    places = list(robot.model.jointPlacements)[1:]
+    return [float(np.linalg.norm(place.translation)) for place in places]

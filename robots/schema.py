@@ -14,7 +14,6 @@ import yaml
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import read_text
-from excitant.robots.files import extent
 
 T = TypeVar("T")
 Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
@@ -228,15 +227,14 @@ def parsed_json(text: str | bytes, number: Callable[[str], float] = float) -> An
     content = json.loads(
         text, parse_constant=number, parse_float=number, parse_int=whole
     )
-    _refuse_depth(content)
+    _refuse_excess(content, math.inf)
     return content
 
 
 def parsed_yaml(text: str, loader: type[Loader] | None = None) -> Any:
     """Content of YAML; ValueError or YAMLError where it is none, nests too deep, or is huge."""
     content = yaml.load(text, loader or Loader)
-    extent(content, _VALUES)
-    _refuse_depth(content)
+    _refuse_excess(content, _VALUES)
     return content
 
 
@@ -247,24 +245,26 @@ def finite(text: str) -> float:
     return value
 
 
-def _refuse_depth(content: object) -> None:
-    """Refuse, as ValueError, nesting too deep; a part that is used again counts once."""
+def _refuse_excess(content: object, most: float) -> None:
+    """Refuse, as ValueError, nesting too deep, or too many values and characters.
+
+    What is shared counts each time, so that lists that hold themselves are refused.
+    """
+    total = 0
     level = [content]
-    seen = set[int]()
     for _ in range(_DEEPEST):
-        parts = [
-            part
-            for part in level
-            if isinstance(part, dict | list) and id(part) not in seen
-        ]
-        if not parts:
+        inner: list[object] = []
+        for value in level:
+            total += 1 + (len(value) if isinstance(value, str) else 0)
+            if isinstance(value, dict):
+                inner += [*value, *value.values()]
+            elif isinstance(value, list | tuple | set):
+                inner += value
+            if total + len(inner) > most:
+                raise ValueError(f"it stands for more than {most:g} values")
+        if not inner:
             return
-        seen |= set(map(id, parts))
-        level = [
-            x
-            for part in parts
-            for x in (part.values() if isinstance(part, dict) else part)
-        ]
+        level = inner
     raise ValueError(f"nested more than {_DEEPEST} deep")
 
 
@@ -313,23 +313,16 @@ _WORDS = {
 
 
 def _in_words(types: str) -> str:
-    names = dict.fromkeys(
-        _WORDS.get(name, name) for name in types.split(" | ") if name != "null"
-    )
-    return " or ".join(names) or _WORDS["null"]
+    names = [name for name in types.split(" | ") if name != "null"] or ["null"]
+    return " or ".join(dict.fromkeys(_WORDS.get(name, name) for name in names))
 
 
 def _known(place: str) -> tuple[str, ...]:
     """Names that an entry may have, of the records that have a field of the place's name."""
     owner = re.sub(r"\[.*?\]", "", place).rpartition(".")[2]
-    kinds = (
-        (_RECORDS[owner],) if owner in _RECORDS else tuple(Record.__subclasses__())
-    )
-    return tuple(
-        dict.fromkeys(
-            name for kind in kinds for name in kind.__struct_encode_fields__
-        )
-    )
+    kinds = [_RECORDS[owner]] if owner in _RECORDS else Record.__subclasses__()
+    names = (name for kind in kinds for name in kind.__struct_encode_fields__)
+    return tuple(dict.fromkeys(names))
 
 
 _RECORDS: dict[str, type[Record]] = {

@@ -49,16 +49,11 @@ def largest_torque(robot: Robot, motion: Motion) -> Array:
     if p == 0:
         return tau
     margin = p * np.abs(link_torques(robot, motion)).sum(axis=2)
-    largest: Array = np.where(tau < 0, tau - margin, tau + margin)
-    return largest
+    return np.where(tau < 0, tau - margin, tau + margin)
 
 
 def link_torques(robot: Robot, motion: Motion) -> Array:
     """Torque that each link's own inertial parameters need, shape (n, nv, links)."""
     Y = regressor(robot, motion)
-    parts: Array = np.einsum(
-        "njlp,lp->njl",
-        Y.reshape(*Y.shape[:2], robot.nv, 10),
-        robot.phi.reshape(-1, 10),
-    )
-    return parts
+    by_link = Y.reshape(*Y.shape[:2], robot.nv, 10)
+    return np.einsum("njlp,lp->njl", by_link, robot.phi.reshape(-1, 10))

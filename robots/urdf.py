@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,12 @@ from excitant.robots.limits import Limits
 from excitant.robots.robot import Robot
 from excitant.robots.urdf_model import build_model, held_pose, restore_link_names
 from excitant.robots.urdf_shapes import URDF
-from excitant.robots.urdf_writer import ENDS, LIMIT_KEYS, UNLIMITED
+from excitant.robots.urdf_writer import (
+    ENDS,
+    LIMIT_KEYS,
+    UNLIMITED,
+    child_attribute,
+)
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -52,8 +57,8 @@ def robot_from_urdf(
     text = angles.urdf(text)
     root = parse_xml(text, source)
     _check(root, source)
-    weight = np.asarray(gravity, float)
-    if not (np.isfinite(weight).all() and (np.abs(weight) < _LARGEST).all()):
+    weight = np.array(gravity, float)
+    if not (np.abs(weight) < _LARGEST).all():
         raise BadRobot(
             source, f"gravity {weight.tolist()} is none; give it in m/s²"
         )
@@ -66,7 +71,7 @@ def robot_from_urdf(
     }
     title = name or root.get("name") or Path(source).stem
     model = build_model(root, source)
-    order = [str(joint) for joint in model.names]
+    order = list(model.names)
     if held:
         try:
             model = pin.buildReducedModel(model, *held_pose(model, held))
@@ -78,7 +83,7 @@ def robot_from_urdf(
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
     restore_link_names(model)
     model.gravity.linear = weight
-    moving = [named.joints[str(joint)] for joint in list(model.names)[1:]]
+    moving = [named.joints[joint] for joint in list(model.names)[1:]]
     return Robot(
         name=title,
         model=model,
@@ -98,19 +103,19 @@ def robot_from_urdf(
     )
 
 
-def _check(root: ET.Element, source: str) -> None:
+def _check(root: Element, source: str) -> None:
     """Refuse what Pinocchio would accept in silence or crash on."""
     if root.tag != "robot":
         raise BadRobot(
             source, f"not a URDF: the root element is <{root.tag}>, not <robot>"
         )
-    links, joints = (
-        [str(element.get("name")) for element in root.findall(tag)]
+    named = {
+        tag: [str(element.get("name")) for element in root.findall(tag)]
         for tag in ("link", "joint")
-    )
-    if not links:
+    }
+    if not named["link"]:
         raise BadRobot(source, "it has no <link>; give the URDF of an arm")
-    for kind, names in (("link", links), ("joint", joints)):
+    for kind, names in named.items():
         if len(names) > _MOST:
             raise BadRobot(
                 source, f"it has {len(names)} {kind}s; an arm has {_MOST} at most"
@@ -121,12 +126,11 @@ def _check(root: ET.Element, source: str) -> None:
                 source, f"{kind} '{min(double)}' is defined twice; rename one"
             )
     carried: dict[str, str] = {}
-    for joint, name in zip(root.findall("joint"), joints, strict=True):
+    for joint, name in zip(root.findall("joint"), named["joint"], strict=True):
         for end in ENDS:
-            element = joint.find(end)
-            if element is None or element.get("link") not in links:
+            child = child_attribute(joint, end, "link", "")
+            if child not in named["link"]:
                 raise BadRobot(source, f"joint '{name}' has no known {end} link")
-            child = str(element.get("link"))
         if child in carried:
             raise BadRobot(
                 source,
@@ -176,7 +180,7 @@ _NUMBERS = {
 }
 
 
-def number(text: str, key: str, owner: ET.Element, source: str) -> float:
+def number(text: str, key: str, owner: Element, source: str) -> float:
     """A finite number from an attribute of an element's child, or `BadRobot`."""
     try:
         value = float(text)
@@ -202,6 +206,6 @@ def _limits(model: pin.Model) -> Limits:
     position[unset] = (-np.inf, np.inf)
     velocity, effort = (
         np.where((limit <= 0) | (limit >= UNLIMITED), np.inf, limit)
-        for limit in (np.array(model.velocityLimit), np.array(model.effortLimit))
+        for limit in (model.velocityLimit, model.effortLimit)
     )
     return Limits(position, velocity, np.full(model.nv, np.inf), effort)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import pinocchio as pin
 
@@ -18,18 +18,18 @@ from excitant.robots.urdf_writer import ENDS, UNLIMITED
 _RENAMED = " (link)"  # after the name of a link that is also that of a joint
 
 
-def _bound_continuous_joints(root: ET.Element) -> None:
+def _bound_continuous_joints(root: Element) -> None:
     """Make continuous joints revolute with no limits, so that q and q̇ have the same size."""
     for joint in root.findall("joint[@type='continuous']"):
         joint.set("type", "revolute")
         limit = joint.find("limit")
-        limit = ET.SubElement(joint, "limit") if limit is None else limit
+        limit = SubElement(joint, "limit") if limit is None else limit
         limit.attrib |= {"lower": str(-UNLIMITED), "upper": str(UNLIMITED)}
         for key in ("effort", "velocity"):
             limit.set(key, limit.get(key) or str(UNLIMITED))
 
 
-def _rename_links_called_as_joints(root: ET.Element) -> None:
+def _rename_links_called_as_joints(root: Element) -> None:
     """Give links that share a joint's name another one: Pinocchio cannot hold such joints."""
     joints = {joint.get("name") for joint in root.findall("joint")}
     named = [(link, "name") for link in root.findall("link")]
@@ -46,13 +46,13 @@ def restore_link_names(model: pin.Model) -> None:
             frame.name = frame.name.removesuffix(_RENAMED)
 
 
-def build_model(root: ET.Element, source: str) -> pin.Model:
+def build_model(root: Element, source: str) -> pin.Model:
     """Pinocchio's model; the URDF is changed into one that Pinocchio can take."""
     root.set("name", root.get("name") or "robot")
     _bound_continuous_joints(root)
     _rename_links_called_as_joints(root)
     with quietly(source):
-        return pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+        return pin.buildModelFromXML(tostring(root, encoding="unicode"))
 
 
 @contextmanager

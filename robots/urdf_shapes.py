@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import xml.etree.ElementTree as ET
 from functools import lru_cache
 from itertools import product
 from os.path import isfile
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, fromstring, tostring
 
 import coal
 import numpy as np
@@ -25,6 +25,7 @@ from excitant.robots.urdf_writer import (
     child_attribute,
     current_urdf,
     floats,
+    stated_joints,
     stated_place,
 )
 
@@ -41,30 +42,27 @@ class UrdfFormat:
 
     def bodies(self, robot: Robot) -> tuple[Body, ...]:
         """Links that the joints move or that stand under them, from the base outward."""
-        root = ET.fromstring(robot.description)
+        root = fromstring(robot.description)
         named = tree(root, robot.source)
         under = [joint.parent for joint in named.ancestors(robot.links[0])]
         origins: dict[str, list[Array]] = {}
-        for joint in root.findall("joint"):
-            parent = named.joints[str(joint.get("name"))].parent
-            origins.setdefault(parent, [np.zeros(3)]).append(
-                stated_place(joint).translation
-            )
+        for name, joint in stated_joints(root).items():
+            points = origins.setdefault(named.joints[name].parent, [np.zeros(3)])
+            points.append(stated_place(joint).translation)
         bodies = []
         for link in root.findall("link"):
-            name = str(link.get("name"))
+            name = link.attrib["name"]
             carrier = named.carrier(name, robot.links)
             if carrier or name in under:
-                points = np.array(origins.get(name, [np.zeros(3)]))
-                kinds = (
-                    map(_shape, link.findall(kind))
-                    for kind in ("collision", "visual")
-                )
-                solids = (tuple(filter(None, shapes)) for shapes in kinds)
+                points = origins.get(name, [np.zeros(3)])
+                kinds = (link.findall(kind) for kind in ("collision", "visual"))
+                solids = (tuple(filter(None, map(_shape, kind))) for kind in kinds)
                 shapes = next(filter(None, solids), ())
-                bodies.append(Body(name, carrier, *_inertia(link), points, shapes))
-        order = {link: k for k, link in enumerate(robot.links)}
-        return tuple(sorted(bodies, key=lambda body: order.get(body.carrier, -1)))
+                bodies.append(
+                    Body(name, carrier, *_inertia(link), np.array(points), shapes)
+                )
+        order = ["", *robot.links]
+        return tuple(sorted(bodies, key=lambda body: order.index(body.carrier)))
 
     def solids(self, robot: Robot, kind: str) -> Any:
         """Collision or visual shapes, meshes as hulls; never edited."""
@@ -72,14 +70,14 @@ class UrdfFormat:
 
     def carriers(self, robot: Robot, kind: str) -> set[str]:
         """Moving links that carry collision or visual shapes; empty for what stands still."""
-        root = ET.fromstring(robot.description)
+        root = fromstring(robot.description)
         named = tree(root, robot.source)
-        links = [str(link.get("name")) for link in root.findall(f"link[{kind}]")]
-        return {named.carrier(link, robot.links) for link in links}
+        links = root.findall(f"link[{kind}]")
+        return {named.carrier(link.attrib["name"], robot.links) for link in links}
 
     def count_shapes(self, robot: Robot, kind: str) -> tuple[int, int, int]:
         """Number of shapes, of those whose mesh is not there, and is where it may not be read."""
-        root = ET.fromstring(robot.description)
+        root = fromstring(robot.description)
         stated = len(root.findall(f"link/{kind}"))
         return (stated, *_find_meshes(root, robot, kind))
 
@@ -87,28 +85,22 @@ class UrdfFormat:
 URDF = UrdfFormat()
 
 
-def _inertia(link: ET.Element) -> tuple[bool, float, Array, Array]:
+def _inertia(link: Element) -> tuple[bool, float, Array, Array]:
     """Whether a link states one, its mass, centre and tensor about it in the link's axes."""
     inertial = link.find("inertial")
     if inertial is None:
         return False, 0.0, np.zeros(3), np.zeros((3, 3))
     place = stated_place(inertial)
     mass = float(child_attribute(inertial, "mass", "value", "0"))
-    tensor = [
-        [
-            float(
-                child_attribute(
-                    inertial, "inertia", f"i{min(a, b)}{max(a, b)}", "0"
-                )
-            )
-            for b in "xyz"
-        ]
-        for a in "xyz"
-    ]
+    xx, xy, xz, yy, yz, zz = (
+        float(child_attribute(inertial, "inertia", f"i{axes}", "0"))
+        for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
+    )
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return True, mass, place.translation, place.rotation @ tensor @ place.rotation.T
 
 
-def _shape(element: ET.Element) -> Shape | None:
+def _shape(element: Element) -> Shape | None:
     """The solid of a collision or visual element; None for meshes and what has no volume."""
     solid = element.find("geometry/*")
     if solid is None:
@@ -142,11 +134,11 @@ def _shape(element: ET.Element) -> Shape | None:
 @lru_cache(maxsize=8)
 def _solids(robot: Robot, kind: str) -> Any:
     """Collision or visual shapes, but for meshes that are not there; never edited."""
-    root = ET.fromstring(robot.description)
+    root = fromstring(robot.description)
     _find_meshes(root, robot, kind)
     model = build_model(root, robot.source)
     locked, reference = held_pose(model, dict(robot.locked))
-    text = ET.tostring(root, encoding="unicode")
+    text = tostring(root, encoding="unicode")
     wanted = getattr(pin.GeometryType, kind.upper())
     with quietly(robot.source):
         geometry = pin.buildGeomFromUrdfString(model, text, wanted)
@@ -169,7 +161,7 @@ def _make_convex(geometry: Any) -> None:
         body.geometry = mesh.convex
 
 
-def _find_meshes(root: ET.Element, robot: Robot, kind: str) -> tuple[int, int]:
+def _find_meshes(root: Element, robot: Robot, kind: str) -> tuple[int, int]:
     """Name mesh files by their full paths; remove shapes whose mesh is not there.
 
     Returns:
@@ -185,12 +177,12 @@ def _find_meshes(root: ET.Element, robot: Robot, kind: str) -> tuple[int, int]:
                 path = _mesh_file(str(mesh.get("filename")), robot)
             except BadRobot:
                 path = None
-                outside = outside + 1
-            if path is not None:
-                mesh.set("filename", str(path))
-            else:
-                link.remove(element)
+                outside += 1
+            if path is None:
                 missing += 1
+                link.remove(element)
+            else:
+                mesh.set("filename", str(path))
     return missing, outside
 
 
@@ -208,11 +200,11 @@ def _mesh_file(name: str, robot: Robot) -> Path | None:
     package, _, inside = name.removeprefix("package://").partition("/")
     inside = os.path.normpath(inside)
     roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
-    split = (
-        (os.environ.get(name, "").split(os.pathsep), inner) for name, inner in roots
-    )
     shared = [
-        Path(path) / inner for paths, inner in split for path in paths if path
+        Path(path) / inner
+        for variable, inner in roots
+        for path in os.environ.get(variable, "").split(os.pathsep)
+        if path
     ]
     installed = [each / package for each in shared]
     installed += [each for each in shared if each.name == package]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +30,7 @@ def current_urdf(robot: Robot) -> str:
     locked joint, lose their own ``<inertial>`` so that nothing counts twice. Viscous and Coulomb
     friction are ``<dynamics damping friction>``; negative ones, which URDF does not know, are 0.
     """
-    root = ET.fromstring(robot.description)
+    root = fromstring(robot.description)
     held = {name for name, _ in robot.locked}
     friction = {kind: np.zeros(robot.nv) for kind in ("viscous", "coulomb")}
     carrying = robot
@@ -42,33 +42,28 @@ def current_urdf(robot: Robot) -> str:
                 effect.values or ()
             )
     values = dict(zip(robot.links, carrying.phi.reshape(-1, 10), strict=True))
-    dry = dict(
-        zip(
-            robot.joints,
-            np.maximum(list(friction.values()), 0.0).T.tolist(),
-            strict=True,
-        )
-    )
+    braking = np.maximum(list(friction.values()), 0.0).T.tolist()
+    dry = dict(zip(robot.joints, braking, strict=True))
     named = tree(root, robot.source)
     zeros = dict(robot.zeros)
     for link in root.findall("link"):
-        name = str(link.get("name"))
+        name = link.attrib["name"]
         if not named.carrier(name, robot.links):
             continue
         for inertial in link.findall("inertial"):
             link.remove(inertial)
         if name in values:
             link.insert(0, inertial_element(values[name]))
-    for joint in root.findall("joint"):
-        if (own := dry.get(str(joint.get("name")))) is not None:
+    for name, joint in stated_joints(root).items():
+        if name in dry:
+            viscous, coulomb = dry[name]
             dynamics = joint.find("dynamics")
-            dynamics = (
-                ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
-            )
-            dynamics.attrib |= {"damping": repr(own[0]), "friction": repr(own[1])}
-            if turned := zeros.get(str(joint.get("name"))):
+            if dynamics is None:
+                dynamics = SubElement(joint, "dynamics")
+            dynamics.attrib |= {"damping": repr(viscous), "friction": repr(coulomb)}
+            if turned := zeros.get(name):
                 _turn(joint, turned)
-        elif joint.get("name") in held:
+        elif name in held:
             _fix(joint, robot.model)
         for mimic in joint.findall("mimic"):
             if mimic.get("joint") in held:
@@ -76,7 +71,7 @@ def current_urdf(robot: Robot) -> str:
     return urdf_text(root)
 
 
-def _fix(joint: ET.Element, model: pin.Model) -> None:
+def _fix(joint: Element, model: pin.Model) -> None:
     """Make a joint fixed where it is held: both its links are part of one body."""
     for element in [element for element in joint if element.tag not in ENDS]:
         joint.remove(element)
@@ -88,7 +83,7 @@ def _fix(joint: ET.Element, model: pin.Model) -> None:
     joint.set("type", "fixed")
 
 
-def _turn(joint: ET.Element, angle: float) -> None:
+def _turn(joint: Element, angle: float) -> None:
     """Turn a joint's zero position about its axis [rad]."""
     place = stated_place(joint)
     axis = floats(child_attribute(joint, "axis", "xyz", "1 0 0"))
@@ -101,13 +96,18 @@ def _turn(joint: ET.Element, angle: float) -> None:
         origin.attrib |= turned.attrib
 
 
-def child_attribute(element: ET.Element, child: str, key: str, default: str) -> str:
+def stated_joints(root: Element) -> dict[str, Element]:
+    """Joints of a description by name."""
+    return {joint.attrib["name"]: joint for joint in root.findall("joint")}
+
+
+def child_attribute(element: Element, child: str, key: str, default: str) -> str:
     """Attribute of an element's child, or a default where there is none."""
     inner = element.find(child)
     return default if inner is None else inner.get(key) or default
 
 
-def stated_place(element: ET.Element) -> pin.SE3:
+def stated_place(element: Element) -> pin.SE3:
     """Placement that an element's ``<origin xyz rpy>`` states; none is the identity."""
     xyz, rpy = (
         floats(child_attribute(element, "origin", key, "0 0 0"))
@@ -121,17 +121,17 @@ def floats(text: str) -> Array:
     return np.array(text.split(), float)
 
 
-def urdf_text(root: ET.Element) -> str:
+def urdf_text(root: Element) -> str:
     """The text of a URDF, indented."""
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+    indent(root)
+    return tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
 def limits_in_urdf(robot: Robot) -> Robot:
     """The robot with a URDF text that states the limits of the joints it keeps."""
-    root = ET.fromstring(robot.description)
+    root = fromstring(robot.description)
     limits = robot.limits
-    stated = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    stated = stated_joints(root)
     for j, joint in enumerate(stated[name] for name in robot.joints):
         values = (*limits.position[j], limits.torque[j], limits.velocity[j])
         numbers = dict(zip(LIMIT_KEYS, values, strict=True))
@@ -146,17 +146,17 @@ def limits_in_urdf(robot: Robot) -> Robot:
             k: repr(float(np.clip(x, -UNLIMITED, UNLIMITED)))
             for k, x in numbers.items()
         }
-        ET.SubElement(joint, "limit", words)
+        SubElement(joint, "limit", words)
     return replace(robot, description=urdf_text(root))
 
 
 def joint_element(
-    root: ET.Element, name: str, kind: str, parent: str, child: str, pose: Array
-) -> ET.Element:
+    root: Element, name: str, kind: str, parent: str, child: str, pose: Array
+) -> Element:
     """A new ``<joint>`` whose frame has a pose in the parent link, shape (4, 4)."""
-    joint = ET.SubElement(root, "joint", name=name, type=kind)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
+    joint = SubElement(root, "joint", name=name, type=kind)
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
     joint.append(origin_element(pose[:3, :3], pose[:3, 3]))
     return joint
 
@@ -166,32 +166,30 @@ def numbers_text(values: Iterable[float]) -> str:
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
-def origin_element(rotation: Array, translation: Array) -> ET.Element:
+def origin_element(rotation: Array, translation: Array) -> Element:
     """``<origin>`` of a pose."""
-    rpy = pin.rpy.matrixToRpy(np.asarray(rotation))
-    return ET.Element(
-        "origin", xyz=numbers_text(translation), rpy=numbers_text(rpy)
-    )
+    rpy = numbers_text(pin.rpy.matrixToRpy(rotation))
+    return Element("origin", xyz=numbers_text(translation), rpy=rpy)
 
 
-def collision(place: pin.SE3, shape: str, **attributes: str) -> ET.Element:
+def collision(place: pin.SE3, shape: str, **attributes: str) -> Element:
     """``<collision>`` of a shape at a pose in its link."""
-    element = ET.Element("collision")
+    element = Element("collision")
     element.append(origin_element(place.rotation, place.translation))
-    ET.SubElement(ET.SubElement(element, "geometry"), shape, attributes)
+    SubElement(SubElement(element, "geometry"), shape, attributes)
     return element
 
 
-def inertial_element(phi: Array) -> ET.Element:
+def inertial_element(phi: Array) -> Element:
     """``<inertial>`` of standard parameters about the link's frame, shape (10,)."""
     mass = phi[0]
     lever = phi[1:4] / mass if mass else np.zeros(3)
     xx, xy, yy, xz, yz, zz = phi[4:] - elements(steiner(mass, lever))
-    element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=numbers_text(lever), rpy="0 0 0")
-    ET.SubElement(element, "mass", value=repr(float(mass)))
+    element = Element("inertial")
+    SubElement(element, "origin", xyz=numbers_text(lever), rpy="0 0 0")
+    SubElement(element, "mass", value=repr(float(mass)))
     tensor = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
-    ET.SubElement(
+    SubElement(
         element, "inertia", {key: repr(float(x)) for key, x in tensor.items()}
     )
     return element

@@ -17,7 +17,7 @@ import os
 import re
 from collections import ChainMap
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -72,9 +72,7 @@ def is_xacro(text: str) -> bool:
 
 
 def urdf_from_xacro(
-    path: str | Path,
-    arguments: Mapping[str, str],
-    packages: Sequence[str | Path] = (),
+    path: str | Path, arguments: Mapping[str, str], packages: Sequence[str | Path]
 ) -> tuple[str, tuple[str, ...]]:
     """URDF text of a xacro file, and what it was denied, as sentences.
 
@@ -84,16 +82,9 @@ def urdf_from_xacro(
         packages: Folders in which ``$(find name)`` looks: the package itself, or a folder that
             holds it. Folders around the file are searched without being named.
     """
-    folders = list(map(str, packages))
+    task = (process, str(path), dict(arguments), list(map(str, packages)))
     try:
-        answer = in_child(
-            process,
-            str(path),
-            dict(arguments),
-            folders,
-            seconds=SECONDS,
-            memory=MEMORY,
-        )
+        answer = in_child(*task, seconds=SECONDS, memory=MEMORY)
     except Exceeded as error:
         why = f"this xacro file {error}, perhaps in macros that call one another"
         raise BadRobot(path, why) from None
@@ -102,10 +93,10 @@ def urdf_from_xacro(
     result = json.loads(answer)
     if "why" in result:
         raise BadRobot(result["source"], result["why"])
-    for name in arguments:
-        if name not in result["declared"]:
-            unknown = UnknownName("xacro argument", name, result["declared"])
-            raise BadRobot(path, str(unknown))
+    try:
+        UnknownName.refuse("xacro argument", arguments, result["declared"])
+    except UnknownName as unknown:
+        raise BadRobot(path, str(unknown)) from None
     return result["urdf"], tuple(result["notes"])
 
 
@@ -206,6 +197,11 @@ class _Reading:
         self.texts: dict[str, str] = {}
         self.notes: list[str] = []
         self.evaluating: list[str] = []  # properties that need one another
+        self.commands = {
+            "arg": self.argument,
+            "find": self.find,
+            "env": self.environment,
+        }
         own = {
             "load_yaml": self.yaml,
             "abs_filename": self._beside,
@@ -214,7 +210,8 @@ class _Reading:
             "tokenize": _tokenize,
             "fatal": _fatal,
             **dict.fromkeys(
-                ("message", "warning", "error", "print_location"), _silent
+                ("message", "warning", "error", "print_location"),
+                lambda *_, **__: "",
             ),
         }
         spaces = {"math": MATH, "python": PYTHON, "xacro": own}
@@ -432,13 +429,8 @@ class _Reading:
             return os.getcwd()
         if name == "optenv" and words:
             return self.environment(words[0], " ".join(words[1:]))
-        commands = {
-            "arg": self.argument,
-            "find": self.find,
-            "env": self.environment,
-        }
-        if name in commands and len(words) == 1:
-            return commands[name](words[0])
+        if name in self.commands and len(words) == 1:
+            return self.commands[name](words[0])
         raise self._error(f"xacro does not know $({command})")
 
     def _names_of_arguments(self) -> Names:
@@ -446,9 +438,8 @@ class _Reading:
         own = {
             "true": True,
             "false": False,
+            **self.commands,
             "arg": lambda name: _typed(self.argument(name)),
-            "find": self.find,
-            "env": self.environment,
             "optenv": lambda name, default="": self.environment(name, default),
         }
         arguments = {name: _typed(text) for name, text in self.arguments.items()}
@@ -605,10 +596,8 @@ def _literal(value: Any) -> Any:
     if "_" in value:
         return value
     for kind in (int, float):
-        try:
+        with suppress(ValueError):
             return kind(value)
-        except ValueError:
-            pass
     truths = {"true": True, "True": True, "false": False, "False": False}
     return truths.get(value, value)
 
@@ -638,10 +627,6 @@ def _dotted(content: Any) -> Any:
 def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
     words = re.split(f"[{re.escape(sep)}]", text)
     return [word for word in words if word] if skip_empty else words
-
-
-def _silent(*_: object, **__: object) -> str:
-    return ""
 
 
 def _fatal(*words: object) -> None:
