@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-P = ParamSpec("P")
-T = TypeVar("T")
+Verb = TypeVar("Verb", bound=Callable[..., Any])
 
 
-def on_one_thread(verb: Callable[P, T]) -> Callable[P, T]:
+def on_one_thread(verb: Verb) -> Verb:
     """The same function, its sums in the same order whatever the number of BLAS threads."""
-
-    @wraps(verb)
-    def run(*args: P.args, **kwargs: P.kwargs) -> T:
-        with threadpool_limits(1):
-            return verb(*args, **kwargs)
-
-    return run
+    return threadpool_limits.wrap(limits=1)(verb)

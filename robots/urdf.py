@@ -64,11 +64,11 @@ def robot_from_urdf(
         )
     named = tree(root, source)
     held, notes = held_joints(named, spec, loops)
-    unchosen = {
+    unchosen = [
         joint
         for joint in held
         if joint not in spec.lock and named.joints[joint].is_single
-    }
+    ]
     title = name or root.get("name") or Path(source).stem
     model = build_model(root, source)
     order = list(model.names)
@@ -94,7 +94,7 @@ def robot_from_urdf(
         locked=tuple(
             sorted((joint, value or 0.0) for joint, value in held.items())
         ),
-        unchosen=tuple(joint for joint in order if joint in unchosen),
+        unchosen=tuple(sorted(unchosen, key=order.index)),
         source=source,
         tool=spec.tip or "",
         notes=(*angles.notes, *notes),

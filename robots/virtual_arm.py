@@ -26,6 +26,7 @@ from excitant.robots.plant.arm import (
     Progress,
     ReadingNoise,
     Trajectory,
+    rigid_torque,
     simulate,
 )
 from excitant.robots.plant.physics import Drives, Truth
@@ -239,18 +240,13 @@ def typical_torque(robot: Robot) -> Array:
     """Root mean square torque at moderate speeds, shape (nv,) [N·m]."""
     truth = nominal_truth(robot)
     motion = typical_motion(robot)
-    tau = truth.drives.friction(motion[1]) + _rigid_torque(truth.model, motion)
-    return _rms(tau)
+    return _rms(
+        truth.drives.friction(motion[1]) + rigid_torque(truth.model, *motion)
+    )
 
 
 def _rms(values: Array) -> Array:
     return np.sqrt(np.mean(values**2, axis=0))
-
-
-def _rigid_torque(model: pin.Model, motion: tuple[Array, Array, Array]) -> Array:
-    data = model.createData()
-    states = zip(*motion, strict=True)
-    return np.array([pin.rnea(model, data, *state) for state in states])
 
 
 def typical_motion(robot: Robot) -> tuple[Array, Array, Array]:
@@ -389,8 +385,8 @@ def draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     mass = min(rng.uniform(0.07, 0.16) * moving, 0.3 * strongest / (9.81 * reach))
     direction = rng.standard_normal(3)
     direction *= np.sign(direction @ (flange - centre)) or 1.0
-    direction /= np.linalg.norm(direction)
-    lever = flange + reach * rng.uniform(0.02, 0.06) * direction
+    shift = reach * rng.uniform(0.02, 0.06) * direction
+    lever = flange + shift / np.linalg.norm(direction)
     box = pin.Inertia.FromBox(mass, *(reach * rng.uniform(0.03, 0.1, 3)))
     phi = pin.Inertia(mass, lever, box.inertia).toDynamicParameters()
     phi *= _bearable(robot, phi)
@@ -404,8 +400,7 @@ def _load(robot: Robot, payload: Array) -> Array:
     phi = loaded.inertias[robot.nv].toDynamicParameters() + payload
     loaded.inertias[robot.nv] = pin.Inertia.FromDynamicParameters(phi)
     motion = typical_motion(robot)
-    added = _rigid_torque(loaded, motion) - _rigid_torque(robot.model, motion)
-    return _rms(added)
+    return _rms(rigid_torque(loaded, *motion) - rigid_torque(robot.model, *motion))
 
 
 def _bearable(robot: Robot, payload: Array) -> float:

@@ -482,7 +482,7 @@ def standard_effects(joints: tuple[str, ...]) -> tuple[Effect, ...]:
 def proposals(
     robot: Robot,
     facts: Sequence[JointFacts],
-    selected: Iterable[tuple[Effect, int]],
+    selected: Iterable[tuple[Effect, int]] = (),
 ) -> list[tuple[Effect, int]]:
     """All effects to consider on an arm, each with the number of shapes it is the best of.
 

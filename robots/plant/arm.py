@@ -100,6 +100,13 @@ class ReadingNoise:
         return values + even + normal
 
 
+def rigid_torque(model: pin.Model, q: Array, dq: Array, ddq: Array) -> Array:
+    """Torque of rigid bodies in some states, each of shape (n, nv)."""
+    data = model.createData()
+    states = zip(q, dq, ddq, strict=True)
+    return np.array([pin.rnea(model, data, *state) for state in states])
+
+
 def tracking_controller(
     robot: Robot,
     believed: Believed,
@@ -119,13 +126,10 @@ def tracking_controller(
     model = believed.truth.model
     limit = robot.limits.torque
     data = model.createData()
-    gain = np.empty((len(t), robot.nv, robot.nv))
-    for k in range(len(t)):
-        gain[k] = pin.crba(model, data, q[k])
+    gain = np.array([pin.crba(model, data, pose).copy() for pose in q])
     if believed.torque is None:
         feedforward = believed.truth.drives.friction(dq)
-        for k in range(len(t)):
-            feedforward[k] += pin.rnea(model, data, q[k], dq[k], ddq[k])
+        feedforward += rigid_torque(model, q, dq, ddq)
     else:
         feedforward = believed.torque(t)
     if noise is not None:  # it acts through what is desired less what is read

@@ -81,12 +81,12 @@ def recorded(
         for channel in (tau,) if delay > 0 else (q, dq) if delay < 0 else ():
             channel[:, j] = np.interp(run.t - abs(delay), run.t, channel[:, j])
     every = max(round(1 / (sensors.rate_hz * float(run.t[1] - run.t[0]))), 1)
-    q = q[::every]
-    dq = dq[::every]
-    tau = tau[::every]
-    if not np.array_equal(recorder.gain, np.eye(q.shape[1])):
-        tau = tau @ recorder.gain.T
-    tau = tau + offset + sensors.torque_noise * rng.standard_normal(q.shape)
+    q, dq, tau = (channel[::every] for channel in (q, dq, tau))
+    tau = (
+        tau @ recorder.gain.T
+        + offset
+        + sensors.torque_noise * rng.standard_normal(q.shape)
+    )
     dq = dq + sensors.velocity_noise * rng.standard_normal(q.shape)
     q = quantised(q, sensors.position_resolution)
     tau = quantised(tau, sensors.torque_resolution)
