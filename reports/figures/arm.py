@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -31,26 +30,6 @@ _HEAD = 0.028  # of the picture: length of its arrow's head
 _TOGETHER = 0.09  # of the picture: joints nearer than this share a label
 _ROOM = 1.14  # times the arm's extent: what is shown
 _HEIGHT = 300  # px
-
-
-def line(points: Array, colour: str, **look: Any) -> Line:
-    """A line through points (n, 2)."""
-    return Line(points[:, 0], points[:, 1], colour, **look)
-
-
-def dots(points: Array, colour: str, **look: Any) -> Points:
-    """Points (n, 2)."""
-    return Points(points[:, 0], points[:, 1], colour, **look)
-
-
-def area(corners: Array, colour: str, **look: Any) -> Polygon:
-    """A polygon with corners (n, 2)."""
-    return Polygon(corners[:, 0], corners[:, 1], colour, **look)
-
-
-def words(point: Array, text: str, **look: Any) -> Words:
-    """Words at a point (2,)."""
-    return Words(float(point[0]), float(point[1]), text, **look)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,13 +151,14 @@ def _arm_panel(arm: _Arm, view: View, title: str) -> Panel:
         joint = int(solid[0])
         outline = _outline(solid[1:7].reshape(2, 3) @ view.screen.T, solid[7])
         colour = ("solid", "band")[joint % 2] if joint else "base"
-        marks.append(area(outline, colour, edge="edge"))
+        marks.append(Polygon(outline[:, 0], outline[:, 1], colour, "edge"))
     flat = view.flat(arm.points)
-    marks.append(line(flat, fig.MEASURED, width=1.4))
+    x, y = flat.T
+    marks.append(Line(x, y, fig.MEASURED, width=1.4))
     for centre, axis in zip(flat[1:-1], arm.axes @ view.screen.T, strict=True):
         marks += _joint_axis(centre, axis, size)
-    marks.append(dots(flat[1:-1], fig.MEASURED, name="joint", style="hole"))
-    marks.append(dots(flat[-1:], fig.FITTED, name="tool"))
+    marks.append(Points(x[1:-1], y[1:-1], fig.MEASURED, "joint", style="hole"))
+    marks.append(Points(x[-1:], y[-1:], fig.FITTED, "tool"))
     marks += _numbers(flat[1:-1], _TOGETHER * size)
     axes = view.axes(marks, outermost, _ROOM)
     return Panel((axes,), f"the arm with {len(arm.axes)} joints {title}", title)
@@ -203,16 +183,20 @@ def _joint_axis(centre: Array, axis: Array, size: float) -> list[Mark]:
     """An arrow in the positive direction; a ring where it points to the eye, crossed if away."""
     length = float(np.linalg.norm(axis[:2]))
     if length < 0.3:
-        cross = [words(centre, "×")] * bool(axis[2] < 0)
-        return [dots(centre[None], fig.GIVEN, size=8.0, style="ring"), *cross]
+        x, y = centre.tolist()
+        cross = [Words(x, y, "×")] * bool(axis[2] < 0)
+        return [Points(centre[:1], centre[1:], fig.GIVEN, "", 8.0, "ring"), *cross]
     along = axis[:2] / length
     across = np.array([-along[1], along[0]])
     tip = centre + _AXIS * size * axis[:2]
     foot = tip - _HEAD * size * along
     side = 0.4 * _HEAD * size * across
-    head = np.array([tip, foot + side, foot - side])
-    shaft = np.array([centre, foot])
-    return [line(shaft, fig.GIVEN), area(head, fig.GIVEN)]
+    head = np.array([tip, foot + side, foot - side]).T
+    shaft = np.array([centre, foot]).T
+    return [
+        Line(shaft[0], shaft[1], fig.GIVEN),
+        Polygon(head[0], head[1], fig.GIVEN),
+    ]
 
 
 def _numbers(points: Array, near: float) -> list[Mark]:
@@ -225,10 +209,11 @@ def _numbers(points: Array, near: float) -> list[Mark]:
             groups.append(group := [])
         group.append(k)
     return [
-        words(
-            points[group].mean(axis=0),
+        Words(
+            float(points[group, 0].mean()),
+            float(points[group, 1].mean()),
             ",".join(str(k + 1) for k in group),
-            shift=(6.0, 6.0),
+            (6.0, 6.0),
         )
         for group in groups
     ]

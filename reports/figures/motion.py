@@ -156,7 +156,7 @@ def _panel(
         )
         stack.append(axes)
     label = f"{joint} over time: {', '.join(remarks)}"
-    return Panel(tuple(stack), label, v.shorten(joint, 60))
+    return Panel(tuple(stack), label, joint)
 
 
 def _context(
