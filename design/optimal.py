@@ -8,7 +8,6 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from typing import Any, Literal
 
-import joblib
 import numpy as np
 import numpy.typing as npt
 
@@ -25,7 +24,7 @@ from excitant.design.result import Design, dense_motion
 from excitant.design.search import Effort, SearchState, best_solutions, search
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.processes import connect
+from excitant.processes import connect, processors
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
 from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
@@ -71,7 +70,7 @@ def effort_of(search: Search, starts: int = STARTS) -> Iterator[Effort]:
         deadline = time.time() + search.time_limit
     elif count is None:
         count = starts
-    jobs = search.jobs or int(joblib.cpu_count())
+    jobs = search.jobs or processors()
     with connect(search.cluster) if search.cluster else nullcontext() as client:
         yield Effort(count, jobs, search.seed, deadline, client)
 

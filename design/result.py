@@ -204,16 +204,10 @@ class Design(Shown):
         """
         robot = self.robot
         motion = dense_motion(self.trajectory)
-        series: dict[str, Array] = {
-            "t": motion.t,
-            "q": motion.q,
-            "dq": motion.dq,
-            "ddq": motion.ddq,
+        series: dict[str, Array] = vars(motion) | {
             "tau": torque(robot, motion),
-            "eigenvalues_initial": np.asarray(
-                np.linalg.eigvalsh(self.before), float
-            ),
-            "eigenvalues_final": np.asarray(np.linalg.eigvalsh(self.after), float),
+            "eigenvalues_initial": np.linalg.eigvalsh(self.before),
+            "eigenvalues_final": np.linalg.eigvalsh(self.after),
         }
         if robot.limits.orders > 3:
             series["dddq"] = self.trajectory(motion.t, 3)

@@ -50,8 +50,9 @@ _SHARED = (
     "limit_values",
     "obstacles",
     "unchecked",
+    "appearance",
+    "bodies",
 )
-_SHOWN = ("appearance", "bodies")  # of the playback
 _OWN = (
     "duration",
     "periods",
@@ -92,14 +93,10 @@ class LinkByLinkDesign:
         limits = {}
         when = {}
         for quantity in single[0]["limits"]:
-            k = max(
-                range(len(single)),
-                key=lambda k: single[k]["limits"][quantity] or 0.0,
-            )
-            limits[quantity], row = (
-                single[k]["limits"][quantity],
-                single[k]["worst"][quantity],
-            )
+            used = [one["limits"][quantity] for one in single]
+            k = int(np.argmax(used))
+            limits[quantity] = used[k]
+            row = single[k]["worst"][quantity]
             when[quantity] = row and row | {"t": row["t"] + starts[k]}
         distances = [
             one["clearance_m"] for one in single if one["clearance_m"] is not None
@@ -120,7 +117,7 @@ class LinkByLinkDesign:
         return {
             "verb": "design",
             "robot": self.robot.name,
-            **{key: single[0][key] for key in (*_SHARED, *_SHOWN)},
+            **{key: single[0][key] for key in _SHARED},
             "duration": sum(one["duration"] for one in single),
             "harmonics": max(one["harmonics"] for one in single),
             "columns": self.columns,
