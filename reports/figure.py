@@ -143,7 +143,7 @@ class Axis:
     high: float | None = None
     log: bool = False
     whole: bool = False
-    ticks: tuple[tuple[float, str], ...] = ()
+    ticks: Sequence[tuple[float, str]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ class Axes:
         framed: Whether the axes are drawn, too.
     """
 
-    marks: tuple[Mark, ...]
+    marks: Sequence[Mark]
     x: Axis
     y: Axis
     height: int = 170
@@ -212,7 +212,7 @@ def _along(mark: Mark, along: str) -> Array:
 class Panel:
     """Axes above each other, with one abscissa if ``shared``; the label says what they show."""
 
-    axes: tuple[Axes, ...]
+    axes: Sequence[Axes]
     label: str
     title: str = ""
     shared: bool = True
@@ -231,16 +231,16 @@ class Key:
 class Figure:
     """Panels beside each other that share a legend; the caption says what to see."""
 
-    panels: tuple[Panel, ...]
+    panels: Sequence[Panel]
     caption: str
-    legend: tuple[Key, ...] = ()
+    legend: Sequence[Key] = ()
 
 
 @dataclass(frozen=True)
 class Bar:
     """Pieces one after the other, each a length and a colour, and the words behind them."""
 
-    pieces: tuple[tuple[float, str], ...]
+    pieces: Sequence[tuple[float, str]]
     words: str
 
 
@@ -254,20 +254,20 @@ class Bars:
         top: Length of the longest that is drawn whole.
     """
 
-    rows: tuple[tuple[str, tuple[Bar, ...]], ...]
+    rows: Sequence[tuple[str, Sequence[Bar]]]
     measure: str
     top: float
     label: str
     caption: str
-    legend: tuple[Key, ...] = ()
+    legend: Sequence[Key] = ()
 
 
 def figure(
     panels: Sequence[Panel | None], caption: str, legend: Sequence[Key] = ()
 ) -> Figure | None:
     """A figure of the panels that have data; None without any."""
-    present = tuple(panel for panel in panels if panel is not None)
-    return Figure(present, caption, tuple(legend)) if present else None
+    present = [panel for panel in panels if panel is not None]
+    return Figure(present, caption, legend) if present else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,11 +60,11 @@ def player(result: Motion, series: Series) -> Player | None:
             "touched": TOUCHED / _SHARE,
             "share": _SHARE,
         },
-        joints=tuple(zip(names, units, strict=True)),
+        joints=list(zip(names, units, strict=True)),
         quantities=_QUANTITIES,
-        moments=tuple(moments(result)),
+        moments=moments(result),
         caption=" ".join([_CAPTION, *map(v.sentence, look.notes)]),
-        legend=tuple(legend),
+        legend=legend,
     )
 
 

@@ -57,7 +57,7 @@ class View:
         across, up = self.labels or ("", "")
         framed = self.labels is not None
         return Axes(
-            tuple(marks),
+            marks,
             Axis(f"{across} [m]" if framed else "", float(low[0]), float(high[0])),
             Axis(f"{up} [m]" if framed else "", float(low[1]), float(high[1])),
             _HEIGHT,
@@ -126,7 +126,7 @@ def arm_figure(series: Series) -> Figure | None:
         Key("dot", fig.FITTED, "tool"),
         *[Key("box", "solid", "solids of the links")] * bool(len(zero.solids)),
     )
-    return Figure(tuple(panels), caption, legend)
+    return Figure(panels, caption, legend)
 
 
 def _arm(series: Series, name: str) -> _Arm | None:

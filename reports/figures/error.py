@@ -58,19 +58,19 @@ def error_bars(
                 words += " (bar cut)"
             pieces = () if length is None else ((min(length, top), colour),)
             bars.append(Bar(pieces, words))
-        rows.append((joint, tuple(bars)))
+        rows.append((joint, bars))
     measure = (
         "as a share of the measured torque's standard deviation"
         if shares
         else "as rms"
     )
     return Bars(
-        tuple(rows),
+        rows,
         _SHARE if shares else f"rms [{unit}]",
         top or 1.0,
         f"rms per joint: {'; '.join(remarks)}",
         f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
-        tuple(Key("box", colour, label) for label, colour in looks),
+        [Key("box", colour, label) for label, colour in looks],
     )
 
 
@@ -93,11 +93,11 @@ def waterfall_figure(result: Diagnose) -> Bars | None:
         pieces = [(rms, fig.FITTED if k else fig.GIVEN)]
         if before > rms:
             pieces.append((before - rms, fig.LIGHT))
-        rows.append((label, (Bar(tuple(pieces), v.percent(rms, 3)),)))
+        rows.append((label, (Bar(pieces, v.percent(rms, 3)),)))
         before = rms
     listed = "; ".join(f"{label} {v.percent(rms, 3)}" for label, rms in steps)
     return Bars(
-        tuple(rows),
+        rows,
         "error on the hold-out, share of the given model's",
         max(rms for _, rms in steps) or 1.0,
         f"error on the hold-out step by step: {listed}",

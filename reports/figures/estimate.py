@@ -73,7 +73,7 @@ def _friction(k: int, row: IdentifiedJoint, series: Series) -> Panel | None:
     ordinate = Axis(f"friction [{law.unit}]")
     joint = row.name
     label = f"{joint}: friction over velocity, hold-out readings and the identified curve"
-    return Panel((Axes(tuple(marks), abscissa, ordinate, 210),), label, joint)
+    return Panel((Axes(marks, abscissa, ordinate, 210),), label, joint)
 
 
 def forest_groups(parameters: Sequence[Parameter]) -> dict[str, list[Parameter]]:
@@ -148,7 +148,7 @@ def _forest(name: str, rows: Sequence[Parameter]) -> Panel:
         Points(value[~prior], y[~prior], fig.FITTED, "identified", 3.6),
         Points(value[prior], y[prior], fig.FITTED, "by the prior", 3.6, "hole"),
     )
-    ticks = tuple(zip(y.tolist(), names, strict=True))
+    ticks = list(zip(y.tolist(), names, strict=True))
     ordinate = Axis("", 0.4 - len(rows), 0.6, ticks=ticks)
     abscissa = Axis(f"[{rows[0].unit}]")
     axes = Axes(marks, abscissa, ordinate, _ROW * len(rows) + 60)

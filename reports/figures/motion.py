@@ -151,12 +151,10 @@ def _panel(
         last = row is rows[-1]
         abscissa = timeline.axis("time [s]" if last else "")
         height = _HEIGHT + _BELOW * last
-        axes = Axes(
-            tuple(marks), abscissa, Axis(), height, title, remark, row.colour
-        )
+        axes = Axes(marks, abscissa, Axis(), height, title, remark, row.colour)
         stack.append(axes)
     label = f"{joint} over time: {', '.join(remarks)}"
-    return Panel(tuple(stack), label, joint)
+    return Panel(stack, label, joint)
 
 
 def _context(

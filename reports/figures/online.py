@@ -141,9 +141,7 @@ def excitation_figure(online: Online) -> Figure | None:
     least = min(0.5 * float(level.min()), 0.5)
     most = max(2 * float(level.max()), 2.0)
     ordinate = Axis("excitation level [–]", least, most, log=True)
-    axes = Axes(
-        tuple(marks), Axis("time [s]", float(t[0]), float(t[-1])), ordinate, 190
-    )
+    axes = Axes(marks, Axis("time [s]", float(t[0]), float(t[-1])), ordinate, 190)
     legend = [Key("line", fig.FITTED, name), Key("dash", fig.MEASURED, "enough")]
     verdict = "never below it"
     if spans:
@@ -154,7 +152,7 @@ def excitation_figure(online: Online) -> Figure | None:
         f"joints shows, relative to the prior's. Level 1 is enough; here {verdict}."
     )
     panel = Panel((axes,), f"excitation level over time; {verdict}")
-    return Figure((panel,), caption, tuple(legend))
+    return Figure((panel,), caption, legend)
 
 
 def _too_little(spans: Sequence[tuple[float, float]]) -> str:

@@ -125,9 +125,9 @@ def evidence_figure(
         if fit is not None:
             caption += f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
     ordinate = Axis((figure and figure.y_label) or f"residual [{unit}]")
-    axes = Axes(tuple(marks), Axis(quantity), ordinate, 210)
+    axes = Axes(marks, Axis(quantity), ordinate, 210)
     label = f"{joint}: residual against {quantity}, with the fitted {effect}"
-    return Figure((Panel((axes,), label, joint),), caption, tuple(legend))
+    return Figure((Panel((axes,), label, joint),), caption, legend)
 
 
 def _curve(
@@ -183,7 +183,7 @@ def _residual(
         moving = np.where(np.isfinite(dq), x, np.nan)
         marks = [fig.Rule(0.0), *cloud(moving, measured - model, "residual")]
         abscissa = Axis(f"{name} [{si}]" if si else name)
-        stack.append(Axes(tuple(marks), abscissa, Axis(f"[{unit}]"), 130))
+        stack.append(Axes(marks, abscissa, Axis(f"[{unit}]"), 130))
     lines = [(measured, fig.MEASURED, "torque")]
     for other, (_, colour, name) in zip((given, model), _MODELS, strict=True):
         if other is not None:
@@ -193,7 +193,7 @@ def _residual(
     stack.append(_spectra(rate, lines, cutoff, unit))
     joint = row.name
     label = f"{joint}: residual over position, velocity and load, and its spectrum"
-    return Panel(tuple(stack), label, joint, shared=False)
+    return Panel(stack, label, joint, shared=False)
 
 
 def _spectra(
@@ -221,4 +221,4 @@ def _spectra(
         least = highest / 10**_DECADES
         ordinate = Axis(f"[{unit}/√Hz]", least, 2 * highest, log=True)
     abscissa = Axis("frequency [Hz], cut-off dashed", 0.0, top)
-    return Axes(tuple(marks), abscissa, ordinate, 130)
+    return Axes(marks, abscissa, ordinate, 130)

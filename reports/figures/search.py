@@ -55,9 +55,7 @@ def spectrum_figure(series: Series) -> Figure | None:
     direction = Axis(
         "direction in parameter space, best seen first", 0.0, whole=True
     )
-    axes = Axes(
-        tuple(marks), direction, Axis(f"singular value [{unit}]", log=True), 190
-    )
+    axes = Axes(marks, direction, Axis(f"singular value [{unit}]", log=True), 190)
     caption = (
         "Singular values of the observation matrix W/√n, the torque that each direction of the "
         "base parameters makes; the ratio of the first to the last is the condition number."
@@ -66,7 +64,7 @@ def spectrum_figure(series: Series) -> Figure | None:
         "below the others are uncertain."
     )
     panel = Panel((axes,), f"singular values; {'; '.join(ratios)}")
-    return Figure((panel,), caption, tuple(legend) * designed)
+    return Figure((panel,), caption, legend * designed)
 
 
 def _positive(series: Series, key: str) -> Array:
@@ -104,7 +102,7 @@ def convergence_figure(result: Design) -> Figure | None:
     reached: Array = np.concatenate([h[np.isfinite(h)] for _, h in starts])
     log = bool(reached.min() > 0 and reached.max() > _LOG_RATIO * reached.min())
     ordinate = Axis("condition number [–]", log=log)
-    axes = Axes(tuple(marks), Axis("iteration", 0.0, whole=True), ordinate, 180)
+    axes = Axes(marks, Axis("iteration", 0.0, whole=True), ordinate, 180)
     caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
     caption += "value suggest that a much better motion does not exist."
     states = [row.status for row, _ in starts]
@@ -114,4 +112,4 @@ def convergence_figure(result: Design) -> Figure | None:
         f"condition number over iterations of {len(starts)} starts; "
         f"best ends at {v.number(ends[best])}"
     )
-    return Figure((Panel((axes,), label),), caption, tuple(legend))
+    return Figure((Panel((axes,), label),), caption, legend)

@@ -102,8 +102,8 @@ def _torque_panel(
         residual.append(Line(timeline.t, curve - predicted, colour, label, 0.8))
         remarks.append(f"below it what the {label} leaves")
     name = "current" if unit == "A" else "torque"
-    above = Axes(tuple(torque), timeline.axis(""), Axis(f"{name} [{unit}]"), 150)
+    above = Axes(torque, timeline.axis(""), Axis(f"{name} [{unit}]"), 150)
     ordinate = Axis(f"residual [{unit}]")
-    below = Axes(tuple(residual), timeline.axis(), ordinate, 120)
+    below = Axes(residual, timeline.axis(), ordinate, 120)
     label = f"{joint}: measured torque over time; {'; '.join(remarks)}"
     return Panel((above, below), label, joint)

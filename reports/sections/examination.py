@@ -58,8 +58,8 @@ def examination_page(
     return p.Page(
         f"{title}: {result.robot}",
         subtitle,
-        tuple(block for block in blocks if block is not None),
-        tuple(sections.values()),
+        [block for block in blocks if block is not None],
+        list(sections.values()),
         (*_brief(result, sections), *last),
         table=joints,
     )

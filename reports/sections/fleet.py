@@ -180,7 +180,7 @@ def _panel(k: int, row: Drift, series: Series) -> Panel | None:
     dates = [(day, str(np.datetime64(0, "D") + round(day))) for day in ticks]
     axes = Axes(
         marks,
-        Axis(ticks=tuple(dates)),
+        Axis(ticks=dates),
         Axis(f"value [{row.unit}]"),
         150,
     )

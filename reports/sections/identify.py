@@ -584,7 +584,7 @@ def _payload_facts(payload: Payload) -> p.Facts:
         facts.append(
             p.Fact(label, value, "in the frame of its joint", tone, 1e3 * c)
         )
-    return p.Facts(tuple(facts))
+    return p.Facts(facts)
 
 
 def _online(result: Identify, series: Series) -> p.Parts:
