@@ -138,9 +138,13 @@ class LimitReport:
     def entries(self, limits: Limits) -> dict[str, Any]:
         """Entries of result.json, by quantity."""
         uses = {use.quantity: use for use in self.uses}
+        values = {name: getattr(limits, name) for name in uses}
         return {
             "limits": {name: use.ratio for name, use in uses.items()},
-            "limit_values": {name: getattr(limits, name) for name in uses},
+            "limit_values": {
+                name: np.where(np.isfinite(x), x, np.array(None)).tolist()
+                for name, x in values.items()
+            },
             "worst": {
                 name: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
                 if use.ratio

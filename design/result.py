@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.design.constraints import Clearance, LimitReport, check, clearance
 from excitant.design.criterion import Information, condition_number
@@ -141,10 +140,6 @@ class Design(Shown):
         names = [self.base.names[k] for k in self.base.columns]
         before = self.before
         after = self.after
-        limits = self.limits.entries(robot.limits)
-        limits["limit_values"] = {
-            k: _plain(x) for k, x in limits["limit_values"].items()
-        }
         return {
             "verb": "design",
             "robot": robot.name,
@@ -158,8 +153,8 @@ class Design(Shown):
             "base_parameters": len(self.base),
             "criterion": self.criterion,
             "condition_number": {
-                "initial": _plain(self.condition_initial),
-                "final": _plain(self.condition_final),
+                "initial": self.condition_initial,
+                "final": self.condition_final,
                 "lower_bound": None,
             },
             "condition_number_scaled": {
@@ -168,7 +163,7 @@ class Design(Shown):
             },
             "joint_weights": self.information.weights.tolist(),
             "weakest": self._weakest(names),
-            **limits,
+            **self.limits.entries(robot.limits),
             "limit_use": self.use,
             **_surroundings(robot, self.scene, near),
             **self.playback.result(),
@@ -176,10 +171,10 @@ class Design(Shown):
                 {
                     "start": start.index,
                     "parent": start.parent,
-                    "condition_number": _plain(start.condition),
+                    "condition_number": [None, *start.history][-1],
                     "status": start.status,
                     "iterations": start.iterations,
-                    "history": _plain(start.history),
+                    "history": list(start.history),
                 }
                 for start in self.starts
             ],
@@ -419,9 +414,3 @@ def lone_torque(M: Array) -> Array:
     floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
     lone: Array = 1 / np.sqrt((V**2 / np.maximum(values, floor)).sum(axis=1))
     return lone
-
-
-def _plain(values: npt.ArrayLike) -> Any:
-    entries = np.array(values, object)
-    entries[~np.isfinite(np.asarray(values, float))] = None
-    return entries.tolist()

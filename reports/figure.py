@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -82,8 +83,6 @@ class Band:
     x: Array
     low: Array
     high: Array
-    colour: str = BAND
-    name: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,12 +300,11 @@ def thin(x: Array, y: Array, bins: int) -> tuple[Array, Array]:
     """A curve (n,) with fewer points that looks the same: each bin's least and greatest value."""
     if len(y) <= 2 * bins:
         return x, y
-    size = -(-len(y) // bins)
-    padded = np.full(-(-len(y) // size) * size, np.nan)
-    padded[: len(y)] = y
-    rows = padded.reshape(-1, size)
-    first = size * np.arange(len(rows))
-    least = first + np.where(np.isnan(rows), np.inf, rows).argmin(axis=1)
-    greatest = first + np.where(np.isnan(rows), -np.inf, rows).argmax(axis=1)
-    keep = np.unique([0, *least, *greatest, len(y) - 1])
-    return x[keep], y[keep]
+    low = np.nan_to_num(y, nan=np.inf)
+    high = np.nan_to_num(y, nan=-np.inf)
+    keep = [0, len(y) - 1]
+    for first, last in pairwise(np.linspace(0, len(y), bins + 1).astype(int)):
+        keep.append(first + int(low[first:last].argmin()))
+        keep.append(first + int(high[first:last].argmax()))
+    rows = np.unique(keep)
+    return x[rows], y[rows]

@@ -43,16 +43,20 @@ MEDIANS = Key("dot", fig.MEASURED, "median in bins")
 
 def cloud(x: Array, y: Array, name: str) -> list[Mark]:
     """A cloud of points, thinned, and their medians in bins where there are enough of them."""
-    seen = np.isfinite(x) & np.isfinite(y)
-    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
-    x = x[order]
-    y = y[order]
+    x, y = _along(x, y)
     rows = np.linspace(0, len(x) - 1, min(len(x), _CLOUD)).astype(int)
     marks: list[Mark] = [Points(x[rows], y[rows], fig.CLOUD, name, 2.5, "cloud")]
     if len(x) >= 4 * _MEDIANS:
         centres, medians = _medians(x, y, _MEDIANS)
         marks.append(Points(centres, medians, fig.MEASURED, "median", 4.0))
     return marks
+
+
+def _along(x: Array, y: Array) -> tuple[Array, Array]:
+    """Points that are known, in the order of x."""
+    seen = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    order = seen[np.argsort(x[seen], kind="stable")]
+    return x[order], y[order]
 
 
 def _medians(
@@ -70,9 +74,9 @@ def _medians(
     )
     least = max(3, len(x) // (40 * bins)) if fewest is None else fewest
     pairs = [
-        (np.median(x[first:last]), np.nanmedian(y[first:last]))
+        (np.median(x[first:last]), np.median(y[first:last]))
         for first, last in pairwise(edges)
-        if last - first >= least and np.isfinite(y[first:last]).any()
+        if last - first >= least
     ]
     centres, medians = np.array(pairs, dtype=float).reshape(-1, 2).T
     return centres, medians
@@ -82,28 +86,20 @@ def evidence_figure(
     index: int, finding: Finding, series: Series, unit: str
 ) -> Figure | None:
     """Residual before an effect was added, over the quantity that shows it, and the fit."""
+    rows = len(np.atleast_1d(series.get(f"finding{index}_x", ())))
     x, residual, fit, rival = (
-        v.curve(series, f"finding{index}_{key}")
+        v.curve(series, f"finding{index}_{key}", rows=rows)
         for key in ("x", "residual", "fit", "rival")
     )
-    if x is None or residual is None or len(x) != len(residual):
+    if x is None or residual is None or len(_along(x, residual)[0]) < 2:
         return None
-    seen = np.isfinite(x) & np.isfinite(residual)
-    if seen.sum() < 2:
-        return None
-    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
-    fit, rival = (
-        y[order] if y is not None and len(y) == len(x) else None
-        for y in (fit, rival)
-    )
-    x = x[order]
     effect = v.plain(finding.effect)
     figure = finding.figure
     quantity = figure.x_label if figure else "quantity that shows it"
     joints = v.listing(finding.joints, "all joints")
     joint = (figure and figure.joint) or joints
     rivals = [v.plain(row.effect) for row in finding.rivals]
-    marks = cloud(x, residual[order], "residual before")
+    marks = cloud(x, residual, "residual before")
     legend = [Key("dot", fig.CLOUD, "residual before")]
     legend += [MEDIANS] * (len(marks) > 1)
     caption = (
@@ -133,7 +129,7 @@ def evidence_figure(
 def _curve(
     x: Array, y: Array, colour: str, name: str, width: float, dashed: bool = False
 ) -> Line:
-    along, height = _medians(x, y, _CURVE, 1)
+    along, height = _medians(*_along(x, y), _CURVE, 1)
     gaps = np.flatnonzero(np.diff(along, prepend=along[:1]) > _WIDE * np.ptp(along))
     along = np.insert(along, gaps, np.nan)
     return Line(along, np.insert(height, gaps, np.nan), colour, name, width, dashed)

@@ -74,13 +74,12 @@ def _positive(series: Series, key: str) -> Array:
 
 def convergence_figure(result: Design) -> Figure | None:
     """Condition number over the iterations of each start; the best start stands out."""
-    starts = [(row, v.reals(row.history)) for row in result.starts]
-    starts = [(row, h) for row, h in starts if np.isfinite(h).any() and len(h) > 1]
+    every = [(row.status, v.reals(row.history)) for row in result.starts]
+    known = [(status, h[np.isfinite(h)]) for status, h in every]
+    starts = [(status, h) for status, h in known if len(h) > 1]
     if not starts:
         return None
-    ends = [
-        row.condition_number or float(h[np.isfinite(h)][-1]) for row, h in starts
-    ]
+    ends = [h[-1] for _, h in starts]
     best = int(np.argmin(ends))
     marks: list[Mark] = []
     for k, (_, history) in sorted(
@@ -91,22 +90,20 @@ def convergence_figure(result: Design) -> Figure | None:
         name = f"start {k + 1}"
         width = 1.6 if k == best else 1.0
         marks.append(Line(iteration, history, colour, name, width))
-        last = np.flatnonzero(np.isfinite(history))[-1:]
-        marks.append(Points(iteration[last], history[last], colour, name, 3.0))
+        marks.append(Points(iteration[-1:], history[-1:], colour, name, 3.0))
     legend = [Key("line", fig.FITTED, "best start")]
     legend += [Key("line", fig.LIGHT, "other starts")] * (len(starts) > 1)
     bound = result.condition_number.lower_bound
     if bound is not None and bound > 0:
         marks.append(fig.Rule(bound, fig.AMBER, dashed=True))
         legend.append(Key("dash", fig.AMBER, "proven lower bound"))
-    reached: Array = np.concatenate([h[np.isfinite(h)] for _, h in starts])
+    reached: Array = np.concatenate([h for _, h in starts])
     log = bool(reached.min() > 0 and reached.max() > _LOG_RATIO * reached.min())
     ordinate = Axis("condition number [–]", log=log)
     axes = Axes(marks, Axis("iteration", 0.0, whole=True), ordinate, 180)
     caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
     caption += "value suggest that a much better motion does not exist."
-    states = [row.status for row, _ in starts]
-    if cut := sum(status in ("time_limit", "time limit") for status in states):
+    if cut := sum(status == "time limit" for status, _ in starts):
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
     label = (
         f"condition number over iterations of {len(starts)} starts; "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from excitant.reports import page as p
 from excitant.reports import values as v
@@ -153,13 +154,9 @@ def _hidden(result: Demo) -> p.Fact:
     """What was hidden."""
     truth = result.truth
     parameters = [row for f in result.diagnose.findings for row in f.parameters]
+    rows: list[Any] = [*reversed(parameters), *result.identify.parameters]
     units = {
-        row.name.rpartition(".")[2]: row.unit.removeprefix("1")
-        for row in reversed(parameters)
-    }
-    units |= {
-        row.name.rpartition(".")[2]: row.unit.removeprefix("1")
-        for row in result.identify.parameters
+        row.name.rpartition(".")[2]: row.unit.removeprefix("1") for row in rows
     }
     sizes = [
         f"{name} = {v.quantity(value, units.get(name, ''))}"
