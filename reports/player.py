@@ -9,10 +9,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from excitant.reports import figure as fig
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figure import Key
+from excitant.reports.figure import AMBER, FITTED, GIVEN, GREEN, PURPLE, Key
 from excitant.reports.page import Moment, Player
 from excitant.reports.values import Series
 from excitant.results import Motion
@@ -41,12 +40,12 @@ def player(result: Motion, series: Series) -> Player | None:
         for k, shape in enumerate(look.shapes)
     ]
     legend = [
-        Key("box", fig.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
-        Key("box", fig.GIVEN, "limit exceeded"),
-        *[Key("line", fig.GREEN, "shortest distance of two bodies")]
+        Key("box", AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
+        Key("box", GIVEN, "limit exceeded"),
+        *[Key("line", GREEN, "shortest distance of two bodies")]
         * ("distance" in frames),
-        Key("line", fig.FITTED, "path of the tool"),
-        *[Key("box", fig.PURPLE, "obstacle, workspace")]
+        Key("line", FITTED, "path of the tool"),
+        *[Key("box", PURPLE, "obstacle, workspace")]
         * any(obstacle.name != "floor" for obstacle in result.obstacles),
     ]
     return Player(

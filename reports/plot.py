@@ -11,12 +11,12 @@ or ``ax`` is one axes for several drawings.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import msgspec
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.reports import figure as fig
 from excitant.reports.figure import Figure
 from excitant.reports.figures.estimate import forest_figure, friction_figure
 from excitant.reports.figures.motion import Limits, motion_figure
@@ -133,7 +133,7 @@ def _of_joints(
     if figure is not None:
         panels = {panel.title: panel for panel in figure.panels}
         chosen = [panels[name] for name in wanted if name in panels]
-        figure = fig.figure(chosen, figure.caption, figure.legend)
+        figure = replace(figure, panels=chosen) if chosen else None
     return _drawn(figure, ax)
 
 

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    FITTED,
+    GIVEN,
+    MEASURED,
     Axes,
     Axis,
     Figure,
@@ -121,9 +123,9 @@ def arm_figure(series: Series) -> Figure | None:
         "as near to it as its ranges allow, and bent. Compare it with the maker's drawing."
     )
     legend = (
-        Key("line", fig.MEASURED, "base, joints and tool in order"),
-        Key("line", fig.GIVEN, "axes of the joints, positive direction"),
-        Key("dot", fig.FITTED, "tool"),
+        Key("line", MEASURED, "base, joints and tool in order"),
+        Key("line", GIVEN, "axes of the joints, positive direction"),
+        Key("dot", FITTED, "tool"),
         *[Key("box", "solid", "solids of the links")] * bool(len(zero.solids)),
     )
     return Figure(panels, caption, legend)
@@ -154,11 +156,11 @@ def _arm_panel(arm: _Arm, view: View, title: str) -> Panel:
         marks.append(Polygon(outline[:, 0], outline[:, 1], colour, "edge"))
     flat = view.flat(arm.points)
     x, y = flat.T
-    marks.append(Line(x, y, fig.MEASURED, width=1.4))
+    marks.append(Line(x, y, MEASURED, width=1.4))
     for centre, axis in zip(flat[1:-1], arm.axes @ view.screen.T, strict=True):
         marks += _joint_axis(centre, axis, size)
-    marks.append(Points(x[1:-1], y[1:-1], fig.MEASURED, "joint", style="hole"))
-    marks.append(Points(x[-1:], y[-1:], fig.FITTED, "tool"))
+    marks.append(Points(x[1:-1], y[1:-1], MEASURED, "joint", style="hole"))
+    marks.append(Points(x[-1:], y[-1:], FITTED, "tool"))
     marks += _numbers(flat[1:-1], _TOGETHER * size)
     axes = view.axes(marks, outermost, _ROOM)
     return Panel((axes,), f"the arm with {len(arm.axes)} joints {title}", title)
@@ -185,7 +187,7 @@ def _joint_axis(centre: Array, axis: Array, size: float) -> list[Mark]:
     if length < 0.3:
         x, y = centre.tolist()
         cross = [Words(x, y, "×")] * bool(axis[2] < 0)
-        return [Points(centre[:1], centre[1:], fig.GIVEN, "", 8.0, "ring"), *cross]
+        return [Points(centre[:1], centre[1:], GIVEN, "", 8.0, "ring"), *cross]
     along = axis[:2] / length
     across = np.array([-along[1], along[0]])
     tip = centre + _AXIS * size * axis[:2]
@@ -194,8 +196,8 @@ def _joint_axis(centre: Array, axis: Array, size: float) -> list[Mark]:
     head = np.array([tip, foot + side, foot - side]).T
     shaft = np.array([centre, foot]).T
     return [
-        Line(shaft[0], shaft[1], fig.GIVEN),
-        Polygon(head[0], head[1], fig.GIVEN),
+        Line(shaft[0], shaft[1], GIVEN),
+        Polygon(head[0], head[1], GIVEN),
     ]
 
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    AMBER,
+    FITTED,
+    GIVEN,
+    LIGHT,
+    MEASURED,
     Axes,
     Axis,
     Figure,
@@ -15,14 +19,15 @@ from excitant.reports.figure import (
     Mark,
     Panel,
     Points,
+    Rule,
 )
 from excitant.reports.values import Series
 from excitant.results import Design
 from excitant.robots.motion import Array
 
 _ENDS = (
-    ("initial", fig.GIVEN, "start of the search"),
-    ("final", fig.FITTED, "designed motion"),
+    ("initial", GIVEN, "start of the search"),
+    ("final", FITTED, "designed motion"),
 )
 _LOG_RATIO = 8  # of condition numbers from which on their axis is logarithmic
 
@@ -36,7 +41,7 @@ def spectrum_figure(series: Series) -> Figure | None:
     ]
     designed = bool(spectra)
     if not designed and len(sizes := _positive(series, "singular_values")):
-        spectra = [("final", sizes, fig.MEASURED, "this motion")]
+        spectra = [("final", sizes, MEASURED, "this motion")]
     if not spectra:
         return None
     marks: list[Mark] = []
@@ -85,18 +90,18 @@ def convergence_figure(result: Design) -> Figure | None:
     for k, (_, history) in sorted(
         enumerate(starts), key=lambda pair: pair[0] == best
     ):
-        colour = fig.FITTED if k == best else fig.LIGHT
+        colour = FITTED if k == best else LIGHT
         iteration = np.arange(len(history), dtype=float)
         name = f"start {k + 1}"
         width = 1.6 if k == best else 1.0
         marks.append(Line(iteration, history, colour, name, width))
         marks.append(Points(iteration[-1:], history[-1:], colour, name, 3.0))
-    legend = [Key("line", fig.FITTED, "best start")]
-    legend += [Key("line", fig.LIGHT, "other starts")] * (len(starts) > 1)
+    legend = [Key("line", FITTED, "best start")]
+    legend += [Key("line", LIGHT, "other starts")] * (len(starts) > 1)
     bound = result.condition_number.lower_bound
     if bound is not None and bound > 0:
-        marks.append(fig.Rule(bound, fig.AMBER, dashed=True))
-        legend.append(Key("dash", fig.AMBER, "proven lower bound"))
+        marks.append(Rule(bound, AMBER, dashed=True))
+        legend.append(Key("dash", AMBER, "proven lower bound"))
     reached: Array = np.concatenate([h for _, h in starts])
     log = bool(reached.min() > 0 and reached.max() > _LOG_RATIO * reached.min())
     ordinate = Axis("condition number [–]", log=log)
