@@ -11,7 +11,7 @@ import numpy as np
 from excitant.design.constraints import Clearance, LimitReport, shares_of_limits
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.robots.appearance import Appearance
-from excitant.robots.geometry import Scene
+from excitant.robots.geometry import Scene, unchecked
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -59,11 +59,27 @@ class Playback:
         return path.at(np.union1d(t[~beside], kept))
 
     def result(self) -> dict[str, Any]:
-        """For ``result.json``: the arm's ``appearance``, and its pairs of ``bodies``."""
-        pairs = (
-            [] if self.scene is None else [list(pair) for pair in self.scene.pairs]
-        )
-        return {"appearance": Appearance(self.robot).entries(), "bodies": pairs}
+        """Entries of ``result.json`` on the arm, its limits, and what it is to keep clear of."""
+        robot = self.robot
+        scene = self.scene
+        near = self.clearance
+        return {
+            "robot": robot.name,
+            "joints": list(robot.joints),
+            "revolute": robot.revolute.tolist(),
+            **self.limits.entries(robot.limits),
+            "unchecked": unchecked(robot, scene),
+            "clearance_m": near and near.certified,
+            "closest": near
+            and {
+                "bodies": list(near.bodies),
+                "t": near.time,
+                "distance_m": near.distance / near.scale,
+            },
+            "obstacles": [o.plain() for o in scene.obstacles] if scene else [],
+            "appearance": Appearance(robot).entries(),
+            "bodies": [list(pair) for pair in scene.pairs] if scene else [],
+        }
 
     def series(self) -> dict[str, Array]:
         """Frames and meshes.

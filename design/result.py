@@ -18,7 +18,7 @@ from excitant.design.search import SearchState
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.exceptions import OutsideLimits
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.geometry import Scene, unchecked
+from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
@@ -135,16 +135,12 @@ class Design(Shown):
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
-        robot = self.robot
-        near = self.clearance
         names = [self.base.names[k] for k in self.base.columns]
         before = self.before
         after = self.after
         return {
             "verb": "design",
-            "robot": robot.name,
-            "joints": list(robot.joints),
-            "revolute": robot.revolute.tolist(),
+            **self.playback.result(),
             "duration": self.duration,
             "periods": self.trajectory.series.periods,
             "harmonics": self.harmonics,
@@ -163,10 +159,7 @@ class Design(Shown):
             },
             "joint_weights": self.information.weights.tolist(),
             "weakest": self._weakest(names),
-            **self.limits.entries(robot.limits),
             "limit_use": self.use,
-            **_surroundings(robot, self.scene, near),
-            **self.playback.result(),
             "starts": [
                 {
                     "start": start.index,
@@ -338,10 +331,8 @@ class TrajectoryCheck(Shown):
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``."""
-        robot = self.robot
-        near = self.clearance
         asked = self.information
-        entries = self.limits.entries(robot.limits)
+        entries = self.playback.result()
         entries["worst"] = {
             name: worst for name, worst in entries["worst"].items() if worst
         }
@@ -350,15 +341,10 @@ class TrajectoryCheck(Shown):
             entries |= {"columns": asked.columns, "condition_number": kappa}
         return {
             "verb": "check",
-            "robot": robot.name,
-            "joints": list(robot.joints),
-            "revolute": robot.revolute.tolist(),
+            **entries,
             "duration": float(self.motion.t[-1] - self.motion.t[0]),
             "holds": self.limits.hold and not self.touched,
-            **entries,
-            **_surroundings(robot, self.scene, near),
             "verdicts": self.verdicts,
-            **self.playback.result(),
         }
 
     def series(self) -> dict[str, Array]:
@@ -379,23 +365,6 @@ class TrajectoryCheck(Shown):
             raise OutsideLimits(
                 bodies, "distance", near.distance / near.scale, least, near.time
             )
-
-
-def _surroundings(
-    robot: Robot, scene: Scene | None, near: Clearance | None
-) -> dict[str, Any]:
-    """Entries of result.json about what a motion is to keep clear of."""
-    return {
-        "unchecked": unchecked(robot, scene),
-        "clearance_m": near and near.certified,
-        "closest": near
-        and {
-            "bodies": list(near.bodies),
-            "t": near.time,
-            "distance_m": near.distance / near.scale,
-        },
-        "obstacles": [o.plain() for o in scene.obstacles] if scene else [],
-    }
 
 
 def scaled_condition_number(M: Array) -> float | None:

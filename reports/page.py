@@ -341,6 +341,13 @@ def notes(
     return Notes(sentences, tone, brief) if sentences else None
 
 
+def sentences(
+    words: Sequence[str], tone: str = PLAIN, *, brief: str | None = None
+) -> Notes | None:
+    """Words as sentences, or None without any."""
+    return notes([v.sentence(each) for each in words], tone, brief=brief)
+
+
 def section(
     title: str,
     lead: str,

@@ -321,7 +321,7 @@ def _comparison_page(result: Compare) -> Page:
         )
     blocks = (
         p.notes(legend),
-        p.notes([v.sentence(remark) for remark in result.remarks], p.POOR),
+        p.sentences(result.remarks, p.POOR),
     )
     title = "Comparison of runs"
     return Page(

@@ -37,7 +37,6 @@ _LEGEND = (
 def analyze_section(result: Analyze, series: Series) -> p.Section:
     """Identifiability link by link, and how well a motion determines each parameter."""
     links = result.links
-    notes = [v.sentence(note) for note in result.notes]
     lead, brief = _lead_and_brief(result)
     return p.section(
         "Identifiability",
@@ -45,7 +44,11 @@ def analyze_section(result: Analyze, series: Series) -> p.Section:
         [
             (
                 "Key figures",
-                [_facts(result), p.notes(_basis(result)), p.notes(notes, brief="")],
+                [
+                    _facts(result),
+                    p.notes(_basis(result)),
+                    p.sentences(result.notes, brief=""),
+                ],
             ),
             ("Data faults", [fault_table(result.faults)]),
             ("Parameters by link", [_matrix(links)]),

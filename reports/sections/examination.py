@@ -51,10 +51,10 @@ def examination_page(
     joints = _joints(result)
     blocks = (
         p.notes([" ".join(verdict.sentences)], "lead"),
-        p.notes([v.sentence(words) for words in verdict.refused], p.POOR),
+        p.sentences(verdict.refused, p.POOR),
         p.facts(*hidden),
         joints,
-        p.notes([v.sentence(note) for note in result.notes]),
+        p.sentences(result.notes),
     )
     return p.Page(
         f"{title}: {result.robot}",
