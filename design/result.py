@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from excitant.design.constraints import Clearance, LimitReport, check, clearance
+from excitant.design.constraints import Clearance, LimitReport
 from excitant.design.criterion import Information, condition_number
 from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.playback import Playback
 from excitant.design.search import SearchState
-from excitant.design.trajectory import HermiteTrajectory, Trajectory
+from excitant.design.trajectory import Trajectory
 from excitant.exceptions import OutsideLimits
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.geometry import Scene
@@ -114,24 +114,20 @@ class Design(Shown):
         """Condition number of the trajectory."""
         return condition_number(self.after)
 
-    @cached_property
+    @property
     def limits(self) -> LimitReport:
         """Worst use of every limit over the continuous motion."""
-        return check(self.robot, self.trajectory)
-
-    @cached_property
-    def clearance(self) -> Clearance | None:
-        """Smallest distance over the continuous motion; None without a scene."""
-        return (
-            None if self.scene is None else clearance(self.scene, self.trajectory)
-        )
+        return self.playback.limits
 
     @property
+    def clearance(self) -> Clearance | None:
+        """Smallest distance over the continuous motion; None without a scene."""
+        return self.playback.clearance
+
+    @cached_property
     def playback(self) -> Playback:
         """The motion to watch."""
-        return Playback(
-            self.robot, self.trajectory, self.limits, self.scene, self.clearance
-        )
+        return Playback(self.robot, self.trajectory, self.scene)
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
@@ -256,30 +252,14 @@ class Design(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TrajectoryCheck(Shown):
+class TrajectoryCheck(Playback, Shown):
     """Whether a motion keeps all limits and clear of bodies, and how well it excites."""
 
-    robot: Robot
     motion: Motion  # its samples
-    path: Trajectory | HermiteTrajectory  # what it is between them
-    scene: Scene | None  # what it is to keep clear of
     least: float  # distance required [m]
     information: Information | None = (
         None  # what it is to make visible, if anything
     )
-
-    @cached_property
-    def limits(self) -> LimitReport:
-        """Worst use of every limit over the continuous motion."""
-        return check(
-            self.robot,
-            self.path if isinstance(self.path, Trajectory) else self.motion,
-        )
-
-    @cached_property
-    def clearance(self) -> Clearance | None:
-        """Smallest distance over the continuous motion; None without a scene."""
-        return None if self.scene is None else clearance(self.scene, self.path)
 
     def evenly(self, rate_hz: float) -> Motion:
         """The motion at even steps of about this rate, whatever those of its samples are."""
@@ -291,13 +271,6 @@ class TrajectoryCheck(Shown):
     def touched(self) -> bool:
         """Whether bodies come too close."""
         return self.clearance is not None and self.clearance.distance < self.least
-
-    @property
-    def playback(self) -> Playback:
-        """The motion to watch."""
-        return Playback(
-            self.robot, self.path, self.limits, self.scene, self.clearance
-        )
 
     @property
     def verdicts(self) -> list[str]:
@@ -332,7 +305,7 @@ class TrajectoryCheck(Shown):
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``."""
         asked = self.information
-        entries = self.playback.result()
+        entries = super().result()
         entries["worst"] = {
             name: worst for name, worst in entries["worst"].items() if worst
         }
@@ -350,7 +323,7 @@ class TrajectoryCheck(Shown):
     def series(self) -> dict[str, Array]:
         """The motion with its torque, and what the `Playback` has."""
         tau = torque(self.robot, self.motion)
-        return vars(self.motion) | {"tau": tau} | self.playback.series()
+        return vars(self.motion) | {"tau": tau} | super().series()
 
     def require(self) -> None:
         """Refuse a limit that is exceeded, or bodies that come too close.

@@ -344,7 +344,7 @@ def check(
     around = required_scene(arm, surroundings)
     asked = design.information(arm, columns)
     least = clearance_of(surroundings)
-    return design.TrajectoryCheck(arm, motion, path, around, least, asked)
+    return design.TrajectoryCheck(arm, path, around, motion, least, asked)
 
 
 def show(
@@ -358,7 +358,7 @@ def show(
     motion, path = as_path(trajectory, arm)
     around = scene_around(arm, surroundings)
     return design.TrajectoryCheck(
-        arm, motion, path, around, clearance_of(surroundings)
+        arm, path, around, motion, clearance_of(surroundings)
     )
 
 
