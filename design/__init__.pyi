@@ -6,7 +6,12 @@ from .constraints import (
     check,
     clearance,
 )
-from .criterion import Information, condition_number, information
+from .criterion import (
+    Information,
+    condition_number,
+    estimated_effects,
+    information,
+)
 from .export import (
     load_trajectory,
     motion_csv,
@@ -50,6 +55,7 @@ __all__ = [
     "condition_number",
     "design_link_by_link",
     "design_trajectory",
+    "estimated_effects",
     "from_coefficients",
     "information",
     "load_trajectory",

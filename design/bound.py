@@ -105,15 +105,6 @@ class Bound:
     )
     assumptions: str  # for which motions it holds, and how far it is certain, in one sentence
 
-    def slack(self, motion: Motion) -> Array:
-        """−⟨P − Q, M(x)⟩ − y·dφ/dt over the mean tr M, shape (n,); ≥ 0 where the bound holds."""
-        M = self.relaxation.matrices(motion)
-        rows = self.relaxation.tests.rates(motion)
-        F = self.multipliers.P - self.multipliers.Q
-        g = rows @ self.multipliers.y + np.einsum("nij,ij->n", M, F)
-        slack: Array = -g / self.relaxation.unit
-        return slack
-
 
 @on_one_thread
 def lower_bound(

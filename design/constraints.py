@@ -48,8 +48,8 @@ class Certification:
 CERTIFICATION = Certification()
 
 
-# smallest values, when; largest values, when; (nv,)
-Extrema = tuple[Array, Array, Array, Array]
+Extrema = Array
+"""Smallest values, when, largest values, when; shape (4, nv)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,34 +137,37 @@ class LimitReport:
 
     def entries(self, limits: Limits) -> dict[str, Any]:
         """Entries of result.json, by quantity."""
-        names = [use.quantity for use in self.uses]
-        uses = self.uses
-        worst = (
-            {"joint": u.joint, "t": u.time, "ratio": u.ratio} if u.ratio else None
-            for u in uses
-        )
+        uses = {use.quantity: use for use in self.uses}
+        values = {name: getattr(limits, name) for name in uses}
         return {
-            "limits": {use.quantity: use.ratio for use in uses},
-            "limit_values": {name: getattr(limits, name) for name in names},
-            "worst": dict(zip(names, worst, strict=True)),
-            "certified": {use.quantity: use.certified() for use in uses},
+            "limits": {name: use.ratio for name, use in uses.items()},
+            "limit_values": {
+                name: np.where(np.isfinite(x), x, np.array(None)).tolist()
+                for name, x in values.items()
+            },
+            "worst": {
+                name: {"joint": use.joint, "t": use.time, "ratio": use.ratio}
+                if use.ratio
+                else None
+                for name, use in uses.items()
+            },
+            "certified": {name: use.certified() for name, use in uses.items()},
         }
 
 
-def position_range(limits: Limits) -> tuple[Array, Array]:
+def position_range(
+    limits: Limits, unlimited: float = np.inf
+) -> tuple[Array, Array]:
     """Middle and half width of each joint's range, both (nv,) [rad or m].
 
-    Without limits the middle is 0 and the half width infinite; a range bounded on one side
+    Without limits the middle is 0 and the half width ``unlimited``; a range bounded on one side
     only counts as two turns (4π) wide.
     """
     low, high = limits.position.T
-    low = np.where(np.isinf(low) & np.isfinite(high), high - _ONE_SIDED, low)
-    high = np.where(np.isinf(high) & np.isfinite(low), low + _ONE_SIDED, high)
-    bounded = np.isfinite(low) & np.isfinite(high)
-    middle = np.where(
-        bounded, (np.where(bounded, low, 0) + np.where(bounded, high, 0)) / 2, 0.0
-    )
-    return middle, np.where(bounded, high - middle, np.inf)
+    low = np.where(np.isinf(low), high - _ONE_SIDED, low)
+    high = np.where(np.isinf(high), low + _ONE_SIDED, high)
+    middle = np.add(low, high, out=np.zeros_like(low), where=high < np.inf) / 2
+    return middle, np.where(np.isinf(high), unlimited, high - middle)
 
 
 def kinematic_limits(limits: Limits) -> tuple[Array, Array]:
@@ -284,7 +287,7 @@ def _torque_use(
     zero = np.zeros(robot.nv)
     bound = robot.limits.torque
     if np.all(np.isinf(bound)):
-        return _use(robot, "torque", (zero,) * 4, zero, bound)
+        return _use(robot, "torque", np.zeros((4, robot.nv)), zero, bound)
     dt = 1e-6 * float(np.median(np.diff(t)))
     if robot.effects:
         beside = np.concatenate([stops - 1e-3 * dt, stops + 1e-3 * dt])
@@ -328,13 +331,11 @@ def _extrema(
 
 
 def _extreme(times: Iterable[Array], values: Iterable[Array]) -> Extrema:
-    extremes = []
-    for t, x in zip(times, values, strict=True):
-        low = int(x.argmin())
-        high = int(x.argmax())
-        extremes.append((x[low], t[low], x[high], t[high]))
-    low, t_low, high, t_high = np.array(extremes).T
-    return low, t_low, high, t_high
+    extremes = [
+        (x.min(), t[x.argmin()], x.max(), t[x.argmax()])
+        for t, x in zip(times, values, strict=True)
+    ]
+    return np.array(extremes).T
 
 
 @dataclass(frozen=True)

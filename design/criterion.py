@@ -44,11 +44,7 @@ class Information:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Whose columns follow those of the links."""
-        return (
-            standard_effects(self.robot.joints)
-            if self.columns == "friction"
-            else ()
-        )
+        return estimated_effects(self.robot, self.columns)
 
     def observation(self, motion: Motion, *, smooth: bool = False) -> Array:
         """Base columns at every instant, shape (n, nv, r).
@@ -88,6 +84,11 @@ class Information:
         )
 
 
+def estimated_effects(robot: Robot, columns: str) -> tuple[Effect, ...]:
+    """Effects beside the links: those that `identify` estimates by default, or none."""
+    return standard_effects(robot.joints) if columns == "friction" else ()
+
+
 def information(
     robot: Robot,
     columns: str = "friction",
@@ -120,8 +121,7 @@ def information(
             f"torque noise: give one positive number [N·m] for each of the {robot.nv} joints of "
             f"{robot.name}"
         )
-    effects = standard_effects(robot.joints) if columns == "friction" else ()
-    base = base_parameters(robot, effects)
+    base = base_parameters(robot, estimated_effects(robot, columns))
     known = np.zeros((len(base), len(base)))
     new = Information(
         robot, columns, base, np.exp(np.log(sigma).mean()) / sigma, known

@@ -12,7 +12,6 @@ from excitant.design.trajectory import (
     FourierTrajectory,
     Series,
     Trajectory,
-    from_coefficients,
 )
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
@@ -56,8 +55,8 @@ def random_trajectory(
     Raises:
         Infeasible: No pose, or no motion found, within position and torque limits.
     """
-    drawn = random_start(robot, rng, FourierSeries(duration, harmonics))
-    return from_coefficients(drawn.coefficients, duration)
+    series = FourierSeries(duration, harmonics)
+    return series.trajectory(random_start(robot, rng, series).coefficients)
 
 
 def random_start(
@@ -122,8 +121,7 @@ def torque_use(robot: Robot, motion: Motion) -> Array:
 
 def _draw(robot: Robot, rng: np.random.Generator, series: Series) -> Trajectory:
     """Random waves, scaled joint by joint into the kinematic limits."""
-    middle, half = position_range(robot.limits)
-    half = np.where(np.isfinite(half), half, np.pi)
+    middle, half = position_range(robot.limits, np.pi)
     bound = kinematic_limits(robot.limits)[1]
     waves = FourierSeries(series.period, min(series.terms, START.harmonics))
     fade = 1 / np.arange(1, waves.harmonics + 1)[:, None] ** rng.uniform(0.0, 2.0)
@@ -153,8 +151,7 @@ def _standstill(
     robot: Robot, rng: np.random.Generator, scene: Scene | None, required: float
 ) -> Array:
     """A pose that all limits allow, shape (nv,): the best random one, improved around itself."""
-    middle, half = position_range(robot.limits)
-    half = np.where(np.isfinite(half), half, np.pi)
+    middle, half = position_range(robot.limits, np.pi)
     width = 1.0
     pose = middle
     best = np.inf

@@ -8,7 +8,6 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from typing import Any, Literal
 
-import joblib
 import numpy as np
 import numpy.typing as npt
 
@@ -22,10 +21,16 @@ from excitant.design.criterion import (
 from excitant.design.options import Search
 from excitant.design.problem import DesignProblem
 from excitant.design.result import Design, dense_motion
-from excitant.design.search import Effort, SearchState, best_solutions, search
+from excitant.design.search import (
+    Effort,
+    Report,
+    SearchState,
+    best_solutions,
+    search,
+)
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
-from excitant.processes import connect
+from excitant.processes import connect, processors
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
 from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
@@ -71,7 +76,7 @@ def effort_of(search: Search, starts: int = STARTS) -> Iterator[Effort]:
         deadline = time.time() + search.time_limit
     elif count is None:
         count = starts
-    jobs = search.jobs or int(joblib.cpu_count())
+    jobs = search.jobs or processors()
     with connect(search.cluster) if search.cluster else nullcontext() as client:
         yield Effort(count, jobs, search.seed, deadline, client)
 
@@ -179,7 +184,7 @@ def design_trajectory(
         # refuses what no motion keeps
         initial = first.random(np.random.default_rng([asked.seed, 0]))
         if progress is not None:
-            effort = replace(effort, report=_Teller(effort.starts, progress))
+            effort = replace(effort, report=_teller(effort.starts, progress))
         problem, searches = search(
             first, effort, **free_counts(asked), top_hz=asked.max_frequency
         )
@@ -211,30 +216,27 @@ def design_trajectory(
     )
 
 
-class _Teller:
+def _teller(total: int | None, progress: Progress) -> Report:
     """Turns the states of the searches into what a progress callback wants."""
+    told = np.inf  # criterion of the search
+    exact = np.inf  # and exactly
+    condition = np.inf
+    ratio = np.inf
+    done = 0
 
-    def __init__(self, total: int | None, progress: Progress) -> None:
-        self.total = total
-        self.progress = progress
-        self.told = np.inf  # criterion of the search
-        self.exact = np.inf  # and exactly
-        self.ratio = np.inf
-        self.condition = np.inf
-        self.done = 0
-
-    def __call__(
-        self, problem: DesignProblem, states: Sequence[SearchState]
-    ) -> None:
+    def tell(problem: DesignProblem, states: Sequence[SearchState]) -> None:
+        nonlocal told, exact, condition, ratio, done
         state = min(states, key=lambda s: s.best_value)
-        if state.best is not None and state.best_value < self.told:
-            self.told = state.best_value
+        if state.best is not None and state.best_value < told:
+            told = state.best_value
             trajectory = problem.trajectory(state.best)
             M = problem.information.matrix(dense_motion(trajectory))
-            exact = objective(M, problem.criterion)
-            if exact < self.exact:
-                self.exact, self.condition = exact, condition_number(M)
-                self.ratio = check(problem.robot, trajectory).worst.ratio
+            if (value := objective(M, problem.criterion)) < exact:
+                exact = value
+                condition = condition_number(M)
+                ratio = check(problem.robot, trajectory).worst.ratio
         # periods are tried anew
-        self.done = max(self.done, sum(state.ended for state in states))
-        self.progress(self.done, self.total, self.condition, self.ratio)
+        done = max(done, sum(state.ended for state in states))
+        progress(done, total, condition, ratio)
+
+    return tell

@@ -180,8 +180,6 @@ def torque_rows(
     problem: DesignProblem, z: Array, share: float
 ) -> tuple[Array, Array]:
     """Derivatives of the use at peaks above a share, shape (m, unknowns), and the use, (m,)."""
-    if np.all(np.isinf(problem.torque_bound)):
-        return np.zeros((0, problem.size)), np.zeros(0)
     peaks = torque_peaks(problem, z).above(share)
     joint = peaks.joint
     m = np.arange(len(peaks.t))
@@ -286,8 +284,6 @@ def worst_use(problem: DesignProblem, z: Array) -> float:
     apart = pose_use(
         problem.scene, problem.required, problem.grid_bases[0] @ z
     ).max()
-    if np.all(np.isinf(problem.torque_bound)):
-        return float(apart)
     return max(float(torque_peaks(problem, z).use.max(initial=0.0)), float(apart))
 
 

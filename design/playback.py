@@ -8,10 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from excitant.design.constraints import Clearance, LimitReport, shares_of_limits
+from excitant.design.constraints import (
+    Clearance,
+    LimitReport,
+    check,
+    clearance,
+    shares_of_limits,
+)
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.robots.appearance import Appearance
-from excitant.robots.geometry import Scene
+from excitant.robots.geometry import Scene, unchecked
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -21,27 +27,36 @@ _FRAMES = 5000  # and no more frames than that
 _APART = 1e-3  # s: frames nearer to a moment that must be shown give way to it
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Playback:
     """Frames of a motion, among them the instants at which a limit is touched or bodies are near.
 
     Attributes:
         robot: The arm.
         path: The motion, over one period or from the first to the last sample.
-        limits: Its worst use of every limit.
         scene: The arm's bodies and what is around them; None without shapes.
-        clearance: The smallest distance; None without a scene.
     """
 
     robot: Robot
     path: Trajectory | HermiteTrajectory
-    limits: LimitReport
     scene: Scene | None
-    clearance: Clearance | None
 
     @cached_property
-    def motion(self) -> Motion:
-        """The frames."""
+    def limits(self) -> LimitReport:
+        """Worst use of every limit over the continuous motion."""
+        path = self.path
+        return check(
+            self.robot, path if isinstance(path, Trajectory) else path.samples
+        )
+
+    @cached_property
+    def clearance(self) -> Clearance | None:
+        """Smallest distance over the continuous motion; None without a scene."""
+        return None if self.scene is None else clearance(self.scene, self.path)
+
+    @cached_property
+    def frames(self) -> Motion:
+        """The instants that are shown."""
         path = self.path
         start = 0.0
         if isinstance(path, Trajectory):
@@ -59,11 +74,27 @@ class Playback:
         return path.at(np.union1d(t[~beside], kept))
 
     def result(self) -> dict[str, Any]:
-        """For ``result.json``: the arm's ``appearance``, and its pairs of ``bodies``."""
-        pairs = (
-            [] if self.scene is None else [list(pair) for pair in self.scene.pairs]
-        )
-        return {"appearance": Appearance(self.robot).entries(), "bodies": pairs}
+        """Entries of ``result.json`` on the arm, its limits, and what it is to keep clear of."""
+        robot = self.robot
+        scene = self.scene
+        near = self.clearance
+        return {
+            "robot": robot.name,
+            "joints": list(robot.joints),
+            "revolute": robot.revolute.tolist(),
+            **self.limits.entries(robot.limits),
+            "unchecked": unchecked(robot, scene),
+            "clearance_m": near and near.certified,
+            "closest": near
+            and {
+                "bodies": list(near.bodies),
+                "t": near.time,
+                "distance_m": near.distance / near.scale,
+            },
+            "obstacles": [o.plain() for o in scene.obstacles] if scene else [],
+            "appearance": Appearance(robot).entries(),
+            "bodies": [list(pair) for pair in scene.pairs] if scene else [],
+        }
 
     def series(self) -> dict[str, Array]:
         """Frames and meshes.
@@ -74,7 +105,7 @@ class Playback:
             ``play_distance`` of them (n,) [m], ``play_points`` of both (n, 2, 3) [m]; meshes as of
             `Appearance.meshes`.
         """
-        motion = self.motion
+        motion = self.frames
         shares = shares_of_limits(self.robot, motion)
         for k, use in enumerate(
             getattr(self.limits, name) for name in LIMIT_NAMES[:4]

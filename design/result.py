@@ -9,17 +9,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from excitant.design.constraints import Clearance, LimitReport, check, clearance
+from excitant.design.constraints import Clearance, LimitReport
 from excitant.design.criterion import Information, condition_number
 from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.playback import Playback
 from excitant.design.search import SearchState
-from excitant.design.trajectory import HermiteTrajectory, Trajectory
+from excitant.design.trajectory import Trajectory
 from excitant.exceptions import OutsideLimits
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.geometry import Scene, unchecked
+from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import UNITS
 from excitant.robots.robot import Robot
@@ -115,41 +114,29 @@ class Design(Shown):
         """Condition number of the trajectory."""
         return condition_number(self.after)
 
-    @cached_property
+    @property
     def limits(self) -> LimitReport:
         """Worst use of every limit over the continuous motion."""
-        return check(self.robot, self.trajectory)
-
-    @cached_property
-    def clearance(self) -> Clearance | None:
-        """Smallest distance over the continuous motion; None without a scene."""
-        return (
-            None if self.scene is None else clearance(self.scene, self.trajectory)
-        )
+        return self.playback.limits
 
     @property
+    def clearance(self) -> Clearance | None:
+        """Smallest distance over the continuous motion; None without a scene."""
+        return self.playback.clearance
+
+    @cached_property
     def playback(self) -> Playback:
         """The motion to watch."""
-        return Playback(
-            self.robot, self.trajectory, self.limits, self.scene, self.clearance
-        )
+        return Playback(self.robot, self.trajectory, self.scene)
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``; ``weakest`` have the least torque of their own after."""
-        robot = self.robot
-        near = self.clearance
         names = [self.base.names[k] for k in self.base.columns]
         before = self.before
         after = self.after
-        limits = self.limits.entries(robot.limits)
-        limits["limit_values"] = {
-            k: _plain(x) for k, x in limits["limit_values"].items()
-        }
         return {
             "verb": "design",
-            "robot": robot.name,
-            "joints": list(robot.joints),
-            "revolute": robot.revolute.tolist(),
+            **self.playback.result(),
             "duration": self.duration,
             "periods": self.trajectory.series.periods,
             "harmonics": self.harmonics,
@@ -158,8 +145,8 @@ class Design(Shown):
             "base_parameters": len(self.base),
             "criterion": self.criterion,
             "condition_number": {
-                "initial": _plain(self.condition_initial),
-                "final": _plain(self.condition_final),
+                "initial": self.condition_initial,
+                "final": self.condition_final,
                 "lower_bound": None,
             },
             "condition_number_scaled": {
@@ -168,18 +155,15 @@ class Design(Shown):
             },
             "joint_weights": self.information.weights.tolist(),
             "weakest": self._weakest(names),
-            **limits,
             "limit_use": self.use,
-            **_surroundings(robot, self.scene, near),
-            **self.playback.result(),
             "starts": [
                 {
                     "start": start.index,
                     "parent": start.parent,
-                    "condition_number": _plain(start.condition),
+                    "condition_number": [None, *start.history][-1],
                     "status": start.status,
                     "iterations": start.iterations,
-                    "history": _plain(start.history),
+                    "history": list(start.history),
                 }
                 for start in self.starts
             ],
@@ -204,16 +188,10 @@ class Design(Shown):
         """
         robot = self.robot
         motion = dense_motion(self.trajectory)
-        series: dict[str, Array] = {
-            "t": motion.t,
-            "q": motion.q,
-            "dq": motion.dq,
-            "ddq": motion.ddq,
+        series: dict[str, Array] = vars(motion) | {
             "tau": torque(robot, motion),
-            "eigenvalues_initial": np.asarray(
-                np.linalg.eigvalsh(self.before), float
-            ),
-            "eigenvalues_final": np.asarray(np.linalg.eigvalsh(self.after), float),
+            "eigenvalues_initial": np.linalg.eigvalsh(self.before),
+            "eigenvalues_final": np.linalg.eigvalsh(self.after),
         }
         if robot.limits.orders > 3:
             series["dddq"] = self.trajectory(motion.t, 3)
@@ -274,30 +252,14 @@ class Design(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TrajectoryCheck(Shown):
+class TrajectoryCheck(Playback, Shown):
     """Whether a motion keeps all limits and clear of bodies, and how well it excites."""
 
-    robot: Robot
     motion: Motion  # its samples
-    path: Trajectory | HermiteTrajectory  # what it is between them
-    scene: Scene | None  # what it is to keep clear of
     least: float  # distance required [m]
     information: Information | None = (
         None  # what it is to make visible, if anything
     )
-
-    @cached_property
-    def limits(self) -> LimitReport:
-        """Worst use of every limit over the continuous motion."""
-        return check(
-            self.robot,
-            self.path if isinstance(self.path, Trajectory) else self.motion,
-        )
-
-    @cached_property
-    def clearance(self) -> Clearance | None:
-        """Smallest distance over the continuous motion; None without a scene."""
-        return None if self.scene is None else clearance(self.scene, self.path)
 
     def evenly(self, rate_hz: float) -> Motion:
         """The motion at even steps of about this rate, whatever those of its samples are."""
@@ -309,13 +271,6 @@ class TrajectoryCheck(Shown):
     def touched(self) -> bool:
         """Whether bodies come too close."""
         return self.clearance is not None and self.clearance.distance < self.least
-
-    @property
-    def playback(self) -> Playback:
-        """The motion to watch."""
-        return Playback(
-            self.robot, self.path, self.limits, self.scene, self.clearance
-        )
 
     @property
     def verdicts(self) -> list[str]:
@@ -349,10 +304,8 @@ class TrajectoryCheck(Shown):
 
     def result(self) -> dict[str, Any]:
         """The content of ``result.json``."""
-        robot = self.robot
-        near = self.clearance
         asked = self.information
-        entries = self.limits.entries(robot.limits)
+        entries = super().result()
         entries["worst"] = {
             name: worst for name, worst in entries["worst"].items() if worst
         }
@@ -361,21 +314,16 @@ class TrajectoryCheck(Shown):
             entries |= {"columns": asked.columns, "condition_number": kappa}
         return {
             "verb": "check",
-            "robot": robot.name,
-            "joints": list(robot.joints),
-            "revolute": robot.revolute.tolist(),
+            **entries,
             "duration": float(self.motion.t[-1] - self.motion.t[0]),
             "holds": self.limits.hold and not self.touched,
-            **entries,
-            **_surroundings(robot, self.scene, near),
             "verdicts": self.verdicts,
-            **self.playback.result(),
         }
 
     def series(self) -> dict[str, Array]:
         """The motion with its torque, and what the `Playback` has."""
         tau = torque(self.robot, self.motion)
-        return vars(self.motion) | {"tau": tau} | self.playback.series()
+        return vars(self.motion) | {"tau": tau} | super().series()
 
     def require(self) -> None:
         """Refuse a limit that is exceeded, or bodies that come too close.
@@ -390,23 +338,6 @@ class TrajectoryCheck(Shown):
             raise OutsideLimits(
                 bodies, "distance", near.distance / near.scale, least, near.time
             )
-
-
-def _surroundings(
-    robot: Robot, scene: Scene | None, near: Clearance | None
-) -> dict[str, Any]:
-    """Entries of result.json about what a motion is to keep clear of."""
-    return {
-        "unchecked": unchecked(robot, scene),
-        "clearance_m": near and near.certified,
-        "closest": near
-        and {
-            "bodies": list(near.bodies),
-            "t": near.time,
-            "distance_m": near.distance / near.scale,
-        },
-        "obstacles": [o.plain() for o in scene.obstacles] if scene else [],
-    }
 
 
 def scaled_condition_number(M: Array) -> float | None:
@@ -425,9 +356,3 @@ def lone_torque(M: Array) -> Array:
     floor = max(float(values[-1]), 1e-300) * np.finfo(float).eps
     lone: Array = 1 / np.sqrt((V**2 / np.maximum(values, floor)).sum(axis=1))
     return lone
-
-
-def _plain(values: npt.ArrayLike) -> Any:
-    entries = np.array(values, object)
-    entries[~np.isfinite(np.asarray(values, float))] = None
-    return entries.tolist()

@@ -124,7 +124,8 @@ class SearchState:
     status: str = "running"
     # start whose solution, mixed with a random one, this began from
     parent: int | None = None
-    # condition number at the beginning and after every iteration
+    # condition number at the samples of the search, with the smooth sign of velocity, at the
+    # beginning and after every iteration
     history: tuple[float, ...] = ()
     merits: tuple[float, ...] = field(default=(), repr=False)  # merit likewise
 
@@ -132,11 +133,6 @@ class SearchState:
     def merit(self) -> float:
         """Criterion with the penalty on torque beyond its bound."""
         return self.value + PENALTY * self.excess
-
-    @property
-    def condition(self) -> float:
-        """Condition number at the samples of the search, with the smooth sign of velocity."""
-        return self.history[-1] if self.history else np.inf
 
     @property
     def iterations(self) -> int:

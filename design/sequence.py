@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from excitant.design.constraints import check, position_range, within_limits
 from excitant.design.criterion import Information, objective
@@ -34,9 +33,9 @@ from excitant.design.search import Report, SearchState, best_solutions, search
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import Infeasible
 from excitant.robots.base_parameters import last_rows
-from excitant.robots.effects import Effect
 from excitant.robots.geometry import CLEARANCE, Scene
 from excitant.robots.geometry import scene as scene_of
+from excitant.robots.loading import hold
 from excitant.robots.motion import Array, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
@@ -51,8 +50,9 @@ _SHARED = (
     "limit_values",
     "obstacles",
     "unchecked",
+    "appearance",
+    "bodies",
 )
-_SHOWN = ("appearance", "bodies")  # of the playback
 _OWN = (
     "duration",
     "periods",
@@ -93,14 +93,10 @@ class LinkByLinkDesign:
         limits = {}
         when = {}
         for quantity in single[0]["limits"]:
-            k = max(
-                range(len(single)),
-                key=lambda k: single[k]["limits"][quantity] or 0.0,
-            )
-            limits[quantity], row = (
-                single[k]["limits"][quantity],
-                single[k]["worst"][quantity],
-            )
+            used = [one["limits"][quantity] for one in single]
+            k = int(np.argmax(used))
+            limits[quantity] = used[k]
+            row = single[k]["worst"][quantity]
             when[quantity] = row and row | {"t": row["t"] + starts[k]}
         distances = [
             one["clearance_m"] for one in single if one["clearance_m"] is not None
@@ -121,7 +117,7 @@ class LinkByLinkDesign:
         return {
             "verb": "design",
             "robot": self.robot.name,
-            **{key: single[0][key] for key in (*_SHARED, *_SHOWN)},
+            **{key: single[0][key] for key in _SHARED},
             "duration": sum(one["duration"] for one in single),
             "harmonics": max(one["harmonics"] for one in single),
             "columns": self.columns,
@@ -247,7 +243,9 @@ def _problem(
     scene: Scene | None,
     options: dict[str, Any],
 ) -> DesignProblem:
-    arm = _held(robot, joint, pose)
+    beyond = slice(joint + 1, None)
+    held = zip(robot.joints[beyond], pose[beyond].tolist(), strict=True)
+    arm = hold(robot, dict(held))
     around = None if scene is None else scene_of(arm, scene.obstacles)
     problem = build_design(arm, scene=around or (), **options)
     seen = problem.information
@@ -312,43 +310,6 @@ def _resting_pose(robot: Robot, scene: Scene | None, clearance: float) -> Array:
             return read_only(candidate)
     raise Infeasible(
         "link-by-link design", "no pose keeps the arm clear; give it more room"
-    )
-
-
-def _held(robot: Robot, joint: int, pose: Array) -> Robot:
-    """The arm with the joints after one locked, whose links that one then carries."""
-    kept = joint + 1
-    names = robot.joints
-    if kept == robot.nv:
-        return robot
-    reference = pin.neutral(robot.model)
-    for k, value in enumerate(pose):
-        reference[robot.model.joints[k + 1].idx_q] = value
-    model = pin.buildReducedModel(
-        robot.model, list(range(kept + 1, robot.nv + 1)), reference
-    )
-    locked = dict(robot.locked) | dict(
-        zip(names[kept:], pose[kept:].tolist(), strict=True)
-    )
-    return replace(
-        robot,
-        model=model,
-        links=robot.links[:kept],
-        revolute=robot.revolute[:kept],
-        limits=robot.limits.of(list(range(kept))),
-        locked=tuple(sorted(locked.items())),
-        effects=tuple(_kept(effect, names[:kept]) for effect in robot.effects),
-    )
-
-
-def _kept(effect: Effect, joints: Sequence[str]) -> Effect:
-    rows = [k for k, joint in enumerate(effect.joints) if joint in joints]
-    values = effect.values
-    if values is not None:
-        each = np.reshape(values, (len(effect.joints), -1))
-        values = tuple(each[rows].ravel().tolist())
-    return replace(
-        effect, joints=tuple(effect.joints[k] for k in rows), values=values
     )
 
 

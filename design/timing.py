@@ -373,9 +373,8 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
     excess; where that leaves no solution, the motion is slowed down as a whole.
     """
     tightened = robot
-    first = profile = time_optimal(
-        robot, path, blur=TIMING.blur / rate_hz, name=name
-    )
+    blur = TIMING.blur / rate_hz
+    first = profile = time_optimal(robot, path, blur=blur, name=name)
     for _ in range(TIMING.tightenings):
         motion = profile.motion(path, rate_hz)
         uses = check(robot, motion).uses[1:4]  # of speed, acceleration and torque
@@ -388,9 +387,7 @@ def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Mot
         }
         tightened = tightened.with_limits(replace(tightened.limits, **lower))
         try:
-            profile = time_optimal(
-                tightened, path, blur=TIMING.blur / rate_hz, name=name
-            )
+            profile = time_optimal(tightened, path, blur=blur, name=name)
         except Infeasible:
             break
     for factor in 1 + 1e-3 * 2.0 ** np.arange(TIMING.slowings):

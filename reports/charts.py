@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from excitant.reports.figure import Axes, Axis, Band, Figure, Line, Mark, thin
+from excitant.reports.figure import Axes, Band, Figure, Line, Mark, thin
 from excitant.robots.motion import Array
 
 _SAMPLES = 200_000  # of all curves of a figure; longer ones are thinned
 _SHORT = 8  # values that are written as numbers
 _DIGITS = 7
+_ENDS = ("low", "high")
 
 
 def packed(figure: Figure) -> Markup:
@@ -50,8 +51,8 @@ class _Store:
 
     def axes(self, axes: Axes) -> dict[str, Any]:
         return {
-            "x": _axis(axes.x, axes.ends("x")),
-            "y": _axis(axes.y, axes.ends("y")),
+            "x": vars(axes.x) | dict(zip(_ENDS, axes.ends("x"), strict=True)),
+            "y": vars(axes.y) | dict(zip(_ENDS, axes.ends("y"), strict=True)),
             "height": axes.height,
             "equal": axes.equal,
             "framed": axes.framed,
@@ -83,18 +84,6 @@ class _Store:
             self._places[key] = len(self.arrays)
             self.arrays.append(_numbers(values))
         return self._places[key]
-
-
-def _axis(axis: Axis, ends: tuple[float, float]) -> dict[str, Any]:
-    low, high = ends
-    return {
-        "label": axis.label,
-        "low": low,
-        "high": high,
-        "log": axis.log,
-        "whole": axis.whole,
-        "ticks": axis.ticks,
-    }
 
 
 def _numbers(values: Array) -> list[float | None] | dict[str, Any]:

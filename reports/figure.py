@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -82,8 +83,6 @@ class Band:
     x: Array
     low: Array
     high: Array
-    colour: str = BAND
-    name: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +142,7 @@ class Axis:
     high: float | None = None
     log: bool = False
     whole: bool = False
-    ticks: tuple[tuple[float, str], ...] = ()
+    ticks: Sequence[tuple[float, str]] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +156,7 @@ class Axes:
         framed: Whether the axes are drawn, too.
     """
 
-    marks: tuple[Mark, ...]
+    marks: Sequence[Mark]
     x: Axis
     y: Axis
     height: int = 170
@@ -212,7 +211,7 @@ def _along(mark: Mark, along: str) -> Array:
 class Panel:
     """Axes above each other, with one abscissa if ``shared``; the label says what they show."""
 
-    axes: tuple[Axes, ...]
+    axes: Sequence[Axes]
     label: str
     title: str = ""
     shared: bool = True
@@ -231,16 +230,16 @@ class Key:
 class Figure:
     """Panels beside each other that share a legend; the caption says what to see."""
 
-    panels: tuple[Panel, ...]
+    panels: Sequence[Panel]
     caption: str
-    legend: tuple[Key, ...] = ()
+    legend: Sequence[Key] = ()
 
 
 @dataclass(frozen=True)
 class Bar:
     """Pieces one after the other, each a length and a colour, and the words behind them."""
 
-    pieces: tuple[tuple[float, str], ...]
+    pieces: Sequence[tuple[float, str]]
     words: str
 
 
@@ -254,20 +253,20 @@ class Bars:
         top: Length of the longest that is drawn whole.
     """
 
-    rows: tuple[tuple[str, tuple[Bar, ...]], ...]
+    rows: Sequence[tuple[str, Sequence[Bar]]]
     measure: str
     top: float
     label: str
     caption: str
-    legend: tuple[Key, ...] = ()
+    legend: Sequence[Key] = ()
 
 
 def figure(
     panels: Sequence[Panel | None], caption: str, legend: Sequence[Key] = ()
 ) -> Figure | None:
     """A figure of the panels that have data; None without any."""
-    present = tuple(panel for panel in panels if panel is not None)
-    return Figure(present, caption, tuple(legend)) if present else None
+    present = [panel for panel in panels if panel is not None]
+    return Figure(present, caption, legend) if present else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,12 +300,11 @@ def thin(x: Array, y: Array, bins: int) -> tuple[Array, Array]:
     """A curve (n,) with fewer points that looks the same: each bin's least and greatest value."""
     if len(y) <= 2 * bins:
         return x, y
-    size = -(-len(y) // bins)
-    padded = np.full(-(-len(y) // size) * size, np.nan)
-    padded[: len(y)] = y
-    rows = padded.reshape(-1, size)
-    first = size * np.arange(len(rows))
-    least = first + np.where(np.isnan(rows), np.inf, rows).argmin(axis=1)
-    greatest = first + np.where(np.isnan(rows), -np.inf, rows).argmax(axis=1)
-    keep = np.unique([0, *least, *greatest, len(y) - 1])
-    return x[keep], y[keep]
+    low = np.nan_to_num(y, nan=np.inf)
+    high = np.nan_to_num(y, nan=-np.inf)
+    keep = [0, len(y) - 1]
+    for first, last in pairwise(np.linspace(0, len(y), bins + 1).astype(int)):
+        keep.append(first + int(low[first:last].argmin()))
+        keep.append(first + int(high[first:last].argmax()))
+    rows = np.unique(keep)
+    return x[rows], y[rows]

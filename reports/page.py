@@ -57,8 +57,8 @@ class Table:
     the terminal shows every row as a line; none where it is None.
     """
 
-    columns: tuple[tuple[str, str], ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    columns: Sequence[tuple[str, str]]
+    rows: Sequence[Sequence[Cell]]
     caption: str = ""
     folded: str = ""
     brief: str | None = None
@@ -81,10 +81,10 @@ class Matrix:
     """Categories by row and column, e.g. parameters by link; legend: category and its meaning."""
 
     corner: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[str, ...]], ...]
+    columns: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[str]]]
     caption: str
-    legend: tuple[tuple[str, str], ...]
+    legend: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Fact:
 class Facts:
     """Figures of merit side by side."""
 
-    facts: tuple[Fact, ...]
+    facts: Sequence[Fact]
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Notes:
     Under the label ``brief`` the terminal shows them too.
     """
 
-    sentences: tuple[str, ...]
+    sentences: Sequence[str]
     tone: str = PLAIN
     brief: str | None = None
 
@@ -135,11 +135,11 @@ class Player:
     """An arm in motion, played by a script of the page from ``data``; moments stand without it."""
 
     data: dict[str, Any]
-    joints: tuple[tuple[str, str], ...]  # name, and unit of its position
-    quantities: tuple[str, ...]  # whose share of the limit is shown
-    moments: tuple[Moment, ...]
+    joints: Sequence[tuple[str, str]]  # name, and unit of its position
+    quantities: Sequence[str]  # whose share of the limit is shown
+    moments: Sequence[Moment]
     caption: str
-    legend: tuple[Key, ...] = ()
+    legend: Sequence[Key] = ()
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Folded:
     """
 
     title: str
-    blocks: tuple[Block, ...]
+    blocks: Sequence[Block]
     closed: bool = False
 
 
@@ -158,7 +158,7 @@ Block = Table | Figure | Bars | Matrix | Player | Facts | Notes | Folded
 Blocks = list["Block | tuple[str, Blocks] | None"]
 """What stands in a part; a title with blocks is a part within it."""
 Parts = list[tuple[str, Blocks]]
-Brief = tuple[tuple[str, str], ...]
+Brief = Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class Section:
 
     title: str
     lead: str
-    parts: tuple[Folded, ...]
+    parts: Sequence[Folded]
     brief: Brief = ()
 
 
@@ -181,10 +181,10 @@ class Page:
 
     title: str
     subtitle: str
-    summary: tuple[Block, ...]
-    sections: tuple[Section, ...]
+    summary: Sequence[Block]
+    sections: Sequence[Section]
     brief: Brief = ()
-    files: tuple[str, ...] = ()
+    files: Sequence[str] = ()
     table: Table | None = None
 
     @property
@@ -214,7 +214,7 @@ def _tables(blocks: Sequence[Block]) -> Iterator[Table]:
                 rows = [
                     (Cell(x.label), Cell(x.value, value=x.number)) for x in known
                 ]
-                yield Table((("Figure", "name"), ("", "number")), tuple(rows))
+                yield Table((("Figure", "name"), ("", "number")), rows)
             case Table():
                 yield block
 
@@ -241,11 +241,11 @@ def table(
     if not rows:
         return None
     present = [column for column in columns if column is not None]
-    heads = tuple(
+    heads = [
         (column[0].partition(":")[2], column[0].partition(":")[0])
         for column in present
-    )
-    cells = tuple(tuple(_cell(row, *column) for column in present) for row in rows)
+    ]
+    cells = [[_cell(row, *column) for column in present] for row in rows]
     return Table(heads, cells, caption, folded, brief)
 
 
@@ -330,7 +330,7 @@ def fact(
 
 def facts(*candidates: Fact) -> Facts | None:
     """The facts that have a value."""
-    valued = tuple(fact for fact in candidates if fact.value not in (NONE, ""))
+    valued = [fact for fact in candidates if fact.value not in (NONE, "")]
     return Facts(valued) if valued else None
 
 
@@ -338,7 +338,14 @@ def notes(
     sentences: Sequence[str], tone: str = PLAIN, *, brief: str | None = None
 ) -> Notes | None:
     """Sentences, or None without any."""
-    return Notes(tuple(sentences), tone, brief) if sentences else None
+    return Notes(sentences, tone, brief) if sentences else None
+
+
+def sentences(
+    words: Sequence[str], tone: str = PLAIN, *, brief: str | None = None
+) -> Notes | None:
+    """Words as sentences, or None without any."""
+    return notes([v.sentence(each) for each in words], tone, brief=brief)
 
 
 def section(
@@ -354,13 +361,11 @@ def section(
     """
     built = [_part(*part) for part in parts]
     built += [_part(*part, True) for part in closed or []]
-    return Section(title, lead, tuple(part for part in built if part.blocks), brief)
+    return Section(title, lead, [part for part in built if part.blocks], brief)
 
 
 def _part(title: str, blocks: Blocks, closed: bool = False) -> Folded:
     built = [
         _part(*block) if isinstance(block, tuple) else block for block in blocks
     ]
-    return Folded(
-        title, tuple(block for block in built if block is not None), closed
-    )
+    return Folded(title, [block for block in built if block is not None], closed)

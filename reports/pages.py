@@ -90,7 +90,7 @@ def page_of(result: Mapping[str, Any] | Result, series: Series) -> Page:
         record = record_of(_shown(plain))
     except msgspec.ValidationError as error:
         raise BadInput(f"result.json: {error}") from None
-    return replace(_page(record, series), files=tuple(record.files))
+    return replace(_page(record, series), files=record.files)
 
 
 def _page(record: Result, series: Series) -> Page:
@@ -135,7 +135,7 @@ def _examination_page(result: Go | Demo, series: Series) -> Page:
             section = links_folded(section, record)
         # the verdict comes first, and what it rests on
         if isinstance(record, Robots):
-            parts = tuple(replace(part, closed=True) for part in section.parts)
+            parts = [replace(part, closed=True) for part in section.parts]
             section = replace(section, parts=parts)
         sections[verb] = section
     return examination_page(result, sections)
@@ -321,16 +321,16 @@ def _comparison_page(result: Compare) -> Page:
         )
     blocks = (
         p.notes(legend),
-        p.notes([v.sentence(remark) for remark in result.remarks], p.POOR),
+        p.sentences(result.remarks, p.POOR),
     )
     title = "Comparison of runs"
     return Page(
         f"{title}: {result.robot}" if result.robot else title,
         f"{len(runs)} runs of excitant {result.of}, compared with A; ○ marks estimates "
         f"that lie apart. {sections[0].lead if len(sections) == 1 else ''}",
-        tuple(block for block in blocks if block is not None),
-        tuple(sections),
-        tuple(("note", remark) for remark in result.remarks),
+        [block for block in blocks if block is not None],
+        sections,
+        [("note", remark) for remark in result.remarks],
     )
 
 

@@ -9,10 +9,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from excitant.reports import figure as fig
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figure import Key
+from excitant.reports.figure import AMBER, FITTED, GIVEN, GREEN, PURPLE, Key
 from excitant.reports.page import Moment, Player
 from excitant.reports.values import Series
 from excitant.results import Motion
@@ -41,12 +40,12 @@ def player(result: Motion, series: Series) -> Player | None:
         for k, shape in enumerate(look.shapes)
     ]
     legend = [
-        Key("box", fig.AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
-        Key("box", fig.GIVEN, "limit exceeded"),
-        *[Key("line", fig.GREEN, "shortest distance of two bodies")]
+        Key("box", AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
+        Key("box", GIVEN, "limit exceeded"),
+        *[Key("line", GREEN, "shortest distance of two bodies")]
         * ("distance" in frames),
-        Key("line", fig.FITTED, "path of the tool"),
-        *[Key("box", fig.PURPLE, "obstacle, workspace")]
+        Key("line", FITTED, "path of the tool"),
+        *[Key("box", PURPLE, "obstacle, workspace")]
         * any(obstacle.name != "floor" for obstacle in result.obstacles),
     ]
     return Player(
@@ -60,11 +59,11 @@ def player(result: Motion, series: Series) -> Player | None:
             "touched": TOUCHED / _SHARE,
             "share": _SHARE,
         },
-        joints=tuple(zip(names, units, strict=True)),
+        joints=list(zip(names, units, strict=True)),
         quantities=_QUANTITIES,
-        moments=tuple(moments(result)),
+        moments=moments(result),
         caption=" ".join([_CAPTION, *map(v.sentence, look.notes)]),
-        legend=tuple(legend),
+        legend=legend,
     )
 
 
@@ -93,33 +92,31 @@ def moments(result: Motion) -> list[Moment]:
 
 def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
     """Arrays of the frames, as they are written; None unless they are whole."""
-    t = v.array(series, "play_t", None)
-    n = 0 if t is None else len(t)
-    shapes = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
-    found = {
-        name: v.array(series, f"play_{name}", n, *rest)
-        for name, rest in shapes.items()
-    }
-    known = {
-        name: x
-        for name, x in found.items()
-        if x is not None and np.isfinite(x).all()
-    }
-    if t is None or n < 2 or len(known) < len(shapes):
+    n = len(np.atleast_1d(series.get("play_t", ())))
+    joints = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
+    frames = _whole(series, n, {"t": (), **joints})
+    if n < 2 or not frames:
         return None
-    shares = np.round(known["shares"] / _SHARE)
+    shares = np.round(frames["shares"] / _SHARE)
     # exceeded by less than a step
-    shares += (known["shares"] > FULL) & (shares * _SHARE <= 1)
-    kept = {"t": t} | {name: known[name].astype("<f4") for name in ("q", "dq")}
-    kept["shares"] = np.minimum(shares, 65535).astype("<u2")
-    pair, distance = (
-        v.array(series, f"play_{name}", n) for name in ("pair", "distance")
-    )
-    points = v.array(series, "play_points", n, 2, 3)
-    if pair is not None and distance is not None and points is not None:
-        kept |= {"pair": pair.astype("<u2"), "distance": distance.astype("<f4")}
-        kept["points"] = points.astype("<f4")
-    return kept
+    shares += (frames["shares"] > FULL) & (shares * _SHARE <= 1)
+    frames["shares"] = np.minimum(shares, 65535)
+    frames |= _whole(series, n, {"pair": (), "distance": (), "points": (2, 3)})
+    kinds = {"t": "<f8", "shares": "<u2", "pair": "<u2"}
+    return {name: x.astype(kinds.get(name, "<f4")) for name, x in frames.items()}
+
+
+def _whole(
+    series: Series, n: int, shapes: dict[str, tuple[int, ...]]
+) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of n frames by name; none of them unless all are there and finite."""
+    arrays = {}
+    for name, shape in shapes.items():
+        x = v.array(series, f"play_{name}", n, *shape)
+        if x is None or not np.isfinite(x).all():
+            return {}
+        arrays[name] = x
+    return arrays
 
 
 def _mesh(series: Series, k: int) -> dict[str, Any]:
@@ -134,9 +131,6 @@ def _mesh(series: Series, k: int) -> dict[str, Any]:
 
 
 def _packed(values: npt.NDArray[Any]) -> dict[str, str]:
-    """An array as the script reads it: its kind (``f4``, ``f8``, ``u2``, ``u4``) and its bytes."""
-    little = values.astype(values.dtype.newbyteorder("<"))
-    return {
-        "kind": little.dtype.str[1:],
-        "bytes": b64encode(little.tobytes()).decode(),
-    }
+    """A little-endian array as the script reads it: kind (``f4``, ``u2``, ...) and bytes."""
+    kind = values.dtype.str[1:]
+    return {"kind": kind, "bytes": b64encode(values.tobytes()).decode()}

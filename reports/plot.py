@@ -10,11 +10,11 @@ or ``ax`` is one axes for several drawings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.reports.figure import Figure
@@ -25,9 +25,8 @@ from excitant.reports.figures.torque import torque_figure
 from excitant.reports.pyplot import draw, draw_onto
 from excitant.reports.run import Reportable, as_saved
 from excitant.reports.sections.identify import CURVES
-from excitant.reports.values import Series
 from excitant.results import Certified, Identify, Parameter
-from excitant.robots.motion import Array, Motion
+from excitant.robots.motion import Motion
 from excitant.robots.robot import Robot
 
 if TYPE_CHECKING:
@@ -39,34 +38,31 @@ if TYPE_CHECKING:
 __all__ = ["friction", "motion", "parameters", "residuals", "torque"]
 
 Names = str | Sequence[str] | None
-_Drawn = tuple[dict[str, Any], dict[str, Array]]
-# entries with one item per joint
-_BY_JOINT = ("joints", "revolute", "limit_values", "certified")
 _SAMPLES = 1000  # of a period
 
 
 def torque(estimate: Estimate, joints: Names = None) -> list[Axes]:
     """Measured and predicted torque over the hold-out, below it the residual: two axes a joint."""
-    result, series = _of_joints(estimate, joints)
-    record = msgspec.convert(result, Identify)
+    record = _record(estimate)
     names = [row.name for row in record.joints]
-    return _drawn(torque_figure(names, series, record.unit, CURVES))
+    figure = torque_figure(names, estimate.series(), record.unit, CURVES)
+    return _of_joints(figure, names, joints)
 
 
 def friction(
     estimate: Estimate, joints: Names = None, *, ax: Axes | None = None
 ) -> list[Axes]:
     """Friction over velocity with its 95 % interval, and the readings of the hold-out."""
-    result, series = _of_joints(estimate, joints)
-    return _drawn(
-        friction_figure(msgspec.convert(result, Identify).joints, series), ax
-    )
+    rows = _record(estimate).joints
+    figure = friction_figure(rows, estimate.series())
+    return _of_joints(figure, [row.name for row in rows], joints, ax)
 
 
 def residuals(estimate: Estimate, joints: Names = None) -> list[Axes]:
     """Residual over position, velocity and load, and its spectrum: four axes a joint."""
-    result, series = _of_joints(estimate, joints)
-    return _drawn(residual_figure(msgspec.convert(result, Identify), series))
+    record = _record(estimate)
+    figure = residual_figure(record, estimate.series())
+    return _of_joints(figure, [row.name for row in record.joints], joints)
 
 
 def parameters(
@@ -98,19 +94,18 @@ def motion(
     A design knows its robot, and shows torque too.
     """
     if isinstance(motion, Reportable):
-        result, series = _of_joints(motion, joints)
+        entries = dict(motion.result())
+        series = motion.series()
     else:
         samples = motion if isinstance(motion, Motion) else motion.sample(_SAMPLES)
-        entries: dict[str, Any] = {
-            "joints": [f"joint {j + 1}" for j in range(motion.nv)]
-        }
+        series = vars(samples)
+        entries = {"joints": [f"joint {j + 1}" for j in range(motion.nv)]}
         if robot is not None:
             from excitant.design import check
 
             entries = {"joints": robot.joints, "revolute": robot.revolute}
             entries |= check(robot, motion).entries(robot.limits)
-        curves = {name: getattr(samples, name) for name in ("t", "q", "dq", "ddq")}
-        result, series = _chosen(entries, curves, joints)
+    result = as_saved(entries, {})[0]
     limits = Limits(
         result.get("limit_values"),
         msgspec.convert(
@@ -118,42 +113,28 @@ def motion(
         ),
         result.get("revolute", ()),
     )
-    return _drawn(motion_figure(result["joints"], limits, series))
+    names = result["joints"]
+    return _of_joints(motion_figure(names, limits, series), names, joints)
 
 
-def _of_joints(noun: Reportable, joints: Names) -> _Drawn:
-    return _chosen(noun.result(), noun.series(), joints)
+def _record(estimate: Estimate) -> Identify:
+    return msgspec.convert(as_saved(estimate.result(), {})[0], Identify)
 
 
-def _chosen(result: Mapping[str, Any], series: Series, joints: Names) -> _Drawn:
-    """Result and series of some joints, in the order in which they are named."""
-    result = as_saved(result, {})[0]
-    names = [
-        row["name"] if isinstance(row, dict) else row for row in result["joints"]
-    ]
-    wanted = (
-        names
-        if joints is None
-        else [joints]
-        if isinstance(joints, str)
-        else list(joints)
-    )
+def _of_joints(
+    figure: Figure | None,
+    names: Sequence[str],
+    joints: Names,
+    ax: Axes | None = None,
+) -> list[Axes]:
+    """The panels of some joints, in the order in which they are named."""
+    wanted = [joints] if isinstance(joints, str) else joints or names
     UnknownName.refuse("joint", wanted, names)
-    rows = [names.index(name) for name in wanted]
-    nv = len(names)
-
-    def of_joints(entry: Any) -> Any:
-        if isinstance(entry, dict):
-            return {key: of_joints(value) for key, value in entry.items()}
-        per_joint = isinstance(entry, list) and len(entry) == nv
-        return [entry[row] for row in rows] if per_joint else entry
-
-    result |= {key: of_joints(result[key]) for key in _BY_JOINT if key in result}
-    arrays = {
-        key: x[:, rows] if np.shape(x)[1:] == (nv,) else x
-        for key, x in series.items()
-    }
-    return result, arrays
+    if figure is not None:
+        panels = {panel.title: panel for panel in figure.panels}
+        chosen = [panels[name] for name in wanted if name in panels]
+        figure = replace(figure, panels=chosen) if chosen else None
+    return _drawn(figure, ax)
 
 
 def _drawn(figure: Figure | None, ax: Axes | None = None) -> list[Axes]:

@@ -166,7 +166,7 @@ def _draw_mark(mark: Mark, ax: Drawn, order: float) -> None:
         case Points():
             _draw_points(mark, ax, order)
         case Band():
-            look: Any = {"color": COLOURS[mark.colour][0], "lw": 0, "zorder": order}
+            look: Any = {"color": COLOURS["band"][0], "lw": 0, "zorder": order}
             ax.fill_between(mark.x, mark.low, mark.high, **look)
         case Polygon():
             edge = COLOURS[mark.edge][0] if mark.edge else "none"

@@ -173,28 +173,17 @@ def _brief(section: Section) -> Iterator[tuple[str, str]]:
         if isinstance(block, Notes) and block.brief is not None:
             yield from ((block.brief, sentence) for sentence in block.sentences)
         elif isinstance(block, Table) and block.brief is not None:
+            first = 0 if block.brief else 1
             for row in block.rows:
-                label = block.brief
+                names: list[str] = []
+                others: list[str] = []
                 cells = list(zip(block.columns, row, strict=True))
-                if not label:
-                    label = row[0].text
-                    cells = cells[1:]
-                written = [
-                    (kind, cell.text)
-                    for (_, kind), cell in cells
-                    if cell.text != NONE
-                ]
-                names = ", ".join(
-                    words for kind, words in written if kind == "name"
-                )
+                for (_, kind), cell in cells[first:]:
+                    if cell.text != NONE:
+                        (names if kind == "name" else others).append(cell.text)
                 yield (
-                    label,
-                    ": ".join(
-                        [
-                            names,
-                            *(words for kind, words in written if kind != "name"),
-                        ]
-                    ),
+                    block.brief or row[0].text,
+                    ": ".join([", ".join(names), *others]),
                 )
 
 

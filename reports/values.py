@@ -157,9 +157,9 @@ def change(before: object, after: object, write: Any = number) -> str:
     return " → ".join(known) or NONE
 
 
-def listing(names: Sequence[str], none: str = NONE, between: str = ", ") -> str:
+def listing(names: Sequence[str], none: str = NONE) -> str:
     """Names in one line."""
-    return between.join(names) if names else none
+    return ", ".join(names) if names else none
 
 
 def sentence(words: str) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    FITTED,
+    GIVEN,
+    MEASURED,
     Axes,
     Axis,
     Figure,
@@ -31,26 +32,6 @@ _HEAD = 0.028  # of the picture: length of its arrow's head
 _TOGETHER = 0.09  # of the picture: joints nearer than this share a label
 _ROOM = 1.14  # times the arm's extent: what is shown
 _HEIGHT = 300  # px
-
-
-def line(points: Array, colour: str, **look: Any) -> Line:
-    """A line through points (n, 2)."""
-    return Line(points[:, 0], points[:, 1], colour, **look)
-
-
-def dots(points: Array, colour: str, **look: Any) -> Points:
-    """Points (n, 2)."""
-    return Points(points[:, 0], points[:, 1], colour, **look)
-
-
-def area(corners: Array, colour: str, **look: Any) -> Polygon:
-    """A polygon with corners (n, 2)."""
-    return Polygon(corners[:, 0], corners[:, 1], colour, **look)
-
-
-def words(point: Array, text: str, **look: Any) -> Words:
-    """Words at a point (2,)."""
-    return Words(float(point[0]), float(point[1]), text, **look)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +59,7 @@ class View:
         across, up = self.labels or ("", "")
         framed = self.labels is not None
         return Axes(
-            tuple(marks),
+            marks,
             Axis(f"{across} [m]" if framed else "", float(low[0]), float(high[0])),
             Axis(f"{up} [m]" if framed else "", float(low[1]), float(high[1])),
             _HEIGHT,
@@ -142,12 +123,12 @@ def arm_figure(series: Series) -> Figure | None:
         "as near to it as its ranges allow, and bent. Compare it with the maker's drawing."
     )
     legend = (
-        Key("line", fig.MEASURED, "base, joints and tool in order"),
-        Key("line", fig.GIVEN, "axes of the joints, positive direction"),
-        Key("dot", fig.FITTED, "tool"),
+        Key("line", MEASURED, "base, joints and tool in order"),
+        Key("line", GIVEN, "axes of the joints, positive direction"),
+        Key("dot", FITTED, "tool"),
         *[Key("box", "solid", "solids of the links")] * bool(len(zero.solids)),
     )
-    return Figure(tuple(panels), caption, legend)
+    return Figure(panels, caption, legend)
 
 
 def _arm(series: Series, name: str) -> _Arm | None:
@@ -172,13 +153,14 @@ def _arm_panel(arm: _Arm, view: View, title: str) -> Panel:
         joint = int(solid[0])
         outline = _outline(solid[1:7].reshape(2, 3) @ view.screen.T, solid[7])
         colour = ("solid", "band")[joint % 2] if joint else "base"
-        marks.append(area(outline, colour, edge="edge"))
+        marks.append(Polygon(outline[:, 0], outline[:, 1], colour, "edge"))
     flat = view.flat(arm.points)
-    marks.append(line(flat, fig.MEASURED, width=1.4))
+    x, y = flat.T
+    marks.append(Line(x, y, MEASURED, width=1.4))
     for centre, axis in zip(flat[1:-1], arm.axes @ view.screen.T, strict=True):
         marks += _joint_axis(centre, axis, size)
-    marks.append(dots(flat[1:-1], fig.MEASURED, name="joint", style="hole"))
-    marks.append(dots(flat[-1:], fig.FITTED, name="tool"))
+    marks.append(Points(x[1:-1], y[1:-1], MEASURED, "joint", style="hole"))
+    marks.append(Points(x[-1:], y[-1:], FITTED, "tool"))
     marks += _numbers(flat[1:-1], _TOGETHER * size)
     axes = view.axes(marks, outermost, _ROOM)
     return Panel((axes,), f"the arm with {len(arm.axes)} joints {title}", title)
@@ -203,16 +185,20 @@ def _joint_axis(centre: Array, axis: Array, size: float) -> list[Mark]:
     """An arrow in the positive direction; a ring where it points to the eye, crossed if away."""
     length = float(np.linalg.norm(axis[:2]))
     if length < 0.3:
-        cross = [words(centre, "×")] * bool(axis[2] < 0)
-        return [dots(centre[None], fig.GIVEN, size=8.0, style="ring"), *cross]
+        x, y = centre.tolist()
+        cross = [Words(x, y, "×")] * bool(axis[2] < 0)
+        return [Points(centre[:1], centre[1:], GIVEN, "", 8.0, "ring"), *cross]
     along = axis[:2] / length
     across = np.array([-along[1], along[0]])
     tip = centre + _AXIS * size * axis[:2]
     foot = tip - _HEAD * size * along
     side = 0.4 * _HEAD * size * across
-    head = np.array([tip, foot + side, foot - side])
-    shaft = np.array([centre, foot])
-    return [line(shaft, fig.GIVEN), area(head, fig.GIVEN)]
+    head = np.array([tip, foot + side, foot - side]).T
+    shaft = np.array([centre, foot]).T
+    return [
+        Line(shaft[0], shaft[1], GIVEN),
+        Polygon(head[0], head[1], GIVEN),
+    ]
 
 
 def _numbers(points: Array, near: float) -> list[Mark]:
@@ -225,10 +211,11 @@ def _numbers(points: Array, near: float) -> list[Mark]:
             groups.append(group := [])
         group.append(k)
     return [
-        words(
-            points[group].mean(axis=0),
+        Words(
+            float(points[group, 0].mean()),
+            float(points[group, 1].mean()),
             ",".join(str(k + 1) for k in group),
-            shift=(6.0, 6.0),
+            (6.0, 6.0),
         )
         for group in groups
     ]

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
-from excitant.reports.figure import Bar, Bars, Key
+from excitant.reports.figure import FITTED, GIVEN, LIGHT, Bar, Bars, Key
 from excitant.reports.figures.torque import GIVEN_MODEL
 from excitant.results import Accuracy, Diagnose
 
@@ -37,7 +36,7 @@ def error_bars(
         [(row.rms, row.nrmse) for row in rows] for rows in zip(*models, strict=True)
     ]
     count = 1 + any(rms is not None for pairs in errors for rms, _ in pairs[1:])
-    looks = ((GIVEN_MODEL, fig.GIVEN), (identified, fig.FITTED))[:count]
+    looks = ((GIVEN_MODEL, GIVEN), (identified, FITTED))[:count]
     every = [pair for pairs in errors for pair in pairs[:count]]
     shares = all(share is not None or rms is None for rms, share in every)
     lengths = [x for pair in every if (x := pair[shares]) is not None]
@@ -58,19 +57,19 @@ def error_bars(
                 words += " (bar cut)"
             pieces = () if length is None else ((min(length, top), colour),)
             bars.append(Bar(pieces, words))
-        rows.append((joint, tuple(bars)))
+        rows.append((joint, bars))
     measure = (
         "as a share of the measured torque's standard deviation"
         if shares
         else "as rms"
     )
     return Bars(
-        tuple(rows),
+        rows,
         _SHARE if shares else f"rms [{unit}]",
         top or 1.0,
         f"rms per joint: {'; '.join(remarks)}",
         f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
-        tuple(Key("box", colour, label) for label, colour in looks),
+        [Key("box", colour, label) for label, colour in looks],
     )
 
 
@@ -90,22 +89,22 @@ def waterfall_figure(result: Diagnose) -> Bars | None:
     before = 0.0
     rows = []
     for k, (label, rms) in enumerate(steps):
-        pieces = [(rms, fig.FITTED if k else fig.GIVEN)]
+        pieces = [(rms, FITTED if k else GIVEN)]
         if before > rms:
-            pieces.append((before - rms, fig.LIGHT))
-        rows.append((label, (Bar(tuple(pieces), v.percent(rms, 3)),)))
+            pieces.append((before - rms, LIGHT))
+        rows.append((label, (Bar(pieces, v.percent(rms, 3)),)))
         before = rms
     listed = "; ".join(f"{label} {v.percent(rms, 3)}" for label, rms in steps)
     return Bars(
-        tuple(rows),
+        rows,
         "error on the hold-out, share of the given model's",
         max(rms for _, rms in steps) or 1.0,
         f"error on the hold-out step by step: {listed}",
         "Hold-out error after each effect that was added, every joint relative to the model as "
         "given: long grey pieces are effects that matter.",
         (
-            Key("box", fig.GIVEN, "model as given"),
-            Key("box", fig.FITTED, "what remains"),
-            Key("box", fig.LIGHT, "removed by this effect"),
+            Key("box", GIVEN, "model as given"),
+            Key("box", FITTED, "what remains"),
+            Key("box", LIGHT, "removed by this effect"),
         ),
     )

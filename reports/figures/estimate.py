@@ -6,9 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    BAND,
+    CLOUD,
+    FITTED,
+    GIVEN,
     Axes,
     Axis,
     Band,
@@ -18,6 +21,8 @@ from excitant.reports.figure import (
     Mark,
     Panel,
     Points,
+    Rule,
+    figure,
 )
 from excitant.reports.figures.residual import MEDIANS, cloud
 from excitant.reports.values import Series
@@ -41,12 +46,12 @@ def friction_figure(
         "the hold-out: where medians bend away from the curve, friction has another law."
     )
     legend = (
-        Key("dot", fig.CLOUD, "hold-out"),
+        Key("dot", CLOUD, "hold-out"),
         MEDIANS,
-        Key("line", fig.FITTED, "identified friction"),
-        Key("box", fig.BAND, "95\u00a0% interval of the curve"),
+        Key("line", FITTED, "identified friction"),
+        Key("box", BAND, "95\u00a0% interval of the curve"),
     )
-    return fig.figure(panels, caption, legend)
+    return figure(panels, caption, legend)
 
 
 def _friction(k: int, row: IdentifiedJoint, series: Series) -> Panel | None:
@@ -68,12 +73,12 @@ def _friction(k: int, row: IdentifiedJoint, series: Series) -> Panel | None:
         y = torque[side]
         width = half[side]
         marks.insert(0, Band(x, y - width, y + width))
-        marks.append(Line(x, y, fig.FITTED, "identified friction", 1.8))
+        marks.append(Line(x, y, FITTED, "identified friction", 1.8))
     abscissa = Axis(f"velocity [{law.velocity_unit}]")
     ordinate = Axis(f"friction [{law.unit}]")
     joint = row.name
     label = f"{joint}: friction over velocity, hold-out readings and the identified curve"
-    return Panel((Axes(tuple(marks), abscissa, ordinate, 210),), label, joint)
+    return Panel((Axes(marks, abscissa, ordinate, 210),), label, joint)
 
 
 def forest_groups(parameters: Sequence[Parameter]) -> dict[str, list[Parameter]]:
@@ -117,11 +122,11 @@ def forest_figure(parameters: Sequence[Parameter]) -> Figure | None:
         "value that the prior decides says nothing that was not given."
     )
     legend = (
-        Key("ring", fig.GIVEN, "given"),
-        Key("dot", fig.FITTED, "identified, 95\u00a0% interval"),
-        Key("ring", fig.FITTED, "decided by the prior"),
+        Key("ring", GIVEN, "given"),
+        Key("dot", FITTED, "identified, 95\u00a0% interval"),
+        Key("ring", FITTED, "decided by the prior"),
     )
-    return fig.figure(panels, caption, legend)
+    return figure(panels, caption, legend)
 
 
 def _forest(name: str, rows: Sequence[Parameter]) -> Panel:
@@ -142,13 +147,13 @@ def _forest(name: str, rows: Sequence[Parameter]) -> Panel:
     heights = np.column_stack([y, y, apart]).ravel()
     prior = np.array([row.decided_by == "prior" for row in rows])
     marks = (
-        fig.Rule(0.0, along="x"),
-        Line(interval, heights, fig.FITTED, "", 1.4),
-        Points(given, y, fig.GIVEN, "given", 6.0, "ring"),
-        Points(value[~prior], y[~prior], fig.FITTED, "identified", 3.6),
-        Points(value[prior], y[prior], fig.FITTED, "by the prior", 3.6, "hole"),
+        Rule(0.0, along="x"),
+        Line(interval, heights, FITTED, "", 1.4),
+        Points(given, y, GIVEN, "given", 6.0, "ring"),
+        Points(value[~prior], y[~prior], FITTED, "identified", 3.6),
+        Points(value[prior], y[prior], FITTED, "by the prior", 3.6, "hole"),
     )
-    ticks = tuple(zip(y.tolist(), names, strict=True))
+    ticks = list(zip(y.tolist(), names, strict=True))
     ordinate = Axis("", 0.4 - len(rows), 0.6, ticks=ticks)
     abscissa = Axis(f"[{rows[0].unit}]")
     axes = Axes(marks, abscissa, ordinate, _ROW * len(rows) + 60)

@@ -8,9 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    BAND,
+    FITTED,
+    GIVEN,
+    GREEN,
+    MEASURED,
+    PURPLE,
+    SKY,
     Axes,
     Axis,
     Figure,
@@ -19,7 +25,10 @@ from excitant.reports.figure import (
     Mark,
     Panel,
     Points,
+    Rule,
+    Span,
     Timeline,
+    figure,
 )
 from excitant.reports.values import Series
 from excitant.results import Certified
@@ -38,11 +47,11 @@ class _Quantity:
 
 
 _QUANTITIES = (
-    _Quantity("position", "q", fig.FITTED, "rad", "m"),
-    _Quantity("velocity", "dq", fig.GREEN, "rad/s", "m/s"),
-    _Quantity("acceleration", "ddq", fig.PURPLE, "rad/s²", "m/s²"),
-    _Quantity("jerk", "dddq", fig.SKY, "rad/s³", "m/s³"),
-    _Quantity("torque", "tau", fig.GIVEN, "N·m", "N"),
+    _Quantity("position", "q", FITTED, "rad", "m"),
+    _Quantity("velocity", "dq", GREEN, "rad/s", "m/s"),
+    _Quantity("acceleration", "ddq", PURPLE, "rad/s²", "m/s²"),
+    _Quantity("jerk", "dddq", SKY, "rad/s³", "m/s³"),
+    _Quantity("torque", "tau", GIVEN, "N·m", "N"),
 )
 _HEIGHT = 70  # px of a curve
 _BELOW = 28  # px of the time axis
@@ -109,14 +118,14 @@ def motion_figure(
         caption = (
             "The motion of every joint; the arm has no limits to compare it with."
         )
-        return fig.figure(panels, caption)
-    legend = [Key("dash", fig.MEASURED, "limit")]
+        return figure(panels, caption)
+    legend = [Key("dash", MEASURED, "limit")]
     caption = _SAMPLED
     if limits.certified:
         caption = _CERTIFIED
-        legend.append(Key("box", fig.BAND, "certified envelope"))
-        legend.append(Key("ring", fig.MEASURED, "where it is touched"))
-    return fig.figure(panels, caption, legend)
+        legend.append(Key("box", BAND, "certified envelope"))
+        legend.append(Key("ring", MEASURED, "where it is touched"))
+    return figure(panels, caption, legend)
 
 
 def _curves_of(joint: int, series: Series, rows: int) -> dict[str, Array]:
@@ -151,12 +160,10 @@ def _panel(
         last = row is rows[-1]
         abscissa = timeline.axis("time [s]" if last else "")
         height = _HEIGHT + _BELOW * last
-        axes = Axes(
-            tuple(marks), abscissa, Axis(), height, title, remark, row.colour
-        )
+        axes = Axes(marks, abscissa, Axis(), height, title, remark, row.colour)
         stack.append(axes)
     label = f"{joint} over time: {', '.join(remarks)}"
-    return Panel(tuple(stack), label, v.shorten(joint, 60))
+    return Panel(stack, label, joint)
 
 
 def _context(
@@ -178,7 +185,7 @@ def _context(
         low = envelope.low
         high = envelope.high
         ratio = envelope.ratio
-        marks.append(fig.Span(low, high, quantity.colour))
+        marks.append(Span(low, high, quantity.colour))
         lowest = min(lowest, low)
         highest = max(highest, high)
         near = int(np.abs(t - envelope.t).argmin())
@@ -200,7 +207,7 @@ def _context(
         if lower == -upper:
             far = f" ±{v.number(upper)}"
         return marks, _of_limit(ratio) + far
-    marks += [fig.Rule(limit, fig.MEASURED, dashed=True) for limit in ends]
+    marks += [Rule(limit, MEASURED, dashed=True) for limit in ends]
     return marks, _of_limit(ratio)
 
 

@@ -8,17 +8,24 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    AMBER,
+    BAND,
+    FITTED,
+    MEASURED,
     Axes,
     Axis,
+    Band,
     Figure,
     Key,
     Line,
     Mark,
     Panel,
     Points,
+    Rule,
+    Span,
+    figure,
 )
 from excitant.reports.values import Series
 from excitant.results import Identify, Online, Payload
@@ -29,8 +36,8 @@ ENOUGH = 1.0  # level at which the window knows as much as the prior
 _SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that were estimated
 _BAND = 2.0  # standard deviations
 _LEGEND = (
-    Key("line", fig.FITTED, "estimate"),
-    Key("box", fig.BAND, f"± {_BAND:g} standard deviations"),
+    Key("line", FITTED, "estimate"),
+    Key("box", BAND, f"± {_BAND:g} standard deviations"),
 )
 _FEW = 4  # stretches of too little excitation that are written out
 
@@ -65,7 +72,7 @@ def estimates_figure(result: Identify, series: Series) -> Figure | None:
         "most, at most one of each link or joint, named by the first parameter of their "
         "combination: the band should close around a level line."
     )
-    return fig.figure(panels, caption, _LEGEND)
+    return figure(panels, caption, _LEGEND)
 
 
 def _first_parameter(expression: str, names: dict[str, str]) -> str:
@@ -87,7 +94,7 @@ def payload_figure(payload: Payload) -> Figure | None:
         name = f"centre of mass, {axis}"
         panels.append(_estimate_panel(t, centre[:, k], std[:, k], name, "m"))
     caption = "The payload as it was known at each instant; the band holds it 95 times out of 100."
-    return fig.figure(panels, caption, _LEGEND)
+    return figure(panels, caption, _LEGEND)
 
 
 def _most_informed(value: Array, std: Array, names: Sequence[str]) -> list[int]:
@@ -115,7 +122,7 @@ def _estimate_panel(
     room = 0.6 * (top - bottom) or 1.0
     ordinate = Axis(f"[{unit}]" if unit else "[SI]", bottom - room, top + room)
     abscissa = Axis("time [s]", float(t[0]), float(t[-1]))
-    marks = fig.Band(t, low, high), Line(t, value, fig.FITTED, "estimate", 1.2)
+    marks = Band(t, low, high), Line(t, value, FITTED, "estimate", 1.2)
     last = " ± ".join(v.value_and_std(value[-1], std[-1]))
     axes = Axes(marks, abscissa, ordinate, 150)
     label = f"{name} over time, at the end {last} {unit}"
@@ -133,28 +140,26 @@ def excitation_figure(online: Online) -> Figure | None:
     spans = _spans(t, level < ENOUGH)
     name = "weakest visible direction"
     marks: list[Mark] = [
-        *(fig.Span(first, last, fig.AMBER, "x", 0.25) for first, last in spans),
-        Line(t, level, fig.FITTED, name, 1.3),
-        Points(t, level, fig.FITTED, size=2.2),
-        fig.Rule(ENOUGH, fig.MEASURED, dashed=True),
+        *(Span(first, last, AMBER, "x", 0.25) for first, last in spans),
+        Line(t, level, FITTED, name, 1.3),
+        Points(t, level, FITTED, size=2.2),
+        Rule(ENOUGH, MEASURED, dashed=True),
     ]
     least = min(0.5 * float(level.min()), 0.5)
     most = max(2 * float(level.max()), 2.0)
     ordinate = Axis("excitation level [–]", least, most, log=True)
-    axes = Axes(
-        tuple(marks), Axis("time [s]", float(t[0]), float(t[-1])), ordinate, 190
-    )
-    legend = [Key("line", fig.FITTED, name), Key("dash", fig.MEASURED, "enough")]
+    axes = Axes(marks, Axis("time [s]", float(t[0]), float(t[-1])), ordinate, 190)
+    legend = [Key("line", FITTED, name), Key("dash", MEASURED, "enough")]
     verdict = "never below it"
     if spans:
-        legend.append(Key("box", fig.AMBER, "not exciting enough"))
+        legend.append(Key("box", AMBER, "not exciting enough"))
         verdict = _too_little(spans)
     caption = (
         "Information of the last seconds about the weakest direction that a fast motion of all "
         f"joints shows, relative to the prior's. Level 1 is enough; here {verdict}."
     )
     panel = Panel((axes,), f"excitation level over time; {verdict}")
-    return Figure((panel,), caption, tuple(legend))
+    return Figure((panel,), caption, legend)
 
 
 def _too_little(spans: Sequence[tuple[float, float]]) -> str:

@@ -9,9 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from excitant.identify.signals import power_density
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    CLOUD,
+    FITTED,
+    GIVEN,
+    MEASURED,
+    PURPLE,
     Axes,
     Axis,
     Figure,
@@ -20,6 +24,9 @@ from excitant.reports.figure import (
     Mark,
     Panel,
     Points,
+    Rule,
+    Timeline,
+    figure,
 )
 from excitant.reports.values import Series
 from excitant.results import Finding, IdentifiedJoint, Identify
@@ -35,24 +42,28 @@ _SHOWN = 2.0  # times the cut-off: frequencies up to there are drawn
 _WINDOWS = 8  # at least, of which a spectrum is the mean
 _DECADES = 4.0  # below the highest density, what is drawn of a spectrum
 _MODELS = (
-    ("given", fig.GIVEN, "model as given"),
-    ("identified", fig.FITTED, "identified model"),
+    ("given", GIVEN, "model as given"),
+    ("identified", FITTED, "identified model"),
 )
-MEDIANS = Key("dot", fig.MEASURED, "median in bins")
+MEDIANS = Key("dot", MEASURED, "median in bins")
 
 
 def cloud(x: Array, y: Array, name: str) -> list[Mark]:
     """A cloud of points, thinned, and their medians in bins where there are enough of them."""
-    seen = np.isfinite(x) & np.isfinite(y)
-    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
-    x = x[order]
-    y = y[order]
+    x, y = _along(x, y)
     rows = np.linspace(0, len(x) - 1, min(len(x), _CLOUD)).astype(int)
-    marks: list[Mark] = [Points(x[rows], y[rows], fig.CLOUD, name, 2.5, "cloud")]
+    marks: list[Mark] = [Points(x[rows], y[rows], CLOUD, name, 2.5, "cloud")]
     if len(x) >= 4 * _MEDIANS:
         centres, medians = _medians(x, y, _MEDIANS)
-        marks.append(Points(centres, medians, fig.MEASURED, "median", 4.0))
+        marks.append(Points(centres, medians, MEASURED, "median", 4.0))
     return marks
+
+
+def _along(x: Array, y: Array) -> tuple[Array, Array]:
+    """Points that are known, in the order of x."""
+    seen = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    order = seen[np.argsort(x[seen], kind="stable")]
+    return x[order], y[order]
 
 
 def _medians(
@@ -70,9 +81,9 @@ def _medians(
     )
     least = max(3, len(x) // (40 * bins)) if fewest is None else fewest
     pairs = [
-        (np.median(x[first:last]), np.nanmedian(y[first:last]))
+        (np.median(x[first:last]), np.median(y[first:last]))
         for first, last in pairwise(edges)
-        if last - first >= least and np.isfinite(y[first:last]).any()
+        if last - first >= least
     ]
     centres, medians = np.array(pairs, dtype=float).reshape(-1, 2).T
     return centres, medians
@@ -82,58 +93,50 @@ def evidence_figure(
     index: int, finding: Finding, series: Series, unit: str
 ) -> Figure | None:
     """Residual before an effect was added, over the quantity that shows it, and the fit."""
+    rows = len(np.atleast_1d(series.get(f"finding{index}_x", ())))
     x, residual, fit, rival = (
-        v.curve(series, f"finding{index}_{key}")
+        v.curve(series, f"finding{index}_{key}", rows=rows)
         for key in ("x", "residual", "fit", "rival")
     )
-    if x is None or residual is None or len(x) != len(residual):
+    if x is None or residual is None or len(_along(x, residual)[0]) < 2:
         return None
-    seen = np.isfinite(x) & np.isfinite(residual)
-    if seen.sum() < 2:
-        return None
-    order = np.flatnonzero(seen)[np.argsort(x[seen], kind="stable")]
-    fit, rival = (
-        y[order] if y is not None and len(y) == len(x) else None
-        for y in (fit, rival)
-    )
-    x = x[order]
     effect = v.plain(finding.effect)
-    figure = finding.figure
-    quantity = figure.x_label if figure else "quantity that shows it"
+    labels = finding.figure
+    quantity = labels.x_label if labels else "quantity that shows it"
     joints = v.listing(finding.joints, "all joints")
-    joint = (figure and figure.joint) or joints
+    joint = (labels and labels.joint) or joints
     rivals = [v.plain(row.effect) for row in finding.rivals]
-    marks = cloud(x, residual[order], "residual before")
-    legend = [Key("dot", fig.CLOUD, "residual before")]
+    marks = cloud(x, residual, "residual before")
+    legend = [Key("dot", CLOUD, "residual before")]
     legend += [MEDIANS] * (len(marks) > 1)
     caption = (
         f"What everything found leaves at {joint}, against {quantity}: medians that bend away "
         "from zero are what no candidate describes."
     )
     if fit is not None:
-        marks.append(_curve(x, fit, fig.FITTED, effect, 1.8))
-        legend.append(Key("line", fig.FITTED, "fitted effect"))
+        marks.append(_curve(x, fit, FITTED, effect, 1.8))
+        legend.append(Key("line", FITTED, "fitted effect"))
         through = "medians" if MEDIANS in legend else "points"
         caption = (
             f"Residual at {joint} without {effect} but with all other findings, against "
             f"{quantity}: the fitted effect (blue) should run through the {through}."
         )
     if rival is not None and rivals:
-        marks.append(_curve(x, rival, fig.PURPLE, rivals[0], 1.5, dashed=True))
+        marks.append(_curve(x, rival, PURPLE, rivals[0], 1.5, dashed=True))
         words = f"{rivals[0]} instead, fitted to these points"
-        legend.append(Key("dash", fig.PURPLE, words))
+        legend.append(Key("dash", PURPLE, words))
         if fit is not None:
             caption += f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
-    ordinate = Axis((figure and figure.y_label) or f"residual [{unit}]")
-    axes = Axes(tuple(marks), Axis(quantity), ordinate, 210)
+    ordinate = Axis((labels and labels.y_label) or f"residual [{unit}]")
+    axes = Axes(marks, Axis(quantity), ordinate, 210)
     label = f"{joint}: residual against {quantity}, with the fitted {effect}"
-    return Figure((Panel((axes,), label, joint),), caption, tuple(legend))
+    return Figure((Panel((axes,), label, joint),), caption, legend)
 
 
 def _curve(
     x: Array, y: Array, colour: str, name: str, width: float, dashed: bool = False
 ) -> Line:
-    along, height = _medians(x, y, _CURVE, 1)
+    along, height = _medians(*_along(x, y), _CURVE, 1)
     gaps = np.flatnonzero(np.diff(along, prepend=along[:1]) > _WIDE * np.ptp(along))
     along = np.insert(along, gaps, np.nan)
     return Line(along, np.insert(height, gaps, np.nan), colour, name, width, dashed)
@@ -151,15 +154,15 @@ def residual_figure(result: Identify, series: Series) -> Figure | None:
         "Last its spectrum, with those of the torque and of the given model's residual."
     )
     legend = [
-        Key("dot", fig.CLOUD, "residual"),
+        Key("dot", CLOUD, "residual"),
         MEDIANS,
-        Key("line", fig.MEASURED, "spectrum of the torque"),
+        Key("line", MEASURED, "spectrum of the torque"),
         *(
             Key("line", colour, f"of the residual, {name}")
             for _, colour, name in _MODELS
         ),
     ]
-    return fig.figure(panels, caption, legend)
+    return figure(panels, caption, legend)
 
 
 def _residual(
@@ -181,19 +184,19 @@ def _residual(
     stack = []
     for name, x, si in abscissae:
         moving = np.where(np.isfinite(dq), x, np.nan)
-        marks = [fig.Rule(0.0), *cloud(moving, measured - model, "residual")]
+        marks = [Rule(0.0), *cloud(moving, measured - model, "residual")]
         abscissa = Axis(f"{name} [{si}]" if si else name)
-        stack.append(Axes(tuple(marks), abscissa, Axis(f"[{unit}]"), 130))
-    lines = [(measured, fig.MEASURED, "torque")]
+        stack.append(Axes(marks, abscissa, Axis(f"[{unit}]"), 130))
+    lines = [(measured, MEASURED, "torque")]
     for other, (_, colour, name) in zip((given, model), _MODELS, strict=True):
         if other is not None:
             residual = np.where(np.isfinite(dq), measured - other, 0.0)
             lines.append((residual, colour, name))
-    rate = 1.0 / float(np.median(np.diff(fig.Timeline.of(t).t)))
+    rate = 1.0 / float(np.median(np.diff(Timeline.of(t).t)))
     stack.append(_spectra(rate, lines, cutoff, unit))
     joint = row.name
     label = f"{joint}: residual over position, velocity and load, and its spectrum"
-    return Panel(tuple(stack), label, joint, shared=False)
+    return Panel(stack, label, joint, shared=False)
 
 
 def _spectra(
@@ -215,10 +218,10 @@ def _spectra(
         highest = max(highest, float(density.max(initial=0.0)))
         marks.append(Line(f[within], density, colour, name, 1.0))
     if cutoff is not None and cutoff < top:
-        marks.append(fig.Rule(cutoff, fig.MEASURED, "x", dashed=True))
+        marks.append(Rule(cutoff, MEASURED, "x", dashed=True))
     ordinate = Axis(f"[{unit}/√Hz]")
     if highest > 0:
         least = highest / 10**_DECADES
         ordinate = Axis(f"[{unit}/√Hz]", least, 2 * highest, log=True)
     abscissa = Axis("frequency [Hz], cut-off dashed", 0.0, top)
-    return Axes(tuple(marks), abscissa, ordinate, 130)
+    return Axes(marks, abscissa, ordinate, 130)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    AMBER,
+    FITTED,
+    GIVEN,
+    LIGHT,
+    MEASURED,
     Axes,
     Axis,
     Figure,
@@ -15,14 +19,15 @@ from excitant.reports.figure import (
     Mark,
     Panel,
     Points,
+    Rule,
 )
 from excitant.reports.values import Series
 from excitant.results import Design
 from excitant.robots.motion import Array
 
 _ENDS = (
-    ("initial", fig.GIVEN, "start of the search"),
-    ("final", fig.FITTED, "designed motion"),
+    ("initial", GIVEN, "start of the search"),
+    ("final", FITTED, "designed motion"),
 )
 _LOG_RATIO = 8  # of condition numbers from which on their axis is logarithmic
 
@@ -36,7 +41,7 @@ def spectrum_figure(series: Series) -> Figure | None:
     ]
     designed = bool(spectra)
     if not designed and len(sizes := _positive(series, "singular_values")):
-        spectra = [("final", sizes, fig.MEASURED, "this motion")]
+        spectra = [("final", sizes, MEASURED, "this motion")]
     if not spectra:
         return None
     marks: list[Mark] = []
@@ -55,9 +60,7 @@ def spectrum_figure(series: Series) -> Figure | None:
     direction = Axis(
         "direction in parameter space, best seen first", 0.0, whole=True
     )
-    axes = Axes(
-        tuple(marks), direction, Axis(f"singular value [{unit}]", log=True), 190
-    )
+    axes = Axes(marks, direction, Axis(f"singular value [{unit}]", log=True), 190)
     caption = (
         "Singular values of the observation matrix W/√n, the torque that each direction of the "
         "base parameters makes; the ratio of the first to the last is the condition number."
@@ -66,7 +69,7 @@ def spectrum_figure(series: Series) -> Figure | None:
         "below the others are uncertain."
     )
     panel = Panel((axes,), f"singular values; {'; '.join(ratios)}")
-    return Figure((panel,), caption, tuple(legend) * designed)
+    return Figure((panel,), caption, legend * designed)
 
 
 def _positive(series: Series, key: str) -> Array:
@@ -76,42 +79,39 @@ def _positive(series: Series, key: str) -> Array:
 
 def convergence_figure(result: Design) -> Figure | None:
     """Condition number over the iterations of each start; the best start stands out."""
-    starts = [(row, v.reals(row.history)) for row in result.starts]
-    starts = [(row, h) for row, h in starts if np.isfinite(h).any() and len(h) > 1]
+    every = [(row.status, v.reals(row.history)) for row in result.starts]
+    known = [(status, h[np.isfinite(h)]) for status, h in every]
+    starts = [(status, h) for status, h in known if len(h) > 1]
     if not starts:
         return None
-    ends = [
-        row.condition_number or float(h[np.isfinite(h)][-1]) for row, h in starts
-    ]
+    ends = [h[-1] for _, h in starts]
     best = int(np.argmin(ends))
     marks: list[Mark] = []
     for k, (_, history) in sorted(
         enumerate(starts), key=lambda pair: pair[0] == best
     ):
-        colour = fig.FITTED if k == best else fig.LIGHT
+        colour = FITTED if k == best else LIGHT
         iteration = np.arange(len(history), dtype=float)
         name = f"start {k + 1}"
         width = 1.6 if k == best else 1.0
         marks.append(Line(iteration, history, colour, name, width))
-        last = np.flatnonzero(np.isfinite(history))[-1:]
-        marks.append(Points(iteration[last], history[last], colour, name, 3.0))
-    legend = [Key("line", fig.FITTED, "best start")]
-    legend += [Key("line", fig.LIGHT, "other starts")] * (len(starts) > 1)
+        marks.append(Points(iteration[-1:], history[-1:], colour, name, 3.0))
+    legend = [Key("line", FITTED, "best start")]
+    legend += [Key("line", LIGHT, "other starts")] * (len(starts) > 1)
     bound = result.condition_number.lower_bound
     if bound is not None and bound > 0:
-        marks.append(fig.Rule(bound, fig.AMBER, dashed=True))
-        legend.append(Key("dash", fig.AMBER, "proven lower bound"))
-    reached: Array = np.concatenate([h[np.isfinite(h)] for _, h in starts])
+        marks.append(Rule(bound, AMBER, dashed=True))
+        legend.append(Key("dash", AMBER, "proven lower bound"))
+    reached: Array = np.concatenate([h for _, h in starts])
     log = bool(reached.min() > 0 and reached.max() > _LOG_RATIO * reached.min())
     ordinate = Axis("condition number [–]", log=log)
-    axes = Axes(tuple(marks), Axis("iteration", 0.0, whole=True), ordinate, 180)
+    axes = Axes(marks, Axis("iteration", 0.0, whole=True), ordinate, 180)
     caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
     caption += "value suggest that a much better motion does not exist."
-    states = [row.status for row, _ in starts]
-    if cut := sum(status in ("time_limit", "time limit") for status in states):
+    if cut := sum(status == "time limit" for status, _ in starts):
         caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
     label = (
         f"condition number over iterations of {len(starts)} starts; "
         f"best ends at {v.number(ends[best])}"
     )
-    return Figure((Panel((axes,), label),), caption, tuple(legend))
+    return Figure((Panel((axes,), label),), caption, legend)

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import values as v
 from excitant.reports.figure import (
+    BAND,
+    FITTED,
+    GIVEN,
+    MEASURED,
     Axes,
     Axis,
     Band,
@@ -18,7 +21,9 @@ from excitant.reports.figure import (
     Line,
     Mark,
     Panel,
+    Rule,
     Timeline,
+    figure,
 )
 from excitant.reports.values import Series
 
@@ -59,13 +64,13 @@ def torque_figure(
         return any(v.curve(series, key, k) is not None for k in range(len(joints)))
 
     legend = [
-        Key("line", fig.MEASURED, "measured"),
-        *[Key("line", fig.GIVEN, GIVEN_MODEL)] * drawn(curves.before),
-        *[Key("line", fig.FITTED, curves.after_label)] * drawn(curves.after),
-        *[Key("box", fig.BAND, INTERVAL)] * drawn(curves.band),
+        Key("line", MEASURED, "measured"),
+        *[Key("line", GIVEN, GIVEN_MODEL)] * drawn(curves.before),
+        *[Key("line", FITTED, curves.after_label)] * drawn(curves.after),
+        *[Key("box", BAND, INTERVAL)] * drawn(curves.band),
     ]
     caption = curves.caption + _INTERVAL_CAPTION * drawn(curves.band)
-    return fig.figure(panels, caption, legend)
+    return figure(panels, caption, legend)
 
 
 def _torque_panel(
@@ -77,7 +82,7 @@ def _torque_panel(
         return None
     timeline = Timeline.of(t)
     torque: list[Mark] = []
-    residual: list[Mark] = [fig.Rule(0.0)]
+    residual: list[Mark] = [Rule(0.0)]
     remarks = []
     half, after = (
         v.curve(series, key, k, len(t)) for key in (curves.band, curves.after)
@@ -89,10 +94,10 @@ def _torque_panel(
             marks.append(Band(timeline.t, low, high))
         remarks.append(f"{INTERVAL} ±{v.quantity(float(half.mean()), unit)}")
     curve = timeline.broken(measured)
-    torque.append(Line(timeline.t, curve, fig.MEASURED, "measured", 1.3))
+    torque.append(Line(timeline.t, curve, MEASURED, "measured", 1.3))
     for key, label, colour in (
-        (curves.before, GIVEN_MODEL, fig.GIVEN),
-        (curves.after, curves.after_label, fig.FITTED),
+        (curves.before, GIVEN_MODEL, GIVEN),
+        (curves.after, curves.after_label, FITTED),
     ):
         model = v.curve(series, key, k, len(t))
         if model is None:
@@ -102,8 +107,8 @@ def _torque_panel(
         residual.append(Line(timeline.t, curve - predicted, colour, label, 0.8))
         remarks.append(f"below it what the {label} leaves")
     name = "current" if unit == "A" else "torque"
-    above = Axes(tuple(torque), timeline.axis(""), Axis(f"{name} [{unit}]"), 150)
+    above = Axes(torque, timeline.axis(""), Axis(f"{name} [{unit}]"), 150)
     ordinate = Axis(f"residual [{unit}]")
-    below = Axes(tuple(residual), timeline.axis(), ordinate, 120)
+    below = Axes(residual, timeline.axis(), ordinate, 120)
     label = f"{joint}: measured torque over time; {'; '.join(remarks)}"
     return Panel((above, below), label, joint)

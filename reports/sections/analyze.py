@@ -37,7 +37,6 @@ _LEGEND = (
 def analyze_section(result: Analyze, series: Series) -> p.Section:
     """Identifiability link by link, and how well a motion determines each parameter."""
     links = result.links
-    notes = [v.sentence(note) for note in result.notes]
     lead, brief = _lead_and_brief(result)
     return p.section(
         "Identifiability",
@@ -45,7 +44,11 @@ def analyze_section(result: Analyze, series: Series) -> p.Section:
         [
             (
                 "Key figures",
-                [_facts(result), p.notes(_basis(result)), p.notes(notes, brief="")],
+                [
+                    _facts(result),
+                    p.notes(_basis(result)),
+                    p.sentences(result.notes, brief=""),
+                ],
             ),
             ("Data faults", [fault_table(result.faults)]),
             ("Parameters by link", [_matrix(links)]),
@@ -67,12 +70,12 @@ def analyze_section(result: Analyze, series: Series) -> p.Section:
 def links_folded(page: p.Section, result: Analyze) -> p.Section:
     """A section whose links stand in one part, each behind a line until it is opened."""
     titles = {_title(link) for link in result.links}
-    folds = tuple(
+    folds = [
         p.Folded(part.title, part.blocks)
         for part in page.parts
         if part.title in titles
-    )
-    others = tuple(part for part in page.parts if part.title not in titles)
+    ]
+    others = [part for part in page.parts if part.title not in titles]
     one = p.Folded("Link by link", folds, closed=True)
     return replace(page, parts=(*others, *[one] * bool(folds)))
 
@@ -102,7 +105,7 @@ def _lead_and_brief(result: Analyze) -> tuple[str, p.Brief]:
         lines.append(
             ("", f"this motion shows all {len(verdicts)} combinations{than}")
         )
-    return lead, tuple(lines)
+    return lead, lines
 
 
 def _facts(result: Analyze) -> p.Facts | None:
@@ -168,16 +171,12 @@ def _matrix(links: list[LinkIdentifiability]) -> p.Matrix | None:
             return "none"
         return "combined" if names & shared else ""
 
-    rows = (
-        (link.link, tuple(shown_as(link, s) for s in STANDARD)) for link in links
-    )
+    rows = [(link.link, [shown_as(link, s) for s in STANDARD]) for link in links]
     caption = (
         "Each link's ten parameters: mass m [kg], first moment mc [kg·m], inertia I [kg·m²] about "
         "the joint frame; links near the base show few of theirs because they move little."
     )
-    return (
-        p.Matrix("Link", STANDARD, tuple(rows), caption, _LEGEND) if links else None
-    )
+    return p.Matrix("Link", STANDARD, rows, caption, _LEGEND) if links else None
 
 
 def _singular(result: Analyze) -> p.Table | None:

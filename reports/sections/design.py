@@ -50,12 +50,11 @@ def design_section(result: Design, series: Series) -> p.Section:
     worst = _worst_ratio(result)
     weak = [row.name for row in result.weakest[:3]]
     least = f"with columns scaled {scaled}; excited least: {v.listing(weak)}"
-    notes = [v.sentence(note) for note in result.notes]
     return p.section(
         "Excitation design",
         _lead(result),
         [
-            ("Key figures", [_facts(result), p.notes(notes, brief="")]),
+            ("Key figures", [_facts(result), p.sentences(result.notes, brief="")]),
             ("The arm in motion", [player(result, series)]),
             ("One motion per link", [_link_motions(result)]),
         ],
@@ -99,7 +98,7 @@ def check_section(result: Check, series: Series) -> p.Section:
         _kept_sentence(result),
         [
             ("Key figures", [key_figures]),
-            ("Verdicts", [p.notes([v.sentence(verdict) for verdict in verdicts])]),
+            ("Verdicts", [p.sentences(verdicts)]),
             ("The arm in motion", [player(result, series)]),
             ("Excitation", [p.notes(excited)]),
             *_motion(result, series),
@@ -126,7 +125,7 @@ def show_section(result: Show, series: Series) -> p.Section:
         _kept_sentence(result),
         [
             ("The arm in motion", [player(result, series)]),
-            ("Verdicts", [p.notes([v.sentence(x) for x in result.verdicts])]),
+            ("Verdicts", [p.sentences(result.verdicts)]),
         ],
         (("checked", v.listing(result.verdicts) + _unchecked(result)), *touched),
     )

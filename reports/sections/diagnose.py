@@ -65,7 +65,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
     findings = result.findings
     changed = _changed(result)
     lead = result.headline
-    notes = [v.sentence(note) for note in result.notes if note not in lead]
+    notes = [note for note in result.notes if note not in lead]
     curves = _CURVES if changed else replace(_CURVES, after="", caption=_ONE_MODEL)
     wrong = (
         "What is wrong with the given model"
@@ -109,7 +109,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
                 [torque_figure(joints, series, unit, curves)],
             ),
             ("Not explained", _unexplained(result.unexplained)),
-            ("Notes", [p.notes(notes)]),
+            ("Notes", [p.sentences(notes)]),
         ],
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from excitant.reports import page as p
 from excitant.reports import values as v
@@ -50,16 +51,16 @@ def examination_page(
     joints = _joints(result)
     blocks = (
         p.notes([" ".join(verdict.sentences)], "lead"),
-        p.notes([v.sentence(words) for words in verdict.refused], p.POOR),
+        p.sentences(verdict.refused, p.POOR),
         p.facts(*hidden),
         joints,
-        p.notes([v.sentence(note) for note in result.notes]),
+        p.sentences(result.notes),
     )
     return p.Page(
         f"{title}: {result.robot}",
         subtitle,
-        tuple(block for block in blocks if block is not None),
-        tuple(sections.values()),
+        [block for block in blocks if block is not None],
+        list(sections.values()),
         (*_brief(result, sections), *last),
         table=joints,
     )
@@ -153,13 +154,9 @@ def _hidden(result: Demo) -> p.Fact:
     """What was hidden."""
     truth = result.truth
     parameters = [row for f in result.diagnose.findings for row in f.parameters]
+    rows: list[Any] = [*reversed(parameters), *result.identify.parameters]
     units = {
-        row.name.rpartition(".")[2]: row.unit.removeprefix("1")
-        for row in reversed(parameters)
-    }
-    units |= {
-        row.name.rpartition(".")[2]: row.unit.removeprefix("1")
-        for row in result.identify.parameters
+        row.name.rpartition(".")[2]: row.unit.removeprefix("1") for row in rows
     }
     sizes = [
         f"{name} = {v.quantity(value, units.get(name, ''))}"

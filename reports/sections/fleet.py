@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from excitant.reports import figure as fig
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figure import Axes, Axis, Figure, Key, Line, Panel, Points
+from excitant.reports.figure import (
+    FITTED,
+    MEASURED,
+    Axes,
+    Axis,
+    Figure,
+    Key,
+    Line,
+    Panel,
+    Points,
+    figure,
+)
 from excitant.reports.values import Series
 from excitant.results import DataSet, Deviation, Drift, Fleet, Number
 
@@ -147,12 +157,12 @@ def _drifts(drifts: list[Drift]) -> p.Table | None:
 
 def _figure(drifts: list[Drift], series: Series) -> Figure | None:
     panels = [_panel(k, row, series) for k, row in enumerate(drifts[:_DRAWN])]
-    return fig.figure(
+    return figure(
         panels,
         "Parameters that change, each data set with its standard deviation.",
         (
-            Key("dot", fig.MEASURED, "data set"),
-            Key("line", fig.FITTED, "line through all"),
+            Key("dot", MEASURED, "data set"),
+            Key("line", FITTED, "line through all"),
         ),
     )
 
@@ -170,17 +180,15 @@ def _panel(k: int, row: Drift, series: Series) -> Panel | None:
     apart = np.full(len(days), np.nan)
     bars = np.column_stack([x - std, x + std, apart]).ravel()
     marks = (
-        Line(np.repeat(days, 3), bars, fig.MEASURED, width=1.0),
-        Points(days, x, fig.MEASURED, "data set"),
-        Line(
-            ends, v.reals([row.before, row.after]), fig.FITTED, "line through all"
-        ),
+        Line(np.repeat(days, 3), bars, MEASURED, width=1.0),
+        Points(days, x, MEASURED, "data set"),
+        Line(ends, v.reals([row.before, row.after]), FITTED, "line through all"),
     )
     ticks = np.linspace(ends[0], ends[1], 3).tolist()
     dates = [(day, str(np.datetime64(0, "D") + round(day))) for day in ticks]
     axes = Axes(
         marks,
-        Axis(ticks=tuple(dates)),
+        Axis(ticks=dates),
         Axis(f"value [{row.unit}]"),
         150,
     )

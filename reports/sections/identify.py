@@ -69,13 +69,13 @@ def identify_section(result: Identify, series: Series) -> p.Section:
     """The identified model: errors before and after, and each parameter with its uncertainty."""
     joints = _names(result)
     unit = result.unit
-    notes = [v.sentence(note) for note in result.notes if note != result.holdout]
-    refusal = [v.sentence(result.refusal)] * bool(result.refusal)
+    notes = [note for note in result.notes if note != result.holdout]
+    refusal = [result.refusal] * bool(result.refusal)
     return p.section(
         "Identification",
         _lead(result),
         [
-            ("Key figures", [_facts(result), p.notes(refusal, p.POOR)]),
+            ("Key figures", [_facts(result), p.sentences(refusal, p.POOR)]),
             ("Files of the model", [exported_table(result.exported)]),
             ("Data faults", [fault_table(result.faults or [])]),
             ("Payload", _payload(result.payload)),
@@ -111,7 +111,7 @@ def identify_section(result: Identify, series: Series) -> p.Section:
             ("Standard parameters", [_parameter_table(result)]),
             (
                 "How it was fitted",
-                [_how(result), _physical(result), p.notes(notes)],
+                [_how(result), _physical(result), p.sentences(notes)],
             ),
         ],
     )
@@ -362,7 +362,7 @@ def _in_mujoco(
     return [
         table,
         torque_figure(joints, series, unit, _IN_MUJOCO),
-        p.notes([v.sentence(note) for note in mujoco.notes], p.FAIR),
+        p.sentences(mujoco.notes, p.FAIR),
     ]
 
 
@@ -548,8 +548,8 @@ def _payload(payload: Payload | None) -> p.Blocks:
         return []
     return [
         _payload_facts(payload),
-        p.notes([v.sentence(words) for words in payload.shortcomings], p.FAIR),
-        p.notes([v.sentence(note) for note in payload.notes]),
+        p.sentences(payload.shortcomings, p.FAIR),
+        p.sentences(payload.notes),
         payload_figure(payload),
         p.table(
             payload.parameters,
@@ -584,7 +584,7 @@ def _payload_facts(payload: Payload) -> p.Facts:
         facts.append(
             p.Fact(label, value, "in the frame of its joint", tone, 1e3 * c)
         )
-    return p.Facts(tuple(facts))
+    return p.Facts(facts)
 
 
 def _online(result: Identify, series: Series) -> p.Parts:

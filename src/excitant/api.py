@@ -17,7 +17,7 @@ import numpy.typing as npt
 from excitant import analysis, design, identify
 from excitant.exceptions import BadInput, RankDeficient, UnknownName
 from excitant.robots import Motion, Robot, geometry, load_limits, load_robot
-from excitant.robots.effects import EFFECTS, Acts, Effect, standard_effects
+from excitant.robots.effects import EFFECTS, Acts, Effect
 from excitant.robots.obstacles_file import load_obstacles
 from excitant.surroundings import Surroundings
 
@@ -155,11 +155,6 @@ def as_effects(effects: EffectsLike, robot: Robot) -> list[Effect] | None:
         for effect in named
     ]
     return [effect for effect in restricted if effect is not None]
-
-
-def estimated_effects(columns: Columns, robot: Robot) -> tuple[Effect, ...]:
-    """Effects beside the links: those that `identify` estimates by default, or none."""
-    return standard_effects(robot.joints) if columns == "friction" else ()
 
 
 def within(robot: RobotLike, surroundings: Surroundings) -> Robot:
@@ -349,7 +344,7 @@ def check(
     around = required_scene(arm, surroundings)
     asked = design.information(arm, columns)
     least = clearance_of(surroundings)
-    return design.TrajectoryCheck(arm, motion, path, around, least, asked)
+    return design.TrajectoryCheck(arm, path, around, motion, least, asked)
 
 
 def show(
@@ -363,7 +358,7 @@ def show(
     motion, path = as_path(trajectory, arm)
     around = scene_around(arm, surroundings)
     return design.TrajectoryCheck(
-        arm, motion, path, around, clearance_of(surroundings)
+        arm, path, around, motion, clearance_of(surroundings)
     )
 
 
@@ -562,7 +557,7 @@ def estimate_shown(
         for r in brief
     ]
     options: dict[str, Any] = {
-        "effects": estimated_effects(columns, robot),
+        "effects": design.estimated_effects(robot, columns),
         "validate": recordings if brief else validate,
         "cutoff_hz": cutoff,
     }
@@ -600,7 +595,7 @@ def analyze(
     arm = as_robot(robot)
     return analysis.analyze(
         arm,
-        effects=estimated_effects(columns, arm),
+        effects=design.estimated_effects(arm, columns),
         motion=None if trajectory is None else as_path(trajectory, arm)[0],
         estimate=estimate,
         noise=noise,

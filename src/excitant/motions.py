@@ -210,7 +210,7 @@ def check(
         part.robot(robot), trajectory, columns=columns, surroundings=surroundings
     )
     arm = checked.robot
-    effects = ex.api.estimated_effects(columns, arm)
+    effects = ex.design.estimated_effects(arm, columns)
     motion = checked.evenly(ex.api.SAMPLE_HZ)
     excited = ex.identify.persistency(
         arm, motion, effects, sigma=ex.analysis.default_noise(arm)

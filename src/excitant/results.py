@@ -28,6 +28,15 @@ class Record(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
 # --- shared
 
 
+class Run(Record, kw_only=True):
+    """What the records of all verbs about an arm have."""
+
+    robot: str
+    "Name of the arm."
+    files: list[str] = []
+    "Files written."
+
+
 class Accuracy(Record):
     """Error of one joint's torque, measured and predicted torque filtered alike."""
 
@@ -287,11 +296,9 @@ Obstacle: TypeAlias = Box | Sphere | HalfSpace | Workspace
 """An obstacle by its ``shape``."""
 
 
-class Motion(Record, kw_only=True):
+class Motion(Run, kw_only=True):
     """What is certified of a motion over continuous time, and what is needed to draw it."""
 
-    robot: str
-    "Name of the arm."
     joints: list[str]
     "Names of the joints."
     revolute: list[bool]
@@ -318,8 +325,6 @@ class Motion(Record, kw_only=True):
     "Bodies that come closest."
     obstacles: list[Obstacle] = []
     "Obstacles, as in an obstacle file."
-    files: list[str] = []
-    "Files written."
 
 
 class WeakParameter(Record):
@@ -487,19 +492,15 @@ class Hidden(Record):
     "Sizes in SI units."
 
 
-class Simulate(Record, tag_field="verb", tag="simulate"):
+class Simulate(Run, tag_field="verb", tag="simulate"):
     """``excitant simulate``: a recording of a virtual arm."""
 
-    robot: str
-    "Name of the arm."
     samples: int
     "Rows of the recording."
     duration: float
     "Its length [s]."
     hidden: list[Hidden]
     "What the arm hides."
-    files: list[str]
-    "Files written."
 
 
 # --- identification
@@ -618,8 +619,8 @@ class Parameter(Record):
     "Whether the data, the prior or both decide it."
 
 
-class BaseParameter(Record):
-    """A base parameter."""
+class Determined(Record):
+    """An estimate of a combination of parameters."""
 
     expression: str
     "Combination of standard parameters."
@@ -627,6 +628,11 @@ class BaseParameter(Record):
     "Estimate."
     std: Number
     "Standard deviation."
+
+
+class BaseParameter(Determined):
+    """A base parameter."""
+
     rel_std: Number
     "Standard deviation over the value."
 
@@ -681,17 +687,6 @@ class Shapes(Record):
     "Objective before (``given``) and after (``refined``)."
     effects: list[RefinedShape]
     "Shape parameters."
-
-
-class Determined(Record):
-    """A base parameter that one link's joint determined."""
-
-    expression: str
-    "Combination."
-    value: Number
-    "Estimate."
-    std: Number
-    "Standard deviation."
 
 
 class Stage(Record):
@@ -890,25 +885,47 @@ class Mujoco(Record):
     "Remarks."
 
 
-class Identify(
-    Record, tag_field="verb", tag="identify", rename={"imported": "import"}
-):
-    """``excitant identify``: a physically consistent model from recordings."""
+class Imported(Run, kw_only=True, rename={"imported": "import"}):
+    """What the records of verbs on recordings have."""
 
-    robot: str
-    "Name of the arm."
-    estimator: str
-    "How base parameters and bodies were estimated."
-    effects: list[str]
-    "Effects of the model."
+    notes: list[str]
+    "Remarks."
+    imported: dict[str, list[str]] = {}
+    "What was assumed in reading each recording."
+
+
+class Modelled(Imported, kw_only=True):
+    """What the records of verbs that make a model have."""
+
     cutoff_hz: Number
     "Cut-off of the torque filter [Hz]."
     unit: str
     "Unit of torque."
     holdout: str
-    "What the model is judged on, in words."
+    "What models are judged on, in words."
     drive_gain_Nm_per_A: list[Number] | None  # noqa: N815
     "Drive gains [N·m/A]; null where torque was given."
+    drive_gain_std_Nm_per_A: list[Number] | None = None  # noqa: N815
+    "Standard deviations of the drive gains."
+    drive_gain_scale_rel_std: Number = None
+    "Relative standard deviation of the scale that all gains share."
+    drive_gain_shown: list[bool] | None = None
+    "Whether the motion shows each gain; null where all are shown."
+    published: bool | None = None
+    "Whether the model was written."
+    refusal: str = ""
+    "Why not."
+    exported: list[ExportedFile] = []
+    "Errors of each model file."
+
+
+class Identify(Modelled, tag_field="verb", tag="identify"):
+    """``excitant identify``: a physically consistent model from recordings."""
+
+    estimator: str
+    "How base parameters and bodies were estimated."
+    effects: list[str]
+    "Effects of the model."
     joints: list[IdentifiedJoint]
     "Errors by joint."
     links: list[Body]
@@ -923,14 +940,6 @@ class Identify(
     "Physical consistency."
     knowledge: dict[str, Any]
     "What --knowledge states."
-    notes: list[str]
-    "Remarks."
-    drive_gain_std_Nm_per_A: list[Number] | None = None  # noqa: N815
-    "Standard deviations of the drive gains."
-    drive_gain_scale_rel_std: Number = None
-    "Relative standard deviation of the scale that all gains share."
-    drive_gain_shown: list[bool] | None = None
-    "Whether the motion shows each gain; null where all are shown."
     shapes: Shapes | None = None
     "Shapes of effects that were refined."
     link_by_link: LinkByLink | None = None
@@ -943,16 +952,6 @@ class Identify(
     "With --mujoco."
     faults: list[Fault] | None = None
     "Faults of the recordings; null where none was looked for."
-    imported: dict[str, list[str]] = {}
-    "What was assumed in reading each recording."
-    published: bool | None = None
-    "Whether the model was written."
-    refusal: str = ""
-    "Why not."
-    exported: list[ExportedFile] = []
-    "Errors of each model file."
-    files: list[str] = []
-    "Files written."
 
 
 # --- identifiability
@@ -1088,13 +1087,9 @@ class Structure(Record):
     "Right singular vectors by their largest members."
 
 
-class Analyze(
-    Record, tag_field="verb", tag="analyze", rename={"imported": "import"}
-):
+class Analyze(Imported, tag_field="verb", tag="analyze"):
     """``excitant analyze``: identifiability of every parameter."""
 
-    robot: str
-    "Name of the arm."
     standard_parameters: int
     "Number of parameters."
     base_parameters: int
@@ -1113,8 +1108,6 @@ class Analyze(
     "Base parameters under the motion."
     basis: str
     "Where the standard deviations come from."
-    notes: list[str]
-    "Remarks."
     noise: list[Number] = []
     "Torque noise of each measured joint [N·m]."
     resting_joints: list[str] = []
@@ -1127,10 +1120,6 @@ class Analyze(
     "Persistency of excitation."
     faults: list[Fault] = []
     "Faults of the recordings."
-    imported: dict[str, list[str]] = {}
-    "What was assumed in reading each recording."
-    files: list[str] = []
-    "Files written."
 
 
 # --- diagnosis
@@ -1301,23 +1290,11 @@ class Extended(Simulation):
     "Its files."
 
 
-class Diagnose(
-    Record, tag_field="verb", tag="diagnose", rename={"imported": "import"}
-):
+class Diagnose(Modelled, tag_field="verb", tag="diagnose"):
     """``excitant diagnose``: what the nominal model gets wrong, by cause."""
 
-    robot: str
-    "Name of the arm."
     headline: str
     "Main cause."
-    unit: str
-    "Unit of torque."
-    cutoff_hz: Number
-    "Cut-off of the torque filter [Hz]."
-    drive_gain_Nm_per_A: list[Number] | None  # noqa: N815
-    "Drive gains [N·m/A]; null where torque was given."
-    holdout: str
-    "What models are judged on, in words."
     simulation: Simulation
     "Errors of the nominal model."
     faults: list[Fault]
@@ -1332,24 +1309,6 @@ class Diagnose(
     "Structure of the nominal model's error."
     waterfall: list[Step]
     "Error as causes are added."
-    notes: list[str]
-    "Remarks."
-    drive_gain_std_Nm_per_A: list[Number] | None = None  # noqa: N815
-    "Standard deviations of the drive gains."
-    drive_gain_scale_rel_std: Number = None
-    "Relative standard deviation of the scale that all gains share."
-    drive_gain_shown: list[bool] | None = None
-    "Whether the motion shows each gain; null where all are shown."
-    imported: dict[str, list[str]] = {}
-    "What was assumed in reading each recording."
-    published: bool | None = None
-    "Whether the extended model was written."
-    refusal: str = ""
-    "Why not."
-    exported: list[ExportedFile] = []
-    "Errors of each model file."
-    files: list[str] = []
-    "Files written."
 
 
 # --- robots, examinations, fleets, comparisons
@@ -1425,11 +1384,9 @@ class EffectValue(Record):
     "Unit."
 
 
-class Robots(Record, tag_field="verb", tag="robots"):
+class Robots(Run, tag_field="verb", tag="robots"):
     """``excitant robots NAME``: one arm as read, and what looks wrong in it."""
 
-    robot: str
-    "Name of the arm."
     name: str
     "The same."
     mass: Number
@@ -1462,8 +1419,6 @@ class Robots(Record, tag_field="verb", tag="robots"):
     "Kind of a built-in arm."
     sources: Any = None
     "Where its values come from."
-    files: list[str] = []
-    "Files written."
 
 
 class Verdict(Record):
@@ -1491,11 +1446,9 @@ class Verdict(Record):
     "Whether it was named."
 
 
-class Examination(Record, kw_only=True):
+class Examination(Imported, kw_only=True):
     """An arm examined by all commands, and the verdict."""
 
-    robot: str
-    "Name of the arm."
     verdict: Verdict
     "Verdict."
     robots: Robots
@@ -1506,17 +1459,10 @@ class Examination(Record, kw_only=True):
     "What the recordings can show."
     diagnose: Diagnose
     "What the nominal model gets wrong."
-    notes: list[str]
-    "Remarks."
-    files: list[str] = []
-    "Files written."
 
 
-class Go(Examination, tag_field="verb", tag="go", rename={"imported": "import"}):
+class Go(Examination, tag_field="verb", tag="go"):
     """``excitant go``: a recording to a verdict."""
-
-    imported: dict[str, list[str]] = {}
-    "What was assumed in reading each recording."
 
 
 class Demo(Examination, tag_field="verb", tag="demo"):
@@ -1553,11 +1499,9 @@ class Requirement(Record):
     "Unit."
 
 
-class Rehearse(Record, tag_field="verb", tag="rehearse"):
+class Rehearse(Run, tag_field="verb", tag="rehearse"):
     """``excitant rehearse``: a motion tried on a virtual arm."""
 
-    robot: str
-    "Name of the arm."
     joints: list[str]
     "Names of the joints."
     duration: float
@@ -1578,8 +1522,6 @@ class Rehearse(Record, tag_field="verb", tag="rehearse"):
     "File of the trajectory."
     seed: int | None = None
     "Seed of the arm."
-    files: list[str] = []
-    "Files written."
 
 
 class DataSet(Record):
@@ -1724,21 +1666,17 @@ class ComparedSection(Record):
     "Tables."
 
 
-class Compare(Record, tag_field="verb", tag="compare"):
+class Compare(Run, tag_field="verb", tag="compare"):
     """``excitant report A B ...``: runs side by side."""
 
     of: str
-    "Verb of the runs."
-    robot: str
-    "Names of the arms."
+    "Verb of the runs; ``robot`` has the names of their arms."
     runs: list[ComparedRun]
     "Runs, A first."
     remarks: list[str]
     "What makes them hard to compare."
     sections: list[ComparedSection]
     "Figures."
-    files: list[str] = []
-    "Files written."
 
 
 Result: TypeAlias = (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from excitant.design import HermiteTrajectory, check, clearance, random_trajectory
+from excitant.design import HermiteTrajectory, random_trajectory
 from excitant.design.constraints import shares_of_limits
 from excitant.design.playback import Playback
 from excitant.robots import Motion, load_robot
@@ -18,8 +18,7 @@ def played(request: pytest.FixtureRequest) -> Playback:
     path = random_trajectory(robot, np.random.default_rng(1), 6.0, 3)
     cell = scene(robot, (floor(-0.4),))
     strict = robot.with_limits(robot.limits.used(0.15))  # some limits are exceeded
-    near = None if cell is None else clearance(cell, path)
-    return Playback(strict, path, check(strict, path), cell, near)
+    return Playback(strict, path, cell)
 
 
 def test_frames_hold_every_instant_at_which_a_limit_is_touched(played: Playback) -> None:
@@ -47,7 +46,7 @@ def test_nearest_bodies_are_as_far_apart_as_their_points(played: Playback) -> No
     if cell is None:
         assert not {"play_pair", "play_points"} & set(series)
         return
-    distances, pair = cell.distances(played.motion.q), series["play_pair"].astype(int)
+    distances, pair = cell.distances(played.frames.q), series["play_pair"].astype(int)
     least = distances.min(axis=1)
     np.testing.assert_allclose(distances[np.arange(len(pair)), pair], least)
     np.testing.assert_allclose(series["play_distance"] * cell.scale[pair], least)
@@ -62,6 +61,6 @@ def test_a_long_recording_is_played_from_end_to_end_within_bounds() -> None:
     q = np.stack([np.sin(t), np.cos(2 * t)], axis=1)
     dq = np.gradient(q, t, axis=0)
     motion = Motion(t, q, dq, np.gradient(dq, t, axis=0))
-    found = Playback(robot, HermiteTrajectory(motion), check(robot, motion), None, None)
-    assert found.motion.t[[0, -1]].tolist() == t[[0, -1]].tolist()
-    assert 4990 < len(found.motion) < 5010
+    found = Playback(robot, HermiteTrajectory(motion), None)
+    assert found.frames.t[[0, -1]].tolist() == t[[0, -1]].tolist()
+    assert 4990 < len(found.frames) < 5010

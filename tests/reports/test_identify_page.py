@@ -74,7 +74,7 @@ def test_intervals_and_refusal_in_words(make):
     assert [cell.text for cell in table.rows[0]][1:] == ["0.300", "0.100", "71\u00a0%"]
     refused = blocks(full(verb="identify", refusal="it is worse"))
     [refusal] = (b for b in refused if isinstance(b, Notes))
-    assert (refusal.sentences, refusal.tone) == (("It is worse.",), "poor")
+    assert (refusal.sentences, refusal.tone) == (["It is worse."], "poor")
 
 
 def test_link_by_link_says_what_each_link_shows_and_what_is_missing(make):
