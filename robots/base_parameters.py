@@ -249,7 +249,7 @@ def categories(base: BaseParameters) -> tuple[str, ...]:
     present = base.regrouping != 0
     categories = np.where(present.any(axis=0), "combined", "unidentifiable")
     alone = present.sum(axis=1) == 1
-    categories[np.array(base.columns)[alone]] = "unique"
+    categories[np.array(base.columns, int)[alone]] = "unique"
     return tuple(categories.tolist())
 
 

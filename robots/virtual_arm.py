@@ -30,11 +30,22 @@ from excitant.robots.plant.arm import (
     simulate,
 )
 from excitant.robots.plant.physics import Drives, Truth
-from excitant.robots.plant.planting import HiddenEffect as HiddenEffect
-from excitant.robots.plant.planting import plant
-from excitant.robots.plant.sensors import Encoder, Recorder, Run, recorded
-from excitant.robots.plant.sensors import Sensors as Sensors
+from excitant.robots.plant.planting import HiddenEffect, plant
+from excitant.robots.plant.sensors import Encoder, Recorder, Run, Sensors, recorded
 from excitant.robots.robot import Robot, spans
+
+__all__ = [
+    "HiddenEffect",
+    "Sensors",
+    "VirtualArm",
+    "draw_hidden_effect",
+    "ideal_sensors",
+    "industrial_sensors",
+    "nominal_truth",
+    "typical_motion",
+    "typical_torque",
+    "virtual_arm",
+]
 
 FRICTION_TOLERANCE = (
     0.05  # largest relative deviation of friction and rotor inertia
