@@ -63,7 +63,7 @@ class ParameterIdentifiability:
         None  # estimate, or the value of the model as given, if known
     )
     prior: float | None = None  # value before any data
-    std: float | None = None  # standard deviation, prior included
+    std: float | None = None  # of what torque shows alone; prior included
     # from the data alone; inf where they do not show it by itself
     std_data: float | None = None
     influence: float | None = None  # how far it follows the prior, 0 to 1
@@ -520,8 +520,9 @@ def _judged(
         ],
     }
     if experiment.std is not None:
-        columns["std"] = experiment.std.tolist()
+        stds = zip(experiment.std.tolist(), unique, strict=True)
+        columns["std"] = [value if alone else None for value, alone in stds]
     if experiment.influence is not None:
         columns["influence"] = experiment.influence.tolist()
-        columns["decided_by"] = decided_by(experiment.influence)
+        columns["decided_by"] = decided_by(experiment.influence, category)
     return size, columns

@@ -330,12 +330,19 @@ def follows(ratio: Array, reach: Array) -> Array:
     return np.clip(counted.max(axis=0), 0.0, 1.0)
 
 
-def decided_by(influence: Array) -> tuple[str, ...]:
-    """Who decided entries that follow the prior by 0 to 1: data, prior, or both together, (p,)."""
-    return tuple(
-        "prior" if value > DOMINATED else "both" if value > SHARED else "data"
-        for value in influence
-    )
+def decided_by(influence: Array, category: Sequence[str]) -> tuple[str, ...]:
+    """Who decided entries that follow the prior by 0 to 1: data, prior, or both together, (p,).
+
+    Torque shows a `combined` parameter only together with others, so that the prior shares it out
+    however little the entry follows, and an `unidentifiable` one not at all.
+    """
+
+    def who(value: float, category: str) -> str:
+        if value > DOMINATED or category == "unidentifiable":
+            return "prior"
+        return "both" if value > SHARED or category == "combined" else "data"
+
+    return tuple(map(who, influence.tolist(), category))
 
 
 def reached(L: Array, directions: Array, x: Array, links: int) -> Array:

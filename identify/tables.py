@@ -10,7 +10,6 @@ import numpy as np
 
 from excitant.identify.accuracy import Coverage, coverage
 from excitant.identify.friction import curves_over_velocity, friction_curves
-from excitant.identify.physical import centre_of_mass
 from excitant.identify.prior import decided_by
 from excitant.identify.rows import states, units_of
 from excitant.robots.base_parameters import categories
@@ -38,11 +37,9 @@ class BodyChange:
         link: Name of the link.
         nominal_mass: Mass of the prior [kg].
         mass: Identified mass [kg].
-        mass_std: Its standard deviation [kg].
         mass_by: Who decided it: data, prior or both.
         nominal_centre: Centre of mass of the prior, shape (3,) [m].
         centre: Identified centre of mass, shape (3,) [m].
-        centre_std: Its standard deviation, shape (3,) [m].
         centre_by: Who decided it, by the least sure of its coordinates.
         length: From the joint to the next one or to the nominal centre of mass, or the radius of
             gyration, whichever is longest [m].
@@ -51,56 +48,46 @@ class BodyChange:
     link: str
     nominal_mass: float
     mass: float
-    mass_std: float
     mass_by: str
     nominal_centre: Array
     centre: Array
-    centre_std: Array
     centre_by: str
     length: float
 
     @property
-    def shift(self) -> tuple[float, float]:
-        """How far the centre of mass moved, and its standard deviation along that way [m]."""
-        way = self.centre - self.nominal_centre
-        distance = float(np.linalg.norm(way))
-        along = np.linalg.norm(self.centre_std * way) / max(distance, 1e-300)
-        return distance, float(along)
+    def shift(self) -> float:
+        """How far the centre of mass moved [m]."""
+        return float(np.linalg.norm(self.centre - self.nominal_centre))
 
     @property
     def moved(self) -> str:
         """What moved by half of the nominal mass or of the link's length; empty if nothing."""
         changes = []
-        distance, std = self.shift
         if abs(self.mass - self.nominal_mass) >= LARGE_CHANGE * self.nominal_mass:
             changes.append(
-                f"mass {self.nominal_mass:.3g} → {self.mass:.3g} ± {self.mass_std:.2g} kg "
+                f"mass {self.nominal_mass:.3g} → {self.mass:.3g} kg "
                 f"({_DECIDED_BY[self.mass_by]})"
             )
-        if distance >= max(LARGE_CHANGE * self.length, SMALLEST_SHIFT):
+        if self.shift >= max(LARGE_CHANGE * self.length, SMALLEST_SHIFT):
             changes.append(
-                f"centre of mass by {1e3 * distance:.3g} ± {1e3 * std:.2g} mm "
+                f"centre of mass by {1e3 * self.shift:.3g} mm "
                 f"({_DECIDED_BY[self.centre_by]})"
             )
         return f"{self.link}: {' and '.join(changes)}" if changes else ""
 
     def entry(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
-        distance, std = self.shift
         return {
             "link": self.link,
             "mass": {
                 "given": self.nominal_mass,
                 "value": self.mass,
-                "std": self.mass_std,
                 "decided_by": self.mass_by,
             },
             "centre": {
                 "given": self.nominal_centre.tolist(),
                 "value": self.centre.tolist(),
-                "std": self.centre_std.tolist(),
-                "shift": distance,
-                "shift_std": std,
+                "shift": self.shift,
                 "decided_by": self.centre_by,
             },
             "moved": self.moved or None,
@@ -109,14 +96,12 @@ class BodyChange:
 
 def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
     """Masses and centres of mass of the links, nominal and identified."""
-    covariance = estimate.physical.covariance
-    who = decided_by(estimate.physical.influence)
+    who = decided_by(estimate.physical.influence, categories(estimate.base))
     places = list(estimate.given.model.jointPlacements)
     changes = []
     for k, link in enumerate(estimate.given.links):
-        own = slice(10 * k, 10 * k + 10)
+        phi = estimate.phi[10 * k : 10 * k + 4]
         body = inertia(estimate.physical.prior.bodies[k])
-        centre, centre_std = centre_of_mass(estimate.phi[own], covariance[own, own])
         nominal_centre = np.array(body.lever)
         next_joint = [place.translation for place in places[k + 2 : k + 3]]
         radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
@@ -124,12 +109,10 @@ def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
         change = BodyChange(
             link,
             nominal_mass=body.mass,
-            mass=float(estimate.phi[10 * k]),
-            mass_std=float(np.sqrt(covariance[10 * k, 10 * k])),
+            mass=float(phi[0]),
             mass_by=who[10 * k],
             nominal_centre=nominal_centre,
-            centre=centre,
-            centre_std=centre_std,
+            centre=phi[1:] / phi[0],
             centre_by=max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index),
             length=float(max(radius, *ends)),
         )
@@ -229,19 +212,20 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
     values = effect_values(robot)
     nominal = [*robot.phi, *(values.get(p.name) for p in coefficients)]
     prior = [*physical.prior.bodies.ravel(), *(None,) * len(coefficients)]
-    who = decided_by(physical.influence)
+    category = categories(estimate.base)
+    who = decided_by(physical.influence, category)
     units = units_of(robot, effects, estimate.drive)
     entries = []
-    for k, category in enumerate(categories(estimate.base)):
+    for k, by in enumerate(who):
         factor, unit = units[k]
-        by = "prior" if category == "unidentifiable" else who[k]
         entry = {
             "name": estimate.base.names[k],
             "link": owners[k],
             "value": factor * float(physical.x[k]),
-            "std": float(estimate.std[k]),
+            # of what torque shows alone: any other ± would be the prior's
+            "std": float(estimate.std[k]) if category[k] == "unique" else None,
             "unit": unit,
-            "category": category,
+            "category": category[k],
             "given": None if nominal[k] is None else factor * float(nominal[k]),
             "prior": None if prior[k] is None else float(prior[k]),
             "prior_dominated": by == "prior",
@@ -252,18 +236,28 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
 
 
 def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
+    base = estimate.base
     beta = estimate.least_squares.beta.tolist()
     rows = zip(
-        estimate.base.expressions, beta, estimate.base_std.tolist(), strict=True
+        base.expressions,
+        base.leading,
+        base.regrouping,
+        beta,
+        estimate.base_std.tolist(),
+        strict=True,
     )
     return [
         {
             "expression": text,
+            "link": leading.rpartition(".")[0],
+            "coefficients": {
+                base.names[k]: float(row[k]) for k in np.flatnonzero(row).tolist()
+            },
             "value": value,
             "std": std,
             "rel_std": std / abs(value) if value else None,
         }
-        for text, value, std in rows
+        for text, leading, row, value, std in rows
     ]
 
 
@@ -276,14 +270,19 @@ def _body_std(estimate: Estimate) -> Array:
 def _moved(estimate: Estimate, bodies: Sequence[BodyChange]) -> list[str]:
     """Sentences on how far the nominal bodies agree with the data, and which moved by half."""
     std = _body_std(estimate)
-    first = std[0]
-    tool = std[-1]
-    last = estimate.given.links[-1]
-    apart = f" ({last}: {100 * tool:.0f} %)" if tool != first else ""
+    links = estimate.given.links
+    common = float(std.min())
     sentences = [
-        f"the given bodies are off by about {100 * first:.0f} %{apart} where the recordings see "
-        "them; as much is allowed for where they do not"
+        f"the given bodies are off by about {100 * common:.0f} % where the recordings see them; as "
+        "much is allowed for where they do not"
     ]
+    wrong = np.flatnonzero(std > max(common, LARGE_CHANGE)).tolist()
+    if wrong:
+        listed = ", ".join(f"{links[k]} ({100 * std[k]:.0f} %)" for k in wrong)
+        tool = ": a payload or another tool?" if len(std) - 1 in wrong else ""
+        sentences.append(
+            f"the data contradict the given values of {listed}, for which as much is allowed{tool}"
+        )
     if moved := "; ".join(body.moved for body in bodies if body.moved):
         sentences.append(f"moved by half or more against the given model: {moved}")
     return sentences

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from operator import attrgetter
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from excitant.reports.figures.residual import residual_figure
 from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.values import Series
 from excitant.results import (
-    Body,
     Determined,
     ExportedFile,
     Fault,
@@ -371,6 +369,7 @@ def _base_parameters(result: Identify) -> p.Table | None:
     return p.table(
         rows,
         [
+            ("name:Link or joint", "link"),
             ("expression:Base parameter", "expression"),
             *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ("number:Relative std", p.relative),
@@ -397,8 +396,8 @@ def _parameter_table(result: Identify) -> p.Table | None:
             ("text:Category", "category"),
             ("text:Decided by", lambda r: p.decided(r.decided_by)),
         ],
-        "Values decided by the prior are those the data leave open: they complete the model, but "
-        "were not measured.",
+        "Only what torque shows alone has a ±. Values decided by the prior, or by both, complete "
+        "the model, but were not measured one by one.",
         f"All {len(rows)} parameters: {categories}",
     )
 
@@ -409,36 +408,28 @@ def _bodies(result: Identify) -> p.Table | None:
     def place(centre: list[Number]) -> str:
         return v.listing([v.whole(x and 1e3 * x) for x in centre])
 
-    def shift(row: Body) -> Determined:
-        size = row.centre.shift
-        std = row.centre.shift_std
-        return Determined(row.link, size and 1e3 * size, std and 1e3 * std)
-
     return p.table(
         result.links,
         [
             ("name:Link", "link"),
             ("number:Mass [kg]|given", "mass.given"),
-            *p.estimates(
-                "number:Mass [kg]|identified",
-                "number:Mass [kg]|± std",
-                attrgetter("mass"),
-            ),
+            ("number:Mass [kg]|identified", "mass.value"),
             ("text:Mass [kg]|by", lambda r: p.decided(r.mass.decided_by)),
             ("number:Centre of mass [mm]|given", "centre.given", place),
             ("number:Centre of mass [mm]|identified", "centre.value", place),
-            *p.estimates(
+            (
                 "number:Centre of mass [mm]|moved by",
-                "number:Centre of mass [mm]|± std",
-                shift,
+                "centre.shift",
+                lambda x: v.whole(x and 1e3 * x),
             ),
             (
                 "text:Centre of mass [mm]|by",
                 lambda r: p.decided(r.centre.decided_by),
             ),
         ],
-        "Centres of mass: x, y, z in the frame of the link's joint. What the prior decides "
-        "completes the model, but was not measured.",
+        "Centres of mass: x, y, z in the frame of the link's joint. Torque shows masses and "
+        "centres of mass only in combinations (base parameters), of which the prior makes these: "
+        "they complete the model, but were not measured one by one.",
     )
 
 

@@ -558,8 +558,6 @@ class BodyMass(Record):
     "Nominal [kg]."
     value: Number
     "Identified [kg]."
-    std: Number
-    "Standard deviation [kg]."
     decided_by: Decider
     "Whether the data, the prior or both decide the value."
 
@@ -571,12 +569,8 @@ class BodyCentre(Record):
     "Nominal [m]."
     value: list[Number]
     "Identified [m]."
-    std: list[Number]
-    "Standard deviations [m]."
     shift: Number
     "Distance between them [m]."
-    shift_std: Number
-    "Standard deviation of the distance [m]."
     decided_by: Decider
     "Whether the data, the prior or both decide the value."
 
@@ -604,7 +598,7 @@ class Parameter(Record):
     value: Number
     "Identified value."
     std: Number
-    "Standard deviation."
+    "Standard deviation; null where torque does not determine the parameter alone."
     unit: str
     "Unit."
     category: Category
@@ -633,6 +627,10 @@ class Determined(Record):
 class BaseParameter(Determined):
     """A base parameter."""
 
+    link: str
+    "Link or joint that it is written with."
+    coefficients: dict[str, float]
+    "The combination with all digits, by the names of its parameters."
     rel_std: Number
     "Standard deviation over the value."
 
@@ -978,7 +976,7 @@ class ParameterIdentifiability(Record):
     value: Number = None
     "Value."
     std: Number = None
-    "Standard deviation from this motion."
+    "Standard deviation from this motion; null where torque does not determine it alone."
     rel_std: Number = None
     "The same over the value."
     std_data: Number = None

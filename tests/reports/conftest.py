@@ -207,9 +207,9 @@ def _online(rng: np.random.Generator, rows: int) -> Run:
 
 
 def _link(name: str, k: int) -> dict[str, Any]:
-    mass = {"given": 4.0 - k, "value": 4.2 - k, "std": 0.3, "decided_by": ("data", "both")[k % 2]}
-    centre = {"given": [0.0, 0.1, -0.02], "value": [0.001, 0.11, -0.02], "std": [0.002] * 3}
-    centre |= {"shift": 0.01, "shift_std": 0.002, "decided_by": "prior"}
+    mass = {"given": 4.0 - k, "value": 4.2 - k, "decided_by": ("data", "both")[k % 2]}
+    centre = {"given": [0.0, 0.1, -0.02], "value": [0.001, 0.11, -0.02]}
+    centre |= {"shift": 0.01, "decided_by": "prior"}
     return {"link": name, "mass": mass, "centre": centre, "moved": None}
 
 
