@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from excitant.analysis.candidates import Observed, coefficient_sizes, observed
 from excitant.analysis.evidence import (
@@ -114,11 +115,26 @@ class Finding:
         return self.margin >= 0
 
     @property
+    def is_open(self) -> bool:
+        """Whether the sign of its first coefficient is open, to two standard deviations."""
+        first = (self.effect.values or (0.0,))[0] - self.nominal[0]
+        return bool(abs(first) < CONFIRMATION.deviations * self.std[0])
+
+    @property
     def is_nominal(self) -> bool:
         """Whether all its values are the nominal ones to two standard deviations."""
         change = np.abs(np.array(self.effect.values or ()) - self.nominal)
         threshold = CONFIRMATION.deviations * self.std
         return len(change) > 0 and bool((change < threshold).all())
+
+    def by_chance(self, level: float) -> bool:
+        """Whether values as far from the nominal ones come by chance that often, or more (χ²)."""
+        change = np.array(self.effect.values or ()) - self.nominal
+        covariance = self.covariance + np.outer(self.by_gains, self.by_gains)
+        if not covariance.any():
+            return False
+        distance = float(change @ scipy.linalg.pinvh(covariance) @ change)
+        return distance < float(scipy.special.chdtri(len(change), level))
 
     @property
     def is_no_change(self) -> bool:
@@ -377,18 +393,24 @@ def _refitted(
     )
 
 
-def off_effects(
+def kept_effects(
     robot: Robot, fit: Extension, holdout: Holdout
-) -> Iterator[Finding]:
-    """The nominal effects, joint by joint, whose values the data correct noticeably."""
+) -> tuple[list[Finding], list[Finding]]:
+    """The nominal effects that are no causes, joint by joint, with the values of the data.
+
+    Those whose values the data correct noticeably, and the others, which are within the tolerance.
+    """
     least = _noticed(fit.evidence.tolerance[1])
     chosen = {candidate.key for candidate in fit.chosen}
+    noticed = list[Finding]()
+    others = list[Finding]()
     singles = (single for effect in robot.effects for single in effect.singles())
     for effect in singles if fit.names else ():
         if effect.role == "torque" and (effect.name, effect.joints) not in chosen:
             finding = _refitted(robot, fit, holdout, effect)
-            if finding.significant and finding.share > least:
-                yield finding
+            clear = finding.significant and finding.share > least
+            (noticed if clear else others).append(finding)
+    return noticed, others
 
 
 def _noticed(tolerance: float) -> float:

@@ -19,8 +19,8 @@ from excitant.analysis.confirmation import (
     errors_by_gains,
     finding_of,
     holdout_of,
+    kept_effects,
     off_bodies,
-    off_effects,
     unextended,
 )
 from excitant.analysis.diagnosis_result import Plan, findings_of, result_of
@@ -78,6 +78,7 @@ class Diagnosis(Shown):
         holdout: The hold-out, with the torque of the nominal robot.
         extension: The extended model.
         findings: Causes in order of importance.
+        corrected: Nominal values within their tolerance that the data correct beyond chance.
         nominal_residuals: Residuals of the nominal model, joint by joint.
         residuals: Residuals of the extended model.
         waterfall: Error relative to the nominal model's, as causes are added.
@@ -92,6 +93,7 @@ class Diagnosis(Shown):
     holdout: Holdout
     extension: Extension
     findings: tuple[Finding, ...]
+    corrected: tuple[Finding, ...]
     nominal_residuals: tuple[Residual, ...]
     residuals: tuple[Residual, ...]
     waterfall: tuple[tuple[str, float], ...]
@@ -234,7 +236,7 @@ def diagnose(
     joints = nominal.joints
     nominal_error = holdout.error
     left = residuals(joints, data.validate, error, nominal_error, fit.predicted)
-    causes = _causes(mounted.robot, fit, holdout, drive)
+    causes, corrected = _causes(mounted.robot, fit, holdout, drive)
     of_set_up = [
         _of_set_up(mounted, effect, fit, holdout) for effect in mounted.effects
     ]
@@ -260,6 +262,7 @@ def diagnose(
         holdout,
         fit,
         tuple(findings),
+        tuple(corrected),
         nominal_residuals=residuals(
             joints, data.validate, nominal_error, nominal_error, holdout.simulated
         ),
@@ -308,8 +311,11 @@ def _extended(
 
 def _causes(
     robot: Robot, fit: Extension, holdout: Holdout, drive: DriveGains | None
-) -> list[Finding]:
-    """Significant changes of the nominal model, each with its rivals."""
+) -> tuple[list[Finding], list[Finding]]:
+    """Significant changes of the nominal model, each with its rivals, and corrected values.
+
+    These are within the tolerance of nominal values, yet further off than comes by chance.
+    """
     causes = []
     for finding, candidate in zip(fit.findings, fit.chosen, strict=True):
         if finding.significant:
@@ -317,12 +323,18 @@ def _causes(
             causes.append(replace(finding, rivals=tuple(alike)))
     if (bodies := off_bodies(robot, fit, holdout)) is not None:
         causes.append(bodies)
-    causes += off_effects(robot, fit, holdout)
-    causes = [
-        replace(finding, by_gains=errors_by_gains(finding, robot, drive))
-        for finding in causes
-    ]
-    return [finding for finding in causes if not finding.is_no_change]
+    noticed, others = kept_effects(robot, fit, holdout)
+
+    def with_gains(findings: Sequence[Finding]) -> list[Finding]:
+        return [
+            replace(f, by_gains=errors_by_gains(f, robot, drive)) for f in findings
+        ]
+
+    level = VERDICT.chance / max(len(others), 1)
+    return (
+        [f for f in with_gains([*causes, *noticed]) if not f.is_no_change],
+        [f for f in with_gains(others) if not f.by_chance(level)],
+    )
 
 
 def _gains_of_bodies(train: Observed, measured: Array) -> DriveGains:
@@ -359,6 +371,9 @@ def _refined_gains(
             break
     block = evidence.covariance(chosen)[np.ix_(evidence.gains, evidence.gains)]
     after = root @ block @ root.T / np.outer(factor, factor)
+    # friction may share the scale of the bodies, but not decide it
+    scale = SEARCH.own_scale * drive.scale_std**2
+    after = after + max(scale - float(after.mean()), 0.0)
     return replace(drive, gains=gains, covariance=after)
 
 

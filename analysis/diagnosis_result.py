@@ -95,6 +95,9 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
                 diagnosis.ordered, findings_of(diagnosis, plan), strict=True
             )
         ],
+        "corrected": [
+            p for f in diagnosis.corrected for p in _parameters(f, diagnosis)
+        ],
         "unexplained": [
             {"joint": residual.joint, "share": float(np.clip(1 - r2, 0, 1))}
             | _beyond_noise(residual)

@@ -190,6 +190,10 @@ class VerdictThresholds:
     listed: int = 7
     """Findings; slight ones beyond are in a note instead. Convention."""
 
+    chance: float = 0.05
+    """Values as far off come by chance this often, or more: a cause is undecided. Of all values
+    that the data correct within their tolerance, the probability that one of them is chance."""
+
 
 @dataclass(frozen=True)
 class SearchThresholds:
@@ -200,6 +204,10 @@ class SearchThresholds:
 
     gain: float = 0.01
     """Squared error falls by less than this share: the round is the last. Convention."""
+
+    own_scale: float = 0.5
+    """Variance of the common scale of drive gains over that which the nominal bodies leave, at
+    least: the nominal friction, of which nothing is surer, may say as much again as they do."""
 
     drive_std: float = 1.0
     """Std of the logarithm of a drive gain from bodies alone: a factor of e."""

@@ -18,6 +18,7 @@ from excitant.reports.values import Series
 from excitant.results import (
     Diagnose,
     Finding,
+    FoundParameter,
     JointAccuracy,
     JointResidual,
     Number,
@@ -90,13 +91,21 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
                 ],
             ),
             (
+                "Given values that the data correct",
+                [_corrected(result.corrected)],
+            ),
+            (
                 wrong,
                 shares,
             ),
             ("Files of the extended model", [exported_table(result.exported)]),
             *first,
         ],
-        (("diagnosed", lead), *_first_lines(findings)),
+        (
+            ("diagnosed", lead),
+            *_first_lines(findings),
+            *_corrected_line(result.corrected),
+        ),
         [
             ("Further findings", others),
             (
@@ -213,6 +222,30 @@ def _finding_table(
         "What the model lacks, most important first: its share of the given model's squared error, "
         "and the hold-out error of its moving joints without and with it, with all other findings.",
         folded,
+    )
+
+
+def _corrected_line(rows: list[FoundParameter]) -> list[tuple[str, str]]:
+    if not rows:
+        return []
+    first, *others = (row.name for row in rows)
+    more = f" and {len(others)} more" if others else ""
+    words = "corrected by the data within the tolerance of given values"
+    return [("", f"{first}{more}: {words}, listed in report.html")]
+
+
+def _corrected(rows: list[FoundParameter]) -> p.Table | None:
+    return p.table(
+        rows,
+        [
+            ("name:Parameter", "name"),
+            ("number:Given", "given", v.number),
+            *p.estimates("number:By the data", "number:± std"),
+            ("text:Unit", "unit"),
+        ],
+        "Within the tolerance of given values, so that they are no findings, yet further off than "
+        "comes by chance; the extended model has the corrected ones.",
+        p.folded(f"All {len(rows)} values", len(rows)),
     )
 
 

@@ -1299,6 +1299,8 @@ class Diagnose(Modelled, tag_field="verb", tag="diagnose"):
     "Faults of the recordings."
     findings: list[Finding]
     "Causes in order of importance."
+    corrected: list[FoundParameter]
+    "Given values within their tolerance that the data correct beyond chance."
     unexplained: list[Unexplained]
     "What is left at each joint."
     extended: Extended

@@ -229,6 +229,7 @@ def cause(
 ) -> Finding:  # fmt: skip
     """Its effect, and its torque at each of two joints."""
     shown = {"effect": EFFECTS[kind]((joint,), **shape), "explained": explained, "scale": scale}
+    shown |= {"by_chance": lambda level: False, "is_open": False}
     return SimpleNamespace(**shown, torque=np.ones((100, 1)) * torque, share=1.0)
 
 
