@@ -48,6 +48,7 @@ def friction(content: Any) -> Iterator[tuple[str, Records]]:
             yield from friction(each)
 
 
+@pytest.mark.slow
 def test_an_upper_arm_weighs_what_an_upper_arm_weighs(ran: Verbs) -> None:
     """UR10e, currents, one motion to another: once 1.98 ± 4.1 kg, 0.95 m along 0.61 m of link."""
     link = ran("identify", "ur10e")["links"][1]

@@ -90,6 +90,7 @@ def test_a_joint_that_stands_is_named(planar: Robot, motion: FourierTrajectory) 
     assert found.estimate is None
 
 
+@pytest.mark.slow
 def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: FourierTrajectory) -> None:
     """Torque with friction is what is compared, and more than the limit is seen as more."""
     tight = planar.with_limits(replace(planar.limits, torque=np.array([1e3, 0.5])))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_arms import Call
+from marks import slow
 from mistakes import MADE, READ, coupled, geared, run_of, shifted, weight, with_rows
 
 from excitant.identify import Recording, faults, load_dataset
@@ -81,7 +82,7 @@ def test_positions_that_wrap_are_continued(logged: tuple[Robot, Recording]) -> N
     np.testing.assert_allclose(off, np.broadcast_to(off[0], off.shape), atol=1e-9)
 
 
-@pytest.mark.parametrize("factor", [8.8507, 0.102, 1000.0])
+@pytest.mark.parametrize("factor", [8.8507, slow(0.102), slow(1000.0)])
 def test_torque_in_another_unit_is_told_by_its_factor(
     logged: tuple[Robot, Recording], factor: float
 ) -> None:
@@ -105,9 +106,9 @@ def test_currents_called_torque_are_told(logged: tuple[Robot, Recording]) -> Non
             "wrong_mounting",
             "the torque has no gravity",
         ),
-        (lambda _, run: geared(run, 101.0), "wrong_unit", "leaves the joints' limits"),
-        (lambda _, run: shifted(run, 1, 2), "wrong_zero", "so read"),
-        (lambda _, run: coupled(run), "coupled_axes", " added, and torque is that of these axes"),
+        slow(lambda _, run: geared(run, 101.0), "wrong_unit", "leaves the joints' limits"),
+        slow(lambda _, run: shifted(run, 1, 2), "wrong_zero", "so read"),
+        slow(lambda _, run: coupled(run), "coupled_axes", " added, and torque is that of"),
         (lambda _, run: with_rows(run, stops(len(run))), "duplicate_samples", "frozen from t = "),
         (late, "time_delay", "the torque lags the motion by "),
     ],
@@ -129,6 +130,7 @@ def fit_of(robot: Robot, recording: Recording) -> TorqueFit:
     return case
 
 
+@pytest.mark.slow
 def test_a_push_by_hand_is_no_installation() -> None:
     """It would be a mounting or a coupling that most of the log speaks against."""
     for name, k in (("scara", 0), ("so100", 1)):
@@ -154,6 +156,7 @@ def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call
     assert not {f.fault for f in found} & {"dead_channel", "saturation", "wrong_sign"}
 
 
+@pytest.mark.slow
 def test_sums_of_torques_are_not_likelier_for_being_larger(ur10: Robot) -> None:
     """A small torque and a large one, of an arm that hardly moves."""
     log = MADE["hardly_moving"][1](run_of(ur10, (3, 1, 0), off=0.03))
@@ -189,6 +192,7 @@ def test_torque_that_is_late_is_read_later(logged: tuple[Robot, Recording]) -> N
     assert not find_faults(robot, late(robot, recording, 0.02))
 
 
+@pytest.mark.slow
 def test_zero_positions_of_two_joints_are_told_together(logged: tuple[Robot, Recording]) -> None:
     robot, recording = logged
     log = shifted(recording, 1, 2)

@@ -90,6 +90,7 @@ def test_no_sample_takes_rows_of_more_than_one_joint(planar: Robot, monkeypatch:
     assert taken[0] < online.rows  # several rows of a joint at once
 
 
+@pytest.mark.slow
 def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot) -> None:
     effects, z, sigma = estimator(planar).effects, [], []
     arm = planar.with_effects([e.with_values(np.full(2, 0.3)) for e in effects])

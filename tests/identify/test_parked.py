@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from known_arms import smooth_motion
+from marks import slow
 from urdf_arms import urdf_of
 
 import excitant as ex
@@ -46,8 +47,8 @@ def save(here: Path) -> Save:
     return saved
 
 
-@pytest.mark.parametrize("joint", [1, 2])
-@pytest.mark.parametrize("noise", [0.0, 2e-3])
+@pytest.mark.parametrize("joint", [1, slow(2)])
+@pytest.mark.parametrize("noise", [slow(0.0), 2e-3])
 @pytest.mark.parametrize("chosen", [False, True])
 def test_it_is_held_where_it_was_recorded(save: Save, joint: int, noise: float, chosen: bool):
     save("run1.csv", {joint: 0.4}, noise=noise)
@@ -76,6 +77,7 @@ def test_it_is_held_where_it_was_recorded(save: Save, joint: int, noise: float, 
     assert again.robot.joints == parked.robot.joints
 
 
+@pytest.mark.slow
 def test_every_verb_has_the_same_arm_and_says_so(save: Save, excitant: Any) -> None:
     save("run1.csv", {2: 0.4})
     note = "held at 0.4 rad, as it does not move in run1.csv: joint3"

@@ -69,6 +69,7 @@ def found(held: Runs) -> PayloadEstimate:
     return identify_payload(PANDA, held[:1], unloaded=held[1:])
 
 
+@pytest.mark.slow
 def test_mass_and_centre_after_ten_seconds_of_task(found: PayloadEstimate) -> None:
     assert found.mass == pytest.approx(MASS, rel=0.02)
     assert np.linalg.norm(found.centre - CENTRE) < 0.003
@@ -159,6 +160,7 @@ def planar_runs(planar: Robot, exact: Call) -> Runs:
     return exact(carrying, t, 1, noise=0.05), exact(planar, t, 2, noise=0.05)
 
 
+@pytest.mark.slow
 def test_a_model_keeps_what_it_knows_and_a_payload_is_told_over_time_on_top_of_it(
     planar: Robot, planar_runs: Runs, tmp_path: Path, excitant: Call
 ) -> None:

@@ -145,7 +145,7 @@ def test_the_prior_and_its_expansion_are_its_density(sigma: float) -> None:
     assert ahead + behind - 2 * value == pytest.approx(2 * step @ H.T @ H @ step, rel=1e-2)
 
 
-@pytest.mark.parametrize("off", [slow(0.1), 0.3, slow(1.0)])
+@pytest.mark.parametrize("off", [slow(0.1), slow(0.3), slow(1.0)])
 def test_how_far_off_the_given_bodies_are_is_found(off: float) -> None:
     """Bodies drawn from the prior itself: σ within what six links show of it."""
     rng, found = np.random.default_rng(0), []

@@ -42,6 +42,7 @@ def refined(run: Recording, *further: Effect) -> tuple[FitRows, Shapes]:
     return rows, found
 
 
+@pytest.mark.slow
 def test_planted_speeds_come_with_the_uncertainty_they_have() -> None:
     """Each joint its own, from one value for both that is far from either."""
     planted, scores = np.array([0.06, 0.3]), []
@@ -57,6 +58,7 @@ def test_planted_speeds_come_with_the_uncertainty_they_have() -> None:
     assert np.sqrt(np.mean(np.square(scores))) < 3
 
 
+@pytest.mark.slow
 def test_shapes_that_are_right_stay() -> None:
     found = [refined(run_of(seed, stribeck(0.1, 0.1)), STRIBECK)[1] for seed in range(8)]
     assert all(each.after <= each.before + 1e-6 * each.before for each in found)

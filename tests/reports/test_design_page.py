@@ -43,6 +43,7 @@ def test_worst_parameters_are_named(make, written):
     assert all("6.21" in text for text in (said, summary(page)))
 
 
+@pytest.mark.slow
 def test_curves_touch_the_certified_envelope_and_stay_inside(saved):
     found, result, series = saved
     certified = record_of(result).certified
