@@ -40,15 +40,19 @@ class Accuracy:
         rms_raw: The same with the measured torque unfiltered [torque unit].
         nrmse: rms / standard deviation of the filtered measured torque.
         r2: 1 − nrmse².
+        rms_all: rms over all rows, those of rest included, where dry friction holds any torque.
+        judged: Share of the rows at which the joint moves.
     """
 
     rms: Array
     rms_raw: Array
     nrmse: Array
     r2: Array
+    rms_all: Array
+    judged: Array
 
     def __post_init__(self) -> None:
-        freeze(self, "rms", "rms_raw", "nrmse", "r2")
+        freeze(self, *vars(self))
 
     def entry(self, joint: int) -> dict[str, Any]:
         """Figures of one joint under their JSON names."""
@@ -93,11 +97,19 @@ class Series:
 
     def accuracy(self, predicted: Array) -> Accuracy:
         """Accuracy of a prediction at these rows, shape (n, nv)."""
-        rms = self.rms(self.measured - predicted)
+        error = self.measured - predicted
+        rms = self.rms(error)
         rms_raw = self.rms(self.raw - predicted)
         std = self.std
         nrmse = np.divide(rms, std, out=np.full_like(rms, np.nan), where=std > 0)
-        return Accuracy(rms, rms_raw, nrmse, 1 - nrmse**2)
+        return Accuracy(
+            rms,
+            rms_raw,
+            nrmse,
+            1 - nrmse**2,
+            rms_all=np.sqrt((error**2).mean(axis=0)),
+            judged=self.moves.mean(axis=0),
+        )
 
     @property
     def std(self) -> Array:

@@ -191,8 +191,8 @@ class Estimate(Shown):
     def score(self, recordings: Recordings) -> list[dict[str, Any]]:
         """Accuracy of the model on recordings joint by joint, as ``result.json`` has it.
 
-        ``rms``, ``rms_raw`` [torque unit], ``nrmse`` and ``r2`` while the joint moves, below the
-        cut-off of this estimate.
+        ``rms``, ``rms_raw`` [torque unit], ``nrmse`` and ``r2`` while the joint moves, which is the
+        share ``judged`` of the rows, and ``rms_all`` of all, below the cut-off of this estimate.
         """
         cutoff_hz = self.data.cutoff_hz
         rows = [

@@ -179,7 +179,6 @@ def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
     sensors = estimate.data.sensors
     half_width = estimate.interval.half_width.mean(axis=0)
     by_parameters = estimate.interval.parameters.mean(axis=0)
-    judged = estimate.holdout.moves.mean(axis=0)
     entries = []
     for j, curve in enumerate(friction_curves(estimate)):
         interval = {
@@ -192,7 +191,6 @@ def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
             "train": estimate.train.entry(j),
             "validate": estimate.validate.entry(j) | {"interval95": interval},
             "baseline": estimate.baseline.entry(j),
-            "judged": float(judged[j]),
         }
         if sensors is not None:
             entry["motion"] = sensors.entry(j, estimate.data.cutoff_hz)

@@ -146,7 +146,9 @@ def _worst(result: Identify) -> str:
 def _least_judged(result: Identify) -> str:
     """The least share of the hold-out's rows in which a joint moves, after a semicolon."""
     shares = {
-        row.name: row.judged for row in result.joints if row.judged is not None
+        row.name: row.validate.judged
+        for row in result.joints
+        if row.validate.judged is not None
     }
     if not shares:
         return ""
@@ -289,11 +291,14 @@ def _errors(result: Identify) -> p.Blocks:
             (f"number:Unfiltered rms [{unit}]", "validate.rms_raw"),
             ("number:nrmse", "validate.nrmse", v.percent),
             ("number:r²", "validate.r2", v.number4),
+            ("number:Rows judged", "validate.judged", v.percent),
+            (f"number:All rows, rms [{unit}]", "validate.rms_all"),
             (f"number:Fitted data, rms [{unit}]", "train.rms"),
         ],
         f"Prediction error on the hold-out{same}, of the model as given and as identified; last, "
-        "the error on the data it was fitted to. nrmse is rms over the measured torque's standard "
-        "deviation.",
+        "the error on the data it was fitted to. Rows at which the joint rests, where dry friction "
+        "holds any torque, are judged in the column of all rows only. nrmse is rms over "
+        "the measured torque's standard deviation.",
     )
     bars = error_bars(
         _names(result),

@@ -48,6 +48,10 @@ class Accuracy(Record):
     "rms over the standard deviation of the measured torque."
     r2: Number
     "1 − nrmse²."
+    rms_all: Number
+    "rms over all rows, those of rest included, where dry friction holds any torque."
+    judged: Number
+    "Share of the rows at which the joint moves, and errors count."
 
 
 class JointAccuracy(Accuracy):
@@ -543,8 +547,6 @@ class IdentifiedJoint(Record):
     "On the hold-out."
     baseline: Accuracy
     "Of the nominal model, on the hold-out."
-    judged: Number | None = None
-    "Share of the hold-out's rows in which the joint moves, and its errors count."
     motion: SensorNoise | None = None
     "Noise of the position and speed sensors."
     friction: FrictionNoise | None = None
