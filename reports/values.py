@@ -16,6 +16,7 @@ Series = Mapping[str, Array]
 
 NONE = "–"
 _BEYOND = 1e200  # no quantity is as large: what is made of it would overflow
+SINGULAR = 1e8  # condition number: half of the digits of a normal equation are lost
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -106,6 +107,14 @@ def number(value: object, digits: int = 3) -> str:
 def number4(value: object) -> str:
     """A number with four significant digits."""
     return number(value, 4)
+
+
+def condition(value: object) -> str:
+    """A condition number, or that of columns which double precision cannot tell apart."""
+    x = real(value)
+    if x is not None and x > SINGULAR:
+        return f"above {number(SINGULAR)}, so that not all parameters are shown"
+    return number(x)
 
 
 def whole(value: object) -> str:

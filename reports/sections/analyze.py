@@ -132,7 +132,7 @@ def _facts(result: Analyze) -> p.Facts | None:
         p.fact(
             "Condition number",
             result.condition_number,
-            v.number,
+            v.condition,
             "with the given motion",
         ),
         p.fact(

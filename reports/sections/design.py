@@ -89,7 +89,9 @@ def check_section(result: Check, series: Series) -> p.Section:
     limits = ("hold", p.GOOD) if result.holds else ("exceeded", p.POOR)
     key_figures = p.facts(
         p.Fact("Limits", limits[0], tone=limits[1]),
-        p.fact("Condition number", kappa, v.number, _columns(result.columns or "")),
+        p.fact(
+            "Condition number", kappa, v.condition, _columns(result.columns or "")
+        ),
         _clearance(result),
         _duration(result.duration),
     )
@@ -110,7 +112,7 @@ def check_section(result: Check, series: Series) -> p.Section:
             ),
             (
                 "",
-                f"condition number {v.number(kappa)} ({result.columns or ''} columns)",
+                f"condition number {v.condition(kappa)} ({result.columns or ''} columns)",
             ),
             *(("", words) for words in excited),
         ),
@@ -225,7 +227,7 @@ def _motion(result: Motion, series: Series) -> p.Parts:
 
 
 def _change(pair: Pair | None) -> str:
-    return NONE if pair is None else v.change(pair.initial, pair.final)
+    return NONE if pair is None else v.change(pair.initial, pair.final, v.condition)
 
 
 def _lead(result: Design) -> str:
@@ -240,7 +242,7 @@ def _lead(result: Design) -> str:
         holds = f" Limits are exceeded: {used} of one is used{_unchecked(result)}."
         if worst <= FULL:
             holds = f" All limits hold, used up to {used}{_unchecked(result)}."
-    reached = f"a condition number of {v.number(kappa.final)}"
+    reached = f"a condition number of {v.condition(kappa.final)}"
     if result.link_by_link:
         return (
             f"{len(result.link_by_link.stages)} motions, one per link, of {duration} in all, reach "
@@ -248,7 +250,7 @@ def _lead(result: Design) -> str:
         )
     before = ""
     if kappa.initial is not None:
-        before = f", {v.number(kappa.initial)} at the start of the search"
+        before = f", {v.condition(kappa.initial)} at the start of the search"
     motion = f"A motion of {duration}{_split(result, ', {} periods of {},')}"
     return f"{motion} reaches {reached}{before} (1 would be best).{holds}"
 

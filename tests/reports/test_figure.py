@@ -8,7 +8,7 @@ import pytest
 
 from excitant.reports.charts import packed
 from excitant.reports.figure import Axes, Axis, Band, Figure, Line, Panel, Points, Timeline, thin
-from excitant.reports.values import number, percent, sentence, shorten, value_and_std
+from excitant.reports.values import condition, number, percent, sentence, shorten, value_and_std
 
 
 @pytest.mark.parametrize("n", [1, 50, 401, 5000, 12345])
@@ -97,6 +97,8 @@ def test_axes_end_beyond_their_marks_and_logarithmic_ones_stay_positive():
         (number(None), "–"),
         (number(float("nan")), "–"),
         (number(True), "–"),
+        (condition(12.76), "12.8"),
+        (condition(3e14), "above 1.00×10⁸, so that not all parameters are shown"),
         (number(0), "0"),
         (number(1234.5), "1234"),
         (number(-0.012345), "−0.0123"),
