@@ -27,6 +27,7 @@ from excitant.identify.preprocessing import prepare
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording, Recordings, recordings_of
 from excitant.identify.regression import regression_of
+from excitant.identify.repeats import Repeats, repeats_of
 from excitant.identify.rows import (
     Data,
     FitRows,
@@ -80,7 +81,7 @@ class Estimate(Shown):
         estimator: How the base parameters were estimated, in words.
         knowledge: What was taken for known of the bodies.
         shapes: Shapes of effects, refined where that fits better; None where there are none.
-        lengths: Errors of lengths that are counted; None where lengths are taken to be right.
+        repeats: Whether the recordings agree; None of a single one.
     """
 
     given: Robot
@@ -96,6 +97,7 @@ class Estimate(Shown):
     estimator: str = ESTIMATORS["wls"]
     knowledge: Knowledge = field(default_factory=Knowledge)
     shapes: Shapes | None = None
+    repeats: Repeats | None = None
 
     @property
     def gains(self) -> Array:
@@ -327,6 +329,7 @@ def identify_robot(
             estimator=ESTIMATORS[name],
             knowledge=known,
             shapes=shapes,
+            repeats=repeats_of(rows.reduced, fit, data.train),
         )
         return estimate, _moved_by_rate(rows, fit, physical.x)
 

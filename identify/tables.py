@@ -130,6 +130,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
     covered = coverage([e <= 0 for e in beyond])
     bodies = body_changes(estimate)
     drive = {"drive_gain_Nm_per_A": None}
+    repeats = estimate.repeats
     return {
         "verb": "identify",
         "robot": robot.name,
@@ -145,6 +146,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "prior_sigma": _body_std(estimate).tolist(),
         "parameters": _parameters(estimate),
         "base_parameters": _base_parameters(estimate),
+        **({} if repeats is None else {"repeats": repeats.entry()}),
         "physical": {
             "consistent": not broken,
             "violations": broken,
@@ -153,6 +155,11 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "knowledge": estimate.knowledge.entry(),
         "notes": [
             *estimate.notes,
+            *(
+                []
+                if repeats is None
+                else [repeats.sentence(estimate.least_squares.std)]
+            ),
             *_moved(estimate, bodies),
             *([estimate.knowledge.sentence] if estimate.knowledge.sentence else []),
             *_missed(robot.joints, covered),
@@ -235,6 +242,9 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
 
 def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
     base = estimate.base
+    repeats = estimate.repeats
+    unknown = [None] * len(base)
+    spread = unknown if repeats is None else repeats.spread.tolist()
     beta = estimate.least_squares.beta.tolist()
     rows = zip(
         base.expressions,
@@ -242,6 +252,7 @@ def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
         base.regrouping,
         beta,
         estimate.base_std.tolist(),
+        spread,
         strict=True,
     )
     return [
@@ -254,8 +265,9 @@ def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "value": value,
             "std": std,
             "rel_std": std / abs(value) if value else None,
+            "spread": apart,
         }
-        for text, leading, row, value, std in rows
+        for text, leading, row, value, std, apart in rows
     ]
 
 

@@ -105,7 +105,7 @@ def identify_section(result: Identify, series: Series) -> p.Section:
                 "Parameters, given and identified",
                 [forest_figure(result.parameters)],
             ),
-            ("Base parameters", [_base_parameters(result)]),
+            ("Base parameters", [_repeats(result), _base_parameters(result)]),
             ("Standard parameters", [_parameter_table(result)]),
             (
                 "How it was fitted",
@@ -369,6 +369,18 @@ def _in_mujoco(
     ]
 
 
+def _repeats(result: Identify) -> p.Table | None:
+    return p.table(
+        result.repeats,
+        [
+            ("name:Recording", "recording"),
+            ("number:Estimates off by, in standard errors", "deviation", v.number),
+        ],
+        "How far the estimates of each recording lie from those of all, in standard errors, rms: "
+        "about 1 where noise is all that differs.",
+    )
+
+
 def _base_parameters(result: Identify) -> p.Table | None:
     rows = result.base_parameters
     return p.table(
@@ -378,9 +390,12 @@ def _base_parameters(result: Identify) -> p.Table | None:
             ("expression:Base parameter", "expression"),
             *p.estimates("number:Value (SI)", "number:± std (SI)"),
             ("number:Relative std", p.relative),
+            *[("number:Spread (SI)", "spread", v.number)] * bool(result.repeats),
         ],
-        "The combinations of parameters that the torque depends on. Relative standard deviation: "
-        "● below 5\u00a0%, ◐ below 30\u00a0%, ○ above; near zero it is large by nature.",
+        "The combinations of parameters that the torque depends on. Spread: standard deviation by "
+        "what several recordings say apart, which is that by noise where they agree. Relative "
+        "standard deviation: ● below 5\u00a0%, ◐ below 30\u00a0%, ○ above; near zero it is large "
+        "by nature.",
         p.folded(f"All {len(rows)} base parameters", len(rows)),
     )
 

@@ -635,6 +635,17 @@ class BaseParameter(Determined):
     "The combination with all digits, by the names of its parameters."
     rel_std: Number
     "Standard deviation over the value."
+    spread: Number
+    "Standard deviation by what several recordings say apart; null of a single one."
+
+
+class Repeat(Record):
+    """Agreement of one of several recordings with all of them."""
+
+    recording: str
+    "Recording."
+    deviation: Number
+    "By how many standard errors its estimates are off, rms; about 1 by noise."
 
 
 class Residuals(Record):
@@ -940,6 +951,8 @@ class Identify(Modelled, tag_field="verb", tag="identify"):
     "Physical consistency."
     knowledge: dict[str, Any]
     "What --knowledge states."
+    repeats: list[Repeat] = []
+    "Whether several recordings agree."
     shapes: Shapes | None = None
     "Shapes of effects that were refined."
     link_by_link: LinkByLink | None = None

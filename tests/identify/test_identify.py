@@ -19,8 +19,7 @@ from excitant.robots.parameters import from_pseudo_inertia, violations
 
 
 def identified(robot: Robot, runs: list[Recording]) -> Estimate:
-    excitation, holdout = runs
-    return identify_robot(robot, [excitation], validate=[holdout])
+    return identify_robot(robot, runs[:-1], validate=runs[-1:])
 
 
 def by_name(found: Estimate) -> dict[str, Any]:
@@ -186,6 +185,23 @@ def test_a_body_that_moves_by_half_is_named_without_a_false_uncertainty(ur10, no
         assert p["category"] == "unique" or p["decided_by"] != "data"
     assert any("moved by half" in note and body.moved in note for note in result["notes"])
     assert not body_changes(identified(ur10, nominal))[link].moved
+
+
+def test_recordings_that_differ_are_told_from_those_that_agree(ur10, nominal):
+    """Cluster-robust errors are those by noise, until one recording has more friction."""
+    rng = np.random.default_rng(5)
+    noisy = [nominal[0].tau + rng.standard_normal(nominal[0].tau.shape) for _ in range(3)]
+    runs = [replace(nominal[0], tau=tau, name=f"run{k}") for k, tau in enumerate(noisy)]
+    alike = identified(ur10, [*runs, nominal[1]]).repeats
+    assert 0.6 < np.sqrt((alike.deviation**2).mean()) < 1.2
+    assert not alike.differ
+    more = runs[1].tau + 2.0 * np.sign(runs[1].dq) * (np.arange(6) == 2)
+    found = identified(ur10, [runs[0], replace(runs[1], tau=more), runs[2], nominal[1]])
+    assert found.repeats.differ
+    spread, std = found.repeats.spread, found.least_squares.std
+    k = found.base.expressions.index("elbow_joint.Fc")
+    assert spread[k] > 2 * std[k]
+    assert any("most run1" in note for note in found.result()["notes"])
 
 
 def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recording]) -> None:
