@@ -685,11 +685,6 @@ def published(
         notes.append(
             _unwritten([file for file in exported if file.refused], yaml_name)
         )
-    if made_up := [f.file for f in exported if f.refitted and not f.refused]:
-        notes.append(
-            f"bodies and friction in {', '.join(made_up)} are fitted to make up for what the "
-            f"format lacks; {yaml_name} holds everything"
-        )
     written = {name: text for name, text in files.items() if name not in refused}
     return Publication(written, True, "; ".join(notes), exported)
 

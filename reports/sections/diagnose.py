@@ -12,6 +12,7 @@ from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.sections.identify import (
     CUTOFF_REMARK,
     exported_table,
+    refitted_line,
     fault_table,
 )
 from excitant.reports.values import Series
@@ -96,7 +97,11 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
             ("Files of the extended model", [exported_table(result.exported)]),
             *first,
         ],
-        (("diagnosed", lead), *_first_lines(findings)),
+        (
+            ("diagnosed", lead),
+            *_first_lines(findings),
+            *refitted_line(result.exported),
+        ),
         [
             ("Further findings", others),
             (
