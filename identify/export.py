@@ -53,6 +53,7 @@ DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
 SHORTEST_LINE = (
     1e-3  # distance of joints [m], below which no line is drawn between them
 )
+_MADE_UP = "its parameters are fitted to make up for it: they are not the model's"
 _ROS2_REMARKS = (
     "gains: read by joint_trajectory_controller with an effort interface, [N·m·s/rad]",
     "friction [N·m·s/rad, N·m, N·m, kg·m²], links [kg, m in the frame of the joint, kg·m² about",
@@ -219,7 +220,7 @@ def comment(
             "gravity is that of the world, which Drake wants to be told in code"
         )
     missing = [f"not in this file: {name}" for name in left_out]
-    made_up = ["bodies and friction are fitted to make up for it"] * (refit is not None)
+    made_up = [_MADE_UP] * (refit is not None)
     last = [f"{complete} holds everything"] if left_out else []
     return _commented(["identified by excitant", *missing, *made_up, *own, *last])
 

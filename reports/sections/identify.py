@@ -178,13 +178,13 @@ def exported_table(files: list[ExportedFile]) -> p.Table | None:
             ("text:Lacks", missing),
         ],
         "Error on the hold-out (nrmse) of what a program reads from each file: what its format "
-        "cannot hold is left out. Where a file is refitted, its bodies and friction make up for "
+        "cannot hold is left out. Where a file is refitted, its friction, or bodies too, make up for "
         "that: they are not the model's. A file that is worse than the given model is not written.",
     )
 
 
 def refitted_line(files: list[ExportedFile]) -> p.Brief:
-    """Files whose bodies are not the model's, with their errors, as a line; none without any."""
+    """Files whose parameters are not the model's, with their errors, as a line; none without any."""
     errors = [
         f"{row.file} {_error(row, np.median)}, worst joint {_error(row, max)}"
         for row in files
@@ -192,7 +192,7 @@ def refitted_line(files: list[ExportedFile]) -> p.Brief:
     ]
     if not errors:
         return ()
-    why = "bodies and friction there make up for what the format lacks"
+    why = "parameters there make up for what the format lacks"
     return (("refitted", f"{'; '.join(errors)} of the hold-out: {why}"),)
 
 

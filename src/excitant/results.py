@@ -110,7 +110,7 @@ class ExportedFile(Record):
     lacks: list[str]
     "Effects of the model that the format cannot hold, in words."
     refitted: bool
-    "True where the file's bodies and friction are fitted to make up for these."
+    "True where the file's friction, or bodies too, are fitted to make up for these."
 
 
 class Extreme(Record):
