@@ -105,14 +105,12 @@ def model_files(
     description = f"{stem}.urdf" if alone else f"{stem}.links"
     table = f"{yaml_name.removesuffix('.yaml')}-estimate.csv"
     beside = {} if model.estimate is None else {"estimate": table}
-    files = {
-        description: _urdf(
-            held_by(arm, "urdf"), remark("urdf") if alone else _links_of(yaml_name)
-        ),
-        yaml_name: _yaml(arm, {"model": description} | beside, gains),
-    }
+    files = {}
     if "urdf" in own:
         files[f"{stem}.urdf"] = _urdf(own["urdf"], remark("urdf"))
+    links = remark("urdf") if alone else _links_of(yaml_name)
+    files[description] = _urdf(held_by(arm, "urdf"), links)
+    files[yaml_name] = _yaml(arm, {"model": description} | beside, gains)
     # the same with or without bodies folded into links
     if model.estimate is not None:
         files[table] = model.estimate.csv()
@@ -233,7 +231,10 @@ def _commented(lines: Sequence[str]) -> str:
 
 
 def _links_of(complete: str) -> str:
-    lines = [f"links and joints of {complete}", "no model without the effects there"]
+    lines = [
+        f"links and joints of {complete}",
+        "no model without the effects there",
+    ]
     return _commented(lines)
 
 

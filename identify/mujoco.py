@@ -99,9 +99,7 @@ class SideBySide:
         return given | {"mujoco_identified": self.identified}
 
 
-def side_by_side(
-    estimate: Estimate, written: Robot | None = None
-) -> SideBySide:
+def side_by_side(estimate: Estimate, written: Robot | None = None) -> SideBySide:
     """Both models of an identification in MuJoCo, on its hold-out; BadInput as `mujoco_torque`.
 
     ``written`` is what the MJCF holds, where that is not simply the model.

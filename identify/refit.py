@@ -69,9 +69,7 @@ class Refit:
         """
         if (self.arm.phi[::10] < 0).any():
             return None
-        effects = tuple(
-            e for e in self._effects if file_format in e.export.formats
-        )
+        effects = tuple(e for e in self._effects if file_format in e.export.formats)
         coefficients = [p for e in effects for p in e.parameters(self.arm)]
         names = [p.name for p in coefficients]
         wanted = (*self.arm.parameter_names, *names)
@@ -173,9 +171,7 @@ class _Heir:
         return self.start if fit.note else fit.x
 
 
-def _of_unseen(
-    problem: Regression, fitted: Callable[[Regression], Array]
-) -> Array:
+def _of_unseen(problem: Regression, fitted: Callable[[Regression], Array]) -> Array:
     """Torque of each part of the rows by a fit to the others, shape (n, nv) [N·m]."""
     ends = np.linspace(0, len(problem), REFIT_PARTS + 1).astype(int).tolist()
     parts = []

@@ -12,8 +12,8 @@ from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.sections.identify import (
     CUTOFF_REMARK,
     exported_table,
-    refitted_line,
     fault_table,
+    refitted_line,
 )
 from excitant.reports.values import Series
 from excitant.results import (

@@ -162,7 +162,6 @@ def _least_judged(result: Identify) -> str:
 def exported_table(files: list[ExportedFile]) -> p.Table | None:
     """How well what each file of the model holds predicts the hold-out; None without any."""
 
-
     def missing(row: ExportedFile) -> p.Cell:
         lacks = v.listing(row.lacks, "nothing")
         if not row.written:
@@ -178,13 +177,13 @@ def exported_table(files: list[ExportedFile]) -> p.Table | None:
             ("text:Lacks", missing),
         ],
         "Error on the hold-out (nrmse) of what a program reads from each file: what its format "
-        "cannot hold is left out. Where a file is refitted, its friction, or bodies too, make up for "
-        "that: they are not the model's. A file that is worse than the given model is not written.",
+        "cannot hold is left out. Where a file is refitted, its friction, or bodies too, make up "
+        "for that: they are not the model's. A file worse than the given model is not written.",
     )
 
 
 def refitted_line(files: list[ExportedFile]) -> p.Brief:
-    """Files whose parameters are not the model's, with their errors, as a line; none without any."""
+    """Files that are refitted, with their errors, as a line; none without any."""
     errors = [
         f"{row.file} {_error(row, np.median)}, worst joint {_error(row, max)}"
         for row in files
