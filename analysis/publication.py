@@ -36,6 +36,7 @@ def extended_publication(
         "extended",
         "extended.yaml",
         diagnosis.holdout.judging(diagnosis.extension.predicted),
+        diagnosis.train.segments,
         force=force,
         faults=proven(faults),
     )

@@ -31,6 +31,8 @@ from excitant.identify.objections import (
     useless_joints,
     worse_joints,
 )
+from excitant.identify.preprocessing import Segment
+from excitant.identify.refit import Refit
 from excitant.identify.rows import predicted_torque
 from excitant.robots.effects import Effect, effect_entries, plain
 from excitant.robots.motion import Array
@@ -45,14 +47,17 @@ USUAL = ("urdf", "mjcf", "sdf")
 FORMATS = (*USUAL, "ros2_control")
 JOINT_PROPERTIES = ("viscous", "coulomb", "offset", "rotor")
 _SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "sdf": ".sdf"}
+_ENDS = {**_SUFFIXES, "ros2_control": "_ros2_control.yaml"}
 MODEL_SUFFIXES = (*_SUFFIXES.values(), ".yaml")
 DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
 SHORTEST_LINE = (
     1e-3  # distance of joints [m], below which no line is drawn between them
 )
+_MADE_UP = "its parameters are fitted to make up for it: they are not the model's"
 _ROS2_REMARKS = (
     "gains: read by joint_trajectory_controller with an effort interface, [N·m·s/rad]",
-    "friction [N·m·s/rad, N·m, N·m, kg·m²], links [kg, m in the frame of the joint], gravity:",
+    "friction [N·m·s/rad, N·m, N·m, kg·m²], links [kg, m in the frame of the joint, kg·m² about",
+    "the centre of mass in its axes: xx, xy, xz, yy, yz, zz], gravity:",
     "names of excitant's own, for controllers that declare them",
 )
 _MJCF_NAMES = {"damping": "viscous", "frictionloss": "coulomb", "armature": "rotor"}
@@ -71,14 +76,16 @@ def model_files(
     gains: Array | None = None,
     *,
     urdf: bool = True,
+    refitted: Mapping[str, Robot] | None = None,
 ) -> dict[str, str]:
     """A robot as files; URDF and YAML always, and its base parameters with covariance where known.
 
     The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
     same torque and the same estimate. The others are ``.xml`` (MJCF), ``.sdf``, and
     ``_ros2_control.yaml`` with parameters of controllers. Gains, shape (nv,) [N·m/A], are given
-    where torque was measured as current. Without ``urdf``, the description that the YAML refers to
-    is named ``.links``, and says that it is no model by itself.
+    where torque was measured as current. ``refitted`` is what some formats hold instead of the
+    robot's own parameters. Without ``urdf``, or where that is refitted, the description that the
+    YAML refers to is named ``.links``, and says that it is no model by itself.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -86,22 +93,34 @@ def model_files(
     """
     UnknownName.refuse("format", formats, FORMATS)
     arm = folded(model)
-    description = f"{stem}.urdf" if urdf else f"{stem}.links"
+    own = refitted or {}
+
+    def held(file_format: str) -> Robot:
+        return own.get(file_format) or held_by(arm, file_format)
+
+    def remark(file_format: str) -> str:
+        return comment(arm, file_format, yaml_name, own.get(file_format))
+
+    alone = urdf and "urdf" not in own
+    description = f"{stem}.urdf" if alone else f"{stem}.links"
     table = f"{yaml_name.removesuffix('.yaml')}-estimate.csv"
     beside = {} if model.estimate is None else {"estimate": table}
-    files = {
-        description: _urdf(arm, yaml_name, alone=urdf),
-        yaml_name: _yaml(arm, {"model": description} | beside, gains),
-    }
+    files = {}
+    if "urdf" in own:
+        files[f"{stem}.urdf"] = _urdf(own["urdf"], remark("urdf"))
+    links = remark("urdf") if alone else _links_of(yaml_name)
+    files[description] = _urdf(held_by(arm, "urdf"), links)
+    files[yaml_name] = _yaml(arm, {"model": description} | beside, gains)
     # the same with or without bodies folded into links
     if model.estimate is not None:
         files[table] = model.estimate.csv()
     if "mjcf" in formats:
-        files[f"{stem}.xml"] = _mjcf(arm, yaml_name, gains)
+        files[f"{stem}.xml"] = _mjcf(held("mjcf"), remark("mjcf"), gains)
     if "sdf" in formats:
-        files[f"{stem}.sdf"] = _sdf(arm, yaml_name)
+        files[f"{stem}.sdf"] = _sdf(held("sdf"), remark("sdf"))
     if "ros2_control" in formats:
-        files[f"{stem}_ros2_control.yaml"] = _ros2_control(arm, yaml_name)
+        text = _ros2_control(held("ros2_control"), remark("ros2_control"))
+        files[f"{stem}_ros2_control.yaml"] = text
     return files
 
 
@@ -180,12 +199,17 @@ def _drives(held: Robot) -> Mapping[str, Array]:
     }
 
 
-def comment(robot: Robot, file_format: str, complete: str) -> str:
-    """Deviations of a file from the model, and the file that is complete."""
+def comment(
+    robot: Robot, file_format: str, complete: str, refit: Robot | None = None
+) -> str:
+    """Deviations of a file from the model, and the file that is complete.
+
+    ``refit`` is what the file holds where that is fitted to make up for what it lacks.
+    """
     left_out = lacking(robot, file_format)
     own = [
         note
-        for effect in robot.effects
+        for effect in (refit or robot).effects
         if (note := effect.export.formats.get(file_format))
         and any(effect.values or ())
     ]
@@ -194,8 +218,9 @@ def comment(robot: Robot, file_format: str, complete: str) -> str:
             "gravity is that of the world, which Drake wants to be told in code"
         )
     missing = [f"not in this file: {name}" for name in left_out]
+    made_up = [_MADE_UP] * (refit is not None)
     last = [f"{complete} holds everything"] if left_out else []
-    return _commented(["identified by excitant", *missing, *own, *last])
+    return _commented(["identified by excitant", *missing, *made_up, *own, *last])
 
 
 def _commented(lines: Sequence[str]) -> str:
@@ -205,16 +230,16 @@ def _commented(lines: Sequence[str]) -> str:
     return f"{text}\n  "
 
 
-def _urdf(arm: Robot, complete: str, *, alone: bool) -> str:
-    root = ET.fromstring(current_urdf(held_by(arm, "urdf")))
-    remark = comment(arm, "urdf", complete)
-    if not alone:
-        remark = _commented(
-            [
-                f"links and joints of {complete}",
-                "no model without the effects there",
-            ]
-        )
+def _links_of(complete: str) -> str:
+    lines = [
+        f"links and joints of {complete}",
+        "no model without the effects there",
+    ]
+    return _commented(lines)
+
+
+def _urdf(held: Robot, remark: str) -> str:
+    root = ET.fromstring(current_urdf(held))
     root.insert(0, ET.Comment(remark))
     return _text_of(root, declared=True)
 
@@ -235,16 +260,20 @@ def _yaml(arm: Robot, beside: Mapping[str, str], gains: Array | None) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
-def _ros2_control(arm: Robot, complete: str) -> str:
+def _ros2_control(arm: Robot, remark: str) -> str:
     """Parameters of ROS 2 for any node, which are doubles throughout, in SI units."""
-    drives = _drives(held_by(arm, "ros2_control"))
+    drives = _drives(arm)
     friction = {
         joint: {name: float(drives[name][j]) for name in JOINT_PROPERTIES}
         for j, joint in enumerate(arm.joints)
     }
     bodies = map(inertia, arm.phi.reshape(-1, 10))
     links = {
-        link: {"mass": float(body.mass), "centre_of_mass": body.lever.tolist()}
+        link: {
+            "mass": float(body.mass),
+            "centre_of_mass": body.lever.tolist(),
+            "inertia": body.inertia[np.triu_indices(3)].tolist(),
+        }
         for link, body in zip(arm.links, bodies, strict=True)
     }
     gains = {
@@ -253,17 +282,17 @@ def _ros2_control(arm: Robot, complete: str) -> str:
     }
     parameters = {"gains": gains, "friction": friction, "links": links}
     parameters |= {"gravity": arm.gravity.tolist()}
-    remarks = comment(arm, "ros2_control", complete).strip().splitlines()
+    remarks = remark.strip().splitlines()
     head = "".join(f"# {line.strip()}\n" for line in [*remarks, *_ROS2_REMARKS])
     content = {"/**": {"ros__parameters": parameters}}
     return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
-def _mjcf(arm: Robot, complete: str, gains: Array | None) -> str:
+def _mjcf(arm: Robot, remark: str, gains: Array | None) -> str:
     """MJCF text; a control is a torque [N·m], or a current [A] where drive gains are given."""
-    drives = _drives(held_by(arm, "mjcf"))
+    drives = _drives(arm)
     root = ET.Element("mujoco", model=arm.name)
-    root.append(ET.Comment(comment(arm, "mjcf", complete)))
+    root.append(ET.Comment(remark))
     _add(
         root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true"
     )
@@ -322,11 +351,11 @@ def _sites(parent: ET.Element, arm: Robot, joint: int) -> None:
         _add(parent, "site", name=name, **_pose(place))
 
 
-def _sdf(arm: Robot, complete: str) -> str:
+def _sdf(arm: Robot, remark: str) -> str:
     """SDF text of an arm, fixed in a world; links, joints and frames share one list of names."""
-    drives = _drives(held_by(arm, "sdf"))
+    drives = _drives(arm)
     root = ET.Element("sdf", {"version": "1.9", "xmlns:drake": "drake.mit.edu"})
-    root.append(ET.Comment(comment(arm, "sdf", complete)))
+    root.append(ET.Comment(remark))
     world = _add(root, "world", name="default")
     _add(world, "gravity", arm.gravity)
     model = _add(world, "model", name=_unreserved(arm.name))
@@ -463,13 +492,19 @@ class ExportedFile:
     Attributes:
         file: Its name.
         accuracy: Errors of what the file holds, joint by joint.
+        arm: What the file holds.
+        file_format: Its format; empty of the file that holds everything.
         lacks: What its format cannot hold, in words.
+        refitted: Whether bodies and joint properties are fitted to make up for that.
         refused: What predicts the hold-out better, so that it is not written; empty where it is.
     """
 
     file: str
     accuracy: Accuracy
-    lacks: tuple[str, ...]
+    arm: Robot
+    file_format: str = ""
+    lacks: tuple[str, ...] = ()
+    refitted: bool = False
     refused: str = ""
 
     def entry(self) -> dict[str, Any]:
@@ -480,6 +515,7 @@ class ExportedFile:
             "nrmse": self.accuracy.nrmse.tolist(),
             "rms": self.accuracy.rms.tolist(),
             "lacks": list(self.lacks),
+            "refitted": self.refitted,
         }
 
 
@@ -496,6 +532,11 @@ class Publication:
     def refusal(self) -> str:
         """Why the model is not published; empty where it is."""
         return "" if self.published else self.note
+
+    def arm(self, file_format: str) -> Robot | None:
+        """What the file of a format holds of a published model; None without one."""
+        arms = [e.arm for e in self.exported if e.file_format == file_format]
+        return arms[0] if arms else None
 
     def note_in(self, result: dict[str, Any]) -> None:
         """Say in the contents of a result.json whether the model is published, and why not."""
@@ -521,7 +562,7 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
     UnknownName.refuse("format", [path.suffix], sorted(MODEL_SUFFIXES))
     gains = estimate.gains if estimate.data.unit == "A" else None
     complete = f"{path.stem}.yaml"
-    files = model_files(estimate.model, path.stem, complete, gains=gains)
+    exported: tuple[ExportedFile, ...] = ()
     written = [path]
     if path.suffix == ".yaml":
         written.append(path.with_suffix(".urdf"))
@@ -533,11 +574,18 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
             path.stem,
             complete,
             hold_out(estimate),
+            estimate.data.train,
             [formats[path.suffix]],
         )
-        poor = [f for f in exported if f.refused and f.file == path.name]
-        if poor:
+        if poor := [file for file in exported if file.refused]:
             warnings.warn(f"{path.name}: {_shortcoming(poor)}", stacklevel=2)
+    files = model_files(
+        estimate.model,
+        path.stem,
+        complete,
+        gains=gains,
+        refitted=_refitted(exported),
+    )
     for file in written:
         write_file(file, files[file.name])
     return written
@@ -567,6 +615,7 @@ def publication(
         "identified",
         "model.yaml",
         hold_out(estimate),
+        estimate.data.train,
         formats=formats,
         gains=estimate.gains if estimate.data.unit == "A" else None,
         force=force,
@@ -590,6 +639,7 @@ def published(
     kind: str,
     yaml_name: str,
     judged: HoldOut,
+    fitted: Sequence[Segment],
     *,
     formats: Sequence[str] = USUAL,
     gains: Array | None = None,
@@ -598,7 +648,8 @@ def published(
 ) -> Publication:
     """The same of any model, whose files are named by its kind, ``identified`` or ``extended``.
 
-    Gains are written, shape (nv,) [N·m/A], where torque was measured as current.
+    It was ``fitted`` to these segments. Gains are written, shape (nv,) [N·m/A], where torque was
+    measured as current.
     """
     UnknownName.refuse("format", formats, FORMATS)
     correct = "correct the recording, with --repair where it says so"
@@ -612,12 +663,20 @@ def published(
         advice = against[0].advice
         note = f"the {kind} model is not published: {reasons}; {advice}, or give --force"
         return Publication({}, False, note)
-    exported = exported_files(model, kind, yaml_name, judged, formats)
+    exported = exported_files(
+        model, kind, yaml_name, judged, fitted, ("urdf", *formats)
+    )
     if force:
         exported = tuple(replace(file, refused="") for file in exported)
     refused = {file.file for file in exported if file.refused}
     files = model_files(
-        model, kind, yaml_name, formats, gains, urdf=f"{kind}.urdf" not in refused
+        model,
+        kind,
+        yaml_name,
+        formats,
+        gains,
+        urdf=f"{kind}.urdf" not in refused,
+        refitted=_refitted(exported),
     )
     notes = [f"published because it was forced: {reasons}"] if against else []
     if worse and not against:
@@ -633,41 +692,58 @@ def published(
 
 
 def exported_files(
-    model: Robot, stem: str, yaml_name: str, judged: HoldOut, formats: Sequence[str]
+    model: Robot,
+    stem: str,
+    yaml_name: str,
+    judged: HoldOut,
+    fitted: Sequence[Segment],
+    formats: Sequence[str],
 ) -> tuple[ExportedFile, ...]:
     """Files of a model that a program can read as one, with their errors on the hold-out.
 
-    One that lacks something is refused where it predicts the hold-out worse than no model at a
-    joint, as a model is, or worse than the nominal one by the nrmse summed over the joints.
+    One that lacks something is refitted on the segments that the model was fitted to, where that
+    makes up for it (`Refit`). It is refused where it predicts the hold-out worse than no model at
+    a joint, as a model is, or worse than the nominal one by the nrmse summed over the joints.
     """
     arm = folded(model)
-    complete = judged.accuracy
-    nominal = float(np.nansum(judged.nominal_accuracy.nrmse))
-    exported = [ExportedFile(yaml_name, complete, ())]
-    predictions: dict[tuple[Effect, ...], Array] = {}
-    for file_format, suffix in _SUFFIXES.items():
-        if file_format not in ("urdf", *formats):
+    refit = Refit(arm, fitted, judged.gains)
+    exported = [ExportedFile(yaml_name, judged.accuracy, model)]
+    for file_format, end in _ENDS.items():
+        if file_format not in formats:
             continue
+        name = f"{stem}{end}"
         lacks = tuple(lacking(arm, file_format))
-        file = ExportedFile(f"{stem}{suffix}", complete, lacks)
+        held = held_by(arm, file_format)
+        file = ExportedFile(name, judged.accuracy, held, file_format, lacks)
         if lacks:
-            held = held_by(arm, file_format)
-            if held.effects not in predictions:
-                tau = predicted_torque(held, judged.segments) / judged.gains
-                predictions[held.effects] = tau
-            reduced = replace(judged, predicted=predictions[held.effects])
-            accuracy = reduced.accuracy
-            useless = useless_joints(model.joints, reduced)
-            error = float(np.nansum(accuracy.nrmse))
-            why = f"no model at {'; '.join(useless)}" if useless else ""
-            if error > nominal and not useless:
-                why = (
-                    "the model as given, nrmse summed over the joints "
-                    f"{nominal:.4g} → {error:.4g}"
-                )
-            file = replace(file, accuracy=accuracy, refused=why)
+            if (refitted := refit.of(held, file_format)) is not None:
+                file = replace(file, arm=refitted, refitted=True)
+            file = _judged(file, judged)
         exported.append(file)
     return tuple(exported)
+
+
+def _judged(file: ExportedFile, judged: HoldOut) -> ExportedFile:
+    """The file with its own errors, refused where something else predicts better."""
+    tau = predicted_torque(file.arm, judged.segments) / judged.gains
+    reduced = replace(judged, predicted=tau)
+    useless = useless_joints(file.arm.joints, reduced)
+    nominal, error = (
+        float(np.nansum(accuracy.nrmse))
+        for accuracy in (judged.nominal_accuracy, reduced.accuracy)
+    )
+    why = f"no model at {'; '.join(useless)}" if useless else ""
+    if error > nominal and not useless:
+        why = (
+            "the model as given, nrmse summed over the joints "
+            f"{nominal:.4g} → {error:.4g}"
+        )
+    return replace(file, accuracy=reduced.accuracy, refused=why)
+
+
+def _refitted(exported: Sequence[ExportedFile]) -> dict[str, Robot]:
+    """What files hold that are refitted, by format."""
+    return {file.file_format: file.arm for file in exported if file.refitted}
 
 
 def _unwritten(files: Sequence[ExportedFile], complete: str) -> str:

@@ -99,12 +99,15 @@ class SideBySide:
         return given | {"mujoco_identified": self.identified}
 
 
-def side_by_side(estimate: Estimate) -> SideBySide:
-    """Both models of an identification in MuJoCo, on its hold-out; BadInput as `mujoco_torque`."""
+def side_by_side(estimate: Estimate, written: Robot | None = None) -> SideBySide:
+    """Both models of an identification in MuJoCo, on its hold-out; BadInput as `mujoco_torque`.
+
+    ``written`` is what the MJCF holds, where that is not simply the model.
+    """
     gains = estimate.gains if estimate.data.unit == "A" else None
     segments = estimate.data.validate
     notes = list[str]()
-    identified = mujoco_torque(estimate.model, segments, gains)
+    identified = mujoco_torque(written or estimate.model, segments, gains)
     try:
         given: Array | None = mujoco_torque(estimate.given, segments, gains)
     except BadInput as error:

@@ -13,6 +13,7 @@ from excitant.reports.sections.identify import (
     CUTOFF_REMARK,
     exported_table,
     fault_table,
+    refitted_line,
 )
 from excitant.reports.values import Series
 from excitant.results import (
@@ -105,6 +106,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
             ("diagnosed", lead),
             *_first_lines(findings),
             *_corrected_line(result.corrected),
+            *refitted_line(result.exported),
         ),
         [
             ("Further findings", others),

@@ -127,7 +127,8 @@ def _brief(result: Identify) -> p.Brief:
         moved = [*moved[: _FEW - 1], f"and {len(moved) - _FEW + 1} more"]
     lines = [("" if k else "moved", words) for k, words in enumerate(moved)]
     holdout = f"{result.holdout}{_least_judged(result)}"
-    return ("identified", error), ("", holdout), *lines
+    files = refitted_line(result.exported)
+    return ("identified", error), ("", holdout), *files, *lines
 
 
 def _worst(result: Identify) -> str:
@@ -161,30 +162,42 @@ def _least_judged(result: Identify) -> str:
 def exported_table(files: list[ExportedFile]) -> p.Table | None:
     """How well what each file of the model holds predicts the hold-out; None without any."""
 
-    def error(pick: Callable[..., float]) -> Callable[[ExportedFile], str]:
-        def written(row: ExportedFile) -> str:
-            nrmse = [x for x in row.nrmse if x is not None]
-            return v.percent(pick(nrmse) if nrmse else None)
-
-        return written
-
     def missing(row: ExportedFile) -> p.Cell:
         lacks = v.listing(row.lacks, "nothing")
-        if row.written:
-            return p.Cell(lacks)
-        return p.Cell(f"not written, for it lacks {lacks}", p.POOR)
+        if not row.written:
+            return p.Cell(f"not written, for it lacks {lacks}", p.POOR)
+        return p.Cell(f"{lacks}{'; refitted' * row.refitted}")
 
     return p.table(
         files,
         [
             ("name:File", "file"),
-            ("number:Error, median joint", error(np.median)),
-            ("number:worst joint", error(max)),
+            ("number:Error, median joint", lambda row: _error(row, np.median)),
+            ("number:worst joint", lambda row: _error(row, max)),
             ("text:Lacks", missing),
         ],
         "Error on the hold-out (nrmse) of what a program reads from each file: what its format "
-        "cannot hold is left out. A file that is worse than the given model is not written.",
+        "cannot hold is left out. Where a file is refitted, its friction, or bodies too, make up "
+        "for that: they are not the model's. A file worse than the given model is not written.",
     )
+
+
+def refitted_line(files: list[ExportedFile]) -> p.Brief:
+    """Files that are refitted, with their errors, as a line; none without any."""
+    errors = [
+        f"{row.file} {_error(row, np.median)}, worst joint {_error(row, max)}"
+        for row in files
+        if row.refitted and row.written
+    ]
+    if not errors:
+        return ()
+    why = "parameters there make up for what the format lacks"
+    return (("refitted", f"{'; '.join(errors)} of the hold-out: {why}"),)
+
+
+def _error(file: ExportedFile, pick: Callable[..., float]) -> str:
+    nrmse = [x for x in file.nrmse if x is not None]
+    return v.percent(pick(nrmse) if nrmse else None)
 
 
 def fault_table(faults: list[Fault]) -> p.Table | None:

@@ -319,16 +319,16 @@ def identify(
         result["payload"] = carried.result()
     result |= read.entries
     series = estimate.series() | identified.series()
-    if model.mujoco:
-        beside = ex.identify.side_by_side(estimate)
-        result["mujoco"] = beside.result()
-        series |= beside.series()
     published = ex.identify.publication(
         estimate,
         formats=model.formats or ex.identify.USUAL,
         force=model.force,
         faults=ex.identify.proven(read.entries["faults"]),
     )
+    if model.mujoco:
+        beside = ex.identify.side_by_side(estimate, published.arm("mjcf"))
+        result["mujoco"] = beside.result()
+        series |= beside.series()
     result["notes"] += notes
     published.note_in(result)
     run.finish(result, series, published.files, first=published.note)

@@ -113,6 +113,8 @@ class ExportedFile(Record):
     "rms per joint on the hold-out [N·m or A]."
     lacks: list[str]
     "Effects of the model that the format cannot hold, in words."
+    refitted: bool
+    "True where the file's friction, or bodies too, are fitted to make up for these."
 
 
 class Extreme(Record):

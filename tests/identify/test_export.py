@@ -23,12 +23,13 @@ from plant_recordings import swinging
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, identify_robot, load_dataset
 from excitant.identify.drive_gains import DriveGains
-from excitant.identify.export import HoldOut, model_files, publication, published, save_model
+from excitant.identify.export import held_by, model_files, publication, save_model
 from excitant.identify.mujoco import mujoco_torque, side_by_side
 from excitant.identify.preprocessing import Segment
 from excitant.identify.rows import predicted_torque
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, robot_from_dh, torque
 from excitant.robots import effects as fx
+from excitant.robots.parameters import violations
 from excitant.robots.urdf import robot_from_urdf
 
 SMOOTH = (fx.ViscousFriction, fx.RotorInertia)
@@ -277,13 +278,14 @@ def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
     check(rubbing, torque(with_only(model, *kinds), motion) - torque(bare, motion))
     for joint in model.joints:
         assert gains[joint]["ff_velocity_scale"] == friction[joint]["viscous"]
-    weights = np.zeros((model.nv, 10))
-    for j, link in enumerate(found["links"].values()):
-        weights[j, :4] = link["mass"] * np.array([1.0, *link["centre_of_mass"]])
-    held = replace(motion, dq=0 * motion.dq, ddq=0 * motion.ddq)
-    weighed = bare.with_effects([]).with_parameters(weights.ravel())
+    bodies = []
+    for link in found["links"].values():
+        xx, xy, xz, yy, yz, zz = link["inertia"]
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        body = pin.Inertia(link["mass"], np.array(link["centre_of_mass"]), tensor)
+        bodies.append(body.toDynamicParameters())
     assert found["gravity"] == bare.gravity.tolist()
-    check(rigid_body_torque(weighed, held), torque(bare, held))
+    check(torque(bare.with_effects([]).with_parameters(bodies), motion), torque(bare, motion))
     assert "# not in this file: Stribeck friction" in text
     assert all(line.startswith("#") for line in text.partition("/**")[0].splitlines())
 
@@ -409,7 +411,7 @@ def test_a_model_worse_than_another_or_none_is_published_only_when_forced(
     model = judged(estimate, erring(estimate, *found), erring(estimate, *given, seed=1))
     plain, forced = publication(model), publication(model, force=True)
     assert forced.published
-    beside = {"model.yaml", "model-estimate.csv"}
+    beside = {"model.yaml", "model-estimate.csv", "identified.links"}
     assert set(forced.files) == {*(f"identified.{x}" for x in SUFFIXES), *beside}
     assert plain.published == published
     assert plain.files == (forced.files if published else {})
@@ -451,64 +453,61 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
     check(rigid_body_torque(again, motion), torque(carrying, motion))
 
 
-@pytest.fixture(scope="module")
-def beyond_formats(planar: Robot, exact: Call) -> Estimate:
-    """An arm whose friction is of a kind that no format holds, as ``--effects auto`` may find."""
-    friction = fx.AsymmetricFriction(planar.joints)
-    count = len(friction.parameters(planar))
-    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, count))])
-    rubbing = (kind(planar.joints, (3.0, 3.0)) for kind in (fx.CoulombFriction, fx.ViscousFriction))
-    given = planar.with_effects([*rubbing])
-    recording = exact(true, np.arange(0, 12, 1 / 100))
-    return identify_robot(given, [recording], effects=[friction, fx.RotorInertia(planar.joints)])
-
-
-def test_a_file_that_lacks_too_much_is_not_written(beyond_formats, tmp_path):
-    """Nothing else is silent either: each file's own error stands beside it."""
-    model = publication(beyond_formats)
+def test_a_file_that_lacks_too_much_is_not_written(planar, exact, tmp_path):
+    """Nor can anything in it stand for a ripple, of which the given model has most."""
+    ripple = fx.TorqueRipple(planar.joints, order=20.0)
+    true, most = (ripple.with_values([k, 2 * k] * planar.nv) for k in (4.0, 3.6))
+    recording = exact(planar.with_effects([true]), np.arange(0, 12, 1 / 100))
+    found = identify_robot(planar.with_effects([most]), [recording], effects=[ripple])
+    model = publication(found)
     unwritten = {f"identified.{suffix}" for suffix in SUFFIXES}
     assert set(model.files) == {"model.yaml", "identified.links", "model-estimate.csv"}
-    assert model.published
     names = ", ".join(f"identified.{suffix}" for suffix in SUFFIXES)
-    assert f"{names} are not written: without asymmetric friction of all joints" in model.note
+    assert f"{names} are not written: without torque ripple of all joints" in model.note
     assert "\n" not in model.note
-    result = beyond_formats.result()
-    model.note_in(result)
-    exported = {entry["file"]: entry for entry in result["exported"]}
+    exported = {file.file: file.entry() for file in model.exported}
     assert set(exported) == {"model.yaml", *unwritten}
-    np.testing.assert_allclose(exported["model.yaml"]["rms"], beyond_formats.validate.rms)
+    np.testing.assert_allclose(exported["model.yaml"]["rms"], found.validate.rms)
     assert exported["model.yaml"]["lacks"] == []
-    given = beyond_formats.baseline.nrmse.sum()
+    given = found.baseline.nrmse.sum()
     for name in unwritten:
         assert not exported[name]["written"]
         assert sum(exported[name]["nrmse"]) > given > sum(exported["model.yaml"]["nrmse"])
     again = load_robot(write(tmp_path, dict(model.files)) / "model.yaml")
-    motion = states(again, 20)
-    check(torque(again, motion), torque(beyond_formats.model, motion), PRECISION["yaml"])
-    with pytest.warns(UserWarning, match=r"asked\.urdf: without asymmetric friction of all"):
-        save_model(beyond_formats, tmp_path / "asked.urdf")
-    forced = publication(beyond_formats, force=True)
+    check(predicted_torque(again, found.data.validate), found.predicted, PRECISION["yaml"])
+    with pytest.warns(UserWarning, match=r"asked\.urdf: without torque ripple of all"):
+        save_model(found, tmp_path / "asked.urdf")
+    forced = publication(found, force=True)
     assert unwritten < set(forced.files)
     assert "not written" not in forced.note
 
 
-def test_the_error_of_a_file_is_that_of_the_file_read_again(beyond_formats, tmp_path):
-    """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms."""
-    rows, segments = beyond_formats.holdout, beyond_formats.data.validate
-    model = beyond_formats.model
-    more = [kind(model.joints, (2.0, 3.0)) for kind in (fx.CoulombFriction, fx.ViscousFriction)]
-    model = model.with_effects([*model.effects, *more])
-    complete = predicted_torque(model, segments)
-    judged = HoldOut(segments, rows, np.ones(model.nv), complete, complete)
-    published_files = published(model, "identified", "model.yaml", judged, force=True)
-    write(tmp_path, dict(published_files.files))
-    stated = {file.file: file.accuracy.rms for file in published_files.exported}
-    read = predicted_torque(load_robot(tmp_path / "identified.urdf"), segments)
-    np.testing.assert_allclose(stated["identified.urdf"], rows.accuracy(read).rms, rtol=1e-9)
-    in_mjcf = mujoco_torque(model, segments)
-    difference = np.abs(stated["identified.xml"] - rows.accuracy(in_mjcf).rms)
+def test_a_file_makes_up_for_what_its_format_lacks(planar, exact, tmp_path):
+    """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms; model.yaml holds all."""
+    friction = fx.AsymmetricFriction(planar.joints)
+    count = len(friction.parameters(planar))
+    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, count))])
+    recording = exact(true, np.arange(0, 12, 1 / 100))
+    found = identify_robot(planar, [recording], effects=[friction])
+    rows, segments, done = found.holdout, found.data.validate, publication(found)
+    write(tmp_path, dict(done.files))
+    for file in done.exported[1:]:
+        assert file.entry()["refitted"]
+        assert "are fitted to make up for it" in done.files[file.file]
+        assert not violations(file.arm.phi, planar.links)
+        cut = rows.accuracy(predicted_torque(held_by(found.model, file.file_format), segments))
+        assert file.accuracy.nrmse.sum() < 0.5 * cut.nrmse.sum()
+    urdf, mjcf = (done.exported[k].accuracy.rms for k in (1, 2))
+    save_model(found, tmp_path / "asked.urdf")
+    for name in ("identified.urdf", "asked.urdf"):
+        read = predicted_torque(load_robot(tmp_path / name), segments)
+        np.testing.assert_allclose(urdf, rows.accuracy(read).rms, rtol=1e-9)
+    again = model_files(done.arm("mjcf"), "arm", "arm.yaml")["arm.xml"].partition("-->")[2]
+    assert done.files["identified.xml"].endswith(again)
+    difference = np.abs(mjcf - rows.accuracy(mujoco_torque(done.arm("mjcf"), segments)).rms)
     assert (difference < AGREE * rows.measured.std(axis=0)).all()
-    assert (np.abs(stated["identified.urdf"] - stated["identified.xml"]) > 0).any()
+    again = load_robot(tmp_path / "model.yaml")
+    check(predicted_torque(again, segments), found.predicted, PRECISION["yaml"])
 
 
 def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
@@ -540,7 +539,8 @@ def test_command_writes_result_but_no_model_when_it_got_worse(tmp_path, planar, 
     options = ("--force", "--formats", "sdf", "--json", "-o", tmp_path / "forced")
     result = excitant(*words, *options).result
     assert result["published"] is True
-    assert {Path(file).suffix for file in result["files"]} == {".urdf", ".yaml", ".sdf", ".csv"}
+    written = {file.rpartition(".")[2] for file in result["files"]}
+    assert written == {"urdf", "links", "yaml", "sdf", "csv"}
 
 
 def test_an_effect_without_values_is_refused(planar: Robot) -> None:
