@@ -46,7 +46,6 @@ from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recordings, recordings_of
 from excitant.identify.rows import Data, gains_of, predicted_torque, split
-from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -329,9 +328,8 @@ def _gains_of_bodies(train: Observed, measured: Array) -> DriveGains:
     """Drive gains that suit the nominal bodies best, friction left free."""
     robot = train.robot
     usual = standard_effects(robot.joints)
-    base = base_parameters(robot, usual)
     rows = certain_rows(usual, robot.joints, train.segments)
-    return current_gains(robot, base, train.matrix(usual), measured, rows)
+    return current_gains(robot, train.matrix(usual), measured, rows)
 
 
 def _refined_gains(
