@@ -149,6 +149,7 @@ class Holdout:
     simulated: Array  # torque of the nominal model
     mounted: Array  # of the nominal model in the set-up found
     floor: Array  # noise of each joint's filtered torque, measured and modelled, shape (nv,)
+    drive: DriveGains | None = None  # if torque was recorded as current
 
     @property
     def error(self) -> Array:
@@ -171,6 +172,7 @@ class Holdout:
             self.gains,
             predicted,
             self.simulated,
+            self.drive,
         )
 
     def rms_like(self, error: Array, joints: Sequence[int], lead: int) -> float:

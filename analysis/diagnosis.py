@@ -99,6 +99,11 @@ class Diagnosis(Shown):
     set_up: SetUp | None = None
 
     @property
+    def undetermined(self) -> str:
+        """Which drive gains are not known, and why, as a sentence; empty where there are none."""
+        return self.drive.undetermined(self.robot.joints) if self.drive else ""
+
+    @property
     def error(self) -> Array:
         """Error of the extended model at the rows of the hold-out, (n, nv) [torque unit]."""
         return self.holdout.series.measured - self.extension.predicted
@@ -228,6 +233,7 @@ def diagnose(
     gains = gains_of(mounted.robot, data, drive)
     tau = measured * gains
     holdout = holdout_of(mounted.robot, data.validate, gains, nominal)
+    holdout = replace(holdout, drive=drive)
     fit = _extended(mounted, train, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
     joints = nominal.joints

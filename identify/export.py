@@ -31,6 +31,7 @@ from excitant.identify.objections import (
     useless_joints,
     worse_joints,
 )
+from excitant.identify.preprocessing import Mask
 from excitant.identify.rows import predicted_torque
 from excitant.robots.effects import Effect, effect_entries, plain
 from excitant.robots.motion import Array
@@ -71,14 +72,17 @@ def model_files(
     gains: Array | None = None,
     *,
     urdf: bool = True,
+    known: Mask | None = None,
 ) -> dict[str, str]:
     """A robot as files; URDF and YAML always, and its base parameters with covariance where known.
 
     The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
     same torque and the same estimate. The others are ``.xml`` (MJCF), ``.sdf``, and
     ``_ros2_control.yaml`` with parameters of controllers. Gains, shape (nv,) [N·m/A], are given
-    where torque was measured as current. Without ``urdf``, the description that the YAML refers to
-    is named ``.links``, and says that it is no model by itself.
+    where torque was measured as current; where one is not ``known``, shape (nv,), only the YAML
+    holds it, and friction, offset and rotor inertia of its joint, which predict the current
+    together. Without ``urdf``, the description that the YAML refers to is named ``.links``, and
+    says that it is no model by itself.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -86,23 +90,54 @@ def model_files(
     """
     UnknownName.refuse("format", formats, FORMATS)
     arm = folded(model)
+    told = told_in_torque(arm, known)
+    remark = _unknown(arm, known)
     description = f"{stem}.urdf" if urdf else f"{stem}.links"
     table = f"{yaml_name.removesuffix('.yaml')}-estimate.csv"
     beside = {} if model.estimate is None else {"estimate": table}
     files = {
-        description: _urdf(arm, yaml_name, alone=urdf),
+        description: _urdf(told, yaml_name, alone=urdf),
         yaml_name: _yaml(arm, {"model": description} | beside, gains),
     }
+    if remark:
+        files[yaml_name] = (
+            f"# {remark}: its current is predicted, no torque\n{files[yaml_name]}"
+        )
+        gains = None  # a control is a torque
     # the same with or without bodies folded into links
     if model.estimate is not None:
         files[table] = model.estimate.csv()
     if "mjcf" in formats:
-        files[f"{stem}.xml"] = _mjcf(arm, yaml_name, gains)
+        files[f"{stem}.xml"] = _mjcf(told, yaml_name, gains)
     if "sdf" in formats:
-        files[f"{stem}.sdf"] = _sdf(arm, yaml_name)
+        files[f"{stem}.sdf"] = _sdf(told, yaml_name)
     if "ros2_control" in formats:
-        files[f"{stem}_ros2_control.yaml"] = _ros2_control(arm, yaml_name)
+        files[f"{stem}_ros2_control.yaml"] = _ros2_control(told, yaml_name)
     return files
+
+
+def told_in_torque(arm: Robot, known: Mask | None) -> Robot:
+    """A `folded` arm without properties of joints whose drive gain is not known, (nv,)."""
+    if known is None:
+        return arm
+    effects = []
+    for effect in arm.effects:
+        keep = known[effect.rows(arm)]
+        if effect.export.joint_property and not keep.all():
+            joints = tuple(np.array(effect.joints)[keep].tolist())
+            values = np.array(effect.values)[keep].tolist()
+            effect = replace(effect, joints=joints, values=None).with_values(values)
+        if effect.joints:
+            effects.append(effect)
+    return arm.with_effects(effects)
+
+
+def _unknown(arm: Robot, known: Mask | None) -> str:
+    """At which joints the drive gain is not known; empty where there are none."""
+    if known is None or known.all():
+        return ""
+    names = ", ".join(np.array(arm.joints)[~known].tolist())
+    return f"not determined: the drive gain of {names}"
 
 
 def folded(robot: Robot) -> Robot:
@@ -521,7 +556,10 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
     UnknownName.refuse("format", [path.suffix], sorted(MODEL_SUFFIXES))
     gains = estimate.gains if estimate.data.unit == "A" else None
     complete = f"{path.stem}.yaml"
-    files = model_files(estimate.model, path.stem, complete, gains=gains)
+    known = None if estimate.drive is None else estimate.drive.known
+    files = model_files(
+        estimate.model, path.stem, complete, gains=gains, known=known
+    )
     written = [path]
     if path.suffix == ".yaml":
         written.append(path.with_suffix(".urdf"))
@@ -582,6 +620,7 @@ def hold_out(estimate: Estimate) -> HoldOut:
         estimate.gains,
         estimate.predicted,
         estimate.predicted_given,
+        estimate.drive,
     )
 
 
@@ -612,18 +651,25 @@ def published(
         advice = against[0].advice
         note = f"the {kind} model is not published: {reasons}; {advice}, or give --force"
         return Publication({}, False, note)
+    known = None if judged.drive is None else judged.drive.known
+    if known is not None and not known.any():
+        formats = ()
     exported = exported_files(model, kind, yaml_name, judged, formats)
     if force:
         exported = tuple(replace(file, refused="") for file in exported)
     refused = {file.file for file in exported if file.refused}
+    urdf = f"{kind}.urdf" in {file.file for file in exported} - refused
     files = model_files(
-        model, kind, yaml_name, formats, gains, urdf=f"{kind}.urdf" not in refused
+        model, kind, yaml_name, formats, gains, urdf=urdf, known=known
     )
     notes = [f"published because it was forced: {reasons}"] if against else []
     if worse and not against:
         notes.append(
             f"the model as given predicts the hold-out better at {'; '.join(worse)}"
         )
+    if unknown := _unknown(model, known):
+        what = "no friction, offset and rotor inertia there" if urdf else "nothing"
+        notes.append(f"{unknown}; files but {yaml_name} hold {what}")
     if refused:
         notes.append(
             _unwritten([file for file in exported if file.refused], yaml_name)
@@ -640,13 +686,16 @@ def exported_files(
     One that lacks something is refused where it predicts the hold-out worse than no model at a
     joint, as a model is, or worse than the nominal one by the nrmse summed over the joints.
     """
-    arm = folded(model)
+    known = None if judged.drive is None else judged.drive.known
+    arm = told_in_torque(folded(model), known)
     complete = judged.accuracy
     nominal = float(np.nansum(judged.nominal_accuracy.nrmse))
     exported = [ExportedFile(yaml_name, complete, ())]
     predictions: dict[tuple[Effect, ...], Array] = {}
     for file_format, suffix in _SUFFIXES.items():
-        if file_format not in ("urdf", *formats):
+        if file_format not in ("urdf", *formats) or not (
+            known is None or known.any()
+        ):
             continue
         lacks = tuple(lacking(arm, file_format))
         file = ExportedFile(f"{stem}{suffix}", complete, lacks)
@@ -654,6 +703,8 @@ def exported_files(
             held = held_by(arm, file_format)
             if held.effects not in predictions:
                 tau = predicted_torque(held, judged.segments) / judged.gains
+                if known is not None:  # elsewhere it states no torque
+                    tau = np.where(known, tau, judged.predicted)
                 predictions[held.effects] = tau
             reduced = replace(judged, predicted=predictions[held.effects])
             accuracy = reduced.accuracy
