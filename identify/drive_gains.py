@@ -5,8 +5,8 @@ current of joint j is
 
     i_j = exp(−κ_j) (g_j + A_j y) + ε_j,   y ~ N(0, 1),
 
-g_j the torque of the given bodies and A_j y that of their errors, relative ones of every coordinate
-of `excitant.identify.prior` and of each whole body. Bodies off by more than `BODY_STD` are seen in
+g_j the torque of the given bodies and A_j y that of their errors: half of the variance σ_k² of body
+k is that of its coordinates (`excitant.identify.prior`), half that of the whole body. Bodies off by more than `BODY_STD` are seen in
 the currents: σ_k² = Σ y² / Σ (1 − posterior variance) over a body's coordinates (MacKay 1992). The
 errors y are eliminated (variable projection: Golub and Pereyra 1973; Kaufman 1975). Parameters of
 outer links appear in the rows of several joints, so the gains *relative to each other* follow from
@@ -89,7 +89,6 @@ _IN_AMPERES = (
     ("kg", "A·s²/m"),
     ("N", "A"),
 )
-_REMEDY = "a known payload determines it (--payload-recording)"
 SHOWN_RATIO = 4.0  # of a current's residual to the least one: its gain is shown
 
 
@@ -133,6 +132,13 @@ class DriveGains:
         certain = np.diag(self.covariance) <= LARGEST_STD**2
         return np.asarray(certain & (self.gains <= self.possible))
 
+    @property
+    def _remedy(self) -> str:
+        """What would determine gains."""
+        if self.payload:
+            return "a payload that loads the joint, off its axis, determines it"
+        return "a known payload determines it (--payload-recording)"
+
     def undetermined(self, joints: Sequence[str]) -> str:
         """Which gains are not known, why, and what would determine them; empty where all are."""
         if self.known.all():
@@ -150,13 +156,13 @@ class DriveGains:
             return (
                 "torque was recorded as current, and no drive gain is determined: "
                 f"{', '.join(reasons)}; friction, offset and rotor inertia are told in amperes, "
-                f"and masses and inertias hold up to a common factor; {_REMEDY}"
+                f"and masses and inertias hold up to a common factor; {self._remedy}"
             )
         several = len(reasons) > 1
         return (
             f"torque was recorded as current, and the gain{'s' * several} of {', '.join(reasons)} "
             f"{'are' if several else 'is'} not determined: friction, offset and rotor inertia "
-            f"there are told in amperes; {_REMEDY}"
+            f"there are told in amperes; {self._remedy}"
         )
 
     def sentence(self, joints: Sequence[str]) -> str:
@@ -174,7 +180,7 @@ class DriveGains:
                     f"currents do not determine, follows from the given masses to {scale}, and "
                     "with it masses, inertias and friction, whose ± contains it"
                 )
-                source += f"; {_REMEDY}" * (not parts[0])
+                source += f"; {self._remedy}" * (not parts[0])
             start = "" if parts[0] else "torque was recorded as current; "
             parts.append(f"{start}drive gains ({pairs} N·m/A) {source}")
         return "; ".join(part for part in parts if part)
@@ -226,7 +232,8 @@ def current_gains(
     least = BODY_STD if np.ptp(robot.phi[::10]) > 0 else PLACEHOLDER_STD
     coordinates = link_coordinates(bodies) / link_weights(nv, 1.0)
     whole = scipy.linalg.block_diag(*bodies[:, :, None])
-    errors = np.hstack([coordinates, whole, bodies.reshape(-1, 1)])
+    errors = np.hstack([coordinates, whole]) / np.sqrt(2)
+    errors = np.column_stack([errors, bodies.ravel()])
     owner = np.append(np.repeat(np.arange(nv), 10), np.arange(nv))
     joints = []
     for j in range(nv):
@@ -257,7 +264,7 @@ def current_gains(
     return DriveGains(
         np.exp(log_gains),
         covariance,
-        float(np.sqrt(covariance.mean())),
+        float(np.linalg.inv(covariance).sum() ** -0.5),
         possible=OVERLOAD * limits / np.maximum(largest, 1e-300),
     )
 

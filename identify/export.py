@@ -668,8 +668,10 @@ def published(
             f"the model as given predicts the hold-out better at {'; '.join(worse)}"
         )
     if unknown := _unknown(model, known):
-        what = "no friction, offset and rotor inertia there" if urdf else "nothing"
-        notes.append(f"{unknown}; files but {yaml_name} hold {what}")
+        held = "hold no friction, offset and rotor inertia there"
+        if formats == ():
+            held = f"are not written; {yaml_name} predicts currents"
+        notes.append(f"{unknown}: files of other formats {held}")
     if refused:
         notes.append(
             _unwritten([file for file in exported if file.refused], yaml_name)

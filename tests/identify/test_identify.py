@@ -136,7 +136,9 @@ def test_what_rests_on_drive_gains_carries_their_uncertainty(ur10, nominal):
     drive = current.drive
     assert drive is not None
     assert 0.05 < drive.scale_std < 0.3
-    assert current.result()["drive_gain_std_Nm_per_A"] == drive.std.tolist()
+    rows = zip(drive.std, drive.known, strict=True)
+    told = [std if known else None for std, known in rows]
+    assert current.result()["drive_gain_std_Nm_per_A"] == told
     assert (drive.std >= drive.scale_std * drive.gains).all()
     ours, theirs = by_name(current), by_name(torque)
     for name in (f"{joint}.Fv" for joint in ur10.joints[:5]):
@@ -153,7 +155,7 @@ def test_what_nothing_fixes_is_told_in_amperes(ur10: Robot, nominal: list[Record
     blank = ur10.with_parameters(np.tile(from_pseudo_inertia(like_the_arm), ur10.nv))
     torque, current = identified(ur10, nominal), identified(blank, in_amperes(nominal, 10.0))
     assert current.drive is not None
-    assert not current.drive.fixed
+    assert not current.drive.known.any()
     ours, theirs = by_name(current), by_name(torque)
     units = {"Fv": "A·s/rad", "Fc": "A", "offset": "A", "Ia": "A·s²/rad"}
     for joint, (name, unit) in product(ur10.joints[:5], units.items()):
@@ -163,7 +165,7 @@ def test_what_nothing_fixes_is_told_in_amperes(ur10: Robot, nominal: list[Record
         # what a rotor and a link share follows the given bodies
         assert name == "Ia" or abs(10 * p["value"] - known["value"]) <= 4 * std
     assert ours[f"{ur10.links[0]}.m"]["unit"] == "kg"
-    assert any("friction is told in amperes" in note for note in current.notes)
+    assert any("told in amperes" in note for note in current.notes)
 
 
 def test_a_body_that_moves_by_half_is_named_with_its_uncertainty(ur10, nominal):
@@ -220,4 +222,10 @@ def test_real_ur10e_is_predicted_from_its_currents(data_folder: Path) -> None:
     assert violations(found.phi, dataset.robot.links) == []
     assert (found.gains > 0).all()
     assert (found.validate.r2 > 0.5).all(), found.validate.r2
-    assert found.result()["drive_gain_Nm_per_A"] == list(found.gains)
+    assert found.drive is not None
+    pairs = zip(found.gains, found.drive.known, strict=True)
+    told = [gain if known else None for gain, known in pairs]
+    assert found.result()["drive_gain_Nm_per_A"] == told
+    # the large joints have about 11 to 14 N·m/A, the wrists about 9
+    assert (found.gains > 8).all()
+    assert (found.gains < 14).all()
