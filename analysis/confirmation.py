@@ -187,6 +187,7 @@ def holdout_of(
     segments: tuple[Segment, ...],
     gains: Array,
     nominal: Robot | None = None,
+    drive: DriveGains | None = None,
 ) -> Holdout:
     """The hold-out of a robot as it is set up, and as it is described; gains are (nv,)."""
     rows = observed(robot, segments)
@@ -195,7 +196,8 @@ def holdout_of(
     mounted = simulated = rows.torque() / gains
     if nominal is not None and nominal is not robot:
         simulated = predicted_torque(nominal, segments) / gains
-    return Holdout(rows, gains, series(segments), simulated, mounted, floor)
+    measured = series(segments)
+    return Holdout(rows, gains, measured, simulated, mounted, floor, drive)
 
 
 @dataclass(frozen=True, eq=False)

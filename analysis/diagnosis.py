@@ -232,8 +232,7 @@ def diagnose(
         drive = _refined_gains(train, tau, prior, drive)
     gains = gains_of(mounted.robot, data, drive)
     tau = measured * gains
-    holdout = holdout_of(mounted.robot, data.validate, gains, nominal)
-    holdout = replace(holdout, drive=drive)
+    holdout = holdout_of(mounted.robot, data.validate, gains, nominal, drive)
     fit = _extended(mounted, train, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
     joints = nominal.joints

@@ -6,12 +6,13 @@ current of joint j is
     i_j = exp(−κ_j) (g_j + A_j y) + ε_j,   y ~ N(0, 1),
 
 g_j the torque of the given bodies and A_j y that of their errors: half of the variance σ_k² of body
-k is that of its coordinates (`excitant.identify.prior`), half that of the whole body. Bodies off by more than `BODY_STD` are seen in
-the currents: σ_k² = Σ y² / Σ (1 − posterior variance) over a body's coordinates (MacKay 1992). The
-errors y are eliminated (variable projection: Golub and Pereyra 1973; Kaufman 1975). Parameters of
-outer links appear in the rows of several joints, so the gains *relative to each other* follow from
-the currents: they minimise the reduced misfit, and scatter by `GAIN_STD` where that is flat. Their
-common scale follows from the given masses alone, by generalised least squares over all joints,
+k is that of its coordinates (`excitant.identify.prior`), half that of the whole body. Currents show
+bodies that are off by more than `BODY_STD`: σ_k² = Σ y² / Σ (1 − posterior variance) over a body's
+errors (MacKay 1992). The errors y are eliminated (variable projection: Golub and Pereyra 1973;
+Kaufman 1975). Parameters of outer links appear in the rows of several joints, so the gains
+*relative to each other* follow from the currents: they minimise the reduced misfit, and scatter by
+`GAIN_STD` where that is flat. Their common scale follows from the given masses alone, by
+generalised least squares over all joints,
 
     Σ_j (e^{−κ_j} g_j)ᵀ V⁻¹ (i_j − e^{−κ_j} g_j) = 0,
 
@@ -176,9 +177,9 @@ class DriveGains:
             source = f"follow from the known payload, their common scale to {scale}"
             if not self.payload:
                 source = (
-                    "were estimated from what joints have in common; their common scale, which "
-                    f"currents do not determine, follows from the given masses to {scale}, and "
-                    "with it masses, inertias and friction, whose ± contains it"
+                    "follow from what joints have in common and from the given masses, which "
+                    f"alone fix their common scale, to {scale}, and with it masses, inertias "
+                    "and friction, whose ± contains it"
                 )
                 source += f"; {self._remedy}" * (not parts[0])
             start = "" if parts[0] else "torque was recorded as current; "
