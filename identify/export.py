@@ -576,6 +576,8 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
         poor = [f for f in exported if f.refused and f.file == path.name]
         if poor:
             warnings.warn(f"{path.name}: {_shortcoming(poor)}", stacklevel=2)
+    if unknown := _unknown(estimate.model, known):
+        warnings.warn(f"{path.name}: {unknown}", stacklevel=2)
     for file in written:
         write_file(file, files[file.name])
     return written

@@ -17,7 +17,6 @@ from worlds_plant import perturbed
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
 from excitant.identify import PayloadEstimate, PayloadEstimator, Recording, identify_payload
-from excitant.identify import drive_gains as module
 from excitant.identify.drive_gains import DriveGains, KnownPayload, current_gains, payload_gains
 from excitant.identify.estimate import identify_robot
 from excitant.identify.export import save_model
@@ -326,7 +325,7 @@ def test_gains_by_given_masses_are_within_their_deviations(monkeypatch) -> None:
         errors.append(np.log(found.gains / b.gains) * found.gains / found.std)
     assert np.abs(errors).max() < 5
     assert np.mean(np.abs(errors) < 1.96) > 0.9
-    monkeypatch.setattr(module, "_common", lambda *_: 0.0)
+    monkeypatch.setattr("excitant.identify.drive_gains._common", lambda *_: 0.0)
     np.testing.assert_allclose(current_gains(given, W, currents).gains, found.gains, rtol=1e-4)
 
 
