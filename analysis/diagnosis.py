@@ -320,6 +320,9 @@ def _causes(
             alike = rivals(fit.evidence, robot, fit.chosen, candidate)
             causes.append(replace(finding, rivals=tuple(alike)))
     if (bodies := off_bodies(robot, fit, holdout)) is not None:
+        if drive is not None and not drive.known.any():
+            why = "masses rest on the drive gains, of which none is determined"
+            bodies = replace(bodies, downgrade=why)
         causes.append(bodies)
     causes += off_effects(robot, fit, holdout)
     causes = [
