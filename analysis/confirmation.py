@@ -165,6 +165,7 @@ class Holdout:
     simulated: Array  # torque of the nominal model
     mounted: Array  # of the nominal model in the set-up found
     floor: Array  # noise of each joint's filtered torque, measured and modelled, shape (nv,)
+    drive: DriveGains | None = None  # if torque was recorded as current
 
     @property
     def error(self) -> Array:
@@ -187,6 +188,7 @@ class Holdout:
             self.gains,
             predicted,
             self.simulated,
+            self.drive,
         )
 
     def rms_like(self, error: Array, joints: Sequence[int], lead: int) -> float:
@@ -201,6 +203,7 @@ def holdout_of(
     segments: tuple[Segment, ...],
     gains: Array,
     nominal: Robot | None = None,
+    drive: DriveGains | None = None,
 ) -> Holdout:
     """The hold-out of a robot as it is set up, and as it is described; gains are (nv,)."""
     rows = observed(robot, segments)
@@ -209,7 +212,8 @@ def holdout_of(
     mounted = simulated = rows.torque() / gains
     if nominal is not None and nominal is not robot:
         simulated = predicted_torque(nominal, segments) / gains
-    return Holdout(rows, gains, series(segments), simulated, mounted, floor)
+    measured = series(segments)
+    return Holdout(rows, gains, measured, simulated, mounted, floor, drive)
 
 
 @dataclass(frozen=True, eq=False)

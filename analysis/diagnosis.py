@@ -46,7 +46,6 @@ from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recordings, recordings_of
 from excitant.identify.rows import Data, gains_of, predicted_torque, split
-from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -100,6 +99,11 @@ class Diagnosis(Shown):
     notes: tuple[str, ...]
     drive: DriveGains | None = None
     set_up: SetUp | None = None
+
+    @property
+    def undetermined(self) -> str:
+        """Which drive gains are not known, and why, as a sentence; empty where there are none."""
+        return self.drive.undetermined(self.robot.joints) if self.drive else ""
 
     @property
     def error(self) -> Array:
@@ -230,7 +234,7 @@ def diagnose(
         drive = _refined_gains(train, tau, prior, drive)
     gains = gains_of(mounted.robot, data, drive)
     tau = measured * gains
-    holdout = holdout_of(mounted.robot, data.validate, gains, nominal)
+    holdout = holdout_of(mounted.robot, data.validate, gains, nominal, drive)
     fit = _extended(mounted, train, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
     joints = nominal.joints
@@ -322,6 +326,9 @@ def _causes(
             alike = rivals(fit.evidence, robot, fit.chosen, candidate)
             causes.append(replace(finding, rivals=tuple(alike)))
     if (bodies := off_bodies(robot, fit, holdout)) is not None:
+        if drive is not None and not drive.known.any():
+            why = "masses rest on the drive gains, of which none is determined"
+            bodies = replace(bodies, downgrade=why)
         causes.append(bodies)
     noticed, others = kept_effects(robot, fit, holdout)
 
@@ -341,9 +348,8 @@ def _gains_of_bodies(train: Observed, measured: Array) -> DriveGains:
     """Drive gains that suit the nominal bodies best, friction left free."""
     robot = train.robot
     usual = standard_effects(robot.joints)
-    base = base_parameters(robot, usual)
     rows = certain_rows(usual, robot.joints, train.segments)
-    return current_gains(robot, base, train.matrix(usual), measured, rows)
+    return current_gains(robot, train.matrix(usual), measured, rows)
 
 
 def _refined_gains(

@@ -221,11 +221,11 @@ class Examination(Shown):
             for e in models[self.use].effects
             if e.role == "torque" and any(e.values or ())
         ]
-        return list(
-            dict.fromkeys(
-                plain(e.name) for e in own if "urdf" not in e.export.formats
-            )
-        )
+        lacking = [plain(e.name) for e in own if "urdf" not in e.export.formats]
+        drive = self.estimate.drive
+        if drive is not None and not drive.known.any():
+            lacking = ["what is known in amperes only"]
+        return list(dict.fromkeys(lacking))
 
     @cached_property
     def results(self) -> dict[str, dict[str, Any]]:

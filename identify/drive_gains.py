@@ -1,12 +1,29 @@
 """Drive gains [N·m/A] of motor currents: from the given masses, or from a known payload.
 
-Masses: current is i_j = c_j (W_j β) + F_j θ_j with one gain k_j = 1/c_j per joint. Parameters of
-outer links appear in the rows of several joints, so the gains *relative to each other* follow from
-the data (alternating least squares); their common scale does not, and is set so that the given
-masses explain the current best. Runs in which joints move one at a time hold next to nothing of
-that, and what friction does at their ends would pass for it. Each gain is then that with which the
-given masses explain the joint's current, drawn to the others as far as the torque of given masses
-is itself unsure, as that of a wrist whose centre of mass lies nearly on its axis.
+Masses: with one gain k_j = exp(κ_j) per joint, and what its own effects explain taken off, the
+current of joint j is
+
+    i_j = exp(−κ_j) (g_j + A_j y) + ε_j,   y ~ N(0, 1),
+
+g_j the torque of the given bodies and A_j y that of their errors: half of the variance σ_k² of body
+k is that of its coordinates (`excitant.identify.prior`), half that of the whole body. Currents show
+bodies that are off by more than `BODY_STD`: σ_k² = Σ y² / Σ (1 − posterior variance) over a body's
+errors (MacKay 1992). The errors y are eliminated (variable projection: Golub and Pereyra 1973;
+Kaufman 1975). Parameters of outer links appear in the rows of several joints, so the gains
+*relative to each other* follow from the currents: they minimise the reduced misfit, and scatter by
+`GAIN_STD` where that is flat. Their common scale follows from the given masses alone, by
+generalised least squares over all joints,
+
+    Σ_j (e^{−κ_j} g_j)ᵀ V⁻¹ (i_j − e^{−κ_j} g_j) = 0,
+
+V the covariance of bodies and noise together. (The minimum would shrink the scale, for larger
+bodies have larger errors to explain; the equation is free of that bias.) Gauss and Newton's method
+solves both together, and its matrix gives the covariance, the noise of a row being widened by its
+autocorrelation time.
+
+A gain is *shown* whose standard deviation relative to the others the currents have halved, from
+that by which gains scatter anyway; it is *known* where that holds for the gain itself, and where
+the largest current makes no torque far beyond the limit of the joint.
 
 Payload: without it (a) and with it (b), the torque of joint j is k_j i_j, so that
 
@@ -27,6 +44,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,27 +54,31 @@ import scipy
 from excitant.exceptions import BadInput
 from excitant.identify.least_squares import (
     autocorrelation_time,
+    believed,
     factorised,
     with_covariance,
 )
 from excitant.identify.preprocessing import Mask
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import Regression, dense, triangle
+from excitant.identify.regression import Index, Regression, dense, triangle
 from excitant.identify.signals import live
-from excitant.robots.base_parameters import BaseParameters, independent_columns
+from excitant.robots.base_parameters import independent_columns
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 
 GAIN_STD = 0.5  # relative, of drives of one arm: decides only what data leave open
-NOISE_ROUNDS = 4  # of re-estimating the noise of each joint
-MOST_ALTERNATIONS = 200  # between gains and parameters
-CONVERGED = 1e-6  # change of the logarithm of a gain that ends them
-BODY_STD = 0.3  # relative std assumed for given bodies
-PLACEHOLDER_STD = 3.0  # the same where all links weigh the same
-MOVING_TOGETHER = (
-    0.5  # of a joint's rows with another one moving: rows then compare
+LARGEST_STD = GAIN_STD / 2  # relative, of a known gain: data have halved it
+SCALE_STD = 10.0  # of the logarithm of the common gain: nothing is known of it
+OVERLOAD = (
+    3.0  # largest torque of a drive over its limit: strain wave gears bear as much
 )
+NOISE_ROUNDS = 10  # of re-estimating noise and errors of bodies
+MOST_STEPS = 100  # of Gauss and Newton's method in a round
+LONGEST_STEP = 0.5  # of the logarithm of a gain
+CONVERGED = 1e-7  # step that ends them
+BODY_STD = 0.3  # relative std assumed for given bodies, at least
+PLACEHOLDER_STD = 3.0  # the same where all links weigh the same
 LARGEST_SCALE_STD = 0.2  # of the common scale, above which a payload is refused
 PAYLOAD_ROUNDS = 30  # of re-weighting with a known payload, at most
 SETTLED = 1e-8  # change of gains and noise that ends them
@@ -73,15 +95,21 @@ SHOWN_RATIO = 4.0  # of a current's residual to the least one: its gain is shown
 
 @dataclass(frozen=True, eq=False)
 class DriveGains:
-    """Torque per ampere of every joint, from the given masses or from a known payload."""
+    """Torque per ampere of every joint, from the given masses or from a known payload.
 
-    gains: Array  # shape (nv,) [N·m/A]
-    covariance: Array  # of their logarithms, shape (nv, nv)
-    scale_std: float  # relative standard deviation of their common scale
-    # whether joints were compared; else each is judged by its own rows
-    compared: bool = True
-    # of a known payload: whether the recordings show each gain
-    shown: tuple[bool, ...] = ()
+    Attributes:
+        gains: Shape (nv,) [N·m/A].
+        covariance: Of their logarithms, shape (nv, nv).
+        scale_std: Relative standard deviation of their common scale.
+        possible: Gains with which the largest currents make what the joints can bear, (nv,).
+        payload: Whether they follow from a known payload.
+    """
+
+    gains: Array
+    covariance: Array
+    scale_std: float
+    possible: Array | float = np.inf
+    payload: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, "gains", "covariance")
@@ -92,53 +120,76 @@ class DriveGains:
         return self.gains * np.sqrt(np.diag(self.covariance))
 
     @property
-    def fixed(self) -> bool:
-        """Whether anything fixes the common scale: it is known to better than all of itself."""
-        return self.scale_std < 1
+    def shown(self) -> Mask:
+        """Whether the currents show each gain relative to the others, shape (nv,)."""
+        nv = len(self.gains)
+        contrasts = np.eye(nv) - 1 / nv
+        variance = np.diag(contrasts @ self.covariance @ contrasts)
+        return np.asarray(variance <= LARGEST_STD**2)
+
+    @property
+    def known(self) -> Mask:
+        """Whether each gain is determined, and possible, shape (nv,)."""
+        certain = np.diag(self.covariance) <= LARGEST_STD**2
+        return np.asarray(certain & (self.gains <= self.possible))
+
+    @property
+    def _remedy(self) -> str:
+        """What would determine gains."""
+        if self.payload:
+            return "a payload that loads the joint, off its axis, determines it"
+        return "a known payload determines it (--payload-recording)"
+
+    def undetermined(self, joints: Sequence[str]) -> str:
+        """Which gains are not known, why, and what would determine them; empty where all are."""
+        if self.known.all():
+            return ""
+        possible = np.broadcast_to(self.possible, self.gains.shape)
+        relative = 100 * np.sqrt(np.diag(self.covariance))
+        reasons = []
+        for j in np.flatnonzero(~self.known).tolist():
+            why = f"±{relative[j]:.0f} %"
+            if self.gains[j] > possible[j]:
+                times = OVERLOAD * self.gains[j] / possible[j]
+                why = f"its torque would be {times:.2g} times the joint's limit"
+            reasons.append(f"{joints[j]} ({why})")
+        if not self.known.any():
+            return (
+                "torque was recorded as current, and no drive gain is determined: "
+                f"{', '.join(reasons)}; friction, offset and rotor inertia are told in amperes, "
+                f"and masses and inertias hold up to a common factor; {self._remedy}"
+            )
+        several = len(reasons) > 1
+        return (
+            f"torque was recorded as current, and the gain{'s' * several} of {', '.join(reasons)} "
+            f"{'are' if several else 'is'} not determined: friction, offset and rotor inertia "
+            f"there are told in amperes; {self._remedy}"
+        )
 
     def sentence(self, joints: Sequence[str]) -> str:
         """The gains, where they come from, and what the recordings leave open."""
-        pairs = ", ".join(
-            f"{k:.4g} ± {s:.2g}" for k, s in zip(self.gains, self.std, strict=True)
-        )
-        start = f"torque was recorded as current; drive gains ({pairs} N·m/A)"
-        scale = self.scale_std
-        if self.shown:
-            hidden = [
-                joint
-                for joint, seen in zip(joints, self.shown, strict=True)
-                if not seen
-            ]
-            rest = f"; that of {', '.join(hidden)} is not shown and was taken from the other joints"
-            return (
-                f"{start} follow from the known payload, their common scale to ±{100 * scale:.2g} %"
-                f"{rest if hidden else ''}"
-            )
-        known = "a known payload determines it (--payload-recording)"
-        if not self.fixed:
-            return (
-                f"{start} are relative to each other, for nothing fixes their common scale (the "
-                f"given masses, to ±{100 * scale:.0f} %): friction is told in amperes, and masses, "
-                f"inertias and base parameters hold up to that factor; {known}"
-            )
-        if not self.compared:
-            start += (
-                " follow from the given masses joint by joint, and from each other where masses "
-                "hardly load the joint, for joints that move one at a time do not show them "
-                "relative to each other"
-            )
-        else:
-            start += " were estimated from what joints have in common"
-        return (
-            f"{start}; their common scale, which currents do not determine, follows from the given "
-            f"masses to ±{100 * scale:.0f} %, and with it all masses, inertias and friction, whose "
-            f"± contains it; {known}"
-        )
+        parts = [self.undetermined(joints)]
+        rows = zip(joints, self.gains, self.std, self.known, strict=True)
+        if pairs := ", ".join(
+            f"{j} {k:.4g} ± {s:.2g}" for j, k, s, yes in rows if yes
+        ):
+            scale = f"±{100 * self.scale_std:.2g} %"
+            source = f"follow from the known payload, their common scale to {scale}"
+            if not self.payload:
+                source = (
+                    "follow from what joints have in common and from the given masses, which "
+                    f"alone fix their common scale, to {scale}, and with it masses, inertias "
+                    "and friction, whose ± contains it"
+                )
+                source += f"; {self._remedy}" * (not parts[0])
+            start = "" if parts[0] else "torque was recorded as current; "
+            parts.append(f"{start}drive gains ({pairs} N·m/A) {source}")
+        return "; ".join(part for part in parts if part)
 
     def told(self, unit: str, joint: int) -> tuple[float, str]:
-        """Factor and unit in which to tell a coefficient of a joint: in amperes if not `fixed`."""
+        """Factor and unit in which to tell a coefficient of a joint: in amperes if not `known`."""
         for torque, current in _IN_AMPERES:
-            if torque in unit and not self.fixed:
+            if torque in unit and not self.known[joint]:
                 k = float(self.gains[joint])
                 return (k if torque.startswith("(") else 1 / k), unit.replace(
                     torque, current
@@ -153,179 +204,164 @@ class DriveGains:
         ]
 
     def result(self) -> dict[str, Any]:
-        """Entries of result.json."""
+        """Entries of result.json; null where a gain is not known."""
+
+        def of_known(values: Array) -> list[float | None]:
+            pairs = zip(values.tolist(), self.known, strict=True)
+            return [value if known else None for value, known in pairs]
+
         return {
-            "drive_gain_Nm_per_A": self.gains.tolist(),
-            "drive_gain_std_Nm_per_A": self.std.tolist(),
+            "drive_gain_Nm_per_A": of_known(self.gains),
+            "drive_gain_std_Nm_per_A": of_known(self.std),
             "drive_gain_scale_rel_std": self.scale_std,
-            **({"drive_gain_shown": list(self.shown)} if self.shown else {}),
+            "drive_gain_shown": self.shown.tolist(),
         }
 
 
 def current_gains(
-    robot: Robot,
-    base: BaseParameters,
-    W: Array,
-    current: Array,
-    moves: Mask | None = None,
+    robot: Robot, W: Array, current: Array, moves: Mask | None = None
 ) -> DriveGains:
-    """Gains k with torque = k · current.
+    """Gains k with torque = k · current, by the given masses.
 
-    A gain that the motion hardly shows stays near those of the other joints. W are the columns of
-    links and effects, (n, nv, p); only rows in which a joint moves count, (n, nv), all when None.
+    W are the columns of links and effects, (n, nv, p); only rows in which a joint moves count,
+    (n, nv), all when None.
     """
-    links = 10 * robot.nv
-    # links that all weigh the same are placeholders
-    sigma = BODY_STD if np.ptp(robot.phi[::10]) > 0 else PLACEHOLDER_STD
-    spread = link_coordinates(prior_parameters(robot)) / link_weights(
-        robot.nv, sigma
-    )
-    if moves is not None:
-        several = moves.sum(axis=1) > 1
-        share = (moves & several[:, None]).sum(axis=0) / np.maximum(
-            moves.sum(axis=0), 1
-        )
-        if (share < MOVING_TOGETHER).any():
-            return _each_alone(robot, W, current, moves, spread)
-        W = W * moves[:, :, None]
-        current = current * moves
-    shown = [c for c in base.columns if c < links]
-    return _compared(
-        W[:, :, :links], W[:, :, links:], current, shown, robot.phi, spread
-    )
-
-
-def _compared(
-    Y: Array, F: Array, current: Array, shown: list[int], phi: Array, spread: Array
-) -> DriveGains:
-    nv = Y.shape[1]
-    effects = [F[:, j] for j in range(nv)]
-    alike = [_stand_in(F_j, Y[:, j] @ phi) for j, F_j in enumerate(effects)]
-    # as on a gantry without gravity, where rotors are like masses
-    if None not in alike:
-        pairs = zip(effects, alike, strict=True)
-        effects = [np.delete(F_j, k, axis=1) for F_j, k in pairs if k is not None]
-    parts = [
-        without_effects(F_j, Y[:, j], current[:, j])
-        for j, F_j in enumerate(effects)
-    ]
-    Y, current = (np.stack(values, axis=1) for values in zip(*parts, strict=True))
-    W = Y[:, :, shown]
-    given = Y @ phi
-    gram = np.einsum("njr,njs->jrs", W, W, optimize=True)
-    moment = np.einsum("njr,nj->jr", W, current, optimize=True)
-    gains = np.ones(nv)
-    sigma = np.maximum(current.std(axis=0), 1e-12)
-    independent = np.ones(nv)
-    beta = np.zeros(len(shown))
-    for _ in range(NOISE_ROUNDS):
-        gains, beta = _alternate(gram, moment, independent / sigma**2, gains)
-        residual = current - W @ beta / gains
-        sigma = np.maximum(residual.std(axis=0), 1e-12)
-        independent = 1 / np.array([autocorrelation_time(e) for e in residual.T])
-    model = given / gains
-    size = ((model / sigma) ** 2).sum()
-    scale = size / (model * current / sigma**2).sum()
-    # relative to each other, to first order in the noise, beside the parameters
-    information = np.zeros((nv + len(shown),) * 2)
-    for j in range(nv):
-        columns = (
-            np.column_stack([np.outer(-W[:, j] @ beta, np.eye(nv)[j]), W[:, j]])
-            / gains[j]
-        )
-        information += columns.T @ columns * independent[j] / sigma[j] ** 2
-    contrasts = scipy.linalg.null_space(np.ones((1, nv)))
-    reduced = scipy.linalg.block_diag(contrasts, np.eye(len(shown)))
-    information = reduced.T @ information @ reduced
-    information[: nv - 1, : nv - 1] += np.eye(nv - 1) / GAIN_STD**2
-    apart = np.linalg.pinv(information, hermitian=True)[: nv - 1, : nv - 1]
-    # the common scale, by the uncertainty of the given links
-    pull = (
-        np.einsum("nj,njp->p", model / gains / sigma**2, Y, optimize=True) @ spread
-    )
-    unsure = float(np.linalg.norm(pull) / size)
-    covariance = contrasts @ apart @ contrasts.T + unsure**2
-    return DriveGains(gains * abs(scale), covariance, unsure, True)
-
-
-def _stand_in(F: Array, given: Array) -> int | None:
-    """The largest of the effects that together make all the torque of the given links, if any."""
-    x = np.linalg.lstsq(F, given, rcond=None)[0]
-    if np.linalg.norm(given - F @ x) > DEPENDENT * np.linalg.norm(given):
-        return None
-    return int(np.argmax(np.abs(x) * np.linalg.norm(F, axis=0)))
-
-
-def _alternate(
-    gram: Array, moment: Array, weight: Array, gains: Array
-) -> tuple[Array, Array]:
-    prior = 1 / GAIN_STD**2  # of 1/k around the geometric mean, which is kept at 1
-    for _ in range(MOST_ALTERNATIONS):
-        A = np.einsum("j,jrs->rs", weight / gains**2, gram)
-        beta = np.linalg.lstsq(A, (weight / gains) @ moment, rcond=1e-12)[0]
-        information = weight * np.einsum("r,jrs,s->j", beta, gram, beta)
-        evidence = weight * (moment @ beta)
-        updated = (information + prior) / np.maximum(evidence + prior, prior / 10)
-        updated /= np.exp(np.log(updated).mean())
-        change = np.abs(np.log(updated / gains)).max()
-        gains = updated
-        if change < CONVERGED:
-            break
-    return gains, beta
-
-
-def _each_alone(
-    robot: Robot, W: Array, current: Array, moves: Mask, spread: Array
-) -> DriveGains:
-    """Gains from each joint's own rows, as logarithms that scatter around a common one."""
-    links = 10 * robot.nv
     nv = robot.nv
-    pairs = [
-        _log_gain(
-            W[rows, j, :links],
-            W[rows, j, links:],
-            current[rows, j],
-            robot.phi,
-            spread,
+    links = 10 * nv
+    bodies = prior_parameters(robot)
+    # links that all weigh the same are placeholders
+    least = BODY_STD if np.ptp(robot.phi[::10]) > 0 else PLACEHOLDER_STD
+    coordinates = link_coordinates(bodies) / link_weights(nv, 1.0)
+    whole = scipy.linalg.block_diag(*bodies[:, :, None])
+    errors = np.hstack([coordinates, whole]) / np.sqrt(2)
+    errors = np.column_stack([errors, bodies.ravel()])
+    owner = np.append(np.repeat(np.arange(nv), 10), np.arange(nv))
+    joints = []
+    for j in range(nv):
+        rows = slice(None) if moves is None else moves[:, j]
+        Y = W[rows, j, :links]
+        own = np.column_stack([Y @ errors, current[rows, j]])
+        joints.append(without_effects(W[rows, j, links:], own)[0])
+    triangles = [triangle(rows) for rows in joints]
+    std = np.full(nv, least)
+    noise = believed(np.array([_noise(rows[:, -1]) for rows in joints]))
+    log_gains = np.full(nv, _common(triangles, noise))
+    for _ in range(NOISE_ROUNDS):
+        reduced = _Reduced(triangles, noise, std[owner])
+        log_gains = reduced.solved(log_gains)
+        y, seen = reduced.errors(log_gains)
+        coefficients = np.append(std[owner] * y, 1.0)
+        residuals = [
+            rows[:, -1] - rows[:, :-1] @ coefficients / k
+            for rows, k in zip(joints, np.exp(log_gains), strict=True)
+        ]
+        noise = believed(np.array([_noise(e) for e in residuals]))
+        squares = np.bincount(owner, (std[owner] * y) ** 2)
+        ratio = squares / np.maximum(np.bincount(owner, seen), 1e-12)
+        std = np.sqrt(np.maximum(ratio, least**2))
+    covariance = reduced.covariance(log_gains)
+    largest = np.array([np.abs(x).max(initial=0.0) for x in current.T])
+    limits = np.where(robot.limits.torque > 0, robot.limits.torque, np.inf)
+    return DriveGains(
+        np.exp(log_gains),
+        covariance,
+        float(np.linalg.inv(covariance).sum() ** -0.5),
+        possible=OVERLOAD * limits / np.maximum(largest, 1e-300),
+    )
+
+
+def _noise(residual: Array) -> float:
+    """Noise of a row, as many rows being correlated as its autocorrelation time says."""
+    if not residual.any():
+        return 0.0
+    return float(residual.std() * np.sqrt(autocorrelation_time(residual)))
+
+
+def _common(triangles: Sequence[Array], noise: Array) -> float:
+    """Logarithm of the one gain with which given masses explain the currents best."""
+    pairs = zip(triangles, noise, strict=True)
+    both = np.concatenate([T[:, -2:] / sigma for T, sigma in pairs])
+    (given, product), _ = both.T @ both
+    return float(np.log(given / abs(product))) if given * product else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """Currents as functions of the logarithms of gains, errors of bodies eliminated.
+
+    Attributes:
+        triangles: Of each joint, of [A_j, g_j, i_j] with A_j for errors of one, (≤ 11 nv + 2, ...).
+        noise: Standard deviation of each joint's rows, shape (nv,) [A].
+        std: Relative standard deviations of the errors of bodies, shape (11 nv,).
+    """
+
+    triangles: Sequence[Array]
+    noise: Array
+    std: Array
+
+    @cached_property
+    def prior(self) -> Array:
+        """Rows P, ‖P κ‖² being −2 log of the prior, shape (nv + 1, nv)."""
+        nv = len(self.noise)
+        mean = np.full((1, nv), 1 / nv)
+        return np.vstack([(np.eye(nv) - mean) / GAIN_STD, mean / SCALE_STD])
+
+    def rows(self, log_gains: Array) -> tuple[Array, Array, Array, Index]:
+        """Weighted A, g and i, priors of the errors below them, and the joint of each row."""
+        stacked = np.vstack(
+            [T / s for T, s in zip(self.triangles, self.noise, strict=True)]
         )
-        for j, rows in enumerate(moves.T)
-    ]
-    own, variance = np.array(pairs).T
-    if not np.isfinite(variance).any():
-        return DriveGains(
-            np.ones(nv), np.full((nv, nv), GAIN_STD**2), GAIN_STD, False
+        joint = np.repeat(
+            np.arange(len(self.noise)), [len(T) for T in self.triangles]
         )
-    weight = 1 / (variance + GAIN_STD**2)
-    common = float(weight @ own / weight.sum())
-    gains = np.exp(common + GAIN_STD**2 * weight * (own - common))
-    unsure = 1 / float(weight.sum())
-    covariance = np.diag(GAIN_STD**2 * (1 - GAIN_STD**2 * weight)) + unsure
-    return DriveGains(gains, covariance, float(np.sqrt(unsure)), False)
+        per_gain = np.exp(-log_gains)[joint, None] * stacked[:, :-1]
+        p = len(self.std)
+        A = np.vstack([per_gain[:, :p] * self.std, np.eye(p)])
+        zeros = np.zeros(p)
+        g = np.concatenate([per_gain[:, p], zeros])
+        return A, g, np.concatenate([stacked[:, -1], zeros]), joint
 
+    def normal(self, log_gains: Array) -> tuple[Array, Array]:
+        """Matrix and right-hand side of a step of the logarithms, shapes (nv, nv) and (nv,)."""
+        A, g, i, joint = self.rows(log_gains)
+        Q, R = np.linalg.qr(A)
+        y = scipy.linalg.solve_triangular(R, Q.T @ (i - g))
+        misfit = i - g - A @ y
+        nv = len(log_gains)
+        D = np.zeros((len(i), nv))
+        own = np.arange(len(joint))
+        mean = np.full((nv, nv), 1 / nv)
+        D[own, joint] = (A @ y)[own]
+        D -= D @ mean  # a common scale follows from the given masses alone
+        D[own, joint] += g[own]
+        D -= Q @ (Q.T @ D)
+        P = self.prior
+        return D.T @ D + P.T @ P, -D.T @ misfit - P.T @ P @ log_gains
 
-def _log_gain(
-    Y: Array, F: Array, current: Array, phi: Array, spread: Array
-) -> tuple[float, float]:
-    """Logarithm of the gain with which given torque Y φ explains a current, and its variance."""
-    count = int(live(F).sum())
-    if len(current) <= count + 1:
-        return 0.0, np.inf
-    Y, i = without_effects(F, Y, current)
-    tau = Y @ phi
-    size = float(tau @ tau)
-    per_torque = float(tau @ i) / max(size, 1e-300)
-    if per_torque <= 0:
-        return 0.0, np.inf
-    residual = i - per_torque * tau
-    noise = float(residual @ residual) / (len(i) - count - 1)
-    variance = noise * autocorrelation_time(residual) / size / per_torque**2
-    return -float(np.log(per_torque)), variance + gain_doubt(Y, phi, spread) ** 2
+    def solved(self, log_gains: Array) -> Array:
+        """Logarithms of the gains, from such ones, shape (nv,)."""
+        for _ in range(MOST_STEPS):
+            step = np.linalg.solve(*self.normal(log_gains))
+            size = float(np.abs(step).max())
+            log_gains = log_gains + step * min(
+                1.0, LONGEST_STEP / max(size, 1e-300)
+            )
+            if size < CONVERGED:
+                break
+        return log_gains
 
+    def covariance(self, log_gains: Array) -> Array:
+        """To first order in noise and errors of bodies, and at least the step that is left."""
+        H, gradient = self.normal(log_gains)
+        left = np.linalg.solve(H, gradient)
+        return np.asarray(np.linalg.inv(H) + np.outer(left, left), float)
 
-def gain_doubt(Y: Array, phi: Array, spread: Array) -> float:
-    """Standard deviation of a gain on torque Y φ, (n, 10 links), φ with covariance S Sᵀ."""
-    tau = Y @ phi
-    return float(np.linalg.norm(tau @ Y @ spread) / max(float(tau @ tau), 1e-300))
+    def errors(self, log_gains: Array) -> tuple[Array, Array]:
+        """Errors y of bodies, and the part of each one's variance that data took, (11 nv,)."""
+        A, g, i, _ = self.rows(log_gains)
+        Q, R = np.linalg.qr(A)
+        inverse = scipy.linalg.solve_triangular(R, np.eye(len(R)))
+        return inverse @ (Q.T @ (i - g)), 1 - (inverse**2).sum(axis=1)
 
 
 def without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
@@ -387,9 +423,7 @@ def payload_gains(
         raise BadInput(
             f"{hardly}: they fix the common scale of the drive gains to ±{100 * scale:.0f} % only"
         )
-    return DriveGains(
-        k, log_cov + weighed, scale, shown=tuple(bool(each) for each in shown)
-    )
+    return DriveGains(k, log_cov + weighed, scale, payload=True)
 
 
 def _exact_columns(free: Array, loaded: Array, own: Array, hardly: str) -> Array:

@@ -104,6 +104,11 @@ class Estimate(Shown):
         """Torque per reading, shape (nv,): drive gains of currents [N·m/A], ones otherwise."""
         return read_only(gains_of(self.given, self.data, self.drive))
 
+    @property
+    def undetermined(self) -> str:
+        """Which drive gains are not known, and why, as a sentence; empty where there are none."""
+        return self.drive.undetermined(self.given.joints) if self.drive else ""
+
     @cached_property
     def _fitted(self) -> tuple[Series, Array]:
         """Rows of the fit, and the model's torque there, shape (n, nv) [torque unit]."""

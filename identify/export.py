@@ -31,7 +31,7 @@ from excitant.identify.objections import (
     useless_joints,
     worse_joints,
 )
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Mask, Segment
 from excitant.identify.refit import Refit
 from excitant.identify.rows import predicted_torque
 from excitant.robots.effects import Effect, effect_entries, plain
@@ -77,15 +77,18 @@ def model_files(
     *,
     urdf: bool = True,
     refitted: Mapping[str, Robot] | None = None,
+    known: Mask | None = None,
 ) -> dict[str, str]:
     """A robot as files; URDF and YAML always, and its base parameters with covariance where known.
 
     The YAML refers to the URDF and adds what that cannot hold: `load_robot` reads it back to the
     same torque and the same estimate. The others are ``.xml`` (MJCF), ``.sdf``, and
     ``_ros2_control.yaml`` with parameters of controllers. Gains, shape (nv,) [N·m/A], are given
-    where torque was measured as current. ``refitted`` is what some formats hold instead of the
-    robot's own parameters. Without ``urdf``, or where that is refitted, the description that the
-    YAML refers to is named ``.links``, and says that it is no model by itself.
+    where torque was measured as current; where one is not ``known``, shape (nv,), only the YAML
+    holds it, and friction, offset and rotor inertia of its joint, which predict the current
+    together. ``refitted`` is what some formats hold instead of the robot's own parameters. Without
+    ``urdf``, or where that is refitted, the description that the YAML refers to is named
+    ``.links``, and says that it is no model by itself.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -93,13 +96,14 @@ def model_files(
     """
     UnknownName.refuse("format", formats, FORMATS)
     arm = folded(model)
+    told = told_in_torque(arm, known)
     own = refitted or {}
 
     def held(file_format: str) -> Robot:
-        return own.get(file_format) or held_by(arm, file_format)
+        return own.get(file_format) or held_by(told, file_format)
 
     def remark(file_format: str) -> str:
-        return comment(arm, file_format, yaml_name, own.get(file_format))
+        return comment(told, file_format, yaml_name, own.get(file_format))
 
     alone = urdf and "urdf" not in own
     description = f"{stem}.urdf" if alone else f"{stem}.links"
@@ -109,8 +113,13 @@ def model_files(
     if "urdf" in own:
         files[f"{stem}.urdf"] = _urdf(own["urdf"], remark("urdf"))
     links = remark("urdf") if alone else _links_of(yaml_name)
-    files[description] = _urdf(held_by(arm, "urdf"), links)
+    files[description] = _urdf(held_by(told, "urdf"), links)
     files[yaml_name] = _yaml(arm, {"model": description} | beside, gains)
+    if unknown := _unknown(arm, known):
+        files[yaml_name] = (
+            f"# {unknown}: its current is predicted, no torque\n{files[yaml_name]}"
+        )
+        gains = None  # a control is a torque
     # the same with or without bodies folded into links
     if model.estimate is not None:
         files[table] = model.estimate.csv()
@@ -122,6 +131,30 @@ def model_files(
         text = _ros2_control(held("ros2_control"), remark("ros2_control"))
         files[f"{stem}_ros2_control.yaml"] = text
     return files
+
+
+def told_in_torque(arm: Robot, known: Mask | None) -> Robot:
+    """A `folded` arm without properties of joints whose drive gain is not known, (nv,)."""
+    if known is None:
+        return arm
+    effects = []
+    for effect in arm.effects:
+        keep = known[effect.rows(arm)]
+        if effect.export.joint_property and not keep.all():
+            joints = tuple(np.array(effect.joints)[keep].tolist())
+            values = np.array(effect.values)[keep].tolist()
+            effect = replace(effect, joints=joints, values=None).with_values(values)
+        if effect.joints:
+            effects.append(effect)
+    return arm.with_effects(effects)
+
+
+def _unknown(arm: Robot, known: Mask | None) -> str:
+    """At which joints the drive gain is not known; empty where there are none."""
+    if known is None or known.all():
+        return ""
+    names = ", ".join(np.array(arm.joints)[~known].tolist())
+    return f"not determined: the drive gain of {names}"
 
 
 def folded(robot: Robot) -> Robot:
@@ -562,6 +595,7 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
     UnknownName.refuse("format", [path.suffix], sorted(MODEL_SUFFIXES))
     gains = estimate.gains if estimate.data.unit == "A" else None
     complete = f"{path.stem}.yaml"
+    known = None if estimate.drive is None else estimate.drive.known
     exported: tuple[ExportedFile, ...] = ()
     written = [path]
     if path.suffix == ".yaml":
@@ -585,7 +619,10 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
         complete,
         gains=gains,
         refitted=_refitted(exported),
+        known=known,
     )
+    if unknown := _unknown(estimate.model, known):
+        warnings.warn(f"{path.name}: {unknown}", stacklevel=2)
     for file in written:
         write_file(file, files[file.name])
     return written
@@ -631,6 +668,7 @@ def hold_out(estimate: Estimate) -> HoldOut:
         estimate.gains,
         estimate.predicted,
         estimate.predicted_given,
+        estimate.drive,
     )
 
 
@@ -663,26 +701,35 @@ def published(
         advice = against[0].advice
         note = f"the {kind} model is not published: {reasons}; {advice}, or give --force"
         return Publication({}, False, note)
-    exported = exported_files(
-        model, kind, yaml_name, judged, fitted, ("urdf", *formats)
-    )
+    known = None if judged.drive is None else judged.drive.known
+    wanted = ("urdf", *formats)
+    if known is not None and not known.any():
+        formats = wanted = ()
+    exported = exported_files(model, kind, yaml_name, judged, fitted, wanted)
     if force:
         exported = tuple(replace(file, refused="") for file in exported)
     refused = {file.file for file in exported if file.refused}
+    urdf = f"{kind}.urdf" in {file.file for file in exported} - refused
     files = model_files(
         model,
         kind,
         yaml_name,
         formats,
         gains,
-        urdf=f"{kind}.urdf" not in refused,
+        urdf=urdf,
         refitted=_refitted(exported),
+        known=known,
     )
     notes = [f"published because it was forced: {reasons}"] if against else []
     if worse and not against:
         notes.append(
             f"the model as given predicts the hold-out better at {'; '.join(worse)}"
         )
+    if unknown := _unknown(model, known):
+        held = "hold no friction, offset and rotor inertia there"
+        if formats == ():
+            held = f"are not written; {yaml_name} predicts currents"
+        notes.append(f"{unknown}: files of other formats {held}")
     if refused:
         notes.append(
             _unwritten([file for file in exported if file.refused], yaml_name)
@@ -705,7 +752,8 @@ def exported_files(
     makes up for it (`Refit`). It is refused where it predicts the hold-out worse than no model at
     a joint, as a model is, or worse than the nominal one by the nrmse summed over the joints.
     """
-    arm = folded(model)
+    known = None if judged.drive is None else judged.drive.known
+    arm = told_in_torque(folded(model), known)
     refit = Refit(arm, fitted, judged.gains)
     exported = [ExportedFile(yaml_name, judged.accuracy, model)]
     for file_format, end in _ENDS.items():
@@ -716,7 +764,8 @@ def exported_files(
         held = held_by(arm, file_format)
         file = ExportedFile(name, judged.accuracy, held, file_format, lacks)
         if lacks:
-            if (refitted := refit.of(held, file_format)) is not None:
+            whole = known is None or known.all()
+            if whole and (refitted := refit.of(held, file_format)) is not None:
                 file = replace(file, arm=refitted, refitted=True)
             file = _judged(file, judged)
         exported.append(file)
@@ -726,6 +775,8 @@ def exported_files(
 def _judged(file: ExportedFile, judged: HoldOut) -> ExportedFile:
     """The file with its own errors, refused where something else predicts better."""
     tau = predicted_torque(file.arm, judged.segments) / judged.gains
+    if judged.drive is not None:  # elsewhere it states no torque
+        tau = np.where(judged.drive.known, tau, judged.predicted)
     reduced = replace(judged, predicted=tau)
     useless = useless_joints(file.arm.joints, reduced)
     nominal, error = (

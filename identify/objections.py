@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from excitant.identify.accuracy import Accuracy, Series, chance_of_loss
+from excitant.identify.drive_gains import DriveGains
 from excitant.identify.preprocessing import Segment
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -34,6 +35,7 @@ class HoldOut:
         gains: Torque per reading, shape (nv,) [N·m per reading].
         predicted: Torque of the model at its rows, shape (n, nv) [torque unit].
         nominal: Torque of the model as given, shape (n, nv) [torque unit].
+        drive: Drive gains, if torque was recorded as current.
     """
 
     segments: Sequence[Segment]
@@ -41,6 +43,7 @@ class HoldOut:
     gains: Array
     predicted: Array
     nominal: Array
+    drive: DriveGains | None = None
 
     @cached_property
     def accuracy(self) -> Accuracy:
@@ -140,7 +143,10 @@ def _strained(model: Robot, judged: HoldOut) -> list[str]:
     ]
     largest = np.max(parts, axis=0)
     limits = model.limits.torque
-    beyond = np.flatnonzero((largest > limits) & (limits > 0)).tolist()
+    strained = (largest > limits) & (limits > 0)
+    if judged.drive is not None:
+        strained &= judged.drive.known
+    beyond = np.flatnonzero(strained).tolist()
     return [
         f"{largest[j]:.4g} {model.torque_unit(joint=j)} of {limits[j]:.4g} at "
         f"{model.joints[j]}"

@@ -333,7 +333,7 @@ def fit_rows(
     drive = data.drive
     regression = regression_of(robot, effects, data.train).counting(used)
     if data.unit == "A":
-        drive = current_gains(robot, base, regression.W, regression.tau, used)
+        drive = current_gains(robot, regression.W, regression.tau, used)
         regression = regression.with_torque(regression.tau * drive.gains)
     return FitRows(robot, tuple(effects), base, data, used, regression, drive)
 
@@ -348,7 +348,7 @@ def gains_of(robot: Robot, data: Data, drive: DriveGains | None) -> Array:
 def told(
     parameter: Parameter, robot: Robot, drive: DriveGains | None
 ) -> tuple[float, str]:
-    """Factor and unit in which to tell a coefficient: in amperes where nothing fixes gains."""
+    """Factor and unit in which to tell a coefficient: in amperes where its gain is not known."""
     owner = parameter.name.rpartition(".")[0]
     if drive is None or owner not in robot.joints:
         return 1.0, parameter.unit

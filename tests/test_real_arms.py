@@ -75,8 +75,8 @@ def test_the_same_recording_gives_the_same_friction_in_three_verbs(ran: Verbs) -
         std = math.hypot(entry["std"], mine["std"])
         joint = coefficient.rpartition(".")[0]
         assert abs(entry["value"] - mine["value"]) <= 3 * std or joint in shared, coefficient
-    gains = [r.get("drive_gain_Nm_per_A") for r in (identified, diagnosed)]
-    assert gains[0] == pytest.approx(gains[1], rel=1e-6) if gains[0] else gains == [None, None]
+    one, other = (r.get("drive_gain_Nm_per_A") or [] for r in (identified, diagnosed))
+    assert [k or 0 for k in one] == pytest.approx([k or 0 for k in other], rel=1e-6)
 
 
 @pytest.mark.slow

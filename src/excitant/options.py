@@ -258,10 +258,10 @@ class Run:
         files: Mapping[str, str | bytes] | None = None,
         folder: Path | None = None,
         *,
-        first: str = "",
+        first: Sequence[str] = (),
         shown: Sequence[str] | None = None,
     ) -> None:
-        """Save the run, then print its summary, something first, and paths; or the JSON.
+        """Save the run, then print lines, its summary and paths; or the JSON.
 
         Of several paths those of files ``shown`` are printed, where not all are.
         """
@@ -277,7 +277,7 @@ class Run:
                     page, terminal=bool(sys.stdout and sys.stdout.isatty())
                 )
                 print(
-                    *([one_line(first)] if first else []),
+                    *(one_line(line) for line in first if line),
                     told,
                     sep="\n",
                     end="\n\n",

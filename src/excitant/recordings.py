@@ -262,9 +262,10 @@ def go(
         examined.result() | {"import": read.entries["import"]},
         examined.series(),
         examined.files,
-        first=""
-        if use
-        else f"use no model of these recordings: {examined.refusal}",
+        first=(
+            examined.estimate.undetermined,
+            "" if use else f"use no model of these recordings: {examined.refusal}",
+        ),
         shown=(*examined.recommended, "report.html"),
     )
     return 0 if use else 1
@@ -331,7 +332,12 @@ def identify(
         series |= beside.series()
     result["notes"] += notes
     published.note_in(result)
-    run.finish(result, series, published.files, first=published.note)
+    run.finish(
+        result,
+        series,
+        published.files,
+        first=(estimate.undetermined, published.note),
+    )
     return 0 if published.published else 1
 
 
@@ -398,7 +404,8 @@ def analyze(
     )
     result = identifiability.result() | entries
     result["notes"] += notes
-    run.finish(result, identifiability.series())
+    first = "" if estimate is None else estimate.undetermined
+    run.finish(result, identifiability.series(), first=(first,))
 
 
 def diagnose(
@@ -451,4 +458,10 @@ def diagnose(
     for k, motion in enumerate(plan.motions, start=1):
         files[f"separate-{k}.csv"] = ex.design.trajectory_csv(motion)
         files[f"separate-{k}.json"] = ex.design.trajectory_json(motion, read.robot)
-    run.finish(result, diagnosis.series(), files, folder, first=model.note)
+    run.finish(
+        result,
+        diagnosis.series(),
+        files,
+        folder,
+        first=(diagnosis.undetermined, model.note),
+    )

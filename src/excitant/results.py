@@ -917,13 +917,13 @@ class Modelled(Imported, kw_only=True):
     holdout: str
     "What models are judged on, in words."
     drive_gain_Nm_per_A: list[Number] | None  # noqa: N815
-    "Drive gains [N·m/A]; null where torque was given."
+    "Drive gains [N·m/A], null at joints where they are not known; null where torque was given."
     drive_gain_std_Nm_per_A: list[Number] | None = None  # noqa: N815
-    "Standard deviations of the drive gains."
+    "Standard deviations of the drive gains, null likewise."
     drive_gain_scale_rel_std: Number = None
     "Relative standard deviation of the scale that all gains share."
     drive_gain_shown: list[bool] | None = None
-    "Whether the motion shows each gain; null where all are shown."
+    "Whether the currents show each gain relative to the others."
     published: bool | None = None
     "Whether the model was written."
     refusal: str = ""

@@ -519,6 +519,11 @@ def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
     assert yaml.safe_load(files["model.yaml"])["drive"] == {"gain_Nm_per_A": [12.0, 7.0]}
     assert 'gear="7.0"' in files["identified.xml"]
     assert "drive" not in yaml.safe_load(publication(estimate).files["model.yaml"])
+    unsure = replace(read, drive=replace(drive, covariance=np.diag([0.0, 0.3])))
+    files = publication(judged(unsure, estimate.predicted, estimate.predicted_given)).files
+    joints = ET.fromstring(files["identified.xml"]).iterfind(".//body/joint")
+    assert [float(joint.get("damping", 0)) > 0 for joint in joints] == [True, False]
+    assert "not determined: the drive gain of joint2" in files["model.yaml"]
 
 
 def test_command_writes_result_but_no_model_when_it_got_worse(tmp_path, planar, exact, excitant):

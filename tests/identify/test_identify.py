@@ -13,6 +13,7 @@ from plant_recordings import PENDULUM
 
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset, model_files
+from excitant.identify.export import publication
 from excitant.identify.tables import body_changes
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.parameters import from_pseudo_inertia, violations
@@ -135,13 +136,15 @@ def test_what_rests_on_drive_gains_carries_their_uncertainty(ur10, nominal):
     drive = current.drive
     assert drive is not None
     assert 0.05 < drive.scale_std < 0.3
-    assert current.result()["drive_gain_std_Nm_per_A"] == drive.std.tolist()
+    told = current.result()["drive_gain_std_Nm_per_A"]
+    assert told == [s if yes else None for s, yes in zip(drive.std, drive.known, strict=True)]
     assert (drive.std >= drive.scale_std * drive.gains).all()
     ours, theirs = by_name(current), by_name(torque)
     for name in (f"{joint}.Fv" for joint in ur10.joints[:5]):
         p = ours[name]
         assert p["std"] >= 0.9 * drive.scale_std * p["value"] > 3 * theirs[name]["std"]
     # a prediction in ampere rests on no gain
+    np.testing.assert_allclose(current.validate.nrmse, torque.validate.nrmse, atol=1e-3)
     widths = [found.interval.half_width.mean(axis=0) for found in (current, torque)]
     np.testing.assert_allclose(10 * widths[0], widths[1], rtol=0.1)
 
@@ -152,7 +155,9 @@ def test_what_nothing_fixes_is_told_in_amperes(ur10: Robot, nominal: list[Record
     blank = ur10.with_parameters(np.tile(from_pseudo_inertia(like_the_arm), ur10.nv))
     torque, current = identified(ur10, nominal), identified(blank, in_amperes(nominal, 10.0))
     assert current.drive is not None
-    assert not current.drive.fixed
+    assert not current.drive.known.any()
+    suffixes = {name.rpartition(".")[2] for name in publication(current).files}
+    assert not suffixes & {"urdf", "xml", "sdf"}
     ours, theirs = by_name(current), by_name(torque)
     units = {"Fv": "A·s/rad", "Fc": "A", "offset": "A", "Ia": "A·s²/rad"}
     for joint, (name, unit) in product(ur10.joints[:5], units.items()):
@@ -163,7 +168,7 @@ def test_what_nothing_fixes_is_told_in_amperes(ur10: Robot, nominal: list[Record
             std = np.hypot(10 * p["std"], known["std"])
             assert abs(10 * p["value"] - known["value"]) <= 4 * std
     assert ours[f"{ur10.links[0]}.m"]["unit"] == "kg"
-    assert any("friction is told in amperes" in note for note in current.notes)
+    assert any("told in amperes" in note for note in current.notes)
 
 
 def mass_std(found: Estimate, link: int) -> float:
@@ -218,13 +223,6 @@ def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recor
     assert [name in told for name in ur10.links] == [k == link for k in range(ur10.nv)]
 
 
-def test_current_and_torque_of_one_arm_say_the_same(ur10: Robot, nominal: list[Recording]) -> None:
-    # at rest, at both ends, the side of dry friction is a matter of rounding
-    moving = [run.take(np.arange(100, len(run) - 100)) for run in nominal]
-    one, other = (identified(ur10, read) for read in (moving, in_amperes(moving, 12.0)))
-    np.testing.assert_allclose(other.validate.nrmse, one.validate.nrmse, atol=1e-3)
-
-
 def test_real_ur10_is_no_worse_than_the_reference(data_folder: Path) -> None:
     dataset = load_dataset(data_folder / "ur10")
     found = identify_robot(dataset.robot, dataset.recordings([]))
@@ -242,6 +240,6 @@ def test_real_ur10e_is_predicted_from_its_currents(data_folder: Path) -> None:
     found = identify_robot(dataset.robot, train, validate=[held])
     assert found.data.unit == "A"
     assert violations(found.phi, dataset.robot.links) == []
-    assert (found.gains > 0).all()
+    # the large joints have about 11 to 14 N·m/A, the wrists about 9
+    assert np.abs(found.gains - 11).max() < 3
     assert (found.validate.r2 > 0.5).all(), found.validate.r2
-    assert found.result()["drive_gain_Nm_per_A"] == list(found.gains)
