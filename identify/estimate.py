@@ -266,7 +266,7 @@ def identify_robot(
     validate: Recordings = (),
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
-    estimator: str = "wls",
+    estimator: str | None = None,
     knowledge: Knowledge | None = None,
     harmonics_hz: float | None = None,
 ) -> Estimate:
@@ -295,7 +295,7 @@ def identify_robot(
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: An estimator does not converge, or knowledge leaves no room.
     """
-    UnknownName.refuse("estimator", [estimator], ESTIMATORS)
+    UnknownName.refuse("estimator", [estimator or "wls"], ESTIMATORS)
     recordings = recordings_of(recordings, robot)
     validate = recordings_of(validate, robot)
     prior = prior_parameters(robot)

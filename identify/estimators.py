@@ -140,7 +140,7 @@ SIMULATION = Simulation()
 
 
 def estimated(
-    rows: FitRows, recordings: Sequence[Recording], name: str
+    rows: FitRows, recordings: Sequence[Recording], name: str | None
 ) -> tuple[LeastSquares, str, tuple[str, ...]]:
     """Base parameters by the estimator of a name, which it was, and what the user should know.
 
@@ -152,11 +152,13 @@ def estimated(
         Infeasible: Robust regression or output error that does not converge.
     """
     problem = rows.reduced
-    note = f"base parameters by {ESTIMATORS[name]}"
-    if name == "wls":
+    if name is None:
         fit = weighted_least_squares(problem)
         robust, sentence = _instead(problem, fit, rows.robot.joints)
-        return (robust, "irls", (sentence,)) if sentence else (fit, name, ())
+        return (robust, "irls", (sentence,)) if sentence else (fit, "wls", ())
+    if name == "wls":
+        return weighted_least_squares(problem), name, ()
+    note = f"base parameters by {ESTIMATORS[name]}"
     if name == "irls":
         return irls(problem), name, (note,)
     if name == "oe":

@@ -406,7 +406,7 @@ def identify_robot(
     validate: Recordings = (),
     effects: EffectsLike | Literal["auto"] = None,
     cutoff: float | None = None,
-    estimator: str = "wls",
+    estimator: str | None = None,
     trajectory: Trajectory | str | Path | None = None,
     knowledge: Knowledge | str | Path | None = None,
     progress: Told = lambda share, words: None,

@@ -196,7 +196,7 @@ class Fit:
             return ex.identify_robot(
                 robot,
                 recordings,
-                estimator=self.estimator or "wls",
+                estimator=self.estimator,
                 trajectory=self.trajectory,
                 knowledge=self.knowledge,
                 progress=advance,

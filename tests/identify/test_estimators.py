@@ -8,7 +8,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 import scipy.signal
-from estimators import truth
+from arms import truth
 from known_arms import HARMONICS, Z95, Call, recorded, rows_of, smooth_motion, write_csv
 
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
