@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import scipy
 from threadpoolctl import threadpool_limits
+from worlds_plant import SLIDING as STICKING
 from worlds_plant import Drawing, Plant, Rng, Trajectory, given_and_true
 
 from excitant.analysis.diagnosis import diagnose
@@ -189,10 +190,11 @@ def estimators(world: World) -> dict[str, Any]:
     t = np.arange(0.0, DURATION, 0.02)
     motion, tau = Motion(t, *(world.motions[2](t, k) for k in range(3))), {}
     true = world.plant.torque(world.motions[2], t) / world.gains
+    moves, size = np.abs(motion.dq) > 10 * STICKING, true.std(axis=0)
     for method, name in METHODS.items():
         found = identified(world, name)
-        error = torque(found.model, motion) / found.gains - true
-        tau[method] = (np.sqrt((error**2).mean(axis=0)) / true.std(axis=0)).tolist()
+        error = np.where(moves, torque(found.model, motion) / found.gains - true, 0.0)
+        tau[method] = (np.sqrt((error**2).sum(axis=0) / moves.sum(axis=0)) / size).tolist()
     return {"errors": tau}
 
 
