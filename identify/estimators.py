@@ -252,10 +252,10 @@ def _instrumental(
 ) -> tuple[LeastSquares, str]:
     """Instrumental variables where coarse positions spoil least squares, and the sentence for it.
 
-    With d the difference of both, C their covariances, and G = Σ_j W_jᵀ W_j / (n var τ_j), the
-    expected squared error of torque is tr G C_iv of instruments, which have no bias b, and
-    bᵀ G b + tr G C of least squares. As E d dᵀ = b bᵀ + C_iv − C (Hausman 1978), the latter is
-    estimated by dᵀ G d − tr G C_iv + 2 tr G C.
+    With d the difference of both, C ≤ C_iv their covariances, and G = Σ_j W_jᵀ W_j / (n var τ_j),
+    n rows in all, instruments, which have no bias, miss tr G C_iv of the torque's variance, and
+    least squares, whose bias is b, bᵀ G b + tr G C, where E d dᵀ = b bᵀ + C_iv − C (Hausman 1978).
+    Noise is independent in W from even and from odd samples: it is no part of their product G.
     """
     share = _acceleration_noise(rows.data)
     if not (share > ATTENUATION).any():
@@ -265,19 +265,26 @@ def _instrumental(
         found = iv(even, odd)
     except (np.linalg.LinAlgError, BadInput, RankDeficient):
         return fit, ""
-    problem = rows.reduced
-    size = np.array([values.std() for values in problem.counted(problem.tau)])
-    G = problem.gram(1 / believed(size) ** 2)[:-1, :-1]
-    d = fit.beta - found.beta
-    own = float((G * found.covariance).sum())
-    other = float(d @ G @ d) - own + 2 * float((G * fit.covariance).sum())
-    if other <= own:
+    torques = rows.reduced.counted(rows.reduced.tau)
+    size = believed(np.array([values.std() for values in torques]))
+
+    def power(x: Array) -> float:
+        both = np.einsum("njk,njk->j", even.torque(x), odd.torque(x))
+        return float((both / size**2).sum()) / sum(map(len, torques))
+
+    def variance(covariance: Array) -> float:
+        values, vectors = np.linalg.eigh(covariance)
+        return power(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    more = max(variance(found.covariance) - variance(fit.covariance), 0.0)
+    bias = power((fit.beta - found.beta)[:, None]) - more
+    if bias <= more:
         return fit, ""
     worst = int(np.argmax(share))
     return found, (
         f"positions are coarse beside the motion (noise of {100 * share[worst]:.2g} % of the "
         f"acceleration of {rows.robot.joints[worst]}): {ESTIMATORS['iv']} instead of least "
-        f"squares, whose expected error of torque is {np.sqrt(other / own):.2g} times as large"
+        f"squares, whose bias is about {100 * np.sqrt(bias):.1g} % of the torque"
     )
 
 
