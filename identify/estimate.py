@@ -283,7 +283,9 @@ def identify_robot(
         validate: What to judge on; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
-        estimator: One of `excitant.identify.estimators.ESTIMATORS`.
+        estimator: One of `excitant.identify.estimators.ESTIMATORS`; when None weighted least
+            squares, or where the recordings show gross errors of torque robust regression, where
+            they show coarse positions instrumental variables, which a note tells.
         knowledge: What is known of the bodies beforehand.
         harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
 
