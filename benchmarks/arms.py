@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import common
 import numpy as np
@@ -42,8 +43,7 @@ class TrueArm:
         return np.asarray(np.array(rigid) + friction + self.Ia * motion.ddq)
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
+class Truth(NamedTuple):
     """An arm of which everything is known, its base parameters and their values."""
 
     robot: Robot

@@ -31,6 +31,7 @@ FACTORS: dict[str, tuple[Any, ...]] = {
     "hidden": ("nothing", "payload", "spring", "tool left off"),
     "noise": ("clean", "coloured", "coarse", "bursts", "coarse and coloured"),
 }
+HIDDEN = {"payload": "payload", "spring": "spring", "tool left off": "payload"}  # as drawn
 DURATION, HARMONICS = 20.0, 5  # of each motion [s]
 RATES = (125.0, 250.0)  # Hz
 TORQUE = 0.01  # noise of torque, of its standard deviation
@@ -68,7 +69,7 @@ class World:
 
 
 def printed(result: dict[str, Any], robot: Robot) -> Iterator[tuple[str, str, Any, Any, str]]:
-    """Kind, name, value, ± and unit of what identify or diagnose says."""
+    """Kind, name, value, ± and unit of all that is told."""
     for x in result.get("base_parameters", ()):
         yield "base parameters", x["expression"], x["value"], x["std"], ""
     for x in result.get("parameters", ()):
@@ -104,29 +105,25 @@ def drawn(seed: int, number: int, **chosen: Any) -> World:
     rng, levels = np.random.default_rng([seed, number]), levels_of(seed, number) | chosen
     arm, off = load_robot(levels["arm"]), levels["bodies"]
     given, as_given, plant = given_and_true(arm, rng, off)
-    known = effect_values(arm)
-    rotors = np.array([known.get(f"{joint}.Ia", 0.0) for joint in arm.joints])
+    rotors = np.array([effect_values(arm).get(f"{joint}.Ia", 0.0) for joint in arm.joints])
     true_rotors = rotors * (1 + off * rng.normal(size=arm.nv).clip(-2, 2))
     given = given.with_effects([*given.effects, RotorInertia(arm.joints, values=tuple(rotors))])
     plant = replace(plant, laws=((lambda state: state.ddq, true_rotors),))
     motions = tuple(random_trajectory(given, rng, DURATION, HARMONICS) for _ in range(3))
-    last, truth = slice(-len(STANDARD), None), {}
-    if levels["hidden"] != "nothing":
-        kind = "spring" if levels["hidden"] == "spring" else "payload"
-        bare = plant
-        plant, found = Drawing(bare, as_given, motions[:2], rng).hide(bare, kind, set())
-        if kind == "spring":
-            k, [joint] = found.parameters["factor"], found.joints
-            truth = {f"{joint}.k": k, f"{joint}.moment": -k * found.parameters["rest"]}
-    body = given.phi.copy()
-    if levels["hidden"] == "tool left off":
-        body[last] = PLACEHOLDER
+    truth, hidden, body = {}, levels["hidden"], given.phi.copy()
+    if hidden != "nothing":
+        kind, drawing = HIDDEN[hidden], Drawing(plant, as_given, motions[:2], rng)
+        plant, found = drawing.hide(plant, kind, set())
+    if hidden == "spring":
+        k, [joint] = found.parameters["factor"], found.joints
+        truth = {f"{joint}.k": k, f"{joint}.moment": -k * found.parameters["rest"]}
+    if hidden == "tool left off":
+        body[-10:] = PLACEHOLDER
     missing = plant.robot.phi - body
-    carried = found.parameters["phi"] if levels["hidden"] == "payload" else missing[last]
+    carried = found.parameters["phi"] if hidden == "payload" else missing[-10:]
     own = {"Fv": plant.viscous, "Fc": plant.coulomb, "Ia": true_rotors, "offset": 0 * rotors}
-    gains = np.ones(arm.nv)
-    if levels["reading"] == "current":
-        gains = GAIN * np.exp(rng.uniform(*SPREAD) * rng.normal(size=arm.nv))
+    gains = GAIN * np.exp(rng.uniform(*SPREAD) * rng.normal(size=arm.nv))
+    gains = gains if levels["reading"] == "current" else np.ones(arm.nv)
     for k, (link, joint) in enumerate(zip(arm.links, arm.joints, strict=True)):
         phi, more = (x.reshape(-1, len(STANDARD))[k] for x in (plant.robot.phi, missing))
         for name, x in ((f"{link}.", phi), (f"{link}.delta_", more), (f"{link}.payload_", carried)):
@@ -134,17 +131,16 @@ def drawn(seed: int, number: int, **chosen: Any) -> World:
         truth |= {f"{link} mass 0": phi[0], f"{joint} gain": np.log(gains[k])}
         truth |= {f"{link} centre {i}": phi[1 + i] / phi[0] for i in range(3)}
         truth |= {f"{joint}.{symbol}": values[k] for symbol, values in own.items()}
-    rate = float(rng.choice(RATES))
-    logs = tuple(record(plant, x, levels, gains, rate, rng) for x in motions[:2])
+    t = np.arange(0.0, DURATION, 1 / rng.choice(RATES))
+    logs = tuple(record(plant, x, t, levels, gains, rng) for x in motions[:2])
     return World(levels, given.with_parameters(body), plant, gains, motions, logs, truth)
 
 
 def record(
-    plant: Plant, motion: Trajectory, levels: dict[str, Any], gains: Array, rate: float, rng: Rng
+    plant: Plant, motion: Trajectory, t: Array, levels: dict[str, Any], gains: Array, rng: Rng
 ) -> Recording:
     """What the sensors of a world read of a motion."""
-    t = np.arange(0.0, DURATION, 1 / rate)
-    q, tau = motion(t, 0), plant.torque(motion, t)
+    q, tau, rate = motion(t, 0), plant.torque(motion, t), 1 / t[1]
     noise, kind = rng.normal(size=tau.shape), levels["noise"]
     if "coloured" in kind:
         a = np.exp(-1 / (rate * CORRELATION))
@@ -170,11 +166,10 @@ def identified(world: World, estimator: str | None = None) -> Estimate:
 
 def identify(world: World) -> dict[str, Any]:
     """Scores of all that an identification prints, and how far links are from the true ones."""
-    estimate = identified(world)
-    base, hidden = estimate.base, world.levels["hidden"] == "spring"
-    beta = base.regrouping @ [world.truth[name] for name in base.names]
-    world.truth.update(zip(base.expressions, beta, strict=True))
-    scores = world.scores(estimate.result(), "hidden spring: " if hidden else "")
+    estimate, spring = identified(world), world.levels["hidden"] == "spring"
+    beta = estimate.base.regrouping @ [world.truth[name] for name in estimate.base.names]
+    world.truth.update(zip(estimate.base.expressions, beta, strict=True))
+    scores = world.scores(estimate.result(), "hidden spring: " if spring else "")
     links = [distances(phi, world.plant.robot.phi) for phi in (world.given.phi, estimate.phi)]
     return {"scores": scores, "links": np.transpose(links).tolist()}
 
