@@ -4,23 +4,67 @@ import os
 import site
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import common
 import numpy as np
+import pinocchio as pin
 
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
 from excitant.design import design_trajectory
 from excitant.exceptions import ExcitantError, Infeasible
-from excitant.robots import Robot, load_robot, torque
+from excitant.robots import BaseParameters, Motion, Robot, base_parameters, load_robot, torque
 from excitant.robots.chains import RobotSpec
 from excitant.robots.effects import standard_effects
 from excitant.robots.geometry import scene
 
 ASSUMED = {"velocity": 1.5, "acceleration": 10.0}  # rad/s or m/s, rad/s² or m/s²
 NOISE = 0.01  # of each joint's largest torque in the motion
+
+
+@dataclass(frozen=True, eq=False)
+class TrueArm:
+    """Pinocchio's rigid bodies, and what each joint has besides, shape (nv,) [SI]."""
+
+    model: pin.Model
+    Fv: np.ndarray | float = 0.0
+    Fc: np.ndarray | float = 0.0
+    offset: np.ndarray | float = 0.0
+    Ia: np.ndarray | float = 0.0
+
+    def torque(self, motion: Motion) -> np.ndarray:
+        """Torque of a motion, shape (n, nv)."""
+        data, states = self.model.createData(), (motion.q, motion.dq, motion.ddq)
+        rigid = [pin.rnea(self.model, data, *state) for state in zip(*states, strict=True)]
+        friction = self.Fv * motion.dq + self.Fc * np.sign(motion.dq) + self.offset
+        return np.asarray(np.array(rigid) + friction + self.Ia * motion.ddq)
+
+
+class Truth(NamedTuple):
+    """An arm of which everything is known, its base parameters and their values."""
+
+    robot: Robot
+    arm: TrueArm
+    base: BaseParameters
+    beta: np.ndarray
+
+
+def truth(name: str) -> Truth:
+    """A built-in arm with friction and rotors drawn in proportion to its torques."""
+    robot, rng = load_robot(name).with_effects(()), np.random.default_rng(3)
+    motion = Motion(np.arange(200.0), *robot.random_motion(rng, 200))
+    size = TrueArm(robot.model).torque(motion).std(axis=0)
+    drawn = size * rng.uniform(0.5, 1.5, (4, robot.nv)) * [[0.03], [0.05], [0.01], [0.01]]
+    coefficients = dict(zip(("Fv", "Fc", "offset", "Ia"), drawn, strict=True))
+    effects = standard_effects(robot.joints)
+    names = (p.name.rpartition(".") for effect in effects for p in effect.parameters(robot))
+    values = [coefficients[symbol][robot.joint_index(joint)] for joint, _, symbol in names]
+    base = base_parameters(robot, effects)
+    beta = base.regrouping @ np.concatenate([robot.phi, values])
+    return Truth(robot, TrueArm(robot.model, **coefficients), base, beta)
 
 
 def data_folder(given: str | None) -> Path | None:

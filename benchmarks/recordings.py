@@ -38,7 +38,6 @@ class Split:
 
 
 UR10E = ("id_12harm_30s", "id_12harm_40s", "id_8harm_20s")
-PENDULUMS = ("rec01", "rec03", "rec04", "rec05", "rec07", "rec08")
 OTHER_LAB = "another lab's robot, logged at 30 Hz; at 5 Hz our quick fit comes to the README's"
 SPLITS = (
     Split("ur10", ("unisa_exciting",), share=0.6,
@@ -58,7 +57,6 @@ SPLITS = (
     Split("rokae_xmate3", ("rec02",), ("rec01",), note="another robot; README: -.89 at joint 1"),
     Split("dualarm_v2", ("exc_13p5", "exc_15p7"), ("exc_52p2",),
           readme=(0.958, 0.924, 0.987, 0.972, 0.983, 0.986, 0.986)),
-    Split("bam_xl330", PENDULUMS, ("rec13", "rec15", "rec16"), note="no baseline"),
 )  # fmt: skip
 
 

@@ -438,11 +438,11 @@ def payload(robot: Robot, rng: Rng) -> Array:
 
 
 def perturbed(robot: Robot, rng: Rng, share: float) -> Robot:
-    """The arm with each pseudo-inertia L Lᵀ replaced by L (1 + E) (1 + E)ᵀ Lᵀ."""
+    """The arm with each pseudo-inertia L Lᵀ replaced by L (1 + E) (1 + E)ᵀ Lᵀ, mean kept."""
     bodies = []
     for values in robot.phi.reshape(-1, 10):
         root = np.linalg.cholesky(pseudo_inertia(values))
-        root = root @ (np.eye(4) + share / 2 * rng.normal(size=(4, 4)))
+        root = root @ (np.eye(4) + share / 2 * rng.normal(size=(4, 4))) / np.hypot(1, share)
         bodies.append(from_pseudo_inertia(root @ root.T))
     return robot.with_parameters(np.concatenate(bodies))
 

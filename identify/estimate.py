@@ -273,7 +273,7 @@ def identify_robot(
     validate: Recordings = (),
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
-    estimator: str = "wls",
+    estimator: str | None = None,
     knowledge: Knowledge | None = None,
     harmonics_hz: float | None = None,
 ) -> Estimate:
@@ -290,7 +290,9 @@ def identify_robot(
         validate: What to judge on; the last 30 % of each recording when empty.
         effects: Effects to estimate; friction, offset and rotor inertia when None.
         cutoff_hz: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
-        estimator: One of `excitant.identify.estimators.ESTIMATORS`.
+        estimator: One of `excitant.identify.estimators.ESTIMATORS`; when None weighted least
+            squares, or where the recordings show gross errors of torque robust regression, where
+            they show coarse positions instrumental variables, which a note tells.
         knowledge: What is known of the bodies beforehand.
         harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
 
@@ -302,7 +304,7 @@ def identify_robot(
         RankDeficient: Motion that leaves base parameters undetermined.
         Infeasible: An estimator does not converge, or knowledge leaves no room.
     """
-    UnknownName.refuse("estimator", [estimator], ESTIMATORS)
+    UnknownName.refuse("estimator", [estimator or "wls"], ESTIMATORS)
     recordings = recordings_of(recordings, robot)
     validate = recordings_of(validate, robot)
     prior = prior_parameters(robot)

@@ -279,11 +279,24 @@ class SensorNoise:
         response = np.fft.irfft((1 - share) * passed, axis=0) * self.rate_hz
         rises = np.maximum(np.diff(response, axis=0, append=response[:1]), 0)
         jumps = self.step * rises.sum(axis=0)
+        return np.maximum(jumps, 4.0 * self._derivative(f, passed))
+
+    def acceleration(self, cutoff_hz: float, torque_hz: float) -> Array:
+        """Noise of accelerations behind the filters of positions and of torque, (nv,) [rad/s²]."""
+        f = np.asarray(np.fft.rfftfreq(2048, 1 / self.rate_hz), float)
+        passed = [
+            1 / (1 + (f / hz)[:, None] ** (2 * BUTTERWORTH_ORDER))
+            for hz in (cutoff_hz, torque_hz)
+        ]
+        return self._derivative(f, 2 * np.pi * f[:, None] * passed[0] * passed[1])
+
+    def _derivative(self, f: Array, gain: Array) -> Array:
+        """Noise of speeds behind a gain, (m, 1), at frequencies f, (m,) [Hz]; (nv,)."""
+        share = self.speed_share(f)
         of_positions = 2 * np.pi * f[:, None] * (1 - share) * self.position
         of_speeds = share * np.where(np.isfinite(self.speed), self.speed, 0.0)
-        squares = (of_positions**2 + of_speeds**2) * passed**2
-        std = np.sqrt(2 / self.rate_hz * np.trapezoid(squares, f, axis=0))
-        return np.maximum(jumps, 4.0 * std)
+        squares = (of_positions**2 + of_speeds**2) * gain**2
+        return np.sqrt(2 / self.rate_hz * np.trapezoid(squares, f, axis=0))
 
 
 def mean_noise(parts: Sequence[SensorNoise], samples: Sequence[int]) -> SensorNoise:

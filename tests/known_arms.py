@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from estimators import Truth
+from arms import Truth
 
 from excitant.identify import Recording
 from excitant.identify.knowledge import Knowledge

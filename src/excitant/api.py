@@ -406,7 +406,7 @@ def identify_robot(
     validate: Recordings = (),
     effects: EffectsLike | Literal["auto"] = None,
     cutoff: float | None = None,
-    estimator: str = "wls",
+    estimator: str | None = None,
     trajectory: Trajectory | str | Path | None = None,
     knowledge: Knowledge | str | Path | None = None,
     progress: Told = lambda share, words: None,
@@ -422,7 +422,9 @@ def identify_robot(
         effects: Effects to estimate, or their names; friction, offset and rotor inertia when None;
             ``"auto"`` for these and what the recordings call for.
         cutoff: Cut-off of the torque filter [Hz]; see `excitant.identify.split`.
-        estimator: One of `excitant.identify.estimators.ESTIMATORS`.
+        estimator: One of `excitant.identify.estimators.ESTIMATORS`; when None weighted least
+            squares, or where the recordings show gross errors of torque robust regression, where
+            they show coarse positions instrumental variables, which a note tells.
         trajectory: Commanded trajectory: without a cut-off the filter passes its highest harmonic.
         knowledge: What is known of the bodies beforehand.
         progress: Called while effects are chosen.

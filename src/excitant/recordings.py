@@ -107,8 +107,9 @@ class Fit:
     )
     estimator: str | None = None
     (
-        "Of the base parameters: wls (weighted least squares, the default), irls (robust against "
-        "wrong torques), iv or oe (noisy positions)."
+        "Of the base parameters: wls (weighted least squares), irls (robust against wrong "
+        "torques), iv or oe (noisy positions). Default: wls; irls where bursts spoil the torque, "
+        "iv where encoders are coarse beside the motion, as the recordings show."
     )
     trajectory: str | None = None
     "Commanded trajectory.json: without --cutoff the filter passes its highest harmonic."
@@ -196,7 +197,7 @@ class Fit:
             return ex.identify_robot(
                 robot,
                 recordings,
-                estimator=self.estimator or "wls",
+                estimator=self.estimator,
                 trajectory=self.trajectory,
                 knowledge=self.knowledge,
                 progress=advance,

@@ -9,7 +9,7 @@ from types import SimpleNamespace as Judged
 import numpy as np
 import pinocchio as pin
 import pytest
-from estimators import TrueArm
+from arms import TrueArm
 from planted import Runs, motion_of, stacked
 
 from excitant.analysis import identify_shown, uncertainty

@@ -8,14 +8,13 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 import scipy.signal
-from estimators import truth
+from arms import truth
 from known_arms import HARMONICS, Z95, Call, recorded, rows_of, smooth_motion, write_csv
 
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify import Recording, Regression, identify_robot
 from excitant.identify.estimators import (
     ESTIMATORS,
-    ROBUST,
     closed_loop,
     errors_in_variables,
     every_second,
@@ -260,6 +259,17 @@ def test_bursts_of_torque_make_the_default_robust(planar: Robot) -> None:
     assert found.estimator == ESTIMATORS["wls"]
 
 
+def test_coarse_encoders_make_the_default_instrumental(planar: Robot) -> None:
+    coarse = replace(NOISY, q=8e-3 * np.round(NOISY.q / 8e-3))
+    fits = [identify_robot(planar, [coarse], estimator=name) for name in (None, "wls")]
+    assert fits[0].estimator == ESTIMATORS["iv"]
+    assert "positions are coarse beside the motion" in " ".join(fits[0].notes)
+    found, plain = (each.least_squares.beta - KNOWN.beta for each in fits)
+    assert (np.abs(found) < 4 * fits[0].least_squares.std).all()
+    W = fits[0].holdout_columns
+    assert np.linalg.norm(W @ found) < np.linalg.norm(W @ plain) / 1.5
+
+
 def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     """To rounding, which depends on where arrays lie in memory."""
     found = identify_robot(planar, [NOISY])
@@ -271,15 +281,13 @@ def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     np.testing.assert_allclose(found.least_squares.covariance, fit.covariance, rtol=1e-9)
 
 
-def test_a_motion_known_exactly_needs_no_instruments(
-    planar: Robot, exact: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_motion_known_exactly_needs_no_instruments(planar: Robot, exact: Call) -> None:
     """At a rate at which interpolation between every second sample leaves no error."""
     recording = exact(planar, np.arange(0, 10, 1 / 512))
     found = identify_robot(planar, [recording], estimator="iv")
     assert "no errors of it to be tested" in found.notes[-1]
-    monkeypatch.setattr("excitant.identify.estimators.ROBUST", replace(ROBUST, outlying=np.inf))
-    fit, known = found.least_squares, identify_robot(planar, [recording]).least_squares
+    fit = found.least_squares
+    known = identify_robot(planar, [recording], estimator="wls").least_squares
     assert (np.abs(fit.beta - known.beta) <= 1e-2 * known.std).all()
     np.testing.assert_allclose(fit.covariance, known.covariance, rtol=1e-2)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from estimators import TrueArm
+from arms import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, write_csv

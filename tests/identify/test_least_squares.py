@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 import scipy.signal
 import scipy.stats
-from estimators import HARMONICS, Truth, truth
+from arms import Truth, truth
 from known_arms import Z95, Call, rows_of
 from marks import slow
 
@@ -178,7 +178,7 @@ def coloured(kind: str, rng: np.random.Generator, n: int, nv: int) -> np.ndarray
 def scaled_errors(known: Truth, rng: np.random.Generator, seconds: float) -> np.ndarray:
     """Error over standard deviation of every base parameter on one motion, shape (noises, r)."""
     t = np.arange(0, seconds, 1 / RATE_HZ)
-    motion = random_trajectory(known.robot, rng, 10.0, HARMONICS).at(t)
+    motion = random_trajectory(known.robot, rng, 10.0, 5).at(t)
     tau = known.arm.torque(motion)
     size = NOISE_SHARE * np.sqrt((tau**2).mean(axis=0))
     measured = motion.q + ENCODER * rng.standard_normal(tau.shape)

@@ -8,7 +8,7 @@ import numpy as np
 import payload as benchmark
 import pinocchio as pin
 import pytest
-from estimators import TrueArm
+from arms import TrueArm
 from known_arms import Call, smooth_motion, write_csv
 from scipy.interpolate import BPoly
 from scipy.stats import binom

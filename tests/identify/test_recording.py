@@ -19,7 +19,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 import streaming
-from estimators import truth
+from arms import truth
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, recorded, smooth_motion

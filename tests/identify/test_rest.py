@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from estimators import TrueArm
+from arms import TrueArm
 from marks import slow
 
 from excitant.design import random_trajectory

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy.signal
-from estimators import TrueArm
+from arms import TrueArm
 from khosla import torque_matrix
 from known_arms import write_csv
 from marks import slow

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimators import truth
+from arms import truth
 from known_arms import HARMONICS, recorded, rows_of, smooth_motion
 
 from excitant.identify import Recording, identify_robot
