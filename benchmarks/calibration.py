@@ -74,12 +74,10 @@ def printed(result: dict[str, Any], robot: Robot) -> Iterator[tuple[str, str, An
         yield "base parameters", x["expression"], x["value"], x["std"], ""
     for x in result.get("parameters", ()):
         kind = x["name"].rpartition(".")[2]
-        kind = f"links, {x['category']}, by {x['decided_by']}" if kind in STANDARD else kind
+        kind = f"links, unique, by {x['decided_by']}" if kind in STANDARD else kind
         yield kind, x["name"], x["value"], x["std"], x["unit"]
-    for body in result.get("links", ()):
-        for key, x in ((key, body[key]) for key in ("mass", "centre")):
-            for k, pair in enumerate(np.column_stack([x["value"], x["std"]])):
-                yield f"{key}, by {x['decided_by']}", f"{body['link']} {key} {k}", *pair, ""
+    for x in result.get("corrected", ()):
+        yield "corrected values", x["name"], x["value"], x["std"], x["unit"]
     for finding in (part for f in result.get("findings", ()) for part in f.get("parts") or [f]):
         for x in finding["parameters"]:
             kind = f"{finding['effect']}, {finding['verdict']}"
@@ -128,8 +126,7 @@ def drawn(seed: int, number: int, **chosen: Any) -> World:
         phi, more = (x.reshape(-1, len(STANDARD))[k] for x in (plant.robot.phi, missing))
         for name, x in ((f"{link}.", phi), (f"{link}.delta_", more), (f"{link}.payload_", carried)):
             truth |= {name + symbol: float(v) for symbol, v in zip(STANDARD, x, strict=True)}
-        truth |= {f"{link} mass 0": phi[0], f"{joint} gain": np.log(gains[k])}
-        truth |= {f"{link} centre {i}": phi[1 + i] / phi[0] for i in range(3)}
+        truth[f"{joint} gain"] = np.log(gains[k])
         truth |= {f"{joint}.{symbol}": values[k] for symbol, values in own.items()}
     t = np.arange(0.0, DURATION, 1 / rng.choice(RATES))
     logs = tuple(record(plant, x, t, levels, gains, rng) for x in motions[:2])
