@@ -73,7 +73,7 @@ class Estimate(Shown):
         least_squares: Estimate of the base parameters.
         physical: Physically consistent fit of all parameters.
         std: Standard deviations of all parameters in the units in which they are told, those of
-            drive gains included.
+            drive gains included; NaN where they rest on gains that are not known.
         base_std: The same of the base parameters.
         data: What was fitted and held out.
         notes: What the user should know, as sentences.
@@ -385,22 +385,26 @@ def judged(
 
     Uncertain drive gains k of currents add J C Jᵀ to the covariances, C that of log k. A gain
     scales its joint's torque, so the columns of J are A⁻¹ W_jᵀ τ_j, A that of the normal equations.
-    Predicted currents rest on no gain, so the least-squares covariance stays as it is.
+    Predicted currents rest on no gain, so the least-squares covariance stays as it is. What rests
+    on gains that are not known has no standard deviation worth the name: it is NaN.
     """
     drive = rows.drive
     widened = fit.covariance
+    base_std = np.sqrt(np.diag(widened))
     std = np.sqrt(np.diag(physical.covariance))
     if drive is not None:
         pull = rows.by_gain(fit.weight)
         R, _ = rows.reduced.factor(fit.weight)
-        J = np.linalg.solve(R.T @ R, pull[list(rows.base.columns)])
+        J = read_only(np.linalg.solve(R.T @ R, pull[list(rows.base.columns)]))
+        base_std = _with_gains(widened, J, drive)
         widened = widened + J @ drive.covariance @ J.T
         J = physical.covariance @ pull
-        wider = physical.covariance + J @ drive.covariance @ J.T
-        physical = replace(physical, covariance=wider)
         units = units_of(robot, rows.effects, drive)
         factors = np.array([factor for factor, _ in units])
-        std = np.where(factors == 1, np.sqrt(np.diag(wider)), factors * std)
+        in_torque = _with_gains(physical.covariance, J, drive)
+        std = np.where(factors == 1, in_torque, factors * std)
+        wider = physical.covariance + J @ drive.covariance @ J.T
+        physical = replace(physical, covariance=wider)
     model = identified_robot(robot, rows.effects, physical.x)
     if is_covariance(widened):
         model = replace(
@@ -415,11 +419,24 @@ def judged(
         least_squares=fit,
         physical=physical,
         std=std,
-        base_std=np.sqrt(np.diag(widened)),
+        base_std=base_std,
         data=rows.data,
         notes=notes,
         drive=drive,
     )
+
+
+def _with_gains(covariance: Array, J: Array, drive: DriveGains) -> Array:
+    """Standard deviations with those of drive gains; NaN of what rests mostly on unknown ones."""
+    by_unknown, by_known = (
+        np.einsum("pj,jk,pk->p", J[:, g], drive.covariance[np.ix_(g, g)], J[:, g])
+        for g in (~drive.known, drive.known)
+    )
+    certain = np.diag(covariance) + by_known
+    total = certain + np.diag(J @ drive.covariance @ J.T) - by_known
+    parts = np.abs(J)
+    mostly = 2 * parts[:, ~drive.known].sum(axis=1) > parts.sum(axis=1)
+    return np.sqrt(np.where(mostly | (by_unknown > certain), np.nan, total))
 
 
 def estimate_by(

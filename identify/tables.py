@@ -228,7 +228,7 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "link": owners[k],
             "value": factor * float(physical.x[k]),
             # of what torque shows alone: any other ± would be the prior's
-            "std": float(estimate.std[k]) if category[k] == "unique" else None,
+            "std": _known(estimate.std[k]) if category[k] == "unique" else None,
             "unit": unit,
             "category": category[k],
             "given": None if nominal[k] is None else factor * float(nominal[k]),
@@ -238,6 +238,10 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
         }
         entries.append(entry)
     return entries
+
+
+def _known(std: float) -> float | None:
+    return None if np.isnan(std) else float(std)
 
 
 def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
@@ -251,7 +255,7 @@ def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
         base.leading,
         base.regrouping,
         beta,
-        estimate.base_std.tolist(),
+        map(_known, estimate.base_std),
         spread,
         strict=True,
     )
@@ -262,9 +266,9 @@ def _base_parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "coefficients": {
                 base.names[k]: float(row[k]) for k in np.flatnonzero(row).tolist()
             },
-            "value": value,
+            "value": None if std is None else value,
             "std": std,
-            "rel_std": std / abs(value) if value else None,
+            "rel_std": std / abs(value) if value and std is not None else None,
             "spread": apart,
         }
         for text, leading, row, value, std, apart in rows

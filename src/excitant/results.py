@@ -629,7 +629,7 @@ class Determined(Record):
 
 
 class BaseParameter(Determined):
-    """A base parameter."""
+    """A base parameter; null where it rests on a drive gain that is not known."""
 
     link: str
     "Link or joint that it is written with."
