@@ -520,8 +520,9 @@ def _judged(
         ],
     }
     if experiment.std is not None:
-        stds = zip(experiment.std.tolist(), unique, strict=True)
-        columns["std"] = [value if alone else None for value, alone in stds]
+        columns["std"] = [
+            None if np.isnan(std) else std for std in experiment.std.tolist()
+        ]
     if experiment.influence is not None:
         columns["influence"] = experiment.influence.tolist()
         columns["decided_by"] = decided_by(experiment.influence, category)

@@ -72,9 +72,10 @@ class Estimate(Shown):
         base: Base parameters of links and effects together.
         least_squares: Estimate of the base parameters.
         physical: Physically consistent fit of all parameters.
-        std: Standard deviations of all parameters in the units in which they are told, those of
-            drive gains included; NaN where they rest on gains that are not known.
-        base_std: The same of the base parameters.
+        base_std: Standard deviations of the base parameters, those of drive gains included; NaN
+            where they rest on gains that are not known.
+        std: The same of the parameters that torque shows alone, in the units in which they are
+            told; NaN of all others, of which any would be the prior's.
         data: What was fitted and held out.
         notes: What the user should know, as sentences.
         drive: Drive gains, if torque was recorded as current.
@@ -391,18 +392,16 @@ def judged(
     drive = rows.drive
     widened = fit.covariance
     base_std = np.sqrt(np.diag(widened))
-    std = np.sqrt(np.diag(physical.covariance))
     if drive is not None:
         pull = rows.by_gain(fit.weight)
         R, _ = rows.reduced.factor(fit.weight)
         J = read_only(np.linalg.solve(R.T @ R, pull[list(rows.base.columns)]))
         base_std = _with_gains(widened, J, drive)
         widened = widened + J @ drive.covariance @ J.T
-        J = physical.covariance @ pull
+        # what is told in amperes rests on no gain
         units = units_of(robot, rows.effects, drive)
-        factors = np.array([factor for factor, _ in units])
-        in_torque = _with_gains(physical.covariance, J, drive)
-        std = np.where(factors == 1, in_torque, factors * std)
+        in_torque = [factor == 1 for factor, _ in units]
+        J = physical.covariance @ pull * np.array(in_torque)[:, None]
         wider = physical.covariance + J @ drive.covariance @ J.T
         physical = replace(physical, covariance=wider)
     model = identified_robot(robot, rows.effects, physical.x)
@@ -418,7 +417,7 @@ def judged(
         base=rows.base,
         least_squares=fit,
         physical=physical,
-        std=std,
+        std=_of_parameters(rows, fit, base_std),
         base_std=base_std,
         data=rows.data,
         notes=notes,
@@ -437,6 +436,19 @@ def _with_gains(covariance: Array, J: Array, drive: DriveGains) -> Array:
     parts = np.abs(J)
     mostly = 2 * parts[:, ~drive.known].sum(axis=1) > parts.sum(axis=1)
     return np.sqrt(np.where(mostly | (by_unknown > certain), np.nan, total))
+
+
+def _of_parameters(rows: FitRows, fit: LeastSquares, base_std: Array) -> Array:
+    """Standard deviations of parameters that are base parameters by themselves, else NaN, (p,)."""
+    base = rows.base
+    std = np.full(len(base.names), np.nan)
+    units = units_of(rows.robot, rows.effects, rows.drive)
+    alone = (base.regrouping != 0).sum(axis=1) == 1
+    for i in np.flatnonzero(alone).tolist():
+        factor, _ = units[base.columns[i]]
+        # amperes do not depend on the gain
+        std[base.columns[i]] = base_std[i] if factor == 1 else factor * fit.std[i]
+    return std
 
 
 def estimate_by(

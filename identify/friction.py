@@ -91,8 +91,7 @@ def _friction_curve(
     units = units_of(robot, estimate.model.effects, estimate.drive)
     factors = np.array([units[k][0] for k in places])
     covariance = estimate.physical.covariance[np.ix_(places, places)]
-    scale = estimate.std[places] / np.sqrt(np.diag(covariance))
-    covariance = covariance * np.outer(scale, scale)
+    covariance = covariance * np.outer(factors, factors)
     std = np.sqrt(np.einsum("mk,kl,ml->m", C, covariance, C))
     torque = Parameter(f"{joint}.friction", robot.torque_unit("N·m", j))
     factor, unit = told(torque, robot, estimate.drive)

@@ -227,8 +227,7 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "name": estimate.base.names[k],
             "link": owners[k],
             "value": factor * float(physical.x[k]),
-            # of what torque shows alone: any other ± would be the prior's
-            "std": _known(estimate.std[k]) if category[k] == "unique" else None,
+            "std": _known(estimate.std[k]),
             "unit": unit,
             "category": category[k],
             "given": None if nominal[k] is None else factor * float(nominal[k]),
