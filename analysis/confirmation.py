@@ -21,6 +21,7 @@ from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, underlies
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE
 from excitant.identify.accuracy import Series, series
+from excitant.identify.attenuation import attenuation
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.objections import HoldOut
 from excitant.identify.physical import fit_physical
@@ -268,19 +269,30 @@ class Extender:
         effects = _effects(robot, chosen)
         W = self.train.matrix(effects)
         names = column_names(robot, effects)
-        problem = dense(W, self.tau, names, away_from_rest(self.train.segments))
+        used = away_from_rest(self.train.segments)
+        problem = dense(W, self.tau, names, used)
         R, z = problem.factor(np.sqrt(evidence.weight))
         bodies = self._body_prior(chosen)
         scalar = self._effect_prior(effects, chosen, W[:, :, bodies.bodies.size :])
         fit = fit_physical(R, z, bodies, scalar)
         model = identified_robot(robot, effects, fit.x)
+        score = attenuation(
+            robot,
+            effects,
+            self.train.segments,
+            used,
+            np.sqrt(evidence.weight),
+            range(len(names)),
+            fit.x,
+        )
+        bias = fit.covariance @ score
         rows = self.holdout.observed.by(model)
         extension = Extension(
             evidence,
             tuple(chosen),
             model,
             names,
-            fit.covariance,
+            fit.covariance + np.outer(bias, bias),
             rows,
             rows.torque() / self.holdout.gains,
         )

@@ -169,7 +169,12 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
         "sentence": sentence(group, diagnosis),
         "parameters": [p for f in group for p in _parameters(f, diagnosis)],
         "sizes": [
-            {"name": s.name, "value": s.value, "std": s.std, "unit": s.unit}
+            {
+                "name": s.name,
+                "value": s.value,
+                "std": None if f.effect.role == "link" else s.std,
+                "unit": s.unit,
+            }
             for f in group
             for s in sizes(f, diagnosis)
         ],
@@ -215,13 +220,15 @@ def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
     )
     for p, value, nominal, std, std_by_fit in rows:
         factor, unit = told(p, robot, drive)
+        # amperes do not depend on the gain
+        known = std if factor == 1 else factor * std_by_fit
         yield {
             "name": p.name,
             "value": factor * value,
             "given": factor * nominal,
             "unit": unit,
-            # amperes do not depend on the gain
-            "std": std if factor == 1 else factor * std_by_fit,
+            # torque shows a link only together with others
+            "std": None if effect.role == "link" else known,
         }
     for s in effect.search.shapes:
         if s.positive and not s.trial:

@@ -18,6 +18,7 @@ from excitant.identify.accuracy import (
     prediction_interval,
     series,
 )
+from excitant.identify.attenuation import attenuation
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.knowledge import Knowledge
@@ -55,6 +56,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+BIASED = ("wls", "irls")
+"""Estimators that noise of the motion biases."""
 LARGEST_RATE_ERROR = 0.01
 """Standard errors by which columns at a lower rate may move a base parameter."""
 TORQUE_ROUNDS = 2
@@ -325,6 +328,8 @@ def identify_robot(
             rows, fitted(recordings, validate), estimator
         )
         R, z = rows.regression.factor(fit.weight)
+        if name in BIASED:
+            fit = _with_bias(rows, fit)
         if name != "wls":
             z = R[:, rows.base.columns] @ fit.beta
         physical = fit_physical(
@@ -353,6 +358,24 @@ def identify_robot(
         f"parameter by more than {max(moved, 1e-4):.1g} of its standard error"
     )
     return replace(estimate, notes=(*estimate.notes, note))
+
+
+def _with_bias(rows: FitRows, fit: LeastSquares) -> LeastSquares:
+    """The fit with its bias by noise of the motion, to first order, in its covariance."""
+    weight = 1 / fit.sigma
+    columns = rows.base.columns
+    score = attenuation(
+        rows.robot,
+        rows.effects,
+        rows.data.train,
+        rows.used,
+        weight,
+        columns,
+        fit.beta,
+    )
+    R, _ = rows.reduced.factor(weight)
+    bias = np.linalg.solve(R.T @ R, score)
+    return replace(fit, covariance=fit.covariance + np.outer(bias, bias))
 
 
 def _moved_by_rate(rows: FitRows, fit: LeastSquares, x: Array) -> float:

@@ -21,6 +21,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
+from excitant.identify.attenuation import acceleration_noise
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -35,7 +36,6 @@ from excitant.identify.preprocessing import (
     POSITION_RATIO,
     Segment,
     certain_rows,
-    position_cutoff,
     prepare,
     uninterrupted,
 )
@@ -290,13 +290,9 @@ def _instrumental(
 
 def _acceleration_noise(data: Data) -> Array:
     """Noise of each joint's acceleration over its rms, filtered as torque, shape (nv,)."""
-    sensors = data.sensors
     filtered = [s.filtered(s.motion.ddq, s.keep) for s in data.train]
     power = (np.concatenate(filtered) ** 2).mean(axis=0)
-    if sensors is None:
-        return np.zeros_like(power)
-    band = position_cutoff(data.cutoff_hz, sensors.rate_hz)
-    noise = sensors.acceleration(band, data.cutoff_hz)
+    noise = acceleration_noise(data.train)
     return np.divide(noise, np.sqrt(power), out=0 * power, where=power > 0)
 
 
