@@ -169,12 +169,7 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
         "sentence": sentence(group, diagnosis),
         "parameters": [p for f in group for p in _parameters(f, diagnosis)],
         "sizes": [
-            {
-                "name": s.name,
-                "value": s.value,
-                "std": None if f.effect.role == "link" else s.std,
-                "unit": s.unit,
-            }
+            {"name": s.name, "value": s.value, "std": s.std, "unit": s.unit}
             for f in group
             for s in sizes(f, diagnosis)
         ],

@@ -28,8 +28,8 @@ def reason_to_downgrade(
     effect = finding.effect
     if finding.by_chance(VERDICT.chance):
         return "its values are the given ones within their uncertainty"
-    if effect.role == "body" and finding.is_open:
-        return "whether it has a mass is not known to two standard deviations"
+    if effect.role != "torque" and len(effect.joints) == 1 and finding.is_open:
+        return "the sign of its mass is not known to two standard deviations"
     if _like_wrong_masses(robot, finding, findings, body_std):
         return "given masses that are all off by one factor would look the same"
     if finding.share < CONFIRMATION.ideal:

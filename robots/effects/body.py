@@ -184,10 +184,10 @@ def _wrong_mass(
 ) -> str:
     [link] = effect.owners(robot)
     mass = sizes[0].value
-    size = f"{abs(mass):.2g} kg {'lighter' if mass < 0 else 'heavier'}"
+    size = f"{abs(mass):.2f} ± {sizes[0].std:.2g} kg {'lighter' if mass < 0 else 'heavier'}"
     if link == robot.links[-1] and mass < 0:
         return f"{link} is {size} than the model says, as if a tool in the model were not mounted"
-    return f"The inertial parameters of {link} are wrong (as if it were {size} than the model says)"
+    return f"The inertial parameters of {link} are wrong (it is {size} than the model says)"
 
 
 @registered
