@@ -19,7 +19,7 @@ from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.robot import Robot
 from excitant.robots.torque import observation_columns
 
-ROWS = 2000  # over which EᵀE is averaged: to some per cent
+ROWS = 1000  # over which EᵀE is averaged: to some per cent
 
 
 def acceleration_noise(segments: Sequence[Segment]) -> Array:
