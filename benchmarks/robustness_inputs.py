@@ -28,12 +28,8 @@ VALUES = (
     '!!python/object/apply:os.system ["touch ran"]', "-9223372036854775809",
 )  # fmt: skip
 PATTERNS = (
-    r"-?\d+\.?\d*(?:e[-+]?\d+)?",
-    r'(?<=")[^"]*(?=")',
-    r"[A-Za-z_]+",
-    r"[^\n]*\n",
-    r"<[^>]*>",
-)
+    r"-?\d+\.?\d*(?:e[-+]?\d+)?", r'(?<=")[^"]*(?=")', r"[A-Za-z_]+", r"[^\n]*\n", r"<[^>]*>",
+)  # fmt: skip
 
 
 def damaged_text(rng: Rng, content: bytes) -> bytes:
