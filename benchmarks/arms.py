@@ -77,7 +77,7 @@ def data_folder(given: str | None) -> Path | None:
     return next((f for f in ([Path(named)] if named else installed) if f.is_dir()), None)
 
 
-WHOLE = """
+LISTED = """
 ur_description/urdf: ur3_robot ur3_joint_limited_robot ur3_gripper ur5_robot
     ur5_joint_limited_robot ur5_gripper ur10_robot ur10_joint_limited_robot ur3
 kinova_description/robots: kinova
@@ -90,54 +90,44 @@ finger_edu_description/robots: finger_edu
 borinot_description/urdf: borinot_flying_arm_2
 hextilt_description/urdf: hextilt_flying_arm_5
 talos_data/robots: talos_left_arm
-"""
-CHAINS = """
-panda_description/urdf/panda: panda_hand
-panda_description/urdf/panda_collision: panda_link8
-z1_description/urdf/z1: link06
-anymal_b_simple_description/robots/anymal-kinova: j2s6s200_end_effector
-b1_description/urdf/b1-z1: gripperMover
-tiago_description/robots/tiago_no_hand: wrist_ft_tool_link
-tiago_description/robots/tiago: torso_lift_link:wrist_ft_tool_link
-tiago_description/robots/tiago_dual: torso_lift_link:hand_left_tool_link
-    torso_lift_link:hand_right_tool_link
-tiago_pro_description/robots/tiago_pro: torso_lift_link:arm_left_7_link
-    torso_lift_link:arm_right_7_link
-talos_data/robots/talos_reduced: torso_2_link:arm_left_7_link torso_2_link:arm_right_7_link
-talos_data/robots/talos_full_v2: arm_left_7_link
-baxter_description/urdf/baxter: left_gripper_base_link right_gripper_base_link
-pr2_description/urdf/pr2: torso_lift_link:l_gripper_palm_link torso_lift_link:r_gripper_palm_link
-    r_gripper_led_frame
-romeo_description/urdf/romeo_small: l_gripper r_gripper
-icub_description/robots/icub: chest:l_gripper chest:r_gripper
-centauro_description/urdf/centauro: ball1_tip ball2_tip
-g1_description/urdf/g1_29dof_rev_1_0: torso_link:left_rubber_hand torso_link:right_rubber_hand
-simple_humanoid_description/urdf/simple_humanoid: l_wrist r_wrist
-human_description/robots/human: right_hand
-alex_description/urdf/alex_nub_hands: leftNub rightNub
-alex_description/urdf/alex_psyonic_hands: LeftGripperYawLink
-alex_description/urdf/alex_sake_hands: RightSakeFingerTip1
-allegro_hand_description/urdf/allegro_right_hand: link_3.0_tip
+panda_description/urdf: panda@panda_hand panda_collision@panda_link8
+z1_description/urdf: z1@link06
+anymal_b_simple_description/robots: anymal-kinova@j2s6s200_end_effector
+b1_description/urdf: b1-z1@gripperMover
+tiago_description/robots: tiago_no_hand@wrist_ft_tool_link tiago@torso_lift_link:wrist_ft_tool_link
+    tiago_dual@torso_lift_link:hand_left_tool_link tiago_dual@torso_lift_link:hand_right_tool_link
+tiago_pro_description/robots: tiago_pro@torso_lift_link:arm_left_7_link
+    tiago_pro@torso_lift_link:arm_right_7_link
+talos_data/robots: talos_reduced@torso_2_link:arm_left_7_link
+    talos_reduced@torso_2_link:arm_right_7_link talos_full_v2@arm_left_7_link
+baxter_description/urdf: baxter@left_gripper_base_link baxter@right_gripper_base_link
+pr2_description/urdf: pr2@torso_lift_link:l_gripper_palm_link
+    pr2@torso_lift_link:r_gripper_palm_link pr2@r_gripper_led_frame
+romeo_description/urdf: romeo_small@l_gripper romeo_small@r_gripper
+icub_description/robots: icub@chest:l_gripper icub@chest:r_gripper
+centauro_description/urdf: centauro@ball1_tip centauro@ball2_tip
+g1_description/urdf: g1_29dof_rev_1_0@torso_link:left_rubber_hand
+    g1_29dof_rev_1_0@torso_link:right_rubber_hand
+simple_humanoid_description/urdf: simple_humanoid@l_wrist simple_humanoid@r_wrist
+human_description/robots: human@right_hand
+alex_description/urdf: alex_nub_hands@leftNub alex_nub_hands@rightNub
+    alex_psyonic_hands@LeftGripperYawLink alex_sake_hands@RightSakeFingerTip1
+allegro_hand_description/urdf: allegro_right_hand@link_3.0_tip
 """
 
 
-def listed(text: str) -> list[tuple[str, str]]:
-    """Every word of a line with what stands before its first colon."""
-    lines = text.strip().replace("\n    ", " ").splitlines()
-    return [(place, w) for place, words in (x.split(": ") for x in lines) for w in words.split()]
-
-
-def chain(file: str, ends: str) -> RobotSpec:
-    """The chain BASE:TIP, or TIP, of a file; all joints where no end is named."""
+def chain(word: str, folder: str = "", suffix: str = "") -> RobotSpec:
+    """The chain FILE@BASE:TIP or FILE@TIP; all joints where no end is named."""
+    file, _, ends = word.partition("@")
     base, _, tip = ends.rpartition(":")
-    return RobotSpec(file, base=base or None, tip=tip or None)
+    return RobotSpec(f"{folder}{file}{suffix}", base=base or None, tip=tip or None)
 
 
 _ARM = ("s0", "s1", "e0", "e1", "w0", "w1", "w2")
 DUAL = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in _ARM)
+_PLACES = (line.split(": ") for line in LISTED.strip().replace("\n    ", " ").splitlines())
 ARMS = (
-    *(RobotSpec(f"{folder}/{name}.urdf") for folder, name in listed(WHOLE)),
-    *(chain(f"{file}.urdf", ends) for file, ends in listed(CHAINS)),
+    *(chain(word, f"{place}/", ".urdf") for place, words in _PLACES for word in words.split()),
     RobotSpec("baxter_description/urdf/baxter.urdf", joints=DUAL),
 )
 
@@ -217,7 +207,7 @@ def main(
         print("no example-robot-data: install it, or name its folder with --data")
     chosen = [replace(arm, path=folder / arm.path) for arm in ARMS] if folder else []
     chosen = [arm for arm in chosen if not only or any(word in name_of(arm) for word in only)]
-    chosen += [chain(file, ends) for file, _, ends in (word.partition("@") for word in also)]
+    chosen += map(chain, also)
     print(f"{'arm':46} {'joints':10} load s        κ base thin unseen  verdict")
     verdicts = []
     for arm in chosen:

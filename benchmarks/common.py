@@ -37,12 +37,6 @@ def run(main: Callable[..., Any]) -> None:
         sys.exit(app())
 
 
-def peak_memory() -> float:
-    """Largest memory of this process so far [MB]; getrusage counts that of its parent, too."""
-    status = Path("/proc/self/status").read_text("utf-8")
-    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
-
-
 def printed_seed(seed: int | None) -> int:
     """A seed as given, else a new one; printed, so that a run can be repeated."""
     if seed is None:

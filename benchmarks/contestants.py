@@ -128,13 +128,9 @@ Found = tuple[float, Any, int]  # condition number, trajectory, number of starts
 
 
 def excitant(
-    problem: Problem,
-    settings: Settings,
-    *,
-    series: str = "fourier",
-    criterion: str = "condition",
+    problem: Problem, settings: Settings, *, series: str = "fourier", criterion: str = "condition",
     searched: bool = False,
-) -> Found:
+) -> Found:  # fmt: skip
     """Our own design, perhaps with a search for the number of harmonics or pieces."""
     left = max(settings.deadline - time.time(), 0.1)
     effort: Any = {"jobs": settings.jobs, "seed": settings.seed, "time_limit": left, "use": 1.0}

@@ -333,18 +333,13 @@ def count_lines(rng: np.random.Generator) -> Iterator[str]:
 
 
 def table_lines(found: Recovery) -> Iterator[str]:
-    rows = [
-        e._asdict()
-        | {
-            "entry": e.entry.name + "?" * (e.entry.doubtful in ("estimated", "both")),
-            "parameter": e.entry.parameter,
-            "z": (e.value - e.truth) / e.std,
-            "decided by": e.decided_by,
-        }
-        for e in found.entries
-    ]
-    yield pd.DataFrame(rows).round(9).to_string(index=False, float_format="{:.4g}".format)
-    votes = [e.decided_by for e in found.entries]
+    table, votes = pd.DataFrame(found.entries), [e.decided_by for e in found.entries]
+    rows = [*table["entry"]]
+    table["entry"] = [x.name + "?" * (x.doubtful in ("estimated", "both")) for x in rows]
+    table["parameter"] = [x.parameter for x in rows]
+    table["z"] = (table["value"] - table["truth"]) / table["std"]
+    table["decided by"] = votes
+    yield table.round(9).to_string(index=False, float_format="{:.4g}".format)
     yield ", ".join(f"{votes.count(who)} by {who}" for who in ("data", "both", "prior")) + (
         f"; base parameters moved by {found.base_moved:.1g} std at most"
     )
@@ -407,14 +402,9 @@ def _five_points(recording: Recording) -> Segment:
 
 
 def main(
-    *,
-    seconds: float = 60.0,
-    as_read: bool = False,
-    two_by_two: Path | None = None,
-    seed: int = 0,
-    velocity: bool = False,
-    tacho: float = TACHO,
-) -> None:
+    *, seconds: float = 60.0, as_read: bool = False, two_by_two: Path | None = None, seed: int = 0,
+    velocity: bool = False, tacho: float = TACHO,
+) -> None:  # fmt: skip
     """Recover the tables.
 
     Args:

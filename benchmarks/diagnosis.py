@@ -51,14 +51,9 @@ NEAR = {  # as near as the vocabulary comes; neither right nor wrong
 
 
 def record(
-    plant: Plant,
-    motion: Trajectory,
-    reading: str,
-    gains: Array | float,
-    rng: Rng,
-    name: str,
+    plant: Plant, motion: Trajectory, reading: str, gains: Array | float, rng: Rng, name: str,
     duration: float = DURATION,
-) -> Recording:
+) -> Recording:  # fmt: skip
     """What the sensors of a world read of a motion."""
     rate = 100.0 if reading == "jitter" else 125.0
     t = np.arange(0.0, duration, 1 / rate)

@@ -14,8 +14,8 @@ from zlib import crc32
 
 import common
 import numpy as np
-import pinocchio as pin
 import scipy
+from arms import TrueArm
 from worlds_plant import Plant, Rng, Trajectory, given_and_true
 
 from excitant.design import random_trajectory
@@ -24,7 +24,7 @@ from excitant.identify import Estimate, identify_robot, load_dataset, proven, pu
 from excitant.identify.faults import Log
 from excitant.options import Data
 from excitant.recordings import Fit
-from excitant.robots import Robot, load_robot
+from excitant.robots import Motion, Robot, load_robot
 from excitant.robots.effects import effect_values
 from excitant.robots.motion import Array
 
@@ -167,8 +167,7 @@ def geared(log: Log, ratio: Any) -> Log:
 
 def weight(robot: Robot, q: Array) -> Array:
     """Torque that holds the given bodies, (n, nv)."""
-    data = robot.model.createData()
-    return np.array([pin.computeGeneralizedGravity(robot.model, data, x).copy() for x in q])
+    return TrueArm(robot.model).torque(Motion(np.arange(float(len(q))), q, 0 * q, 0 * q))
 
 
 def in_ampere(log: Log) -> Log:
@@ -202,10 +201,8 @@ def model_for_torque(robot: Robot, log: Log, rng: Rng) -> Log:
     sections = scipy.signal.butter(4, 5.0, fs=1 / log.step, output="sos")
     smooth = scipy.signal.sosfiltfilt(sections, log.q, axis=0)
     spline = scipy.interpolate.make_interp_spline(log.t, smooth, k=5)
-    states = zip(*(spline(log.t, k) for k in range(3)), strict=True)
-    data = robot.model.createData()
-    tau = np.array([pin.rnea(robot.model, data, *state) + 0.3 * state[1] for state in states])
-    return replace(log, tau=tau)
+    motion = Motion(log.t, *(spline(log.t, k) for k in range(3)))
+    return replace(log, tau=TrueArm(robot.model, Fv=0.3).torque(motion))
 
 
 ALL, DEGREES, TURN = "q dq tau", 180 / np.pi, 2 * np.pi
@@ -274,8 +271,7 @@ READ: dict[str, tuple[str, Mistake]] = PLANTS | {
     "one_in_degrees": ("wrong_unit", on("q", DEGREES, "any")),
     "velocity_in_degrees": ("wrong_unit", on("dq", DEGREES)),
     "ticks": ("wrong_unit", on("q", ticks)),
-    "ticks_without_velocity": ("wrong_unit",
-        lambda arm, x, rng: replace(x, q=ticks(x.q), dq=None)),
+    "ticks_without_velocity": ("wrong_unit", lambda arm, x, rng: replace(x, q=ticks(x.q), dq=None)),
     "ticks_of_one": ("wrong_unit", on("q", ticks, "any")),
     "servo_registers": ("wrong_unit",  # speed in steps of 0.229 rpm, current of 2.69 mA at 2 N·m/A
         lambda arm, x, rng: replace(
@@ -298,8 +294,7 @@ READ: dict[str, tuple[str, Mistake]] = PLANTS | {
     "joint_negated": ("wrong_sign", on(ALL, -1, "any")),
     "torque_without_sign": ("wrong_sign corrupt_rows", on("tau", lambda x, *_: np.abs(x))),
     "joints_reversed": ("wrong_order", columns(ALL, lambda arm: np.arange(arm.nv)[::-1])),
-    "torques_one_column_on": ("wrong_order",
-        columns("tau", lambda arm: np.roll(np.arange(arm.nv), 1))),
+    "torques_one_column_on": ("wrong_order", columns("tau", lambda arm: np.roll(range(arm.nv), 1))),
     "wrist_torques_exchanged": ("wrong_order",
         columns("tau", lambda arm: [*range(arm.nv - 2), arm.nv - 1, arm.nv - 2])),
     "velocities_exchanged": ("wrong_order", columns("dq", lambda arm: [1, 0, *range(2, arm.nv)])),

@@ -28,8 +28,8 @@ class Split:
     """
 
     dataset: str
-    fit: tuple[str, ...]
-    judge: tuple[str, ...] = ()
+    fit: str  # names with blanks between
+    judge: str = ""
     share: float | None = None
     readme: Row = ()
     published_rms: Row = ()
@@ -37,34 +37,30 @@ class Split:
     note: str = ""
 
 
-UR10E = ("id_12harm_30s", "id_12harm_40s", "id_8harm_20s")
+UR10E = "id_12harm_30s id_12harm_40s id_8harm_20s"
 OTHER_LAB = "another lab's robot, logged at 30 Hz; at 5 Hz our quick fit comes to the README's"
 SPLITS = (
-    Split("ur10", ("unisa_exciting",), share=0.6,
-          readme=(0.978, 0.992, 0.996, 0.983, 0.984, 0.882)),
-    Split("ur10", ("unisa_exciting",), share=0.7,
-          published_rms=(4.06, 3.18, 1.71, 0.48, 0.63, 0.99)),
-    Split("panda", ("gaz_traj1",), share=0.6,
-          readme=(0.992, 1.0, 0.999, 0.998, 0.994, 0.999, 0.966)),
-    Split("panda", ("gaz_traj1",), ("unisa_exciting",), cutoff_hz=5.0, note=OTHER_LAB,
+    Split("ur10", "unisa_exciting", share=0.6, readme=(0.978, 0.992, 0.996, 0.983, 0.984, 0.882)),
+    Split("ur10", "unisa_exciting", share=0.7, published_rms=(4.06, 3.18, 1.71, 0.48, 0.63, 0.99)),
+    Split("panda", "gaz_traj1", share=0.6, readme=(0.992, 1.0, 0.999, 0.998, 0.994, 0.999, 0.966)),
+    Split("panda", "gaz_traj1", "unisa_exciting", cutoff_hz=5.0, note=OTHER_LAB,
           readme=(-0.02, 0.998, 0.991, 0.962, 0.919, 0.882, 0.949)),
-    Split("ur10e", UR10E, ("id_12harm_50s",), note="the README does not say which three runs",
+    Split("ur10e", UR10E, "id_12harm_50s", note="the README does not say which three runs",
           readme=(0.992, 0.987, 0.997, 0.986, 0.972, 0.988)),
-    Split("ur10e", UR10E, ("val_ptp_10_points",),
-          readme=(0.943, 0.987, 0.996, 0.962, 0.883, 0.728)),
-    Split("rokae_xmate3", ("rec01",), share=0.6, note="README: .39 to 1.00"),
-    Split("rokae_xmate3", ("rec02",), share=0.6, note="README: .39 to 1.00"),
-    Split("rokae_xmate3", ("rec02",), ("rec01",), note="another robot; README: -.89 at joint 1"),
-    Split("dualarm_v2", ("exc_13p5", "exc_15p7"), ("exc_52p2",),
+    Split("ur10e", UR10E, "val_ptp_10_points", readme=(0.943, 0.987, 0.996, 0.962, 0.883, 0.728)),
+    Split("rokae_xmate3", "rec01", share=0.6, note="README: .39 to 1.00"),
+    Split("rokae_xmate3", "rec02", share=0.6, note="README: .39 to 1.00"),
+    Split("rokae_xmate3", "rec02", "rec01", note="another robot; README: -.89 at joint 1"),
+    Split("dualarm_v2", "exc_13p5 exc_15p7", "exc_52p2",
           readme=(0.958, 0.924, 0.987, 0.972, 0.983, 0.986, 0.986)),
 )  # fmt: skip
 
 
 def loaded(split: Split) -> tuple[Robot, list[Recording], list[Recording]]:
     dataset = load_dataset(DATA / split.dataset)
-    robot, fit = dataset.robot, dataset.recordings(list(split.fit))
+    robot, fit = dataset.robot, dataset.recordings(split.fit.split())
     if split.share is None:
-        return robot, fit, dataset.recordings(list(split.judge))
+        return robot, fit, dataset.recordings(split.judge.split())
     first, rest = SHARES[split.share].split(" → ")
     parts = [r.between(0, split.share, first) for r in fit]
     return robot, parts, [r.between(split.share, 1, rest) for r in fit]
@@ -82,8 +78,8 @@ def report(split: Split, chosen: bool) -> None:
     rows = {"given": (standard.baseline, "")}
     rows["standard"] = standard.validate, _said(standard, start)
     cutoff_hz, unit = standard.data.cutoff_hz, standard.data.unit
-    what = " + ".join(split.judge) if split.share is None else SHARES[split.share]
-    title = f"{split.dataset} {' + '.join(split.fit)}: {what}"
+    what = split.judge.replace(" ", " + ") if split.share is None else SHARES[split.share]
+    title = f"{split.dataset} {split.fit.replace(' ', ' + ')}: {what}"
     print(f"\n{title}  [judged at {cutoff_hz:.3g} Hz, {unit}]", flush=True)
     if split.note:
         print(f"  {split.note}")

@@ -55,8 +55,8 @@ RUN = {"result.json", "series.npz", "summary.txt", "report.html"}
 # One command, and what is promised of it
 
 
-def command(words: str) -> tuple[int | str, str, str]:
-    """Status (or traceback) of a command run in this process, and what it and its libraries say."""
+def command(words: str, folder: Path | None) -> tuple[str, str]:
+    """Verdict on a command run in this process, and its traceback or standard error."""
     for stream in (1, 2):
         os.ftruncate(stream, 0)
         os.lseek(stream, 0, os.SEEK_SET)
@@ -69,8 +69,8 @@ def command(words: str) -> tuple[int | str, str, str]:
         status = traceback.format_exc()
     sys.stdout.flush()
     sys.stderr.flush()
-    out, err = (Path(f"/proc/self/fd/{stream}").read_text(errors="replace") for stream in (1, 2))
-    return status, out, err
+    err = Path("/proc/self/fd/2").read_text(errors="replace")
+    return verdict(status, err, folder), status if isinstance(status, str) else err
 
 
 def verdict(status: int | str, err: str, folder: Path | None) -> str:
@@ -200,9 +200,8 @@ def fuzz(rng: Rng, folder: Path, corpus: Path) -> Case:
     what = f"{line or 'read'}: {name} {kind}"
     if line:
         into = {"simulate": "out.csv", "report": ""}.get(line.split()[0], "out")
-        status, _, err = command(f"{line} -o {into}" if into else line)
-        found = verdict(status, err, folder / "out" if into == "out" else None)
-        said = status if isinstance(status, str) else err
+        own = folder / "out" if into == "out" else None
+        found, said = command(f"{line} -o {into}" if into else line, own)
         recorded = line.startswith("identify") and name.endswith(".csv")
         if recorded and found == "result":
             arm = inputs.planar(load_robot("planar_2r").urdf)
@@ -282,10 +281,8 @@ def arms(rng: Rng, folder: Path, _: Path) -> Case:
     for verb, line in lines.items():
         if not (folder / needs.get(verb, "")).exists():
             continue
-        own = verb not in ("simulate", "report")
-        status, _out, err = command(f"{line} -o {verb}" if own else line)
-        found = verdict(status, err, folder / verb if own else None)
-        said = status if isinstance(status, str) else err
+        own = folder / verb if verb not in ("simulate", "report") else None
+        found, said = command(f"{line} -o {verb}" if own else line, own)
         if found == "refused" and verb in ("check", "rehearse") and (folder / verb).exists():
             found = "result"  # it was not passed
         if found == "result" and (wrong := _wrong_of_arm(rng, arm, folder, verb)):
@@ -335,9 +332,7 @@ def limits(rng: Rng, folder: Path, _: Path) -> Case:
         f"design {name} --limits limits.yaml --series {series} --harmonics {harmonics} --rate 10000"
         f" --duration {duration} --starts 1 --jobs 1 --time-limit 3 --ignore-collisions --use 1"
     )
-    status, _out, err = command(f"{line} -o out")
-    found = verdict(status, err, folder / "out")
-    said = status if isinstance(status, str) else err
+    found, said = command(f"{line} -o out", folder / "out")
     if found == "result":
         beyond = violations(arm, given, folder / "out" / "trajectory.csv")
         found, said = ("limit violated", beyond) if beyond else ("result", "")

@@ -28,12 +28,8 @@ VALUES = (
     '!!python/object/apply:os.system ["touch ran"]', "-9223372036854775809",
 )  # fmt: skip
 PATTERNS = (
-    r"-?\d+\.?\d*(?:e[-+]?\d+)?",
-    r'(?<=")[^"]*(?=")',
-    r"[A-Za-z_]+",
-    r"[^\n]*\n",
-    r"<[^>]*>",
-)
+    r"-?\d+\.?\d*(?:e[-+]?\d+)?", r'(?<=")[^"]*(?=")', r"[A-Za-z_]+", r"[^\n]*\n", r"<[^>]*>",
+)  # fmt: skip
 
 
 def damaged_text(rng: Rng, content: bytes) -> bytes:
@@ -183,11 +179,6 @@ def simulated(model: Any, states: tuple[Array, ...]) -> Array:
     return np.array([pin.rnea(model, data, *x).copy() for x in zip(*states, strict=True)])
 
 
-def rubbing(dq: Array, size: Array) -> Array:
-    """Coulomb friction of a size, and half as much viscous friction at 1 rad/s."""
-    return size * (np.tanh(dq / 0.005) + 0.5 * dq)
-
-
 def motion(rng: Rng, t: Array, scale: Array) -> tuple[Array, Array, Array]:
     """A sum of four sines per joint: positions, velocities, accelerations."""
     omega = 2 * np.pi * np.array([0.1, 0.2, 0.3, 0.5])[:, None]
@@ -216,8 +207,9 @@ class ExtremeArm:
         return pd.DataFrame(np.column_stack([t, noisy, tau]), columns=["t", *columns])
 
     def torque(self, states: tuple[Array, ...]) -> Array:
-        """What the arm needs for a motion."""
-        return simulated(self.true, states) + rubbing(states[1], self.friction)
+        """What the arm needs: half as much viscous friction at 1 rad/s as there is dry one."""
+        dq = states[1]
+        return simulated(self.true, states) + self.friction * (np.tanh(dq / 0.005) + 0.5 * dq)
 
 
 def planar(urdf: str) -> ExtremeArm:

@@ -33,20 +33,13 @@ COMMANDS = {
     "report": "report model",
 }
 UNIT = "import numpy, scipy.linalg, pinocchio"
-MOST = {  # ratio of a command's processor time, children included, to that of UNIT
-    "analyze panda": 3.0,
-    f"identify {RECORDED.name} set": 8.0,
-    f"go {RECORDED.name} set": 30.0,
-}
+MOST = {"analyze panda": 3.0, f"identify {RECORDED.name} set": 8.0, f"go {RECORDED.name} set": 30.0}
+"""Ratio of a command's processor time, children included, to that of `UNIT`."""
 LIBRARIES = """
 import numpy, scipy.linalg, scipy.optimize, scipy.special, scipy.fft, scipy.interpolate
 import scipy.ndimage, pinocchio, pandas, pyarrow.parquet, clarabel, cyclopts, msgspec, yaml, jinja2
 """  # that identify needs
-LOG = """
-import sys, pathlib
-from streaming import write
-write(pathlib.Path(sys.argv[1]), "panda", 60_000)
-"""
+LOG = "import sys, pathlib, streaming; streaming.write(pathlib.Path(sys.argv[1]), 'panda', 60_000)"
 
 
 class Took(NamedTuple):

@@ -20,7 +20,7 @@ from arms import data_folder, with_assumed_limits
 
 from excitant.exceptions import ExcitantError
 from excitant.robots import Robot, load_robot
-from excitant.robots.effects import EFFECTS, effect_values
+from excitant.robots.effects import CoulombFriction, Effect, ViscousFriction, effect_values
 from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 
@@ -473,14 +473,10 @@ def given_and_true(robot: Robot, rng: Rng, off: float) -> tuple[Robot, Plant, Pl
     q, dq, ddq = robot.random_motion(rng, 50)
     poses = lambda t, order: (q, dq, ddq)[order]  # noqa: E731
     usual = 0.03 * np.abs(plant.state(poses, np.arange(50.0)).rigid).max(axis=0)
-    values, wrong = {}, {}
-    for name, symbol in (("viscous_friction", "Fv"), ("coulomb_friction", "Fc")):
+    values, wrong, effects = list[Array](), list[Array](), list[Effect]()
+    for kind, symbol in ((ViscousFriction, "Fv"), (CoulombFriction, "Fc")):
         model = [known.get(f"{j}.{symbol}", 0.0) or u for j, u in zip(joints, usual, strict=True)]
-        values[name] = np.array(model) * rng.uniform(0.5, 1.5, robot.nv)
-        wrong[name] = values[name] * (1 + off * rng.normal(size=robot.nv).clip(-2, 2))
-    effects = [EFFECTS[name](joints).with_values(each) for name, each in values.items()]
-    as_given, as_is = (
-        Plant(body, each["viscous_friction"], each["coulomb_friction"])
-        for body, each in ((bare, values), (true, wrong))
-    )
-    return bare.with_effects(effects), as_given, as_is
+        values.append(np.array(model) * rng.uniform(0.5, 1.5, robot.nv))
+        wrong.append(values[-1] * (1 + off * rng.normal(size=robot.nv).clip(-2, 2)))
+        effects.append(kind(joints).with_values(values[-1]))
+    return bare.with_effects(effects), Plant(bare, *values), Plant(true, *wrong)

@@ -10,17 +10,10 @@ from rosbags.typesys import Stores, get_typestore
 
 
 def joint_states(
-    path: Path,
-    kind: str,
-    names: Sequence[str],
-    t: np.ndarray,
-    channels: Sequence[np.ndarray],
-    *,
-    topics: Sequence[str] = ("/joint_states",),
-    hand: bool = False,
-    other: str = "",
+    path: Path, kind: str, names: Sequence[str], t: np.ndarray, channels: Sequence[np.ndarray], *,
+    topics: Sequence[str] = ("/joint_states",), hand: bool = False, other: str = "",
     texts: Mapping[str, str] | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """A bag (``bag``, ``mcap`` or ``db3``) with position, velocity and effort of joints.
 
     Stamps count from 2023, or are zero in headers where time is negative. With ``hand``, messages

@@ -225,13 +225,10 @@ RECORDINGS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], tuple[str, .
     "NaN row": (
         lambda x: x.assign(q2=x.q2.mask(x.index == 17)), ("'q2'", "row 17", "remove or repair")
     ),
-    "wrong joint count": (lambda x: x.drop(columns=["q2", "tau2"]), ("1 joint", "robot has 2")),
     "time goes back": (
         lambda x: x.assign(t=x.t.mask(x.index == 40, 0.1)), ("'t'", "row 40", "sort or remove")
     ),
-    "too short": (lambda x: x[:100], ("too short", "at least 2 s")),
     "too short to hold out": (lambda x: x[:400], ("name a hold-out",)),
-    "dead channel": (lambda x: x.assign(tau1=0.0), ("'tau1'", "repair")),
 }  # fmt: skip
 FEW = [(verb, name) for verb in ("diagnose", "analyze --recording") for name in [*RECORDINGS][:2]]
 
@@ -298,6 +295,8 @@ REFUSED = {
     "check ur10 trajectory.csv": "trajectory.csv",  # of another arm
     f"{ONE} --trajectory trajectory.csv": "give the trajectory.json",
     f"{ONE} --online --trajectory trajectory.csv": "--trajectory is for all rows at once",
+    f"{ONE} --estimator irls --online": "--estimator is for all rows at once",
+    f"{ONE} --estimator irls --link-by-link": "--estimator is for all rows at once",
     f"{ONE} --link-by-link --online": "leave --online out",
     f"{ONE} --unloaded two.csv": "give --payload too",
     f"{ONE} --forgetting 3": "give --online too",
@@ -310,8 +309,6 @@ REFUSED = {
     "design planar_2r --link-by-link --from 0,0": "leave --from out",
     "design planar_2r --link-by-link --after run.csv": "leave --after out",
     "check planar_2r broken.csv": "broken.csv",
-    "show planar_2r broken.csv -o page.html": "broken.csv",
-    "show planar_2r nothing.csv -o page.html": "nothing.csv: no such file",
     "show ur10 trajectory.csv -o page.html": "trajectory.csv: 2 joint columns",
     "show ur10 trajectory.json -o page.html": "has 2 joints, but ur10 has 6",
     "show planar_2r trajectory.csv --obstacles nothing.yaml -o page.html": "nothing.yaml",

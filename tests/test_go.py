@@ -119,9 +119,7 @@ def test_a_folder_stands_for_its_robot_and_recordings(logs: Logs, here: Path, ex
 
 
 @pytest.mark.slow
-def test_the_example_is_what_its_script_writes_and_shows_its_friction(
-    here, excitant, monkeypatch, own_steps
-):
+def test_the_example_is_what_its_script_writes(here, excitant, monkeypatch, own_steps):
     spec = importlib.util.spec_from_file_location("cell3", EXAMPLE.with_suffix(".py"))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

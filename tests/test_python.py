@@ -79,9 +79,7 @@ def test_shown_lines_are_cut_and_hold_nothing_a_terminal_obeys(planar: Robot) ->
     assert "\x1b" not in repr(replace(planar, name="\x1b[31m"))
 
 
-def test_tables_and_files_and_names_stand_for_recordings_and_robots(
-    estimate: Estimate, tables: Tables, planar: Robot, tmp_path: Path
-) -> None:
+def test_tables_files_and_names_stand_for_recordings_and_robots(estimate, tables, planar, tmp_path):
     fit, held = (ex.recording_from_table(t, planar, file="run", name="run") for t in tables)
     tables[1].to_parquet(file := tmp_path / "held.parquet", index=False)
     (model := tmp_path / "arm.urdf").write_text(planar.urdf, "utf-8")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import robustness as bench
 from marks import slow
-from robustness_inputs import extreme_arm, motion, write_corpus
+from robustness_inputs import motion, write_corpus
 
 from excitant.design import random_trajectory, trajectory_csv
 from excitant.identify import model_files
@@ -121,10 +121,3 @@ def test_a_folder_of_two_runs_is_seen() -> None:
     assert not bench.mixed(old, new, new)
     assert bench.mixed(old, old | {"a": b"2"}, new)
     assert bench.mixed(old, old | {"d": b"2"}, new)
-
-
-def test_an_extreme_arm_has_a_torque_of_its_own() -> None:
-    arm = extreme_arm(np.random.default_rng(4))
-    states = motion(np.random.default_rng(0), np.arange(0, 5, 0.02), arm.scale)
-    assert arm.true.nv == len(arm.scale) == len(arm.friction)
-    assert np.isfinite(arm.torque(states)).all()

@@ -112,9 +112,7 @@ def test_a_zero_position_that_is_off_is_named_first(ur10: Robot) -> None:
 
 
 @pytest.mark.slow
-def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(
-    ur10: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(ur10, monkeypatch):
     monkeypatch.setattr(SetUp, "std_of", lambda *_: (0.9,))
     fitted, held = with_zero_off(bare(ur10), 1, np.pi / 2)
     first = diagnose(bare(ur10), [fitted], validate=[held]).findings[0]
@@ -222,17 +220,12 @@ def test_degrees_beyond_all_limits_are_degrees_also_of_currents(ur10: Robot) -> 
         assert [f.fault for f in faults if f.fault.startswith("wrong")] == ["wrong_unit"]
 
 
-@pytest.mark.parametrize("off", [slow(0.1), 0.3])
-def test_currents_of_bodies_off_as_published_ones_are_no_other_set_up(ur10: Robot, off: float):
-    for recording in as_currents(recorded(bare(ur10), 20, off=off), 20):
-        assert not [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
-
-
 @pytest.mark.parametrize("off", [slow(0.0), slow(0.1), 0.3])
 def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(ur10: Robot, off: float):
-    for seed in range(2):
-        for recording in recorded(bare(ur10), 10 + seed, off=off):
-            assert not {fault.fault for fault in find_faults(bare(ur10), recording)} & OF_SET_UPS
+    for seed in (10, 11):
+        both = recorded(bare(ur10), seed, off=off)
+        for recording in (*both, *as_currents(both, seed)):
+            assert not [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
 
 
 def test_a_heavy_load_is_no_other_set_up(ur10: Robot) -> None:

@@ -7,7 +7,7 @@ from excitant.design.criterion import objective, smooth_model
 from excitant.design.peaks import torque_peaks, torque_rows
 from excitant.design.result import lone_torque, scaled_condition_number
 from excitant.design.step import local_model
-from excitant.robots import Robot, load_robot
+from excitant.robots import load_robot
 from excitant.robots.effects import CoulombFriction, RotorInertia, ViscousFriction
 from excitant.robots.torque import largest_torque
 
@@ -52,9 +52,7 @@ def test_hessian_along_linear_information(criterion: str) -> None:
     ("friction", "uncertainty"), [((), 0.0), ((30.0,), 0.0), ((9.0, 3.0, 0.4), 0.3)]
 )
 @pytest.mark.parametrize("seed", range(4))
-def test_torque_peaks_are_those_of_continuous_time_and_rows_follow_them(
-    ur10: Robot, friction: tuple[float, ...], uncertainty: float, seed: int
-) -> None:
+def test_torque_peaks_are_those_of_continuous_time_and_rows_too(ur10, friction, uncertainty, seed):
     kinds = zip((CoulombFriction, ViscousFriction, RotorInertia), friction, strict=False)
     robot = ur10.with_effects([kind(ur10.joints, (value,) * 6) for kind, value in kinds])
     robot = limited(robot, mass_uncertainty=uncertainty)

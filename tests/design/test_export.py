@@ -210,10 +210,7 @@ def drive(module: Any, patch: pytest.MonkeyPatch, arm: ros2.Arm, *words: str) ->
 
 
 @pytest.mark.parametrize(("words", "scale"), [((), 0.2), (("--scale", "1"), 1.0)])
-def test_client_sends_the_motions_at_a_fifth_of_the_speed_unless_told_otherwise(
-    planar: Robot, way: dict[str, Motion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    words: tuple[str, ...], scale: float,
-) -> None:  # fmt: skip
+def test_client_is_slow_unless_told_otherwise(planar, way, tmp_path, monkeypatch, words, scale):
     arm = ros2.Arm(planar.joints, way["approach"].q[0])
     module = client(way, planar, tmp_path, arm)
     assert drive(module, monkeypatch, arm, "--go", *words) == 0
@@ -249,10 +246,8 @@ STOPS = (  # state of the arm, words, status, goals that it got, what is said
 
 @pytest.mark.parametrize(("state", "words", "status", "goals", "why"), STOPS)
 def test_client_stops_in_one_line(
-    planar: Robot, way: dict[str, Motion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str], state: dict[str, Any], words: tuple[str, ...],
-    status: int, goals: int, why: str,
-) -> None:  # fmt: skip
+    planar, way, tmp_path, monkeypatch, capsys, state, words, status, goals, why
+):
     arm = ros2.Arm(planar.joints, **{"q": way["approach"].q[0]} | state)
     assert drive(client(way, planar, tmp_path, arm), monkeypatch, arm, "--go", *words) == status
     [line] = capsys.readouterr().err.splitlines()
@@ -262,7 +257,6 @@ def test_client_stops_in_one_line(
 
 def test_client_without_go_moves_nothing_and_needs_no_ros(planar, way, tmp_path):
     module = client(way, planar, tmp_path)
-
     command = [sys.executable, "-I", module.__file__]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert "trajectory: 401 points, 20.0 s at 0.2 of the speed" in said

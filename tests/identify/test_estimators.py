@@ -297,13 +297,6 @@ def test_a_rate_too_low_for_every_second_sample_is_refused(planar: Robot) -> Non
         identify_robot(planar, [NOISY], cutoff_hz=40.0, estimator="iv")
 
 
-@pytest.mark.parametrize("way", ["--online", "--link-by-link"])
-def test_the_command_refuses_another_way_in_one_line(way: str, excitant: Call) -> None:
-    ran = excitant(f"identify planar_2r nowhere.csv --estimator irls {way}")
-    said = "--estimator is for all rows at once" in ran.err
-    assert (ran.status, ran.err.count("\n"), said) == (1, 1, True)
-
-
 def test_the_command_says_which_estimator(tmp_path: Path, excitant: Call) -> None:
     write_csv(tmp_path / "run.csv", NOISY)
     ran = excitant("identify planar_2r --json --estimator irls", tmp_path / "run.csv")

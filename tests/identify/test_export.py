@@ -3,7 +3,6 @@
 import json
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -405,9 +404,7 @@ GIVEN = "worse than the model as given"
         ((0.1, 1.5), (0.2, 9.0), False, ("worse than no model at joint2 (r² = -1.",)),
     ],
 )
-def test_a_model_worse_than_another_or_none_is_published_only_when_forced(
-    estimate: Estimate, found: Any, given: Any, published: bool, said: Sequence[str]
-) -> None:
+def test_a_model_worse_than_another_or_none_must_be_forced(estimate, found, given, published, said):
     model = judged(estimate, erring(estimate, *found), erring(estimate, *given, seed=1))
     plain, forced = publication(model), publication(model, force=True)
     assert forced.published

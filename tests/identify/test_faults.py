@@ -273,9 +273,7 @@ DISORDER: dict[str, tuple[Callable[[Log], Log], str, list[int]]] = {
 
 
 @pytest.mark.parametrize("disorder", DISORDER)
-def test_rows_out_of_order_are_put_right_and_stamps_that_fit_nowhere_left_out(
-    clean: Log, read: Read, disorder: str
-) -> None:
+def test_rows_out_of_order_are_put_right_and_stamps_that_fit_nowhere_dropped(clean, read, disorder):
     damage, said, lost = DISORDER[disorder]
     with pytest.raises(BadRecording, match="time goes back"):
         read(damage(clean))

@@ -519,9 +519,7 @@ def test_logs_of_any_shape_are_read_without_a_word(shape: str, tmp_path: Path) -
 
 @pytest.mark.parametrize("separator", [" ", ","])
 @pytest.mark.parametrize("channels", [(Q, DQ, TAU), (Q, TAU)])
-def test_numbers_without_names_are_refused_with_the_map_that_reads_them(
-    separator: str, channels: Sequence[np.ndarray], load: Call, log: Path
-) -> None:
+def test_numbers_without_names_are_refused_with_a_map_for_them(separator, channels, load, log):
     np.savetxt(log, np.column_stack([T, *channels]), fmt="%.17g", delimiter=separator)
     with pytest.raises(BadRecording, match="--map") as refusal:
         load(log)
@@ -607,9 +605,7 @@ def test_npz_and_mat_hold_the_same_recording_or_are_refused(load: Call, tmp_path
             load(tmp_path / "a.mat")
 
 
-def test_a_mat_file_that_ends_its_reader_is_damaged(
-    load: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mat_file_that_ends_its_reader_is_damaged(load, tmp_path, monkeypatch):
     """Some bytes make SciPy write where it must not."""
     scipy.io.savemat(tmp_path / "a.mat", {"t": T, "q": Q, "dq": DQ, "tau": TAU})
     same(load(tmp_path / "a.mat"))
@@ -775,9 +771,7 @@ def test_a_folder_brings_its_map_and_its_drives(save: Call, log: Path) -> None:
         assert found.unit == "N·m"
 
 
-def test_the_command_takes_a_map_and_shows_what_it_understood(
-    excitant: Call, save: Call, log: Path
-) -> None:
+def test_the_command_takes_a_map_and_shows_what_it_understood(excitant, save, log):
     columns = {"clock": T, "a": Q[:, 0], "b": Q[:, 1], "tau_0": 1.0, "tau_1": TAU[:, 1]}
     save(pd.DataFrame(columns)[:100], "log.csv")
     log.with_suffix(".yaml").write_text("{t: clock, q: [a, b], tau: 'tau_{0}'}")

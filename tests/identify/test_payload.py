@@ -162,9 +162,7 @@ def planar_runs(planar: Robot, exact: Call) -> Runs:
 
 
 @pytest.mark.slow
-def test_a_model_keeps_what_it_knows_and_a_payload_is_told_over_time_on_top_of_it(
-    planar: Robot, planar_runs: Runs, tmp_path: Path, excitant: Call
-) -> None:
+def test_a_payload_over_time_rests_on_what_a_model_keeps(planar, planar_runs, tmp_path, excitant):
     held, file = write_csv(tmp_path / "held.csv", planar_runs[0]), tmp_path / "model.yaml"
     identified = identify_robot(planar, planar_runs[1:])
     names = {path.name for path in save_model(identified, file)}

@@ -107,7 +107,6 @@ def failing(request, monkeypatch):
     """``failing(k, error)``: the k-th step of this kind, from 1, fails."""
     module, name = request.param.split(".")
     owner = {"os": os, "shutil": shutil, "files": files}[module]
-
     real, steps = getattr(owner, name), itertools.count(1)
 
     def fail(count, error):

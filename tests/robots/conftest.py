@@ -41,15 +41,9 @@ def builtin(request: pytest.FixtureRequest) -> Robot:
 def refused() -> Callable[..., str]:
     """``refused(match, call, ...)``: what a call is refused with, in one line."""
 
-    def message(
-        match: str,
-        call: Callable[..., object],
-        *given: Any,
-        error: type[Exception] = ExcitantError,
-        **options: Any,
-    ) -> str:
+    def message(match: str, call: Any, *given: Any, error: Any = ExcitantError, **more: Any) -> str:
         with pytest.raises(error, match=match) as raised:
-            call(*given, **options)
+            call(*given, **more)
         assert "\n" not in str(raised.value)
         return str(raised.value)
 

@@ -98,9 +98,7 @@ def test_a_choice_that_cannot_be_is_refused_in_one_line(refused, choice, error, 
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_a_joint_of_several_degrees_of_freedom_is_held_or_refused(
-    tmp_path: Path, kind: str, random_states: Call, refused: Call
-) -> None:
+def test_a_joint_of_several_freedoms_is_held_or_refused(tmp_path, kind, random_states, refused):
     path = tmp_path / "loose.urdf"
     text = TWINS.read_text("utf-8")
     path.write_text(text.replace('"root" type="fixed"', f'"root" type="{kind}"'))

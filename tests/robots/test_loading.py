@@ -216,9 +216,7 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
 
 
 @pytest.mark.parametrize(("file", "old", "new", "words"), REFUSED)
-def test_a_file_that_cannot_be_read_is_refused_in_one_line_that_names_it(
-    tmp_path: Path, refused: Call, file: str, old: str, new: str, words: str
-) -> None:
+def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path, refused, file, old, new, words):
     shutil.copy(DATA / "gantry.urdf", tmp_path)
     path, text = tmp_path / file, (DATA / file).read_text() if (DATA / file).exists() else ""
     assert old in text

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close, dh_from_robot, frames, torque_matrix
-from known_arms import Call
 from second_opinion import grouping
 from seed import dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 
 from excitant.robots import DHChain, Motion, base_parameters, load_robot, rigid_body_torque
-from excitant.robots.dh import CONVENTIONS, Convention, robot_from_dh
+from excitant.robots.dh import CONVENTIONS, robot_from_dh
 from excitant.robots.parameters import STANDARD, elements, steiner, violations
 from excitant.robots.regressor import regressor
 
@@ -35,9 +34,7 @@ def rank(W: np.ndarray) -> int:
 
 
 @given(seed=st.integers(0, 10**9), nv=st.integers(1, 9), convention=st.sampled_from(CONVENTIONS))
-def test_a_chain_needs_the_torque_of_the_recursion_where_its_frames_are(
-    random_chain: Call, seed: int, nv: int, convention: Convention
-) -> None:
+def test_a_chain_needs_the_torque_of_the_recursion_there(random_chain, seed, nv, convention):
     """And Property 4 holds: neither m_i, nor I_i, nor m_i s_i shows in τ_{i+1} .. τ_N."""
     chain, motion = random_chain(seed, nv, convention), states(seed, 5, nv)
     robot, M = robot_from_dh(chain), matrix(chain, motion)
@@ -75,9 +72,7 @@ def assert_quadratic(chains: Iterator[DHChain], seed: int, first: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("link", [1, 3, 5])
-def test_property_2_torque_is_quadratic_and_force_linear_in_a_centre_of_mass(
-    random_chain: Call, seed: int, link: int
-) -> None:
+def test_property_2_torque_is_quadratic_and_force_linear_in_the_centre(random_chain, seed, link):
     """With the inertia about it held: a rotary joint's second half, a translational one's first."""
     chain, m, central = random_chain(seed, 6), 2.0, np.array([0.3, 0.02, 0.4, -0.01, 0.03, 0.5])
 

@@ -314,9 +314,7 @@ MORE = {  # of what a description can have, in the gantry
 
 
 @pytest.mark.parametrize(("file", "count"), CASES)
-def test_a_damaged_description_is_an_arm_that_works_or_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, count: int
-) -> None:
+def test_a_damaged_description_works_or_is_refused_in_one_line(tmp_path, monkeypatch, file, count):
     shutil.copytree(DATA, tmp_path / "data")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(xacro, "in_child", lambda work, *task, **_: work(*task))

@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close
@@ -31,9 +30,7 @@ def same(left: Robot, right: Robot, motion: Motion, relative: float) -> bool:
 
 
 @given(seed=st.integers(0, 2**32 - 1), lock=st.booleans())
-def test_written_parameters_reload_to_the_same_torque(
-    arm: Robot, random_states: Call, random_bodies: Call, seed: int, lock: bool
-) -> None:
+def test_written_parameters_reload_to_their_torque(arm, random_states, random_bodies, seed, lock):
     """A locked arm needs the torque of the whole arm whose locked joints stand still."""
     held = LOCKS[arm.name] if lock else {}
     robot = robot_from_urdf(arm.urdf, RobotSpec("given", lock=held))
@@ -147,9 +144,7 @@ def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path, gantry_urd
     assert load_robot(path).name == "unnamed"
 
 
-def test_meshes_beside_the_file_are_found_from_anywhere(
-    tmp_path: Path, gantry_urdf: str, random_states: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_meshes_beside_a_file_are_found_anywhere(tmp_path, gantry_urdf, random_states, monkeypatch):
     path = Path(shutil.copytree(Path(__file__).parent / "data", tmp_path / "data")) / "gantry.urdf"
     packaged, package = tmp_path / "arm_description", "package://arm_description/meshes/wedge.stl"
     monkeypatch.chdir(tmp_path)
