@@ -40,6 +40,7 @@ from excitant.analysis.selection import frictionless, idle, rivals, select
 from excitant.analysis.set_up import SetUp, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
 from excitant.identify.accuracy import Accuracy, series
+from excitant.identify.attenuation import ATTENUATION, coarseness
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.objections import objections
 from excitant.identify.preprocessing import Segment, certain_rows
@@ -241,6 +242,15 @@ def diagnose(
     nominal_error = holdout.error
     left = residuals(joints, data.validate, error, nominal_error, fit.predicted)
     causes, corrected = _causes(mounted.robot, fit, holdout, drive)
+    share = coarseness(data.train)
+    notes = [data.holdout, *mounted.notes]
+    if (share > ATTENUATION).any():
+        corrected = []
+        notes.append(
+            f"positions are coarse beside the motion (noise of {100 * share.max():.2g} % of the "
+            f"acceleration of {joints[int(np.argmax(share))]}): given values within their "
+            "tolerance are not corrected"
+        )
     of_set_up = [
         _of_set_up(mounted, effect, fit, holdout) for effect in mounted.effects
     ]
@@ -256,7 +266,6 @@ def diagnose(
             mounted.robot, finding, causes, left, body_std
         )
         findings.append(replace(finding, downgrade=reason))
-    notes = [data.holdout, *mounted.notes]
     if drive is not None:
         notes.append(drive.sentence(joints))
     return Diagnosis(

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
-from excitant.identify.attenuation import acceleration_noise
+from excitant.identify.attenuation import ATTENUATION, coarseness
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -48,7 +48,7 @@ from excitant.identify.regression import (
     regression_of,
     triangle,
 )
-from excitant.identify.rows import Data, FitRows, identified_robot
+from excitant.identify.rows import FitRows, identified_robot
 from excitant.identify.signals import detrended, low_pass
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -68,12 +68,6 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 FALSE_ALARM = 0.01  # of the tests that compare two estimators
 SHIFTS = 199  # of errors against the motion: FALSE_ALARM is two ranks of them and the own one
 GOLDEN = (np.sqrt(5) - 1) / 2
-ATTENUATION = 0.02
-"""Noise of a joint's acceleration over its rms from which on instruments are tried.
-
-Least squares loses its square of an inertia, the noise's share of the power: 4e-4, which is the
-standard deviation that torque noise of 1 % leaves of it after 600 independent rows.
-"""
 NORMAL_MEDIAN = 0.6744897501960817  # median magnitude of a standard normal variable
 MOTION_ERROR = (
     1e-6  # of a column's length: smaller errors are those of interpolation
@@ -257,7 +251,7 @@ def _instrumental(
     least squares, whose bias is b, bᵀ G b + tr G C, where E d dᵀ = b bᵀ + C_iv − C (Hausman 1978).
     Noise is independent in W from even and from odd samples: it is no part of their product G.
     """
-    share = _acceleration_noise(rows.data)
+    share = coarseness(rows.data.train)
     if not (share > ATTENUATION).any():
         return fit, ""
     try:
@@ -286,14 +280,6 @@ def _instrumental(
         f"acceleration of {rows.robot.joints[worst]}): {ESTIMATORS['iv']} instead of least "
         f"squares, whose bias is about {100 * np.sqrt(bias):.1g} % of the torque"
     )
-
-
-def _acceleration_noise(data: Data) -> Array:
-    """Noise of each joint's acceleration over its rms, filtered as torque, shape (nv,)."""
-    filtered = [s.filtered(s.motion.ddq, s.keep) for s in data.train]
-    power = (np.concatenate(filtered) ** 2).mean(axis=0)
-    noise = acceleration_noise(data.train)
-    return np.divide(noise, np.sqrt(power), out=0 * power, where=power > 0)
 
 
 def irls(problem: Regression) -> LeastSquares:
