@@ -239,18 +239,9 @@ def diagnose(
     fit = _extended(mounted, train, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
     joints = nominal.joints
-    nominal_error = holdout.error
-    left = residuals(joints, data.validate, error, nominal_error, fit.predicted)
+    left = residuals(joints, data.validate, error, holdout.error, fit.predicted)
     causes, corrected = _causes(mounted.robot, fit, holdout, drive)
-    share = coarseness(data.train)
-    notes = [data.holdout, *mounted.notes]
-    if (share > ATTENUATION).any():
-        corrected = []
-        notes.append(
-            f"positions are coarse beside the motion (noise of {100 * share.max():.2g} % of the "
-            f"acceleration of {joints[int(np.argmax(share))]}): given values within their "
-            "tolerance are not corrected"
-        )
+    coarse = _coarse_sentence(data.train, joints)
     of_set_up = [
         _of_set_up(mounted, effect, fit, holdout) for effect in mounted.effects
     ]
@@ -266,6 +257,7 @@ def diagnose(
             mounted.robot, finding, causes, left, body_std
         )
         findings.append(replace(finding, downgrade=reason))
+    notes = [data.holdout, *mounted.notes, *[coarse] * bool(coarse)]
     if drive is not None:
         notes.append(drive.sentence(joints))
     return Diagnosis(
@@ -275,9 +267,9 @@ def diagnose(
         holdout,
         fit,
         tuple(findings),
-        tuple(corrected),
+        () if coarse else tuple(corrected),
         nominal_residuals=residuals(
-            joints, data.validate, nominal_error, nominal_error, holdout.simulated
+            joints, data.validate, holdout.error, holdout.error, holdout.simulated
         ),
         residuals=left,
         waterfall=_waterfall(
@@ -286,6 +278,18 @@ def diagnose(
         notes=tuple(notes),
         drive=drive,
         set_up=mounted,
+    )
+
+
+def _coarse_sentence(segments: Sequence[Segment], joints: Sequence[str]) -> str:
+    """That positions are too coarse to correct given values by; empty where they are not."""
+    share = coarseness(segments)
+    if not (share > ATTENUATION).any():
+        return ""
+    return (
+        f"positions are coarse beside the motion (noise of {100 * share.max():.2g} % of the "
+        f"acceleration of {joints[int(np.argmax(share))]}): given values within their tolerance "
+        "are not corrected"
     )
 
 

@@ -91,14 +91,8 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
                     *_findings(findings, unit),
                 ],
             ),
-            (
-                "Given values that the data correct",
-                [_corrected(result.corrected)],
-            ),
-            (
-                wrong,
-                shares,
-            ),
+            ("Given values that the data correct", [_corrected(result.corrected)]),
+            (wrong, shares),
             ("Files of the extended model", [exported_table(result.exported)]),
             *first,
         ],

@@ -56,6 +56,8 @@ MORE: dict[str, tuple[str, Mistake]] = {
 }
 ALL = PLANTS | MORE
 NOT_IN_REAL = {"rows_lost_unseen", "noise_for_torque"}
+# other bodies than those of a description without friction explain the torque of a ur10 as well
+NOT_IN_REAL |= {"half_rate_without_velocity", "position_negated"}
 PLANAR = load_robot("planar_2r")
 
 
