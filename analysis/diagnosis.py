@@ -40,7 +40,7 @@ from excitant.analysis.selection import frictionless, idle, rivals, select
 from excitant.analysis.set_up import SetUp, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
 from excitant.identify.accuracy import Accuracy, series
-from excitant.identify.attenuation import ATTENUATION, coarseness
+from excitant.identify.attenuation import coarseness
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.objections import objections
 from excitant.identify.preprocessing import Segment, certain_rows
@@ -284,7 +284,7 @@ def diagnose(
 def _coarse_sentence(segments: Sequence[Segment], joints: Sequence[str]) -> str:
     """That positions are too coarse to correct given values by; empty where they are not."""
     share = coarseness(segments)
-    if not (share > ATTENUATION).any():
+    if not (share > VERDICT.coarse).any():
         return ""
     return (
         f"positions are coarse beside the motion (noise of {100 * share.max():.2g} % of the "

@@ -190,6 +190,10 @@ class VerdictThresholds:
     listed: int = 7
     """Findings; slight ones beyond are in a note instead. Convention."""
 
+    coarse: float = 0.1
+    """Noise of an acceleration over its rms > this: least squares loses its square, 1 % of an
+    inertia, to bias; given values are not corrected."""
+
     chance: float = 0.05
     """Values as far off come by chance this often, or more: a cause is undecided. Of all values
     that the data correct within their tolerance, the probability that one of them is chance."""
