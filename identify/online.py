@@ -172,7 +172,7 @@ class OnlineEstimator:
         )
         # samples that a row depends on
         self.span = self._kernels.shape[1] + self.block - 1
-        self._samples = np.zeros((self.span, 2 * robot.nv))
+        self._samples = np.zeros((self.span, 3 * robot.nv))
         self._filled = 0
         self._corners = np.linspace(-self.span, -1, CORNERS).astype(int)
         self._clock = -np.inf
@@ -226,8 +226,11 @@ class OnlineEstimator:
         """Age of the newest instant that can be estimated [s]."""
         return self.differentiator.delay(self.rate_hz)
 
-    def push(self, t: float, q: Array, tau: Array) -> None:
+    def push(self, t: float, q: Array, tau: Array, dq: Array | None = None) -> None:
         """Take one sample, shapes (nv,); after a pause of two samples the window fills anew.
+
+        Measured velocities dq, where all samples of a window have them, give velocity and
+        acceleration in place of the positions.
 
         Raises:
             BadInput: Time that goes back, or a value that is not a number.
@@ -244,7 +247,8 @@ class OnlineEstimator:
         width = self._kernels.shape[1]
         self._samples[:-1] = self._samples[1:]
         self._samples[-1, :nv] = q
-        self._samples[-1, nv:] = tau
+        self._samples[-1, nv : 2 * nv] = tau
+        self._samples[-1, 2 * nv :] = np.nan if dq is None else dq
         self._filled += 1
         if self._filled >= width:
             self._take_instant(t - self.delay, self._samples[-width:])
@@ -256,10 +260,12 @@ class OnlineEstimator:
             if grown.waiting >= TOGETHER:
                 grown.take()
 
-    def extend(self, t: Array, q: Array, tau: Array) -> None:
-        """Take many samples, shapes (n,), (n, nv) and (n, nv)."""
+    def extend(
+        self, t: Array, q: Array, tau: Array, dq: Array | None = None
+    ) -> None:
+        """Take many samples, shapes (n,) and (n, nv)."""
         for k in range(len(t)):
-            self.push(float(t[k]), q[k], tau[k])
+            self.push(float(t[k]), q[k], tau[k], None if dq is None else dq[k])
 
     def _take_instant(self, t: float, window: Array) -> None:
         k = self._count
@@ -269,11 +275,18 @@ class OnlineEstimator:
             self._Y[:] = 0.0
             self._tau[:] = 0.0
             self._terms[:] = 0.0
-        q, dq, ddq = self._states[k] = self._kernels @ window[:, :nv]
+        states = self._states[k]
+        speeds = window[:, 2 * nv :]
+        if np.isfinite(speeds).all():
+            states[0] = self._kernels[0] @ window[:, :nv]
+            states[1:] = self._kernels[:2] @ speeds
+        else:
+            states[:] = self._kernels @ window[:, :nv]
+        q, dq, ddq = states
         self._Y += pin.computeJointTorqueRegressor(
             self.robot.model, self._data, q, dq, ddq
         )
-        self._tau += window[len(window) // 2, nv:]
+        self._tau += window[len(window) // 2, nv : 2 * nv]
         sums = iter(self._each)
         for law, own in self._laws:
             for values in law(q[own], dq[own], ddq[own]):

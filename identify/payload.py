@@ -181,9 +181,9 @@ class PayloadEstimator:
         )
         self._known, _ = _given_arm(robot, effects, self.arm.base)
 
-    def push(self, t: float, q: Array, tau: Array) -> None:
+    def push(self, t: float, q: Array, tau: Array, dq: Array | None = None) -> None:
         """Take one sample, shapes (nv,), as `OnlineEstimator.push`."""
-        self.arm.push(t, q, tau)
+        self.arm.push(t, q, tau, dq)
 
     def estimate(self) -> PayloadEstimate:
         """The payload by all samples so far; refuses before the first row."""

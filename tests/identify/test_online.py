@@ -108,6 +108,22 @@ def test_noise_levels_are_learnt_and_intervals_hold(planar: Robot) -> None:
     assert inside > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 20)
 
 
+def test_measured_velocity_spares_the_noise_of_positions(planar: Robot) -> None:
+    """Intervals hold with it; positions that coarse spoil the estimate without it."""
+    effects, rng = estimator(planar).effects, np.random.default_rng(4)
+    arm = planar.with_effects([e.with_values(np.full(2, 0.3)) for e in effects])
+    true = base_parameters(planar, effects).regrouping @ np.r_[planar.phi, np.full(4, 0.3)]
+    q = MOTION.q + 1e-3 * rng.standard_normal(MOTION.q.shape)
+    dq = MOTION.dq + 1e-3 * rng.standard_normal(q.shape)
+    off = []
+    for speeds in (dq, None):
+        online = estimator(planar, sigma=None, block=10)
+        online.extend(T, q, noisy(arm, MOTION, SIGMA), speeds)
+        found = online.estimate()
+        off.append((np.abs(found.beta - true) / found.std).max())
+    assert off[0] < 3.5 < 4.5 < off[1]
+
+
 def test_rows_that_the_fit_can_follow_all_say_nothing_of_their_noise(planar: Robot) -> None:
     tau = noisy(planar.with_effects(()), MOTION, SIGMA)
     online = estimator(planar, sigma=None, block=1)
