@@ -43,6 +43,8 @@ class BodyChange:
         centre_by: Who decided it, by the least sure of its coordinates.
         length: From the joint to the next one or to the nominal centre of mass, or the radius of
             gyration, whichever is longest [m].
+        known: Whether a drive gain is known, where currents were recorded: else nothing is told of
+            what moved.
     """
 
     link: str
@@ -53,6 +55,7 @@ class BodyChange:
     centre: Array
     centre_by: str
     length: float
+    known: bool
 
     @property
     def shift(self) -> float:
@@ -62,6 +65,8 @@ class BodyChange:
     @property
     def moved(self) -> str:
         """What moved by half of the nominal mass or of the link's length; empty if nothing."""
+        if not self.known:
+            return ""
         changes = []
         if abs(self.mass - self.nominal_mass) >= LARGE_CHANGE * self.nominal_mass:
             changes.append(
@@ -97,6 +102,7 @@ class BodyChange:
 def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
     """Masses and centres of mass of the links, nominal and identified."""
     who = decided_by(estimate.physical.influence, categories(estimate.base))
+    drive = estimate.drive
     places = list(estimate.given.model.jointPlacements)
     changes = []
     for k, link in enumerate(estimate.given.links):
@@ -115,6 +121,7 @@ def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
             centre=phi[1:] / phi[0],
             centre_by=max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index),
             length=float(max(radius, *ends)),
+            known=drive is None or bool(drive.known.any()),
         )
         changes.append(change)
     return tuple(changes)
