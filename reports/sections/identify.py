@@ -436,7 +436,10 @@ def _parameter_table(result: Identify) -> p.Table | None:
 
 
 def _bodies(result: Identify) -> p.Table | None:
-    """Masses and centres of mass, given and identified."""
+    """Masses and centres of mass, given and identified; None where no drive gain is known."""
+    gains = result.drive_gain_Nm_per_A
+    if gains is not None and not any(gains):
+        return None
 
     def place(centre: list[Number]) -> str:
         return v.listing([v.whole(x and 1e3 * x) for x in centre])
