@@ -56,15 +56,16 @@ class Agreement:
 
     Attributes:
         least: Least σ: no description is right to better than that.
-        largest: Largest σ; ±100 kg for 10 kg is as good as none.
+        largest: Largest σ: a link that only holds a place, of 5e-4 of the arm's mass, may carry a
+            tool as heavy as the arm and several times as wide.
         grid: Values of σ tried, evenly spread by logarithm.
         alternations: Rounds between the σ of links that have their own and that of the others.
         false_alarm: Probability that a link has its own σ by chance, among all links.
     """
 
     least: float = 0.05
-    largest: float = 10.0
-    grid: int = 40
+    largest: float = 1e4
+    grid: int = 80
     alternations: int = 3
     false_alarm: float = 0.05
 
