@@ -56,16 +56,16 @@ class Agreement:
 
     Attributes:
         least: Least σ: no description is right to better than that.
-        largest: Largest σ: a link that only holds a place, of 5e-4 of the arm's mass, may carry a
-            tool as heavy as the arm and several times as wide.
+        largest: Largest σ; ±100 kg for 10 kg is as good as none. A lighter link than the mean may
+            be off by as much as that one, for it may carry a tool.
         grid: Values of σ tried, evenly spread by logarithm.
         alternations: Rounds between the σ of links that have their own and that of the others.
         false_alarm: Probability that a link has its own σ by chance, among all links.
     """
 
     least: float = 0.05
-    largest: float = 1e4
-    grid: int = 80
+    largest: float = 10.0
+    grid: int = 40
     alternations: int = 3
     false_alarm: float = 0.05
 
@@ -194,7 +194,12 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     links = len(prior)
     blocks, residual = _deviations(R, z, prior)
 
-    def most_likely(block: Array, others: Array) -> tuple[float, float]:
+    mass = prior[:, 0]
+    largest = AGREEMENT.largest * np.maximum(1.0, mass.mean() / mass)
+
+    def most_likely(
+        block: Array, others: Array, largest: float
+    ) -> tuple[float, float]:
         """σ of a block of columns beside others of unit variance, and −2 log likelihood."""
         both = np.vstack([np.eye(len(residual)), others.T])
         root = triangle(both).T
@@ -209,9 +214,7 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
             variance = 1 + (np.exp(log_sigma) * power) ** 2
             return float((np.log(variance) + seen / variance).sum())
 
-        grid = np.log(
-            np.geomspace(AGREEMENT.least, AGREEMENT.largest, AGREEMENT.grid)
-        )
+        grid = np.log(np.geomspace(AGREEMENT.least, largest, AGREEMENT.grid))
         log_sigma, least = grid_minimum(surprise, grid)
         log_det = float(np.log(np.abs(np.diag(root))).sum())
         return float(np.exp(log_sigma)), least + 2 * log_det
@@ -226,7 +229,8 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
             sigma[group] = 0.0
             beside = np.concatenate(blocks * sigma[:, None, None], axis=1)
             block = np.concatenate(blocks[group], axis=1)
-            sigma[group], least = most_likely(block, beside)
+            most = largest[group].min()
+            sigma[group], least = most_likely(block, beside, float(most))
         return least, sigma
 
     chance = np.full(links, AGREEMENT.false_alarm / links)
