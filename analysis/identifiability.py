@@ -63,7 +63,7 @@ class ParameterIdentifiability:
         None  # estimate, or the value of the model as given, if known
     )
     prior: float | None = None  # value before any data
-    std: float | None = None  # of what torque shows alone; prior included
+    std: float | None = None  # standard deviation of what torque shows alone
     # from the data alone; inf where they do not show it by itself
     std_data: float | None = None
     influence: float | None = None  # how far it follows the prior, 0 to 1

@@ -24,7 +24,7 @@ from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.preprocessing import prepare
+from excitant.identify.preprocessing import Mask, prepare
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording, Recordings, recordings_of
 from excitant.identify.regression import regression_of
@@ -42,7 +42,11 @@ from excitant.identify.rows import (
     units_of,
 )
 from excitant.identify.shapes import Shapes, refined_shapes
-from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.base_parameters import (
+    BaseParameters,
+    base_parameters,
+    categories,
+)
 from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, read_only
 from excitant.robots.parameters import BaseEstimate, is_covariance, violations
@@ -419,8 +423,9 @@ def judged(
         pull = rows.by_gain(fit.weight)
         R, _ = rows.reduced.factor(fit.weight)
         J = read_only(np.linalg.solve(R.T @ R, pull[list(rows.base.columns)]))
-        base_std = _with_gains(widened, J, drive)
         widened = widened + J @ drive.covariance @ J.T
+        unknown = _rests_on_unknown(fit.covariance, J, drive)
+        base_std = np.where(unknown, np.nan, np.sqrt(np.diag(widened)))
         # what is told in amperes rests on no gain
         units = units_of(robot, rows.effects, drive)
         in_torque = [factor == 1 for factor, _ in units]
@@ -448,17 +453,19 @@ def judged(
     )
 
 
-def _with_gains(covariance: Array, J: Array, drive: DriveGains) -> Array:
-    """Standard deviations with those of drive gains; NaN of what rests mostly on unknown ones."""
+def _rests_on_unknown(covariance: Array, J: Array, drive: DriveGains) -> Mask:
+    """What rests mostly on drive gains that are not known, shape (r,).
+
+    J, shape (r, nv), is what relative changes of the gains add; the covariance lacks that.
+    """
     by_unknown, by_known = (
         np.einsum("pj,jk,pk->p", J[:, g], drive.covariance[np.ix_(g, g)], J[:, g])
         for g in (~drive.known, drive.known)
     )
     certain = np.diag(covariance) + by_known
-    total = certain + np.diag(J @ drive.covariance @ J.T) - by_known
     parts = np.abs(J)
     mostly = 2 * parts[:, ~drive.known].sum(axis=1) > parts.sum(axis=1)
-    return np.sqrt(np.where(mostly | (by_unknown > certain), np.nan, total))
+    return mostly | (by_unknown > certain)
 
 
 def _of_parameters(rows: FitRows, fit: LeastSquares, base_std: Array) -> Array:
@@ -466,11 +473,12 @@ def _of_parameters(rows: FitRows, fit: LeastSquares, base_std: Array) -> Array:
     base = rows.base
     std = np.full(len(base.names), np.nan)
     units = units_of(rows.robot, rows.effects, rows.drive)
-    alone = (base.regrouping != 0).sum(axis=1) == 1
-    for i in np.flatnonzero(alone).tolist():
-        factor, _ = units[base.columns[i]]
-        # amperes do not depend on the gain
-        std[base.columns[i]] = base_std[i] if factor == 1 else factor * fit.std[i]
+    category = categories(base)
+    for i, k in enumerate(base.columns):
+        if category[k] == "unique":
+            factor, _ = units[k]
+            # amperes do not depend on the gain
+            std[k] = base_std[i] if factor == 1 else factor * fit.std[i]
     return std
 
 

@@ -194,8 +194,8 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     links = len(prior)
     blocks, residual = _deviations(R, z, prior)
 
-    mass = prior[:, 0]
-    largest = AGREEMENT.largest * np.maximum(1.0, mass.mean() / mass)
+    lightness = prior[:, 0].mean() / prior[:, 0]
+    largest = AGREEMENT.largest * np.maximum(1.0, lightness)
 
     def most_likely(
         block: Array, others: Array, largest: float
@@ -229,8 +229,7 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
             sigma[group] = 0.0
             beside = np.concatenate(blocks * sigma[:, None, None], axis=1)
             block = np.concatenate(blocks[group], axis=1)
-            most = largest[group].min()
-            sigma[group], least = most_likely(block, beside, float(most))
+            sigma[group], least = most_likely(block, beside, largest[group].min())
         return least, sigma
 
     chance = np.full(links, AGREEMENT.false_alarm / links)
