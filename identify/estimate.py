@@ -29,6 +29,7 @@ from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording, Recordings, recordings_of
 from excitant.identify.regression import regression_of
 from excitant.identify.repeats import Repeats, repeats_of
+from excitant.identify.reversals import turned_rows, turning_spread
 from excitant.identify.rows import (
     Data,
     FitRows,
@@ -41,7 +42,7 @@ from excitant.identify.rows import (
     split,
     units_of,
 )
-from excitant.identify.shapes import Shapes, refined_shapes
+from excitant.identify.shapes import Shapes, refined_shapes, widened
 from excitant.robots.base_parameters import (
     BaseParameters,
     base_parameters,
@@ -317,13 +318,15 @@ def identify_robot(
     validate = recordings_of(validate, robot)
     prior = prior_parameters(robot)
     known = (knowledge or Knowledge()).of(robot)
+    default = effects is None
     effects = effects_of(robot, effects)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
 
     def fitted_to(data: Data) -> tuple[Estimate, float]:
-        rows = fit_rows(robot, effects, base_parameters(robot, effects), data)
+        problem = robot, effects, base_parameters(robot, effects), data
+        rows, turns = turned_rows(*problem) if default else (fit_rows(*problem), ())
         rows = with_own_torque(rows, prior, known)
-        notes = notes_on(rows, prior)
+        notes = (*notes_on(rows, prior), *turns)
         shapes = refined_shapes(rows, prior, known)
         if shapes is not None:
             rows = shapes.rows(rows) if shapes.better else rows
@@ -340,7 +343,10 @@ def identify_robot(
             R, z, prior, rows.open_prior, knowledge=known, links=robot.links
         )
         if shapes is not None and shapes.better:
-            fit, physical = shapes.widened(fit, physical, rows.base)
+            fit, physical = widened(fit, physical, rows.base, shapes.spread)
+        if turns:
+            spread = turning_spread(rows, fit, physical.covariance)
+            fit, physical = widened(fit, physical, rows.base, spread)
         estimate = replace(
             judged(robot, rows, fit, physical, (*notes, *remarks)),
             estimator=ESTIMATORS[name],

@@ -339,17 +339,8 @@ def resampled(
 
 
 def dry_joints(effects: Sequence[Effect], joints: Sequence[str]) -> Mask:
-    """Joints on which some effect jumps where the velocity changes sign, shape (nv,)."""
-    dry = set[str]()
-    still = np.zeros(1)
-    barely = np.full(1, 1e-12)  # rad/s
-    for effect in effects:
-        if effect.law is None:
-            continue
-        ahead = effect.law(still, barely, still)
-        behind = effect.law(still, -barely, still)
-        if any(abs(a[0] - b[0]) > 1e-6 for a, b in zip(ahead, behind, strict=True)):
-            dry |= set(effect.joints)
+    """Joints that dry friction of some effect holds at rest, shape (nv,)."""
+    dry = {joint for e in effects if e.physics.dry for joint in e.joints}
     return np.array([joint in dry for joint in joints])
 
 

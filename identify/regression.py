@@ -167,6 +167,14 @@ class Regression:
         names = (*self.names, *names)
         return replace(self, names=names, index=tuple(index), columns=tuple(wider))
 
+    def with_column(self, column: int, joint: int, values: Array) -> Regression:
+        """The problem with other values, shape (n,), of a column on a joint on which it acts."""
+        columns = list(self.columns)
+        own = np.array(columns[joint], order="F")
+        own[:, self.index[joint] == column] = values[:, None]
+        columns[joint] = frozen(own)
+        return replace(self, columns=tuple(columns))
+
     def counting(self, rows: Mask) -> Regression:
         """The problem with rows of joints that do not count set to zero, shape (n, nv)."""
         used = rows if self.used is None else rows & self.used

@@ -329,9 +329,21 @@ def fit_rows(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data
 ) -> FitRows:
     """The rows of the training segments at which no dry friction may hold a joint."""
+    regression = regression_of(robot, effects, data.train)
+    return counted_rows(robot, effects, base, data, regression)
+
+
+def counted_rows(
+    robot: Robot,
+    effects: Sequence[Effect],
+    base: BaseParameters,
+    data: Data,
+    regression: Regression,
+) -> FitRows:
+    """Those of the regression of an arm at every row."""
     used = certain_rows(effects, robot.joints, data.train)
     drive = data.drive
-    regression = regression_of(robot, effects, data.train).counting(used)
+    regression = regression.counting(used)
     if data.unit == "A":
         drive = current_gains(robot, regression.W, regression.tau, used)
         regression = regression.with_torque(regression.tau * drive.gains)

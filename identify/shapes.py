@@ -135,16 +135,20 @@ class Shapes:
             regression=rows.fitting(columns),
         )
 
-    def widened(
-        self, fit: LeastSquares, physical: PhysicalFit, base: BaseParameters
-    ) -> tuple[LeastSquares, PhysicalFit]:
-        """Fits with these shapes, their covariances those of shapes that are not known exactly."""
-        of_base = base.regrouping @ self.spread
-        covariance = physical.covariance + self.spread @ self.spread.T
-        return (
-            replace(fit, covariance=fit.covariance + of_base @ of_base.T),
-            replace(physical, covariance=covariance),
-        )
+
+def widened(
+    fit: LeastSquares, physical: PhysicalFit, base: BaseParameters, spread: Array
+) -> tuple[LeastSquares, PhysicalFit]:
+    """Fits with shapes that are not known exactly: covariances hold those of the shapes.
+
+    Spread is the change of all parameters by one standard deviation of each, shape (p, k).
+    """
+    of_base = base.regrouping @ spread
+    covariance = physical.covariance + spread @ spread.T
+    return (
+        replace(fit, covariance=fit.covariance + of_base @ of_base.T),
+        replace(physical, covariance=covariance),
+    )
 
 
 def refined_shapes(

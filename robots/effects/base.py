@@ -93,10 +93,12 @@ class Physics:
         depends_on: What columns are computed from beside the motion: nothing (``motion``), the
             ``bodies``, all other ``torque``, or that of the given model (``given torque``).
         smooth: Whether its torque is as smooth as the motion and never jumps.
+        dry: Whether it holds a joint at rest, by any torque up to that of motion.
     """
 
     depends_on: Literal["motion", "bodies", "torque", "given torque"] = "bodies"
     smooth: bool = False
+    dry: bool = False
 
     @property
     def on_model(self) -> bool:
@@ -351,6 +353,15 @@ class Effect(ABC):
         """The effect with another value of one field of its shape."""
         change: dict[str, Any] = {name: value}
         return replace(self, **change)
+
+    @property
+    def turning_speed(self) -> float:
+        """Speed below which its dry friction turns; 0: it turns at once [rad/s or m/s]."""
+        return 0.0
+
+    def turning(self, speed: float) -> Self:
+        """The effect with dry friction that turns over a range of speeds; others as they are."""
+        return self
 
     def singles(self) -> list[Self]:
         """The effect without values, joint by joint where each has coefficients of its own."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -77,10 +78,14 @@ class ViscousFriction(_StandardFriction):
 
 @registered
 class CoulombFriction(_StandardFriction):
-    """τ = F_c sign(q̇)."""
+    """τ = F_c sign(q̇), or F_c tanh(q̇ / v), which turns over a range of speeds.
+
+    Source: Andersson, Söderberg, Björklund 2007, for the smooth law.
+    """
 
     name = "coulomb_friction"
     terms = (Parameter("Fc", "N·m", 0.0),)
+    physics = Physics("motion", dry=True)
     export = Export(
         "coulomb",
         {
@@ -104,8 +109,14 @@ class CoulombFriction(_StandardFriction):
         },
     )
 
+    turning_speed: float = 0.0  # v; 0: friction turns at once [rad/s or m/s]
+
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
-        return (np.sign(dq),)
+        v = self.turning_speed
+        return (np.tanh(dq / v) if v > 0 else np.sign(dq),)
+
+    def turning(self, speed: float) -> Self:
+        return replace(self, turning_speed=speed)
 
 
 def _brakes(
@@ -123,6 +134,7 @@ class AsymmetricFriction(_Friction, JointEffect):
     """τ = F_c± sign(q̇) + F_v± q̇: friction that differs with the direction."""
 
     name = "asymmetric_friction"
+    physics = Physics("motion", dry=True)
     search = Search(
         contains=("torque_offset", "coulomb_friction", "viscous_friction"),
         imitates=("torque_offset",),
@@ -163,6 +175,7 @@ class StribeckFriction(_Friction, JointEffect):
     """τ = F_s exp(−|q̇ / v_s|²) sign(q̇), on top of Coulomb friction (Armstrong-Hélouvry 1991)."""
 
     name = "stribeck_friction"
+    physics = Physics("motion", dry=True)
     terms = (Parameter("Fs", "N·m", 0.0),)
     search = Search(
         shapes=(

@@ -1,0 +1,197 @@
+"""How suddenly dry friction turns at a reversal: at once, or over a range of speeds.
+
+Coulomb's law jumps where a joint reverses, and at rest leaves its torque open, −F_c to F_c.
+Transmissions that give way, lubricant and the filter of a current controller spread the jump:
+F_c tanh(q̇ / v) runs through that interval while |q̇| is below about v.
+
+A joint gets the v that predicts best what a fit has not seen, rows of rest included, if it predicts
+better than a jump by more than chance. Rows that count are left out in blocks of time: with Q their
+columns in an orthonormal basis, θ = Qᵀ τ and e = τ − Q θ, the fit to all blocks but b is
+
+    θ_b = θ − (1 − Q_bᵀ Q_b)⁻¹ Q_bᵀ e_b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from excitant.exceptions import RankDeficient
+from excitant.identify.accuracy import BLOCKS, chance_of_loss
+from excitant.identify.least_squares import LeastSquares, weighted_least_squares
+from excitant.identify.preprocessing import Mask, certain_rows, top_speed
+from excitant.identify.regression import effect_columns, regression_of
+from excitant.identify.rows import Data, FitRows, counted_rows
+from excitant.robots.base_parameters import BaseParameters
+from excitant.robots.effects import Effect
+from excitant.robots.motion import Array
+from excitant.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class ReversalSettings:
+    """How the speed over which friction turns is chosen.
+
+    Attributes:
+        shares: Speeds tried over the highest speed of a joint: from where most reversals are
+            shorter than a sample to where friction is hardly told from viscous; a step of 1.6
+            leaves v within 26 %.
+        false_alarm: Probability of a gain by chance from which on friction turns at once.
+        rank: Singular value relative to the largest, below which columns are dependent.
+        difference: Step of log v for the derivative of torque.
+    """
+
+    shares: tuple[float, ...] = tuple(np.geomspace(0.005, 0.32, 10).tolist())
+    false_alarm: float = 0.05
+    rank: float = 1e-9
+    difference: float = 1e-3
+
+
+REVERSALS = ReversalSettings()
+
+
+class Turning(NamedTuple):
+    """Dry friction of a joint over a range of speeds, its column at all rows, and its gain.
+
+    The gain is 1 less the squared error on rows left out over that of friction that turns at once.
+    """
+
+    effect: Effect
+    column: Array
+    gain: float
+
+
+def turned_rows(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data
+) -> tuple[FitRows, tuple[str, ...]]:
+    """The rows of a fit with dry friction that turns as they show, and sentences on that."""
+    regression = regression_of(robot, effects, data.train)
+    reduced = regression.select(base.columns)
+    used = certain_rows(effects, robot.joints, data.train)
+    top = top_speed(data.train)
+    turned = list[Effect]()
+    words = []
+    end = 10 * robot.nv
+    for effect in effects:
+        start = end
+        end += len(effect.parameters(robot))
+        if effect.turning(1.0) == effect:
+            turned.append(effect)
+            continue
+        for column, single in enumerate(effect.singles(), start):
+            [joint] = single.joints
+            turned.append(single)
+            if column not in base.columns:
+                continue
+            j = robot.joint_index(joint)
+            own = reduced.index[j] == base.columns.index(column)
+            fit = _LeftOut(reduced.columns[j], own, reduced.tau[:, j], used[:, j])
+            found = _turning(fit, single, robot, data, float(top[j]))
+            if found is None:
+                continue
+            turned[-1] = found.effect
+            regression = regression.with_column(column, j, found.column)
+            unit = "rad/s" if robot.revolute[j] else "m/s"
+            speed = f"{found.effect.turning_speed:.2g} {unit}"
+            less = 100 * (1 - np.sqrt(1 - found.gain))
+            words.append(f"{joint} {speed} (error {less:.0f} % less)")
+    rows = counted_rows(robot, turned if words else effects, base, data, regression)
+    if not words:
+        return rows, ()
+    sentence = (
+        "dry friction turns over a range of speeds at reversals, F_c tanh(q̇ / v), which "
+        "predicts parts of the recordings left out of a fit better than a jump, rows of rest "
+        f"included: v = {', '.join(words)}"
+    )
+    return rows, (sentence,)
+
+
+def _turning(
+    fit: _LeftOut, effect: Effect, robot: Robot, data: Data, top: float
+) -> Turning | None:
+    """The best of all ranges of speeds for one joint; None where friction turns at once."""
+    at_once = fit.errors(fit.own)
+    [j] = effect.rows(robot)
+    tried = []
+    for share in REVERSALS.shares:
+        candidate = effect.turning(share * top)
+        columns = effect_columns(robot, candidate, data.train)
+        column = columns.on(robot.nv)[:, j, 0]
+        gains = at_once**2 - fit.errors(column) ** 2
+        tried.append((Turning(candidate, column, float(gains.mean())), gains))
+    best, gains = max(tried, key=lambda each: each[0].gain)
+    if not (best.gain > 0 and chance_of_loss(gains) < REVERSALS.false_alarm):
+        return None
+    return best._replace(gain=best.gain / float((at_once**2).mean()))
+
+
+class _LeftOut:
+    """Errors of one joint's torque, (n,), by fits that leave out blocks of time.
+
+    Columns, shape (n, u), one of which is replaced; rows used, (n,), are fitted, all are judged.
+    """
+
+    def __init__(self, X: Array, own: Mask, tau: Array, used: Mask) -> None:
+        [self.own] = X[:, own].T
+        self.tau = tau
+        self.used = used
+        norms = np.linalg.norm(X[used], axis=0)
+        others = ~own & (norms > 0)
+        unit = X[:, others] / norms[others]
+        _, s, Vt = np.linalg.svd(np.linalg.qr(unit[used], mode="r"))
+        shown = s > REVERSALS.rank * s.max(initial=0.0)
+        self.basis = unit @ (Vt[: len(s)][shown].T / s[shown])
+        self.blocks = np.array_split(np.arange(len(tau)), BLOCKS)
+
+    def errors(self, column: Array) -> Array:
+        """Errors with this column, shape (n,), in place of its own."""
+        beyond = column - self.basis @ (self.basis[self.used].T @ column[self.used])
+        size = max(np.linalg.norm(beyond[self.used]), np.finfo(float).tiny)
+        Q = np.column_stack([self.basis, beyond / size])
+        counted = Q * self.used[:, None]
+        residual = self.tau - Q @ (counted.T @ self.tau)
+        whole = (1 + REVERSALS.rank) * np.eye(Q.shape[1])
+        errors = []
+        for block in self.blocks:
+            others = whole - counted[block].T @ counted[block]
+            score = counted[block].T @ residual[block]
+            change = np.linalg.solve(others, score)
+            errors.append(residual[block] + Q[block] @ change)
+        return np.concatenate(errors)
+
+
+def turning_spread(rows: FitRows, fit: LeastSquares, covariance: Array) -> Array:
+    """Change of all parameters by one standard deviation of log v of each joint, shape (p, k).
+
+    The covariance of all parameters, (p, p), is that for v known exactly.
+    """
+    slopes = []
+    beta = dict(zip(rows.base.columns, fit.beta, strict=True))
+    end = 10 * rows.robot.nv
+    for effect in rows.effects:
+        start = end
+        end += len(effect.parameters(rows.robot))
+        if not effect.turning_speed:
+            continue
+        speeds = effect.turning_speed * np.exp([0.0, REVERSALS.difference])
+        less, more = (
+            effect_columns(rows.robot, effect.turning(v), rows.data.train)
+            for v in speeds.tolist()
+        )
+        change = more.on(rows.robot.nv) - less.on(rows.robot.nv)
+        slopes.append(change * beta[start] / REVERSALS.difference)
+    if not slopes:
+        return np.zeros((len(covariance), 0))
+    D = np.concatenate(slopes, axis=2)
+    names = [f"log v {k + 1}" for k in range(len(slopes))]
+    try:
+        wider = weighted_least_squares(rows.reduced.with_columns(D, names))
+    except RankDeficient:
+        return np.zeros((len(covariance), 0))
+    root = np.linalg.cholesky(wider.covariance[len(beta) :, len(beta) :])
+    p = len(covariance)
+    gram = rows.regression.with_columns(D, names).gram(fit.weight**2)
+    return -covariance @ gram[:p, p:-1] @ root
