@@ -5,8 +5,9 @@ Transmissions that give way, lubricant and the filter of a current controller sp
 F_c tanh(q̇ / v) runs through that interval while |q̇| is below about v.
 
 A joint gets the v that predicts best what a fit has not seen, rows of rest included, if it predicts
-better than a jump by more than chance. Rows that count are left out in blocks of time: with Q their
-columns in an orthonormal basis, θ = Qᵀ τ and e = τ − Q θ, the fit to all blocks but b is
+better than a jump by more than chance, and no worse while the joint moves. Rows that count are left
+out in blocks of time: with Q their columns in an orthonormal basis, θ = Qᵀ τ and e = τ − Q θ, the
+fit to all blocks but b is
 
     θ_b = θ − (1 − Q_bᵀ Q_b)⁻¹ Q_bᵀ e_b.
 """
@@ -14,7 +15,7 @@ columns in an orthonormal basis, θ = Qᵀ τ and e = τ − Q θ, the fit to al
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -38,14 +39,17 @@ class ReversalSettings:
     Attributes:
         shares: Speeds tried over the highest speed of a joint: from where most reversals are
             shorter than a sample to where friction is hardly told from viscous; a step of 1.6
-            leaves v within 26 %.
-        false_alarm: Probability of a gain by chance from which on friction turns at once.
+            leaves v within 26 %. Slower than `Segment.least_speed`, it is the noise of speeds
+            that turns signs.
+        chance: Probability of a gain by chance from which on friction turns at once, and of a
+            loss at rows of motion up to which rest may be predicted at their cost: one standard
+            error of ten blocks (Breiman et al. 1984).
         rank: Singular value relative to the largest, below which columns are dependent.
         difference: Step of log v for the derivative of torque.
     """
 
-    shares: tuple[float, ...] = tuple(np.geomspace(0.005, 0.32, 10).tolist())
-    false_alarm: float = 0.05
+    shares: Array = field(default_factory=lambda: np.geomspace(0.005, 0.32, 10))
+    chance: float = 0.17
     rank: float = 1e-9
     difference: float = 1e-3
 
@@ -71,6 +75,7 @@ def turned_rows(
     regression = regression_of(robot, effects, data.train)
     reduced = regression.select(base.columns)
     used = certain_rows(effects, robot.joints, data.train)
+    least = np.max([s.least_speed for s in data.train], axis=0)
     top = top_speed(data.train)
     turned = list[Effect]()
     words = []
@@ -89,7 +94,8 @@ def turned_rows(
             j = robot.joint_index(joint)
             own = reduced.index[j] == base.columns.index(column)
             fit = _LeftOut(reduced.columns[j], own, reduced.tau[:, j], used[:, j])
-            found = _turning(fit, single, robot, data, float(top[j]))
+            speeds = [v for v in REVERSALS.shares * top[j] if v > least[j]]
+            found = _turning(fit, single, robot, data, speeds)
             if found is None:
                 continue
             turned[-1] = found.effect
@@ -110,22 +116,26 @@ def turned_rows(
 
 
 def _turning(
-    fit: _LeftOut, effect: Effect, robot: Robot, data: Data, top: float
+    fit: _LeftOut,
+    effect: Effect,
+    robot: Robot,
+    data: Data,
+    speeds: Sequence[float],
 ) -> Turning | None:
-    """The best of all ranges of speeds for one joint; None where friction turns at once."""
+    """The best of these speeds for one joint; None where friction turns at once."""
     at_once = fit.errors(fit.own)
     [j] = effect.rows(robot)
     tried = []
-    for share in REVERSALS.shares:
-        candidate = effect.turning(share * top)
+    for speed in speeds:
+        candidate = effect.turning(float(speed))
         columns = effect_columns(robot, candidate, data.train)
         column = columns.on(robot.nv)[:, j, 0]
         gains = at_once**2 - fit.errors(column) ** 2
-        tried.append((Turning(candidate, column, float(gains.mean())), gains))
-    best, gains = max(tried, key=lambda each: each[0].gain)
-    if not (best.gain > 0 and chance_of_loss(gains) < REVERSALS.false_alarm):
-        return None
-    return best._replace(gain=best.gain / float((at_once**2).mean()))
+        certain = chance_of_loss(gains) < REVERSALS.chance
+        if certain and chance_of_loss(-gains[fit.used]) > REVERSALS.chance:
+            gain = float(gains.mean() / (at_once**2).mean())
+            tried.append(Turning(candidate, column, gain))
+    return max(tried, key=lambda each: each.gain, default=None)
 
 
 class _LeftOut:

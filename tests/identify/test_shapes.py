@@ -15,7 +15,7 @@ from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.physical import fit_physical
 from excitant.identify.prior import prior_parameters
 from excitant.identify.rows import FitRows
-from excitant.identify.shapes import Shapes, refined_shapes
+from excitant.identify.shapes import Shapes, refined_shapes, widened
 from excitant.robots import Array, Robot
 from excitant.robots.effects import Effect, StribeckFriction, standard_effects
 from excitant.robots.effects.friction import NonlinearViscousFriction
@@ -102,16 +102,16 @@ def test_what_shapes_leave_open_widens_the_rest() -> None:
         moved = replace(found, effects=(*found.effects[:-1], other)).rows(rows)
         fits.append(weighted_least_squares(moved.reduced))
     expected = (fits[2].beta - fits[0].beta) / 2
-    widened = moved.base.regrouping @ found.spread
+    spread = moved.base.regrouping @ found.spread
     own = [moved.base.expressions.index(name) for name in ("joint2.Fs", "joint2.Fc", "joint2.Fv")]
     assert (np.abs(expected[own]) > 1e-4).all()
-    np.testing.assert_allclose(widened[own, 1], expected[own], rtol=0.2)
+    np.testing.assert_allclose(spread[own, 1], expected[own], rtol=0.2)
     fit = fits[1]
     R, z = moved.regression.factor(fit.weight)
     physical = fit_physical(R, z, prior_parameters(KNOWN.robot), moved.open_prior)
-    wide, wide_physical = found.widened(fit, physical, moved.base)
+    wide, wide_physical = widened(fit, physical, moved.base, found.spread)
     added = np.diag(wide.covariance - fit.covariance)
-    np.testing.assert_allclose(added, (widened**2).sum(axis=1), rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(added, (spread**2).sum(axis=1), rtol=1e-6, atol=1e-15)
     assert (np.diag(wide_physical.covariance - physical.covariance) >= 0).all()
 
 
