@@ -38,20 +38,21 @@ class ReversalSettings:
 
     Attributes:
         shares: Speeds tried over the highest speed of a joint: from where most reversals are
-            shorter than a sample to where friction is hardly told from viscous; a step of 1.6
-            leaves v within 26 %. Slower than `Segment.least_speed`, it is the noise of speeds
-            that turns signs.
+            shorter than a sample to where friction is hardly told from viscous. Slower than
+            `Segment.least_speed`, it is the noise of speeds that turns signs.
         chance: Probability of a gain by chance from which on friction turns at once, and of a
             loss at rows of motion up to which rest may be predicted at their cost: one standard
             error of ten blocks (Breiman et al. 1984).
         rank: Singular value relative to the largest, below which columns are dependent.
         difference: Step of log v for the derivative of torque.
+        rounds: Gauss-Newton steps of log v from the best of these speeds; two or three settle.
     """
 
     shares: Array = field(default_factory=lambda: np.geomspace(0.005, 0.32, 10))
     chance: float = 0.17
     rank: float = 1e-9
     difference: float = 1e-3
+    rounds: int = 5
 
 
 REVERSALS = ReversalSettings()
@@ -124,18 +125,46 @@ def _turning(
 ) -> Turning | None:
     """The best of these speeds for one joint; None where friction turns at once."""
     at_once = fit.errors(fit.own)
-    [j] = effect.rows(robot)
     tried = []
     for speed in speeds:
         candidate = effect.turning(float(speed))
-        columns = effect_columns(robot, candidate, data.train)
-        column = columns.on(robot.nv)[:, j, 0]
+        column = _column(candidate, robot, data)
         gains = at_once**2 - fit.errors(column) ** 2
         certain = chance_of_loss(gains) < REVERSALS.chance
         if certain and chance_of_loss(-gains[fit.used]) > REVERSALS.chance:
             gain = float(gains.mean() / (at_once**2).mean())
             tried.append(Turning(candidate, column, gain))
-    return max(tried, key=lambda each: each.gain, default=None)
+    if not tried:
+        return None
+    best = max(tried, key=lambda each: each.gain)
+    return _refined(fit, best, robot, data)
+
+
+def _refined(fit: _LeftOut, found: Turning, robot: Robot, data: Data) -> Turning:
+    """The same with v between the neighbours on the grid at which squared errors are least."""
+    start = found.effect.turning_speed
+    grid = np.log(REVERSALS.shares)
+    apart = float(grid[1] - grid[0])
+    log_ratio = 0.0
+    for _ in range(REVERSALS.rounds):
+        effect, ahead = (
+            found.effect.turning(start * float(np.exp(log_ratio + change)))
+            for change in (0.0, REVERSALS.difference)
+        )
+        column = _column(effect, robot, data)
+        slope = (_column(ahead, robot, data) - column) / REVERSALS.difference
+        force, change = fit.coefficients(np.column_stack([column, slope]))
+        found = found._replace(effect=effect, column=column)
+        if not force > 0:
+            break
+        log_ratio = float(np.clip(log_ratio + change / force, -apart, apart))
+    return found
+
+
+def _column(effect: Effect, robot: Robot, data: Data) -> Array:
+    """Torque of an effect on one joint per unit, at all rows, shape (n,)."""
+    [j] = effect.rows(robot)
+    return effect_columns(robot, effect, data.train).on(robot.nv)[:, j, 0]
 
 
 class _LeftOut:
@@ -155,6 +184,13 @@ class _LeftOut:
         shown = s > REVERSALS.rank * s.max(initial=0.0)
         self.basis = unit @ (Vt[: len(s)][shown].T / s[shown])
         self.blocks = np.array_split(np.arange(len(tau)), BLOCKS)
+
+    def coefficients(self, columns: Array) -> Array:
+        """Those of columns, shape (n, k), in place of its own in the fit to all rows, (k,)."""
+        X = columns[self.used]
+        basis = self.basis[self.used]
+        beyond = X - basis @ (basis.T @ X)
+        return np.linalg.lstsq(beyond, self.tau[self.used], rcond=REVERSALS.rank)[0]
 
     def errors(self, column: Array) -> Array:
         """Errors with this column, shape (n,), in place of its own."""

@@ -12,6 +12,7 @@ from excitant.identify import Estimate, Recording, identify_link_by_link, identi
 from excitant.identify.faults import find_faults
 from excitant.identify.preprocessing import prepare
 from excitant.robots import Array, Motion, load_robot
+from excitant.robots.effects import standard_effects
 
 ARM = load_robot("planar_2r")
 DRIVES = {"Fv": [0.5, 0.3], "Fc": [1.0, 0.6], "offset": [0.2, -0.1], "Ia": [0.05, 0.02]}
@@ -21,11 +22,11 @@ STEP = 2 * np.pi / 2**16  # rad
 
 
 def run(
-    seed: int, moving: Sequence[int] = (0, 1), toggling: bool = False, duration: float = 10.0
+    seed: int, moving: Sequence[int] = (0, 1), toggling=False, duration=10.0, turning=1e-9
 ) -> Recording:
-    """A recording at 200 Hz; joints at rest are held by friction with as little change as it can.
+    """At 200 Hz; joints at rest are held by friction with as little change as it can.
 
-    A reading that toggles is one of two neighbouring steps at random.
+    Friction turns below a speed; a reading that toggles is one of two neighbouring steps at random.
     """
     rng, t = np.random.default_rng(seed), np.arange(0, duration, 1 / 200)
     path = random_trajectory(ARM, rng, duration, 5)
@@ -33,6 +34,7 @@ def run(
     still = [j for j in range(2) if j not in moving]
     q[:, still], dq[:, still], ddq[:, still] = 0.7, 0.0, 0.0
     tau, read = TRUTH.torque(Motion(t, q, dq, ddq)), STEP * np.round(q / STEP)
+    tau += TRUTH.Fc * (np.tanh(dq / turning) - np.sign(dq))
     for j in still:
         held = tau[0, j] + TRUTH.Fc[j]
         for row in tau:
@@ -64,6 +66,23 @@ def test_recordings_in_which_a_joint_rests_spoil_nothing(good, count, toggling):
     assert (found.validate.rms < 1.1 * good.validate.rms).all()
     assert (np.abs(friction(found) - TRUTH.Fc) < 0.02).all()
     assert any("joint2" in note and "left out of the fit" in note for note in found.notes)
+
+
+def test_friction_turns_over_the_speeds_over_which_that_of_the_arm_turns() -> None:
+    logs, held = [run(k, turning=0.2) for k in (1, 2)], [run(100, turning=0.2)]
+    found, sharp = (
+        identify_robot(ARM, logs, validate=held, effects=effects)
+        for effects in (None, standard_effects(ARM.joints))
+    )
+    turned = [e for e in found.model.effects if e.turning_speed]
+    assert [e.turning_speed for e in turned] == pytest.approx([0.2, 0.2], rel=0.26)
+    assert (found.validate.rms_all < 0.8 * sharp.validate.rms_all).all()
+    assert sum("dry friction turns" in note for note in found.notes) == 1
+    effects = [e.without_values() for e in found.model.effects]
+    known = identify_robot(ARM, logs, validate=held, effects=effects)
+    places = [found.base.names.index(f"{joint}.Fc") for joint in ARM.joints]
+    assert (found.std[places] > 1.05 * known.std[places]).all()  # v is not known exactly
+    assert (np.abs(friction(found) - TRUTH.Fc) < 4 * found.std[places]).all()
 
 
 @pytest.mark.parametrize("toggling", [False, True])
