@@ -206,7 +206,8 @@ def held_by(arm: Robot, file_format: str) -> Robot:
     for effect in arm.effects:
         if file_format not in effect.export.formats:
             continue
-        whole = replace(effect, joints=arm.joints)
+        # no format has friction that turns over a range of speeds
+        whole = replace(effect.turning(0.0), joints=arm.joints)
         values = np.zeros(arm.nv)
         if before := effects.get(effect.export.joint_property):
             values += before.values or ()
