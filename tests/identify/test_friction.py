@@ -55,8 +55,8 @@ def test_true_friction_lies_in_the_interval(planar: Robot, runs: Call, own_steps
         fit, held = runs(planar, seed)
         for j, curve in enumerate(friction_curves(identify_robot(planar, fit, validate=held))):
             Fv, Fc = (given[f"{kind}_friction"][j] for kind in ("viscous", "coulomb"))
-            true = Fv * curve.velocity + Fc * np.sign(curve.velocity)
-            inside.append((np.abs(true - curve.torque) <= curve.half_width).mean())
+            error = Fv * curve.velocity + Fc * np.sign(curve.velocity) - curve.torque
+            inside.append((np.abs(error) <= curve.half_width).mean())
     assert np.mean(inside) > 0.8  # by chance below in one of some hundred such sets
 
 
@@ -70,7 +70,7 @@ def test_curves_of_currents_are_told_as_the_coefficients_are(planar, recordings)
             v, (Fv, Fc) = curve.velocity, (rows[f"{curve.joint}.{x}"] for x in ("Fv", "Fc"))
             np.testing.assert_allclose(curve.torque, Fv * v + Fc * np.sign(v))
             gain = known.drive.gains[j] if unit == "N·m" else 1.0
-            assert curve.unit == unit and curve.per_reading == pytest.approx(gain)
+            assert (curve.unit, curve.per_reading) == (unit, pytest.approx(gain))
 
 
 def test_joints_without_friction_have_no_curve(planar: Robot, recordings: list[Recording]) -> None:
@@ -78,7 +78,7 @@ def test_joints_without_friction_have_no_curve(planar: Robot, recordings: list[R
     curves = friction_curves(found := identify_robot(planar, recordings[0], effects=effects))
     assert curves[1] is None
     arrays = curves_over_velocity(curves)
-    names = ("friction_velocity", "friction_torque", "friction_half_width")
+    names = {f"friction_{name}" for name in ("velocity", "torque", "half_width")}
     assert {name: x.shape for name, x in arrays.items()} == dict.fromkeys(names, (100, 2))
     assert np.isnan(arrays["friction_torque"][:, 1]).all()
     assert ["friction" in joint for joint in found.result()["joints"]] == [True, False]

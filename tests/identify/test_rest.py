@@ -66,13 +66,12 @@ def test_friction_turns_over_the_speeds_over_which_that_of_the_arm_turns() -> No
     found, jump = (identify_robot(ARM, logs, validate=held, effects=x) for x in (None, SHARP))
     effects = [e.without_values() for e in found.model.effects]
     known = identify_robot(ARM, logs, validate=held, effects=effects)
-    speeds = [e.turning_speed for e in effects if e.turning_speed]
-    assert speeds == pytest.approx([0.2, 0.2], rel=0.26)
+    assert [x for e in effects if (x := e.turning_speed)] == pytest.approx([0.2, 0.2], rel=0.26)
     assert (found.validate.rms_all < 0.8 * jump.validate.rms_all).all()
     std, exact = (
         x.std[[x.base.names.index(f"{j}.Fc") for j in ARM.joints]] for x in (found, known)
     )
-    assert (std > 1.05 * exact).all() and (np.abs(friction(found) - TRUTH.Fc) < 4 * std).all()
+    assert ((std > 1.05 * exact) & (np.abs(friction(found) - TRUTH.Fc) < 4 * std)).all()
 
 
 @pytest.mark.parametrize("toggling", [False, True])
@@ -80,14 +79,14 @@ def test_one_joint_at_a_time_as_in_the_papers_offline_procedure(toggling: bool) 
     single = [run(20 + k, (k % 2,), toggling, 4.0) for k in range(4)]
     found = identify_link_by_link(ARM, [*single, run(1)], validate=HOLDOUT)
     both = found.estimate, found.all_at_once
-    assert not found.refusal and (np.abs([*map(friction, both)] - TRUTH.Fc) < 0.02).all()
+    assert not found.refusal
+    assert (np.abs([*map(friction, both)] - TRUTH.Fc) < 0.02).all()
     assert (np.abs(both[0].validate.rms / both[1].validate.rms - 1) < 0.03).all()
 
 
 def test_a_reading_that_toggles_has_no_direction() -> None:
     rng, step, t = np.random.default_rng(0), 2 * np.pi / 2**12, np.arange(0, 20, 1 / 500)
-    slow = np.cumsum(rng.random((len(t), 3)) < [0.5, 0.02, 0.002], axis=0) % 2
-    readings = 1.0 + step * slow
+    readings = 1 + step * (np.cumsum(rng.random((len(t), 3)) < [0.5, 0.02, 0.002], axis=0) % 2)
     [segment] = prepare(Recording("n", "f.csv", t, readings, np.zeros_like(readings)))
     assert not segment.motion.dq.any()  # held exactly
     creeping = 1.0 + step * np.round(0.3 * t[:, None] / step)
