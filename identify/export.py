@@ -34,7 +34,7 @@ from excitant.identify.objections import (
 from excitant.identify.preprocessing import Mask, Segment
 from excitant.identify.refit import Refit
 from excitant.identify.rows import predicted_torque
-from excitant.robots.effects import Effect, effect_entries, plain
+from excitant.robots.effects import Effect, effect_entries, plain, turning
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
 from excitant.robots.robot import Robot
@@ -207,7 +207,7 @@ def held_by(arm: Robot, file_format: str) -> Robot:
         if file_format not in effect.export.formats:
             continue
         # no format has friction that turns over a range of speeds
-        whole = replace(effect.turning(0.0), joints=arm.joints)
+        whole = replace(turning(effect, 0.0), joints=arm.joints)
         values = np.zeros(arm.nv)
         if before := effects.get(effect.export.joint_property):
             values += before.values or ()

@@ -27,7 +27,7 @@ from excitant.identify.preprocessing import Mask, certain_rows, top_speed
 from excitant.identify.regression import effect_columns, regression_of
 from excitant.identify.rows import Data, FitRows, counted_rows
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.effects import Effect
+from excitant.robots.effects import Effect, turning, turning_speed
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -84,7 +84,7 @@ def turned_rows(
     for effect in effects:
         start = end
         end += len(effect.parameters(robot))
-        if effect.turning(1.0) == effect:
+        if turning(effect, 1.0) == effect:
             turned.append(effect)
             continue
         for column, single in enumerate(effect.singles(), start):
@@ -102,7 +102,7 @@ def turned_rows(
             turned[-1] = found.effect
             regression = regression.with_column(column, j, found.column)
             unit = "rad/s" if robot.revolute[j] else "m/s"
-            speed = f"{found.effect.turning_speed:.2g} {unit}"
+            speed = f"{turning_speed(found.effect):.2g} {unit}"
             less = 100 * (1 - np.sqrt(1 - found.gain))
             words.append(f"{joint} {speed} (error {less:.0f} % less)")
     rows = counted_rows(robot, turned if words else effects, base, data, regression)
@@ -127,7 +127,7 @@ def _turning(
     at_once = fit.errors(fit.own)
     tried = []
     for speed in speeds:
-        candidate = effect.turning(float(speed))
+        candidate = turning(effect, float(speed))
         column = _column(candidate, robot, data)
         gains = at_once**2 - fit.errors(column) ** 2
         certain = chance_of_loss(gains) < REVERSALS.chance
@@ -142,13 +142,13 @@ def _turning(
 
 def _refined(fit: _LeftOut, found: Turning, robot: Robot, data: Data) -> Turning:
     """The same with v between the neighbours on the grid at which squared errors are least."""
-    start = found.effect.turning_speed
+    start = turning_speed(found.effect)
     grid = np.log(REVERSALS.shares)
     apart = float(grid[1] - grid[0])
     log_ratio = 0.0
     for _ in range(REVERSALS.rounds):
         effect, ahead = (
-            found.effect.turning(start * float(np.exp(log_ratio + change)))
+            turning(found.effect, start * float(np.exp(log_ratio + change)))
             for change in (0.0, REVERSALS.difference)
         )
         column = _column(effect, robot, data)
@@ -220,11 +220,11 @@ def turning_spread(rows: FitRows, fit: LeastSquares, covariance: Array) -> Array
     for effect in rows.effects:
         start = end
         end += len(effect.parameters(rows.robot))
-        if not effect.turning_speed:
+        if not turning_speed(effect):
             continue
-        speeds = effect.turning_speed * np.exp([0.0, REVERSALS.difference])
+        speeds = turning_speed(effect) * np.exp([0.0, REVERSALS.difference])
         less, more = (
-            effect_columns(rows.robot, effect.turning(v), rows.data.train)
+            effect_columns(rows.robot, turning(effect, v), rows.data.train)
             for v in speeds.tolist()
         )
         change = more.on(rows.robot.nv) - less.on(rows.robot.nv)

@@ -62,6 +62,8 @@ from excitant.robots.effects.base import (
     proposals,
     registered,
     standard_effects,
+    turning,
+    turning_speed,
 )
 from excitant.robots.effects.experiments import (
     separating_experiment,
@@ -129,4 +131,6 @@ __all__ = [
     "registered",
     "separating_experiment",
     "standard_effects",
+    "turning",
+    "turning_speed",
 ]

@@ -354,15 +354,6 @@ class Effect(ABC):
         change: dict[str, Any] = {name: value}
         return replace(self, **change)
 
-    @property
-    def turning_speed(self) -> float:
-        """Speed below which its dry friction turns; 0: it turns at once [rad/s or m/s]."""
-        return 0.0
-
-    def turning(self, speed: float) -> Self:
-        """The effect with dry friction that turns over a range of speeds; others as they are."""
-        return self
-
     def singles(self) -> list[Self]:
         """The effect without values, joint by joint where each has coefficients of its own."""
         usual = self.without_values()
@@ -546,6 +537,17 @@ def merged(effects: Iterable[Effect]) -> list[Effect]:
         replace(kind, joints=tuple(joints)) for kind, joints in kinds.items()
     ]
     return [*together, *others]
+
+
+def turning_speed(effect: Effect) -> float:
+    """Speed below which dry friction turns; 0 where it turns at once [rad/s or m/s]."""
+    return float(vars(effect).get("turning_speed", 0.0))
+
+
+def turning(effect: Effect, speed: float) -> Effect:
+    """An effect with dry friction that turns over a range of speeds; others as they are."""
+    known = "turning_speed" in vars(effect)
+    return effect.reshaped("turning_speed", speed) if known else effect
 
 
 def effect_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:

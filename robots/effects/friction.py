@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -114,9 +113,6 @@ class CoulombFriction(_StandardFriction):
     def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
         v = self.turning_speed
         return (np.tanh(dq / v) if v > 0 else np.sign(dq),)
-
-    def turning(self, speed: float) -> Self:
-        return replace(self, turning_speed=speed)
 
 
 def _brakes(

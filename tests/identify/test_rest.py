@@ -10,7 +10,7 @@ from excitant.identify import Estimate, Recording, identify_link_by_link, identi
 from excitant.identify.faults import find_faults
 from excitant.identify.preprocessing import prepare
 from excitant.robots import Array, Motion, load_robot
-from excitant.robots.effects import standard_effects
+from excitant.robots.effects import standard_effects, turning_speed
 
 ARM = load_robot("planar_2r")
 DRIVES = {"Fv": [0.5, 0.3], "Fc": [1.0, 0.6], "offset": [0.2, -0.1], "Ia": [0.05, 0.02]}
@@ -66,7 +66,7 @@ def test_friction_turns_over_the_speeds_over_which_that_of_the_arm_turns() -> No
     found, jump = (identify_robot(ARM, logs, validate=held, effects=x) for x in (None, SHARP))
     effects = [e.without_values() for e in found.model.effects]
     known = identify_robot(ARM, logs, validate=held, effects=effects)
-    assert [x for e in effects if (x := e.turning_speed)] == pytest.approx([0.2, 0.2], rel=0.26)
+    assert [x for e in effects if (x := turning_speed(e))] == pytest.approx([0.2, 0.2], rel=0.26)
     assert (found.validate.rms_all < 0.8 * jump.validate.rms_all).all()
     std, exact = (
         x.std[[x.base.names.index(f"{j}.Fc") for j in ARM.joints]] for x in (found, known)
