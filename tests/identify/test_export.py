@@ -339,9 +339,8 @@ def test_without_dry_friction_they_need_exactly_that(written: Written, currents:
 
 def test_mujoco_agrees_on_a_real_arm(data_folder: Path) -> None:
     """Whose wrist turns so slowly that MuJoCo's usual friction has half of its torque there."""
-    data = load_dataset(data_folder / "ur10")
-    sharp = fx.standard_effects(data.robot.joints)
-    found = identify_robot(data.robot, data.recordings([]), effects=sharp)
+    s = load_dataset(data_folder / "ur10")
+    found = identify_robot(s.robot, s.recordings([]), effects=fx.standard_effects(s.robot.joints))
     assert max(joint["differs"] for joint in side_by_side(found).result()["joints"]) < AGREE
 
 
