@@ -12,7 +12,7 @@ import shutil
 import stat
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from os.path import exists, isdir
+from os.path import exists, isdir, lexists
 from pathlib import Path
 
 from excitant.exceptions import BadInput
@@ -57,8 +57,9 @@ def read_text(path: str | Path, most: int = LARGEST) -> str:
 
 def require_replaceable(folder: str | Path) -> None:
     """Refuse, as BadInput, a folder that `write_folder` could not put in place."""
-    path = Path(folder).resolve()
-    parent = next(each for each in path.parents if exists(each))
+    path = Path(os.path.realpath(folder))
+    # a link that leads nowhere is there, though nothing can be written in it
+    parent = next((each for each in path.parents if lexists(each)), path)
     why = ""
     if exists(path) and not isdir(path):
         why = "is a file"
@@ -67,7 +68,7 @@ def require_replaceable(folder: str | Path) -> None:
     elif os.path.ismount(path):
         why = "is a mount point, which cannot be replaced as a whole"
     elif not isdir(parent):
-        why = f"{parent} is a file"
+        why = f"{parent} is no folder"
     elif not os.access(parent, os.W_OK | os.X_OK):
         why = f"nothing can be written in {parent}"
     if why:

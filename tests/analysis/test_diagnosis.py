@@ -352,7 +352,8 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     assert headline(diagnosis).endswith(at_rest(diagnosis))
 
 
-@pytest.mark.parametrize(("name", "link"), [("ur10", 3), slow("puma560", 3)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "link"), [("ur10", 3), ("puma560", 3)])
 def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(name, link, diagnosed):
     robot = load_robot(name)
     bodies = robot.phi.reshape(-1, 10).copy()

@@ -171,6 +171,7 @@ def wrong_columns(rng: np.random.Generator) -> Problem:
     return problem(seen, measured(rng, 0.5), again)
 
 
+@pytest.mark.slow
 def test_instruments_take_away_the_bias_that_wrong_columns_make() -> None:
     found, plain = draws(("iv", "wls"), wrong_columns, 60)
     assert (biased(plain[0])[1:3] > 10).all()

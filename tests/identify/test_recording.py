@@ -23,7 +23,6 @@ from arms import truth
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, recorded, smooth_motion
-from marks import slow
 
 from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
@@ -258,7 +257,8 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
     return (whole.take(slice(k, k + rows)) for k in range(0, len(whole), rows))
 
 
-@pytest.mark.parametrize("jitter", [0.0, slow(0.3)])
+@pytest.mark.slow
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
 def test_windows_of_a_long_log_give_its_estimate(jitter: float, monkeypatch: Any) -> None:
     monkeypatch.setattr("excitant.identify.dataset.WINDOW_S", 6.0)
     t = np.arange(120_000) / RATE
