@@ -109,6 +109,12 @@ def write_folder(
     """
     require_replaceable(folder)
     target = Path(folder).resolve()
+    for name in contents:
+        if isdir(target / name):
+            raise BadInput(
+                f"{Path(folder) / name}: is a folder where a file is to be written; "
+                "move it, or choose another folder"
+            )
     with _put_aside(target) as stage:
         new = stage / "run"
         if exists(target):
