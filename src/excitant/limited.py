@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -57,6 +56,8 @@ def in_child(
     """
     if not isinstance(work, str):
         work = f"{work.__module__}.{work.__name__}"
+    import subprocess  # which the child does without
+
     task = [work, arguments, seconds, memory, files]
     folders = os.pathsep.join(filter(None, sys.path))
     environment = {**os.environ, "PYTHONPATH": folders, "OMP_NUM_THREADS": "1"}
