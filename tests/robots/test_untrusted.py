@@ -4,7 +4,6 @@ import contextlib
 import os
 import resource
 import shutil
-import time
 import warnings
 from pathlib import Path
 
@@ -195,6 +194,49 @@ def shaped(shape: str) -> str:
     return arm(shape=SHAPE.format(shape))
 
 
+PARTS = {  # of an MJCF, by which it names a file
+    "include": ("", '<include file="{}"/>'),
+    "model": ("", '<asset><model name="m" file="{}"/></asset>'),
+    "mesh": ('<geom type="mesh" mesh="m"/>', '<asset><mesh name="m" file="{}"/></asset>'),
+    "hfield": ("", '<asset><hfield name="m" file="{}" size="1 1 1 1"/></asset>'),
+}
+BUILT = '<asset><mesh name="m" builtin="{}" params="{}"/></asset>'
+SHAPES = ("cone 1{}00000 .1", "torus {}000000 .3", "supersphere 1{}00 1 1", "wedge {}00 999 .5 1 1")
+GREEDY = {  # what stands before the bodies, and in one, with a number
+    "flexcomp": ("", '<flexcomp name="f" type="grid" count="{} 20 20" spacing="1 1 1" dim="3"/>'),
+    "drive": ('<compiler><lengthrange mode="all" inttotal="1e9" timestep="{}e-8"/></compiler>'
+              '<actuator><general joint="j"/></actuator>', ""),
+    "bodies": ("", '<body><geom size=".1"/></body>' * 20_000),
+    "copies": ("", '<replicate count="20"><replicate count="{}"/></replicate>'),
+    "cable": ("", '<composite prefix="c" count="{}000 9 1" type="cable"/>'),
+    "grid": ('<asset><hfield name="h" nrow="{}00" ncol="99" size="1 1 1 1"/></asset>', ""),
+    "keys": ('<size nkey="{}00000000"/>', ""),
+    "memory": ('<size memory="{}T"/>', ""),
+}  # fmt: skip
+GREED, ELSEWHERE = (
+    "too much|no arm needs|builds more|memory",
+    "--package|missing|no file|cannot read",
+)
+
+
+def attacks(rng: np.random.Generator) -> dict[str, tuple[str, str]]:
+    """Small MJCF that take much, and such that name a file beside their folder."""
+    found, number = {}, str(rng.integers(21, 25))
+    for shape in SHAPES:
+        built = BUILT.format(*shape.format(number).split(" ", 1))
+        found[shape.split()[0]] = mjcf(built, PARTS["mesh"][0]), GREED
+    for name, (before, inside) in GREEDY.items():
+        found[name] = mjcf(before.format(number), inside.format(number)), GREED
+    for kind, (shape, part) in PARTS.items():
+        name = "w.stl" if kind == "mesh" else "up.xml"
+        ways = (f"../{name}", f"none{number}/../../{name}", f"..\\{name}", f"linked{name[-4:]}")
+        ways += (f"a\\..\\..\\{name}", f".//../{name}", "pipe")
+        texts = [mjcf(part.format(way), shape) for way in ways]
+        texts.append(mjcf('<compiler assetdir=".."/>' + part.format(name), shape))
+        found |= {f"{kind}{k}": (text, ELSEWHERE) for k, text in enumerate(texts)}
+    return {f"{name}.xml": case for name, case in found.items()}
+
+
 FILES: dict[str, tuple[str, str]] = {  # what stands in a file, what is said
     "itself.xml": (mjcf('<include file="itself.xml"/>'), "already included"),
     "chain.xml": (mjcf('<include file="i0.xml"/>'), "200 files"),
@@ -228,16 +270,27 @@ FILES: dict[str, tuple[str, str]] = {  # what stands in a file, what is said
 }
 
 
-@pytest.mark.parametrize("file", FILES)
-def test_other_files_neither_reach_nor_build_what_they_may_not(folder, refused, capfd, file):
-    text, words = FILES[file]
+DRAWN = [(seed, file) for seed in range(3) for file in attacks(np.random.default_rng(0))]
+
+
+@pytest.mark.parametrize(("seed", "file"), [*((0, file) for file in FILES), *DRAWN])
+def test_other_files_neither_reach_nor_build_what_they_may_not(
+    folder, refused, capfd, monkeypatch, seed, file
+):
+    monkeypatch.setattr(reader, "SECONDS", 3)
+    text, words = (FILES | attacks(np.random.default_rng(seed)))[file]
+    for name in ("up.xml", "w.stl"):
+        (folder / f"linked{name[-4:]}").symlink_to(folder.parent / name)
+    (folder.parent / "up.xml").write_text(mjcf("").replace('name="', 'name="hidden'))
+    shutil.copy(DATA / "wedge.stl", folder.parent / "w.stl")
     for k in range(201 if file == "chain.xml" else 0):
         (folder / f"i{k}.xml").write_text(f'<mujoco><include file="i{k + 1}.xml"/></mujoco>')
     if text:
         (folder / file).write_text(text)
-    start, before = time.process_time(), {*folder.iterdir()}
-    refused(words, load_robot, folder / file)
-    assert time.process_time() - start < SECONDS
+    start, before = sum(os.times()[:4]), {*folder.iterdir()}  # of this process and its children
+    assert "hidden" not in refused(words, load_robot, folder / file)
+    assert sum(os.times()[:4]) - start < SECONDS
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 2 << 20  # KiB
     assert {*folder.iterdir()} == before  # such as a log of MuJoCo's
     assert capfd.readouterr() == ("", "")
 
@@ -277,63 +330,7 @@ def test_a_data_set_names_no_robot_elsewhere(folder: Path, refused: Call) -> Non
     refused(r"dataset\.json", load_dataset, folder, error=BadInput)
 
 
-# Attacks drawn by chance
-
-PARTS = {
-    "include": ("", '<include file="{}"/>'),
-    "model": ("", '<asset><model name="m" file="{}"/></asset>'),
-    "mesh": ('<geom type="mesh" mesh="m"/>', '<asset><mesh name="m" file="{}"/></asset>'),
-    "hfield": ("", '<asset><hfield name="m" file="{}" size="1 1 1 1"/></asset>'),
-}
-
-
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("kind", PARTS)
-def test_an_mjcf_reads_no_file_elsewhere(folder, refused, kind, seed):
-    rng, name = np.random.default_rng(seed), "w.stl" if kind == "mesh" else "up.xml"
-    shutil.copy(DATA / "wedge.stl", folder.parent / "w.stl")
-    (folder.parent / "up.xml").write_text(mjcf("").replace('name="', 'name="hidden'))
-    (folder / f"linked{name[-4:]}").symlink_to(folder.parent / name)
-    ways = (f"../{name}", f"none{rng.integers(99)}/../../{name}", f"..\\{name}", "pipe")
-    ways += (f"a\\..\\..\\{name}", str(folder.parent / name), f"linked{name[-4:]}", f".//../{name}")
-    shape, part = PARTS[kind]
-    part = part.format(ways[seed])
-    if rng.random() < 0.5 and kind in ("mesh", "hfield"):
-        part = f'<compiler {rng.choice(["meshdir", "assetdir"])}="."/>{part}'
-    (folder / "arm.xml").write_text(mjcf('<include file="part.xml"/>' if seed % 2 else part, shape))
-    (folder / "part.xml").write_text(f"<mujoco>{part}</mujoco>")
-    words = "--package|missing|no file|cannot read"
-    assert "hidden" not in refused(words, load_robot, folder / "arm.xml", error=BadRobot)
-
-
-BUILT = '<asset><mesh name="m" builtin="{}" params="{}"/></asset>'
-SHAPES = ("cone 1{}00000 .1", "torus {}000000 .3", "supersphere 1{}00 1 1", "wedge {}00 999 .5 1 1")
-GREEDY = dict.fromkeys(SHAPES, ("", '<geom type="mesh" mesh="m"/>')) | {
-    "flexcomp": ("", '<flexcomp name="f" type="grid" count="{} 20 20" spacing="1 1 1" dim="3"/>'),
-    "length": ('<compiler><lengthrange mode="all" inttotal="1e9" timestep="{}e-8"/></compiler>'
-               '<actuator><general joint="j"/></actuator>', ""),
-    "bodies": ("", '<body><geom size=".1"/></body>' * 20_000),
-    "copies": ("", '<replicate count="20"><replicate count="{}"/></replicate>'),
-    "cable": ("", '<composite prefix="c" count="{}000 9 1" type="cable"/>'),
-    "grid": ('<asset><hfield name="h" nrow="{}00" ncol="99" size="1 1 1 1"/></asset>', ""),
-    "memory": ('<size memory="{}T"/>', ""),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("name", GREEDY)
-def test_a_small_mjcf_takes_little(folder, refused, monkeypatch, name, seed):
-    monkeypatch.setattr(reader, "SECONDS", 3)
-    number = np.random.default_rng(seed).integers(21, 25)
-    before, inside = (text.format(number) for text in GREEDY[name])
-    if name in SHAPES:
-        before = BUILT.format(*name.format(number).split(" ", 1))
-    (folder / "arm.xml").write_text(mjcf(before, inside))
-    start = sum(os.times()[:4])
-    refused("too much|no arm needs|builds more|memory", load_robot, folder / "arm.xml")
-    assert sum(os.times()[:4]) - start < SECONDS
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 2 << 20  # KiB
-
+# Meshes and packages
 
 DAE = """<COLLADA version="1.4.1"><library_nodes><node id="n"><instance_node url="#n"/></node>
 </library_nodes><library_visual_scenes><visual_scene id="s">{}</visual_scene>
