@@ -113,9 +113,7 @@ class _Parts:
     def text(self, path: Path) -> str:
         """Text of an MJCF that includes nothing, draws nothing, and names files as we do."""
         root = self._root(path)
-        inside = dict[
-            Element, str
-        ]()  # folder, below that of the MJCF, of what was included
+        inside: dict[Element, str] = {}  # folder of the file that includes it
         self._include(root, path.parent, "", {real_path(path)}, inside)
         _check_sizes(root, self.path)
         _leave_out_drawing(root)

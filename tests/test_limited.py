@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from excitant.files import read_bytes
 from excitant.limited import Exceeded, in_child
 
 WORK = """
@@ -67,3 +68,9 @@ def test_a_child_that_crashes_leaves_the_parts_it_had_finished(work: Callable[..
     with pytest.raises(Exceeded, match="crash") as ended:
         work("crashes")
     assert ended.value.output == b"first part"
+
+
+def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="pipe"):
+        read_bytes(tmp_path / "pipe")

@@ -240,6 +240,7 @@ def attacks(rng: np.random.Generator) -> dict[str, tuple[str, str]]:
 FILES: dict[str, tuple[str, str]] = {  # what stands in a file, what is said
     "itself.xml": (mjcf('<include file="itself.xml"/>'), "already included"),
     "chain.xml": (mjcf('<include file="i0.xml"/>'), "200 files"),
+    "levels.xml": (mjcf('<include file="i99.xml"/>'), "100 levels"),
     "place.xml": (mjcf("", '<body pos="nan 0 0"/>'), r"not finite .*\(pos\)"),
     "large.xml": (mjcf("", '<body pos="1e200 0 0"/>'), r"beyond .*\(pos\)"),
     "option.xml": (mjcf('<option gravity="0 0 inf"/>'), "gravity"),
@@ -283,8 +284,9 @@ def test_other_files_neither_reach_nor_build_what_they_may_not(
         (folder / f"linked{name[-4:]}").symlink_to(folder.parent / name)
     (folder.parent / "up.xml").write_text(mjcf("").replace('name="', 'name="hidden'))
     shutil.copy(DATA / "wedge.stl", folder.parent / "w.stl")
-    for k in range(201 if file == "chain.xml" else 0):
-        (folder / f"i{k}.xml").write_text(f'<mujoco><include file="i{k + 1}.xml"/></mujoco>')
+    for k in range(201 if file in ("chain.xml", "levels.xml") else 0):
+        part = f'<a><include file="i{k + 1}.xml"/></a>' if k < 200 else ""
+        (folder / f"i{k}.xml").write_text(f"<mujoco>{part}</mujoco>")
     if text:
         (folder / file).write_text(text)
     start, before = sum(os.times()[:4]), {*folder.iterdir()}  # of this process and its children
