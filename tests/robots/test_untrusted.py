@@ -228,7 +228,7 @@ def attacks(rng: np.random.Generator) -> dict[str, tuple[str, str]]:
     for name, (before, inside) in GREEDY.items():
         found[name] = mjcf(before.format(number), inside.format(number)), GREED
     for kind, (shape, part) in PARTS.items():
-        name = "w.stl" if kind == "mesh" else "up.xml"
+        name = {"mesh": "w.stl", "hfield": "h.bin"}.get(kind, "up.xml")
         ways = (f"../{name}", f"none{number}/../../{name}", f"..\\{name}", f"linked{name[-4:]}")
         ways += (f"a\\..\\..\\{name}", f".//../{name}", "pipe")
         texts = [mjcf(part.format(way), shape) for way in ways]
@@ -280,7 +280,9 @@ def test_other_files_neither_reach_nor_build_what_they_may_not(
 ):
     monkeypatch.setattr(reader, "SECONDS", 3)
     text, words = (FILES | attacks(np.random.default_rng(seed)))[file]
-    for name in ("up.xml", "w.stl"):
+    field = np.int32([2, 2]).tobytes() + np.float32([0, 0, 1, 1]).tobytes()
+    (folder.parent / "h.bin").write_bytes(field)
+    for name in ("up.xml", "w.stl", "h.bin"):
         (folder / f"linked{name[-4:]}").symlink_to(folder.parent / name)
     (folder.parent / "up.xml").write_text(mjcf("").replace('name="', 'name="hidden'))
     shutil.copy(DATA / "wedge.stl", folder.parent / "w.stl")
