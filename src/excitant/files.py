@@ -31,7 +31,10 @@ def size_of(path: str | Path) -> int:
     Raises:
         OSError: There is none, or it is a folder, pipe, device or socket.
     """
-    status = os.stat(path)
+    return _regular(os.stat(path), path)
+
+
+def _regular(status: os.stat_result, path: str | Path) -> int:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
     if not stat.S_ISREG(status.st_mode):
@@ -40,10 +43,17 @@ def size_of(path: str | Path) -> int:
 
 
 def read_bytes(path: str | Path, most: int = LARGEST) -> bytes:
-    """Content of a regular file of at most so many bytes, else OSError."""
-    size = size_of(path)
-    with open(path, "rb") as file:
-        content = b"" if size > most else file.read(most + 1)
+    """Content of a regular file of at most so many bytes, else OSError.
+
+    It is opened once, without waiting for whoever writes a pipe, and what was opened is looked at.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        size = _regular(os.fstat(handle), path)
+        with open(handle, "rb", closefd=False) as file:
+            content = b"" if size > most else file.read(most + 1)
+    finally:
+        os.close(handle)
     if max(size, len(content)) > most:
         why = f"it is {max(size, len(content)) / 1e6:.4g} MB large, more than {most / 1e6:.4g} MB"
         raise OSError(errno.EFBIG, why, str(path))
