@@ -435,13 +435,15 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
     model, motion = estimate.model, states(estimate.model, 20)
     (tmp_path / "text.urdf").write_text(model.urdf, encoding="utf-8")
     [mjcf] = save_model(estimate, tmp_path / "arm.xml")
-    *models, base = save_model(estimate, tmp_path / "arm.yaml")
-    assert base.name == "arm-estimate.csv"
-    for file in (tmp_path / "text.urdf", *models):
-        check(rigid_body_torque(load_robot(file), motion), rigid_body_torque(model, motion))
+    save_model(estimate, tmp_path / "arm.yaml")
+    arms = {"text.urdf": model, "arm.yaml": model, "arm.urdf": publication(estimate).arm("urdf")}
+    for file, arm in arms.items():
+        check(
+            rigid_body_torque(load_robot(tmp_path / file), motion), rigid_body_torque(arm, motion)
+        )
     check(torque(load_robot(tmp_path / "arm.yaml"), motion), torque(model, motion))
     assert mujoco.MjModel.from_xml_path(str(mjcf)).nv == model.nv
-    files = {"text.urdf", "arm.xml", "arm.yaml", "arm.urdf", "arm-estimate.csv"}
+    files = {*arms, "arm.xml", "arm.links", "arm-estimate.csv"}
     assert {path.name for path in tmp_path.iterdir()} == files
     with pytest.raises(UnknownName, match=r"unknown format '\.step'"):
         save_model(estimate, tmp_path / "arm.step")
