@@ -15,7 +15,7 @@ import yaml
 from arms import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import Call, write_csv
+from known_arms import Call, smooth_motion, write_csv
 from marks import slow
 from plant_recordings import swinging
 
@@ -25,6 +25,7 @@ from excitant.identify.drive_gains import DriveGains
 from excitant.identify.export import held_by, model_files, publication, save_model
 from excitant.identify.mujoco import mujoco_torque, side_by_side
 from excitant.identify.preprocessing import Segment
+from excitant.identify.refit import Refit
 from excitant.identify.rows import predicted_torque
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, robot_from_dh, torque
 from excitant.robots import effects as fx
@@ -584,3 +585,24 @@ def test_negative_friction_is_left_out_and_said_so(planar: Robot) -> None:
     loaded = mujoco.MjModel.from_xml_string(files["arm.xml"])
     np.testing.assert_array_equal(loaded.dof_frictionloss, [0.0, 0.5])
     np.testing.assert_array_equal(loaded.dof_armature, [0.0, 0.1])
+
+
+def refit_of(arm: Robot, middle: float, known: list[bool]) -> Robot | None:
+    """The URDF refitted on a motion about a position of joint 1, where drive gains are known."""
+    path = smooth_motion(arm, np.arange(0, 12, 1 / 100))
+    motion = Motion(path.t, 0.4 * path.q + [middle, 0.0], 0.4 * path.dq, 0.4 * path.ddq)
+    tau = torque(arm, motion)
+    rows = Segment("run", motion, tau, tau, 10.0, slice(100, -100, 4))
+    return Refit(arm, [rows], np.ones(2), np.array(known)).of(held_by(arm, "urdf"), "urdf")
+
+
+def test_what_files_make_up_for_holds_in_other_motions_and_known_torque(planar: Robot) -> None:
+    """An offset looks like a first moment while the arm points to one side, not in the mirror."""
+    offset = fx.TorqueOffset(planar.joints).with_values([8.0, 0.0])
+    assert refit_of(planar.with_effects([offset]), np.pi / 2, [True, True]) is None
+    friction = fx.AsymmetricFriction(planar.joints)
+    values = np.linspace(2.0, 4.5, len(friction.parameters(planar)))
+    arm = refit_of(planar.with_effects([friction.with_values(values)]), 0.0, [True, False])
+    assert arm is not None
+    for effect in arm.effects:
+        assert effect.values[0] > 0 == effect.values[1]
