@@ -243,3 +243,17 @@ def test_real_ur10e_is_predicted_from_its_currents(data_folder: Path) -> None:
     # the large joints have about 11 to 14 N·m/A, the wrists about 9
     assert np.abs(found.gains - 11).max() < 3
     assert (found.validate.r2 > 0.5).all(), found.validate.r2
+
+
+def test_what_the_data_alone_need_of_a_mass_is_no_more_than_there_is(
+    ur10: Robot, runs: Call
+) -> None:
+    """A tool whose first moment a light link could have only with its centre elsewhere."""
+    place, phi = np.array([0.06, 0.04, 0.03, 1.0]), np.array(ur10.phi)
+    phi[50:] += from_pseudo_inertia(2.0 * (np.outer(place, place) + np.diag([1e-3] * 3 + [0])))
+    found = identified(ur10, runs(ur10.with_parameters(phi), 1))
+    [wrist], moved = found.needed, body_changes(found)[-1].moved
+    assert wrist == ur10.links[-1]
+    assert 1.5 * ur10.phi[50] < found.needed[wrist] < phi[50]
+    assert f"the data need at least {found.needed[wrist]:.2g} kg" in moved
+    assert any("tool, with a first moment of" in note for note in found.result()["notes"])
