@@ -210,7 +210,6 @@ def numbers(element: ET.Element, path: str) -> np.ndarray:
 def read_sdf(text: str) -> tuple[ET.Element, TrueArm]:
     """A reader of its own for SDFormat 1.9, as far as arms need it."""
     world = ET.fromstring(text).find("world")
-    assert world is not None
     model, arm, drives = world.find("model"), pin.Model(), []
     arm.gravity.linear = numbers(world, "gravity")
     links = {link.get("name"): link for link in model.iterfind("link")}
@@ -246,8 +245,7 @@ def test_sdf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
     check(arm.torque(motion), torque(with_only(model, *SMOOTH, fx.CoulombFriction), motion))
     names = [e.get("name") for e in read if e.get("name")]
     assert len({"world", *names}) == 1 + len(names)
-    limits = read.findall("joint/axis/limit")
-    for limit, ends in zip(limits, model.limits.position, strict=True):
+    for limit, ends in zip(read.findall("joint/axis/limit"), model.limits.position, strict=True):
         found = [limit.findtext(key) for key in ("lower", "upper")]
         assert found == [str(x) if np.isfinite(x) else None for x in ends]
 
@@ -319,9 +317,9 @@ def test_without_dry_friction_they_need_exactly_that(written: Written, currents:
     model = with_only(written[0], *SMOOTH, fx.TorqueOffset)
     motion = swinging(model, np.arange(0, 2, 0.01))
     rows = [Segment("", motion, motion.q, motion.q, 10.0, slice(10, 190, 2))]
-    gains = np.linspace(2.0, 9.0, model.nv) if currents else None
-    factor = 1.0 if gains is None else gains
-    check(mujoco_torque(model, rows, gains) * factor, predicted_torque(model, rows), 1e-9)
+    gains = np.linspace(2.0, 9.0, model.nv) if currents else 1.0
+    found = gains * mujoco_torque(model, rows, gains if currents else None)
+    check(found, predicted_torque(model, rows), 1e-9)
 
 
 def test_mujoco_agrees_on_a_real_arm(data_folder: Path) -> None:
@@ -468,8 +466,7 @@ def test_a_file_that_lacks_too_much_is_not_written(planar, exact, tmp_path):
 def test_a_file_makes_up_for_what_its_format_lacks(planar, exact, tmp_path):
     """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms; model.yaml holds all."""
     friction = fx.AsymmetricFriction(planar.joints)
-    count = len(friction.parameters(planar))
-    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, count))])
+    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, 2 * planar.nv))])
     recording = exact(true, np.arange(0, 12, 1 / 100))
     found = identify_robot(planar, [recording], effects=[friction])
     rows, segments, done = found.holdout, found.data.validate, publication(found)
@@ -489,8 +486,7 @@ def test_a_file_makes_up_for_what_its_format_lacks(planar, exact, tmp_path):
     assert done.files["identified.xml"].endswith(again)
     difference = np.abs(mjcf - rows.accuracy(mujoco_torque(done.arm("mjcf"), segments)).rms)
     assert (difference < AGREE * rows.measured.std(axis=0)).all()
-    again = load_robot(tmp_path / "model.yaml")
-    check(predicted_torque(again, segments), found.predicted, PRECISION["yaml"])
+    check(predicted_torque(load_robot(tmp_path / "model.yaml"), segments), found.predicted, 1e-12)
 
 
 def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
@@ -513,8 +509,7 @@ def test_command_writes_result_but_no_model_when_it_got_worse(tmp_path, planar, 
     """Of an arm with large torque offsets, judged on one that the given arm explains."""
     true = exact(planar, np.arange(0, 8, 1 / 100))
     unseen = write_csv(tmp_path / "true.csv", true)
-    offset = np.array([40.0, 20.0])
-    misled = write_csv(tmp_path / "misled.csv", replace(true, tau=true.tau + offset))
+    misled = write_csv(tmp_path / "misled.csv", replace(true, tau=np.add(true.tau, [40.0, 20.0])))
     words = ("identify planar_2r", misled, "--validate", unseen)
     ran = excitant(*words, "-o", tmp_path / "out")
     assert (ran.status, ran.err) == (1, "")
@@ -574,7 +569,7 @@ def test_what_files_make_up_for_holds_in_other_motions_and_known_torque(planar: 
     """An offset looks like a first moment while the arm points to one side, not in the mirror."""
     path, found = smooth_motion(planar, np.arange(0, 12, 1 / 100)), []
     offset, friction = fx.TorqueOffset(planar.joints), fx.AsymmetricFriction(planar.joints)
-    friction = friction.with_values(np.linspace(2.0, 4.5, len(friction.parameters(planar))))
+    friction = friction.with_values(np.linspace(2.0, 4.5, 2 * planar.nv))
     for effect, middle in ((offset.with_values([8.0, 0.0]), np.pi / 2), (friction, 0.0)):
         arm = planar.with_effects([effect])
         motion = Motion(path.t, 0.4 * path.q + [middle, 0.0], 0.4 * path.dq, 0.4 * path.ddq)
