@@ -466,7 +466,7 @@ def test_a_file_that_lacks_too_much_is_not_written(planar, exact, tmp_path):
 def test_a_file_makes_up_for_what_its_format_lacks(planar, exact, tmp_path):
     """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms; model.yaml holds all."""
     friction = fx.AsymmetricFriction(planar.joints)
-    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, 2 * planar.nv))])
+    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, 4 * planar.nv))])
     recording = exact(true, np.arange(0, 12, 1 / 100))
     found = identify_robot(planar, [recording], effects=[friction])
     rows, segments, done = found.holdout, found.data.validate, publication(found)
@@ -569,7 +569,7 @@ def test_what_files_make_up_for_holds_in_other_motions_and_known_torque(planar: 
     """An offset looks like a first moment while the arm points to one side, not in the mirror."""
     path, found = smooth_motion(planar, np.arange(0, 12, 1 / 100)), []
     offset, friction = fx.TorqueOffset(planar.joints), fx.AsymmetricFriction(planar.joints)
-    friction = friction.with_values(np.linspace(2.0, 4.5, 2 * planar.nv))
+    friction = friction.with_values(np.linspace(2.0, 4.5, 4 * planar.nv))
     for effect, middle in ((offset.with_values([8.0, 0.0]), np.pi / 2), (friction, 0.0)):
         arm = planar.with_effects([effect])
         motion = Motion(path.t, 0.4 * path.q + [middle, 0.0], 0.4 * path.dq, 0.4 * path.ddq)
