@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,13 +18,17 @@ from excitant.analysis.evidence import (
     widened,
 )
 from excitant.analysis.residuals import motion_noise, noise_floor
-from excitant.analysis.selection import Rival, underlies
-from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE
+from excitant.analysis.selection import Rival, is_plain_friction, underlies
+from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, VERDICT
 from excitant.identify.accuracy import Series, series
-from excitant.identify.attenuation import attenuation
+from excitant.identify.attenuation import (
+    NOISE_UNSURE,
+    attenuation,
+    without_noise,
+)
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.objections import HoldOut
-from excitant.identify.physical import fit_physical
+from excitant.identify.physical import agreement, fit_physical
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import dense
@@ -74,7 +78,7 @@ class Finding:
     Attributes:
         effect: The cause, on one joint, with the value that the extended model has.
         nominal: The value that the nominal model has for each coefficient.
-        covariance: Of its k coefficients by the fit, shape (k, k).
+        covariance: Of its k coefficients by the fit, shape (k, k); see `judged`.
         by_gains: Their errors by one standard deviation of the drive gains, shape (k,).
         explained: Share of the nominal model's squared error on the hold-out that it removes.
         joint: Index of the joint where it is largest relative to what remains.
@@ -117,9 +121,13 @@ class Finding:
 
     @property
     def is_open(self) -> bool:
-        """Whether the sign of its first coefficient is open, to two standard deviations."""
-        first = (self.effect.values or (0.0,))[0] - self.nominal[0]
-        return bool(abs(first) < CONFIRMATION.deviations * self.std[0])
+        """Whether it may as well be smaller as larger than given, to two standard deviations."""
+        values = np.array(self.effect.values or ())
+        covariance = self.covariance + np.outer(self.by_gains, self.by_gains)
+        units = [""] * len(values)
+        sizes = self.effect.sizes(values, np.array(self.nominal), covariance, units)
+        threshold = CONFIRMATION.deviations
+        return any(abs(s.value - s.given) < threshold * s.std for s in sizes[:1])
 
     @property
     def is_nominal(self) -> bool:
@@ -142,6 +150,20 @@ class Finding:
         """Whether it is an effect of the nominal model with its value."""
         of_model = self.effect.role == "torque" and bool(np.any(self.nominal))
         return of_model and self.is_nominal
+
+    def judged(self, reason: str) -> Finding:
+        """It with a reason to downgrade it, or none.
+
+        An undecided cause may be absent as likely as not: the mean square error of its change d
+        from the nominal values, true with one half, zero with the other, adds ½ d dᵀ.
+        """
+        found = replace(self, downgrade=reason)
+        if found.verdict == "named":
+            return found
+        change = np.array(self.effect.values or ()) - self.nominal
+        return replace(
+            found, covariance=self.covariance + np.outer(change, change) / 2
+        )
 
     @property
     def refuted(self) -> bool:
@@ -231,6 +253,19 @@ class Extension:
     findings: tuple[Finding, ...] = ()  # each cause with its gain on the hold-out
     # selected causes with which the hold-out is worse
     refuted: frozenset[Key] = frozenset()
+    extender: Extender | None = (
+        None  # by which it was fitted; None of the nominal model
+    )
+
+    def settled(self) -> Extension:
+        """It with bodies as uncertain as the data say, and no effects that cancel each other."""
+        if self.extender is None:
+            return self
+        extender = replace(self.extender, last=True)
+        fit = extender(self.chosen)
+        while (cause := _cancelled(fit)) is not None:
+            fit = extender([c for c in fit.chosen if c is not cause])
+        return fit
 
     def covariance_of(self, names: Sequence[str]) -> Array:
         """Covariance of some of the parameters, shape (k, k)."""
@@ -261,44 +296,71 @@ class Extender:
     gains: Array | None = (
         None  # covariance of the logarithms of drive gains, (nv, nv)
     )
+    # the columns as even and as odd samples show them, where positions are coarse
+    halves: tuple[Observed, ...] = ()
+    # whether bodies are as uncertain as the data say, and the bias by noise of the motion counts
+    last: bool = False
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
         robot = self.holdout.observed.robot
         evidence = self.evidence
         effects = _effects(robot, chosen)
-        W = self.train.matrix(effects)
+        W, noise = self._columns(effects)
         names = column_names(robot, effects)
         used = away_from_rest(self.train.segments)
-        problem = dense(W, self.tau, names, used)
-        R, z = problem.factor(np.sqrt(evidence.weight))
+        weight = np.sqrt(evidence.weight)
+        R, z = dense(W, self.tau, names, used).factor(weight)
+        noisy = R
+        if noise is not None:
+            errors = dense(noise, self.tau, names, used).gram(weight**2)
+            R = without_noise(R, errors[:-1, :-1])
         bodies = self._body_prior(chosen)
+        if self.last:
+            own = np.maximum(bodies.sigma, agreement(R, z, bodies.bodies))
+            bodies = replace(bodies, sigma=own)
         scalar = self._effect_prior(effects, chosen, W[:, :, bodies.bodies.size :])
         fit = fit_physical(R, z, bodies, scalar)
         model = identified_robot(robot, effects, fit.x)
-        score = attenuation(
-            robot,
-            effects,
-            self.train.segments,
-            used,
-            np.sqrt(evidence.weight),
-            range(len(names)),
-            fit.x,
-        )
-        bias = fit.covariance @ score
+        covariance = fit.covariance
+        score = NOISE_UNSURE * (R.T @ ((noisy - R) @ fit.x))
+        if self.last and noise is None:
+            segments = self.train.segments
+            columns = range(len(names))
+            score = attenuation(
+                robot, effects, segments, used, weight, columns, fit.x
+            )
+        bias = covariance @ score
         rows = self.holdout.observed.by(model)
         extension = Extension(
             evidence,
             tuple(chosen),
             model,
             names,
-            fit.covariance + np.outer(bias, bias),
+            covariance + np.outer(bias, bias),
             rows,
             rows.torque() / self.holdout.gains,
+            extender=self,
         )
         return replace(
             extension, findings=_findings(robot, extension, self.holdout)
         )
+
+    def by(self, model: Robot, keep: Set[Effect], evidence: Evidence) -> Extender:
+        """The same with columns of another model, but for those of some effects that are kept."""
+        return replace(
+            self,
+            train=self.train.by(model, keep),
+            halves=tuple(half.by(model, keep) for half in self.halves),
+            evidence=evidence,
+        )
+
+    def _columns(self, effects: Sequence[Effect]) -> tuple[Array, Array | None]:
+        """Columns of bodies and effects, and their noise where it can be told, (n, nv, p)."""
+        if not self.halves:
+            return self.train.matrix(effects), None
+        even, odd = (half.matrix(effects) for half in self.halves)
+        return (even + odd) / 2, (even - odd) / 2
 
     def _body_prior(self, chosen: Sequence[Candidate]) -> BodyPrior:
         """Prior of every link, and of a payload if there is one."""
@@ -347,6 +409,40 @@ def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
         e for e in causes if not {p.name for p in e.parameters(robot)} <= present
     ]
     return [*bodies, *robot.effects, *merged(added)]
+
+
+def _cancelled(fit: Extension) -> Candidate | None:
+    """The least cause that another effect of one of its joints mostly cancels, or None.
+
+    Their sum is known, not what each of them is. Plain friction stays, the finer goes.
+    """
+    values = effect_values(fit.model)
+    torques = {}
+    for each in (single for e in fit.model.effects for single in e.singles()):
+        if each.role == "torque":
+            own = np.array([values[p.name] for p in each.parameters(fit.model)])
+            torques[each.name, each.joints] = fit.observed.columns(each) @ own
+
+    def cancelled(cause: Candidate) -> bool:
+        own = torques.get(cause.key)
+        return own is not None and any(
+            {*cause.effect.joints} & {*joints} and cancel(own, torque)
+            for (name, joints), torque in torques.items()
+            if (name, joints) != cause.key
+        )
+
+    pairs = zip(fit.chosen, fit.findings, strict=True)
+    found = [
+        (is_plain_friction(c.effect), f.margin, c) for c, f in pairs if cancelled(c)
+    ]
+    return min(found, key=lambda each: each[:2])[2] if found else None
+
+
+def cancel(one: Array, other: Array) -> bool:
+    """Whether two torques, (n, nv), together are much less than either."""
+    both = ((one + other) ** 2).sum()
+    least = min((one**2).sum(), (other**2).sum())
+    return bool(both < VERDICT.cancelling * least)
 
 
 def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
@@ -556,11 +652,15 @@ def errors_by_gains(
 ) -> Array:
     """Errors of a finding's coefficients by one standard deviation of the drive gains.
 
-    It is of their logarithms: a value far below the nominal one is as unsure as that.
+    It is of their logarithms: a value far below the nominal one is as unsure as that, and what a
+    link has more or less, as the link.
     """
     effect = finding.effect
     values = np.array(effect.values or ())
     largest = np.maximum(np.abs(values), np.abs(finding.nominal))
+    if effect.role != "torque" and len(values):
+        links = robot.phi.reshape(-1, 10)[list(effect.rows(robot))]
+        largest = np.maximum(largest, np.abs(links).ravel())
     size: Array = np.copysign(largest, values)
     if drive is None:
         return 0 * size

@@ -39,14 +39,15 @@ from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import frictionless, idle, rivals, select
 from excitant.analysis.set_up import SetUp, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
+from excitant.exceptions import BadInput
 from excitant.identify.accuracy import Accuracy, series
-from excitant.identify.attenuation import coarseness
+from excitant.identify.attenuation import coarseness, half_segments
 from excitant.identify.drive_gains import DriveGains, current_gains
 from excitant.identify.objections import objections
 from excitant.identify.preprocessing import Segment, certain_rows
 from excitant.identify.prior import prior_parameters
-from excitant.identify.recording import Recordings, recordings_of
-from excitant.identify.rows import Data, gains_of, predicted_torque, split
+from excitant.identify.recording import Recording, Recordings, recordings_of
+from excitant.identify.rows import Data, fitted, gains_of, predicted_torque, split
 from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -236,12 +237,15 @@ def diagnose(
     gains = gains_of(mounted.robot, data, drive)
     tau = measured * gains
     holdout = holdout_of(mounted.robot, data.validate, gains, nominal, drive)
-    fit = _extended(mounted, train, tau, prior, holdout, drive)
+    halves = _halves(
+        mounted.robot, fitted(repaired[:count], repaired[count:]), data
+    )
+    fit = _extended(mounted, train, halves, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
     joints = nominal.joints
     left = residuals(joints, data.validate, error, holdout.error, fit.predicted)
     causes, corrected = _causes(mounted.robot, fit, holdout, drive)
-    coarse = _coarse_sentence(data.train, joints)
+    coarse = _coarse_sentence(data.train, joints) if halves else ""
     of_set_up = [
         _of_set_up(mounted, effect, fit, holdout) for effect in mounted.effects
     ]
@@ -249,14 +253,7 @@ def diagnose(
         raw = split(recordings, validate, data.cutoff_hz).validate
         of_set_up = [*_of_faults(mounted, raw, fit, holdout), *of_set_up]
     findings = [_judged_set_up(mounted, finding) for finding in of_set_up]
-    body_std = EVIDENCE.tolerance * max(1.0, fit.evidence.tolerance[0])
-    standing = _impossible(mounted, fit, holdout)
-    for finding in sorted(causes, key=lambda f: -f.explained):
-        reason = finding.downgrade or standing
-        reason = reason or reason_to_downgrade(
-            mounted.robot, finding, causes, left, body_std
-        )
-        findings.append(replace(finding, downgrade=reason))
+    findings += _judged(mounted, fit, holdout, causes, left)
     notes = [data.holdout, *mounted.notes, *[coarse] * bool(coarse)]
     if drive is not None:
         notes.append(drive.sentence(joints))
@@ -267,7 +264,7 @@ def diagnose(
         holdout,
         fit,
         tuple(findings),
-        () if coarse else tuple(corrected),
+        tuple(corrected),
         nominal_residuals=residuals(
             joints, data.validate, holdout.error, holdout.error, holdout.simulated
         ),
@@ -281,15 +278,31 @@ def diagnose(
     )
 
 
+def _judged(
+    mounted: SetUp,
+    fit: Extension,
+    holdout: Holdout,
+    causes: Sequence[Finding],
+    left: Sequence[Residual],
+) -> Iterator[Finding]:
+    """The causes by their gain, with the reason why one is not decided."""
+    body_std = EVIDENCE.tolerance * max(1.0, fit.evidence.tolerance[0])
+    standing = _impossible(mounted, fit, holdout)
+    for finding in sorted(causes, key=lambda f: -f.explained):
+        reason = finding.downgrade or standing
+        reason = reason or reason_to_downgrade(
+            mounted.robot, finding, causes, left, body_std
+        )
+        yield finding.judged(reason)
+
+
 def _coarse_sentence(segments: Sequence[Segment], joints: Sequence[str]) -> str:
-    """That positions are too coarse to correct given values by; empty where they are not."""
+    """How coarse positions are, and what is done about it."""
     share = coarseness(segments)
-    if not (share > VERDICT.coarse).any():
-        return ""
     return (
         f"positions are coarse beside the motion (noise of {100 * share.max():.2g} % of the "
-        f"acceleration of {joints[int(np.argmax(share))]}): given values within their tolerance "
-        "are not corrected"
+        f"acceleration of {joints[int(np.argmax(share))]}): values are fitted to what even and "
+        "odd samples show alike"
     )
 
 
@@ -303,9 +316,23 @@ def _impossible(mounted: SetUp, fit: Extension, holdout: Holdout) -> str:
     return first and f"something impossible stands beside it: {first}"
 
 
+def _halves(
+    robot: Robot, recordings: Sequence[Recording], data: Data
+) -> tuple[Observed, ...]:
+    """Columns by even and by odd samples where positions are coarse beside the motion."""
+    if not (coarseness(data.train) > CONFIRMATION.coarse).any():
+        return ()
+    try:
+        halves = half_segments(recordings, data)
+    except BadInput:
+        return ()
+    return tuple(observed(robot, half) for half in halves)
+
+
 def _extended(
     mounted: SetUp,
     train: Observed,
+    halves: tuple[Observed, ...],
     tau: Array,
     prior: Array,
     holdout: Holdout,
@@ -314,13 +341,14 @@ def _extended(
     """The extended model; the nominal one where no other predicts the hold-out better."""
     gains = None if drive is None else drive.covariance
     evidence = gather(mounted.robot, train, tau, prior, gains=gains)
-    first = Extender(prior, train, tau, holdout, evidence, gains)
+    first = Extender(prior, train, tau, holdout, evidence, gains, halves)
     changes = frozenset((effect.name, effect.joints) for effect in mounted.effects)
     fit = _iterated(first, changes)
     if fit.refuted:
         again = _iterated(first, changes | fit.refuted)
         if holdout.worse(fit.predicted, again.predicted, CONFIRMATION.floor):
             fit = again
+    fit = fit.settled()
     if holdout.worse(fit.predicted, holdout.mounted):
         fit = unextended(fit.evidence, holdout)
     return fit
@@ -434,7 +462,7 @@ def _judged_set_up(mounted: SetUp, finding: Finding) -> Finding:
         reason = "its size is not known to better than half of it"
     elif finding.rms_after >= finding.rms_before:
         reason = "it does not predict the hold-out better"
-    return replace(finding, rivals=mounted.rivals, downgrade=reason)
+    return replace(finding, rivals=mounted.rivals).judged(reason)
 
 
 def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
@@ -445,13 +473,17 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
     extender = first
     for _ in range(SEARCH.rounds):
         if best is not None:
-            train = extender.train.by(
-                best.model, keep=idle(best.evidence, best.chosen)
-            )
+            unused = idle(best.evidence, best.chosen)
+            extender = extender.by(best.model, unused, first.evidence)
             evidence = gather(
-                robot, train, first.tau, first.prior, best.chosen, gains=first.gains
+                robot,
+                extender.train,
+                first.tau,
+                first.prior,
+                best.chosen,
+                gains=first.gains,
             )
-            extender = replace(first, train=train, evidence=evidence)
+            extender = replace(extender, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, excluded)
         fit = confirmed(replace(extender, evidence=evidence), chosen)
         before = best

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from excitant.analysis.confirmation import Finding
+from excitant.analysis.confirmation import Finding, cancel
 from excitant.analysis.residuals import Residual
 from excitant.analysis.selection import is_plain_friction
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, VERDICT
@@ -28,8 +28,9 @@ def reason_to_downgrade(
     effect = finding.effect
     if finding.by_chance(VERDICT.chance):
         return "its values are the given ones within their uncertainty"
-    if effect.role != "torque" and len(effect.joints) == 1 and finding.is_open:
-        return "the sign of its mass is not known to two standard deviations"
+    if len(effect.joints) == 1 and finding.is_open:
+        size = "size" if effect.role == "torque" else "mass"
+        return f"the sign of its {size} is not known to two standard deviations"
     if _like_wrong_masses(robot, finding, findings, body_std):
         return "given masses that are all off by one factor would look the same"
     if finding.share < CONFIRMATION.ideal:
@@ -117,6 +118,4 @@ def _cancelling(one: Finding, other: Finding) -> bool:
         return False
     if "torque" not in (one.effect.role, other.effect.role):
         return False
-    both = ((one.torque + other.torque) ** 2).sum()
-    least = min((one.torque**2).sum(), (other.torque**2).sum())
-    return bool(both < VERDICT.cancelling * least)
+    return cancel(one.torque, other.torque)

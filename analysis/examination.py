@@ -120,9 +120,6 @@ class Examination(Shown):
             else "Use none of them"
         )
         if self.recommended:
-            few = self._lacking[:_NAMED] + ["and more"] * (
-                len(self._lacking) > _NAMED
-            )
             missed = self.accuracies[self.use].nrmse > _POOR
             poor = [
                 j
@@ -135,13 +132,7 @@ class Examination(Shown):
                 if poor
                 else ""
             )
-            urdf = f"{self.use}.urdf"
-            unwritten = (
-                ""
-                if urdf in self.recommended
-                else ", so much that it is not written"
-            )
-            advice += f"; {urdf} lacks {', '.join(few)}{unwritten}" if few else ""
+            advice += self._without
         return [
             f"Of the torque, the given model misses {given}, the identified one {identified}, the "
             f"extended one {extended}.",
@@ -210,6 +201,22 @@ class Examination(Shown):
         return f"--repair repairs what can be repaired{stated}" if faults else ""
 
     @property
+    def _without(self) -> str:
+        """What the URDF of the model to use is without, in words; empty where that is nothing."""
+        urdf = f"{self.use}.urdf"
+        drive = self.estimate.drive
+        if drive is not None and not drive.known.any():
+            why = (
+                "no drive gain is known, so that the model predicts currents alone"
+            )
+            return f"; {urdf} is not written: {why}"
+        few = self._lacking[:_NAMED]
+        few += ["and more"] * (len(self._lacking) > _NAMED)
+        written = urdf in self.recommended
+        unwritten = "" if written else ", so much that it is not written"
+        return f"; {urdf} lacks {', '.join(few)}{unwritten}" if few else ""
+
+    @property
     def _lacking(self) -> list[str]:
         """Effects of the model to use that its URDF cannot hold, in words."""
         models = {
@@ -222,9 +229,6 @@ class Examination(Shown):
             if e.role == "torque" and any(e.values or ())
         ]
         lacking = [plain(e.name) for e in own if "urdf" not in e.export.formats]
-        drive = self.estimate.drive
-        if drive is not None and not drive.known.any():
-            lacking = ["what is known in amperes only"]
         return list(dict.fromkeys(lacking))
 
     @cached_property

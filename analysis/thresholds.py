@@ -143,6 +143,10 @@ class ConfirmationThresholds:
     """Rms torque of a named cause ≥ this share of its joint's: what ideal friction, filters and
     samples miss."""
 
+    coarse: float = 0.1
+    """Noise of an acceleration over its rms > this: least squares loses its square, 1 % of an
+    inertia, to bias, and even against odd samples do not. A smaller bias is part of the ±."""
+
     payload_std: float = 100.0
     """Relative std of a payload, which is left free."""
 
@@ -169,7 +173,7 @@ class VerdictThresholds:
     """Torque of a cause > this share of that at its main joint: the joint counts. Convention."""
 
     cancelling: float = 0.5
-    """Squared sum of two causes < this share of either's: they cancel each other."""
+    """Squared sum of two effects < this share of either's: they cancel each other."""
 
     common_masses: float = 2.0
     """Relative gain < this many std of the nominal masses, which may all be off alike (5 %)."""
@@ -189,10 +193,6 @@ class VerdictThresholds:
 
     listed: int = 7
     """Findings; slight ones beyond are in a note instead. Convention."""
-
-    coarse: float = 0.1
-    """Noise of an acceleration over its rms > this: least squares loses its square, 1 % of an
-    inertia, to bias; given values are not corrected."""
 
     chance: float = 0.05
     """Values as far off come by chance this often, or more: a cause is undecided. Of all values

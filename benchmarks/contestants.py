@@ -68,11 +68,7 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def problem_file(name: str) -> Path:
-    """File of a problem given by path, or by name among the shared ones and our own.
-
-    Raises:
-        BadInput: There is none; lists those there are.
-    """
+    """File of a problem given by path, or by name among the shared ones and our own."""
     folders = (PROBLEMS, HERE / "problems")
     for file in (Path(name), *(folder / f"{Path(name).stem}.json" for folder in folders)):
         if file.is_file():
@@ -88,12 +84,7 @@ def problem_file(name: str) -> Path:
 def load_problem(
     path: Path, folder: Path | None = None, robot: str | None = None, harmonics: int | None = None
 ) -> Problem:
-    """Problem of a JSON file, perhaps with another arm or another number of harmonics.
-
-    Raises:
-        BadInput: Entries missing, or limits that leave position, velocity or torque open.
-        BadRobot: The arm has joints locked, which its URDF would not tell.
-    """
+    """Problem of a JSON file, perhaps with another arm or another number of harmonics."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         model, duration = str(content["model"]), float(content["duration"])

@@ -136,7 +136,7 @@ def _robot(folder: Path, name: str) -> object:
     if name == "data/bars/parts/links.xacro":  # is included by this
         name = "data/bars/arm/bars.urdf.xacro"
     tip = {"data/twins.urdf": "left_hand", "data/gripper.xml": "left"}.get(name)
-    return load_robot(folder / name, tip=tip)
+    return load_robot(folder / name, tip=tip, packages=[folder / "data" / "bars"])
 
 
 READERS: dict[str, Callable[[Path, str], object]] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,6 +23,7 @@ from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
+from excitant.identify.nearness import needed_masses
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import Mask, prepare
 from excitant.identify.prior import prior_parameters
@@ -91,6 +92,8 @@ class Estimate(Shown):
         knowledge: What was taken for known of the bodies.
         shapes: Shapes of effects, refined where that fits better; None where there are none.
         repeats: Whether the recordings agree; None of a single one.
+        needed: Masses nearest to the given ones that the data allow [kg], by link, of those that
+            moved by half because the data ask for it; see `needed_masses`.
     """
 
     given: Robot
@@ -107,6 +110,7 @@ class Estimate(Shown):
     knowledge: Knowledge = field(default_factory=Knowledge)
     shapes: Shapes | None = None
     repeats: Repeats | None = None
+    needed: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def gains(self) -> Array:
@@ -342,6 +346,7 @@ def identify_robot(
         physical = fit_physical(
             R, z, prior, rows.open_prior, knowledge=known, links=robot.links
         )
+        needed = needed_masses(physical, R, z, rows.open_prior, known, robot)
         if shapes is not None and shapes.better:
             fit, physical = widened(fit, physical, rows.base, shapes.spread)
         if turns:
@@ -353,6 +358,7 @@ def identify_robot(
             knowledge=known,
             shapes=shapes,
             repeats=repeats_of(rows.reduced, fit, data.train),
+            needed=needed,
         )
         return estimate, _moved_by_rate(rows, fit, physical.x)
 

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
-from excitant.identify.attenuation import ATTENUATION, coarseness
+from excitant.identify.attenuation import ATTENUATION, coarseness, half_segments
 from excitant.identify.least_squares import (
     SMALLEST,
     Factor,
@@ -33,11 +33,8 @@ from excitant.identify.least_squares import (
     with_covariance,
 )
 from excitant.identify.preprocessing import (
-    POSITION_RATIO,
     Segment,
     certain_rows,
-    prepare,
-    uninterrupted,
 )
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
@@ -71,9 +68,6 @@ GOLDEN = (np.sqrt(5) - 1) / 2
 NORMAL_MEDIAN = 0.6744897501960817  # median magnitude of a standard normal variable
 MOTION_ERROR = (
     1e-6  # of a column's length: smaller errors are those of interpolation
-)
-RATE_SHARE = (
-    0.2  # highest cut-off over the rate: 0.8 of what every second sample can show
 )
 
 
@@ -467,57 +461,20 @@ def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> 
     )
 
 
-def every_second(recording: Recording, first: int) -> Recording:
-    """The motion as its even samples (0) show it, or its odd ones (1), at all instants."""
-    t = recording.t
-    parts = [part for part in uninterrupted(t) if len(part[first::2]) > 5]
-
-    def interpolated(channel: Array) -> Array:
-        values = np.array(channel)
-        for part in parts:
-            half = part[first::2]
-            spline = scipy.interpolate.make_interp_spline(
-                t[half], values[half], k=5
-            )
-            values[part] = spline(t[part])
-        return values
-
-    dq = None if recording.dq is None else interpolated(recording.dq)
-    return replace(recording, q=interpolated(recording.q), dq=dq)
-
-
 def half_regressions(
     rows: FitRows, recordings: Sequence[Recording]
 ) -> tuple[Regression, Regression]:
     """Base columns from even and from odd samples at the rows of a fit, of recordings in order.
 
-    Their errors are independent where the noise of a position sensor is so from sample to sample:
-    not for a sensor that low-passes before it logs, nor for errors that depend on the position
-    (scale, eccentricity), for which every sample is wrong alike.
-
-    Raises:
-        BadInput: A rate below five times the cut-off.
+    Errors are those of `half_segments`.
     """
-    cutoff_hz = rows.data.cutoff_hz
-    halves = []
-    for first in (0, 1):
-        segments = []
-        for recording in recordings:
-            rate_hz = 1 / float(np.median(np.diff(recording.t)))
-            highest = RATE_SHARE * rate_hz
-            if cutoff_hz > highest * (1 + 1e-6):
-                raise BadInput(
-                    f"{recording.name}: every second sample at {rate_hz:.4g} Hz does not show "
-                    f"motion up to the cut-off of {cutoff_hz:g} Hz; choose one up to "
-                    f"{highest:.3g} Hz"
-                )
-            band_hz = min(POSITION_RATIO * cutoff_hz, highest)
-            segments += prepare(every_second(recording, first), cutoff_hz, band_hz)
-        whole = rows.data.train[0].whole
-        segments = [replace(segment, whole=whole) for segment in segments]
-        half = rows.fitting(regression_of(rows.robot, rows.effects, segments))
-        halves.append(half.select(rows.base.columns, rows.base.expressions))
-    return halves[0], halves[1]
+    even, odd = (
+        rows.fitting(regression_of(rows.robot, rows.effects, half)).select(
+            rows.base.columns, rows.base.expressions
+        )
+        for half in half_segments(recordings, rows.data)
+    )
+    return even, odd
 
 
 class OutputError(NamedTuple):

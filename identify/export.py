@@ -582,7 +582,8 @@ class Publication:
 def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
     """Write an identified model as .urdf, .xml (MJCF), .sdf, or .yaml with the files beside it.
 
-    A file that `publication` would leave out is written with a warning.
+    A file that `publication` would leave out is written with a warning; beside a .yaml, a URDF is
+    what `publication` would write.
 
     Raises:
         BadInput: A path without a suffix.
@@ -597,33 +598,33 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
     gains = estimate.gains if estimate.data.unit == "A" else None
     complete = f"{path.stem}.yaml"
     known = None if estimate.drive is None else estimate.drive.known
-    exported: tuple[ExportedFile, ...] = ()
-    written = [path]
-    if path.suffix == ".yaml":
-        written.append(path.with_suffix(".urdf"))
-        if estimate.model.estimate is not None:
-            written.append(path.with_name(f"{path.stem}-estimate.csv"))
-    else:
-        exported = exported_files(
-            estimate.model,
-            path.stem,
-            complete,
-            hold_out(estimate),
-            estimate.data.train,
-            [formats[path.suffix]],
-        )
-        if poor := [file for file in exported if file.refused]:
-            warnings.warn(f"{path.name}: {_shortcoming(poor)}", stacklevel=2)
+    asked = formats.get(path.suffix)
+    exported = exported_files(
+        estimate.model,
+        path.stem,
+        complete,
+        hold_out(estimate),
+        estimate.data.train,
+        [asked or "urdf"],
+    )
+    poor = [file for file in exported if file.refused]
+    if asked is None:
+        exported = tuple(file for file in exported if not file.refused)
+    elif poor:
+        warnings.warn(f"{path.name}: {_shortcoming(poor)}", stacklevel=2)
     files = model_files(
         estimate.model,
         path.stem,
         complete,
-        gains=gains,
+        [asked] if asked else [],
+        gains,
+        urdf=asked is not None or any(file.file_format for file in exported),
         refitted=_refitted(exported),
         known=known,
     )
     if unknown := _unknown(estimate.model, known):
         warnings.warn(f"{path.name}: {unknown}", stacklevel=2)
+    written = [path] if asked else [path.with_name(name) for name in files]
     for file in written:
         write_file(file, files[file.name])
     return written
@@ -703,9 +704,9 @@ def published(
         note = f"the {kind} model is not published: {reasons}; {advice}, or give --force"
         return Publication({}, False, note)
     known = None if judged.drive is None else judged.drive.known
-    wanted = ("urdf", *formats)
     if known is not None and not known.any():
-        formats = wanted = ()
+        formats = ()
+    wanted = ("urdf", *formats)
     exported = exported_files(model, kind, yaml_name, judged, fitted, wanted)
     if force:
         exported = tuple(replace(file, refused="") for file in exported)
@@ -751,11 +752,15 @@ def exported_files(
 
     One that lacks something is refitted on the segments that the model was fitted to, where that
     makes up for it (`Refit`). It is refused where it predicts the hold-out worse than no model at
-    a joint, as a model is, or worse than the nominal one by the nrmse summed over the joints.
+    a joint, as a model is, or worse than the nominal one by the nrmse summed over the joints. There
+    are none where no drive gain is known.
     """
     known = None if judged.drive is None else judged.drive.known
+    stated = np.ones(model.nv, dtype=bool) if known is None else known
+    if not stated.any():
+        formats = ()
     arm = told_in_torque(folded(model), known)
-    refit = Refit(arm, fitted, judged.gains)
+    refit = Refit(arm, fitted, judged.gains, stated)
     exported = [ExportedFile(yaml_name, judged.accuracy, model)]
     for file_format, end in _ENDS.items():
         if file_format not in formats:
@@ -765,8 +770,7 @@ def exported_files(
         held = held_by(arm, file_format)
         file = ExportedFile(name, judged.accuracy, held, file_format, lacks)
         if lacks:
-            whole = known is None or known.all()
-            if whole and (refitted := refit.of(held, file_format)) is not None:
+            if (refitted := refit.of(held, file_format)) is not None:
                 file = replace(file, arm=refitted, refitted=True)
             file = _judged(file, judged)
         exported.append(file)

@@ -149,7 +149,7 @@ Recordings: TypeAlias = Recording | Sequence[Recording]
 
 
 def recordings_of(recordings: Recordings, robot: Robot) -> list[Recording]:
-    """One recording or several of a robot as a list.
+    """One recording or several of a robot by name: results are functions of the set.
 
     Raises:
         BadRecording: One of another number of joints than the robot's.
@@ -161,7 +161,7 @@ def recordings_of(recordings: Recordings, robot: Robot) -> list[Recording]:
         if recording.nv != robot.nv:
             why = f"has {recording.nv} joints, but {robot.name} has {robot.nv}"
             raise BadRecording(recording.file, f"{why}; load it for this robot")
-    return several
+    return sorted(several, key=lambda r: (r.name, r.tau.tobytes()))
 
 
 def checked(raw: Recording) -> Recording:

@@ -3,47 +3,56 @@
 A format that lacks effects of a model gives another torque than the model. What it holds, bodies
 and joint properties x, is fitted to the torque τ of the complete model on the rows of the fit,
 
-    minimise  (p / n) Σ_j ‖τ_j − W_j x‖² / e_j² − 2 log p(P)   subject to  P_k ≻ 0,  θ ≥ bounds,
+    minimise  Σ_j ‖τ_j − W_j x‖² / e_j² − 2 log p(P)   subject to  P_k ≻ 0,  θ ≥ bounds,
 
 with the prior density p of `excitant.identify.prior` around the bodies of the model, and e_j the
-error of the joint without a refit. What a format lacks is no noise, of which more rows would tell
-more: the n rows count as many as there are parameters p, so that a longer recording moves bodies
-no further. Joint properties alone are fitted first, bodies only where that is still better, both
-judged on parts of the rows that they were not fitted to: what is lacking must be imitated in other
-motions too.
+error that the joint is left with. The torque of the model stands for the measured one, for gross
+errors of a recording are no part of it. Joint properties alone are fitted first, bodies only where
+that is still better.
+
+What is lacking must be imitated in other motions, too: an offset of torque looks like a first
+moment where a joint keeps to one side. Both fits are judged on parts of the rows that they were not
+fitted to, and on the same motion in a mirror: positions about the middle of each joint's range, and
+speeds the other way round, where the complete model tells the torque.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import scipy
 
-from excitant.identify.accuracy import Accuracy, Series, series
+from excitant.identify.accuracy import Series, series
 from excitant.identify.least_squares import believed
 from excitant.identify.physical import fit_physical
-from excitant.identify.preprocessing import Segment
+from excitant.identify.preprocessing import Mask, Segment
 from excitant.identify.prior import BodyPrior, EffectPrior, prior_parameters
-from excitant.identify.regression import Regression, joined, regression_of
+from excitant.identify.regression import Index, Regression, regression_of, triangle
 from excitant.identify.rows import (
     identified_robot,
     implausible_size,
     predicted_torque,
 )
 from excitant.robots.effects import EFFECTS, Effect, effect_values
-from excitant.robots.motion import Array
+from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
-REFIT_GAIN = 0.9
+REFIT_GAIN = 0.95
 """Largest nrmse, summed over the joints, of a refit over that of the simpler choice, on rows that
-the refit has not seen. It counts the model's own error, too: a reader of the file sees both.
+the refit has not seen and in the mirror. It counts the model's own error, too: a reader of the
+file sees both. Less would move bodies for what no reader notices (benchmarks/recordings.py).
 """
 REFIT_PARTS = 4
 """Parts of the rows, each of which is predicted by a refit to the others."""
+REFIT_ROUNDS = 2
+"""Fits with the errors e_j of the one before: a joint that friction was lacking counts again."""
+
+Fit = Callable[[Array, Array], Array]
+"""Parameters by whitened columns and torque, ‖R x − z‖²."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +63,13 @@ class Refit:
         arm: The model, with bodies among its effects in its links.
         segments: What it was fitted to.
         gains: Torque per reading, shape (nv,) [N·m per reading].
+        known: Joints at which they are known, shape (nv,); files state no torque elsewhere.
     """
 
     arm: Robot
     segments: Sequence[Segment]
     gains: Array
+    known: Mask
 
     def of(self, held: Robot, file_format: str) -> Robot | None:
         """What a format holds of the model, refitted; None where that is not clearly better.
@@ -69,46 +80,56 @@ class Refit:
         """
         if (self.arm.phi[::10] < 0).any():
             return None
-        effects = tuple(e for e in self._effects if file_format in e.export.formats)
-        coefficients = [p for e in effects for p in e.parameters(self.arm)]
-        names = [p.name for p in coefficients]
-        wanted = (*self.arm.parameter_names, *names)
-        problem = self._regression.select(
-            [self._regression.names.index(name) for name in wanted]
-        )
+        heir = self._heir(held, file_format)
+        best = heir.start
+        recorded, mirrored = self._recorded, self._mirrored
+        least = [
+            self._total(motion.residual(best)) for motion in (recorded, mirrored)
+        ]
+        complete = self._total(np.zeros_like(recorded.tau))
+        for fit in (heir.drives, heir.everything):
+            most = REFIT_GAIN * np.array(least)
+            if (complete > most).any():
+                break
+            x = best
+            for _ in range(REFIT_ROUNDS):
+                weight = 1 / believed(self._errors(recorded.residual(x)))
+                x = fit(*_factor(self._parts, weight))
+            in_mirror = self._total(mirrored.residual(x))
+            if in_mirror > most[1]:
+                continue
+            unseen = self._total(self._of_unseen(fit, weight))
+            if unseen <= most[0]:
+                best = x
+                least = [unseen, in_mirror]
+        if best is heir.start:
+            return None
+        robot = identified_robot(self.arm, self._effects, best)
+        return robot.with_effects([e for e in robot.effects if any(e.values or ())])
+
+    def _heir(self, held: Robot, file_format: str) -> _Heir:
+        """What a format holds, at the joints whose gains are known."""
+        links = len(self.arm.phi)
         values = effect_values(held)
-        mean = np.array([values.get(name, 0.0) for name in names])
-        drives = problem.select(range(len(self.arm.phi), problem.p))
-        start = np.concatenate([self.arm.phi, mean])
-        accuracy = self._accuracy(problem.torque(start))
-        heir = _Heir(
-            start,
+        coefficients = [p for e in self._effects for p in e.parameters(self.arm)]
+        mean = np.array([values.get(p.name, 0.0) for p in coefficients])
+        formats = [file_format in e.export.formats for e in self._effects]
+        kept = np.flatnonzero(np.outer(formats, self.known).ravel())
+        drives = self._recorded.select((links + kept).tolist())
+        return _Heir(
+            np.concatenate([self.arm.phi, mean]),
+            links + kept,
             prior_parameters(self.arm),
             EffectPrior(
-                mean,
-                implausible_size(drives.W, problem.tau),
-                np.array([p.lower for p in coefficients]),
+                mean[kept],
+                implausible_size(drives.W, drives.tau),
+                np.array([p.lower for p in coefficients])[kept],
             ),
-            1 / believed(accuracy.rms * self.gains),
         )
-        x: Array | None = None
-        complete = _total(self._accuracy(problem.tau))
-        least = REFIT_GAIN * _total(accuracy)
-        for fitted in (heir.drives, heir.everything):
-            if complete > least:
-                break
-            found = fitted(problem)
-            if _total(self._accuracy(problem.torque(found))) > least:
-                continue
-            unseen = _total(self._accuracy(_of_unseen(problem, fitted)))
-            if unseen <= least:
-                x = found
-                least = REFIT_GAIN * unseen
-        return None if x is None else identified_robot(self.arm, effects, x)
 
     @cached_property
     def _effects(self) -> tuple[Effect, ...]:
-        """All joint properties that any format holds."""
+        """All joint properties that any format holds, a coefficient a joint."""
         return tuple(
             kind(self.arm.joints)
             for kind in EFFECTS.values()
@@ -120,67 +141,109 @@ class Refit:
         return series(self.segments)
 
     @cached_property
-    def _regression(self) -> Regression:
-        """Columns of bodies and joint properties, with the torque of the model."""
-        columns = regression_of(self.arm, self._effects, self.segments)
-        tau = predicted_torque(self.arm, self.segments)
-        return columns.counting(self._rows.counts).with_torque(tau)
+    def _recorded(self) -> Regression:
+        """Columns of bodies and joint properties on the rows of the fit."""
+        return self._columns(self.segments)
 
-    def _accuracy(self, tau: Array) -> Accuracy:
-        """Of a torque on the measured rows of the fit, shape (n, nv) [N·m]."""
-        return self._rows.accuracy(tau / self.gains)
+    @cached_property
+    def _mirrored(self) -> Regression:
+        """The same of the motion in a mirror."""
+        return self._columns([_mirrored(s, self.arm) for s in self.segments])
+
+    def _columns(self, segments: Sequence[Segment]) -> Regression:
+        """Columns with the torque of the model, at rows that count."""
+        columns = regression_of(self.arm, self._effects, segments)
+        tau = predicted_torque(self.arm, segments)
+        return columns.counting(self._rows.counts & self.known).with_torque(tau)
+
+    @cached_property
+    def _parts(self) -> tuple[Regression, ...]:
+        """Parts of the rows, each with its triangles."""
+        ends = np.linspace(0, len(self._recorded), REFIT_PARTS + 1).astype(int)
+        return tuple(
+            self._recorded.at(slice(first, last))
+            for first, last in pairwise(ends.tolist())
+        )
+
+    def _of_unseen(self, fit: Fit, weight: Array) -> Array:
+        """Residual of each part of the rows by a fit to the others, shape (n, nv) [N·m]."""
+        residuals = []
+        for part in self._parts:
+            others = [other for other in self._parts if other is not part]
+            residuals.append(part.residual(fit(*_factor(others, weight))))
+        return np.concatenate(residuals)
+
+    @cached_property
+    def _remaining(self) -> Array:
+        """Errors of the complete model on the rows of the fit, shape (nv,) [N·m]."""
+        predicted = self._recorded.tau / self.gains
+        return self._rows.rms(self._rows.measured - predicted) * self.gains
+
+    def _errors(self, residual: Array) -> Array:
+        """Errors with a residual (n, nv) to the model's torque, the model's own too, (nv,)."""
+        return np.hypot(self._rows.rms(residual), self._remaining)
+
+    def _total(self, residual: Array) -> float:
+        """Nrmse with it, summed over the joints whose gains are known."""
+        std = self._rows.std * self.gains
+        judged = self.known & (std > 0)
+        return float((self._errors(residual)[judged] / std[judged]).sum())
 
 
 @dataclass(frozen=True, eq=False)
 class _Heir:
-    """What a file holds of a model, to be fitted; vectors as in `PhysicalFit`.
+    """What a file holds of a model, to be fitted; x holds bodies and all joint properties, (p,).
 
     Attributes:
         start: What it holds without a refit, shape (p,).
+        kept: Joint properties that its format holds.
         bodies: Consistent bodies near the model's, shape (nv, 10).
-        effects: Joint properties.
-        weight: Of the rows of each joint, shape (nv,) [1/(N·m)].
+        effects: Prior and bounds of those properties.
     """
 
     start: Array
+    kept: Index
     bodies: Array
     effects: EffectPrior
-    weight: Array
 
-    def drives(self, problem: Regression) -> Array:
+    def drives(self, R: Array, z: Array) -> Array:
         """Joint properties fitted, bodies as they are."""
-        R, z = problem.factor(self.weight)
-        links = self.start[: self.bodies.size]
+        links = self.bodies.size
         precision = 1 / self.effects.std
-        columns = np.vstack([R[:, len(links) :], np.diag(precision)])
-        wanted = [z - R[:, : len(links)] @ links, precision * self.effects.mean]
+        columns = np.vstack([R[:, self.kept], np.diag(precision)])
+        rest = z - R[:, :links] @ self.start[:links]
         scale = 1 / np.linalg.norm(columns, axis=0)
         fit = scipy.optimize.lsq_linear(
             columns * scale,
-            np.concatenate(wanted),
+            np.concatenate([rest, precision * self.effects.mean]),
             (self.effects.lower / scale, np.inf),
             method="bvls",
         )
-        return np.concatenate([links, scale * fit.x])
+        x = self.start.copy()
+        x[self.kept] = scale * fit.x
+        return x
 
-    def everything(self, problem: Regression) -> Array:
+    def everything(self, R: Array, z: Array) -> Array:
         """Bodies fitted, too; the start where floating point ends before the optimum."""
-        share = np.sqrt(problem.p / len(problem))
-        R, z = problem.factor(share * self.weight)
-        fit = fit_physical(R, z, BodyPrior(self.bodies), self.effects)
-        return self.start if fit.note else fit.x
+        columns = np.append(np.arange(self.bodies.size), self.kept)
+        fit = fit_physical(R[:, columns], z, BodyPrior(self.bodies), self.effects)
+        x = self.start.copy()
+        if not fit.note:
+            x[columns] = fit.x
+        return x
 
 
-def _of_unseen(problem: Regression, fitted: Callable[[Regression], Array]) -> Array:
-    """Torque of each part of the rows by a fit to the others, shape (n, nv) [N·m]."""
-    ends = np.linspace(0, len(problem), REFIT_PARTS + 1).astype(int).tolist()
-    parts = []
-    for first, last in pairwise(ends):
-        others = (slice(0, first), slice(last, None))
-        x = fitted(joined([problem.at(rows) for rows in others]))
-        parts.append(problem.at(slice(first, last)).torque(x))
-    return np.concatenate(parts)
+def _factor(parts: Sequence[Regression], weight: Array) -> tuple[Array, Array]:
+    """R and z of the rows of all parts; see `Regression.factor`."""
+    R = triangle(np.concatenate([part.stacked(weight) for part in parts]))
+    return R[:, :-1], R[:, -1]
 
 
-def _total(accuracy: Accuracy) -> float:
-    return float(np.nansum(accuracy.nrmse))
+def _mirrored(segment: Segment, arm: Robot) -> Segment:
+    """The motion about the middle of each joint's range, of its mean position without one."""
+    motion = segment.motion
+    ends = arm.limits.position.T
+    bounded = np.isfinite(ends).all(axis=0)
+    ends = np.where(bounded, ends, motion.q.mean(axis=0))
+    q = ends.sum(axis=0) - motion.q
+    return replace(segment, motion=Motion(motion.t, q, -motion.dq, -motion.ddq))

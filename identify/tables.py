@@ -10,6 +10,7 @@ import numpy as np
 
 from excitant.identify.accuracy import Coverage, coverage
 from excitant.identify.friction import curves_over_velocity, friction_curves
+from excitant.identify.nearness import LARGE_CHANGE, link_lengths
 from excitant.identify.prior import decided_by
 from excitant.identify.rows import states, units_of
 from excitant.robots.base_parameters import categories
@@ -20,8 +21,8 @@ from excitant.robots.parameters import UNITS, inertia, violations
 if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
 
-LARGE_CHANGE = 0.5  # of a nominal mass or of a link's length: it is named
 SMALLEST_SHIFT = 0.01  # of a centre of mass [m]: a smaller one is not named
+SURE_STDS = 2.0  # standard deviations by which a first moment must be off
 _DECIDED_BY = {  # from the surest to the least sure
     "data": "by the data",
     "both": "between data and prior",
@@ -43,6 +44,8 @@ class BodyChange:
         centre_by: Who decided it, by the least sure of its coordinates.
         length: From the joint to the next one or to the nominal centre of mass, or the radius of
             gyration, whichever is longest [m].
+        needed: Mass nearest to the nominal one that the data allow [kg]; None where that is no
+            large change.
         known: Whether a drive gain is known, where currents were recorded: else nothing is told of
             what moved.
     """
@@ -55,6 +58,7 @@ class BodyChange:
     centre: Array
     centre_by: str
     length: float
+    needed: float | None
     known: bool
 
     @property
@@ -71,7 +75,7 @@ class BodyChange:
         if abs(self.mass - self.nominal_mass) >= LARGE_CHANGE * self.nominal_mass:
             changes.append(
                 f"mass {self.nominal_mass:.3g} → {self.mass:.3g} kg "
-                f"({_DECIDED_BY[self.mass_by]})"
+                f"({_DECIDED_BY[self.mass_by]}{self._need})"
             )
         if self.shift >= max(LARGE_CHANGE * self.length, SMALLEST_SHIFT):
             changes.append(
@@ -79,6 +83,16 @@ class BodyChange:
                 f"({_DECIDED_BY[self.centre_by]})"
             )
         return f"{self.link}: {' and '.join(changes)}" if changes else ""
+
+    @property
+    def _need(self) -> str:
+        """What the data alone ask for of a mass that moved, if they have not decided it."""
+        if self.mass_by == "data":
+            return ""
+        if self.needed is None:
+            return "; the data fit as well with one within half of the given"
+        end = "least" if self.mass > self.nominal_mass else "most"
+        return f"; the data need at {end} {self.needed:.2g} kg, or another centre of mass"
 
     def entry(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
@@ -103,24 +117,22 @@ def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
     """Masses and centres of mass of the links, nominal and identified."""
     who = decided_by(estimate.physical.influence, categories(estimate.base))
     drive = estimate.drive
-    places = list(estimate.given.model.jointPlacements)
+    bodies = estimate.physical.prior.bodies
+    lengths = link_lengths(estimate.given, bodies)
     changes = []
     for k, link in enumerate(estimate.given.links):
         phi = estimate.phi[10 * k : 10 * k + 4]
-        body = inertia(estimate.physical.prior.bodies[k])
-        nominal_centre = np.array(body.lever)
-        next_joint = [place.translation for place in places[k + 2 : k + 3]]
-        radius = np.sqrt(np.trace(body.inertia) / 2 / body.mass)
-        ends = (np.linalg.norm(end) for end in (nominal_centre, *next_joint))
+        body = inertia(bodies[k])
         change = BodyChange(
             link,
             nominal_mass=body.mass,
             mass=float(phi[0]),
             mass_by=who[10 * k],
-            nominal_centre=nominal_centre,
+            nominal_centre=np.array(body.lever),
             centre=phi[1:] / phi[0],
             centre_by=max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index),
-            length=float(max(radius, *ends)),
+            length=float(lengths[k]),
+            needed=estimate.needed.get(link),
             known=drive is None or bool(drive.known.any()),
         )
         changes.append(change)
@@ -299,13 +311,27 @@ def _moved(estimate: Estimate, bodies: Sequence[BodyChange]) -> list[str]:
     wrong = np.flatnonzero(std > max(common, LARGE_CHANGE)).tolist()
     if wrong:
         listed = ", ".join(f"{links[k]} ({100 * std[k]:.0f} %)" for k in wrong)
-        tool = ": a payload or another tool?" if len(std) - 1 in wrong else ""
+        tool = _tool(estimate) if len(std) - 1 in wrong else ""
         sentences.append(
             f"the data contradict the given values of {listed}, for which as much is allowed{tool}"
         )
     if moved := "; ".join(body.moved for body in bodies if body.moved):
         sentences.append(f"moved by half or more against the given model: {moved}")
     return sentences
+
+
+def _tool(estimate: Estimate) -> str:
+    """What may hang on the last link, as far as the data alone determine it."""
+    first = 10 * estimate.given.nv - 10
+    given = estimate.physical.prior.bodies[-1]
+    parts = []
+    for k, axis in enumerate("xyz", start=1):
+        excess = estimate.phi[first + k] - given[k]
+        std = estimate.std[first + k]
+        if abs(excess) > SURE_STDS * std:
+            parts.append(f"{excess:+.3g} ± {std:.1g} kg·m along {axis}")
+    moment = f", with a first moment of {', '.join(parts)}" if parts else ""
+    return f": a payload or another tool{moment}?"
 
 
 def _missed(joints: Sequence[str], covered: Coverage) -> list[str]:

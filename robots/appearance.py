@@ -198,12 +198,7 @@ def _measures(shape: Any) -> dict[str, Any]:
 
 
 def _triangles(shape: Any) -> tuple[Array, Array]:
-    """Points and faces of a convex hull, or of a flat mesh, which has none."""
-    if isinstance(shape, coal.BVHModelBase):
-        faces = [shape.tri_indices(k) for k in range(shape.num_tris)]
-        points = shape.vertices()
-    else:
-        faces = [shape.polygons(k) for k in range(shape.num_polygons)]
-        points = shape.points()
+    """Points and faces of a convex hull."""
+    faces = [shape.polygons(k) for k in range(shape.num_polygons)]
     corners = [[face[k] for k in range(3)] for face in faces]
-    return np.array(points, float), np.array(corners, float)
+    return np.array(shape.points(), float), np.array(corners, float)

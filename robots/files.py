@@ -18,10 +18,12 @@ from excitant.files import read_text
 LARGEST = 32_000_000
 """Bytes of a text that is read; descriptions of whole humanoids have a hundredth."""
 
-_DEEPEST = 100  # elements within one another
+DEEPEST = 100
+"""Elements within one another."""
+
 _MOST = 200_000  # elements
 
-ALLOW = "--package FOLDER (packages: [..] in a robot.yaml)"
+ALLOW = "--package FOLDER"
 """How files elsewhere are allowed."""
 
 
@@ -80,9 +82,9 @@ class _Tree(ET.TreeBuilder):
         """Begin an element."""
         self.depth += 1
         self.count += 1
-        if self.depth > _DEEPEST or self.count > _MOST:
-            deep = self.depth > _DEEPEST
-            what = f"{_DEEPEST} elements deep" if deep else f"{_MOST} elements"
+        if self.depth > DEEPEST or self.count > _MOST:
+            deep = self.depth > DEEPEST
+            what = f"{DEEPEST} elements deep" if deep else f"{_MOST} elements"
             why = f"its XML is more than {what}; no arm needs that"
             raise BadRobot(self.source, why)
         if self.prefix:
@@ -111,32 +113,34 @@ def within(
     packages: Iterable[str | Path] = (),
     allow: str = ALLOW,
 ) -> Path:
-    """Real path of a file that another one names.
+    """Real path of a file or folder that a file names.
 
-    It lies below the folder of the one that names it, the package that holds that one (the
-    nearest folder with a ``package.xml``), or one of ``packages``.
+    It lies below the `home` of the one that names it, or one of ``packages``.
 
     Raises:
-        BadRobot: It lies elsewhere.
+        BadRobot: It lies elsewhere, or is a pipe, device or socket.
     """
     real = real_path(path)
-    folder = real_path(named_by).parent
-    around = next(
-        (f for f in (folder, *folder.parents) if isfile(f / "package.xml")), folder
-    )
     if not any(
-        map(real.is_relative_to, (folder, around, *map(real_path, packages)))
+        map(real.is_relative_to, (home(named_by), *map(real_path, packages)))
     ):
         raise BadRobot(
             named_by,
             f"it asks for {path}, which is outside its folder; if you trust it, allow that with "
             f"{allow}",
         )
-    if exists(real) and not isfile(real):
+    if exists(real) and not (isfile(real) or isdir(real)):
         raise BadRobot(
             named_by, f"it asks for {path}, which is no file; name a file"
         )
     return real
+
+
+def home(path: str | Path) -> Path:
+    """Folder that a file may read in: its package (the nearest ``package.xml``), else its own."""
+    folder = real_path(path).parent
+    around = (folder, *folder.parents)
+    return next((f for f in around if isfile(f / "package.xml")), folder)
 
 
 def package_folders(
@@ -144,25 +148,35 @@ def package_folders(
 ) -> Iterator[Path]:
     """Folders of a package, by their name or that in ``package.xml``.
 
-    They are among those given (the package itself, or a folder that holds it), then around the file
-    that names it. There, without a ``package.xml``, a top-level folder, one that holds the user's
-    home, or a hidden one is none.
+    They are those given (the package itself, or a folder that holds it), then the `home` of the
+    file that names it, then those of ROS.
     """
-    if not re.fullmatch(r"\w[\w.-]*", name):
-        return
-    given = [real_path(package) for package in packages]
-    for k, around in enumerate((*given, *real_path(named_by).parents)):
-        for folder in (around, around / name):
-            manifest = _package_name(folder)
-            trusted = k < len(given) or manifest or not is_exposed(folder)
-            if trusted and isdir(folder) and name in (manifest, folder.name):
+    for around in (*map(real_path, packages), home(named_by)):
+        for folder in map(real_path, _called(name, around)):
+            if folder.is_relative_to(around):
                 yield folder
+    yield from ros_folders(name)
 
 
-def is_exposed(folder: Path) -> bool:
-    """Whether a folder is a top-level one, or holds the user's home."""
-    top = len(folder.parts) <= 2
-    return top or real_path(Path.home()).is_relative_to(folder)
+def ros_folders(name: str) -> Iterator[Path]:
+    """Folders of a package by the user's ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``."""
+    for variable, inner in (
+        ("ROS_PACKAGE_PATH", ""),
+        ("AMENT_PREFIX_PATH", "share"),
+    ):
+        for path in filter(None, os.environ.get(variable, "").split(os.pathsep)):
+            yield from _called(name, Path(path) / inner)
+
+
+def _called(name: str, around: Path) -> Iterator[Path]:
+    """A folder, and one in it, that are a package of this name."""
+    for folder in (around, around / name):
+        if (
+            re.fullmatch(r"\w[\w.-]*", name)
+            and isdir(folder)
+            and name in (folder.name, _package_name(folder))
+        ):
+            yield folder
 
 
 def _package_name(folder: Path) -> str:

@@ -25,7 +25,7 @@ from excitant.robots.effects import (
     ViscousFriction,
     effects_from_entries,
 )
-from excitant.robots.files import is_exposed, read_description, real_path, within
+from excitant.robots.files import parse_xml, read_description, within
 from excitant.robots.limits import LIMIT_NAMES
 from excitant.robots.limits_file import merge_limits
 from excitant.robots.mjcf import Description, description_from_mjcf
@@ -163,11 +163,7 @@ def _joined(record: RobotRecord, path: Path, spec: RobotSpec) -> RobotSpec:
     }
     folders = [path.parent / folder for folder in record.packages or ()]
     for folder in folders:
-        if is_exposed(real_path(folder)):
-            raise BadRobot(
-                path,
-                f"packages: {folder} is too wide; name the package, or --package",
-            )
+        within(folder, path, spec.packages)
     return RobotSpec(
         path,
         None if record.joints is None else tuple(map(str, record.joints)),
@@ -247,7 +243,7 @@ def _described(path: Path, spec: RobotSpec) -> Description:
         raise BadRobot(
             path, "not a xacro file, so it takes no xacro arguments; leave them out"
         )
-    if "<mujoco" in text:
+    if "<mujoco" in text and parse_xml(text, path, "MJCF").tag == "mujoco":
         return description_from_mjcf(path, spec.packages)
     return Description(text)
 

@@ -1,43 +1,39 @@
-"""Robots from MJCF files: MuJoCo compiles them, and its model is written as a URDF.
+"""Robots from MJCF files: what they consist of is read here, and compiled in a child process.
 
-Bodies become links, hinges and slides become revolute, continuous and prismatic joints; several
-joints on one body become a chain of links without mass. A link's frame lies at the anchor of its
-last joint with the axes of the body, so that its URDF states what MuJoCo computes with. What a
-URDF has no word for is kept beside it: gravity, armatures, springs, loops.
+MuJoCo gets texts and bytes under names that are given here, never a path.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from os.path import isfile
-from pathlib import Path
-from typing import Any
-from xml.etree.ElementTree import Element, SubElement
+from importlib.util import find_spec
+from os.path import exists
+from pathlib import Path, PurePosixPath
+from xml.etree.ElementTree import Element, tostring
 
+import msgspec
 import numpy as np
-import numpy.typing as npt
-import pinocchio as pin
 
 from excitant.exceptions import BadRobot
-from excitant.robots.angles import Angles
+from excitant.files import read_bytes
+from excitant.limited import Exceeded, in_child
 from excitant.robots.files import (
+    DEEPEST,
     LARGEST,
     parse_xml,
     read_description,
     real_path,
     within,
 )
-from excitant.robots.motion import Array
 from excitant.robots.urdf import GRAVITY
-from excitant.robots.urdf_writer import (
-    collision,
-    inertial_element,
-    joint_element,
-    numbers_text,
-    urdf_text,
+
+SECONDS = (
+    10  # of processor time that compiling may take; a humanoid with meshes takes 2
 )
+MEMORY = (
+    2 << 30
+)  # bytes of address space that it may take; libraries alone take 0.3 GB
 
 
 @dataclass(frozen=True)
@@ -64,120 +60,186 @@ def description_from_mjcf(
 
     Files that it names must lie below its folder or one of the packages.
     """
-    try:
-        import mujoco
-    except ImportError:
+    if find_spec("mujoco") is None:
         why = "MJCF files are read by MuJoCo; install it (pip install 'excitant[mjcf]')"
-        raise BadRobot(path, why) from None
-    _check_files(Path(path), tuple(packages))
-    angles = Angles()
-    warned = mujoco.get_mju_user_warning()
-    # else it writes a log where it stands
-    mujoco.set_mju_user_warning(lambda _: None)
+        raise BadRobot(path, why)
+    parts = _Parts(Path(path), tuple(packages))
+    task = (parts.text(Path(path)), parts.models, parts.assets, parts.places)
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        if not len(spec.worldbody.bodies):
-            raise BadRobot(
-                path, "its <worldbody> holds no bodies; give an MJCF of an arm"
-            )
-        _leave_out_drawing(spec, path)
-        _take_exact_angles(spec, angles, mujoco.mjtOrientation)
-        with warnings.catch_warnings():
-            # of attributes that MuJoCo will drop
-            warnings.simplefilter("ignore", UserWarning)
-            model = spec.compile()
-    except (ValueError, RuntimeError) as error:
-        why = " ".join(
-            str(error).replace("XML Error:", "").replace("Error:", "").split()
-        )
-        raise BadRobot(path, f"MuJoCo cannot read it: {why}") from None
-    finally:
-        mujoco.set_mju_user_warning(warned)
-    _check_numbers(model, path)
-    writer = _Writer(mujoco, spec, model)
-    writer.notes += angles.notes
-    writer.write()
-    x, y, z = model.opt.gravity.tolist()
-    return Description(
-        urdf_text(writer.robot),
-        (x, y, z),
-        writer.armature,
-        writer.springs,
-        *writer.constraints(),
-        tuple(writer.notes),
-    )
+        answer = in_child(_WORK, *task, seconds=SECONDS, memory=MEMORY, files=0)
+    except Exceeded as error:
+        raise BadRobot(path, f"compiling it {error}; no arm needs that") from None
+    except ValueError as error:
+        raise BadRobot(path, str(error)) from None
+    return msgspec.json.decode(answer, type=Description)
 
 
+_WORK = "excitant.robots.mjcf_model.described"  # which imports MuJoCo
 _FILES = 200  # that one MJCF may consist of
+_ASSETS = 256_000_000  # bytes of all its meshes and height fields
+_BODIES = 1000  # as many as links of a URDF
 _COPIES = 300  # that <replicate> may make, over all levels
 # products of these attributes
 _SIZES = {
     "count": 10_000,
     "nrow": 2_000,
     "ncol": 2_000,
+    "params": 10_000,
 }
+_DRAWN = ("material", "texture", "skin")  # elements, and attributes that name them
+_FOLDERS = ("meshdir", "texturedir", "assetdir", "strippath")
 
 
-def _check_files(path: Path, packages: tuple[str | Path, ...]) -> None:
-    """Look at an MJCF before MuJoCo does: which files it names, and how much it builds."""
-    main = real_path(path).parent
-    parts = [path]
-    seen = {real_path(path)}
-    named = list[tuple[Path, str]]()
-    size = 0
-    folders = {""}
-    for part in parts:  # which grows
-        text = read_description(part)
-        size += len(text)
-        if len(parts) > _FILES or size > LARGEST:
-            why = f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB"
-            raise BadRobot(path, why)
-        root = parse_xml(text, part, "MJCF")
-        here = real_path(part).parent
-        _check_sizes(root, part)
+class _Parts:
+    """The files that one MJCF consists of, under names of our own.
+
+    Attributes:
+        models: MJCF that are attached, by name.
+        assets: Content of other files, by name.
+        places: Where files are, those that are missing too, by name.
+    """
+
+    def __init__(self, path: Path, packages: tuple[str | Path, ...]) -> None:
+        self.path = path
+        self.packages = packages
+        self.models: dict[str, bytes] = {}
+        self.assets: dict[str, bytes] = {}
+        self.places: dict[str, str] = {}
+        self._names: dict[Path, str] = {}
+        self._read = 0  # files of text
+        self._size = 0  # bytes of text
+        self._large = 0  # bytes of assets
+
+    def text(self, path: Path) -> str:
+        """Text of an MJCF that includes nothing, draws nothing, and names files as we do."""
+        root = self._root(path)
+        inside: dict[Element, str] = {}  # folder of the file that includes it
+        self._include(root, path.parent, "", {real_path(path)}, inside)
+        _check_sizes(root, self.path)
+        _leave_out_drawing(root)
+        compiler: dict[str, str] = {}
+        for element in root.iter("compiler"):
+            compiler |= element.attrib
+            for key in _FOLDERS:
+                element.attrib.pop(key, None)
+        folder = path.parent / compiler.get("meshdir", compiler.get("assetdir", ""))
         for element in root.iter():
-            if element.tag == "compiler":
-                keys = ("meshdir", "texturedir", "assetdir")
-                folders |= {element.get(key, "") for key in keys}
-            files = [
-                name
-                for key, name in element.attrib.items()
-                if key.startswith("file")
-            ]
-            if element.tag not in ("include", "model", "attach"):
-                named += [(here, name) for name in files]
-                continue
-            for file in {base / name for base in (main, here) for name in files}:
-                if (
-                    isfile(file)
-                    and (real := within(file, path, packages)) not in seen
-                ):
-                    seen.add(real)
-                    parts.append(real)
-    for here, name in named:
-        for folder in folders:
-            inner = (Path(folder) / name, Path(folder) / Path(name).name)
-            for file in {base / each for base in (main, here) for each in inner}:
-                if isfile(file):
-                    within(file, path, packages)
+            for key in [key for key in element.attrib if key.startswith("file")]:
+                file = element.attrib[key].replace("\\", "/")
+                if element.tag == "model":
+                    bases = (path.parent, path.parent / inside.get(element, ""))
+                else:
+                    bases = (folder, folder / inside.get(element, ""))
+                    if compiler.get("strippath") == "true":
+                        file = PurePosixPath(file).name
+                if element.tag in ("mesh", "hfield"):
+                    stem = PurePosixPath(file).stem
+                    element.attrib.setdefault("name", stem)
+                element.set(key, self._named(element.tag, file, bases))
+        return tostring(root, encoding="unicode")
+
+    def _root(self, path: Path) -> Element:
+        text = read_description(path)
+        self._read += 1
+        self._size += len(text)
+        if self._read > _FILES or self._size > LARGEST:
+            why = f"it is made of more than {_FILES} files or {LARGEST / 1e6:g} MB"
+            raise BadRobot(self.path, why)
+        return parse_xml(text, path, "MJCF")
+
+    def _include(
+        self,
+        root: Element,
+        main: Path,
+        below: str,
+        seen: set[Path],
+        inside: dict[Element, str],
+    ) -> None:
+        """Put the content of files in place of the elements that include them."""
+        for parent in list(root.iter()):
+            content = list[Element]()
+            for child in parent:
+                inside[child] = below
+                if child.tag != "include":
+                    content.append(child)
+                    continue
+                name = child.get("file", "").replace("\\", "/")
+                file = self._found(name, (main, main / below))
+                if file is None:
+                    raise BadRobot(
+                        self.path, f"it includes {name}, which is missing"
+                    )
+                if file in seen:
+                    raise BadRobot(self.path, f"{name} is already included")
+                seen.add(file)
+                included = self._root(file)
+                around = str(PurePosixPath(below) / PurePosixPath(name).parent)
+                self._include(included, main, around, seen, inside)
+                content += included
+            parent[:] = content
+
+    def _found(self, name: str, bases: Iterable[Path]) -> Path | None:
+        """Real path of a file that may be read; None if there is none."""
+        for file in (base / name for base in bases):
+            if exists(file):
+                return within(file, self.path, self.packages)
+        return None
+
+    def _named(self, tag: str, file: str, bases: tuple[Path, ...]) -> str:
+        """Our name of a file, whose content is taken."""
+        found = self._found(file, bases)
+        real = found or real_path(bases[0] / file)
+        if real in self._names:
+            return self._names[real]
+        name = f"file{len(self._names)}_{PurePosixPath(file).suffix}"
+        self._names[real] = name
+        self.places[name] = str(real)
+        if found is not None and tag == "model":
+            self.models[name] = self.text(found).encode()
+        elif found is not None:
+            self.assets[name] = self._content(found)
+        return name
+
+    def _content(self, file: Path) -> bytes:
+        try:
+            content = read_bytes(file, _ASSETS - self._large)
+        except OSError as error:
+            why = f"it asks for {file}, which cannot be read ({error.strerror})"
+            raise BadRobot(self.path, why) from None
+        self._large += len(content)
+        return content
+
+
+def _leave_out_drawing(root: Element) -> None:
+    """Remove what is only drawn."""
+    for element in root.iter():
+        element[:] = [child for child in element if child.tag not in _DRAWN]
+        for key in _DRAWN:
+            element.attrib.pop(key, None)
 
 
 def _check_sizes(root: Element, path: Path) -> None:
-    """Refuse numbers of copies, grids and memory that no arm needs."""
-    rest = [(root, 1.0)]
+    """Refuse depths, and numbers of copies, grids and memory, that no arm needs."""
+    rest = [(root, 1.0, 1)]
+    bodies = 0.0
     while rest:
-        element, copies = rest.pop()
+        element, copies, depth = rest.pop()
         numbers = {key: _product(element.get(key, "")) for key in _SIZES}
         large = [key for key, most in _SIZES.items() if numbers[key] > most]
         if element.tag == "size":
             large += [key for key, text in element.items() if _product(text) > 1e6]
         elif element.tag == "replicate":
             copies *= numbers["count"]
+        elif element.tag == "body":
+            bodies += copies
         if large or copies > _COPIES:
             key = (*large, "count")[0]
             what = f'<{element.tag} {key}="{element.get(key)}">'
             raise BadRobot(path, f"{what} builds more than an arm can have")
-        rest += [(child, copies) for child in element]
+        if bodies > _BODIES or depth > DEEPEST:
+            what = f"{_BODIES} bodies" if bodies > _BODIES else f"{DEEPEST} levels"
+            raise BadRobot(path, f"it builds more than {what}; no arm needs that")
+        rest += [(child, copies, depth + 1) for child in element]
 
 
 def _product(text: str) -> float:
@@ -186,351 +248,3 @@ def _product(text: str) -> float:
         return float(np.prod([max(abs(float(word)), 1.0) for word in text.split()]))
     except ValueError:
         return 1.0
-
-
-def _take_exact_angles(spec: Any, angles: Angles, kinds: Any) -> None:
-    """Give bodies, their inertias and shapes the angles that are meant."""
-    for element in (*spec.bodies, *spec.frames, *spec.geoms):
-        for quaternion, other in (("quat", "alt"), ("iquat", "ialt")):
-            if not hasattr(element, quaternion):
-                continue
-            alternative = getattr(element, other)
-            if alternative.type == kinds.mjORIENTATION_QUAT:
-                exact = angles.quaternion(getattr(element, quaternion))
-                setattr(element, quaternion, exact)
-            elif spec.compiler.degree:
-                continue
-            elif alternative.type == kinds.mjORIENTATION_EULER:
-                alternative.euler = angles.exact(alternative.euler)
-            elif alternative.type == kinds.mjORIENTATION_AXISANGLE:
-                angle = angles.exact(alternative.axisangle[3:])
-                alternative.axisangle = [*alternative.axisangle[:3], *angle]
-
-
-def _check_numbers(model: Any, path: str | Path) -> None:
-    """Refuse NaN, infinities and numbers beyond any arm in what is taken of a model."""
-    for name in _TAKEN:
-        values = np.asarray(getattr(model, name), float)
-        if values.size and not np.abs(values).max() < 1e9:
-            what = name.partition("_")[2].replace("_", " ")
-            raise BadRobot(
-                path, f"a number is not finite or beyond any arm's size ({what})"
-            )
-    if not np.abs(model.opt.gravity).max() < 1e9:
-        raise BadRobot(
-            path, "gravity is not finite or beyond reason; give it in m/s²"
-        )
-
-
-_TAKEN = (
-    "body_pos",
-    "body_quat",
-    "body_ipos",
-    "body_iquat",
-    "body_mass",
-    "body_inertia",
-    "jnt_pos",
-    "jnt_axis",
-    "jnt_range",
-    "jnt_stiffness",
-    "qpos0",
-    "qpos_spring",
-    "dof_armature",
-    "dof_damping",
-    "dof_frictionloss",
-    "geom_pos",
-    "geom_quat",
-    "geom_size",
-    "mesh_pos",
-    "mesh_quat",
-    "eq_data",
-    "actuator_gear",
-    "actuator_gainprm",
-    "actuator_armature",
-    "actuator_damping",
-)
-
-
-def _leave_out_drawing(spec: Any, path: str | Path) -> None:
-    """Remove what is only drawn, and shapes whose mesh is missing and makes no inertia."""
-    spec.compiler.fusestatic = False
-    for geom in spec.geoms:
-        geom.material = ""
-    for kind in (spec.materials, spec.textures, spec.skins):
-        for element in list(kind):
-            spec.delete(element)
-    for mesh in list(spec.meshes):
-        file = _mesh_path(spec, mesh, Path(path).parent)
-        if not mesh.file or isfile(file):
-            continue
-        for geom in [g for g in spec.geoms if g.meshname == mesh.name]:
-            body = geom.parent
-            if not body.explicitinertial or spec.compiler.inertiafromgeom == 1:
-                why = (
-                    f"body '{body.name}' has its mass from {file}, which is missing"
-                )
-                raise BadRobot(path, why)
-            spec.delete(geom)
-        spec.delete(mesh)
-
-
-def _mesh_path(spec: Any, mesh: Any, folder: Path) -> Path:
-    file = Path(mesh.file).name if spec.strippath else mesh.file
-    return real_path(folder / spec.compiler.meshdir / file)
-
-
-def _pose(position: Array, quaternion: Array) -> pin.SE3:
-    return pin.SE3(pin.Quaternion(*quaternion).normalized(), np.array(position))
-
-
-def _shifted(position: npt.ArrayLike) -> pin.SE3:
-    return pin.SE3(np.eye(3), np.array(position))
-
-
-@dataclass
-class _Writer:
-    """Writes links and joints of a compiled model."""
-
-    mujoco: Any
-    spec: Any
-    model: Any
-    armature: dict[str, float] = field(default_factory=dict)
-    springs: dict[str, tuple[float, float]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        model = self.model
-        self.robot = Element("robot", name=self.spec.modelname or "robot")
-        self.bodies = [
-            model.body(b).name or f"body_{b}" for b in range(model.nbody)
-        ]
-        self.joints = []
-        for j, b in enumerate(model.jnt_bodyid):
-            k = j - model.body_jntadr[b] + 1
-            unnamed = f"{self.bodies[b]}_joint{k if k > 1 else ''}"
-            self.joints.append(model.jnt(j).name or unnamed)
-        self.followers = dict(self._followers())
-
-    def write(self) -> None:
-        """Write all bodies, the world first; parents come before what they carry."""
-        model = self.model
-        frames: dict[int, pin.SE3] = {}  # of each body in its link
-        solid = (model.geom_contype | model.geom_conaffinity) != 0
-        for b, name in enumerate(self.bodies):
-            body = model.body(b)
-            if model.body_gravcomp[b]:
-                self.notes.append(
-                    f"body {name}: gravcomp is left out, as a controller's doing"
-                )
-            frames[b] = self._joints(b, frames) if b else pin.SE3.Identity()
-            link = SubElement(self.robot, "link", name=name)
-            mass = float(body.mass[0])
-            if b and mass > 0:
-                place = _pose(body.ipos, body.iquat)
-                R = place.rotation
-                tensor = R @ np.diag(body.inertia) @ R.T
-                inertia = frames[b].act(
-                    pin.Inertia(mass, place.translation, tensor)
-                )
-                link.append(inertial_element(inertia.toDynamicParameters()))
-            for g in np.flatnonzero(solid & (model.geom_bodyid == b)):
-                link.extend(self._collisions(model.geom(g), frames[b]))
-
-    def _joints(self, b: int, frames: Mapping[int, pin.SE3]) -> pin.SE3:
-        """Write the joints of a body; the body's frame in the last link they carry."""
-        body = self.model.body(b)
-        name = self.bodies[b]
-        parent = int(body.parentid[0])
-        place = frames[parent] * _pose(body.pos, body.quat)
-        above = self.bodies[parent]
-        joints = np.flatnonzero(self.model.jnt_bodyid == b).tolist()
-        if not joints:
-            joint_element(
-                self.robot, f"{name}_weld", "fixed", above, name, place.homogeneous
-            )
-            return pin.SE3.Identity()
-        for j in joints:
-            last = j == joints[-1]
-            child = name if last else f"{name}_before_{self.joints[j + 1]}"
-            place = self._joint(j, place, above, child)
-            if not last:
-                SubElement(self.robot, "link", name=child)
-            above = child
-        return place
-
-    def _joint(self, j: int, place: pin.SE3, above: str, child: str) -> pin.SE3:
-        """Write a joint that sits on a body's frame; the body's frame in what it carries."""
-        name = self.joints[j]
-        joint = self.model.jnt(j)
-        kinds = self.mujoco.mjtJoint
-        at = _shifted(joint.pos)
-        back = -joint.qpos0[0] * joint.axis
-        if joint.type[0] == kinds.mjJNT_SLIDE:
-            word = "prismatic"
-            turned = _shifted(back)
-        elif joint.type[0] == kinds.mjJNT_HINGE:
-            word = "revolute" if joint.limited[0] else "continuous"
-            turned = pin.SE3(pin.exp3(back), np.zeros(3))
-        else:
-            pose = place.homogeneous
-            joint_element(self.robot, name, "floating", above, child, pose)
-            return pin.SE3.Identity()
-        start = (place * at * turned).homogeneous
-        element = joint_element(self.robot, name, word, above, child, start)
-        SubElement(element, "axis", xyz=numbers_text(joint.axis))
-        self._facts(element, j)
-        return at.inverse()
-
-    def _facts(self, element: Element, j: int) -> None:
-        """Limits, friction, rotor inertia and spring of a joint."""
-        joint = self.model.jnt(j)
-        name = self.joints[j]
-        effort, armature, damping = self._actuation(j)
-        limit = {"effort": repr(effort), "velocity": "0"}
-        if joint.limited[0]:
-            low, high = joint.range.tolist()
-            limit |= {"lower": repr(low), "upper": repr(high)}
-        SubElement(element, "limit", limit)
-        damping += float(joint.damping[0])
-        friction = float(joint.frictionloss[0])
-        if damping or friction:
-            SubElement(
-                element, "dynamics", damping=repr(damping), friction=repr(friction)
-            )
-        if armature := armature + float(joint.armature[0]):
-            self.armature[name] = armature
-        if stiffness := float(joint.stiffness[0]):
-            self.springs[name] = (stiffness, float(joint.qpos_spring[0]))
-        if joint.stiffnesspoly.any() or joint.dampingpoly.any():
-            self.notes.append(
-                f"joint {name}: higher powers of stiffness and damping are left out"
-            )
-        if name in self.followers:
-            master, offset, slope = self.followers[name]
-            numbers = {
-                "joint": master,
-                "multiplier": repr(slope),
-                "offset": repr(offset),
-            }
-            SubElement(element, "mimic", numbers)
-
-    def _actuation(self, j: int) -> tuple[float, float, float]:
-        """Torque limit for both directions (0 for none), rotor inertia and damping of drives."""
-        model = self.model
-        mj = self.mujoco
-        total = np.zeros(2)
-        armature = 0.0
-        damping = 0.0
-        direct = [mj.mjtTrn.mjTRN_JOINT, mj.mjtTrn.mjTRN_JOINTINPARENT]
-        here = (model.actuator_trnid[:, 0] == j) & np.isin(
-            model.actuator_trntype, direct
-        )
-        for a in np.flatnonzero(here):
-            drive = model.actuator(a)
-            gear = float(drive.gear[0])
-            gain = float(drive.gainprm[0])
-            force = _range(drive.forcerange, drive.forcelimited[0])
-            plain = drive.gaintype[0] == mj.mjtGain.mjGAIN_FIXED
-            plain &= drive.biastype[0] == mj.mjtBias.mjBIAS_NONE
-            if plain and gain:
-                control = _range(drive.ctrlrange, drive.ctrllimited[0])
-                force = np.clip(np.sort(gain * control), *force)
-            total = total + (
-                np.sort(gear * force) if gear and (gain or not plain) else 0.0
-            )
-            armature += gear**2 * float(model.actuator_armature[a])
-            damping += gear**2 * float(model.actuator_damping[a])
-        low, high = total if here.any() else (-np.inf, np.inf)
-        own = _range(model.jnt_actfrcrange[j], model.jnt_actfrclimited[j])
-        limit = float(min(-max(low, own[0]), min(high, own[1])))
-        return limit if np.isfinite(limit) and limit > 0 else 0.0, armature, damping
-
-    def _equalities(self, *kinds: str) -> list[Any]:
-        model = self.model
-        wanted = [getattr(self.mujoco.mjtEq, f"mjEQ_{kind}") for kind in kinds]
-        here = np.isin(model.eq_type, wanted) & (model.eq_active0 != 0)
-        return [model.eq(e) for e in np.flatnonzero(here)]
-
-    def _followers(self) -> Iterator[tuple[str, tuple[str, float, float]]]:
-        """Joint each follows, offset and multiplier; MuJoCo measures from reference positions."""
-        for equality in self._equalities("JOINT"):
-            j = int(equality.obj1id[0])
-            master = int(equality.obj2id[0])
-            if master < 0:
-                continue
-            rest, other = (float(self.model.jnt(i).qpos0[0]) for i in (j, master))
-            offset, slope, *curve = equality.data[:5].tolist()
-            if any(curve):
-                self.notes.append(
-                    f"joint {self.joints[j]} follows {self.joints[master]} on a curve, taken as a "
-                    "line"
-                )
-            yield (
-                self.joints[j],
-                (self.joints[master], rest + offset - slope * other, slope),
-            )
-
-    def constraints(self) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
-        """Joints that are held and where, and pairs of links that are tied together."""
-        model = self.model
-        held = {}
-        ties = []
-        for equality in self._equalities("JOINT"):
-            if equality.obj2id[0] < 0:
-                j = int(equality.obj1id[0])
-                rest = model.jnt(j).qpos0[0]
-                held[self.joints[j]] = float(rest + equality.data[0])
-        for equality in self._equalities("CONNECT", "WELD"):
-            one = int(equality.obj1id[0])
-            other = int(equality.obj2id[0])
-            if model.eq_objtype[equality.id] == self.mujoco.mjtObj.mjOBJ_SITE:
-                one, other = model.site_bodyid[[one, other]]
-            ties.append((self.bodies[one], self.bodies[other]))
-        others = len(self._equalities("TENDON", "FLEX"))
-        if others:
-            self.notes.append(
-                f"{others} equalities of tendons or flexible bodies are left out"
-            )
-        return held, tuple(ties)
-
-    def _collisions(self, geom: Any, frame: pin.SE3) -> Iterator[Element]:
-        """``<collision>`` elements of a geom; planes and fields have none.
-
-        A capsule becomes a cylinder with two spheres, an ellipsoid the box around it. A mesh that
-        is turned (refquat) and then stretched unequally has no URDF word and is left out.
-        """
-        place = frame * _pose(geom.pos, geom.quat)
-        kind = self.mujoco.mjtGeom(geom.type[0]).name
-        x, y, z = geom.size.tolist()
-        if kind == "mjGEOM_MESH":
-            m = int(geom.dataid[0])
-            mesh = self.spec.mesh(self.model.mesh(m).name)
-            scale = np.array(mesh.scale)
-            turn = _pose(mesh.refpos, mesh.refquat)
-            if not mesh.file or (
-                np.ptp(scale) and not np.allclose(turn.rotation, np.eye(3))
-            ):
-                return
-            back = turn.rotation.T
-            moved = pin.SE3(back, -scale * (back @ turn.translation))
-            stored = _pose(self.model.mesh_pos[m], self.model.mesh_quat[m])
-            place = place * stored.inverse() * moved
-            file = _mesh_path(self.spec, mesh, Path(self.spec.modelfiledir))
-            yield collision(
-                place, "mesh", filename=str(file), scale=numbers_text(scale)
-            )
-        elif kind == "mjGEOM_SPHERE":
-            yield collision(place, "sphere", radius=repr(x))
-        elif kind in ("mjGEOM_BOX", "mjGEOM_ELLIPSOID"):
-            yield collision(place, "box", size=numbers_text((2 * x, 2 * y, 2 * z)))
-        elif kind in ("mjGEOM_CAPSULE", "mjGEOM_CYLINDER"):
-            yield collision(place, "cylinder", radius=repr(x), length=repr(2 * y))
-            for end in (y, -y) if kind == "mjGEOM_CAPSULE" else ():
-                tip = place * _shifted([0.0, 0.0, end])
-                yield collision(tip, "sphere", radius=repr(x))
-
-
-def _range(limits: Array, limited: bool) -> Array:
-    if limited and limits[0] < limits[1]:
-        return limits
-    return np.array([-np.inf, np.inf])

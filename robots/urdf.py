@@ -155,6 +155,7 @@ def _check(root: Element, source: str) -> None:
 
 
 _LARGEST = 1e9  # kg, m, rad, kg·m² of anything that is part of an arm
+_LEAST_MASS = 1e-12  # kg: a cube of steel of 5 µm
 _MOST = 1000  # links or joints
 _VECTORS = ("xyz", "rpy", "size", "scale")
 _NUMBERS = {
@@ -189,6 +190,8 @@ def number(text: str, key: str, owner: Element, source: str) -> float:
     why = "" if np.isfinite(value) else "not a number"
     if abs(value) > _LARGEST and key not in LIMIT_KEYS:
         why = "beyond any arm's size"
+    if key == "value" and 0 < abs(value) < _LEAST_MASS:
+        why = "too little for a body, and not 0, which means no mass"
     if why:
         raise BadRobot(
             source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is {why}"

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, fromstring, tostring
 
-import coal
 import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
 from excitant.robots.chains import tree
-from excitant.robots.files import package_folders, real_path, within
+from excitant.robots.files import package_folders, real_path, ros_folders, within
 from excitant.robots.geometry import Body, Shape
+from excitant.robots.meshes import Mesh, hulls
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.urdf_model import build_model, held_pose, quietly
@@ -136,29 +136,35 @@ def _solids(robot: Robot, kind: str) -> Any:
     """Collision or visual shapes, but for meshes that are not there; never edited."""
     root = fromstring(robot.description)
     _find_meshes(root, robot, kind)
+    meshes = _take_meshes(root, kind)
+    shapes = dict(zip(meshes, hulls([*meshes.values()], robot.source), strict=True))
     model = build_model(root, robot.source)
     locked, reference = held_pose(model, dict(robot.locked))
     text = tostring(root, encoding="unicode")
     wanted = getattr(pin.GeometryType, kind.upper())
     with quietly(robot.source):
         geometry = pin.buildGeomFromUrdfString(model, text, wanted)
-    _make_convex(geometry)
+    for body in geometry.geometryObjects:
+        body.geometry = shapes.get(body.name, body.geometry)
     if locked:
         _, (geometry,) = pin.buildReducedModel(model, [geometry], locked, reference)
     return geometry
 
 
-def _make_convex(geometry: Any) -> None:
-    """Replace meshes by their convex hulls; flat ones have none and stay."""
-    for body in geometry.geometryObjects:
-        mesh = body.geometry
-        if not isinstance(mesh, coal.BVHModelBase):
-            continue
-        try:
-            mesh.buildConvexHull(True, "Qt")
-        except (ValueError, RuntimeError):
-            continue
-        body.geometry = mesh.convex
+def _take_meshes(root: Element, kind: str) -> dict[str, Mesh]:
+    """Put a sphere in place of each mesh; the meshes, by what Pinocchio calls the shapes."""
+    meshes: dict[str, Mesh] = {}
+    for link in root.findall("link"):
+        for k, element in enumerate(link.findall(kind)):
+            geometry = element.find("geometry")
+            mesh = element.find("geometry/mesh")
+            if geometry is None or mesh is None:
+                continue
+            x, y, z = floats(mesh.get("scale", "1 1 1")).tolist()
+            file = Path(mesh.attrib["filename"])
+            meshes[f"{link.attrib['name']}_{k}"] = (file, (x, y, z))
+            geometry[:] = [Element("sphere", radius="1")]
+    return meshes
 
 
 def _find_meshes(root: Element, robot: Robot, kind: str) -> tuple[int, int]:
@@ -199,24 +205,15 @@ def _mesh_file(name: str, robot: Robot) -> Path | None:
         )
     package, _, inside = name.removeprefix("package://").partition("/")
     inside = os.path.normpath(inside)
-    roots = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
-    shared = [
-        Path(path) / inner
-        for variable, inner in roots
-        for path in os.environ.get(variable, "").split(os.pathsep)
-        if path
-    ]
-    installed = [each / package for each in shared]
-    installed += [each for each in shared if each.name == package]
-    if inside.startswith(("..", os.sep)) or package in ("", ".", ".."):
+    if inside.startswith(("..", os.sep)):
         return None
     for folder in package_folders(package, robot.source, robot.packages):
         path = real_path(folder / inside)
         if _is_mesh(path) and path.is_relative_to(folder):
             return path
-    return next(
-        (each / inside for each in installed if _is_mesh(each / inside)), None
-    )
+    # an installed package may consist of links
+    installed = (folder / inside for folder in ros_folders(package))
+    return next(filter(_is_mesh, installed), None)
 
 
 def _is_mesh(path: Path) -> bool:

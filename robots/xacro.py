@@ -80,7 +80,7 @@ def urdf_from_xacro(
         path: The file.
         arguments: Values of its ``<xacro:arg>`` by name.
         packages: Folders in which ``$(find name)`` looks: the package itself, or a folder that
-            holds it. Folders around the file are searched without being named.
+            holds it; the file's own package and those of ROS need not be named.
     """
     task = (process, str(path), dict(arguments), list(map(str, packages)))
     try:
@@ -490,12 +490,12 @@ class _Reading:
         return parse_xml(text, file, "xacro", prefix="xacro")
 
     def find(self, name: str) -> str:
-        """Folder of a package: among those given, or around the file."""
+        """Folder of a package, as `package_folders` finds it."""
         folder = next(package_folders(name, self.path, self.packages), None)
         if folder is None:
             raise self._error(
-                f"$(find {name}): there is no package '{name}' around the file; give its folder "
-                f"with --package /path/to/{name} (packages: [..] in a robot.yaml)"
+                f"$(find {name}): the file lies in no package '{name}'; give its folder with "
+                f"--package /path/to/{name}"
             )
         self.packages_found.append(folder)
         return str(folder)

@@ -50,6 +50,7 @@ def made(folder: Path) -> dict[str, float]:
     return {str(path.relative_to(folder / "arms")): path.stat().st_mtime for path in files}
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_it_was_and_names_what_is_broken(two: Path, here: Path, excitant: Any):
     shutil.copytree(two, here / "all")
     ran = excitant("fleet all --jobs 1 -o out --json")

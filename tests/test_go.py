@@ -62,6 +62,7 @@ def test_the_verdict_names_the_cause_its_joint_and_the_model_to_use(here: Path, 
     assert excitant("robots", here / "out" / verdict.files[0]).status == 0
 
 
+@pytest.mark.slow
 def test_its_figures_are_those_of_identify_and_diagnose(here: Path, excitant: Any) -> None:
     words = "planar_2r worn-one.csv --validate worn-two.csv --cutoff 8 --json"
     found = excitant(f"go {words} -o out").result

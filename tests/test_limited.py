@@ -3,10 +3,12 @@
 import importlib
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from excitant.files import read_bytes
 from excitant.limited import Exceeded, in_child
 
 WORK = """
@@ -16,6 +18,10 @@ def loops():
     while True: pass
 def grows(): return bytes(1 << 31)
 def writes(file): open(file, "w").write("x" * 9999)
+def reads(file): return open(file, "rb").read()
+def crashes():
+    yield b"first part"
+    __import__("os").abort()
 """
 
 
@@ -26,7 +32,8 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module("strange_work")
     limits = {"seconds": 1, "memory": 1 << 29}
-    return lambda name, *given: in_child(getattr(module, name), *given, **limits).decode()
+    call = partial(in_child, **limits)
+    return lambda name, *given, **more: call(getattr(module, name), *given, **more).decode()
 
 
 def test_a_child_answers_or_says_why_not(work: Callable[..., str]) -> None:
@@ -48,3 +55,22 @@ def test_a_child_writes_no_files(work: Callable[..., str], tmp_path: Path) -> No
     with pytest.raises(ValueError, match=r"File too large|too much"):
         work("writes", str(tmp_path / "file"))
     assert not (tmp_path / "file").exists() or not (tmp_path / "file").stat().st_size
+
+
+def test_a_child_opens_as_many_files_as_it_may(work: Callable[..., str], tmp_path: Path) -> None:
+    (file := tmp_path / "file").write_text("x")
+    assert work("reads", str(file), files=1) == work("reads", str(file)) == "x"
+    with pytest.raises(ValueError, match="Too many open files"):
+        work("reads", str(file), files=0)
+
+
+def test_a_child_that_crashes_leaves_the_parts_it_had_finished(work: Callable[..., str]) -> None:
+    with pytest.raises(Exceeded, match="crash") as ended:
+        work("crashes")
+    assert ended.value.output == b"first part"
+
+
+def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="pipe"):
+        read_bytes(tmp_path / "pipe")

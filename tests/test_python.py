@@ -207,6 +207,7 @@ def test_data_frames_hold_what_the_result_holds(estimate: Estimate, tables: Tabl
     assert set(clean) < set(found.to_frame())
 
 
+@pytest.mark.slow
 def test_saved_runs_are_those_of_the_command_line(tables: Tables, here: Path, excitant: Any):
     for name, table in zip(("fit.csv", "held.csv"), tables, strict=True):
         table.to_csv(name, index=False)

@@ -213,7 +213,7 @@ def _dialect_of(path: Path) -> _Dialect:
     numbers follows one of as many names, which tells a decimal comma from a separator and skips
     preambles; `csv.Sniffer` does neither. Decimal commas are those of most cells.
     """
-    encoding, text, cut = _head(path)
+    encoding, text, cut, whole = _head(path)
     lines = text.splitlines()
     # a space between numbers is rather a separator, if that suits the names
     unnamed = list[tuple[int, str, bool]]()
@@ -226,6 +226,10 @@ def _dialect_of(path: Path) -> _Dialect:
         unnamed.append((first, separator, vectors))
     for first, separator, vectors in unnamed[:1]:
         return _dialect_from(lines, first, separator, encoding, cut, vectors)
+    if not whole:
+        why = f"no row of numbers below their names in the first {_HEAD >> 10} KiB"
+        advice = "cut off what stands above, or leave columns out"
+        raise BadRecording(path, f"cannot be read ({why}); {advice}")
     header = next((line for line in lines if line.strip()), "")
     separator = max(_SEPARATORS, key=lambda sign: len(_cells(header, sign)))
     names = _cells(header, separator)
@@ -288,8 +292,8 @@ def _dialect_from(
     )
 
 
-def _head(path: Path) -> tuple[str, str, bool]:
-    """Encoding, whole lines of text at the start, and whether the file ends within a line."""
+def _head(path: Path) -> tuple[str, str, bool, bool]:
+    """Encoding, whole lines at the start, whether the file ends within a line and is all there."""
     with opened(path) as stream:
         head = stream.read(_HEAD)
         end = head[-1:]
@@ -310,7 +314,7 @@ def _head(path: Path) -> tuple[str, str, bool]:
             continue
         first = text.splitlines()[:1]
         if text.strip() and not (first and _CONTROL.search(first[0])):
-            return encoding, text, end not in b"\n\r\0"
+            return encoding, text, end not in b"\n\r\0", whole
     why = "it is empty" if not head.strip() else "it is no text"
     raise BadRecording(
         path, f"cannot be read ({why}); give a table with named columns"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import sys
 
 from excitant.interrupts import listen
@@ -15,6 +16,9 @@ def run() -> None:
     """Run a command and exit with its status; Ctrl-C and SIGTERM end it with 130."""
     try:
         listen()
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors="replace")  # where ° has no code
         gc.set_threshold(COLLECTION_THRESHOLD)
         from excitant.cli import main
 

@@ -12,7 +12,7 @@ import shutil
 import stat
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from os.path import exists, isdir
+from os.path import exists, isdir, lexists
 from pathlib import Path
 
 from excitant.exceptions import BadInput
@@ -31,7 +31,10 @@ def size_of(path: str | Path) -> int:
     Raises:
         OSError: There is none, or it is a folder, pipe, device or socket.
     """
-    status = os.stat(path)
+    return _regular(os.stat(path), path)
+
+
+def _regular(status: os.stat_result, path: str | Path) -> int:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
     if not stat.S_ISREG(status.st_mode):
@@ -40,10 +43,17 @@ def size_of(path: str | Path) -> int:
 
 
 def read_bytes(path: str | Path, most: int = LARGEST) -> bytes:
-    """Content of a regular file of at most so many bytes, else OSError."""
-    size = size_of(path)
-    with open(path, "rb") as file:
-        content = b"" if size > most else file.read(most + 1)
+    """Content of a regular file of at most so many bytes, else OSError.
+
+    It is opened once, without waiting for whoever writes a pipe, and what was opened is looked at.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        size = _regular(os.fstat(handle), path)
+        with open(handle, "rb", closefd=False) as file:
+            content = b"" if size > most else file.read(most + 1)
+    finally:
+        os.close(handle)
     if max(size, len(content)) > most:
         why = f"it is {max(size, len(content)) / 1e6:.4g} MB large, more than {most / 1e6:.4g} MB"
         raise OSError(errno.EFBIG, why, str(path))
@@ -57,8 +67,9 @@ def read_text(path: str | Path, most: int = LARGEST) -> str:
 
 def require_replaceable(folder: str | Path) -> None:
     """Refuse, as BadInput, a folder that `write_folder` could not put in place."""
-    path = Path(folder).resolve()
-    parent = next(each for each in path.parents if exists(each))
+    path = Path(os.path.realpath(folder))
+    # a link that leads nowhere is there, though nothing can be written in it
+    parent = next((each for each in path.parents if lexists(each)), path)
     why = ""
     if exists(path) and not isdir(path):
         why = "is a file"
@@ -67,7 +78,7 @@ def require_replaceable(folder: str | Path) -> None:
     elif os.path.ismount(path):
         why = "is a mount point, which cannot be replaced as a whole"
     elif not isdir(parent):
-        why = f"{parent} is a file"
+        why = f"{parent} is no folder"
     elif not os.access(parent, os.W_OK | os.X_OK):
         why = f"nothing can be written in {parent}"
     if why:
@@ -108,6 +119,12 @@ def write_folder(
     """
     require_replaceable(folder)
     target = Path(folder).resolve()
+    for name in contents:
+        if isdir(target / name):
+            raise BadInput(
+                f"{Path(folder) / name}: is a folder where a file is to be written; "
+                "move it, or choose another folder"
+            )
     with _put_aside(target) as stage:
         new = stage / "run"
         if exists(target):

@@ -296,9 +296,8 @@ def print_paths(paths: Sequence[Path]) -> None:
 
 
 def print_json(content: Mapping[str, Any]) -> None:
-    """Print plain values as JSON."""
-    lines = json.dumps(content, indent=1, ensure_ascii=False).split("\n")
-    print("\n".join(map(printable, lines)))
+    """Print plain values as JSON, in ASCII: a terminal may have no code for others."""
+    print(json.dumps(content, indent=1))
 
 
 def _say(notes: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:

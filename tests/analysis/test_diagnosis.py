@@ -9,21 +9,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from arms import truth
+from known_arms import recorded, smooth_motion
 from marks import slow
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
-from excitant.analysis.confirmation import HoldoutScale
+from excitant.analysis.confirmation import HoldoutScale, _cancelled
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import are_placeholders, placeholder_links
 from excitant.analysis.explanation import at_rest, headline
 from excitant.analysis.residuals import BANDS, QUANTITIES, Residual
+from excitant.analysis.thresholds import CONFIRMATION
 from excitant.identify import model_files
 from excitant.identify.preprocessing import away_from_rest
 from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import EFFECTS, TorqueGain
+from excitant.robots.effects import EFFECTS, RotorInertia, TorqueGain, plausible
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -100,18 +103,16 @@ def test_what_no_candidate_describes_is_unknown(ur10: Robot, diagnosed: Diagnose
     assert "remain unexplained" in result["headline"]
 
 
-@pytest.mark.parametrize(("name", "seed"), [("planar_2r", 0), slow("ur10", 2)])
+ARMS = [slow(name, seed) for name, seed in product(("ur10", "panda"), (200, 201))]
+
+
+@pytest.mark.parametrize(("name", "seed"), [("planar_2r", 0), slow("ur10", 2), *ARMS])
 def test_nothing_hidden_nothing_named(name: str, seed: int, diagnosed: Diagnosed) -> None:
     diagnosis = diagnosed(load_robot(name), seed)
-    assert diagnosis.findings == ()
-    assert diagnosis.headline.startswith("No cause stands out")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "seed"), [*product(("ur10", "panda"), (200, 201))])
-def test_clean_arms_have_nothing_named(name: str, seed: int, diagnosed: Diagnosed) -> None:
-    diagnosis = diagnosed(load_robot(name), seed)
     assert not [f for f in diagnosis.findings if f.verdict == "named"], diagnosis.headline
+    if seed < 200:
+        assert diagnosis.findings == ()
+        assert diagnosis.headline.startswith("No cause stands out")
 
 
 @pytest.mark.slow
@@ -264,10 +265,15 @@ def test_why_a_cause_that_pays_is_not_decided(rms, left, own, rough, said):
     assert bool(said) == bool(reason)
 
 
+def unseen(kind: str, size: float, error: float) -> Finding:
+    return cause(kind, scale=HoldoutScale(size, error, 1.0))
+
+
 CURVE, STRIBECK = "nonlinear_viscous_friction", "stribeck_friction"
 SLOW, FAST_RIPPLE = (cause("torque_ripple", order=order) for order in (1.4, 20.0))
 SPRING, ON_SPRING = cause("spring"), "shares the position curve"
 SWING = np.sin(np.arange(100.0))[:, None] * ACTS
+ELSEWHERE = cause(STRIBECK, 0.0, "joint2")
 SWUNG, BACK, FAINT = cause("spring", 2.0, torque=SWING), "mostly cancel", "smaller than the 5 %"
 
 
@@ -301,6 +307,12 @@ def reason_among(*causes: Finding) -> str:
         (SWUNG, cause("torque_gain", 2.0, torque=-0.4 * SWING), ""),
         (SWUNG, cause("torque_gain", 2.0, torque=1.0 * SWING), ""),
         (SWUNG, cause("torque_gain", 2.0, "joint2", -0.9 * SWING), ""),
+        # what unseen data take back, if by more than models are good to; friction may change
+        (unseen("time_delay", 0.9, 0.04), ELSEWHERE, "is 0.90 ± 0.04 of the fitted one"),
+        (unseen("time_delay", 0.9, 0.06), ELSEWHERE, ""),
+        (unseen("time_delay", 0.96, 0.01), ELSEWHERE, ""),
+        (unseen("time_delay", 1.4, 0.01), ELSEWHERE, ""),
+        (unseen("coulomb_friction", 0.8, 0.01), ELSEWHERE, ""),
     ],
 )
 def test_causes_that_another_may_be_or_that_are_faint_are_not_decided(found, other, said):
@@ -316,18 +328,60 @@ def test_a_common_gain_is_not_told_from_masses_that_are_all_off(size: float, ope
     assert bool(reason_among(common)) == open_
 
 
-@pytest.mark.parametrize(
-    ("kind", "size", "error", "said"),
-    [
-        ("time_delay", 0.9, 0.04, "on the hold-out its size is 0.90 ± 0.04 of the fitted one"),
-        ("time_delay", 0.9, 0.06, ""),
-        ("time_delay", 0.96, 0.01, ""),  # as good as models are
-        ("time_delay", 1.4, 0.01, ""),
-        ("coulomb_friction", 0.8, 0.01, ""),  # friction is not the same in all motions
-    ],
-)
-def test_what_unseen_data_take_back_is_not_decided(kind: str, size: float, error: float, said: str):
-    assert reason_among(cause(kind, scale=HoldoutScale(size, error, 1.0))) == said
+@pytest.mark.parametrize(("coarse", "off"), [(0.1, (-0.05, 0.05)), (np.inf, (-0.3, -0.1))])
+def test_coarse_positions_make_no_inertia_small(coarse: float, off: Pair, monkeypatch):
+    """Steps of 6 mrad, 20 % noise of an acceleration, whose inertia least squares makes small."""
+    used = replace(CONFIRMATION, coarse=coarse)
+    monkeypatch.setattr("excitant.analysis.diagnosis.CONFIRMATION", used)
+    known = truth("planar_2r")
+    given = known.robot.with_effects([RotorInertia(known.robot.joints, tuple(8 * known.arm.Ia))])
+    motion, step = smooth_motion(given, np.arange(0, 10, 1 / 125)), 6e-3
+    runs = [recorded(known, motion, seed, encoder=1e-4) for seed in (13, 14)]
+    fit, held = (replace(run, q=step * np.round(run.q / step)) for run in runs)
+    found = diagnose(given, [fit], validate=[held]).extension.model.effects
+    [Ia] = [e.values for e in found if e.name == "rotor_inertia"]
+    assert (np.abs(Ia / known.arm.Ia - 1 - np.mean(off)) < np.ptp(off) / 2).all()
+
+
+def test_of_effects_that_cancel_the_finer_is_not_published() -> None:
+    robot, seen = load_robot("planar_2r"), SimpleNamespace(columns=lambda _: SWING[:, :, None])
+    plain, finer = (EFFECTS[kind](("joint1",)) for kind in ("viscous_friction", CURVE))
+    chosen = [SimpleNamespace(effect=e, key=(e.name, e.joints)) for e in (plain, finer)]
+    margins = [SimpleNamespace(margin=margin) for margin in (0.1, 0.9)]
+    for size, gone in ((-0.7, chosen[1]), (-0.2, None), (0.7, None)):
+        model = robot.with_effects([plain.with_values([1.0]), finer.with_values([size])])
+        fit = SimpleNamespace(model=model, observed=seen, chosen=chosen, findings=margins)
+        assert _cancelled(fit) is gone
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "link"), [("ur10", 3), ("puma560", 3)])
+def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(name, link, diagnosed):
+    robot = load_robot(name)
+    bodies = robot.phi.reshape(-1, 10).copy()
+    bodies[link] = 0
+    given = robot.with_parameters(bodies)
+    assert placeholder_links(given).tolist() == [k == link for k in range(robot.nv)]
+    found = diagnosed(robot, 1, given=given, tolerance=0.02)
+    assert [f.effect.role for f in found.findings] == ["link"]
+    assert (found.extended.nrmse < 0.03).all()
+
+
+def test_an_undecided_size_may_as_well_be_the_given_one(coulomb: Diagnosis) -> None:
+    lead = coulomb.findings[0]
+    change = np.array(lead.effect.values) - lead.nominal
+    assert lead.judged("").std == pytest.approx(lead.std)
+    assert lead.judged("why").std == pytest.approx(np.hypot(lead.std, change / np.sqrt(2)))
+    for deviations in (1.9, 2.1):
+        assert replace(lead, covariance=(change / deviations)[:, None] ** 2).is_open == (
+            deviations < 2
+        )
+
+
+def test_the_mean_of_two_instants_is_no_delay() -> None:
+    delay, robot = EFFECTS["time_delay"](("joint1",), trial=-0.05), load_robot("planar_2r")
+    values = np.array([[-0.025], [-0.035], [-0.075]])
+    assert [plausible(delay, robot, x, np.array([1e-3])) for x in values] == [False, True, True]
 
 
 @pytest.mark.parametrize(
@@ -350,18 +404,6 @@ def test_an_error_at_rest_is_told(resting: float, in_motion: float, said: str) -
     assert bool(at_rest(diagnosis)) == bool(said)
     assert headline(diagnosis).startswith("No cause stands out")
     assert headline(diagnosis).endswith(at_rest(diagnosis))
-
-
-@pytest.mark.parametrize(("name", "link"), [("ur10", 3), slow("puma560", 3)])
-def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(name, link, diagnosed):
-    robot = load_robot(name)
-    bodies = robot.phi.reshape(-1, 10).copy()
-    bodies[link] = 0
-    given = robot.with_parameters(bodies)
-    assert placeholder_links(given).tolist() == [k == link for k in range(robot.nv)]
-    found = diagnosed(robot, 1, given=given, tolerance=0.02)
-    assert [f.effect.role for f in found.findings] == ["link"]
-    assert (found.extended.nrmse < 0.03).all()
 
 
 @pytest.mark.slow

@@ -153,6 +153,7 @@ def test_no_motion_separates_what_is_the_same(planar: Robot, found: Effect, riva
     assert (motions, highest[0] < DISCRIMINATION.hopeless) == ([], True)
 
 
+@pytest.mark.slow
 def test_unstated_limits_are_those_of_the_recording(planar: Robot) -> None:
     none = np.full(planar.nv, np.inf)
     limits = type(planar.limits)(np.column_stack([-none, none]), none, none, planar.limits.torque)
@@ -178,6 +179,7 @@ def undecided(planar: Robot, diagnosed: Diagnosed) -> Diagnosis:
     return diagnosed(planar, 2, drawn(planar, "payload", 1))
 
 
+@pytest.mark.slow
 def test_an_action_is_named_where_no_motion_helps(undecided: Diagnosis) -> None:
     [lead, *_] = undecided.findings
     alike = {"payload", "inertial_parameters"}

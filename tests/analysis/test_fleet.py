@@ -38,6 +38,7 @@ def said(found: Fleet) -> set[tuple[str, str]]:
     return {(each.arm, each.parameter) for each in (*found.deviations, *found.drifts)}
 
 
+@pytest.mark.slow
 def test_a_sound_fleet_is_rarely_accused() -> None:
     rng, draws = np.random.default_rng(0), 150
     accused = 0

@@ -72,6 +72,7 @@ def test_a_plain_arm_gets_the_standard_model(planar: Robot, runs: Runs, seed: in
     assert len(described(effects)) == 1
 
 
+@pytest.mark.slow
 def test_what_the_motion_leaves_undetermined_is_not_chosen(planar, two, monkeypatch):
     """Whether the refusal names the effect itself, or only what it leaves undetermined."""
     first, second = (kinds.Spring((joint,)) for joint in JOINTS)
@@ -96,6 +97,7 @@ def test_plain_larger_arms_get_hardly_anything(runs: Runs) -> None:
     assert sum(map(len, added)) <= 1, added
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect",
     [
@@ -127,6 +129,7 @@ def test_effects_of_torque_take_it_from_the_identified_arm(planar: Robot, two: l
     np.testing.assert_allclose(fits[0].validate.nrmse, fits[1].validate.nrmse, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_the_command_chooses_effects(two: list[Recording], tmp_path: Path, excitant: Any) -> None:
     file, out = write_csv(tmp_path / "run.csv", two[0]), tmp_path / "out"
     line = f"identify planar_2r {file} --effects auto -o {out}"

@@ -77,6 +77,7 @@ def test_no_cause_is_named_while_a_joint_is_missed(planar: Robot) -> None:
     assert any("impossible stands beside it: it " in f.downgrade for f in diagnosis.findings)
 
 
+@pytest.mark.slow
 def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: Robot) -> None:
     gravity = TURNED
     fitted, held = recorded(bare(ur10), 1, gravity)
@@ -121,7 +122,8 @@ def test_an_angle_known_no_better_than_by_half_of_its_size_is_not_named(ur10, mo
     assert not replace(first, covariance=np.array([[0.49]])).is_nominal
 
 
-@pytest.mark.parametrize(("joint", "angle"), [(2, -2.0), slow(3, np.pi)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("joint", "angle"), [(2, -2.0), (3, np.pi)])
 def test_a_zero_position_of_any_angle_is_found(ur10: Robot, joint: int, angle: float) -> None:
     robot = bare(ur10)
     fitted, held = with_zero_off(robot, joint, angle)
@@ -165,7 +167,8 @@ def as_currents(recordings: list[Recording], seed: int) -> list[Recording]:
     return [replace(r, tau=r.tau / gains, unit="A") for r in recordings]
 
 
-@pytest.mark.parametrize("gravity", [SIDEWAYS, slow(TURNED)])
+@pytest.mark.slow
+@pytest.mark.parametrize("gravity", [SIDEWAYS, TURNED])
 def test_currents_tell_how_an_arm_is_mounted(ur10: Robot, gravity: tuple[float, ...]) -> None:
     for recording in as_currents(recorded(bare(ur10), 1, gravity, off=0.0), 1):
         (fault,) = [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
@@ -173,6 +176,7 @@ def test_currents_tell_how_an_arm_is_mounted(ur10: Robot, gravity: tuple[float, 
         assert np.linalg.norm(fault.evidence["gravity"] - gravity) < 0.02 * 9.81
 
 
+@pytest.mark.slow
 def test_all_recordings_of_an_arm_share_its_set_up() -> None:
     """A joint between two that turn about one axis: its sign is a half turn of the next."""
     robot, sign = bare(load_robot("panda")), 1 - 2 * np.eye(7)[1]
@@ -188,6 +192,7 @@ def test_all_recordings_of_an_arm_share_its_set_up() -> None:
         assert np.abs(np.array(slope)[[1, 3]] - 1).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_mounting_that_the_other_recordings_refute_is_no_fault(ur10: Robot) -> None:
     robot = bare(ur10)
     pushed, *_ = recorded(robot, 2, gravity=TURNED)
@@ -228,6 +233,7 @@ def test_bodies_off_by_as_much_as_published_ones_are_no_other_set_up(ur10: Robot
             assert not [f for f in find_faults(bare(ur10), recording) if f.of_the_arm]
 
 
+@pytest.mark.slow
 def test_a_heavy_load_is_no_other_set_up(ur10: Robot) -> None:
     body = ur10.phi.copy()
     body[50:60] += [12.0, 0.6, 0.3, 1.5, 0.6, 0.0, 0.6, 0.0, 0.0, 0.5]

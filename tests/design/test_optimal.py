@@ -162,6 +162,7 @@ def test_refuses_impossible_options(planar, design, option, value, why):
         design(planar, **{option: value})
 
 
+@pytest.mark.slow
 def test_a_spline_design_keeps_all_limits(planar: Robot) -> None:
     robot = limited(planar, acceleration=8.0, jerk=15.0)
     options: Any = {"duration": 6.0, "harmonics": 5, "starts": 1, "jobs": 1, "use": 1.0}

@@ -1,6 +1,7 @@
 """Files of a model, read back by others, need its torque; what is published, and what is not."""
 
 import json
+import re
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -15,7 +16,7 @@ import yaml
 from arms import TrueArm
 from hypothesis import given
 from hypothesis import strategies as st
-from known_arms import Call, write_csv
+from known_arms import Call, smooth_motion, write_csv
 from marks import slow
 from plant_recordings import swinging
 
@@ -25,6 +26,7 @@ from excitant.identify.drive_gains import DriveGains
 from excitant.identify.export import held_by, model_files, publication, save_model
 from excitant.identify.mujoco import mujoco_torque, side_by_side
 from excitant.identify.preprocessing import Segment
+from excitant.identify.refit import Refit
 from excitant.identify.rows import predicted_torque
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, robot_from_dh, torque
 from excitant.robots import effects as fx
@@ -39,9 +41,14 @@ HELD = {
     str(Path(__file__).parents[1] / "robots" / "data" / "tree.urdf"): {"grip": 0.03},
 }
 CONVENTIONS = ("standard", "modified")
+DRIVES = ("viscous", "coulomb", "offset", "rotor")
 SUFFIXES = ("urdf", "xml", "sdf")
 PRECISION = {"rigid": 1e-10, "yaml": 1e-12}
 BODY = load_robot("panda").phi[10:20]
+BITS = mujoco.mjtDisableBit
+AGREE = 0.02  # of the torque's standard deviation: MuJoCo's dry friction turns within 2 ms
+GIVEN = "worse than the model as given"
+Written = tuple[Robot, Motion, dict[str, str]]
 
 
 def states(robot: Robot, n: int, seed: int = 0) -> Motion:
@@ -71,9 +78,6 @@ def write(folder: Path, files: dict[str, str]) -> Path:
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
     return folder
-
-
-Written = tuple[Robot, Motion, dict[str, str]]
 
 
 @pytest.fixture(
@@ -123,9 +127,6 @@ def test_urdf_needs_the_torque_of_all_that_it_holds(written: Written, tmp_path: 
     check(torque(alone, motion), torque(rubbing, motion))
     fixed = ET.fromstring(files["arm.urdf"]).findall("joint[@type='fixed']")
     assert all(joint.find("limit") is None for joint in fixed)
-
-
-BITS = mujoco.mjtDisableBit
 
 
 def loaded_model(model: Robot, text: str, *disabled: Any) -> tuple[Any, Any, np.ndarray]:
@@ -209,7 +210,6 @@ def numbers(element: ET.Element, path: str) -> np.ndarray:
 def read_sdf(text: str) -> tuple[ET.Element, TrueArm]:
     """A reader of its own for SDFormat 1.9, as far as arms need it."""
     world = ET.fromstring(text).find("world")
-    assert world is not None
     model, arm, drives = world.find("model"), pin.Model(), []
     arm.gravity.linear = numbers(world, "gravity")
     links = {link.get("name"): link for link in model.iterfind("link")}
@@ -244,18 +244,10 @@ def test_sdf_needs_the_torque_of_all_that_it_holds(written: Written) -> None:
     read, arm = read_sdf(files["arm.sdf"])
     check(arm.torque(motion), torque(with_only(model, *SMOOTH, fx.CoulombFriction), motion))
     names = [e.get("name") for e in read if e.get("name")]
-    assert len(set(names)) == len(names)
-    assert "world" not in names
-    limits = read.findall("joint/axis/limit")
-    for limit, ends in zip(limits, model.limits.position, strict=True):
+    assert len({"world", *names}) == 1 + len(names)
+    for limit, ends in zip(read.findall("joint/axis/limit"), model.limits.position, strict=True):
         found = [limit.findtext(key) for key in ("lower", "upper")]
         assert found == [str(x) if np.isfinite(x) else None for x in ends]
-
-
-def floats(content: Any) -> bool:
-    if isinstance(content, dict):
-        return all(map(floats, content.values()))
-    return all(map(floats, content)) if isinstance(content, list) else type(content) is float
 
 
 def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
@@ -265,22 +257,19 @@ def test_ros2_parameters_hold_what_a_controller_adds(written: Written) -> None:
     text = files["arm_ros2_control.yaml"]
     [(node, [(key, found)])] = [(n, [*c.items()]) for n, c in yaml.safe_load(text).items()]
     assert (node, key) == ("/**", "ros__parameters")
-    assert floats(found)
+    assert not re.search(r"[:-] -?\d+$", text, re.MULTILINE)
     friction, gains = found["friction"], found["gains"]
     assert tuple(friction) == tuple(gains) == model.joints
-    rubbing, kinds = np.zeros_like(motion.dq), (*SMOOTH, fx.CoulombFriction, fx.TorqueOffset)
-    for j, own in enumerate(friction.values()):
-        dq, ddq = motion.dq[:, j], motion.ddq[:, j]
-        rubbing[:, j] = own["viscous"] * dq + own["coulomb"] * np.sign(dq)
-        rubbing[:, j] += own["offset"] + own["rotor"] * ddq
+    kinds = (*SMOOTH, fx.CoulombFriction, fx.TorqueOffset)
+    own = {key: np.array([each[key] for each in friction.values()]) for key in DRIVES}
+    rubbing = own["viscous"] * motion.dq + own["coulomb"] * np.sign(motion.dq)
+    rubbing += own["offset"] + own["rotor"] * motion.ddq
     bare = with_only(model)
     check(rubbing, torque(with_only(model, *kinds), motion) - torque(bare, motion))
-    for joint in model.joints:
-        assert gains[joint]["ff_velocity_scale"] == friction[joint]["viscous"]
+    assert gains == {j: {"ff_velocity_scale": own["viscous"]} for j, own in friction.items()}
     bodies = []
     for link in found["links"].values():
-        xx, xy, xz, yy, yz, zz = link["inertia"]
-        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        tensor = np.array(link["inertia"])[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         body = pin.Inertia(link["mass"], np.array(link["centre_of_mass"]), tensor)
         bodies.append(body.toDynamicParameters())
     assert found["gravity"] == bare.gravity.tolist()
@@ -311,9 +300,6 @@ def test_any_chain_needs_the_same_torque_in_every_format(random_chain, seed, nv,
         check(found, torque(with_only(model, *kinds), motion))
 
 
-AGREE = 0.02  # of the torque's standard deviation: MuJoCo's dry friction turns within 2 ms
-
-
 @pytest.mark.parametrize("name", ["planar_2r", slow("ur10")])
 def test_the_models_need_in_mujoco_what_excitant_predicts(name: str, runs: Any) -> None:
     robot = load_robot(name)
@@ -330,11 +316,10 @@ def test_without_dry_friction_they_need_exactly_that(written: Written, currents:
     """Offsets among it, of every arm, branches and held joints too; as currents where these are."""
     model = with_only(written[0], *SMOOTH, fx.TorqueOffset)
     motion = swinging(model, np.arange(0, 2, 0.01))
-    nothing = np.zeros_like(motion.q)
-    rows = [Segment("", motion, nothing, nothing, 10.0, slice(10, 190, 2))]
-    gains = np.linspace(2.0, 9.0, model.nv) if currents else None
-    expected = predicted_torque(model, rows)
-    check(mujoco_torque(model, rows, gains), expected / (1.0 if gains is None else gains), 1e-9)
+    rows = [Segment("", motion, motion.q, motion.q, 10.0, slice(10, 190, 2))]
+    gains = np.linspace(2.0, 9.0, model.nv) if currents else 1.0
+    found = gains * mujoco_torque(model, rows, gains if currents else None)
+    check(found, predicted_torque(model, rows), 1e-9)
 
 
 def test_mujoco_agrees_on_a_real_arm(data_folder: Path) -> None:
@@ -390,9 +375,6 @@ def erring(estimate: Estimate, *sizes: float, seed: int = 0) -> np.ndarray:
     return estimate.holdout.measured + noise * sizes * estimate.holdout.measured.std(axis=0)
 
 
-GIVEN = "worse than the model as given"
-
-
 @pytest.mark.parametrize(
     ("found", "given", "published", "said"),
     [
@@ -435,13 +417,15 @@ def test_nothing_in_python_holds_the_model_as_given(estimate: Estimate, tmp_path
     model, motion = estimate.model, states(estimate.model, 20)
     (tmp_path / "text.urdf").write_text(model.urdf, encoding="utf-8")
     [mjcf] = save_model(estimate, tmp_path / "arm.xml")
-    *models, base = save_model(estimate, tmp_path / "arm.yaml")
-    assert base.name == "arm-estimate.csv"
-    for file in (tmp_path / "text.urdf", *models):
-        check(rigid_body_torque(load_robot(file), motion), rigid_body_torque(model, motion))
+    save_model(estimate, tmp_path / "arm.yaml")
+    arms = {"text.urdf": model, "arm.yaml": model, "arm.urdf": publication(estimate).arm("urdf")}
+    for file, arm in arms.items():
+        check(
+            rigid_body_torque(load_robot(tmp_path / file), motion), rigid_body_torque(arm, motion)
+        )
     check(torque(load_robot(tmp_path / "arm.yaml"), motion), torque(model, motion))
     assert mujoco.MjModel.from_xml_path(str(mjcf)).nv == model.nv
-    files = {"text.urdf", "arm.xml", "arm.yaml", "arm.urdf", "arm-estimate.csv"}
+    files = {*arms, "arm.xml", "arm.links", "arm-estimate.csv"}
     assert {path.name for path in tmp_path.iterdir()} == files
     with pytest.raises(UnknownName, match=r"unknown format '\.step'"):
         save_model(estimate, tmp_path / "arm.step")
@@ -482,8 +466,7 @@ def test_a_file_that_lacks_too_much_is_not_written(planar, exact, tmp_path):
 def test_a_file_makes_up_for_what_its_format_lacks(planar, exact, tmp_path):
     """By Pinocchio and by MuJoCo, whose dry friction turns within 2 ms; model.yaml holds all."""
     friction = fx.AsymmetricFriction(planar.joints)
-    count = len(friction.parameters(planar))
-    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, count))])
+    true = planar.with_effects([friction.with_values(np.linspace(2.0, 4.5, 4 * planar.nv))])
     recording = exact(true, np.arange(0, 12, 1 / 100))
     found = identify_robot(planar, [recording], effects=[friction])
     rows, segments, done = found.holdout, found.data.validate, publication(found)
@@ -503,8 +486,7 @@ def test_a_file_makes_up_for_what_its_format_lacks(planar, exact, tmp_path):
     assert done.files["identified.xml"].endswith(again)
     difference = np.abs(mjcf - rows.accuracy(mujoco_torque(done.arm("mjcf"), segments)).rms)
     assert (difference < AGREE * rows.measured.std(axis=0)).all()
-    again = load_robot(tmp_path / "model.yaml")
-    check(predicted_torque(again, segments), found.predicted, PRECISION["yaml"])
+    check(predicted_torque(load_robot(tmp_path / "model.yaml"), segments), found.predicted, 1e-12)
 
 
 def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
@@ -527,8 +509,7 @@ def test_command_writes_result_but_no_model_when_it_got_worse(tmp_path, planar, 
     """Of an arm with large torque offsets, judged on one that the given arm explains."""
     true = exact(planar, np.arange(0, 8, 1 / 100))
     unseen = write_csv(tmp_path / "true.csv", true)
-    offset = np.array([40.0, 20.0])
-    misled = write_csv(tmp_path / "misled.csv", replace(true, tau=true.tau + offset))
+    misled = write_csv(tmp_path / "misled.csv", replace(true, tau=np.add(true.tau, [40.0, 20.0])))
     words = ("identify planar_2r", misled, "--validate", unseen)
     ran = excitant(*words, "-o", tmp_path / "out")
     assert (ran.status, ran.err) == (1, "")
@@ -582,3 +563,19 @@ def test_negative_friction_is_left_out_and_said_so(planar: Robot) -> None:
     loaded = mujoco.MjModel.from_xml_string(files["arm.xml"])
     np.testing.assert_array_equal(loaded.dof_frictionloss, [0.0, 0.5])
     np.testing.assert_array_equal(loaded.dof_armature, [0.0, 0.1])
+
+
+def test_what_files_make_up_for_holds_in_other_motions_and_known_torque(planar: Robot) -> None:
+    """An offset looks like a first moment while the arm points to one side, not in the mirror."""
+    path, found = smooth_motion(planar, np.arange(0, 12, 1 / 100)), []
+    offset, friction = fx.TorqueOffset(planar.joints), fx.AsymmetricFriction(planar.joints)
+    friction = friction.with_values(np.linspace(2.0, 4.5, 4 * planar.nv))
+    for effect, middle in ((offset.with_values([8.0, 0.0]), np.pi / 2), (friction, 0.0)):
+        arm = planar.with_effects([effect])
+        motion = Motion(path.t, 0.4 * path.q + [middle, 0.0], 0.4 * path.dq, 0.4 * path.ddq)
+        tau = torque(arm, motion)
+        rows = Segment("run", motion, tau, tau, 10.0, slice(100, -100, 4))
+        known = np.array([True, effect is not friction])
+        found.append(Refit(arm, [rows], np.ones(2), known).of(held_by(arm, "urdf"), "urdf"))
+    assert found[0] is None
+    assert all(effect.values[0] > 0 == effect.values[1] for effect in found[1].effects)

@@ -153,7 +153,8 @@ def test_faultless_recordings_raise_none(ur10: Robot, real: tuple[Robot, Log], c
     assert [fault.detail for pair in logs for fault in find_faults(*pair)] == []
 
 
-@pytest.mark.parametrize("name", [slow("panda"), "planar_2r", slow("cmu_dd_arm_ii"), "real"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["panda", "planar_2r", "cmu_dd_arm_ii", "real"])
 def test_inertias_are_told_by_their_frames(name: str, real: tuple[Robot, Log]) -> None:
     robot, log = real if name == "real" else (load_robot(name), run(name, 1))
     places = [robot.model.jointPlacements[j + 1] for j in range(1, robot.nv)]
@@ -166,6 +167,7 @@ def test_inertias_are_told_by_their_frames(name: str, real: tuple[Robot, Log]) -
     assert found(log, robot) == set()
 
 
+@pytest.mark.slow
 def test_what_a_controller_computes_is_no_measurement(data_folder: Path) -> None:
     robot = load_dataset(data_folder / "ur10e").robot
     path = data_folder / "ur10e" / "id_12harm_30s.parquet"

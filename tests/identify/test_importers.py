@@ -700,6 +700,7 @@ def test_a_bag_brings_its_robot_and_limits(bag: Call) -> None:
     same(found, unit="N·m")
 
 
+@pytest.mark.slow
 def test_a_bag_alone_is_enough_for_a_verdict(runs, planar, excitant, tmp_path):
     sensors = industrial_sensors(planar)
     [run] = runs(planar, 1, sensors=sensors, tolerance=0.03, duration=16.0, names=["run"])

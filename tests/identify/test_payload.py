@@ -314,6 +314,7 @@ def test_a_gain_that_does_not_show_is_said_to_be_another_s() -> None:
     assert "the gain of wrist_3_joint (±50 %) is not determined" in found.sentence(b.robot.joints)
 
 
+@pytest.mark.slow
 def test_gains_by_given_masses_are_within_their_deviations(monkeypatch) -> None:
     """Bodies off by 10 and 30 %; from another start the search ends at the same gains."""
     b, errors = bench("ur10"), []

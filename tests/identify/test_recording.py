@@ -23,7 +23,6 @@ from arms import truth
 from hypothesis import given
 from hypothesis import strategies as st
 from known_arms import Call, recorded, smooth_motion
-from marks import slow
 
 from excitant.api import as_recordings
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
@@ -81,7 +80,14 @@ def test_a_bad_file_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "corrupt.parquet").write_bytes(b"PAR1 rubbish")
     (tmp_path / "binary.csv").write_bytes(bytes(range(128, 256)) * 20)
     (tmp_path / "unknown.xyz").write_bytes(b"t,q1\n")
-    unreadable = ("corrupt.parquet.*cannot be read", "binary.csv.*cannot be read")
+    (tmp_path / "preamble.csv").write_text(
+        "# " + 300_000 * "x" + "\nt,q1,q2,tau1,tau2\n0,0,0,0,0\n"
+    )
+    unreadable = (
+        "preamble.csv.*first 256 KiB",
+        "corrupt.parquet.*cannot be read",
+        "binary.csv.*cannot be read",
+    )
     for refused in (*unreadable, "unknown.xyz.*give .parquet or .csv", "nothing.csv.*no such file"):
         with pytest.raises(BadRecording, match=refused) as refusal:
             load_recording(tmp_path / refused.partition(".*")[0], 2)
@@ -258,7 +264,8 @@ def pieces(whole: Recording, rows: int) -> Iterator[Recording]:
     return (whole.take(slice(k, k + rows)) for k in range(0, len(whole), rows))
 
 
-@pytest.mark.parametrize("jitter", [0.0, slow(0.3)])
+@pytest.mark.slow
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
 def test_windows_of_a_long_log_give_its_estimate(jitter: float, monkeypatch: Any) -> None:
     monkeypatch.setattr("excitant.identify.dataset.WINDOW_S", 6.0)
     t = np.arange(120_000) / RATE

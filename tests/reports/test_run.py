@@ -174,6 +174,8 @@ def test_a_run_replaces_an_old_one_and_leaves_what_others_put_there(tmp_path):
     run = tmp_path / "run"
     save_run(run, IDENTIFY | {"files": ["run/a", "run/d/b"]}, {}, {"a": "1", "d/b": "2"})
     files.write_folder(run / "mine", {"notes.txt": "keep"})
+    with pytest.raises(BadInput, match="mine: is a folder where a file"):
+        files.write_folder(run, {"mine": "a file"})
     (run / "link").symlink_to("mine")
     save_run(run, CHECK | {"files": ["x/d/c"]}, {}, {"d/c": "3"})
     assert names(run) == sorted([*OWN, "c", "notes.txt"])

@@ -13,7 +13,6 @@ import yaml
 from arms import ARMS as LIBRARY
 from arms import data_folder
 from known_arms import Call
-from marks import slow
 
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
@@ -41,8 +40,9 @@ def test_any_arm_is_read(spec: RobotSpec, joints: int) -> None:
     assert load_robot(spec).nv == joints
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own_time")
-@pytest.mark.parametrize("kind", ["xacro", "mjcf", slow("both arms of two")])
+@pytest.mark.parametrize("kind", ["xacro", "mjcf", "both arms of two"])
 def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Call) -> None:
     robot = load_robot(READ[kind][0])
     if kind == "mjcf":  # which has no word for the limit of a speed

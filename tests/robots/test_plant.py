@@ -60,6 +60,7 @@ def test_frictionless_arm_needs_the_torque_that_mujoco_says(arm: Robot) -> None:
     assert mujoco_error(arm.with_effects(())) <= SMOOTH
 
 
+@pytest.mark.slow
 def test_half_the_step_leaves_a_quarter_of_the_error(ur10: Robot, monkeypatch: Any) -> None:
     bare, errors = ur10.with_effects(()), []
     for step in (5e-4, 2.5e-4):
@@ -68,6 +69,7 @@ def test_half_the_step_leaves_a_quarter_of_the_error(ur10: Robot, monkeypatch: A
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_power_goes_into_energy_and_friction_on_the_motion_commanded(builtin: Robot) -> None:
     """∫ τ·q̇ dt = ΔE + ∫ (F_v q̇² + F_c |q̇|) dt, with the rotors' kinetic energy in E."""
     run, numbers = Recorded(builtin), {e.name: e.values for e in builtin.effects}
@@ -110,6 +112,7 @@ def test_a_stuck_joint_stays_while_the_others_move(planar: Robot) -> None:
     assert np.ptp(run["q1"]) > 0.01
 
 
+@pytest.mark.slow
 def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter(planar: Robot) -> None:
     """With its motor off, a pendulum with dry friction stops, and then never moves again."""
     bare = without_gravity(planar, 1e-9)
@@ -126,6 +129,7 @@ def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter(planar: Robot) -
     assert moving == sorted(moving, reverse=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "shape", "values"),
     [
@@ -219,6 +223,7 @@ def test_torque_gain_and_crosstalk(planar: Robot) -> None:
         assert np.allclose(Recorded(planar, effect, duration=0.5).tau, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "late"), [(0.0137, ["tau2"]), (-0.0137, ["q2", "dq2"])])
 def test_a_delay_is_where_the_error_is_least(planar: Robot, delay: float, late: list[str]) -> None:
     """Of torque beside the torque on time, or of position beside the position on time."""
@@ -231,6 +236,7 @@ def test_a_delay_is_where_the_error_is_least(planar: Robot, delay: float, late: 
     pd.testing.assert_frame_equal(run.drop(columns=late), true.drop(columns=late), check_exact=True)
 
 
+@pytest.mark.slow
 def test_a_wall_pushes_only_where_it_is(ur10: Robot) -> None:
     """τ = −Jᵀ f with f = k depth + c speed along the normal, by finite differences of the tip."""
     model, data = ur10.model, ur10.model.createData()
@@ -278,6 +284,7 @@ TWO_MASSES = """<mujoco><compiler autolimits="false"/>
 </mujoco>"""
 
 
+@pytest.mark.slow
 def test_elastic_joint_is_mujocos_two_bodies() -> None:
     """The torque of the motor drives MuJoCo's two masses along the same angles."""
     gear = hidden("joint_elasticity", "joint", stiffness=300.0, damping=1.5, motor=0.4)
@@ -324,6 +331,7 @@ def test_a_gear_with_play_never_pulls() -> None:
         assert gear.torque(gear.deflection(load), 0.0)[0] == pytest.approx(load)
 
 
+@pytest.mark.slow
 def test_hidden_payload_is_a_heavier_last_link(builtin: Robot) -> None:
     """Which a bare arm bears too: light wrists get the stiffness that their motors can give."""
     payload, phi = drawn(builtin, "payload", 0), np.array(builtin.phi)

@@ -30,6 +30,7 @@ def with_drives(robot: Robot, rotor: float | np.ndarray, viscous: float | np.nda
     return robot.with_effects([e.with_values(np.broadcast_to(x, robot.nv)) for e, x in drives])
 
 
+@pytest.mark.slow
 def test_a_pendulum_swings_as_elliptic_functions_say() -> None:
     """2.5 rad to either side, two periods: sin(θ/2) = k sn(K(k) − ω₀ t, k)."""
     inertia, moment, amplitude = 0.1 + 4 * 0.5**2, 4 * 9.81 * 0.5, 2.5
@@ -97,6 +98,7 @@ def test_a_falling_arm_is_that_of_mujoco(planar: Robot) -> None:
     np.testing.assert_allclose(motion.q, found[::10], atol=5e-5)
 
 
+@pytest.mark.slow
 def test_dry_friction_is_that_of_the_plant(ur10: Robot, runs: Call) -> None:
     """The virtual arm knows stiction as a set and shares no code; 3 % wrong masses for both."""
     [seen] = runs(ur10, 3, duration=4.0, names=["run"])

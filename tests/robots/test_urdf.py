@@ -146,7 +146,10 @@ def test_a_robot_without_a_name_is_called_as_its_file(tmp_path: Path, gantry_urd
 
 def test_meshes_beside_a_file_are_found_anywhere(tmp_path, gantry_urdf, random_states, monkeypatch):
     path = Path(shutil.copytree(Path(__file__).parent / "data", tmp_path / "data")) / "gantry.urdf"
-    packaged, package = tmp_path / "arm_description", "package://arm_description/meshes/wedge.stl"
+    packaged, package = (
+        path.parent / "arm_description",
+        "package://arm_description/meshes/wedge.stl",
+    )
     monkeypatch.chdir(tmp_path)
 
     def found(mesh: str) -> Scene | None:

@@ -16,8 +16,9 @@ from excitant.robots.xacro import urdf_from_xacro
 
 
 @pytest.fixture
-def arm(tmp_path: Path) -> Path:
-    """An arm whose macros lie in the package `parts` beside its own."""
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An arm whose macros lie in the package `parts`, which the environment names."""
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
     shutil.copytree(Path(__file__).parent / "data" / "bars", tmp_path, dirs_exist_ok=True)
     return tmp_path / "arm" / "bars.urdf.xacro"
 
@@ -64,14 +65,16 @@ def test_robot_yaml_over_a_xacro(arm: Path) -> None:
     (around / "parts").rename(around / "far" / "parts")
     path.write_text(
         "model: bars.urdf.xacro\nxacro_args: {length: 0.8, tool: true}\n"
-        "packages: [../far]\nlock: {slider_joint: 0.1}\nlimits: {acceleration: [4, 5]}\n"
+        "lock: {slider_joint: 0.1}\nlimits: {acceleration: [4, 5]}\n"
     )
-    robot = load_robot(path)
+    far = [around / "far"]
+    robot = load_robot(path, packages=far)
     assert robot.joints == ("upper_joint", "fore_joint")
     assert robot.limits.acceleration.tolist() == [4, 5]
     assert centre(robot, "upper") == pytest.approx(0.4)
     assert robot.phi[10] == pytest.approx(2.5)
-    assert centre(load_robot(path, xacro_args={"length": "1"}), "upper") == pytest.approx(0.5)
+    longer = load_robot(path, xacro_args={"length": "1"}, packages=far)
+    assert centre(longer, "upper") == pytest.approx(0.5)
 
 
 def test_written_out_it_is_the_same_arm(arm: Path) -> None:
