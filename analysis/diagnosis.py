@@ -257,7 +257,7 @@ def diagnose(
             mounted.robot, finding, causes, left, body_std
         )
         findings.append(replace(finding, downgrade=reason))
-    notes = [data.holdout, *mounted.notes, *[coarse] * bool(coarse)]
+    notes = [data.holdout, *mounted.checked.notes, *[coarse] * bool(coarse)]
     if drive is not None:
         notes.append(drive.sentence(joints))
     return Diagnosis(

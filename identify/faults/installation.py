@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from excitant.identify.drive_gains import without_effects
+from excitant.identify.drive_gains import BODY_STD, without_effects
 from excitant.identify.faults.fault import (
     ALARM,
     INSTALLATION,
@@ -57,8 +57,6 @@ class Search:
 
     fits: float = 0.1
     "Squares per independent row, errors of the model counted: less needs no other installation."
-    explained: float = 1.0
-    "The same: an installation that leaves less needs no second one."
     halved: float = 0.5
     "Part of the squares that another installation leaves at most."
     rare: float = 0.02
@@ -70,11 +68,7 @@ class Search:
     alike: float = 2.0
     "Twice the log of the ratio of evidence below which two installations look the same."
     tried: int = 6
-    "Installations that are judged in full: of the discrete ones, and of all, the nearest."
-    factors: int = 61
-    "Factors of positions beyond limits, 1e-3 to 1, that are compared with degrees."
-    directions: int = 200
-    "Directions of gravity on the first grid."
+    "Installations that are judged in full of the discrete ones, the nearest; and told as alike."
     polished: int = 3
     "Newton steps of what is no choice among few: an angle, gravity, a delay."
     turn: float = 0.02
@@ -91,8 +85,6 @@ class Search:
     "Factor of a torque that bodies off by `BODY_STD` do not make (3.7 std of its logarithm)."
     clear_scale: float = 0.5
     "Relative std of a joint's factor below which it is one."
-    named_scale: float = 0.3
-    "Logarithm within which a unit is named: one std of bodies near the nominal ones."
     clock: float = 0.1
     "Least relative error of a clock that the torque alone can show."
     parts: int = 3
@@ -104,8 +96,8 @@ class Search:
 SEARCH = Search()
 _ANGLES = np.linspace(0, 2 * np.pi, 5, endpoint=False)
 """Zero offsets [rad] that determine a trigonometric polynomial of degree 2."""
-_RATES = np.geomspace(1e-3, 1e3, 49)
-"""Factors of the time that are tried first."""
+_FACTORS = np.geomspace(1e-3, 1e3, 49)
+"""Factors of the time, and of positions, that are tried first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,21 +160,6 @@ class _Judged(NamedTuple):
     odds: float
     squares: float
 
-    @property
-    def rank(self) -> tuple[int, int]:
-        """Sort key of those that look the same: fewest faults, order, signs, mounting, offsets."""
-        faults = self.installation.faults
-        odd = not _is_right(faults[-1].evidence.get("offset", 0.0))
-        kinds = ("wrong_order", "wrong_sign", "wrong_mounting")
-        first = faults[0].fault
-        place = kinds.index(first) if first in kinds else len(kinds)
-        return len(faults), place + odd
-
-
-def _is_right(angle: float) -> bool:
-    turns = angle / SEARCH.right
-    return bool(abs(turns - round(turns)) < 1e-9)  # rounding
-
 
 def odds_against(robot: Robot) -> float:
     """Twice the log odds against any one other installation of an arm before data are seen."""
@@ -197,20 +174,13 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
     reasons = dict[int, Sequence[Any]]()
     for _ in range(case.robot.nv):
         tried = [best.joined(move) for move in _moves(best.fit(case))]
-        _, *judged = _judge(case, tried)
-        judged.sort(key=lambda each: -each.odds)
-        nearest = [each for each in judged[: SEARCH.tried] if each.odds > 0]
-        likely = [
-            each.installation
-            for each in nearest
-            if _gain(case, each.installation, best) > -np.inf
-        ]
+        stands, likely = _likelier(case, tried, best)
         if not likely:
             break
-        simplest, *reason = _simplest(_judge(case, likely), case)
+        simplest, *reason = _simplest(stands, likely, float(case.rows.sum()))
         best = simplest.installation
         reasons[len(best.faults) - 1] = reason
-        if simplest.squares < SEARCH.explained * float(case.rows.sum()):
+        if simplest.squares < float(case.rows.sum()):
             break
     if not best.faults or not _throughout(case, best):
         return [*positions_beyond_limits(case)]
@@ -256,7 +226,10 @@ def _polished(case: TorqueFit, installation: Installation) -> Installation:
     known = []
     for k, fault in enumerate(faults):
         own = slice(ends[k] - ways[k].shape[1], ends[k])
-        right = fault.fault == "wrong_zero" and _is_right(fault.evidence["offset"])
+        right = (
+            fault.fault == "wrong_zero"
+            and not fault.evidence["offset"] % SEARCH.right
+        )
         step = ways[k] @ (0 * x[own] if right else x[own])
         spread = ways[k] @ covariance[own, own] @ ways[k].T
         known.append(_moved(case, fault, step, np.sqrt(np.diag(spread))))
@@ -333,16 +306,24 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
     return True
 
 
-def _gain(case: TorqueFit, one: Installation, other: Installation) -> float:
-    """Twice the log odds for an installation that is likelier than another; else −∞.
+def _likelier(
+    case: TorqueFit, installations: Sequence[Installation], other: Installation
+) -> tuple[_Judged, list[_Judged]]:
+    """The log as it stands, and installations that are likelier than another, by their odds.
 
-    It also leaves half the squares of the other, or fits.
+    They also leave half the squares of the other, or fit.
     """
-    *_, theirs, mine = _judge(case, [each for each in (other, one) if each.faults])
+    others = [other] if other.faults else []
+    stands, *judged = _judge(case, [*others, *installations])
+    theirs = judged.pop(0) if others else stands
     fits = SEARCH.fits * float(case.rows.sum())
     allowed = max(SEARCH.halved * theirs.squares, fits)
-    likelier = mine.odds > theirs.odds and mine.squares <= allowed
-    return mine.odds if likelier else -np.inf
+    likelier = [
+        each
+        for each in judged
+        if each.odds > theirs.odds and each.squares <= allowed
+    ]
+    return stands, sorted(likelier, key=lambda each: -each.odds)[: SEARCH.tried]
 
 
 def _judge(case: TorqueFit, installations: Sequence[Installation]) -> list[_Judged]:
@@ -381,17 +362,14 @@ def _evidence(
 
 
 def _simplest(
-    judged: Sequence[_Judged], case: TorqueFit
+    stands: _Judged, likely: Sequence[_Judged], rows: float
 ) -> tuple[_Judged, str, dict[str, Any]]:
-    """The simplest of those that look the same, why in words, and its evidence; see `_judge`."""
-    stands, *likely = judged
-    least_odds = max(each.odds for each in likely) - SEARCH.alike
-    same = [each for each in likely if each.odds >= least_odds]
-    rows = float(case.rows.sum())
+    """The simplest of those that look the same, why in words, and its evidence; see `_likelier`."""
+    same = [each for each in likely if each.odds >= likely[0].odds - SEARCH.alike]
     least = min(each.squares for each in same)
     allowed = max(least / SEARCH.halved, SEARCH.fits * rows)
     same = [each for each in same if each.squares <= allowed]
-    best, *others = sorted(same, key=lambda each: (each.rank, -each.odds))
+    best, *others = sorted(same, key=lambda each: len(each.installation.faults))
     because = (
         "; so read, the torque is that of bodies near the given ones (sum of squares "
         f"{stands.squares:.3g} → {best.squares:.3g} in {rows:.0f} independent rows)"
@@ -421,7 +399,10 @@ def support(
     """
     log, _ = after_repair(Log.of(robot, recording), others)
     case = torque_fit(robot, log, smooth(log), joints_without_torque(others))
-    return _gain(case, Installation(tuple(faults)), Installation()) if case else 0.0
+    if case is None:
+        return 0.0
+    _, likely = _likelier(case, [Installation(tuple(faults))], Installation())
+    return likely[0].odds if likely else -np.inf
 
 
 def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, int]]:
@@ -488,7 +469,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
         yield from signs
         return
     yield from _nearest(fit, [*signs, *_orders(fit), *_couplings(fit)])
-    if squares > SEARCH.explained * float(rows.sum()):
+    if squares > float(rows.sum()):
         yield from _nearest(fit, [*_two_zeros(fit)])
     yield from _frames(fit)
     yield from _scales(fit)
@@ -559,17 +540,15 @@ def _orders(fit: TorqueFit) -> Iterator[Installation]:
         )
         for channels in (("q", "dq", "tau"), ("tau",)):
             what = "columns" if len(channels) > 1 else "torque columns"
-            yield _one(
-                fit,
-                Fault(
-                    "wrong_order",
-                    log.names(wrong),
-                    f"{what} are in another order: {words}",
-                    {"order": names, "channels": channels},
-                    f"puts the {what} of {len(wrong)} joints in the order of the robot",
-                    tuple(Remedy("order", channel, order) for channel in channels),
-                ),
+            fault = Fault(
+                "wrong_order",
+                log.names(wrong),
+                f"{what} are in another order: {words}",
+                {"order": names, "channels": channels},
+                f"puts the {what} of {len(wrong)} joints in the order of the robot",
+                tuple(Remedy("order", channel, order) for channel in channels),
             )
+            yield _one(fit, fault)
 
 
 def _signs(fit: TorqueFit) -> Iterator[Installation]:
@@ -599,33 +578,30 @@ def _couplings(fit: TorqueFit) -> Iterator[Installation]:
 
     θ = L q has the power of τ_θᵀ θ̇ = τᵀ q̇, so that τ = Lᵀ τ_θ, where torque is of the same axes.
     """
-    log = fit.log
-    n = fit.robot.nv
-    neighbours = [(j, j + 1) for j in range(n - 1)]
-    for j, k in [*neighbours, *(pair[::-1] for pair in neighbours)]:
-        if fit.robot.revolute[j] != fit.robot.revolute[k]:
-            continue
-        for sign, with_torque in itertools.product((1.0, -1.0), (True, False)):
-            joint, other = log.names((j, k))
-            how = "added" if sign > 0 else "taken off"
-            remedies = [
-                Remedy("add", name, (j, k), factor=-sign) for name in ("q", "dq")
-            ]
-            if with_torque:
-                remedies.append(Remedy("add", "tau", (k, j), factor=sign))
-            and_torque = ", and torque is that of these axes" * with_torque
-            yield _one(
-                fit,
-                Fault(
-                    "coupled_axes",
-                    (joint, other),
-                    f"q of {joint} is logged with that of {other} {how}{and_torque}",
-                    {"channel": "q", "factor": sign, "torque": with_torque},
-                    f"{'takes' if sign > 0 else 'adds'} q of {other} "
-                    f"{'off' if sign > 0 else 'to'} that of {joint}",
-                    tuple(remedies),
-                ),
-            )
+    turns = fit.robot.revolute
+    pairs = itertools.permutations(range(fit.robot.nv), 2)
+    neighbours = [
+        (j, k) for j, k in pairs if abs(j - k) == 1 and turns[j] == turns[k]
+    ]
+    choices = itertools.product(neighbours, (1.0, -1.0), (True, False))
+    for (j, k), sign, torque in choices:
+        joint, other = fit.log.names((j, k))
+        added = sign > 0
+        remedies = [
+            Remedy("add", name, (j, k), factor=-sign) for name in ("q", "dq")
+        ]
+        remedies += [Remedy("add", "tau", (k, j), factor=sign)] * torque
+        fault = Fault(
+            "coupled_axes",
+            (joint, other),
+            f"q of {joint} is logged with that of {other} {'added' if added else 'taken off'}"
+            + ", and torque is that of these axes" * torque,
+            {"channel": "q", "factor": sign, "torque": torque},
+            f"{'takes' if added else 'adds'} q of {other} {'off' if added else 'to'} that of "
+            f"{joint}",
+            tuple(remedies),
+        )
+        yield _one(fit, fault)
 
 
 def _two_zeros(fit: TorqueFit) -> Iterator[Installation]:
@@ -699,7 +675,7 @@ def _is_best_factor(fit: TorqueFit, remedy: Remedy) -> bool:
         data = fit.data.remedied([replace(remedy, factor=factor)])
         return _unlikeness(fit.robot, data)
 
-    least = min(map(unlikeness, np.geomspace(1e-3, 1.0, SEARCH.factors)))
+    least = min(map(unlikeness, _FACTORS[_FACTORS <= 1]))
     # of a logarithm: a twentieth of an error
     return unlikeness(remedy.factor) < least + 0.1
 
@@ -773,29 +749,32 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     if not len(some):
         return
     joints = np.array(fit.joints)
-    names = fit.log.names(joints[some])
     # joints whose torque tells no factor have one as well
     unscaled = fit.log.names(joints[far | ~clear])
     gains = gains[some]
     typical = float(np.exp(np.log(gains).mean()))
-    apart = np.abs(np.log(gains / typical)) / std[some]
-    what = "not the torque of bodies near the given ones, but that by a factor of each joint"
-    factors = len(some)
-    like = ", ".join(f"{n} {g:.3g}" for n, g in zip(names, gains, strict=True))
-    if (apart < 3.0).all():  # standard deviations
-        factors = 1
-        what = f"{typical:.3g} times the torque of bodies near the given ones"
-        like = ", ".join(
+    one = bool((np.abs(np.log(gains / typical)) < 3.0 * std[some]).all())
+    names = fit.log.names(joints[some])
+    if one:
+        like = [
             f"{1 / size:.3g} in {unit}"
             for unit, size in sizes_of("tau").items()
-            if abs(np.log(typical * size)) < SEARCH.named_scale
-        )
+            if abs(np.log(typical * size)) < BODY_STD
+        ]
+        what = f"{typical:.3g} times the torque of bodies near the given ones"
+    else:
+        like = [f"{n} {g:.3g}" for n, g in zip(names, gains, strict=True)]
+        what = "not the torque of bodies near the given ones, but that by a factor of each joint"
+    if like:
+        what += f" ({', '.join(like)})"
     detail = (
-        f"tau of {', '.join(names)} is {what}{f' ({like})' if like else ''}: another unit, "
-        "currents or per cent, or inertias of the model in another unit"
+        f"tau of {', '.join(names)} is {what}: another unit, currents or per cent, or inertias of "
+        "the model in another unit"
     )
-    evidence = {"channel": "tau", "factor": gains}
-    fault = Fault("wrong_unit", unscaled, detail, evidence)
+    fault = Fault(
+        "wrong_unit", unscaled, detail, {"channel": "tau", "factor": gains}
+    )
+    factors = 1 if one else len(names)
     yield _one(fit, fault, more=2 * factors * float(np.log(SEARCH.scales)))
 
 
@@ -843,7 +822,7 @@ def _clock(
         gravity = np.tile(fit.robot.gravity, (len(logarithm), 1))
         return pulled(np.exp(2 * logarithm), gravity)
 
-    factor = float(np.exp(_least(squares, np.log(_RATES))))
+    factor = float(np.exp(_least(squares, np.log(_FACTORS))))
     if abs(factor - 1) < SEARCH.clock:
         return
     close = [rate for rate in RATES if abs(factor / rate - 1) < SEARCH.clock / 2]
@@ -920,10 +899,10 @@ def _mounting(
     size = float(np.linalg.norm(given))
     if size == 0:
         return
-    every = range(fit.robot.nv)
-    directions = np.vstack([given / size, _sphere(SEARCH.directions)])
-    blocks = np.array_split(size * directions, 10)  # all need too much memory
-    squares = np.concatenate([pulled(np.ones(len(b)), b) for b in blocks])
+    axes = np.array([x for x in itertools.product((-1, 0, 1), repeat=3) if any(x)])
+    directions = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    tried = np.vstack([given, directions])
+    squares = pulled(np.ones(len(tried)), tried)
     if float(pulled(np.ones(()), np.zeros(3))) < squares.min():
         detail = (
             "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
@@ -932,7 +911,7 @@ def _mounting(
         evidence = {"gravity": np.zeros(3), "angle": 0.0}
         yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
         return
-    near = _mounted(fit, every, size * directions[int(np.argmin(squares))])
+    near = _mounted(fit, range(fit.robot.nv), tried[int(np.argmin(squares))])
     ways = _ways(fit, near)
 
     def turned(x: Array) -> Fault:
@@ -967,15 +946,6 @@ _OF_VALUES: dict[str, tuple[str, Callable[..., Fault]]] = {
     "time_delay": ("delay", _late),
 }
 """Faults whose evidence has values that are no choice among few, these, and how they are told."""
-
-
-def _sphere(n: int) -> Array:
-    """Unit vectors of a Fibonacci lattice on the sphere, shape (n, 3)."""
-    k = np.arange(n) + 0.5
-    z = 1 - 2 * k / n
-    r = np.sqrt(1 - z**2)
-    turn = np.pi * (1 + np.sqrt(5)) * k
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 
 
 def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:

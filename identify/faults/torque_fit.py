@@ -26,7 +26,7 @@ from excitant.identify.drive_gains import BODY_STD, PLACEHOLDER_STD, without_eff
 from excitant.identify.faults.fault import Log, Remedy, Rows
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
-from excitant.identify.signals import low_pass
+from excitant.identify.signals import differentiated, low_pass
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -104,19 +104,16 @@ def smooth(log: Log) -> Smooth | None:
     least = 2 * _BAND / (grid[-1] - grid[0])
     cutoff = min(max(_BAND * frequency, least), 0.2 * rate)
 
-    def filtered(x: Array) -> Array:
-        even = np.column_stack([np.interp(grid, log.t, column) for column in x.T])
-        return low_pass(even, cutoff, rate)
+    def even(x: Array) -> Array:
+        return np.column_stack([np.interp(grid, log.t, column) for column in x.T])
 
-    spline = scipy.interpolate.make_interp_spline(grid, filtered(log.q), k=5)
     # eight rows per period of the cut-off, and at most some 1200 in all
-    stride = max(1, int(rate / (8 * cutoff)), len(grid) // 1200)
-    at = grid[::stride]
-    speed = spline.derivative(1)
-    motion = Motion(at, spline(at), speed(at), spline.derivative(2)(at))
-    dry = low_pass(np.sign(speed(grid)), cutoff, rate)[::stride]
-    tau = filtered(log.tau)[::stride]
-    return Smooth(motion, dry, tau, cutoff, rate / stride, np.arange(log.nv))
+    rows = slice(None, None, max(1, int(rate / (8 * cutoff)), len(grid) // 1200))
+    motion = differentiated(grid, even(log.q), cutoff)
+    dry = low_pass(np.sign(motion.dq), cutoff, rate, rows)
+    tau = low_pass(even(log.tau), cutoff, rate, rows)
+    columns = np.arange(log.nv)
+    return Smooth(motion[rows], dry, tau, cutoff, rate / rows.step, columns)
 
 
 def is_described(robot: Robot) -> bool:
