@@ -26,6 +26,7 @@ import scipy
 from excitant.identify.drive_gains import BODY_STD, without_effects
 from excitant.identify.faults.fault import (
     ALARM,
+    FAULTS,
     INSTALLATION,
     Fault,
     Log,
@@ -161,6 +162,11 @@ class _Judged(NamedTuple):
     squares: float
 
 
+def _is_right(fault: Fault) -> bool:
+    """Whether an offset, if it is one, is a multiple of a right angle."""
+    return bool(fault.evidence.get("offset", 0.0) % SEARCH.right == 0.0)
+
+
 def odds_against(robot: Robot) -> float:
     """Twice the log odds against any one other installation of an arm before data are seen."""
     return 2 * float(np.log(SEARCH.choices * robot.nv / SEARCH.rare))
@@ -177,7 +183,7 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         stands, likely = _likelier(case, tried, best)
         if not likely:
             break
-        simplest, *reason = _simplest(stands, likely, float(case.rows.sum()))
+        simplest, *reason = _simplest(stands, likely, case)
         best = simplest.installation
         reasons[len(best.faults) - 1] = reason
         if simplest.squares < float(case.rows.sum()):
@@ -226,11 +232,8 @@ def _polished(case: TorqueFit, installation: Installation) -> Installation:
     known = []
     for k, fault in enumerate(faults):
         own = slice(ends[k] - ways[k].shape[1], ends[k])
-        right = (
-            fault.fault == "wrong_zero"
-            and not fault.evidence["offset"] % SEARCH.right
-        )
-        step = ways[k] @ (0 * x[own] if right else x[own])
+        fixed = fault.fault == "wrong_zero" and _is_right(fault)
+        step = ways[k] @ (0 * x[own] if fixed else x[own])
         spread = ways[k] @ covariance[own, own] @ ways[k].T
         known.append(_moved(case, fault, step, np.sqrt(np.diag(spread))))
     return replace(installation, faults=tuple(known))
@@ -285,9 +288,10 @@ def _moved(
     case: TorqueFit, fault: Fault, step: Array, std: Array | None = None
 ) -> Fault:
     """A fault whose gravity, offset [rad] or delay [s] changes by a step, and is known to a std."""
-    if fault.fault not in _OF_VALUES or not step.size:
+    name, told = _OF_VALUES.get(fault.fault, ("", None))
+    # no gravity has no direction
+    if told is None or not np.any(fault.evidence[name]):
         return fault
-    name, told = _OF_VALUES[fault.fault]
     joints = [case.log.joints.index(joint) for joint in fault.joints]
     return told(case, joints, fault.evidence[name] + step, std)
 
@@ -362,14 +366,25 @@ def _evidence(
 
 
 def _simplest(
-    stands: _Judged, likely: Sequence[_Judged], rows: float
+    stands: _Judged, likely: Sequence[_Judged], case: TorqueFit
 ) -> tuple[_Judged, str, dict[str, Any]]:
-    """The simplest of those that look the same, why in words, and its evidence; see `_likelier`."""
+    """The first of those that look the same, why in words, and its evidence; see `_likelier`.
+
+    Few faults come before many, then as in `FAULTS`, right angles before others, and joints from
+    the base: all recordings of an arm name the same one.
+    """
+    rows = float(case.rows.sum())
     same = [each for each in likely if each.odds >= likely[0].odds - SEARCH.alike]
     least = min(each.squares for each in same)
     allowed = max(least / SEARCH.halved, SEARCH.fits * rows)
-    same = [each for each in same if each.squares <= allowed]
-    best, *others = sorted(same, key=lambda each: len(each.installation.faults))
+
+    def rank(each: _Judged) -> tuple[int, int, int, list[int]]:
+        faults = each.installation.faults
+        places = [case.log.joints.index(fault.joints[0]) for fault in faults]
+        odd = sum(not _is_right(fault) for fault in faults)
+        return len(faults), FAULTS.index(faults[0].fault), odd, places
+
+    best, *others = sorted((x for x in same if x.squares <= allowed), key=rank)
     because = (
         "; so read, the torque is that of bodies near the given ones (sum of squares "
         f"{stands.squares:.3g} → {best.squares:.3g} in {rows:.0f} independent rows)"

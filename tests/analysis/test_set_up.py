@@ -177,6 +177,8 @@ def test_all_recordings_of_an_arm_share_its_set_up() -> None:
     """A joint between two that turn about one axis: its sign is a half turn of the next."""
     robot, sign = bare(load_robot("panda")), 1 - 2 * np.eye(7)[1]
     recordings = [replace(r, q=r.q * sign, tau=r.tau * sign) for r in recorded(robot, 2, off=0.0)]
+    alone = [find_faults(robot, each) for each in recordings]
+    assert len({tuple((f.fault, f.joints) for f in each) for each in alone}) == 1
     found, amended = set_up(robot, recordings)
     told = {(each.name, each.joints) for each in (*found.faults, *found.effects)}
     alike = {(rival.candidate.effect.name, rival.candidate.effect.joints) for rival in found.rivals}
