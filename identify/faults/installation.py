@@ -69,7 +69,7 @@ class Search:
     alike: float = 2.0
     "Twice the log of the ratio of evidence below which two installations look the same."
     tried: int = 6
-    "Installations that are judged in full of the discrete ones, the nearest; and told as alike."
+    "Installations that are judged in full: of the discrete ones, and of all, the nearest."
     polished: int = 3
     "Newton steps of what is no choice among few: an angle, gravity, a delay."
     turn: float = 0.02
@@ -180,10 +180,19 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
     reasons = dict[int, Sequence[Any]]()
     for _ in range(case.robot.nv):
         tried = [best.joined(move) for move in _moves(best.fit(case))]
-        stands, likely = _likelier(case, tried, best)
+        _, *judged = _judge(case, tried)
+        judged.sort(key=lambda each: -each.odds)
+        # one by one: what another leaves is no noise of theirs
+        nearest = [each for each in judged[: SEARCH.tried] if each.odds > 0]
+        likely = [
+            each.installation
+            for each in nearest
+            if _likelier(case, [each.installation], best)[1]
+        ]
         if not likely:
             break
-        simplest, *reason = _simplest(stands, likely, case)
+        stands, *same = _judge(case, likely)
+        simplest, *reason = _simplest(stands, same, case)
         best = simplest.installation
         reasons[len(best.faults) - 1] = reason
         if simplest.squares < float(case.rows.sum()):
@@ -313,7 +322,7 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
 def _likelier(
     case: TorqueFit, installations: Sequence[Installation], other: Installation
 ) -> tuple[_Judged, list[_Judged]]:
-    """The log as it stands, and installations that are likelier than another, by their odds.
+    """The log as it stands, and installations that are likelier than another.
 
     They also leave half the squares of the other, or fit.
     """
@@ -327,7 +336,7 @@ def _likelier(
         for each in judged
         if each.odds > theirs.odds and each.squares <= allowed
     ]
-    return stands, sorted(likelier, key=lambda each: -each.odds)[: SEARCH.tried]
+    return stands, likelier
 
 
 def _judge(case: TorqueFit, installations: Sequence[Installation]) -> list[_Judged]:
@@ -374,7 +383,8 @@ def _simplest(
     the base: all recordings of an arm name the same one.
     """
     rows = float(case.rows.sum())
-    same = [each for each in likely if each.odds >= likely[0].odds - SEARCH.alike]
+    least_odds = max(each.odds for each in likely) - SEARCH.alike
+    same = [each for each in likely if each.odds >= least_odds]
     least = min(each.squares for each in same)
     allowed = max(least / SEARCH.halved, SEARCH.fits * rows)
 
