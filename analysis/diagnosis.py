@@ -254,7 +254,7 @@ def diagnose(
         of_set_up = [*_of_faults(mounted, raw, fit, holdout), *of_set_up]
     findings = [_judged_set_up(mounted, finding) for finding in of_set_up]
     findings += _judged(mounted, fit, holdout, causes, left)
-    notes = [data.holdout, *mounted.notes, *[coarse] * bool(coarse)]
+    notes = [data.holdout, *mounted.checked.notes, *[coarse] * bool(coarse)]
     if drive is not None:
         notes.append(drive.sentence(joints))
     return Diagnosis(

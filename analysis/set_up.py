@@ -6,6 +6,7 @@ data (signs, order, units, clock) are repaired, mounting and zero positions chan
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,17 +16,11 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
-from excitant.identify.faults import Fault, check_recordings
+from excitant.identify.faults import Checked, Fault, check_recordings
 from excitant.identify.faults.fault import INSTALLATION, PROVEN
 from excitant.identify.faults.installation import Installation
 from excitant.identify.recording import Recording
-from excitant.robots.effects import (
-    EFFECTS,
-    Acts,
-    Effect,
-    Size,
-    Words,
-)
+from excitant.robots.effects import EFFECTS, Acts, Effect, Size, Words
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -63,32 +58,29 @@ class SetUp:
     Attributes:
         given: The nominal robot.
         robot: The robot with the estimated mounting and zero positions.
-        std: Standard deviations of these: of each joint's zero position, by its name, or of gravity
-            along three axes.
-        repaired: Faults of the data that are repaired, by recording.
-        notes: What was done, a sentence each.
-        shown: Faults of the arm, which all recordings share.
-        standing: Faults that leave every figure wrong and that nothing repairs, a sentence each.
+        checked: The recordings, repaired, and their faults.
     """
 
     given: Robot
     robot: Robot
-    std: dict[str, tuple[float, ...]]
-    repaired: dict[str, tuple[Fault, ...]]
-    notes: tuple[str, ...] = ()
-    shown: tuple[Fault, ...] = ()
-    standing: tuple[str, ...] = ()
+    checked: Checked
 
     @cached_property
     def rivals(self) -> tuple[Rival, ...]:
         """Other installations that would make the same torque; they have no columns."""
         none = np.zeros((0, 0))
-        rivals = list[Rival]()
-        for fault in self.shown:
-            for name, joints in fault.evidence.get("alike", ()):
-                effect = _effect_of(name, joints, self.robot.joints)
-                rivals.append(Rival(Candidate(effect, slice(0, 0), none), 0.0, 1.0))
-        return tuple(rivals)
+        alike = [
+            x
+            for fault in self.checked.of_the_arm
+            for x in fault.evidence.get("alike", ())
+        ]
+        effects = (
+            _effect_of(name, joints, self.robot.joints) for name, joints in alike
+        )
+        return tuple(
+            Rival(Candidate(effect, slice(0, 0), none), 0.0, 1.0)
+            for effect in effects
+        )
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -108,18 +100,36 @@ class SetUp:
     @cached_property
     def faults(self) -> tuple[DataFault, ...]:
         """The faults that are repaired, each once, whatever the number of recordings."""
-        causes = dict[tuple[str, tuple[str, ...]], DataFault]()
-        for faults in self.repaired.values():
-            for fault in faults:
-                cause = DataFault(fault.joints, (), fault.fault, fault.detail)
-                causes.setdefault((fault.fault, fault.joints), cause)
-        return tuple(causes.values())
+        repaired = {(f.fault, f.joints): f for _, f in self._repaired}
+        return tuple(
+            DataFault(f.joints, (), f.fault, f.detail) for f in repaired.values()
+        )
+
+    @property
+    def _repaired(self) -> list[tuple[str, Fault]]:
+        """Faults of the data that have a remedy, with the names of their recordings."""
+        return [
+            (name, fault)
+            for name, faults in self.checked.faults.items()
+            for fault in faults
+            if fault.remedies and fault.fault not in INSTALLATION
+        ]
+
+    @property
+    def standing(self) -> list[str]:
+        """Faults that leave every figure wrong and that nothing repairs, a sentence each."""
+        every = itertools.chain(*self.checked.faults.values())
+        return [
+            f.detail
+            for f in every
+            if not f.remedies and f.fault not in INSTALLATION
+        ]
 
     def amends(self, fault: Mapping[str, Any]) -> bool:
         """Whether a fault, under its JSON names, is repaired or in the model."""
-        repaired = {f.fault for f in self.repaired.get(str(fault["recording"]), ())}
+        repaired = {(name, f.fault) for name, f in self._repaired}
         changed = self.robot is not self.given
-        return fault["fault"] in repaired or (
+        return (fault["recording"], fault["fault"]) in repaired or (
             changed and fault["fault"] in INSTALLATION
         )
 
@@ -129,11 +139,21 @@ class SetUp:
             return model.with_gravity(self.given.gravity)
         return model.with_zero(effect.joints[0], -(effect.values or (0.0,))[0])
 
-    def std_of(self, effect: Effect) -> tuple[float, ...]:
-        """Standard deviations of the coefficients of one of its effects."""
-        return self.std[
-            "gravity" if effect.family == "static" else effect.joints[0]
-        ]
+    def std_of(self, effect: Effect) -> Array:
+        """Standard deviations of the coefficients of one of its effects [m/s² or rad].
+
+        That of any direction or angle where it is not known.
+        """
+        static = effect.family == "static"
+        evidence = next(
+            fault.evidence
+            for fault in reversed(self.checked.of_the_arm)
+            if fault.fault == ("wrong_mounting" if static else "wrong_zero")
+            and (static or fault.joints == effect.joints)
+        )
+        unknown = np.pi * np.linalg.norm(evidence.get("gravity", 1.0))
+        std = evidence.get("std", np.full(len(effect.values or ()), unknown))
+        return np.atleast_1d(std)
 
 
 def set_up(
@@ -143,46 +163,11 @@ def set_up(
 
     Faults of the data that leave every figure wrong are repaired, no others.
     """
-    found = check_recordings(
+    checked = check_recordings(
         robot, recordings, repaired=True, only=PROVEN, modelled=INSTALLATION
     )
-    every = [fault for faults in found.faults.values() for fault in faults]
-    of_arm = [fault for fault in every if fault.of_the_arm]
-    shown = tuple({(f.fault, f.joints): f for f in of_arm}.values())
-    repaired = {
-        name: remedied
-        for name, faults in found.faults.items()
-        if (remedied := tuple(filter(_is_of_the_data, faults)))
-    }
-    standing = [f for f in every if not f.remedies and f.fault not in INSTALLATION]
-    std = {
-        "gravity" if fault.fault == "wrong_mounting" else fault.joints[0]: _std(
-            fault
-        )
-        for fault in shown
-        if fault.fault in INSTALLATION
-    }
-    installation = SetUp(
-        robot,
-        Installation(shown).robot(robot),
-        std,
-        repaired,
-        found.notes,
-        shown,
-        tuple(dict.fromkeys(fault.detail for fault in standing)),
-    )
-    return installation, found.recordings
-
-
-def _is_of_the_data(fault: Fault) -> bool:
-    return bool(fault.remedies) and fault.fault not in INSTALLATION
-
-
-def _std(fault: Fault) -> tuple[float, ...]:
-    """Standard deviations of an angle [rad] or of gravity [m/s²]; where unknown, of any."""
-    gravity = fault.evidence.get("gravity", np.ones(1))
-    unknown = np.full(len(gravity), np.pi * np.linalg.norm(gravity))
-    return tuple(np.atleast_1d(fault.evidence.get("std", unknown)).tolist())
+    mounted = Installation(checked.of_the_arm).robot(robot)
+    return SetUp(robot, mounted, checked), checked.recordings
 
 
 def _effect_of(fault: str, at: tuple[str, ...], joints: tuple[str, ...]) -> Effect:

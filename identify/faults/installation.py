@@ -17,15 +17,16 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 import scipy
 
-from excitant.identify.drive_gains import without_effects
+from excitant.identify.drive_gains import BODY_STD, without_effects
 from excitant.identify.faults.fault import (
     ALARM,
+    FAULTS,
     INSTALLATION,
     Fault,
     Log,
@@ -57,8 +58,6 @@ class Search:
 
     fits: float = 0.1
     "Squares per independent row, errors of the model counted: less needs no other installation."
-    explained: float = 1.0
-    "The same: an installation that leaves less needs no second one."
     halved: float = 0.5
     "Part of the squares that another installation leaves at most."
     rare: float = 0.02
@@ -71,10 +70,6 @@ class Search:
     "Twice the log of the ratio of evidence below which two installations look the same."
     tried: int = 6
     "Installations that are judged in full: of the discrete ones, and of all, the nearest."
-    factors: int = 61
-    "Factors of positions beyond limits, 1e-3 to 1, that are compared with degrees."
-    directions: int = 200
-    "Directions of gravity on the first grid."
     polished: int = 3
     "Newton steps of what is no choice among few: an angle, gravity, a delay."
     turn: float = 0.02
@@ -91,8 +86,6 @@ class Search:
     "Factor of a torque that bodies off by `BODY_STD` do not make (3.7 std of its logarithm)."
     clear_scale: float = 0.5
     "Relative std of a joint's factor below which it is one."
-    named_scale: float = 0.3
-    "Logarithm within which a unit is named: one std of bodies near the nominal ones."
     clock: float = 0.1
     "Least relative error of a clock that the torque alone can show."
     parts: int = 3
@@ -104,8 +97,8 @@ class Search:
 SEARCH = Search()
 _ANGLES = np.linspace(0, 2 * np.pi, 5, endpoint=False)
 """Zero offsets [rad] that determine a trigonometric polynomial of degree 2."""
-_RATES = np.geomspace(1e-3, 1e3, 49)
-"""Factors of the time that are tried first."""
+_FACTORS = np.geomspace(1e-3, 1e3, 49)
+"""Factors of the time, and of positions, that are tried first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,14 +149,6 @@ class Installation:
         joints = frozenset(unscaled) | case.unscaled
         return TorqueFit(robot, case.log, data, case.joints, joints)
 
-    def order(self, nv: int) -> Rows:
-        """Of each joint's torque the column of the log, shape (nv,)."""
-        order: Rows = np.arange(nv)
-        for remedy in self.remedies:
-            if (remedy.action, remedy.channel) == ("order", "tau"):
-                order = order[[*remedy.joints]]
-        return order
-
     def joined(self, other: Installation) -> Installation:
         """It and another that was found in it."""
         return Installation(self.faults + other.faults, self.price + other.price)
@@ -176,20 +161,10 @@ class _Judged(NamedTuple):
     odds: float
     squares: float
 
-    @property
-    def rank(self) -> tuple[int, int]:
-        """Sort key of those that look the same: fewest faults, order, signs, mounting, offsets."""
-        faults = self.installation.faults
-        odd = not _is_right(faults[-1].evidence.get("offset", 0.0))
-        kinds = ("wrong_order", "wrong_sign", "wrong_mounting")
-        first = faults[0].fault
-        place = kinds.index(first) if first in kinds else len(kinds)
-        return len(faults), place + odd
 
-
-def _is_right(angle: float) -> bool:
-    turns = angle / SEARCH.right
-    return bool(abs(turns - round(turns)) < 1e-9)  # rounding
+def _is_right(fault: Fault) -> bool:
+    """Whether an offset, if it is one, is a multiple of a right angle."""
+    return bool(fault.evidence.get("offset", 0.0) % SEARCH.right == 0.0)
 
 
 def odds_against(robot: Robot) -> float:
@@ -202,20 +177,34 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
     if faults := [*_torque_beyond_limits(case)]:
         return faults
     best = Installation()
+    reasons = dict[int, Sequence[Any]]()
     for _ in range(case.robot.nv):
         tried = [best.joined(move) for move in _moves(best.fit(case))]
-        _, ranked = _judge(case, tried)
-        nearest = [j.installation for j in ranked[: SEARCH.tried] if j.odds > 0]
-        likely = [each for each in nearest if _gain(case, each, best) > -np.inf]
+        _, *judged = _judge(case, tried)
+        judged.sort(key=lambda each: -each.odds)
+        # one by one: what another leaves is no noise of theirs
+        nearest = [each for each in judged[: SEARCH.tried] if each.odds > 0]
+        likely = [
+            each.installation
+            for each in nearest
+            if _likelier(case, [each.installation], best)[1]
+        ]
         if not likely:
             break
-        before, ranked = _judge(case, likely)
-        best, squares = _simplest(ranked, before, case)
-        if squares < SEARCH.explained * float(case.rows.sum()):
+        stands, *same = _judge(case, likely)
+        simplest, *reason = _simplest(stands, same, case)
+        best = simplest.installation
+        reasons[len(best.faults) - 1] = reason
+        if simplest.squares < float(case.rows.sum()):
             break
-    if best.faults and _throughout(case, best):
-        return [*_polished(case, best).faults]
-    return [*positions_beyond_limits(case)]
+    if not best.faults or not _throughout(case, best):
+        return [*positions_beyond_limits(case)]
+    faults = [*_polished(case, best).faults]
+    for k, (because, more) in reasons.items():
+        fault = faults[k]
+        evidence = {**fault.evidence, **more}
+        faults[k] = replace(fault, detail=fault.detail + because, evidence=evidence)
+    return faults
 
 
 def _polished(case: TorqueFit, installation: Installation) -> Installation:
@@ -225,110 +214,95 @@ def _polished(case: TorqueFit, installation: Installation) -> Installation:
     angles, which no other was better than beyond chance, stay such.
     """
     faults = installation.faults
-    sizes = [_freedom(fault) for fault in faults]
-    if not sum(sizes):
+    ways = [_ways(case, fault) for fault in faults]
+    ends = np.cumsum([way.shape[1] for way in ways])
+    if not ends[-1]:
         return installation
-    parts = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
-    steps = np.full(sum(sizes), SEARCH.turn)
-    for fault, part in zip(faults, parts, strict=True):
-        if fault.fault == "time_delay":
-            steps[part] = 1 / case.data.rate
     start = installation.fit(case)
     noise = np.clip(start.power / start.size, SEARCH.least_noise**2, MODEL_ERROR**2)
-    weight = (start.rows / (noise * start.size * len(start.tau)))[start.joints]
+    weight = start.weight(0.0, start.rows) * MODEL_ERROR**2 / noise[start.joints]
 
     def moved(x: Array) -> Installation:
-        pairs = zip(faults, parts, strict=True)
+        steps = zip(faults, ways, np.split(x, ends[:-1]), strict=True)
         return replace(
             installation,
-            faults=tuple(_moved(case, fault, x[part]) for fault, part in pairs),
+            faults=tuple(
+                _moved(case, fault, way @ step) for fault, way, step in steps
+            ),
         )
 
     def squares(x: Array) -> float:
-        return float(moved(x).fit(case).family(weight)(np.ones(1)))
+        return moved(x).fit(case).squares(weight)
 
-    x = np.zeros(len(steps))
-    least = squares(x)
-    for _ in range(SEARCH.polished):
-        slope, curvature = _derivatives(squares, x, steps, least)
-        if np.linalg.eigvalsh(curvature).min() <= 0:
-            return installation
-        change = np.linalg.solve(curvature, slope)
-        left = squares(x - steps * change)
-        if left >= least:
-            break
-        x = x - steps * change
-        least = left
-    dispersion = max(1.0, least / float(start.rows.sum()))
-    inverse = np.linalg.inv(curvature) * np.outer(steps, steps)
-    covariance = np.asarray(2 * dispersion * inverse, float)
-    for fault, part in zip(faults, parts, strict=True):
-        if fault.fault == "wrong_zero" and _is_right(fault.evidence["offset"]):
-            x[part] = 0.0
-    pairs = zip(faults, parts, strict=True)
-    known = [
-        _moved(case, fault, x[part], covariance[np.ix_(part, part)])
-        for fault, part in pairs
-    ]
+    x, least, covariance = _newton(squares, int(ends[-1]))
+    if not np.isfinite(covariance).all():
+        return installation
+    covariance = covariance * max(1.0, least / float(start.rows.sum()))
+    known = []
+    for k, fault in enumerate(faults):
+        own = slice(ends[k] - ways[k].shape[1], ends[k])
+        fixed = fault.fault == "wrong_zero" and _is_right(fault)
+        step = ways[k] @ (0 * x[own] if fixed else x[own])
+        spread = ways[k] @ covariance[own, own] @ ways[k].T
+        known.append(_moved(case, fault, step, np.sqrt(np.diag(spread))))
     return replace(installation, faults=tuple(known))
 
 
-def _derivatives(
-    f: Callable[[Array], float], x: Array, steps: Array, value: float
-) -> tuple[Array, Array]:
-    """Slope (k,) and curvature (k, k) of a function per step, by differences around its value."""
-    moves = np.diag(steps)
-    ahead = np.array([f(x + move) for move in moves])
-    behind = np.array([f(x - move) for move in moves])
-    curvature = np.diag(ahead + behind - 2 * value)
-    for i, k in itertools.combinations(range(len(steps)), 2):
-        both = f(x + moves[i] + moves[k])
-        curvature[i, k] = curvature[k, i] = both - ahead[i] - ahead[k] + value
-    return (ahead - behind) / 2, curvature
+def _newton(
+    squares: Callable[[Array], float], size: int
+) -> tuple[Array, float, Array]:
+    """Where squares are least near zero, shape (size,), their least, and the covariance of that.
+
+    The latter is infinite where they are not least.
+    """
+    moves = SEARCH.turn * np.eye(size)
+    x = np.zeros(size)
+    least = squares(x)
+    covariance = np.full((size, size), np.inf)
+    for _ in range(SEARCH.polished):
+        ahead = np.array([squares(x + move) for move in moves])
+        behind = np.array([squares(x - move) for move in moves])
+        curvature = np.diag(ahead + behind - 2 * least)
+        for i, k in itertools.combinations(range(size), 2):
+            both = squares(x + moves[i] + moves[k])
+            curvature[i, k] = curvature[k, i] = both - ahead[i] - ahead[k] + least
+        if np.linalg.eigvalsh(curvature).min() <= 0:
+            break
+        covariance = 2 * SEARCH.turn**2 * np.linalg.inv(curvature)
+        change = moves @ np.linalg.solve(curvature, (ahead - behind) / 2)
+        left = squares(x - change)
+        if left >= least:
+            break
+        x = x - change
+        least = left
+    return x, least, covariance
 
 
-def _freedom(fault: Fault) -> int:
-    """Number of values of a fault that are no choice among few: none has no direction."""
+def _ways(case: TorqueFit, fault: Fault) -> Array:
+    """Ways in which values of a fault that are no choice among few change, (values, steps).
+
+    A step is an angle [rad]: gravity turns about two axes; no gravity has no direction. It is also
+    so many samples of a delay.
+    """
     if fault.fault == "wrong_mounting":
-        return 2 * bool(np.any(fault.evidence["gravity"]))
-    return int(fault.fault in ("wrong_zero", "time_delay"))
+        gravity = fault.evidence["gravity"]
+        turned = np.linalg.svd(gravity[None])[2][1:].T
+        return np.asarray(np.linalg.norm(gravity) * turned[:, : 2 * gravity.any()])
+    if fault.fault == "time_delay":
+        return np.array([[1 / (case.data.rate * SEARCH.turn)]])
+    return np.ones((1, int(fault.fault == "wrong_zero")))
 
 
 def _moved(
-    case: TorqueFit, fault: Fault, x: Array, covariance: Array | None = None
+    case: TorqueFit, fault: Fault, step: Array, std: Array | None = None
 ) -> Fault:
-    """A fault whose offset [rad], delay [s] or gravity, turned about two axes [rad], changes by x.
-
-    With the covariance of x where that is known.
-    """
-    if not len(x):
+    """A fault whose gravity, offset [rad] or delay [s] changes by a step, and is known to a std."""
+    name, told = _OF_VALUES.get(fault.fault, ("", None))
+    # no gravity has no direction
+    if told is None or not np.any(fault.evidence[name]):
         return fault
-    evidence = fault.evidence
-    if fault.fault == "wrong_mounting":
-        gravity = evidence["gravity"]
-        size = np.linalg.norm(gravity)
-        turns = size * np.linalg.svd(gravity[None])[2][1:].T
-        turned = gravity + turns @ x
-        old = _mounted(case, gravity)
-        new = _mounted(case, turned * size / np.linalg.norm(turned))
-        if covariance is not None:
-            covariance = turns @ covariance @ turns.T
-    else:
-        at = [case.log.joints.index(joint) for joint in fault.joints]
-        name, told = (
-            ("offset", partial(_zero, case.log, at[0]))
-            if fault.fault == "wrong_zero"
-            else ("delay", partial(_late, case.log, at))
-        )
-        std = None if covariance is None else float(np.sqrt(covariance[0, 0]))
-        old = told(evidence[name], evidence.get("std"))
-        new = told(evidence[name] + float(x[0]), std)
-    detail = new.detail + fault.detail.removeprefix(old.detail)
-    evidence = {**evidence, **new.evidence}
-    if covariance is not None:
-        stds = np.sqrt(np.diag(covariance)).tolist()
-        evidence["std"] = stds if len(stds) > 1 else stds[0]
-    return replace(new, detail=detail, evidence=evidence)
+    joints = [case.log.joints.index(joint) for joint in fault.joints]
+    return told(case, joints, fault.evidence[name] + step, std)
 
 
 def _throughout(case: TorqueFit, installation: Installation) -> bool:
@@ -336,104 +310,106 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
     dead = {*case.log.joints} - {case.log.joints[j] for j in case.joints}
     for rows in np.array_split(np.arange(len(case.log)), SEARCH.parts):
         log = case.log.take(rows)
-        data = smooth(log)
-        part = data and torque_fit(case.robot, log, data, dead)
+        part = torque_fit(case.robot, log, smooth(log), dead)
         if part:
-            before, [judged] = _judge(part, [installation])
-            allowed = before + SEARCH.fits * float(part.rows.sum())
+            stands, judged = _judge(part, [installation])
+            allowed = stands.squares + SEARCH.fits * float(part.rows.sum())
             if judged.squares > allowed:
                 return False
     return True
 
 
-def _gain(case: TorqueFit, one: Installation, other: Installation) -> float:
-    """Twice the log odds for an installation that is likelier than another; else −∞.
+def _likelier(
+    case: TorqueFit, installations: Sequence[Installation], other: Installation
+) -> tuple[_Judged, list[_Judged]]:
+    """The log as it stands, and installations that are likelier than another.
 
-    It also leaves half the squares of the other, or fits.
+    They also leave half the squares of the other, or fit.
     """
-    before, judged = _judge(case, [one, other] if other.faults else [one])
-    of = {each.installation: each for each in judged}
-    theirs = of.get(other, _Judged(other, 0.0, before))
-    mine = of[one]
+    others = [other] if other.faults else []
+    stands, *judged = _judge(case, [*others, *installations])
+    theirs = judged.pop(0) if others else stands
     fits = SEARCH.fits * float(case.rows.sum())
     allowed = max(SEARCH.halved * theirs.squares, fits)
-    likelier = mine.odds > theirs.odds and mine.squares <= allowed
-    return mine.odds if likelier else -np.inf
-
-
-def _judge(
-    case: TorqueFit, installations: Sequence[Installation]
-) -> tuple[float, list[_Judged]]:
-    """Installations by their odds, and the squares that the log as it stands leaves."""
-    nv = case.robot.nv
-    fits = [installation.fit(case) for installation in installations]
-    orders = [installation.order(nv) for installation in installations]
-    before, evidence = _evidence(case, fits, orders)
-    judged = [
-        _Judged(installation, gain - installation.price, squares)
-        for installation, (gain, squares) in zip(
-            installations, evidence, strict=True
-        )
+    likelier = [
+        each
+        for each in judged
+        if each.odds > theirs.odds and each.squares <= allowed
     ]
-    return before, sorted(judged, key=lambda each: -each.odds)
+    return stands, likelier
+
+
+def _judge(case: TorqueFit, installations: Sequence[Installation]) -> list[_Judged]:
+    """The log as it stands, with the squares that it leaves, and each installation."""
+    fits = [installation.fit(case) for installation in installations]
+    before, evidence = _evidence(case, fits)
+    pairs = zip(installations, evidence, strict=True)
+    judged = [
+        _Judged(each, gain - each.price, squares) for each, (gain, squares) in pairs
+    ]
+    return [_Judged(Installation(), 0.0, before), *judged]
 
 
 def _evidence(
-    case: TorqueFit, fits: Sequence[TorqueFit], orders: Sequence[Rows]
+    case: TorqueFit, fits: Sequence[TorqueFit]
 ) -> tuple[float, list[tuple[float, float]]]:
     """Squares that a log as it stands leaves; of other fits twice the log evidence, and squares.
 
     As it stands any one of the links may be another body: that needs no other installation. Errors
-    of the model count as noise. Joint j of a fit has the torque recorded as ``order[j]``.
+    of the model count as noise.
     """
     nv = case.robot.nv
     noise = case.power
-    for fit, order in zip(fits, orders, strict=True):
-        noise = np.minimum(noise, fit.power[np.argsort(order)])
+    for fit in fits:
+        noise = np.minimum(noise, fit.power[np.argsort(fit.data.recorded)])
     as_it_stands = [case.surprise(noise, case.rows, link) for link in range(nv)]
     before = min(surprise for _, surprise in as_it_stands)
     most = min(squares for squares, _ in as_it_stands)
     rows = float(case.rows.sum())
     evidence = []
-    for fit, order in zip(fits, orders, strict=True):
+    for fit in fits:
+        order = fit.data.recorded
         squares, surprise = fit.surprise(noise[order], case.rows[order], nv - 1)
         evidence.append(((before - surprise) / max(1.0, squares / rows), squares))
     return most, evidence
 
 
 def _simplest(
-    likely: Sequence[_Judged], before: float, case: TorqueFit
-) -> tuple[Installation, float]:
-    """The simplest of those that look the same, which names the others, and how well it fits."""
-    same = [each for each in likely if each.odds >= likely[0].odds - SEARCH.alike]
-    least = min(each.squares for each in same) / SEARCH.halved
-    allowed = max(least, SEARCH.fits * float(case.rows.sum()))
-    same = [each for each in same if each.squares <= allowed]
-    best, *others = sorted(same, key=lambda each: each.rank)
-    *faults, last = best.installation.faults
-    detail = (
-        f"{last.detail}; so read, the torque is that of bodies near the given ones (sum of squares "
-        f"{before:.3g} → {best.squares:.3g} in {case.rows.sum():.0f} independent rows)"
+    stands: _Judged, likely: Sequence[_Judged], case: TorqueFit
+) -> tuple[_Judged, str, dict[str, Any]]:
+    """The first of those that look the same, why in words, and its evidence; see `_likelier`.
+
+    Few faults come before many, then as in `FAULTS`, right angles before others, and joints from
+    the base: all recordings of an arm name the same one.
+    """
+    rows = float(case.rows.sum())
+    least_odds = max(each.odds for each in likely) - SEARCH.alike
+    same = [each for each in likely if each.odds >= least_odds]
+    least = min(each.squares for each in same)
+    allowed = max(least / SEARCH.halved, SEARCH.fits * rows)
+
+    def rank(each: _Judged) -> tuple[int, int, int, list[int]]:
+        faults = each.installation.faults
+        places = [case.log.joints.index(fault.joints[0]) for fault in faults]
+        odd = sum(not _is_right(fault) for fault in faults)
+        return len(faults), FAULTS.index(faults[0].fault), odd, places
+
+    best, *others = sorted((x for x in same if x.squares <= allowed), key=rank)
+    because = (
+        "; so read, the torque is that of bodies near the given ones (sum of squares "
+        f"{stands.squares:.3g} → {best.squares:.3g} in {rows:.0f} independent rows)"
     )
-    told = [_names(best.installation)]
-    words = list[str]()
-    alike = list[tuple[str, tuple[str, ...]]]()
+    alike = dict[tuple[Any, ...], str]()
     for other in others:
-        names = _names(other.installation)
-        if names not in told:
-            told.append(names)
-            alike += names
-            details = (fault.detail for fault in other.installation.faults)
-            words.append(" and ".join(details))
+        faults = other.installation.faults
+        names = tuple((fault.fault, fault.joints) for fault in faults)
+        alike.setdefault(names, " and ".join(fault.detail for fault in faults))
+    alike.pop(tuple((f.fault, f.joints) for f in best.installation.faults), None)
     if alike:
-        detail += f"; the torque would be the same if {' or if '.join(words)}"
-    evidence = {**last.evidence, "gain": best.odds, "alike": alike}
-    stated = replace(last, detail=detail, evidence=evidence)
-    return replace(best.installation, faults=(*faults, stated)), best.squares
-
-
-def _names(installation: Installation) -> list[tuple[str, tuple[str, ...]]]:
-    return [(fault.fault, fault.joints) for fault in installation.faults]
+        because += (
+            f"; the torque would be the same if {' or if '.join(alike.values())}"
+        )
+    return best, because, {"gain": best.odds, "alike": [*itertools.chain(*alike)]}
 
 
 def support(
@@ -447,13 +423,11 @@ def support(
     It is −∞ where the installation does not fit, 0 where the torque tells nothing.
     """
     log, _ = after_repair(Log.of(robot, recording), others)
-    data = smooth(log)
-    if data is None:
-        return 0.0
-    case = torque_fit(robot, log, data, joints_without_torque(others))
+    case = torque_fit(robot, log, smooth(log), joints_without_torque(others))
     if case is None:
         return 0.0
-    return _gain(case, Installation(tuple(faults)), Installation())
+    _, likely = _likelier(case, [Installation(tuple(faults))], Installation())
+    return likely[0].odds if likely else -np.inf
 
 
 def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, int]]:
@@ -466,38 +440,33 @@ def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, in
     logs = [Log.of(robot, recording) for recording in recordings]
     kinds = [(len(log), log.unit) for log in logs]
     pairs = [
-        (i, k)
-        for i, k in itertools.combinations(range(len(logs)), 2)
-        if kinds[i] == kinds[k]
+        pair
+        for pair in itertools.combinations(range(len(logs)), 2)
+        if kinds[pair[0]] == kinds[pair[1]]
     ]
-    data = {k: smooth(logs[k]) for k in dict.fromkeys(itertools.chain(*pairs))}
     odds = 2 * float(np.log(max(len(pairs), 1) / SEARCH.rare))
     exchanged = list[tuple[int, int]]()
     for i, k in pairs:
         if {i, k} & {*itertools.chain(*exchanged)}:
             continue
-        gain = _with_torque_of(robot, logs[i], data[i], logs[k])
+        gain = _with_torque_of(robot, logs[i], logs[k])
         if gain > -np.inf:
-            gain += _with_torque_of(robot, logs[k], data[k], logs[i])
+            gain += _with_torque_of(robot, logs[k], logs[i])
         if gain > odds:
             exchanged.append((i, k))
     return exchanged
 
 
-def _with_torque_of(
-    robot: Robot, log: Log, data: Smooth | None, other: Log
-) -> float:
+def _with_torque_of(robot: Robot, log: Log, other: Log) -> float:
     """Twice the log evidence ratio of a log with another's torque; −∞ where that is not likely."""
+    case = torque_fit(robot, log, smooth(log), set())
     moved = smooth(replace(log, tau=other.tau))
-    if data is None or moved is None:
+    if case is None or moved is None:
         return -np.inf
-    if _unlikeness(robot, moved) - _unlikeness(robot, data) > np.log(SEARCH.halved):
+    change = _unlikeness(robot, moved) - _unlikeness(robot, case.data)
+    if change > np.log(SEARCH.halved):
         return -np.inf
-    case = torque_fit(robot, log, data, set())
-    if case is None:
-        return -np.inf
-    exchanged = replace(case, data=moved)
-    _, [(gain, _)] = _evidence(case, [exchanged], [np.arange(robot.nv)])
+    _, [(gain, _)] = _evidence(case, [replace(case, data=moved)])
     return gain
 
 
@@ -516,19 +485,20 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     squares, _ = fit.surprise(0 * fit.power, rows, fit.robot.nv - 1)
     if squares < SEARCH.fits * float(rows.sum()):
         return
+    pulled = _pulled(fit)
     yield from _in_degrees(fit)
-    yield from _clock(fit)
+    yield from _clock(fit, pulled)
     yield from _delays(fit)
     signs = [*_signs(fit)]
     if not is_described(fit.robot):
         yield from signs
         return
     yield from _nearest(fit, [*signs, *_orders(fit), *_couplings(fit)])
-    if squares > SEARCH.explained * float(rows.sum()):
+    if squares > float(rows.sum()):
         yield from _nearest(fit, [*_two_zeros(fit)])
     yield from _frames(fit)
     yield from _scales(fit)
-    yield from _mounting(fit)
+    yield from _mounting(fit, pulled)
     for j in fit.joints:
         if fit.robot.revolute[j]:
             yield from _zeros(fit, j)
@@ -595,17 +565,15 @@ def _orders(fit: TorqueFit) -> Iterator[Installation]:
         )
         for channels in (("q", "dq", "tau"), ("tau",)):
             what = "columns" if len(channels) > 1 else "torque columns"
-            yield _one(
-                fit,
-                Fault(
-                    "wrong_order",
-                    log.names(wrong),
-                    f"{what} are in another order: {words}",
-                    {"order": names, "channels": channels},
-                    f"puts the {what} of {len(wrong)} joints in the order of the robot",
-                    tuple(Remedy("order", channel, order) for channel in channels),
-                ),
+            fault = Fault(
+                "wrong_order",
+                log.names(wrong),
+                f"{what} are in another order: {words}",
+                {"order": names, "channels": channels},
+                f"puts the {what} of {len(wrong)} joints in the order of the robot",
+                tuple(Remedy("order", channel, order) for channel in channels),
             )
+            yield _one(fit, fault)
 
 
 def _signs(fit: TorqueFit) -> Iterator[Installation]:
@@ -635,33 +603,30 @@ def _couplings(fit: TorqueFit) -> Iterator[Installation]:
 
     θ = L q has the power of τ_θᵀ θ̇ = τᵀ q̇, so that τ = Lᵀ τ_θ, where torque is of the same axes.
     """
-    log = fit.log
-    n = fit.robot.nv
-    neighbours = [(j, j + 1) for j in range(n - 1)]
-    for j, k in [*neighbours, *(pair[::-1] for pair in neighbours)]:
-        if fit.robot.revolute[j] != fit.robot.revolute[k]:
-            continue
-        for sign, with_torque in itertools.product((1.0, -1.0), (True, False)):
-            joint, other = log.names((j, k))
-            how = "added" if sign > 0 else "taken off"
-            remedies = [
-                Remedy("add", name, (j, k), factor=-sign) for name in ("q", "dq")
-            ]
-            if with_torque:
-                remedies.append(Remedy("add", "tau", (k, j), factor=sign))
-            and_torque = ", and torque is that of these axes" * with_torque
-            yield _one(
-                fit,
-                Fault(
-                    "coupled_axes",
-                    (joint, other),
-                    f"q of {joint} is logged with that of {other} {how}{and_torque}",
-                    {"channel": "q", "factor": sign, "torque": with_torque},
-                    f"{'takes' if sign > 0 else 'adds'} q of {other} "
-                    f"{'off' if sign > 0 else 'to'} that of {joint}",
-                    tuple(remedies),
-                ),
-            )
+    turns = fit.robot.revolute
+    pairs = itertools.permutations(range(fit.robot.nv), 2)
+    neighbours = [
+        (j, k) for j, k in pairs if abs(j - k) == 1 and turns[j] == turns[k]
+    ]
+    choices = itertools.product(neighbours, (1.0, -1.0), (True, False))
+    for (j, k), sign, torque in choices:
+        joint, other = fit.log.names((j, k))
+        added = sign > 0
+        remedies = [
+            Remedy("add", name, (j, k), factor=-sign) for name in ("q", "dq")
+        ]
+        remedies += [Remedy("add", "tau", (k, j), factor=sign)] * torque
+        fault = Fault(
+            "coupled_axes",
+            (joint, other),
+            f"q of {joint} is logged with that of {other} {'added' if added else 'taken off'}"
+            + ", and torque is that of these axes" * torque,
+            {"channel": "q", "factor": sign, "torque": torque},
+            f"{'takes' if added else 'adds'} q of {other} {'off' if added else 'to'} that of "
+            f"{joint}",
+            tuple(remedies),
+        )
+        yield _one(fit, fault)
 
 
 def _two_zeros(fit: TorqueFit) -> Iterator[Installation]:
@@ -671,20 +636,32 @@ def _two_zeros(fit: TorqueFit) -> Iterator[Installation]:
     for pair in itertools.combinations(turning, 2):
         for angles in itertools.product(right, right):
             places = zip(pair, angles, strict=True)
-            yield _one(fit, *(_zero(fit.log, j, angle) for j, angle in places))
+            zeros = [_zero(fit, [j], np.array([angle])) for j, angle in places]
+            yield _one(fit, *zeros)
 
 
-def _zero(log: Log, j: int, offset: float, std: float | None = None) -> Fault:
-    joint = log.joints[j]
-    side = "+" if offset > 0 else "−"
-    known = f" ± {np.degrees(std):.2g}" if std else ""
-    angle = f"{side} {abs(np.degrees(offset)):.3g}{known}°"
-    detail = f"the zero position of {joint} is off: its true angle is the reading {angle}"
-    done = f"adds {np.degrees(offset):.4g}° to q of {joint}"
-    remedy = Remedy("offset", "q", (j,), factor=offset)
+def _zero(
+    fit: TorqueFit, joints: Sequence[int], offset: Array, std: Array | None = None
+) -> Fault:
+    [joint] = fit.log.names(joints)
+    [angle] = np.degrees(offset)
+    known = "" if std is None else f" ± {np.degrees(std[0]):.2g}"
+    reading = f"{'+' if angle > 0 else '−'} {abs(angle):.3g}{known}°"
     return Fault(
-        "wrong_zero", (joint,), detail, {"offset": offset}, done, (remedy,)
+        "wrong_zero",
+        (joint,),
+        f"the zero position of {joint} is off: its true angle is the reading {reading}",
+        {"offset": float(offset[0])} | _known(std),
+        f"adds {angle:.4g}° to q of {joint}",
+        (Remedy("offset", "q", tuple(joints), factor=float(offset[0])),),
     )
+
+
+def _known(std: Array | None) -> dict[str, Any]:
+    """Evidence of how well a value is known, or each of several."""
+    if std is None:
+        return {}
+    return {"std": std.tolist() if len(std) > 1 else float(std[0])}
 
 
 def _in_degrees(fit: TorqueFit) -> Iterator[Installation]:
@@ -723,7 +700,7 @@ def _is_best_factor(fit: TorqueFit, remedy: Remedy) -> bool:
         data = fit.data.remedied([replace(remedy, factor=factor)])
         return _unlikeness(fit.robot, data)
 
-    least = min(map(unlikeness, np.geomspace(1e-3, 1.0, SEARCH.factors)))
+    least = min(map(unlikeness, _FACTORS[_FACTORS <= 1]))
     # of a logarithm: a twentieth of an error
     return unlikeness(remedy.factor) < least + 0.1
 
@@ -797,29 +774,32 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
     if not len(some):
         return
     joints = np.array(fit.joints)
-    names = fit.log.names(joints[some])
     # joints whose torque tells no factor have one as well
     unscaled = fit.log.names(joints[far | ~clear])
     gains = gains[some]
     typical = float(np.exp(np.log(gains).mean()))
-    apart = np.abs(np.log(gains / typical)) / std[some]
-    what = "not the torque of bodies near the given ones, but that by a factor of each joint"
-    factors = len(some)
-    like = ", ".join(f"{n} {g:.3g}" for n, g in zip(names, gains, strict=True))
-    if (apart < 3.0).all():  # standard deviations
-        factors = 1
-        what = f"{typical:.3g} times the torque of bodies near the given ones"
-        like = ", ".join(
+    one = bool((np.abs(np.log(gains / typical)) < 3.0 * std[some]).all())
+    names = fit.log.names(joints[some])
+    if one:
+        like = [
             f"{1 / size:.3g} in {unit}"
             for unit, size in sizes_of("tau").items()
-            if abs(np.log(typical * size)) < SEARCH.named_scale
-        )
+            if abs(np.log(typical * size)) < BODY_STD
+        ]
+        what = f"{typical:.3g} times the torque of bodies near the given ones"
+    else:
+        like = [f"{n} {g:.3g}" for n, g in zip(names, gains, strict=True)]
+        what = "not the torque of bodies near the given ones, but that by a factor of each joint"
+    if like:
+        what += f" ({', '.join(like)})"
     detail = (
-        f"tau of {', '.join(names)} is {what}{f' ({like})' if like else ''}: another unit, "
-        "currents or per cent, or inertias of the model in another unit"
+        f"tau of {', '.join(names)} is {what}: another unit, currents or per cent, or inertias of "
+        "the model in another unit"
     )
-    evidence = {"channel": "tau", "factor": gains}
-    fault = Fault("wrong_unit", unscaled, detail, evidence)
+    fault = Fault(
+        "wrong_unit", unscaled, detail, {"channel": "tau", "factor": gains}
+    )
+    factors = 1 if one else len(names)
     yield _one(fit, fault, more=2 * factors * float(np.log(SEARCH.scales)))
 
 
@@ -844,26 +824,30 @@ def in_joint_frames(robot: Robot) -> Array:
     return np.concatenate(moved)
 
 
-def _weight(fit: TorqueFit) -> Array:
-    """Weights of the joints' squares where only errors of the model count as noise."""
-    return fit.weight(0 * fit.power, fit.rows)
+def _pulled(fit: TorqueFit) -> Callable[[Array, Array], Array]:
+    """Squares at squared rates, shape (...), and gravity, (..., 3): what motion adds, and pulls."""
+    robot = fit.robot
+    motion = fit.data.motion
+    still = np.zeros_like(motion.q)
+    rest = replace(motion, dq=still, ddq=still)
+    parts = [regressor(robot.with_gravity(np.zeros(3)), motion)]
+    parts += [regressor(robot.with_gravity(axis), rest) for axis in np.eye(3)]
+    left = fit.family(parts, fit.weight(0.0, fit.rows))
+    return lambda rates, gravity: left(np.insert(gravity, 0, rates, axis=-1))
 
 
-def _clock(fit: TorqueFit) -> Iterator[Installation]:
+def _clock(
+    fit: TorqueFit, pulled: Callable[[Array, Array], Array]
+) -> Iterator[Installation]:
     """The factor of the time that suits the torque best: what motion adds goes with its square."""
     if clock_confirmed(fit.log):
         return
-    motion = fit.data.motion
-    still = np.zeros_like(motion.q)
-    at_rest = regressor(fit.robot, replace(motion, dq=still, ddq=still))
-    parts = at_rest, regressor(fit.robot, motion) - at_rest
-    left = fit.mixed(parts).family(_weight(fit))
 
     def squares(logarithm: Array) -> Array:
-        factor = np.exp(2 * logarithm)
-        return left(np.stack([np.ones_like(factor), factor], axis=-1))
+        gravity = np.tile(fit.robot.gravity, (len(logarithm), 1))
+        return pulled(np.exp(2 * logarithm), gravity)
 
-    factor = float(np.exp(_least(squares, np.log(_RATES))))
+    factor = float(np.exp(_least(squares, np.log(_FACTORS))))
     if abs(factor - 1) < SEARCH.clock:
         return
     close = [rate for rate in RATES if abs(factor / rate - 1) < SEARCH.clock / 2]
@@ -904,7 +888,9 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
         if abs(near) <= LONGEST_DELAY - step:
             continue
         choices = 2 * float(np.log(len(lags)))
-        late = _polished(fit, _one(fit, _late(fit.log, joints, near), more=choices))
+        late = _polished(
+            fit, _one(fit, _late(fit, joints, np.array([near])), more=choices)
+        )
         evidence = late.faults[0].evidence
         std = float(evidence.get("std", np.inf))
         if abs(evidence["delay"]) > LONGEST_DELAY + 2 * std:
@@ -912,59 +898,37 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
 
 
 def _late(
-    log: Log, joints: Sequence[int], delay: float, std: float | None = None
+    fit: TorqueFit, joints: Sequence[int], delay: Array, std: Array | None = None
 ) -> Fault:
-    names = log.names(joints)
-    known = f" ± {1e3 * std:.2g}" if std else ""
-    where = f" of {names[0]}" if len(joints) < log.nv else ""
-    size = 1e3 * abs(delay)
-    way, side = ("lags", "later") if delay > 0 else ("leads", "earlier")
+    names = fit.log.names(joints)
+    size = 1e3 * abs(float(delay[0]))
+    known = "" if std is None else f" ± {1e3 * std[0]:.2g}"
+    where = f" of {names[0]}" if len(joints) < fit.robot.nv else ""
+    way, side = ("lags", "later") if delay[0] > 0 else ("leads", "earlier")
     return Fault(
         "time_delay",
         names,
         f"the torque{where} {way} the motion by {size:.1f}{known} ms, more than a drive and its "
         "filters",
-        {"channel": "tau", "delay": delay},
+        {"channel": "tau", "delay": float(delay[0])} | _known(std),
         f"reads the torque{where} {size:.1f} ms {side}",
-        (Remedy("advance", "tau", tuple(joints), factor=delay),),
+        (Remedy("advance", "tau", tuple(joints), factor=float(delay[0])),),
     )
 
 
-def _mounting(fit: TorqueFit) -> Iterator[Installation]:
+def _mounting(
+    fit: TorqueFit, pulled: Callable[[Array, Array], Array]
+) -> Iterator[Installation]:
     """The arm under the direction of gravity that suits its torque best, or under none."""
-    robot = fit.robot
-    motion = fit.data.motion
-    size = float(np.linalg.norm(robot.gravity))
+    given = fit.robot.gravity
+    size = float(np.linalg.norm(given))
     if size == 0:
         return
-    still = np.zeros_like(motion.q)
-    rest = replace(motion, dq=still, ddq=still)
-    pulls = [(robot.with_gravity(axis), rest) for axis in np.eye(3)]
-    parts = [(robot.with_gravity(np.zeros(3)), motion), *pulls]
-    left = fit.mixed([regressor(*part) for part in parts]).family(_weight(fit))
-
-    def scaled(x: Array) -> Array:
-        return np.asarray(
-            size * x / np.linalg.norm(x, axis=-1, keepdims=True), float
-        )
-
-    def squares(gravity: Array) -> Array:
-        return left(np.insert(gravity, 0, 1.0, axis=-1))
-
-    def refined(start: Array) -> Array:
-        step = 1e-6  # of the differences that give slopes
-
-        def objective(x: Array) -> tuple[float, Array]:
-            values = squares(scaled(x + step * np.eye(4, 3, -1)))
-            return float(values[0]), (values[1:] - values[0]) / step
-
-        end = scipy.optimize.minimize(objective, start / size, jac=True, tol=0.01)
-        return scaled(end.x)
-
-    tried = scaled(np.vstack([robot.gravity, _sphere(SEARCH.directions)]))
-    blocks = np.array_split(tried, 10)  # all at once need too much memory
-    of_tried = np.concatenate([squares(block) for block in blocks])
-    if float(squares(np.zeros(3))) < of_tried.min():
+    axes = np.array([x for x in itertools.product((-1, 0, 1), repeat=3) if any(x)])
+    directions = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    tried = np.vstack([given, directions])
+    squares = pulled(np.ones(len(tried)), tried)
+    if float(pulled(np.ones(()), np.zeros(3))) < squares.min():
         detail = (
             "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
             "gravity: [0, 0, 0], or record the torque of the drives"
@@ -972,84 +936,78 @@ def _mounting(fit: TorqueFit) -> Iterator[Installation]:
         evidence = {"gravity": np.zeros(3), "angle": 0.0}
         yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
         return
-    starts = tried[np.argsort(of_tried, kind="stable")[:3]]
-    gravity = min(map(refined, starts), key=lambda end: float(squares(end)))
-    yield _one(fit, _mounted(fit, gravity))
+    near = _mounted(fit, range(fit.robot.nv), tried[int(np.argmin(squares))])
+    ways = _ways(fit, near)
+
+    def turned(x: Array) -> Fault:
+        return _moved(fit, near, ways @ x)
+
+    def squares_of(x: Array) -> float:
+        return float(pulled(np.ones(()), turned(x).evidence["gravity"]))
+
+    yield _one(fit, turned(_newton(squares_of, ways.shape[1])[0]))
 
 
-def _mounted(fit: TorqueFit, gravity: Array) -> Fault:
-    """The fault of an arm under another gravity than its model's [m/s²]."""
+def _mounted(
+    fit: TorqueFit, joints: Sequence[int], gravity: Array, std: Array | None = None
+) -> Fault:
+    """The fault of an arm under another gravity than its model's, of the same size [m/s²]."""
     given = fit.robot.gravity
-    cosine = gravity @ given / np.linalg.norm(gravity) / np.linalg.norm(given)
-    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    gravity = gravity * (np.linalg.norm(given) / np.linalg.norm(gravity))
+    cosine = gravity @ given / (given @ given)
+    angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     vector = ", ".join(f"{x:.2f}" for x in gravity)
     detail = (
         f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
         f"in the base frame, {angle:.0f}° from the given direction; give robot.yaml that gravity"
     )
-    evidence = {"gravity": gravity, "angle": float(angle)}
-    return Fault("wrong_mounting", fit.log.joints, detail, evidence)
+    evidence = {"gravity": gravity, "angle": angle} | _known(std)
+    return Fault("wrong_mounting", fit.log.names(joints), detail, evidence)
 
 
-def _sphere(n: int) -> Array:
-    """Unit vectors of a Fibonacci lattice on the sphere, shape (n, 3)."""
-    k = np.arange(n) + 0.5
-    z = 1 - 2 * k / n
-    r = np.sqrt(1 - z**2)
-    turn = np.pi * (1 + np.sqrt(5)) * k
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
-
-
-class _Zero(NamedTuple):
-    """A joint's zero position, and which way it counts and measures torque."""
-
-    squares: float
-    flipped: bool  # the torque
-    sign: float  # of the position
-    offset: float  # [rad]
-
-    @property
-    def signs(self) -> int:
-        """Number of signs that differ from the model's."""
-        return self.flipped + (self.sign < 0)
-
-    def faults(self, log: Log, j: int) -> Iterator[Fault]:
-        """The same as faults of the installation."""
-        channels = ("q", "dq") * (self.sign < 0) + ("tau",) * self.flipped
-        if channels:
-            yield _sign(log, j, channels)
-        if self.offset:
-            yield _zero(log, j, self.offset)
+_OF_VALUES: dict[str, tuple[str, Callable[..., Fault]]] = {
+    "wrong_mounting": ("gravity", _mounted),
+    "wrong_zero": ("offset", _zero),
+    "time_delay": ("delay", _late),
+}
+"""Faults whose evidence has values that are no choice among few, these, and how they are told."""
 
 
 def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
     """One joint at another zero position, counting or measuring torque the other way.
 
     The simplest, and that which measures torque as it is recorded; none where that is as it stands.
+    The simplest is the first of those than which none leaves fewer squares beyond chance: other
+    angles come before other signs, and a multiple of 90° before any other angle.
     """
     motion = fit.data.motion
     axis = np.eye(fit.robot.nv)[j]
-    zeros = list[_Zero]()
-    for sign in (1.0, -1.0):
+    tried = list[tuple[float, tuple[str, ...], float]]()
+    for sign, counted in ((1.0, ()), (-1.0, ("q", "dq"))):
         way = 1 + (sign - 1) * axis
         q, dq, ddq = (x * way for x in (motion.q, motion.dq, motion.ddq))
         moved = [Motion(motion.t, q + angle * axis, dq, ddq) for angle in _ANGLES]
         parts = [regressor(fit.robot, each) for each in moved]
-        left = fit.mixed(parts).family(_weight(fit))
+        left = fit.family(parts, fit.weight(0.0, fit.rows))
         for flipped in (None, fit.joints.index(j)):
             squares = partial(_at_zero, left, flipped)
             free = _least(squares, np.arange(-np.pi, np.pi, SEARCH.step))
             right = SEARCH.right * round(free / SEARCH.right)
             offsets = np.array([0.0, right, free])
-            zeros += [
-                _Zero(float(left), flipped is not None, sign, float(offset))
-                for left, offset in zip(squares(offsets), offsets, strict=True)
-            ]
-    zeros.sort(key=lambda zero: zero.signs)
-    as_recorded = [zero for zero in zeros if not zero.flipped]
-    simplest = [_simplest_zero(fit, some) for some in (zeros, as_recorded)]
-    for zero in {z[1:]: z for z in simplest}.values():
-        if faults := [*zero.faults(fit.log, j)]:
+            negated = (*counted, *("tau",) * (flipped is not None))
+            pairs = zip(squares(offsets).tolist(), offsets.tolist(), strict=True)
+            tried += [(value, negated, offset) for value, offset in pairs]
+    tried.sort(key=lambda each: len({*each[1]} - {"dq"}))
+    simplest = list[tuple[tuple[str, ...], float]]()
+    for some in (tried, [each for each in tried if "tau" not in each[1]]):
+        least = min(value for value, *_ in some)
+        dispersion = max(1.0, least / float(fit.rows.sum()))
+        chance = float(scipy.special.chdtri(1, ALARM)) * dispersion
+        simplest += [each[1:] for each in some if each[0] < least + chance][:1]
+    for negated, offset in dict.fromkeys(simplest):
+        faults = [_sign(fit.log, j, negated)] * bool(negated)
+        faults += [_zero(fit, [j], np.array([offset]))] * bool(offset)
+        if faults:
             yield _one(fit, *faults)
 
 
@@ -1068,14 +1026,3 @@ def _least(squares: Callable[[Array], Array], grid: Array) -> float:
         step = grid[1] - grid[0]
         grid = near + step * np.linspace(-1, 1, 21)
     return float(near)
-
-
-def _simplest_zero(fit: TorqueFit, zeros: Sequence[_Zero]) -> _Zero:
-    """The first of zero positions than which none leaves fewer squares beyond chance.
-
-    Other angles come before other signs, and a multiple of 90° before any other angle.
-    """
-    least = min(zero.squares for zero in zeros)
-    dispersion = max(1.0, least / float(fit.rows.sum()))
-    chance = float(scipy.special.chdtri(1, ALARM)) * dispersion
-    return next(zero for zero in zeros if zero.squares < least + chance)

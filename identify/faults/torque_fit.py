@@ -15,7 +15,7 @@ and small matrices judge all of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -23,10 +23,10 @@ import numpy as np
 import scipy
 
 from excitant.identify.drive_gains import BODY_STD, PLACEHOLDER_STD, without_effects
-from excitant.identify.faults.fault import Log, Remedy
+from excitant.identify.faults.fault import Log, Remedy, Rows
 from excitant.identify.least_squares import autocorrelation_time
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
-from excitant.identify.signals import low_pass
+from excitant.identify.signals import differentiated, low_pass
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -50,6 +50,7 @@ class Smooth(NamedTuple):
     tau: Array  # likewise, shape (N, nv)
     cutoff: float  # of the filters [1/time unit of the log]
     rate: float  # rows per time unit of the log
+    recorded: Rows  # column of the log that each joint's torque is, shape (nv,)
 
     @property
     def effects(self) -> Array:
@@ -62,10 +63,13 @@ class Smooth(NamedTuple):
         """The log with remedies of time, positions and torque; speeds are those of positions."""
         arrays = {name: np.array(getattr(self.motion, name)) for name in _MOTION}
         arrays |= {"dry": np.array(self.dry), "tau": np.array(self.tau)}
+        recorded = self.recorded
         for remedy in remedies:
             if remedy.channel == "t":
                 arrays["dq"] /= remedy.factor
                 arrays["ddq"] /= remedy.factor**2
+            if (remedy.action, remedy.channel) == ("order", "tau"):
+                recorded = recorded[[*remedy.joints]]
             for name in _MOVED.get(remedy.channel, ()):
                 x = arrays[name]
                 arrays[name] = (
@@ -74,7 +78,9 @@ class Smooth(NamedTuple):
                     else remedy.on_columns(x)
                 )
         motion = Motion(self.motion.t, *(arrays[name] for name in _MOTION))
-        return self._replace(motion=motion, dry=arrays["dry"], tau=arrays["tau"])
+        return self._replace(
+            motion=motion, dry=arrays["dry"], tau=arrays["tau"], recorded=recorded
+        )
 
     def filtered(self, values: Array) -> Array:
         """Values at the instants of the motion, (N, ...), filtered once more, without the ends."""
@@ -98,19 +104,16 @@ def smooth(log: Log) -> Smooth | None:
     least = 2 * _BAND / (grid[-1] - grid[0])
     cutoff = min(max(_BAND * frequency, least), 0.2 * rate)
 
-    def filtered(x: Array) -> Array:
-        even = np.column_stack([np.interp(grid, log.t, column) for column in x.T])
-        return low_pass(even, cutoff, rate)
+    def even(x: Array) -> Array:
+        return np.column_stack([np.interp(grid, log.t, column) for column in x.T])
 
-    spline = scipy.interpolate.make_interp_spline(grid, filtered(log.q), k=5)
     # eight rows per period of the cut-off, and at most some 1200 in all
-    stride = max(1, int(rate / (8 * cutoff)), len(grid) // 1200)
-    at = grid[::stride]
-    speed = spline.derivative(1)
-    motion = Motion(at, spline(at), speed(at), spline.derivative(2)(at))
-    dry = low_pass(np.sign(speed(grid)), cutoff, rate)[::stride]
-    tau = filtered(log.tau)[::stride]
-    return Smooth(motion, dry, tau, cutoff, rate / stride)
+    rows = slice(None, None, max(1, int(rate / (8 * cutoff)), len(grid) // 1200))
+    motion = differentiated(grid, even(log.q), cutoff)
+    dry = low_pass(np.sign(motion.dq), cutoff, rate, rows)
+    tau = low_pass(even(log.tau), cutoff, rate, rows)
+    columns = np.arange(log.nv)
+    return Smooth(motion[rows], dry, tau, cutoff, rate / rows.step, columns)
 
 
 def is_described(robot: Robot) -> bool:
@@ -128,23 +131,9 @@ def nominal_bodies(robot: Robot) -> Array:
     return read_only(np.column_stack([spread, bodies.ravel()]))
 
 
-class _Friction(NamedTuple):
-    """Power of the friction of each of k joints.
-
-    Attributes:
-        power: Least-squares estimate without bodies, shape (k,).
-        variance: Its variance per that of the noise, shape (k,).
-        reach: Its derivative by what bodies explain, shape (k, p).
-    """
-
-    power: Array
-    variance: Array
-    reach: Array
-
-
 @dataclass(frozen=True, eq=False)
 class TorqueFit:
-    """Normal equations of a log's filtered torque, for mixtures of m parts of columns.
+    """A log's filtered torque and the columns that may make it.
 
     Attributes:
         robot: The arm.
@@ -152,8 +141,6 @@ class TorqueFit:
         data: The same, filtered.
         joints: The k joints whose torque counts.
         unscaled: Those of them whose readings are torque by an unknown factor.
-        parts: Columns of the links, (N, nv, 10 nv) each; as the log stands, all in one.
-        given_doubt: Relative std of the joints' gains, if not that of their own columns, (k,).
     """
 
     robot: Robot
@@ -161,8 +148,6 @@ class TorqueFit:
     data: Smooth
     joints: Sequence[int]
     unscaled: frozenset[int] = frozenset()
-    parts: tuple[Array, ...] = ()
-    given_doubt: Array | None = None
 
     @cached_property
     def tau(self) -> Array:
@@ -175,10 +160,9 @@ class TorqueFit:
         return self.data.filtered(self.data.effects)
 
     @cached_property
-    def X(self) -> tuple[Array, ...]:
-        """Filtered columns of the links, shape (n, nv, 10 nv), by part."""
-        parts = self.parts or (regressor(self.robot, self.data.motion),)
-        return tuple(self.data.filtered(part) for part in parts)
+    def X(self) -> Array:
+        """Filtered columns of the links, shape (n, nv, 10 nv)."""
+        return self.data.filtered(regressor(self.robot, self.data.motion))
 
     @cached_property
     def size(self) -> Array:
@@ -187,144 +171,111 @@ class TorqueFit:
 
     @cached_property
     def columns(self) -> list[tuple[Array, Array]]:
-        """Columns (m, n, p) of each joint in `nominal_bodies`, and its torque, without effects."""
+        """Columns (1, n, p) of each joint in `nominal_bodies`, and its torque, without effects."""
+        return self._without_effects([self.X])
+
+    def _without_effects(self, parts: Sequence[Array]) -> list[tuple[Array, Array]]:
+        """The same for m parts of filtered columns of the links, shape (m, n, p)."""
         basis = nominal_bodies(self.robot)
         joints = []
         for j in self.joints:
             # no joint's torque depends on the links before it
             acting = basis[10 * j :]
-            parts = [X[:, j, 10 * j :] @ acting for X in self.X]
-            *rest, y = without_effects(self.F[:, j], *parts, self.tau[:, j])
+            own = [X[:, j, 10 * j :] @ acting for X in parts]
+            *rest, y = without_effects(self.F[:, j], *own, self.tau[:, j])
             joints.append((np.array(rest), y))
         return joints
 
     @cached_property
-    def moments(self) -> tuple[Array, Array, Array]:
-        """Products of columns, (m, m, k, p, p), with the torque, (m, k, p), and its own, (k,)."""
-        grams = []
-        products = []
-        squares = []
-        for columns, y in self.columns:
-            flat = np.concatenate([*columns], axis=1)
-            gram = (flat.T @ flat).reshape(
-                len(columns), flat.shape[1] // len(columns), -1
-            )
-            gram = gram.reshape(*gram.shape[:2], len(columns), -1)
-            grams.append(gram.swapaxes(1, 2))
-            products.append(y @ columns)
-            squares.append(y @ y)
-        return (
-            np.stack(grams, axis=2),
-            np.stack(products, axis=1),
-            np.array(squares),
-        )
-
-    @cached_property
     def gains(self) -> tuple[Array, Array]:
         """Readings per torque of the nominal bodies, and their relative std, shape (k,) each."""
-        grams, products, _ = self.moments
-        along = np.maximum(grams[0, 0, :, -1, -1], len(self.tau) * 1e-24)
-        gain = products[0, :, -1] / along
-        by_bodies = np.linalg.norm(grams[0, 0, :, -1, :-1], axis=1) / along
-        std = np.zeros(len(self.joints))
-        for k, (columns, y) in enumerate(self.columns):
-            error = y - gain[k] * columns[0][:, -1]
+        gains = []
+        stds = []
+        for (columns,), y in self.columns:
+            nominal = columns[:, -1]
+            along = max(float(nominal @ nominal), len(y) * 1e-24)
+            gain = float(nominal @ y) / along
+            error = y - gain * nominal
             noise = float(error @ error) / len(y) * autocorrelation_time(error)
-            by_noise = np.sqrt(noise / along[k]) / max(abs(gain[k]), 1e-300)
-            std[k] = np.hypot(by_noise, by_bodies[k])
-        return np.maximum(np.abs(gain), 1e-300), std
+            by_noise = np.sqrt(noise / along) / max(abs(gain), 1e-300)
+            by_bodies = np.linalg.norm(nominal @ columns[:, :-1]) / along
+            gains.append(max(abs(gain), 1e-300))
+            stds.append(np.hypot(by_noise, by_bodies))
+        return np.array(gains), np.array(stds)
 
     @cached_property
-    def _loose(self) -> Array:
+    def loose(self) -> Array:
         """Relative std of the gain of each of the joints; 0 for torques, shape (k,)."""
-        if self.given_doubt is not None:
-            return self.given_doubt
         unknown = [
             self.log.unit != "N·m" or j in self.unscaled for j in self.joints
         ]
-        return (
-            np.where(unknown, self.gains[1], 0.0)
-            if any(unknown)
-            else np.zeros(len(unknown))
-        )
-
-    @property
-    def _per(self) -> Array:
-        """Readings per torque, shape (k,)."""
-        loose = self._loose > 0
-        return (
-            np.where(loose, self.gains[0], 1.0)
-            if loose.any()
-            else np.ones(len(loose))
-        )
+        return np.where(unknown, self.gains[1], 0.0)
 
     @cached_property
-    def _scaled(self) -> tuple[Array, Array, Array]:
-        """Products as `moments` of the first part, in readings: (k, p, p), (k, p), (k,)."""
-        grams, products, squares = self.moments
-        per = self._per
-        return (
-            per[:, None, None] ** 2 * grams[0, 0],
-            per[:, None] * products[0],
-            squares,
-        )
+    def unexplained(self) -> Array:
+        """Torque that no bodies explain that are the same for all joints, shape (n, k)."""
+        per = np.where(self.loose > 0, self.gains[0], 1.0)
+        columns = [
+            g * C[:, :-1] for g, ((C,), _) in zip(per, self.columns, strict=True)
+        ]
+        torque = [y for _, y in self.columns]
+        grams = np.array([C.T @ C for C in columns])
+        products = np.array([C.T @ y for C, y in zip(columns, torque, strict=True)])
+        least = 1e-10 * self.size[self.joints]
 
-    @cached_property
-    def _free(self) -> tuple[Array, Array]:
-        """Bodies z that suit all joints best, shape (p − 1,), and mean squares left, (k,)."""
-        A, b, squares = self._scaled
-        A = A[:, :-1, :-1]
-        b = b[:, :-1]
+        def error(bodies: Sequence[Array]) -> Array:
+            known = zip(columns, torque, bodies, strict=True)
+            return np.stack([y - C @ z for C, y, z in known], axis=1)
 
-        def left(x: Array) -> Array:
-            explained = ((2 * b - np.einsum("kpq,kq->kp", A, x)) * x).sum(axis=1)
-            least = 1e-10 * self.size[self.joints]
-            return np.maximum((squares - explained) / len(self.tau), least)
-
-        alone = left(np.array(list(map(_solve, A, b))))
-        z = _solve(np.tensordot(1 / alone, A, 1), (1 / alone) @ b)
-        return z, left(np.broadcast_to(z, b.shape))
+        alone = error(list(map(_solve, grams, products)))
+        weight = 1 / np.maximum((alone**2).mean(axis=0), least)
+        z = _solve(np.tensordot(weight, grams, 1), weight @ products)
+        return error([z] * len(torque))
 
     @cached_property
     def power(self) -> Array:
         """Mean square of each torque that no bodies explain, shape (nv,)."""
         power = self.size.copy()
-        power[self.joints] = self._free[1]
+        noise = (self.unexplained**2).mean(axis=0)
+        power[self.joints] = np.maximum(noise, 1e-10 * power[self.joints])
         return power
 
     @cached_property
     def rows(self) -> Array:
         """Independent rows of each joint's error, shape (nv,)."""
         rows = np.ones(self.robot.nv)
-        z = self._free[0]
-        for j, gain, (columns, y) in zip(
-            self.joints, self._per, self.columns, strict=True
-        ):
-            error = y - gain * columns[0][:, :-1] @ z
+        for j, error in zip(self.joints, self.unexplained.T, strict=True):
             if error.any():
                 rows[j] = len(error) / autocorrelation_time(error)
         return rows
 
+    def weight(self, noise: Array | float, rows: Array) -> Array:
+        """Weight of each joint's squares, for noise and independent rows, (nv,) each; (k,)."""
+        noise = noise + MODEL_ERROR**2 * self.size
+        return np.asarray((rows / len(self.tau) / noise)[self.joints], float)
+
     @cached_property
-    def _friction(self) -> _Friction:
+    def _moments(self) -> _Moments:
+        return _moments(self.columns)
+
+    @cached_property
+    def _friction(self) -> tuple[Array, Array, Array]:
+        """Power of each joint's friction without bodies, (k,), its variance per that of the noise.
+
+        Also what of it the columns of the bodies explain, (k, p).
+        """
         basis = nominal_bodies(self.robot)
         power = []
         variance = []
         reach = []
         for j in self.joints:
             F = self.F[:, j]
-            weight = np.append(F[:, 0] @ F[:, :2], np.zeros(2))
-            x = _solve(F.T @ F, weight)
+            braking = np.append(F[:, 0] @ F[:, :2], np.zeros(2))
+            x = _solve(F.T @ F, braking)
             power.append(F @ x @ self.tau[:, j])
-            variance.append(weight @ x)
-            reach.append(F @ x @ self.X[0][:, j] @ basis)
-        reached = self._per[:, None] * np.array(reach)
-        return _Friction(np.array(power), np.array(variance), reached)
-
-    def weight(self, noise: Array, rows: Array) -> Array:
-        """Weight of each joint's squares, for noise and independent rows, (nv,) each; (k,)."""
-        noise = noise + MODEL_ERROR**2 * self.size
-        return (rows / len(self.tau) / noise)[self.joints]
+            variance.append(braking @ x)
+            reach.append(F @ x @ self.X[:, j] @ basis)
+        return np.array(power), np.array(variance), np.array(reach)
 
     def surprise(
         self, noise: Array, rows: Array, other: int
@@ -340,104 +291,127 @@ class TorqueFit:
             other: Link that may be another body.
         """
         weight = self.weight(noise, rows)
-        A, b, squares = self._scaled
-        # a gain that is off by N(0, loose²) is projected out of each joint's columns
-        v = A[:, :, -1]
-        t = b[:, -1]
-        information = weight * v[:, -1] * self._loose**2
-        share = weight * self._loose**2 / (1 + information)
-        G = np.tensordot(weight, A, 1) - (weight * share * v.T) @ v
-        h = weight @ b - (weight * share * t) @ v
-        y = float(weight @ (squares - share * t**2))
-        std = link_std(self.robot, other)
-        H = std[:, None] * G[:-1, :-1] * std + np.eye(len(std))
-        g = std * (h - G[-1])[:-1]
-        factor = scipy.linalg.cho_factor(H)
-        z = scipy.linalg.cho_solve(factor, g)
-        left = max(y - 2 * h[-1] + G[-1, -1] - float(g @ z), 1e-10 * y)
-        # power of the friction, whose own errors, those of the gain and of bodies add up
+        L = self._factors(self._moments, weight, other)(np.ones(1))
+        root = L[:-1, :-1]
+        occam = 2 * float(np.log(np.diag(root)).sum())
+        # power of the friction, of which errors of bodies and of gains take a part
         power, variance, reach = self._friction
-        along = reach[:, -1]
-        reach = reach - (along * share)[:, None] * v
-        power = power - along * share * t - reach @ np.append(std * z, 1.0)
-        variance = (variance + along**2 * share) / weight
-        by_bodies = reach[:, :-1] * std
-        solved = scipy.linalg.cho_solve(factor, by_bodies.T)
-        variance = variance + np.einsum("kp,pk->k", by_bodies, solved)
+        gain = np.where(self.loose > 0, self.gains[0], 1.0)
+        reach = gain[:, None] * reach
+        by_unknown = np.hstack([reach[:, :-1], np.diag(reach[:, -1])])
+        by_unknown *= self._std(other)
+        solved = scipy.linalg.solve_triangular(root, by_unknown.T, lower=True)
+        power = power - reach[:, -1] + L[-1, :-1] @ solved
+        variance = variance / weight + (solved**2).sum(axis=0)
         # dry friction of a joint that stands could be anything
-        moving = np.asarray(self.log.moving[:, self.joints].any(axis=0))
-        power = np.where(moving, power, 0.0)
-        driving = np.minimum(power, 0.0) ** 2 / np.maximum(variance, 1e-300)
-        total = left + float(driving.sum())
-        occam = 2 * float(np.log(np.diag(factor[0])).sum())
-        occam += float(np.log1p(information).sum())
+        moving = self.log.moving[:, self.joints].any(axis=0)
+        driving = np.where(moving, np.minimum(power, 0.0), 0.0) ** 2
+        total = float(
+            L[-1, -1] ** 2 + (driving / np.maximum(variance, 1e-300)).sum()
+        )
         # sums of readings are not likelier for being larger
         return total, total + occam - float(rows[self.joints] @ np.log(weight))
 
-    def mixed(self, parts: Sequence[Array]) -> TorqueFit:
-        """The fit of mixtures of parts."""
-        return replace(self, parts=tuple(parts), given_doubt=self._loose)
+    def squares(self, weight: Array) -> float:
+        """Squares that bodies near the nominal ones leave, friction of any sign."""
+        factor = self._factors(self._moments, weight, self.robot.nv - 1)(np.ones(1))
+        return float(factor[-1, -1] ** 2)
 
-    def family(self, weight: Array) -> Callable[..., Array]:
-        """Squares that bodies near the nominal ones leave, as a function of the mixture.
+    def family(self, parts: Sequence[Array], weight: Array) -> Callable[..., Array]:
+        """Squares that bodies near the nominal ones leave, as a function of a mixture of parts.
 
         ``squares(mixtures, flipped)``: of mixtures (..., m) of the parts, the torque of one of the
         joints negated where that is given, shape (...).
 
         Args:
+            parts: Columns of the links, shape (N, nv, 10 nv) each.
             weight: Weight of each joint's squares; see `weight`.
         """
-        grams, products, squares = self.moments
-        grams = grams * weight[:, None, None]
-        products = products * weight[:, None]
-        squares = squares * weight
-        whole = grams.sum(axis=2)
-        moments = grams if self._loose.any() else whole
+        columns = self._without_effects([self.data.filtered(X) for X in parts])
+        factors = self._factors(_moments(columns), weight, self.robot.nv - 1)
+        return lambda *mixture: factors(*mixture)[..., -1, -1] ** 2
 
-        def left(mixtures: Array, flipped: int | None = None) -> Array:
+    def _std(self, other: int) -> Array:
+        """Std of what is not known, u = p − 1 + k: errors of bodies, those of gains."""
+        return np.append(link_std(self.robot, other), self.loose)
+
+    def _factors(
+        self, moments: _Moments, weight: Array, other: int
+    ) -> Callable[..., Array]:
+        """Cholesky factors, (..., u + 1, u + 1), of the information, bordered by the torque.
+
+        The square of the last pivot is that of the residual and of what is not known together.
+        """
+        grams = moments.grams * weight[:, None, None, None, None]
+        products = moments.products * weight[:, None, None]
+        squares = moments.squares * weight
+        whole = grams.sum(axis=0)
+        std = np.append(self._std(other), 1.0)
+        unknown = np.arange(len(std) - 1)
+        bodies = unknown[: whole.shape[-1] - 1]
+        gains = unknown[len(bodies) :]
+
+        def factors(mixtures: Array, flipped: int | None = None) -> Array:
             pairs = mixtures[..., :, None] * mixtures[..., None, :]
-            h = np.tensordot(mixtures, products, 1)
+            h = np.tensordot(mixtures, products, ((-1,), (1,)))
+            v = np.tensordot(pairs, grams[..., -1], ((-2, -1), (1, 2)))
             if flipped is not None:
                 h[..., flipped, :] *= -1
-            return self._left(np.tensordot(pairs, moments, 2), h, squares)
+            if self.loose.any():
+                # those that suit the nominal bodies of the mixture
+                best = np.abs(h[..., -1]) / np.maximum(v[..., -1], 1e-300)
+                gain = np.where(self.loose > 0, best, 1.0)[..., None]
+                h = gain * h
+                v = gain**2 * v
+                scaled = gain[..., None] ** 2 * pairs[..., None, :, :]
+                G = np.tensordot(scaled, grams, 3)
+            else:
+                G = np.tensordot(pairs, whole, 2)
+            along = v[..., -1]
+            A = np.zeros((*pairs.shape[:-2], len(std), len(std)))
+            A[..., : len(bodies), : len(bodies)] = G[..., :-1, :-1]
+            A[..., gains, : len(bodies)] = v[..., :-1]
+            A[..., gains, gains] = along
+            A[..., -1, : len(bodies)] = (v - h)[..., :-1].sum(axis=-2)
+            A[..., -1, gains] = along - h[..., -1]
+            A[..., -1, -1] = (squares - 2 * h[..., -1] + along).sum(axis=-1)
+            A *= np.outer(std, std)
+            A[..., unknown, unknown] += 1.0
+            # rounding, where the prior hardly bounds a body
+            A += 1e-12 * A * np.eye(len(std))
+            # the lower triangle of A is all that this reads
+            return np.asarray(np.linalg.cholesky(A), float)
 
-        return left
+        return factors
 
-    def _left(self, A: Array, h: Array, y: Array) -> Array:
-        """Squares left (...), for products of columns, of one joint or all, and with torque."""
-        if self._loose.any():
-            # as in `surprise`, with the gain that suits the nominal bodies of each mixture
-            G = A
-            along = np.maximum(G[..., -1, -1], 1e-300)
-            gain = np.where(
-                self._loose > 0, np.maximum(h[..., -1], 0.0) / along, 1.0
-            )
-            G = gain[..., None, None] ** 2 * G
-            h = gain[..., None] * h
-            share = self._loose**2 / (gain**2 * along * self._loose**2 + 1)
-            v = G[..., -1]
-            t = h[..., -1]
-            G = G - share[..., None, None] * v[..., :, None] * v[..., None, :]
-            h = h - (share * t)[..., None] * v
-            y = y - share * t**2
-            A = G.sum(axis=-3)
-        b = h.sum(axis=-2)
-        std = np.append(link_std(self.robot, self.robot.nv - 1), 1.0)
-        A = std[:, None] * A * std
-        b = std * b
-        # H z = g minimises: the squares are the last pivot of H bordered by g
-        A[..., :-1, :-1] += np.eye(b.shape[-1] - 1)
-        A[..., -1, -1] += y.sum(axis=-1) - 2 * b[..., -1]
-        A[..., -1, :-1] -= b[..., :-1]
-        # rounding, where the prior hardly bounds a body
-        A += 1e-12 * A * np.eye(b.shape[-1])
-        return np.asarray(np.linalg.cholesky(A)[..., -1, -1] ** 2, float)
+
+class _Moments(NamedTuple):
+    """Products of m parts of columns without effects.
+
+    Attributes:
+        grams: Of the parts with each other, shape (k, m, m, p, p).
+        products: With the torque, shape (k, m, p).
+        squares: Of the torque, shape (k,).
+    """
+
+    grams: Array
+    products: Array
+    squares: Array
+
+
+def _moments(columns: Sequence[tuple[Array, Array]]) -> _Moments:
+    grams = [np.tensordot(X, X, ((1,), (1,))).swapaxes(1, 2) for X, _ in columns]
+    products = [y @ X for X, y in columns]
+    squares = [y @ y for _, y in columns]
+    return _Moments(np.array(grams), np.array(products), np.array(squares))
 
 
 def torque_fit(
-    robot: Robot, log: Log, data: Smooth, dead: set[str]
+    robot: Robot, log: Log, data: Smooth | None, dead: set[str]
 ) -> TorqueFit | None:
     """The fit of a log's torque; None when no joint's torque can be used."""
+    if data is None:
+        return None
     moved = np.ptp(data.tau, axis=0) > 0
     alive = [j for j in range(robot.nv) if log.joints[j] not in dead and moved[j]]
     fit = TorqueFit(robot, log, data, alive) if alive else None

@@ -79,12 +79,11 @@ def test_no_cause_is_named_while_a_joint_is_missed(planar: Robot) -> None:
 
 @pytest.mark.slow
 def test_an_arm_bolted_otherwise_is_named_first_and_its_gravity_measured(ur10: Robot) -> None:
-    gravity = TURNED
-    fitted, held = recorded(bare(ur10), 1, gravity)
+    fitted, held = recorded(bare(ur10), 1, TURNED)
     diagnosis = diagnose(bare(ur10), [fitted], validate=[held])
     first = diagnosis.ordered[0].findings[0]
     assert first.effect.name == "gravity_direction"
-    error = diagnosis.set_up.robot.gravity - gravity
+    error = diagnosis.set_up.robot.gravity - TURNED
     assert np.linalg.norm(error) < 4 * np.linalg.norm(first.std) + 0.02 * 9.81
     assert np.linalg.norm(diagnosis.set_up.robot.gravity) == pytest.approx(9.81)
     assert np.median(diagnosis.extended.nrmse) < 0.05 < 0.5 < np.median(diagnosis.simulation.nrmse)
@@ -138,7 +137,7 @@ def test_a_zero_position_is_refined_where_the_torque_has_no_gravity(ur10: Robot)
     log = Log.of(robot, with_zero_off(robot.with_gravity(np.zeros(3)), 2, 0.3)[0])
     case = torque_fit(robot, log, smooth(log), set())
     none = Fault("wrong_mounting", log.joints, "", {"gravity": np.zeros(3)})
-    near = Installation((none, installation._zero(log, 2, 0.25)))
+    near = Installation((none, installation._zero(case, [2], np.array([0.25]))))
     unmoved, zero = installation._polished(case, near).faults
     assert unmoved is none
     assert abs(zero.evidence["offset"] - 0.3) < min(4 * zero.evidence["std"], 0.01)
@@ -154,7 +153,7 @@ def test_a_joint_of_the_other_sign_is_repaired_and_named_first(ur10: Robot, chan
     ]
     diagnosis = diagnose(robot, recordings[:1], validate=recordings[1:])
     assert lead(diagnosis) == f"wrong_sign {robot.joints[2]}"
-    assert set(diagnosis.set_up.repaired) == {"fitted", "held"}
+    assert {fault.fault for fault in diagnosis.set_up.faults} == {"wrong_sign"}
     assert diagnosis.findings[0].rms_after < 0.2 * diagnosis.findings[0].rms_before
     assert np.median(diagnosis.extended.nrmse) < 0.05
     assert not {f.effect.name for f in diagnosis.findings} & {"spring", "torque_gain"}
@@ -181,10 +180,12 @@ def test_all_recordings_of_an_arm_share_its_set_up() -> None:
     """A joint between two that turn about one axis: its sign is a half turn of the next."""
     robot, sign = bare(load_robot("panda")), 1 - 2 * np.eye(7)[1]
     recordings = [replace(r, q=r.q * sign, tau=r.tau * sign) for r in recorded(robot, 2, off=0.0)]
+    alone = {tuple((f.fault, f.joints) for f in find_faults(robot, r)) for r in recordings}
     found, amended = set_up(robot, recordings)
     told = {(each.name, each.joints) for each in (*found.faults, *found.effects)}
     alike = {(rival.candidate.effect.name, rival.candidate.effect.joints) for rival in found.rivals}
     same = {("wrong_sign", (robot.joints[1],)), ("encoder_offset", (robot.joints[2],))}
+    assert len(alone) == 1
     assert told <= same == told | alike
     for recording in amended:
         tau = rigid_body_torque(found.robot, motion_of(recording))
