@@ -179,6 +179,12 @@ def estimated(
         return weighted_least_squares(problem), "wls", (instead,)
 
 
+def spoiled(rows: FitRows) -> bool:
+    """Whether gross errors of torque spoil least squares, so that `irls` takes its place."""
+    fit = weighted_least_squares(rows.reduced)
+    return bool(_robust(rows.reduced, fit, rows.robot.joints)[1])
+
+
 def _robust(
     problem: Regression, fit: LeastSquares, joints: Sequence[str]
 ) -> tuple[LeastSquares, str]:

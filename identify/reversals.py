@@ -22,6 +22,7 @@ import numpy as np
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.accuracy import BLOCKS, chance_of_loss
+from excitant.identify.estimators import spoiled
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.preprocessing import Mask, certain_rows, top_speed
 from excitant.identify.regression import effect_columns, regression_of
@@ -41,15 +42,20 @@ class ReversalSettings:
             shorter than a sample to where friction is hardly told from viscous. Slower than
             `Segment.least_speed`, it is the noise of speeds that turns signs.
         chance: Probability of a gain by chance from which on friction turns at once, and of a
-            loss at rows of motion up to which rest may be predicted at their cost: one standard
-            error of ten blocks (Breiman et al. 1984).
+            loss at rows of motion up to which rest may be predicted at their cost. Convention.
+        least: Rms error on rows left out is less by this share at least: a smaller gain is
+            not worth a parameter. Convention.
+        trusted: Share of rows, by their errors; larger errors count as its largest, so that a
+            few rows decide nothing.
         rank: Singular value relative to the largest, below which columns are dependent.
         difference: Step of log v for the derivative of torque.
         rounds: Gauss-Newton steps of log v from the best of these speeds; two or three settle.
     """
 
     shares: Array = field(default_factory=lambda: np.geomspace(0.005, 0.32, 10))
-    chance: float = 0.17
+    chance: float = 0.1
+    least: float = 0.01
+    trusted: float = 0.95
     rank: float = 1e-9
     difference: float = 1e-3
     rounds: int = 5
@@ -68,12 +74,18 @@ class Turning(NamedTuple):
     column: Array
     gain: float
 
+    @property
+    def less(self) -> float:
+        """The same of the root of the mean square."""
+        return 1 - float(np.sqrt(1 - self.gain))
+
 
 def turned_rows(
     robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data
 ) -> tuple[FitRows, tuple[str, ...]]:
     """The rows of a fit with dry friction that turns as they show, and sentences on that."""
     regression = regression_of(robot, effects, data.train)
+    at_once = counted_rows(robot, effects, base, data, regression)
     reduced = regression.select(base.columns)
     used = certain_rows(effects, robot.joints, data.train)
     least = np.max([s.least_speed for s in data.train], axis=0)
@@ -103,11 +115,10 @@ def turned_rows(
             regression = regression.with_column(column, j, found.column)
             unit = "rad/s" if robot.revolute[j] else "m/s"
             speed = f"{turning_speed(found.effect):.2g} {unit}"
-            less = 100 * (1 - np.sqrt(1 - found.gain))
-            words.append(f"{joint} {speed} (error {less:.0f} % less)")
-    rows = counted_rows(robot, turned if words else effects, base, data, regression)
-    if not words:
-        return rows, ()
+            words.append(f"{joint} {speed} (error {100 * found.less:.0f} % less)")
+    if not words or spoiled(at_once):  # bursts decide nothing
+        return at_once, ()
+    rows = counted_rows(robot, turned, base, data, regression)
     sentence = (
         "dry friction turns over a range of speeds at reversals, F_c tanh(q̇ / v), which "
         "predicts parts of the recordings left out of a fit better than a jump, rows of rest "
@@ -124,19 +135,21 @@ def _turning(
     speeds: Sequence[float],
 ) -> Turning | None:
     """The best of these speeds for one joint; None where friction turns at once."""
-    at_once = fit.errors(fit.own)
+    squares = fit.errors(fit.own) ** 2
+    limit = np.quantile(squares, REVERSALS.trusted)
+    at_once = np.minimum(squares, limit)
     tried = []
     for speed in speeds:
         candidate = turning(effect, float(speed))
         column = _column(candidate, robot, data)
-        gains = at_once**2 - fit.errors(column) ** 2
+        gains = at_once - np.minimum(fit.errors(column) ** 2, limit)
         certain = chance_of_loss(gains) < REVERSALS.chance
         if certain and chance_of_loss(-gains[fit.used]) > REVERSALS.chance:
-            gain = float(gains.mean() / (at_once**2).mean())
+            gain = float(gains.mean() / at_once.mean())
             tried.append(Turning(candidate, column, gain))
-    if not tried:
+    best = max(tried, key=lambda each: each.gain, default=None)
+    if best is None or best.less < REVERSALS.least:
         return None
-    best = max(tried, key=lambda each: each.gain)
     return _refined(fit, best, robot, data)
 
 

@@ -282,8 +282,9 @@ def test_coarse_encoders_make_the_default_instrumental(planar: Robot) -> None:
 
 def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     """To rounding, which depends on where arrays lie in memory."""
-    found = identify_robot(planar, [NOISY])
-    rows = fit_rows(planar, standard_effects(planar.joints), found.base, split([NOISY]))
+    effects = standard_effects(planar.joints)
+    found = identify_robot(planar, [NOISY], effects=effects)
+    rows = fit_rows(planar, effects, found.base, split([NOISY]))
     fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
     physical = fit_physical(R, z, prior_parameters(planar), rows.open_prior)
@@ -373,6 +374,6 @@ def test_instruments_that_show_too_little_are_left_out_with_a_note(error, planar
     found, plain = (identify_robot(planar, [NOISY], estimator=e) for e in ("iv", "wls"))
     assert found.estimator == plain.estimator
     np.testing.assert_array_equal(found.least_squares.beta, plain.least_squares.beta)
-    [note] = [note for note in found.notes if "left out" in note]
+    [note] = [note for note in found.notes if "left out (" in note]
     assert str(error) in note
     assert "weighted least squares instead" in note
