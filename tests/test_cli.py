@@ -222,19 +222,6 @@ def test_a_short_recording_is_analysed_with_a_note(rests: bool, here: Path, exci
     assert not any("too short" in note for note in whole.result["notes"])
 
 
-RECORDINGS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], tuple[str, ...]]] = {
-    "missing column": (lambda x: x.drop(columns="tau2"), ("'tau2'", "rename or add")),
-    "NaN row": (
-        lambda x: x.assign(q2=x.q2.mask(x.index == 17)), ("'q2'", "row 17", "remove or repair")
-    ),
-    "time goes back": (
-        lambda x: x.assign(t=x.t.mask(x.index == 40, 0.1)), ("'t'", "row 40", "sort or remove")
-    ),
-    "too short to hold out": (lambda x: x[:400], ("name a hold-out",)),
-}  # fmt: skip
-FEW = [(verb, name) for verb in ("diagnose", "analyze --recording") for name in [*RECORDINGS][:2]]
-
-
 @pytest.fixture
 def refused(here: Path, excitant: Any) -> Callable[..., str]:
     """The one line on stderr of a command that failed and wrote nothing."""
@@ -250,16 +237,6 @@ def refused(here: Path, excitant: Any) -> Callable[..., str]:
     return run
 
 
-@pytest.mark.parametrize(("verb", "name"), [*(("identify", name) for name in RECORDINGS), *FEW])
-def test_a_bad_recording_is_refused(verb: str, name: str, here: Path, refused: Any) -> None:
-    edit, evidence = RECORDINGS[name]
-    edit(pd.read_csv(here / "one.csv")).to_csv(here / "bad.csv", index=False)
-    verb, _, option = verb.partition(" ")
-    line = refused(f"{verb} planar_2r {option} bad.csv -o out")
-    for words in ("bad.csv", *evidence):
-        assert words in line
-
-
 FILES = {
     "not.urdf": "not XML",
     "minus.urdf": re.sub('<mass value="[^"]*"', '<mass value="-1"', load_robot("planar_2r").urdf),
@@ -272,7 +249,7 @@ FILES = {
     "negative.yaml": "velocity: [1, -1]\n",
     "misspelt.yaml": "veloctiy: 1\n",
     "taken": "a file",
-    "broken.csv": "t,q1,q2\n0,0,0\n0.1,x,0\n",
+    "broken.csv": "t,q1,q2,tau1\n0,0,0,0\n0.1,x,0,0\n",
 }
 DESIGN = "design ur10 --harmonics 2 --duration 4 --starts 1 --jobs 1"
 ONE = "identify planar_2r one.csv"
@@ -288,6 +265,9 @@ REFUSED = {
     "analyze planar_3r": "did you mean 'planar_2r'",
     "design ur01": "did you mean 'ur10'",
     "identify planar_2r nothing.csv": "nothing.csv: no such file",
+    "identify planar_2r broken.csv": "broken.csv: column 'tau2'",
+    "diagnose planar_2r broken.csv": "broken.csv: column 'tau2'",
+    "analyze planar_2r --recording broken.csv": "broken.csv: column 'tau2'",
     "identify planar_2r": "name at least one file",
     "analyze folder/arm.urdf": "folder/arm.urdf: no such file",
     f"{ONE} --effects coulomb": "mean 'coulomb_friction'",
