@@ -134,6 +134,7 @@ def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> N
     assert ran_amid(code, tmp_path).returncode == 130
 
 
+@pytest.mark.slow
 def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
     """Python drops what a destructor raises, also the interrupt that came while it ran."""
     code = (
@@ -152,7 +153,8 @@ def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
     assert done.stderr.endswith("excitant: interrupted; nothing was written\n")
 
 
-@pytest.mark.parametrize("name", ["SIGINT", slow("SIGTERM")])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
     """Its design does not go on with the best motion so far."""
     code = (

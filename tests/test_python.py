@@ -63,6 +63,7 @@ def panda() -> dict[str, object]:
     }
 
 
+@pytest.mark.slow
 def test_every_noun_shows_itself_in_three_lines(panda: dict[str, object]) -> None:
     for kind, noun in panda.items():
         shown = repr(noun)

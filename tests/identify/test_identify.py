@@ -186,6 +186,7 @@ def test_a_body_that_moves_by_half_is_named_without_a_false_uncertainty(ur10, no
     assert not body_changes(identified(ur10, nominal))[link].moved
 
 
+@pytest.mark.slow
 def test_recordings_that_differ_are_told_from_those_that_agree(ur10, nominal):
     """Cluster-robust errors are those by noise, until one recording has more friction."""
     rng = np.random.default_rng(5)

@@ -20,6 +20,7 @@ import scipy.io
 import yaml
 from bags import joint_states
 from known_arms import Call
+from marks import slow
 
 from excitant.exceptions import BadInput, BadRecording, ExcitantError
 from excitant.identify import ColumnMap, Recording, load_column_map, load_dataset, load_recording
@@ -634,7 +635,7 @@ def bag(tmp_path: Path) -> Call:
     return written
 
 
-@pytest.mark.parametrize("prefix", ["", "left_arm/", "ur10_"])
+@pytest.mark.parametrize("prefix", [slow(""), "left_arm/", slow("ur10_")])
 @pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
 def test_bags_are_read_by_joint_name_whatever_stands_before(kind, prefix, load, bag):
     path = bag(kind, "/joint_states", "/joint_command", prefix=prefix)
