@@ -116,11 +116,3 @@ def _twist(axis: Array) -> Array:
 def _energy(a: Array, b: Array) -> Array:
     """y(a, b) with y(a, b)ᵀ π = aᵀ I(π) b = tr(Â P B̂ᵀ), shape (10,)."""
     return np.einsum("ij,kjl,il->k", _twist(a), BASIS, _twist(b))
-
-
-def largest_count(revolute: int, prismatic: int, first_along_gravity: bool) -> int:
-    """Most base parameters an arm can have (Mayeda, Yoshida and Osuka, IEEE T-RA 1990).
-
-    The count itself for revolute arms with parallel or orthogonal axes, the first two not parallel.
-    """
-    return 7 * revolute + 4 * prismatic - 4 - 2 * first_along_gravity

@@ -438,14 +438,6 @@ def libfranka() -> str:
     return text(states | sent | {"time": np.round(T * 1e3).astype(int), "success_rate": 1.0})
 
 
-def rtde() -> str:
-    """Universal Robots' RTDE example client: separated by blanks, targets beside actual values."""
-    names = ("target_q_{}", "target_qd_{}", "target_moment_{}", "actual_q_{}", "actual_qd_{}")
-    names = (*names, "actual_current_{}", "actual_TCP_speed_{}", "joint_temperatures_{}")
-    channels = (Q + 1, DQ + 1, TAU + 1, Q, DQ, TAU, DQ, Q)
-    return text(named("timestamp", names, channels, 0) | {"timestamp": T + 4e5}, " ")
-
-
 def kuka() -> str:
     """KUKA's Sunrise data recorder: the name of the arm in every column, time in two."""
     arm = "LBR_iiwa_7_R800_1[{}]"
@@ -490,7 +482,6 @@ SHAPES: dict[str, tuple[str, Any]] = {  # a file, and what it holds or what writ
     "ros2 topic echo --csv": ("log.csv", ros2_topic()),
     "the same without a frame": ("log.csv", ros2_topic("")),
     "libfranka": ("log.csv", libfranka()),
-    "RTDE": ("log.csv", rtde()),
     "Sunrise": ("log.log", kuka()),
     "topics and an arm in front": ("log.csv", plotted()),
     "axes": ("log.csv", text(named("Time", ("A{}_pos", "A{}_vel", "A{}_motor_current")))),
@@ -515,7 +506,7 @@ def test_logs_of_any_shape_are_read_without_a_word(shape: str, tmp_path: Path) -
     else:
         (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
     found = load_recording(tmp_path / name, ARM)
-    same(found, unit="A" if shape in ("RTDE", "axes") else "N·m")
+    same(found, unit="A" if shape == "axes" else "N·m")
 
 
 @pytest.mark.parametrize("separator", [" ", ","])
