@@ -291,6 +291,8 @@ REFUSED = {
     "show planar_2r trajectory.csv --obstacles nothing.yaml -o page.html": "nothing.yaml",
     "show planar_2r trajectory.csv": "name a .html file",
     "check planar_2r nothing.csv": "nothing.csv: no such file",
+    "rehearse planar_2r nothing.csv": "nothing.csv: no such file",
+    "rehearse ur10 trajectory.csv": "trajectory.csv: 2 joint columns",
     "design planar_2r --rate 0": "--rate 0 Hz",
     "design planar_2r --starts 1 --use 1.2": "use of 1.2",
     "design planar_2r --starts 1 --speed 0": "--speed 0",

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from marks import slow
 
 from excitant.design import random_trajectory, trajectory_json
 from excitant.robots import load_robot
@@ -69,7 +68,8 @@ def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[i
     return started.returncode, err
 
 
-@pytest.mark.parametrize("group", [True, slow(False)])
+@pytest.mark.slow
+@pytest.mark.parametrize("group", [True, False])
 def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
     """At the terminal, and where the process alone is interrupted."""
     line = "excitant: interrupted; the best motion so far was written\n"

@@ -14,7 +14,7 @@ UNLIMITED = dict.fromkeys(("velocity", "acceleration", "torque"), np.inf)
 UNLIMITED["position"] = [-np.inf, np.inf]
 
 
-@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("friction", [slow(False), True])
 @pytest.mark.parametrize("kind", ["fourier", "spline", "sampled"])
 def test_ratios_cover_dense_sampling(ur10: Robot, kind: str, friction: bool) -> None:
     effects = [CoulombFriction(ur10.joints, (9.0,) * 6), ViscousFriction(ur10.joints, (5.0,) * 6)]
@@ -34,7 +34,7 @@ def test_ratios_cover_dense_sampling(ur10: Robot, kind: str, friction: bool) -> 
 
 
 @pytest.mark.parametrize("sampled", [False, True])
-@pytest.mark.parametrize("quantity", [*KINEMATIC, "torque"])
+@pytest.mark.parametrize("quantity", [*KINEMATIC[::2], *map(slow, KINEMATIC[1::2]), "torque"])
 def test_flags_a_planted_violation(ur10: Robot, quantity: str, sampled: bool) -> None:
     robot = limited(ur10, acceleration=12.0)
     trajectory = random_trajectory(robot, np.random.default_rng(7), 6.0, 5)

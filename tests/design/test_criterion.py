@@ -13,7 +13,7 @@ from excitant.robots.effects import CoulombFriction, RotorInertia, ViscousFricti
 from excitant.robots.torque import largest_torque
 
 
-@pytest.mark.parametrize("name", ["planar_2r", "ur10"])
+@pytest.mark.parametrize("name", ["planar_2r", slow("ur10")])
 @pytest.mark.parametrize("columns", ["inertial", "friction"])
 @pytest.mark.parametrize("criterion", ["d", "a", "condition", "e"])
 def test_gradient_of_every_criterion(criterion: str, columns: str, name: str) -> None:
