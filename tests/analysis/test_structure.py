@@ -211,14 +211,6 @@ def test_expressions_say_what_the_matrix_says(name: str) -> None:
         assert abs(value - row @ phi) <= 5e-5 * (np.abs(row) @ phi)  # five digits
 
 
-def test_one_joint_at_a_time_on_the_dd_arm() -> None:
-    """One joint moves, its own torque is read: 14 in one pose (3 + 3 + 3 + 3 + 1 + 1)."""
-    robot = load_robot("cmu_dd_arm_ii")
-    pose = dict(zip(robot.joints, (0.3, -0.7, 0.9, 0.5, -1.1, 0.4), strict=True))
-    counts = [len(structure(robot, moving=[j], measured=[j], held=pose).base) for j in robot.joints]
-    assert counts == [1, 1, 3, 3, 3, 3]
-
-
 @pytest.mark.parametrize(("inner", "together"), [(False, 30), (True, 32)])
 def test_one_joint_at_a_time_in_many_poses(inner: bool, together: int) -> None:
     """Six recordings, one joint moving in each: its own torque alone misses two combinations."""
