@@ -1,6 +1,6 @@
-"""Second opinions on base parameters that share no regressor with the product.
+"""A second opinion on base parameters that shares no regressor with the product.
 
-1. The null space by recursion from base to tip, after Wensing, Niemeyer and Slotine, "A geometric
+The null space by recursion from base to tip, after Wensing, Niemeyer and Slotine, "A geometric
 characterization of observability in inertial parameter identification" (IJRR 2024). No torque shows
 a change u of the parameters exactly when it changes no kinetic energy vᵀ I(u) v = y(v)ᵀ u, where
 gravity is a base that may slide along g. A link's velocity is v = X(q)(w + …) of its parent's w, so
@@ -10,28 +10,20 @@ its term must not depend on its own q and q̇; then it is a term of the parent, 
     Uᵢ = { u : y(s, v)ᵀ u = 0 for v ∈ Vᵢ,  d/dq y(X(q) w)ᵀ u = 0 for w attainable },
 
 with Tᵢ into the parent's frame and s the joint's axis. A link shows 10 − dim Uᵢ parameters.
-
-2. Closed-form grouping rules of serial arms, read off modified Denavit-Hartenberg numbers alone:
-Gautier and Khalil, "Direct calculation of minimum set of inertial parameters of serial robots"
-(IEEE T-RA 1990); Khalil and Dombre, "Modeling, Identification and Control of Robots" (2002),
-chapter 9.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 import pinocchio as pin
 import scipy.linalg
-from khosla import dh_from_robot, frames
 
 from excitant.analysis.structure import Held
 from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
-from excitant.robots.dh import DHChain
 from excitant.robots.motion import Array
 from excitant.robots.parameters import PSEUDO_INERTIA_BASIS as BASIS
-from excitant.robots.parameters import STANDARD, from_pseudo_inertia, moved_parameters
+from excitant.robots.parameters import from_pseudo_inertia, moved_parameters
 from excitant.robots.robot import Robot
 
 _TOLERANCE = 1e-8  # of unit vectors in lengths of the arm
@@ -56,10 +48,6 @@ class NullSpace:
         bases = (unit * basis for basis in (self.basis, other))
         bases = (basis / np.linalg.norm(basis, axis=0) for basis in bases)
         return float(scipy.linalg.subspace_angles(*bases).max(initial=0.0))
-
-
-def _null_space(N: Array, shown: list[int]) -> NullSpace:
-    return NullSpace(tuple(shown), np.linalg.qr(N / np.linalg.norm(N, axis=0))[0])
 
 
 def _span(vectors: Array) -> Array:
@@ -97,7 +85,8 @@ def parameter_nullspace(
             block[parent] = -move.T @ U
         blocks.append(block.reshape(10 * robot.nv, -1))
         shown.append(10 - U.shape[1])
-    return _null_space(np.tile(length**LENGTH_POWERS, robot.nv)[:, None] * np.hstack(blocks), shown)
+    N = np.tile(length**LENGTH_POWERS, robot.nv)[:, None] * np.hstack(blocks)
+    return NullSpace(tuple(shown), np.linalg.qr(N / np.linalg.norm(N, axis=0))[0])
 
 
 def _step(axis: Array, turns: bool, moves: bool, V: Array, K: Array) -> tuple[Array, Array, Array]:
@@ -127,83 +116,3 @@ def _twist(axis: Array) -> Array:
 def _energy(a: Array, b: Array) -> Array:
     """y(a, b) with y(a, b)ᵀ π = aᵀ I(π) b = tr(Â P B̂ᵀ), shape (10,)."""
     return np.einsum("ij,kjl,il->k", _twist(a), BASIS, _twist(b))
-
-
-_SAME = 1e-9  # rad, or parts of the chain's length
-_UNIT = dict(zip(STANDARD, np.eye(10), strict=True))
-
-
-def grouping(robot: Robot) -> NullSpace:
-    """Null space of a serial arm by rule, in the robot's joint frames."""
-    chain = dh_from_robot(robot)
-    places = list(robot.model.jointPlacements)[1:]
-    poses = np.array(list(accumulate((place.homogeneous for place in places), np.matmul)))
-    placed = frames(chain, np.zeros((1, chain.nv)))[0, 1:]
-    moves = np.linalg.inv(poses) @ placed
-    lost = _lost(chain, placed)
-    blocks = []
-    for j, directions in enumerate(lost):
-        block = np.zeros((chain.nv, 10, len(directions)))
-        block[j] = moved_parameters(directions, moves[j]).T
-        if j > 0:
-            block[j - 1] = -moved_parameters(into_previous(chain, j, directions), moves[j - 1]).T
-        blocks.append(block.reshape(10 * chain.nv, -1))
-    return _null_space(np.hstack(blocks), [10 - len(u) for u in lost])
-
-
-def largest_count(revolute: int, prismatic: int, first_along_gravity: bool) -> int:
-    """Most base parameters an arm can have (Mayeda, Yoshida and Osuka, IEEE T-RA 1990).
-
-    The count itself for revolute arms with parallel or orthogonal axes, the first two not parallel.
-    """
-    return 7 * revolute + 4 * prismatic - 4 - 2 * first_along_gravity
-
-
-def _lost(chain: DHChain, placed: Array) -> list[Array]:
-    """Directions of each link's parameters that group into the one before or show nowhere."""
-    axes, points = placed[:, :3, 2], placed[:, :3, 3]
-    turning = np.flatnonzero(chain.revolute)
-    first = turning[0] if len(turning) else chain.nv
-    other = next((j for j in turning if not _along(axes[j], axes[first])), chain.nv)
-    assert chain.gravity.any() or other == chain.nv, "without gravity the rules want parallel axes"
-    slides = [k for k in range(other) if not chain.revolute[k]]
-    reach = float(np.abs(chain.a).sum() + np.abs(chain.d).sum())
-    found = []
-    for j in range(chain.nv):
-        if chain.revolute[j] and j >= other:
-            found.append(np.array([_UNIT["Ixx"] + _UNIT["Iyy"], _UNIT["mcz"], _UNIT["m"]]))
-            continue
-        across = first < j < other and not _along(axes[j], axes[first])
-        kept = {"m", "mcx", "mcy", "mcz"} if across or j >= other else {"m"}
-        if chain.revolute[j]:
-            gaps = [np.cross(axes[j], points[k] - points[j]) for k in turning if k < j]
-            still = all(np.linalg.norm(gap) <= _SAME * reach for gap in gaps)
-            still &= all(_along(axes[k], axes[first]) for k in slides if k < j)
-            still &= _along(chain.gravity, axes[first])
-            kept = {"Izz"} if still else {"Izz", "mcx", "mcy"}
-        lost = [_UNIT[name] for name in STANDARD if name not in kept]
-        if across:
-            lost.append(np.r_[0.0, placed[j, :3, :3].T @ axes[first], np.zeros(6)])
-        found.append(np.array(lost))
-    return found
-
-
-def _along(a: Array, b: Array) -> bool:
-    size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return bool(np.linalg.norm(np.cross(a, b)) <= _SAME * size)
-
-
-def into_previous(chain: DHChain, j: int, phi: Array) -> Array:
-    """Parameters about frame j − 1 of what has parameters φ about frame j, (k, 10), q_j = 0.
-
-    For a revolute joint and parameters that turning about its axis does not change (YY with XX,
-    MZ, M), these are relations (9.34) of Khalil and Dombre; their r is called d here.
-    """
-    M, MX, MY, MZ, XX, XY, YY, XZ, YZ, ZZ = phi.T
-    if not chain.revolute[j] or not np.array_equal(XX, YY) or np.any([MX, MY, XY, XZ, YZ, ZZ]):
-        return moved_parameters(phi, chain.poses(np.zeros((1, chain.nv)))[0, j])
-    a, d, c, s = chain.a[j], chain.d[j], np.cos(chain.alpha[j]), np.sin(chain.alpha[j])
-    h, z = 2 * d * MZ + d**2 * M, MZ + d * M
-    Ixx, Iyy, Izz = YY + h, c**2 * (YY + h) + a**2 * M, s**2 * (YY + h) + a**2 * M
-    inertia = (Ixx, a * s * z, Iyy, -a * c * z, c * s * (YY + h), Izz)
-    return np.column_stack([M, a * M, -s * z, c * z, *inertia])

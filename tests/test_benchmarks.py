@@ -100,6 +100,7 @@ def test_the_judge_imports_nothing_of_the_optimisers() -> None:
     assert {name.split(".")[0] for name in names} - set(sys.stdlib_module_names) <= NEUTRAL
 
 
+@pytest.mark.slow
 def test_a_missing_problem_is_refused_by_name(tmp_path: Path) -> None:
     done = run("--problem", "no_such", EXCITANT_PROBLEMS=str(tmp_path / "nowhere"))
     [line] = done.stderr.strip().splitlines()

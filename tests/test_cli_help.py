@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow
 
 from excitant.cli import app
 from excitant.robots import builtin_robots
@@ -65,7 +66,7 @@ def spent(*command: str) -> float:
     return float(np.diff(ended).min())
 
 
-@pytest.mark.parametrize("words", [["--help"], ["design", "--help"], ["--version"]])
+@pytest.mark.parametrize("words", [slow(["--help"]), ["design", "--help"], slow(["--version"])])
 def test_help_comes_at_once(words: list[str]) -> None:
     """In processor time, which does not count what else the machine does; the best of three."""
     assert spent("-m", "excitant", *words) < UNITS * spent("-c", UNIT)
@@ -92,7 +93,7 @@ COMPLETED = {
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="bash completes itself only")
-@pytest.mark.parametrize("line", COMPLETED)
+@pytest.mark.parametrize("line", [x if "stri" in x else slow(x) for x in COMPLETED])
 def test_bash_completes(line: str, here: Path, excitant: Any) -> None:
     (here / "trajectory.csv").touch()
     program = Path(sys.executable).parent / "excitant"

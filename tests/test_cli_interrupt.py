@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from marks import slow
 
 from excitant.design import random_trajectory, trajectory_json
 from excitant.robots import load_robot
@@ -69,7 +68,8 @@ def interrupted(words: str, folder: Path, children: int, group: bool) -> tuple[i
     return started.returncode, err
 
 
-@pytest.mark.parametrize("group", [True, slow(False)])
+@pytest.mark.slow
+@pytest.mark.parametrize("group", [True, False])
 def test_a_design_writes_the_best_so_far(group: bool, tmp_path: Path) -> None:
     """At the terminal, and where the process alone is interrupted."""
     line = "excitant: interrupted; the best motion so far was written\n"
@@ -134,6 +134,7 @@ def test_ctrl_c_amid_exec_ends_with_the_status_all_the_same(tmp_path: Path) -> N
     assert ran_amid(code, tmp_path).returncode == 130
 
 
+@pytest.mark.slow
 def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
     """Python drops what a destructor raises, also the interrupt that came while it ran."""
     code = (
@@ -152,7 +153,8 @@ def test_ctrl_c_amid_a_destructor_ends_the_next_step(tmp_path: Path) -> None:
     assert done.stderr.endswith("excitant: interrupted; nothing was written\n")
 
 
-@pytest.mark.parametrize("name", ["SIGINT", slow("SIGTERM")])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_demo_ends_amid_its_design(name: str, tmp_path: Path) -> None:
     """Its design does not go on with the best motion so far."""
     code = (

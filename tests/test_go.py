@@ -108,6 +108,7 @@ def test_a_hold_out_that_nothing_predicts_is_no_ground_for_a_model(logs, here, e
     assert load_run(here / "out")[0].verdict.use is None
 
 
+@pytest.mark.slow
 def test_a_folder_stands_for_its_robot_and_recordings(logs: Logs, here: Path, excitant: Any):
     folder = here / "cell"
     folder.mkdir()

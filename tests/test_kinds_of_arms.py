@@ -35,7 +35,7 @@ KINDS: dict[str, list[dict[str, Any]]] = {
     "wrist without inertia": [*WRIST[:-1], WRIST[-1] | {"inertia": 0.0}],
     "twelve joints": WRIST * 2,  # along one chain
 }
-FAST = {"one joint", "one sliding joint", "last link without inertia", "last link without mass"}
+FAST = {"one sliding joint", "last link without inertia"}
 EVERY_VERB = ("one sliding joint", "no gravity", "axes along gravity", "almost no last link")
 HIDDEN = 1.0  # N·m or N of Coulomb friction at every joint
 

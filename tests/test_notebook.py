@@ -17,7 +17,7 @@ import excitant as ex
 import numpy as np
 
 robot, rng = ex.load_robot("planar_2r"), np.random.default_rng(3)
-design = ex.design_trajectory(robot, duration=8.0, harmonics=2, starts=1, jobs=1)
+design = ex.design_trajectory(robot, duration=8.0, harmonics=2, starts=1, jobs=1, time_limit=0.0)
 table = ex.virtual_arm(robot, rng).record(design.trajectory, 8.0, rng)
 run = ex.recording_from_table(table, robot.nv, file="run", name="run")
 estimate = ex.identify_robot(robot, [run])

@@ -26,6 +26,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_every_file_is_sound_before_it_is_damaged(corpus: Path) -> None:
     for name, read in bench.READERS.items():
         assert read(corpus, name) is not None

@@ -5,6 +5,8 @@ Statements are lines: ``def`` and ``while`` up to ``end``, with assignments, ``g
 where there is one, else local. Commands of the arm take time; what they command is kept with it.
 """
 
+import ast
+import operator as op
 import re
 from functools import cache
 from itertools import accumulate
@@ -12,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-TOKEN = re.compile(
-    r"\s*(?:(\d+\.?\d*(?:[eE][-+]?\d+)?)|([A-Za-z_]\w*)|(<=|>=|==|!=|[-+*/%()\[\],<>=]))"
-)
-LEVELS = (("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "%"))
+ORDERED = {ast.Lt: op.lt, ast.Gt: op.gt, ast.LtE: op.le, ast.GtE: op.ge}
+COMPARED = {ast.Eq: op.eq, ast.NotEq: op.ne} | ORDERED
+COMBINED = {ast.Add: op.add, ast.Sub: op.sub, ast.Mult: op.mul, ast.Div: op.truediv}
+COMBINED |= {ast.Mod: op.mod}
 SIGNATURES = {
     "movej": ("q", "a", "v", "t", "r"),
     "servoj": ("q", "a", "v", "t", "lookahead_time", "gain"),
@@ -65,54 +67,31 @@ class Controller:
         scope[found[2]] = self.value(found[3], own)
 
     def value(self, text: str, own: dict[str, Any]) -> Any:
-        tokens = list(split(text))
-        value = self.binary(tokens, own, 0)
-        assert not tokens, f"unexpected {tokens[0]} in: {text}"
-        return value
+        """Of an expression: all that URScript has of them, Python reads alike."""
+        return self.of(parsed(text), own)
 
-    def binary(self, tokens: list[str], own: dict[str, Any], level: int) -> Any:
-        if level == len(LEVELS):
-            return self.unary(tokens, own)
-        value = self.binary(tokens, own, level + 1)
-        while tokens and tokens[0] in LEVELS[level]:
-            operation = tokens.pop(0)
-            value = apply(operation, value, self.binary(tokens, own, level + 1))
-        return value
-
-    def unary(self, tokens: list[str], own: dict[str, Any]) -> Any:
-        token = tokens.pop(0)
-        if token == "-":
-            return -self.unary(tokens, own)
-        if token == "(":
-            value = self.binary(tokens, own, 0)
-            assert tokens.pop(0) == ")"
-        elif token == "[":
-            value = [each for _, each in self.listed(tokens, own, "]")]
-        elif token[0].isdigit():
-            value = float(token) if re.search(r"[.eE]", token) else int(token)
-        elif tokens and tokens[0] == "(":
-            tokens.pop(0)
-            value = self.call(token, self.listed(tokens, own, ")"))
-        else:
-            value = own[token] if token in own else self.names[token]
-        while tokens and tokens[0] == "[":
-            tokens.pop(0)
-            value = value[self.binary(tokens, own, 0)]
-            assert tokens.pop(0) == "]"
-        return value
-
-    def listed(self, tokens: list[str], own: dict[str, Any], end: str) -> list[tuple[str, Any]]:
-        found = []
-        while tokens[0] != end:
-            name = tokens.pop(0) if len(tokens) > 1 and tokens[1] == "=" else ""
-            if name:
-                tokens.pop(0)
-            found.append((name, self.binary(tokens, own, 0)))
-            assert tokens[0] in (end, ",")
-            if tokens[0] == ",":
-                tokens.pop(0)
-        tokens.pop(0)
-        return found
+    def of(self, node: ast.expr, own: dict[str, Any]) -> Any:
+        match node:
+            case ast.Constant(value=value) if type(value) in (int, float):
+                return value
+            case ast.Name(id=name):
+                return own[name] if name in own else self.names[name]
+            case ast.List(elts=entries):
+                return [self.of(each, own) for each in entries]
+            case ast.Subscript(value=entries, slice=place):
+                return self.of(entries, own)[self.of(place, own)]
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return -self.of(operand, own)
+            case ast.Compare(left=a, ops=[sign], comparators=[b]) if type(sign) in COMPARED:
+                return COMPARED[type(sign)](self.of(a, own), self.of(b, own))
+            case ast.BinOp(left=a, op=sign, right=b) if type(sign) in COMBINED:
+                values = self.of(a, own), self.of(b, own)
+                assert list not in map(type, values), "arithmetic of lists is not in every version"
+                return COMBINED[type(sign)](*values)
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=named):
+                given = [(k.arg or "", self.of(k.value, own)) for k in named]
+                return self.call(name, [("", self.of(each, own)) for each in args] + given)
+        raise AssertionError(f"not URScript: {ast.unparse(node)}")
 
     def call(self, name: str, given: list[tuple[str, Any]]) -> Any:
         if name in self.functions:
@@ -157,25 +136,8 @@ class Controller:
 
 
 @cache
-def split(text: str) -> tuple[str, ...]:
-    text, place, tokens = text.strip(), 0, list[str]()
-    while place < len(text):
-        found = TOKEN.match(text, place)
-        assert found, f"not URScript: {text[place:]}"
-        tokens.append(found[found.lastindex or 0])
-        place = found.end()
-    return tuple(tokens)
-
-
-def apply(operation: str, a: Any, b: Any) -> Any:
-    if operation in LEVELS[0]:
-        ordered = {"<": a < b, ">": a > b, "<=": a <= b, ">=": a >= b}
-        return ({"==": a == b, "!=": a != b} | ordered)[operation]
-    assert not isinstance(a, list), "arithmetic of lists is not in every version"
-    assert not isinstance(b, list), "arithmetic of lists is not in every version"
-    if operation == "/":
-        return a / b
-    return {"+": a + b, "-": a - b, "*": a * b, "%": a % b if b else 0}[operation]
+def parsed(text: str) -> ast.expr:
+    return ast.parse(text, mode="eval").body
 
 
 def end_of(lines: list[str], k: int) -> int:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow
 from planted import Diagnosed, drawn
 from separation import run_case
 
@@ -122,8 +123,8 @@ def test_runs_decide_with_the_power_that_is_promised() -> None:
     ("found", "rival", "sine"),
     [
         (kinds.ViscousFriction(LAST, (0.3,)), kinds.TimeDelay(LAST, trial=0.005), (0.2, 0.2)),
-        (kinds.PreslidingHysteresis(LAST, (0.06,)), kinds.CoulombFriction(LAST), (0.9, 0.1)),
-        (kinds.StribeckFriction(LAST, (0.2,)), kinds.CoulombFriction(LAST), (0.9, 0.4)),
+        slow(kinds.PreslidingHysteresis(LAST, (0.06,)), kinds.CoulombFriction(LAST), (0.9, 0.1)),
+        slow(kinds.StribeckFriction(LAST, (0.2,)), kinds.CoulombFriction(LAST), (0.9, 0.4)),
     ],
 )
 def test_the_motion_separates_what_a_poor_one_does_not(planar, found, rival, sine):

@@ -87,6 +87,7 @@ def test_something_at_work_is_called_for(rho: float) -> None:
 
 
 @pytest.mark.parametrize(("rho", "low"), [(0.0, 1.0), (0.7, 1.25)])
+@pytest.mark.slow
 def test_by_chance_the_cost_falls_by_the_dispersion_per_coefficient(rho: float, low: float) -> None:
     """Coloured noise that the nuisance takes up leaves λ a quarter low."""
     ratios = []

@@ -7,6 +7,7 @@ from datetime import date, timedelta
 import numpy as np
 import pytest
 import scipy
+from marks import slow
 
 from excitant.analysis.fleet import CHANCE, Examined, Fleet, Value, compare_arms, odd_ones
 
@@ -48,7 +49,7 @@ def test_a_sound_fleet_is_rarely_accused() -> None:
     assert accused <= scipy.stats.binom.ppf(0.99, draws, CHANCE)
 
 
-@pytest.mark.parametrize("dates", [1, 4])
+@pytest.mark.parametrize("dates", [slow(1), 4])
 def test_arms_that_differ_are_found_with_honest_intervals(dates: int) -> None:
     rng, off, spread = np.random.default_rng(1), [], []
     for _ in range(20):

@@ -206,6 +206,7 @@ def test_a_mounting_that_the_other_recordings_refute_is_no_fault(ur10: Robot) ->
         assert shared_installation(robot, recordings, own) == told
 
 
+@pytest.mark.slow
 def test_an_installation_that_all_recordings_support_is_that_of_each(ur10: Robot) -> None:
     robot = bare(ur10)
     recordings = recorded(robot, 2, gravity=TURNED)

@@ -98,7 +98,7 @@ def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot) -> None:
 
 
 @pytest.mark.usefixtures("own_time")
-@pytest.mark.parametrize("half", [slow(0.4), 0.7])
+@pytest.mark.parametrize("half", [slow(0.4), slow(0.7)])
 def test_pendulum_agrees_with_a_dense_grid(pendulum: Robot, half: float) -> None:
     robot = limited(pendulum, position=[[0.3 - half, 0.3 + half]], acceleration=8.0)
     bound = lower_bound(robot, period=5.0, harmonics=4, time_limit=20.0)

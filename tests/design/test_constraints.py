@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from limit_use import limit_shares, limited
+from marks import slow
 
 from excitant.design import check, from_coefficients, random_trajectory
 from excitant.design.constraints import KINEMATIC
@@ -13,7 +14,7 @@ UNLIMITED = dict.fromkeys(("velocity", "acceleration", "torque"), np.inf)
 UNLIMITED["position"] = [-np.inf, np.inf]
 
 
-@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("friction", [slow(False), True])
 @pytest.mark.parametrize("kind", ["fourier", "spline", "sampled"])
 def test_ratios_cover_dense_sampling(ur10: Robot, kind: str, friction: bool) -> None:
     effects = [CoulombFriction(ur10.joints, (9.0,) * 6), ViscousFriction(ur10.joints, (5.0,) * 6)]
@@ -33,7 +34,7 @@ def test_ratios_cover_dense_sampling(ur10: Robot, kind: str, friction: bool) -> 
 
 
 @pytest.mark.parametrize("sampled", [False, True])
-@pytest.mark.parametrize("quantity", [*KINEMATIC, "torque"])
+@pytest.mark.parametrize("quantity", [*KINEMATIC[::2], *map(slow, KINEMATIC[1::2]), "torque"])
 def test_flags_a_planted_violation(ur10: Robot, quantity: str, sampled: bool) -> None:
     robot = limited(ur10, acceleration=12.0)
     trajectory = random_trajectory(robot, np.random.default_rng(7), 6.0, 5)
@@ -83,7 +84,7 @@ def test_refuses_another_number_of_joints(planar: Robot, ur10: Robot) -> None:
         check(planar, trajectory.at([0.0]))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
 def test_random_trajectories_hold_every_limit(ur10: Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     middle, half = rng.uniform(-2, 2, 6), rng.uniform(0.3, 3.0, 6)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from limit_use import limited
+from marks import slow
 
 from excitant.design import build_design, check, condition_number, random_trajectory
 from excitant.design.criterion import objective, smooth_model
@@ -12,7 +13,7 @@ from excitant.robots.effects import CoulombFriction, RotorInertia, ViscousFricti
 from excitant.robots.torque import largest_torque
 
 
-@pytest.mark.parametrize("name", ["planar_2r", "ur10"])
+@pytest.mark.parametrize("name", ["planar_2r", slow("ur10")])
 @pytest.mark.parametrize("columns", ["inertial", "friction"])
 @pytest.mark.parametrize("criterion", ["d", "a", "condition", "e"])
 def test_gradient_of_every_criterion(criterion: str, columns: str, name: str) -> None:
@@ -51,7 +52,7 @@ def test_hessian_along_linear_information(criterion: str) -> None:
 @pytest.mark.parametrize(
     ("friction", "uncertainty"), [((), 0.0), ((30.0,), 0.0), ((9.0, 3.0, 0.4), 0.3)]
 )
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, slow(1), slow(2), slow(3)])
 def test_torque_peaks_are_those_of_continuous_time_and_rows_too(ur10, friction, uncertainty, seed):
     kinds = zip((CoulombFriction, ViscousFriction, RotorInertia), friction, strict=False)
     robot = ur10.with_effects([kind(ur10.joints, (value,) * 6) for kind, value in kinds])

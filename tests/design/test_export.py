@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import ros2
 import yaml
+from marks import slow
 from rosbags.highlevel import AnyReader
 from urscript import Controller
 
@@ -155,7 +156,7 @@ def test_files_are_read_back_equal_by_others(ur10: Robot, motion: Motion, tmp_pa
         assert_same(Motion(*(read[name] for name in ("t", "q", "dq", "ddq"))), motion)
 
 
-@pytest.mark.parametrize("steptime", [1 / 125, 1 / 500])
+@pytest.mark.parametrize("steptime", [1 / 125, slow(1 / 500)])
 @pytest.mark.parametrize("scale", [0.2, 1.0])
 def test_urscript_commands_the_motion_in_every_step_of_the_controller(ur10, steptime, scale):
     """Slowly unless told otherwise; between poses by a line, whatever the rates are."""

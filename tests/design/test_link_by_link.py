@@ -77,6 +77,7 @@ def test_the_condition_number_is_that_of_the_link_in_its_own_row(puma: LinkByLin
             assert design.condition_final < design.condition_initial
 
 
+@pytest.mark.slow
 def test_command_writes_a_file_per_link(tmp_path: Path, planar: Robot, excitant: Any) -> None:
     words = "design planar_2r --link-by-link --duration 4 --starts 1 --harmonics 3"
     ran = excitant(f"{words} --columns inertial --jobs 1 --json -o", tmp_path)

@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 from limit_use import assert_holds_for_every_mass, limit_shares, limited
+from marks import slow
 
 from excitant.design import HermiteTrajectory, approach, check
 from excitant.design.timing import HOLDING, rounded_path, static_torque, time_optimal, timed
@@ -33,7 +34,7 @@ def holding_torque(robot: Robot, start: Array, goal: Array) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("name", "share"), [("planar_2r", 0.4), ("ur10", 0.4), ("panda", 1.0), ("panda", 0.4)]
+    ("name", "share"), [("planar_2r", 0.4), ("ur10", 0.4), slow("panda", 1.0), slow("panda", 0.4)]
 )
 def test_limits_hold_between_the_samples_and_the_ends_rest(name: str, share: float) -> None:
     robot, rng = load_robot(name), np.random.default_rng(5)

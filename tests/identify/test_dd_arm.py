@@ -4,9 +4,8 @@ import dd_arm as benchmark
 import numpy as np
 import pytest
 from scipy.stats import binom
-from seed import dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
+from seed import dd_arm, dd_arm_parameters, dd_arm_tables
 
-from excitant.robots import base_parameters
 from excitant.robots.parameters import pseudo_inertia, violations
 
 
@@ -59,13 +58,6 @@ def test_what_no_torque_shows_follows_the_prior(found: benchmark.Recovery) -> No
     silent = [e for e in found.entries if e.silent > 1e-9]
     assert 10 < len(silent) < 46
     assert not any(e.decided_by == "data" for e in silent if e.silent > 0.05)
-
-
-def test_masses_of_links_4_and_5_act_as_one() -> None:
-    exchange = np.eye(60)[30] - np.eye(60)[40]
-    base = base_parameters(dd_arm("initial"))
-    assert np.abs(base.regrouping @ parameter_map(dd_arm_chain()) @ exchange).max() < 1e-9
-    assert "link4.m + link5.m" in [entry.parameter for entry in dd_arm_tables()]
 
 
 def test_link_5_as_printed_is_impossible_and_what_is_nearest() -> None:

@@ -102,6 +102,16 @@ def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: 
         identify_robot(planar, [replace(recording, q=q)])
 
 
+def test_the_data_need_no_more_of_a_mass_than_there_is(ur10: Robot, runs: Call) -> None:
+    place, phi = np.array([0.06, 0.04, 0.03, 1.0]), np.array(ur10.phi)
+    phi[50:] += from_pseudo_inertia(2.0 * (np.outer(place, place) + np.diag([1e-3] * 3 + [0])))
+    found = identified(ur10, runs(ur10.with_parameters(phi), 1))
+    [needed] = found.needed.values()
+    assert 1.5 * ur10.phi[50] < needed < phi[50]
+    assert f"the data need at least {needed:.2g} kg" in body_changes(found)[-1].moved
+    assert any("tool, with a first moment of" in note for note in found.result()["notes"])
+
+
 @pytest.fixture(scope="module")
 def nominal(ur10: Robot, runs: Call, own_steps: None) -> list[Recording]:
     return runs(ur10, 1)
@@ -186,6 +196,7 @@ def test_a_body_that_moves_by_half_is_named_without_a_false_uncertainty(ur10, no
     assert not body_changes(identified(ur10, nominal))[link].moved
 
 
+@pytest.mark.slow
 def test_recordings_that_differ_are_told_from_those_that_agree(ur10, nominal):
     """Cluster-robust errors are those by noise, until one recording has more friction."""
     rng = np.random.default_rng(5)
@@ -240,13 +251,3 @@ def test_real_ur10e_is_predicted_from_its_currents(data_folder: Path) -> None:
     # the large joints have about 11 to 14 N·m/A, the wrists about 9
     assert np.abs(found.gains - 11).max() < 3
     assert (found.validate.r2 > 0.5).all(), found.validate.r2
-
-
-def test_the_data_need_no_more_of_a_mass_than_there_is(ur10: Robot, runs: Call) -> None:
-    place, phi = np.array([0.06, 0.04, 0.03, 1.0]), np.array(ur10.phi)
-    phi[50:] += from_pseudo_inertia(2.0 * (np.outer(place, place) + np.diag([1e-3] * 3 + [0])))
-    found = identified(ur10, runs(ur10.with_parameters(phi), 1))
-    [needed] = found.needed.values()
-    assert 1.5 * ur10.phi[50] < needed < phi[50]
-    assert f"the data need at least {needed:.2g} kg" in body_changes(found)[-1].moved
-    assert any("tool, with a first moment of" in note for note in found.result()["notes"])

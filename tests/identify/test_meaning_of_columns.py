@@ -20,7 +20,7 @@ from excitant.robots.virtual_arm import industrial_sensors
 Change = Callable[[Robot, Recording], Recording]
 
 
-@pytest.fixture(scope="module", params=("ur5e", "panda"))  # gravity tells; a SCARA's does not
+@pytest.fixture(scope="module", params=("ur5e", slow("panda")))  # gravity tells; a SCARA's does not
 def logged(request: pytest.FixtureRequest, runs: Call) -> tuple[Robot, Recording]:
     """An arm and a log of one whose bodies are off by up to 5 %."""
     robot = load_robot(request.param)

@@ -51,7 +51,7 @@ def good() -> Estimate:
 
 
 @pytest.mark.parametrize("toggling", [False, True])
-@pytest.mark.parametrize("count", [1, 3, slow(10)])
+@pytest.mark.parametrize("count", [slow(1), 3, slow(10)])
 def test_recordings_in_which_a_joint_rests_spoil_nothing(good, count, toggling):
     resting = [run(10 + k, (0,), toggling, 4.0) for k in range(count)]
     found = identify_robot(ARM, [run(1), *resting], validate=HOLDOUT)
@@ -74,7 +74,7 @@ def test_friction_turns_over_the_speeds_over_which_that_of_the_arm_turns() -> No
     assert ((std > 1.05 * exact) & (np.abs(friction(found) - TRUTH.Fc) < 4 * std)).all()
 
 
-@pytest.mark.parametrize("toggling", [False, True])
+@pytest.mark.parametrize("toggling", [slow(False), True])
 def test_one_joint_at_a_time_as_in_the_papers_offline_procedure(toggling: bool) -> None:
     single = [run(20 + k, (k % 2,), toggling, 4.0) for k in range(4)]
     found = identify_link_by_link(ARM, [*single, run(1)], validate=HOLDOUT)
@@ -94,7 +94,7 @@ def test_a_reading_that_toggles_has_no_direction() -> None:
     assert (segment.motion.dq[segment.keep] > segment.least_speed).all()
 
 
-@pytest.mark.parametrize("jump", [1e-12, 1e-9, 1e-8])
+@pytest.mark.parametrize("jump", [slow(1e-12), 1e-9, slow(1e-8)])
 def test_a_joint_that_rests_is_not_accused_of_what_nobody_sees(jump: float) -> None:
     """Held readings that now and then are off by less than single precision shows."""
     log, rng = run(3, moving=(0,)), np.random.default_rng(0)

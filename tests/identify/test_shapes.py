@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from arms import truth
 from known_arms import HARMONICS, recorded, rows_of, smooth_motion
+from marks import slow
 
 from excitant.identify import Recording, identify_robot
 from excitant.identify.knowledge import Knowledge
@@ -115,7 +116,7 @@ def test_what_shapes_leave_open_widens_the_rest() -> None:
     assert (np.diag(wide_physical.covariance - physical.covariance) >= 0).all()
 
 
-@pytest.mark.parametrize("exponent", [0.4, 2.3])
+@pytest.mark.parametrize("exponent", [0.4, slow(2.3)])
 def test_an_exponent_is_found_and_none_nearby_is_better(exponent: float) -> None:
     """The objective at the minimum, against fits whose shapes are moved and held."""
     run = run_of(3, lambda dq: np.sign(dq) * np.abs(dq) ** exponent)

@@ -206,15 +206,6 @@ def test_hostile_names_stay_text(verb, make, show):
     assert HOSTILE in page.words
 
 
-def test_nan_values_draw_no_warning(make, show, recwarn):
-    result, series = make["diagnose"]()
-    rng = np.random.default_rng(0)
-    for key in set(series) - {"t"}:
-        series[key] = np.where(rng.random(series[key].shape) < 0.3, np.nan, series[key])
-    show(result, series)
-    assert [str(w.message) for w in recwarn] == []
-
-
 def test_rendering_is_repeatable_takes_seconds_and_changes_no_setting(make, show, written):
     run = make["diagnose"]()
     before, start = dict(mpl.rcParams), time.process_time()

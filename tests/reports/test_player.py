@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow
 from PIL import Image
 
 from excitant.cli import main
@@ -275,7 +276,7 @@ def test_without_javascript_the_moments_are_a_list(tmp_path: Path, browser: Any)
     page.close()
 
 
-@pytest.mark.parametrize("name", builtin_robots())
+@pytest.mark.parametrize("name", [slow(x) if x != "panda" else x for x in builtin_robots()])
 def test_pages_of_built_in_arms_are_small(name: str, tmp_path: Path) -> None:
     shown = Shown(name, tmp_path)
     assert shown.status == 0

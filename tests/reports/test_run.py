@@ -17,6 +17,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
+from marks import slow
 from records import full
 
 from excitant import files
@@ -121,7 +122,7 @@ def failing(request, monkeypatch):
 
 
 @pytest.mark.parametrize("count", range(1, 7))
-@pytest.mark.parametrize("error", [FULL, KeyboardInterrupt(), RuntimeError()])
+@pytest.mark.parametrize("error", [FULL, KeyboardInterrupt(), slow(RuntimeError())])
 @pytest.mark.parametrize("old", [True, False])
 def test_a_step_that_fails_leaves_all_as_it_was(failing, count, error, old, tmp_path):
     target = tmp_path / "new" / "run"

@@ -157,6 +157,7 @@ MESH = """<mujoco><asset><mesh name="m" file="m.stl"/></asset><worldbody><body><
 OVER = "model: gantry.urdf\n"
 REFUSED = [  # a file, what is written in place of a part of it or at its start, what is said
     ("gantry.urdf", 'mass value="1.5"', 'mass value="nan"', "box"),
+    ("gantry.urdf", 'mass value="1.5"', 'mass value="1e-320"', "is too little for a body"),
     ("gantry.urdf", 'ixx="0.003"', 'ixx="small"', "box"),
     ("gantry.urdf", 'upper="1.5"', 'upper="inf"', "slide"),
     ("gantry.urdf", 'child link="box"', 'child link="bux"', "weld"),

@@ -1,20 +1,15 @@
 """Laws of the seed paper's recursion (Khosla 1987), and its arm, the CMU DD Arm II."""
 
-from collections.abc import Iterator
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close, dh_from_robot, frames, torque_matrix
-from second_opinion import grouping
 from seed import dd_arm, dd_arm_chain, dd_arm_parameters, dd_arm_tables, parameter_map
 
-from excitant.robots import DHChain, Motion, base_parameters, load_robot, rigid_body_torque
+from excitant.robots import DHChain, Motion, load_robot, rigid_body_torque
 from excitant.robots.dh import CONVENTIONS, robot_from_dh
-from excitant.robots.parameters import STANDARD, elements, steiner, violations
+from excitant.robots.parameters import STANDARD, violations
 from excitant.robots.regressor import regressor
 
 
@@ -50,48 +45,6 @@ def test_a_chain_needs_the_torque_of_the_recursion_there(random_chain, seed, nv,
             pin.framesForwardKinematics(robot.model, data, q)
             tip = data.oMf[robot.tip].homogeneous
             assert np.allclose(placed[-1] @ one.tool, tip, rtol=0, atol=1e-12)
-
-
-def differences(values: np.ndarray, order: int) -> float:
-    """Largest finite difference of some order, relative to the values."""
-    return float(np.abs(np.diff(values, order, axis=0)).max() / np.abs(values).max())
-
-
-TURNING = np.array([True, False, True, True, False, True])
-
-
-def assert_quadratic(chains: Iterator[DHChain], seed: int, first: int) -> None:
-    """In the step: all torque; the forces of those first joints that slide are linear."""
-    robots = (robot_from_dh(replace(chain, revolute=TURNING)) for chain in chains)
-    tau = np.array([rigid_body_torque(robot, states(seed, 20, 6)) for robot in robots])
-    felt, turns = tau[:, :, :first], TURNING[:first]
-    assert differences(tau, 3) < 1e-11
-    assert differences(felt[:, :, ~turns], 2) < 1e-11
-    assert differences(felt[:, :, turns], 2) > 1e-3
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("link", [1, 3, 5])
-def test_property_2_torque_is_quadratic_and_force_linear_in_the_centre(random_chain, seed, link):
-    """With the inertia about it held: a rotary joint's second half, a translational one's first."""
-    chain, m, central = random_chain(seed, 6), 2.0, np.array([0.3, 0.02, 0.4, -0.01, 0.03, 0.5])
-
-    def moved(c: np.ndarray) -> DHChain:
-        phi = chain.phi.reshape(-1, 10).copy()
-        phi[link] = [m, *(m * c), *(central + elements(steiner(m, c)))]
-        return replace(chain, phi=phi.ravel())
-
-    centres = 0.1 + np.outer(range(5), [0.2, -0.1, 0.3])
-    assert_quadratic(map(moved, centres), seed, link + 1)
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("name", ["a", "d"])
-def test_property_3_torque_is_quadratic_in_a_link_length(random_chain, seed, name):
-    """And the force of a translational joint is linear in it."""
-    chain = random_chain(seed, 6)
-    lengths = getattr(chain, name) + 0.3 * np.outer(range(5), np.eye(6)[2])
-    assert_quadratic((replace(chain, **{name: x}) for x in lengths), seed, 3)
 
 
 # The CMU DD Arm II
@@ -162,17 +115,3 @@ def test_initial_values_are_possible_and_link_5_as_estimated_is_not() -> None:
     assert [line.split(":")[0] for line in found] == ["link4", "link5"]
     assert "break the triangle inequality" in found[1]
     assert violations(dd_arm_parameters("estimated", likely=True), DD.links) == []
-
-
-@pytest.mark.parametrize(
-    ("name", "gravity", "count"),
-    [("puma560", (3, 0, -9.3), 38), ("planar_2r", (0, 0, 0), 4), ("planar_2r", (0, -9.81, 0), 4)],
-)
-def test_base_parameters_counted_in_three_ways(random_states, name, gravity, count):
-    """Ranks of two regressors that share no code, and a rule that needs none."""
-    robot = load_robot(name).with_gravity(gravity)
-    chain, motion = dh_from_robot(robot), random_states(robot, 5, 200)
-    M = matrix(chain, motion)
-    assert close(M @ chain.phi, rigid_body_torque(robot, motion))
-    ranks = len(base_parameters(robot)), rank(M.reshape(-1, 10 * robot.nv)), len(grouping(robot))
-    assert ranks == (count, count, count)

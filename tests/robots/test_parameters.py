@@ -178,15 +178,6 @@ def test_coefficients_read_the_same_however_they_are_rounded(value: float, text:
         assert coefficient_text(value * factor) == text
 
 
-def test_categories_follow_the_null_space_which_is_clear(arm: Robot) -> None:
-    base = base_parameters(arm, standard_effects(arm.joints))
-    accepted, rejected = base.gap
-    assert rejected < 1e-12 < 1e-3 < accepted
-    category, moved = np.array(categories(base)), np.abs(base.null_space).max(axis=1) > 1e-12
-    assert np.array_equal(moved, category != "unique")
-    assert np.array_equal(~base.regrouping.any(axis=0), category == "unidentifiable")
-
-
 def test_slow_friction_is_seen_at_any_speed_limit(ur10: Robot) -> None:
     fast = ur10.with_limits(replace(ur10.limits, velocity=np.full(6, 900.0)))
     effects = (StribeckFriction(ur10.joints),)

@@ -46,7 +46,7 @@ def without_gravity(robot: Robot, strength: float) -> Robot:
 
 def mujoco_error(robot: Robot) -> float:
     """Largest difference of the recorded torque from MuJoCo's, relative to the largest torque."""
-    run, model = Recorded(robot), mujoco_model(robot)
+    run, model = Recorded(robot, duration=1.0), mujoco_model(robot)
     motion, data, expected = run.motion, mujoco.MjData(model), []
     rows = [model.joint(joint).dofadr[0] for joint in robot.joints]
     for state in zip(motion.q, motion.dq, motion.ddq, strict=True):

@@ -6,6 +6,7 @@ import pinocchio as pin
 import pytest
 import scipy
 from known_arms import Call
+from marks import slow
 from plant_recordings import PENDULUM, energy, mujoco_model, swing, swinging
 
 from excitant.exceptions import BadInput
@@ -30,21 +31,7 @@ def with_drives(robot: Robot, rotor: float | np.ndarray, viscous: float | np.nda
     return robot.with_effects([e.with_values(np.broadcast_to(x, robot.nv)) for e, x in drives])
 
 
-@pytest.mark.slow
-def test_a_pendulum_swings_as_elliptic_functions_say() -> None:
-    """2.5 rad to either side, two periods: sin(θ/2) = k sn(K(k) − ω₀ t, k)."""
-    inertia, moment, amplitude = 0.1 + 4 * 0.5**2, 4 * 9.81 * 0.5, 2.5
-    k, omega = np.sin(amplitude / 2), np.sqrt(moment / inertia)
-    K = scipy.special.ellipk(k**2)
-    t = np.arange(0, 8 * K / omega, 2e-3)
-    exact = 2 * np.arcsin(k * scipy.special.ellipj(K - omega * t, k**2)[0])
-    swings = (falling(PENDULUM, t, amplitude, step=step) for step in (1e-3, 5e-4))
-    errors = [np.abs(motion.q[:, 0] - exact).max() for motion in swings]
-    assert errors[1] < 1e-3
-    assert errors[0] / errors[1] > 3.5  # second order
-
-
-@pytest.mark.parametrize("name", ["ur10", "gantry"])
+@pytest.mark.parametrize("name", [slow("ur10"), "gantry"])
 def test_energy_of_a_falling_arm_is_conserved(name: str, request: pytest.FixtureRequest) -> None:
     robot, spread = request.getfixturevalue(name), []
     for step in (1e-3, 5e-4):
