@@ -258,13 +258,23 @@ class Extension:
     )
 
     def settled(self) -> Extension:
-        """It with bodies as uncertain as the data say, and no effects that cancel each other."""
+        """It with bodies as uncertain as the data say, and no effects that cancel each other.
+
+        A cause stays without which the hold-out is predicted worse: it is not cancelled there.
+        """
         if self.extender is None:
             return self
         extender = replace(self.extender, last=True)
         fit = extender(self.chosen)
-        while (cause := _cancelled(fit)) is not None:
-            fit = extender([c for c in fit.chosen if c is not cause])
+        needed = set[Key]()
+        while (cause := _cancelled(fit, needed)) is not None:
+            without = extender([c for c in fit.chosen if c is not cause])
+            if extender.holdout.worse(
+                without.predicted, fit.predicted, CONFIRMATION.floor
+            ):
+                needed.add(cause.key)
+            else:
+                fit = without
         return fit
 
     def covariance_of(self, names: Sequence[str]) -> Array:
@@ -411,10 +421,11 @@ def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
     return [*bodies, *robot.effects, *merged(added)]
 
 
-def _cancelled(fit: Extension) -> Candidate | None:
+def _cancelled(fit: Extension, needed: Set[Key] = frozenset()) -> Candidate | None:
     """The least cause that another effect of one of its joints mostly cancels, or None.
 
-    Their sum is known, not what each of them is. Plain friction stays, the finer goes.
+    Their sum is known, not what each of them is. Plain friction stays, the finer goes; what is
+    needed stays.
     """
     values = effect_values(fit.model)
     torques = {}
@@ -424,7 +435,7 @@ def _cancelled(fit: Extension) -> Candidate | None:
             torques[each.name, each.joints] = fit.observed.columns(each) @ own
 
     def cancelled(cause: Candidate) -> bool:
-        own = torques.get(cause.key)
+        own = None if cause.key in needed else torques.get(cause.key)
         return own is not None and any(
             {*cause.effect.joints} & {*joints} and cancel(own, torque)
             for (name, joints), torque in torques.items()

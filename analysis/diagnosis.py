@@ -42,12 +42,14 @@ from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
 from excitant.exceptions import BadInput
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.attenuation import coarseness, half_segments
-from excitant.identify.drive_gains import DriveGains, current_gains
+from excitant.identify.drive_gains import DriveGains
 from excitant.identify.objections import objections
-from excitant.identify.preprocessing import Segment, certain_rows
+from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording, Recordings, recordings_of
+from excitant.identify.reversals import turned_rows
 from excitant.identify.rows import Data, fitted, gains_of, predicted_torque, split
+from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect, plain, standard_effects
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -230,7 +232,7 @@ def diagnose(
     train = observed(mounted.robot, data.train)
     drive = data.drive
     if data.unit == "A":
-        drive = _gains_of_bodies(train, measured)
+        drive = _gains_of_bodies(mounted.robot, data)
     tau = measured * gains_of(mounted.robot, data, drive)
     if drive is not None and data.unit == "A":
         drive = _refined_gains(train, tau, prior, drive)
@@ -385,12 +387,11 @@ def _causes(
     )
 
 
-def _gains_of_bodies(train: Observed, measured: Array) -> DriveGains:
-    """Drive gains that suit the nominal bodies best, friction left free."""
-    robot = train.robot
+def _gains_of_bodies(robot: Robot, data: Data) -> DriveGains | None:
+    """Drive gains that suit the nominal bodies best, friction left free, as identify has them."""
     usual = standard_effects(robot.joints)
-    rows = certain_rows(usual, robot.joints, train.segments)
-    return current_gains(robot, train.matrix(usual), measured, rows)
+    rows, _ = turned_rows(robot, usual, base_parameters(robot, usual), data)
+    return rows.drive
 
 
 def _refined_gains(
