@@ -34,7 +34,13 @@ from excitant.identify.objections import (
 from excitant.identify.preprocessing import Mask, Segment
 from excitant.identify.refit import Refit
 from excitant.identify.rows import predicted_torque
-from excitant.robots.effects import Effect, effect_entries, plain, turning
+from excitant.robots.effects import (
+    Effect,
+    effect_entries,
+    plain,
+    turning,
+    turning_speed,
+)
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
 from excitant.robots.robot import Robot
@@ -194,6 +200,11 @@ def lacking(arm: Robot, file_format: str) -> list[str]:
             missing.append(f"{plain(effect.name)} of {listed}")
         elif joints and below:
             missing.append(f"negative {plain(effect.name)} of {', '.join(below)}")
+    # no format has friction that turns over a range of speeds
+    turned = [joint for e in arm.effects if turning_speed(e) for joint in e.joints]
+    if turned:
+        listed = "all joints" if len(turned) == arm.nv else ", ".join(turned)
+        missing.append(f"gradual reversal of the friction of {listed}")
     return missing
 
 
@@ -206,7 +217,6 @@ def held_by(arm: Robot, file_format: str) -> Robot:
     for effect in arm.effects:
         if file_format not in effect.export.formats:
             continue
-        # no format has friction that turns over a range of speeds
         whole = replace(turning(effect, 0.0), joints=arm.joints)
         values = np.zeros(arm.nv)
         if before := effects.get(effect.export.joint_property):

@@ -23,7 +23,7 @@ from plant_recordings import swinging
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Estimate, identify_robot, load_dataset
 from excitant.identify.drive_gains import DriveGains
-from excitant.identify.export import held_by, model_files, publication, save_model
+from excitant.identify.export import held_by, lacking, model_files, publication, save_model
 from excitant.identify.mujoco import mujoco_torque, side_by_side
 from excitant.identify.preprocessing import Segment
 from excitant.identify.refit import Refit
@@ -579,3 +579,13 @@ def test_what_files_make_up_for_holds_in_other_motions_and_known_torque(planar: 
         found.append(Refit(arm, [rows], np.ones(2), known).of(held_by(arm, "urdf"), "urdf"))
     assert found[0] is None
     assert all(effect.values[0] > 0 == effect.values[1] for effect in found[1].effects)
+
+
+def test_no_format_has_friction_that_turns_gradually() -> None:
+    arm = load_robot("planar_2r")
+    gradual = fx.turning(fx.CoulombFriction(arm.joints, (2.0, 3.0)), 0.1)
+    for file_format in ("urdf", "mjcf", "sdf"):
+        turned, jumping = (arm.with_effects([e]) for e in (gradual, fx.turning(gradual, 0.0)))
+        told = ["gradual reversal of the friction of all joints"]
+        assert (lacking(turned, file_format), lacking(jumping, file_format)) == (told, [])
+        assert held_by(turned, file_format).effects == jumping.effects
