@@ -78,7 +78,7 @@ class Finding:
     Attributes:
         effect: The cause, on one joint, with the value that the extended model has.
         nominal: The value that the nominal model has for each coefficient.
-        covariance: Of its k coefficients by the fit, shape (k, k); see `judged`.
+        covariance: Of its k coefficients by the fit if it is the cause, shape (k, k).
         by_gains: Their errors by one standard deviation of the drive gains, shape (k,).
         explained: Share of the nominal model's squared error on the hold-out that it removes.
         joint: Index of the joint where it is largest relative to what remains.
@@ -150,20 +150,6 @@ class Finding:
         """Whether it is an effect of the nominal model with its value."""
         of_model = self.effect.role == "torque" and bool(np.any(self.nominal))
         return of_model and self.is_nominal
-
-    def judged(self, reason: str) -> Finding:
-        """It with a reason to downgrade it, or none.
-
-        An undecided cause may be absent as likely as not: the mean square error of its change d
-        from the nominal values, true with one half, zero with the other, adds ½ d dᵀ.
-        """
-        found = replace(self, downgrade=reason)
-        if found.verdict == "named":
-            return found
-        change = np.array(self.effect.values or ()) - self.nominal
-        return replace(
-            found, covariance=self.covariance + np.outer(change, change) / 2
-        )
 
     @property
     def refuted(self) -> bool:

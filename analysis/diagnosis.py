@@ -295,7 +295,7 @@ def _judged(
         reason = reason or reason_to_downgrade(
             mounted.robot, finding, causes, left, body_std
         )
-        yield finding.judged(reason)
+        yield replace(finding, downgrade=reason)
 
 
 def _coarse_sentence(segments: Sequence[Segment], joints: Sequence[str]) -> str:
@@ -463,7 +463,7 @@ def _judged_set_up(mounted: SetUp, finding: Finding) -> Finding:
         reason = "its size is not known to better than half of it"
     elif finding.rms_after >= finding.rms_before:
         reason = "it does not predict the hold-out better"
-    return replace(finding, rivals=mounted.rivals).judged(reason)
+    return replace(finding, rivals=mounted.rivals, downgrade=reason)
 
 
 def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:

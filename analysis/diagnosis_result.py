@@ -169,7 +169,12 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
         "sentence": sentence(group, diagnosis),
         "parameters": [p for f in group for p in _parameters(f, diagnosis)],
         "sizes": [
-            {"name": s.name, "value": s.value, "std": s.std, "unit": s.unit}
+            {
+                "name": s.name,
+                "value": s.value,
+                "std": s.std if np.isfinite(s.std) else None,
+                "unit": s.unit,
+            }
             for f in group
             for s in sizes(f, diagnosis)
         ],
@@ -205,6 +210,7 @@ def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
     effect = finding.effect
     robot = diagnosis.robot
     drive = diagnosis.drive
+    named = finding.verdict == "named"
     rows = zip(
         effect.parameters(robot),
         effect.values or (),
@@ -222,8 +228,8 @@ def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
             "value": factor * value,
             "given": factor * nominal,
             "unit": unit,
-            # torque shows a link only together with others
-            "std": None if effect.role == "link" else known,
+            # torque shows a link only together with others; an undecided cause may be absent
+            "std": known if named and effect.role != "link" else None,
         }
     for s in effect.search.shapes:
         if s.positive and not s.trial:

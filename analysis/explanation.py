@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -292,12 +292,15 @@ def sizes(finding: Finding, diagnosis: Diagnosis) -> tuple[Size, ...]:
     factors = np.array([factor for factor, _ in scales])
     by_gains = np.where(factors == 1, finding.by_gains, 0.0)
     covariance = finding.covariance + np.outer(by_gains, by_gains)
-    return effect.sizes(
+    found = effect.sizes(
         factors * np.array(effect.values),
         factors * np.array(finding.nominal),
         np.outer(factors, factors) * covariance,
         [unit for _, unit in scales],
     )
+    if finding.verdict == "named":
+        return found
+    return tuple(replace(size, std=np.nan) for size in found)
 
 
 def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:

@@ -123,12 +123,16 @@ class Size:
     name: str
     unit: str
     value: float
-    std: float
+    std: float  # nan: whether the effect is there is not decided
     given: float = 0.0
 
     def __str__(self) -> str:
-        text = f"{self.value:.3g} ± {self.std:.2g}"
+        text = f"{self.value:.3g}{self.spread()}"
         return text if self.unit == "1" else f"{text} {self.unit}"
+
+    def spread(self, factor: float = 1.0) -> str:
+        """`` ± `` and its standard deviation in another unit; empty where that is not known."""
+        return f" ± {factor * self.std:.2g}" if np.isfinite(self.std) else ""
 
 
 def length(x: Array, covariance: Array) -> tuple[float, float]:

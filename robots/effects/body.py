@@ -50,8 +50,8 @@ class KinematicError(Effect):
             "gravity_direction": f"{by.LEVEL}; {by.KINEMATICS}",
         },
         sentence=lambda effect, robot, joints, sizes: (
-            f"The axis of {joints[0]} seems {1e3 * sizes[0].value:.0f} ± "
-            f"{1e3 * sizes[0].std:.2g} mm off where the model has it"
+            f"The axis of {joints[0]} seems "
+            f"{1e3 * sizes[0].value:.0f}{sizes[0].spread(1e3)} mm off where the model has it"
         ),
     )
 
@@ -95,8 +95,9 @@ def _true_gravity(
     if not (robot.gravity + effect.coefficients).any():
         return "The torque has no gravity: it was taken off, or gravity is balanced"
     gravity = ", ".join(f"{x:.2f}" for x in robot.gravity + effect.coefficients)
-    spread = ", ".join(f"{size.std:.2g}" for size in sizes)
-    return f"Gravity points along ({gravity}) ± ({spread}) m/s² in the base frame"
+    spread = ", ".join(f"{size.std:.2g}" for size in sizes if np.isfinite(size.std))
+    gravity = f"({gravity}) ± ({spread})" if spread else f"({gravity})"
+    return f"Gravity points along {gravity} m/s² in the base frame"
 
 
 @registered
@@ -184,7 +185,7 @@ def _wrong_mass(
 ) -> str:
     [link] = effect.owners(robot)
     mass = sizes[0].value
-    size = f"{abs(mass):.2f} ± {sizes[0].std:.2g} kg {'lighter' if mass < 0 else 'heavier'}"
+    size = f"{abs(mass):.2f}{sizes[0].spread()} kg {'lighter' if mass < 0 else 'heavier'}"
     if link == robot.links[-1] and mass < 0:
         return f"{link} is {size} than the model says, as if a tool in the model were not mounted"
     return f"The inertial parameters of {link} are wrong (it is {size} than the model says)"

@@ -44,7 +44,7 @@ def _gain(
 ) -> str:
     if len(joints) > 1:
         return usual_sentence(effect, robot, joints, sizes)
-    gain = f"{100 * sizes[0].value:+.1f} ± {100 * sizes[0].std:.2g} %"
+    gain = f"{100 * sizes[0].value:+.1f}{sizes[0].spread(100)} %"
     return f"{joints[0]}: torque reads {gain} against the model's"
 
 
@@ -112,7 +112,7 @@ class TimeDelay(Effect):
         },
         sentence=lambda effect, robot, joints, sizes: (
             "The torque lags the motion by "
-            f"{1e3 * sizes[0].value:.1f} ± {1e3 * sizes[0].std:.2g} ms"
+            f"{1e3 * sizes[0].value:.1f}{sizes[0].spread(1e3)} ms"
         ),
     )
 

@@ -1148,7 +1148,7 @@ class FoundParameter(Record):
     value: Number
     "Estimate."
     std: Number = None
-    "Standard deviation; of an undecided cause, it may be absent as likely as not."
+    "Standard deviation; null of an undecided cause, which may be absent."
     given: Number = None
     "Nominal value."
     unit: str = ""

@@ -367,11 +367,14 @@ def test_a_link_of_which_the_file_says_nothing_is_no_other_cause(name, link, dia
     assert (found.extended.nrmse < 0.03).all()
 
 
-def test_an_undecided_size_may_as_well_be_the_given_one(coulomb: Diagnosis) -> None:
+def test_an_undecided_size_has_no_deviation(coulomb: Diagnosis) -> None:
     lead = coulomb.findings[0]
+    for finding, known in ((lead, True), (replace(lead, downgrade="why"), False)):
+        entry = replace(coulomb, findings=(finding,)).result()["findings"][0]
+        values = [*entry["parameters"][:1], *entry["sizes"][:1]]
+        assert [value["std"] is not None for value in values] == [known, known]
+        assert ("±" in entry["sentence"]) == known
     change = np.array(lead.effect.values) - lead.nominal
-    assert lead.judged("").std == pytest.approx(lead.std)
-    assert lead.judged("why").std == pytest.approx(np.hypot(lead.std, change / np.sqrt(2)))
     for deviations in (1.9, 2.1):
         assert replace(lead, covariance=(change / deviations)[:, None] ** 2).is_open == (
             deviations < 2
