@@ -106,6 +106,8 @@ def turned_rows(
                 continue
             j = robot.joint_index(joint)
             own = reduced.index[j] == base.columns.index(column)
+            if not (own.any() and used[:, j].any()):
+                continue
             fit = _LeftOut(reduced.columns[j], own, reduced.tau[:, j], used[:, j])
             speeds = [v for v in REVERSALS.shares * top[j] if v > least[j]]
             found = _turning(fit, single, robot, data, speeds)

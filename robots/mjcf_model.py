@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
+import lazy_loader
 import msgspec
-import mujoco
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
@@ -30,6 +30,8 @@ from excitant.robots.urdf_writer import (
     numbers_text,
     urdf_text,
 )
+
+mujoco = lazy_loader.load("mujoco")  # an extra
 
 
 def described(

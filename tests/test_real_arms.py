@@ -71,6 +71,8 @@ def test_the_same_recording_gives_the_same_friction_in_three_verbs(ran: Verbs) -
     for coefficient, entry in friction(diagnosed["findings"]):
         mine = known[coefficient]
         assert entry["unit"] == mine["unit"]
+        if entry["std"] is None:
+            continue  # undecided
         std = math.hypot(entry["std"], mine["std"])
         joint = coefficient.rpartition(".")[0]
         assert abs(entry["value"] - mine["value"]) <= 3 * std or joint in shared, coefficient

@@ -68,7 +68,7 @@ def test_identify_and_diagnose_differ_by_named_effects_alone(data_folder: Path) 
     same = identify_robot(dataset.robot, fitted, validate=held, effects=effects)
     known = [{p["name"]: p for p in each.result()["parameters"]} for each in (usual, same)]
     found = [p for f in diagnosis.result()["findings"] for p in f["parameters"]]
-    plain = [p for p in found if p["name"].rpartition(".")[2] in ("Fv", "Fc")]
+    plain = [p for p in found if p["name"].rpartition(".")[2] in ("Fv", "Fc") and p["std"]]
     [note] = [n for n in diagnosis.result()["notes"] if "share the torque" in n]
     apart = []
     for p in plain:

@@ -49,7 +49,7 @@ def two(planar: Robot, runs: Runs) -> list[Recording]:
 
 @pytest.fixture(scope="module")
 def plain(planar: Robot, two: list[Recording]) -> Estimate:
-    return identify_robot(planar, two[:1], validate=two[1:])
+    return identify_robot(planar, two[:1], validate=two[1:], effects=STANDARD)
 
 
 @pytest.mark.slow
@@ -149,7 +149,8 @@ def test_real_friction_is_found(data_folder: Path, share: float) -> None:
     [whole] = dataset.recordings(["unisa_exciting"])
     fit, unseen = [whole.between(0, share, "first")], [whole.between(share, 1, "rest")]
     found = choose_effects(dataset.robot, fit)
-    bare = identify_robot(dataset.robot, fit, validate=unseen)
+    usual = kinds.standard_effects(dataset.robot.joints)
+    bare = identify_robot(dataset.robot, fit, validate=unseen, effects=usual)
     better = identify_robot(dataset.robot, fit, validate=unseen, effects=found)
     assert better.validate.nrmse.sum() < 0.85 * bare.validate.nrmse.sum()
     assert violations(better.phi, dataset.robot.links) == []

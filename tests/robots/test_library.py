@@ -61,7 +61,7 @@ def test_every_arm_has_bodies_that_keep_apart_in_most_poses(builtin: Robot) -> N
 
 def test_every_arm_can_be_simulated(builtin: Robot, runs: Call) -> None:
     sensors = industrial_sensors(builtin)
-    [run] = runs(builtin, 1, sensors=sensors, tolerance=0.03, duration=1.0, names=["run"])
+    [run] = runs(builtin, 1, sensors=sensors, tolerance=0.03, duration=2.0, names=["run"])
     assert (np.abs(run.tau) <= 1.5 * builtin.limits.torque).all()  # and no NaN
 
 
