@@ -28,11 +28,6 @@ from excitant.robots.robot import Robot
 
 DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
 LONGEST_DELAY = 0.04  # s, of an alternative to another delay
-LEAST_SHIFT = 0.63
-"""Least delay over its trial: between neighbours of `DELAYS`, a factor of up to 2.5 apart.
-
-Half a trial is no shift but the mean of two instants, which any noise of the motion prefers.
-"""
 
 
 def _each_then_all(joints: tuple[str, ...]) -> list[tuple[str, ...]]:
@@ -100,9 +95,6 @@ class TimeDelay(Effect):
             ),
         ),
         places=_each_then_all,
-        feasible=lambda effect, robot, values, std: bool(
-            values[0] / effect.trial > LEAST_SHIFT
-        ),
     )
     words = Words(
         "torque rate",

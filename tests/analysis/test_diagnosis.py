@@ -26,7 +26,7 @@ from excitant.identify.preprocessing import away_from_rest
 from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import EFFECTS, RotorInertia, TorqueGain, plausible
+from excitant.robots.effects import EFFECTS, RotorInertia, TorqueGain
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -379,12 +379,6 @@ def test_an_undecided_size_has_no_deviation(coulomb: Diagnosis) -> None:
         assert replace(lead, covariance=(change / deviations)[:, None] ** 2).is_open == (
             deviations < 2
         )
-
-
-def test_the_mean_of_two_instants_is_no_delay() -> None:
-    delay, robot = EFFECTS["time_delay"](("joint1",), trial=-0.05), load_robot("planar_2r")
-    values = np.array([[-0.025], [-0.035], [-0.075]])
-    assert [plausible(delay, robot, x, np.array([1e-3])) for x in values] == [False, True, True]
 
 
 @pytest.mark.parametrize(
