@@ -20,7 +20,7 @@ from excitant.identify.accuracy import (
 )
 from excitant.identify.attenuation import attenuation
 from excitant.identify.drive_gains import DriveGains
-from excitant.identify.estimators import ESTIMATORS, estimated
+from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.nearness import needed_masses
@@ -328,7 +328,9 @@ def identify_robot(
 
     def fitted_to(data: Data) -> tuple[Estimate, float]:
         problem = robot, effects, base_parameters(robot, effects), data
-        rows, turns = turned_rows(*problem) if default else (fit_rows(*problem), ())
+        rows, turns = (
+            turned_rows(*problem, spoiled) if default else (fit_rows(*problem), ())
+        )
         rows = with_own_torque(rows, prior, known)
         notes = (*notes_on(rows, prior), *turns)
         shapes = refined_shapes(rows, prior, known)

@@ -14,7 +14,7 @@ fit to all blocks but b is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -22,7 +22,6 @@ import numpy as np
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.accuracy import BLOCKS, chance_of_loss
-from excitant.identify.estimators import spoiled
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.preprocessing import Mask, certain_rows, top_speed
 from excitant.identify.regression import effect_columns, regression_of
@@ -81,9 +80,16 @@ class Turning(NamedTuple):
 
 
 def turned_rows(
-    robot: Robot, effects: Sequence[Effect], base: BaseParameters, data: Data
+    robot: Robot,
+    effects: Sequence[Effect],
+    base: BaseParameters,
+    data: Data,
+    spoiled: Callable[[FitRows], bool] | None = None,
 ) -> tuple[FitRows, tuple[str, ...]]:
-    """The rows of a fit with dry friction that turns as they show, and sentences on that."""
+    """The rows of a fit with dry friction that turns as they show, and sentences on that.
+
+    Of rows that are ``spoiled``, as by bursts of torque, it turns at once: they decide nothing.
+    """
     regression = regression_of(robot, effects, data.train)
     at_once = counted_rows(robot, effects, base, data, regression)
     reduced = regression.select(base.columns)
@@ -118,7 +124,7 @@ def turned_rows(
             unit = "rad/s" if robot.revolute[j] else "m/s"
             speed = f"{turning_speed(found.effect):.2g} {unit}"
             words.append(f"{joint} {speed} (error {100 * found.less:.0f} % less)")
-    if not words or spoiled(at_once):  # bursts decide nothing
+    if not words or (spoiled is not None and spoiled(at_once)):
         return at_once, ()
     rows = counted_rows(robot, turned, base, data, regression)
     sentence = (
