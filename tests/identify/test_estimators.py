@@ -259,6 +259,7 @@ def test_bursts_of_torque_make_the_default_robust(planar: Robot) -> None:
     found = identify_robot(planar, [replace(NOISY, tau=NOISY.tau + bursts)])
     assert found.estimator == ESTIMATORS["irls"]
     assert "in bursts or contact" in " ".join(found.notes)
+    assert "friction turns" not in " ".join(found.notes)
     error = np.abs(found.least_squares.beta - clean.least_squares.beta)
     assert (error < 4 * found.least_squares.std).all()
     # only where a joint goes fast: as likely to be physics as bursts
