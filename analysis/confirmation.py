@@ -252,6 +252,10 @@ class Extension:
             return self
         extender = replace(self.extender, last=True)
         fit = extender(self.chosen)
+        if extender.holdout.worse(
+            fit.predicted, self.predicted, CONFIRMATION.floor
+        ):
+            extender, fit = self.extender, self
         needed = set[Key]()
         while (cause := _cancelled(fit, needed)) is not None:
             without = extender([c for c in fit.chosen if c is not cause])

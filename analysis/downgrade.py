@@ -28,7 +28,8 @@ def reason_to_downgrade(
     effect = finding.effect
     if finding.by_chance(VERDICT.chance):
         return "its values are the given ones within their uncertainty"
-    if len(effect.joints) == 1 and finding.is_open:
+    single = effect.role != "torque" or len(effect.values or ()) == 1
+    if single and len(effect.joints) == 1 and finding.is_open:
         size = "size" if effect.role == "torque" else "mass"
         return f"the sign of its {size} is not known to two standard deviations"
     if _like_wrong_masses(robot, finding, findings, body_std):

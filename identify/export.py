@@ -201,7 +201,10 @@ def lacking(arm: Robot, file_format: str) -> list[str]:
         elif joints and below:
             missing.append(f"negative {plain(effect.name)} of {', '.join(below)}")
     # no format has friction that turns over a range of speeds
-    turned = [joint for e in arm.effects if turning_speed(e) for joint in e.joints]
+    turning_ones = (
+        e for e in arm.effects if turning_speed(e) and any(e.values or ())
+    )
+    turned = [joint for effect in turning_ones for joint in effect.joints]
     if turned:
         listed = "all joints" if len(turned) == arm.nv else ", ".join(turned)
         missing.append(f"gradual reversal of the friction of {listed}")

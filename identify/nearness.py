@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from excitant.exceptions import BadInput, Infeasible
 from excitant.identify.knowledge import Knowledge, Near
 from excitant.identify.physical import AGREEMENT, PhysicalFit, fit_physical
 from excitant.identify.prior import BodyPrior, EffectPrior
@@ -72,18 +73,25 @@ def needed_masses(
     reach = LARGE_CHANGE * link_lengths(robot, bodies)
     wide = BodyPrior(bodies, np.maximum(fit.prior.sigma, AGREEMENT.largest))
 
-    def misfit(near: dict[str, Near]) -> float:
+    def misfit(near: dict[str, Near]) -> float | None:
+        """The least; None where what is known leaves no room, or the programme is unsettled."""
         known = replace(knowledge, near=near)
-        x = fit_physical(R, z, wide, effects, known, robot.links).x
-        return float(((R @ x - z) ** 2).sum())
+        try:
+            found = fit_physical(R, z, wide, effects, known, robot.links)
+        except (BadInput, Infeasible):
+            return None
+        return None if found.note else float(((R @ found.x - z) ** 2).sum())
 
-    allowed = misfit({}) + CHANCE
+    least = misfit({})
+    if least is None:
+        return {}
 
     def excluded(k: int, value: float) -> bool:
         low = min(value, (1 - LARGE_CHANGE) * nominal[k])
         high = max(value, (1 + LARGE_CHANGE) * nominal[k])
         near = Near(low, high, tuple(centres[k].tolist()), reach[k])
-        return misfit({robot.links[k]: near}) > allowed
+        error = misfit({robot.links[k]: near})
+        return error is not None and error > least + CHANCE
 
     found = {}
     for k in np.flatnonzero(moved).tolist():

@@ -256,9 +256,11 @@ def turning_spread(rows: FitRows, fit: LeastSquares, covariance: Array) -> Array
     names = [f"log v {k + 1}" for k in range(len(slopes))]
     try:
         wider = weighted_least_squares(rows.reduced.with_columns(D, names))
-    except RankDeficient:
-        return np.zeros((len(covariance), 0))
-    root = np.linalg.cholesky(wider.covariance[len(beta) :, len(beta) :])
+        root = np.linalg.cholesky(wider.covariance[len(beta) :, len(beta) :])
+    except (RankDeficient, np.linalg.LinAlgError):  # known to a step of the grid
+        root = np.eye(len(slopes)) * np.log(
+            REVERSALS.shares[1] / REVERSALS.shares[0]
+        )
     p = len(covariance)
     gram = rows.regression.with_columns(D, names).gram(fit.weight**2)
     return -covariance @ gram[:p, p:-1] @ root

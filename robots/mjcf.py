@@ -243,8 +243,11 @@ def _check_sizes(root: Element, path: Path) -> None:
 
 
 def _product(text: str) -> float:
-    """Product of the numbers in a text, 1 without any."""
+    """Product of the numbers in a text, 1 without any; infinite where one is nan."""
     try:
-        return float(np.prod([max(abs(float(word)), 1.0) for word in text.split()]))
+        product = float(
+            np.prod([max(abs(float(word)), 1.0) for word in text.split()])
+        )
     except ValueError:
         return 1.0
+    return np.inf if np.isnan(product) else product

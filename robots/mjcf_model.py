@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
-import lazy_loader
 import msgspec
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,10 @@ from excitant.robots.urdf_writer import (
     urdf_text,
 )
 
-mujoco = lazy_loader.load("mujoco")  # an extra
+# at once: the child that imports this module may open no file afterwards; `excitant.robots.mjcf`
+# asks for it where it is missing
+with suppress(ImportError):
+    import mujoco
 
 
 def described(

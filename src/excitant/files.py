@@ -73,6 +73,8 @@ def require_replaceable(folder: str | Path) -> None:
     why = ""
     if exists(path) and not isdir(path):
         why = "is a file"
+    elif lexists(path) and not exists(path):
+        why = "is a link that leads nowhere"
     elif path in (Path.cwd(), *Path.cwd().parents):
         why = "is the working folder or holds it, and would be replaced as a whole"
     elif os.path.ismount(path):
@@ -93,7 +95,7 @@ def write_file(path: str | Path, content: str | bytes) -> None:
     Raises:
         BadInput: It cannot be written.
     """
-    path = Path(path).resolve()
+    path = Path(os.path.realpath(path))
     with _put_aside(path) as stage:
         _write(stage / path.name, content, path)
         os.replace(stage / path.name, path)
@@ -118,7 +120,7 @@ def write_folder(
         BadInput: It cannot be written; an old folder is as it was.
     """
     require_replaceable(folder)
-    target = Path(folder).resolve()
+    target = Path(os.path.realpath(folder))
     for name in contents:
         if isdir(target / name):
             raise BadInput(
