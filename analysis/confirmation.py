@@ -346,13 +346,12 @@ class Extender:
             extension, findings=_findings(robot, extension, self.holdout)
         )
 
-    def by(self, model: Robot, keep: Set[Effect], evidence: Evidence) -> Extender:
+    def by(self, model: Robot, keep: Set[Effect]) -> Extender:
         """The same with columns of another model, but for those of some effects that are kept."""
         return replace(
             self,
             train=self.train.by(model, keep),
             halves=tuple(half.by(model, keep) for half in self.halves),
-            evidence=evidence,
         )
 
     def _columns(self, effects: Sequence[Effect]) -> tuple[Array, Array | None]:

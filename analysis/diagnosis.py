@@ -239,15 +239,15 @@ def diagnose(
     gains = gains_of(mounted.robot, data, drive)
     tau = measured * gains
     holdout = holdout_of(mounted.robot, data.validate, gains, nominal, drive)
-    halves = _halves(
-        mounted.robot, fitted(repaired[:count], repaired[count:]), data
-    )
+    share = coarseness(data.train)
+    logs = fitted(repaired[:count], repaired[count:])
+    halves = _halves(mounted.robot, logs, data, share)
     fit = _extended(mounted, train, halves, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
     joints = nominal.joints
     left = residuals(joints, data.validate, error, holdout.error, fit.predicted)
     causes, corrected = _causes(mounted.robot, fit, holdout, drive)
-    coarse = _coarse_sentence(data.train, joints) if halves else ""
+    coarse = _coarse_sentence(share, joints) if halves else ""
     of_set_up = [
         _of_set_up(mounted, effect, fit, holdout) for effect in mounted.effects
     ]
@@ -298,9 +298,8 @@ def _judged(
         yield replace(finding, downgrade=reason)
 
 
-def _coarse_sentence(segments: Sequence[Segment], joints: Sequence[str]) -> str:
-    """How coarse positions are, and what is done about it."""
-    share = coarseness(segments)
+def _coarse_sentence(share: Array, joints: Sequence[str]) -> str:
+    """How coarse positions are, by `coarseness`, and what is done about it."""
     return (
         f"positions are coarse beside the motion (noise of {100 * share.max():.2g} % of the "
         f"acceleration of {joints[int(np.argmax(share))]}): values are fitted to what even and "
@@ -319,10 +318,10 @@ def _impossible(mounted: SetUp, fit: Extension, holdout: Holdout) -> str:
 
 
 def _halves(
-    robot: Robot, recordings: Sequence[Recording], data: Data
+    robot: Robot, recordings: Sequence[Recording], data: Data, share: Array
 ) -> tuple[Observed, ...]:
-    """Columns by even and by odd samples where positions are coarse beside the motion."""
-    if not (coarseness(data.train) > CONFIRMATION.coarse).any():
+    """Columns by even and by odd samples where positions are coarse, by `coarseness`."""
+    if not (share > CONFIRMATION.coarse).any():
         return ()
     try:
         halves = half_segments(recordings, data)
@@ -475,7 +474,7 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
     for _ in range(SEARCH.rounds):
         if best is not None:
             unused = idle(best.evidence, best.chosen)
-            extender = extender.by(best.model, unused, first.evidence)
+            extender = extender.by(best.model, unused)
             evidence = gather(
                 robot,
                 extender.train,

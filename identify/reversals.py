@@ -59,6 +59,11 @@ class ReversalSettings:
     difference: float = 1e-3
     rounds: int = 5
 
+    @property
+    def step(self) -> float:
+        """Of log v, between speeds tried."""
+        return float(np.log(self.shares[1] / self.shares[0]))
+
 
 REVERSALS = ReversalSettings()
 
@@ -164,8 +169,6 @@ def _turning(
 def _refined(fit: _LeftOut, found: Turning, robot: Robot, data: Data) -> Turning:
     """The same with v between the neighbours on the grid at which squared errors are least."""
     start = turning_speed(found.effect)
-    grid = np.log(REVERSALS.shares)
-    apart = float(grid[1] - grid[0])
     log_ratio = 0.0
     for _ in range(REVERSALS.rounds):
         effect, ahead = (
@@ -178,7 +181,9 @@ def _refined(fit: _LeftOut, found: Turning, robot: Robot, data: Data) -> Turning
         found = found._replace(effect=effect, column=column)
         if not force > 0:
             break
-        log_ratio = float(np.clip(log_ratio + change / force, -apart, apart))
+        log_ratio = float(
+            np.clip(log_ratio + change / force, -REVERSALS.step, REVERSALS.step)
+        )
     return found
 
 
@@ -208,14 +213,13 @@ class _LeftOut:
 
     def coefficients(self, columns: Array) -> Array:
         """Those of columns, shape (n, k), in place of its own in the fit to all rows, (k,)."""
-        X = columns[self.used]
-        basis = self.basis[self.used]
-        beyond = X - basis @ (basis.T @ X)
-        return np.linalg.lstsq(beyond, self.tau[self.used], rcond=REVERSALS.rank)[0]
+        beyond = self._beyond(columns)[self.used]
+        solved = np.linalg.lstsq(beyond, self.tau[self.used], rcond=REVERSALS.rank)
+        return np.asarray(solved[0], float)
 
     def errors(self, column: Array) -> Array:
         """Errors with this column, shape (n,), in place of its own."""
-        beyond = column - self.basis @ (self.basis[self.used].T @ column[self.used])
+        beyond = self._beyond(column)
         size = max(np.linalg.norm(beyond[self.used]), np.finfo(float).tiny)
         Q = np.column_stack([self.basis, beyond / size])
         counted = Q * self.used[:, None]
@@ -228,6 +232,10 @@ class _LeftOut:
             change = np.linalg.solve(others, score)
             errors.append(residual[block] + Q[block] @ change)
         return np.concatenate(errors)
+
+    def _beyond(self, columns: Array) -> Array:
+        """What of columns, shape (n, k) or (n,), the others do not fit at rows used."""
+        return columns - self.basis @ (self.basis[self.used].T @ columns[self.used])
 
 
 def turning_spread(rows: FitRows, fit: LeastSquares, covariance: Array) -> Array:
@@ -258,9 +266,7 @@ def turning_spread(rows: FitRows, fit: LeastSquares, covariance: Array) -> Array
         wider = weighted_least_squares(rows.reduced.with_columns(D, names))
         root = np.linalg.cholesky(wider.covariance[len(beta) :, len(beta) :])
     except (RankDeficient, np.linalg.LinAlgError):  # known to a step of the grid
-        root = np.eye(len(slopes)) * np.log(
-            REVERSALS.shares[1] / REVERSALS.shares[0]
-        )
+        root = REVERSALS.step * np.eye(len(slopes))
     p = len(covariance)
     gram = rows.regression.with_columns(D, names).gram(fit.weight**2)
     return -covariance @ gram[:p, p:-1] @ root

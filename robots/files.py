@@ -13,7 +13,7 @@ from defusedxml import EntitiesForbidden
 from defusedxml.ElementTree import XMLParser
 
 from excitant.exceptions import BadRobot
-from excitant.files import read_text
+from excitant.files import read_text, real_path
 
 LARGEST = 32_000_000
 """Bytes of a text that is read; descriptions of whole humanoids have a hundredth."""
@@ -100,11 +100,6 @@ class _Tree(ET.TreeBuilder):
     def _named(self, name: str) -> str:
         space, _, local = name.rpartition("}")
         return self.spaces.get(space[1:], "") + local
-
-
-def real_path(path: str | Path) -> Path:
-    """Absolute path without symbolic links; a loop of links is left as it is."""
-    return Path(os.path.realpath(path))
 
 
 def within(

@@ -16,14 +16,13 @@ import msgspec
 import numpy as np
 
 from excitant.exceptions import BadRobot
-from excitant.files import read_bytes
+from excitant.files import read_bytes, real_path
 from excitant.limited import Exceeded, in_child
 from excitant.robots.files import (
     DEEPEST,
     LARGEST,
     parse_xml,
     read_description,
-    real_path,
     within,
 )
 from excitant.robots.urdf import GRAVITY

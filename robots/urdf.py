@@ -12,9 +12,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
+from excitant.files import real_path
 from excitant.robots.angles import Angles
 from excitant.robots.chains import RobotSpec, held_joints, tree
-from excitant.robots.files import parse_xml, real_path
+from excitant.robots.files import parse_xml
 from excitant.robots.limits import Limits
 from excitant.robots.robot import Robot
 from excitant.robots.urdf_model import build_model, held_pose, restore_link_names

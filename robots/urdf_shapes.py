@@ -14,8 +14,9 @@ import numpy as np
 import pinocchio as pin
 
 from excitant.exceptions import BadRobot
+from excitant.files import real_path
 from excitant.robots.chains import tree
-from excitant.robots.files import package_folders, real_path, ros_folders, within
+from excitant.robots.files import package_folders, ros_folders, within
 from excitant.robots.geometry import Body, Shape
 from excitant.robots.meshes import Mesh, hulls
 from excitant.robots.motion import Array

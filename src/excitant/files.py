@@ -65,9 +65,14 @@ def read_text(path: str | Path, most: int = LARGEST) -> str:
     return read_bytes(path, most).decode("utf-8-sig").replace("\r\n", "\n")
 
 
+def real_path(path: str | Path) -> Path:
+    """Absolute path without symbolic links; a loop of links is left as it is."""
+    return Path(os.path.realpath(path))
+
+
 def require_replaceable(folder: str | Path) -> None:
     """Refuse, as BadInput, a folder that `write_folder` could not put in place."""
-    path = Path(os.path.realpath(folder))
+    path = real_path(folder)
     # a link that leads nowhere is there, though nothing can be written in it
     parent = next((each for each in path.parents if lexists(each)), path)
     why = ""
@@ -95,7 +100,7 @@ def write_file(path: str | Path, content: str | bytes) -> None:
     Raises:
         BadInput: It cannot be written.
     """
-    path = Path(os.path.realpath(path))
+    path = real_path(path)
     with _put_aside(path) as stage:
         _write(stage / path.name, content, path)
         os.replace(stage / path.name, path)
@@ -120,7 +125,7 @@ def write_folder(
         BadInput: It cannot be written; an old folder is as it was.
     """
     require_replaceable(folder)
-    target = Path(os.path.realpath(folder))
+    target = real_path(folder)
     for name in contents:
         if isdir(target / name):
             raise BadInput(
