@@ -61,21 +61,18 @@ $(DEVELOPED): $(INSTALLED) requirements-dev.lock
 	@$(PIP) install --requirement requirements-dev.lock
 	@touch $@
 
-# Resolved for the first release of the oldest Python, so that every pin exists for newer ones too.
-RESOLVE := build/lock/bin/python -m pip install --quiet --dry-run --ignore-installed \
-  --python-version 3.11.0 --only-binary :all: --report build/lock/report.json "setuptools>=77"
-PINS := build/lock/bin/python -c 'import json; \
-  packages = [p["metadata"] for p in json.load(open("build/lock/report.json"))["install"]]; \
-  pins = {p["name"].lower() + "==" + p["version"] for p in packages if p["name"] != "excitant"}; \
-  print("\# Written by make lock from pyproject.toml."); print("\n".join(sorted(pins)))'
+# Pins and hashes of every file of a release, for every platform; SETUPTOOLS builds excitant itself.
+SETUPTOOLS := setuptools>=77
+RESOLVE := build/lock/bin/uv pip compile pyproject.toml - --quiet --no-config --universal \
+  --python-version 3.11 --only-binary :all: --generate-hashes --no-annotate \
+  --custom-compile-command "make lock"
 
 lock:
 	$(PYTHON) -m venv --clear build/lock
-	build/lock/bin/python -m pip install --quiet --upgrade pip
-	$(RESOLVE) ".[dev]"
-	$(PINS) > requirements-dev.lock
-	$(RESOLVE) . --constraint requirements-dev.lock
-	$(PINS) > requirements.lock
+	build/lock/bin/python -m pip install --quiet uv
+	echo "$(SETUPTOOLS)" | $(RESOLVE) --upgrade --extra dev --output-file requirements-dev.lock
+	echo "$(SETUPTOOLS)" | $(RESOLVE) --upgrade --constraints requirements-dev.lock \
+	  --output-file requirements.lock
 	@rm -r build/lock
 
 THREE := 0.187.0
