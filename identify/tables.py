@@ -10,7 +10,8 @@ import numpy as np
 
 from excitant.identify.accuracy import Coverage, coverage
 from excitant.identify.friction import curves_over_velocity, friction_curves
-from excitant.identify.nearness import LARGE_CHANGE, link_lengths
+from excitant.identify.nearness import LARGE_CHANGE, impossible_values, link_lengths
+from excitant.identify.objections import HoldOut, worse_joints
 from excitant.identify.prior import decided_by
 from excitant.identify.rows import states, units_of
 from excitant.robots.base_parameters import categories
@@ -181,6 +182,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
             ),
             *_moved(estimate, bodies),
             *([estimate.knowledge.sentence] if estimate.knowledge.sentence else []),
+            *_lacking(estimate),
             *_missed(robot.joints, covered),
         ],
     }
@@ -332,6 +334,42 @@ def _tool(estimate: Estimate) -> str:
             parts.append(f"{excess:+.3g} ± {std:.1g} kg·m along {axis}")
     moment = f", with a first moment of {', '.join(parts)}" if parts else ""
     return f": a payload or another tool{moment}?"
+
+
+def _lacking(estimate: Estimate) -> list[str]:
+    """Sentences on what shows that the model lacks something, if anything does."""
+    robot = estimate.given
+    base = estimate.base
+    fit = estimate.least_squares
+    effects = estimate.model.effects
+    units = units_of(robot, effects, estimate.drive)
+    values = []
+    for i in impossible_values(robot, effects, base, fit):
+        k = base.columns[i]
+        factor, unit = units[k]
+        spread = f"{factor * fit.beta[i]:.2g} ± {factor * fit.std[i]:.1g} {unit}"
+        values.append(f"{base.names[k]} = {spread}")
+    sentences = []
+    if values:
+        sentences.append(
+            f"least squares ends where physics allows no arm: {', '.join(values)}; the data hold "
+            "something there that the model lacks, as a spring, hysteresis or a lag, and the model "
+            "keeps to what is possible"
+        )
+    judged = HoldOut(
+        estimate.data.validate,
+        estimate.holdout,
+        estimate.gains,
+        estimate.predicted,
+        nominal=estimate.holdout_columns @ fit.beta / estimate.gains,
+    )
+    if worse := worse_joints(robot.joints, judged):
+        sentences.append(
+            "least squares without regard to what bodies can be predicts the hold-out better than "
+            f"the model, beyond chance, at {', '.join(worse)}: the model lacks something there; "
+            "`excitant diagnose` looks for its cause"
+        )
+    return sentences
 
 
 def _missed(joints: Sequence[str], covered: Coverage) -> list[str]:
