@@ -47,6 +47,7 @@ class BodyChange:
             gyration, whichever is longest [m].
         needed: Mass nearest to the nominal one that the data allow [kg]; None where that is no
             large change.
+        shown: What torque shows of the mass, and how far that is off, in words; else empty.
         known: Whether a drive gain is known, where currents were recorded: else nothing is told of
             what moved.
     """
@@ -60,6 +61,7 @@ class BodyChange:
     centre_by: str
     length: float
     needed: float | None
+    shown: str
     known: bool
 
     @property
@@ -93,7 +95,8 @@ class BodyChange:
         if self.needed is None:
             return "; the data fit as well with one within half of the given"
         end = "least" if self.mass > self.nominal_mass else "most"
-        return f"; the data need at {end} {self.needed:.2g} kg, or another centre of mass"
+        need = f"{self.needed:.2g} kg, or another centre of mass"
+        return f"; the data need at {end} {need}{self.shown}"
 
     def entry(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
@@ -134,10 +137,38 @@ def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
             centre_by=max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index),
             length=float(lengths[k]),
             needed=estimate.needed.get(link),
+            shown=_shown_with(estimate, k),
             known=drive is None or bool(drive.known.any()),
         )
         changes.append(change)
     return tuple(changes)
+
+
+def _shown_with(estimate: Estimate, k: int) -> str:
+    """By how much the simplest sum is off that holds the mass of a link, in words.
+
+    Torque shows the sum, whatever the prior, and so a payload, wherever in the link it is: nothing
+    else of that link and no effect is in it.
+    """
+    base = estimate.base
+    bodies = estimate.physical.prior.bodies.ravel()
+    links = base.regrouping[:, : bodies.size]
+    excess = estimate.least_squares.beta - links @ bodies
+    std = estimate.base_std
+    own = links[:, 10 * k + 1 : 10 * k + 10]
+    effects = base.regrouping[:, bodies.size :]
+    beside = np.hstack([own, effects]).any(axis=1)
+    holds = (links[:, 10 * k] != 0) & ~beside & (np.abs(excess) > SURE_STDS * std)
+    members = np.where(holds, np.count_nonzero(links, axis=1), np.inf)
+    i = int(np.argmin(members))
+    if not holds[i]:
+        return ""
+    unit = UNITS[base.columns[i] % len(UNITS)]
+    alone = excess[i] / links[i, 10 * k]
+    return (
+        f"; {base.expressions[i]} is off by {excess[i]:+.3g} ± {std[i]:.1g} {unit}, "
+        f"as {alone:+.2g} kg of this link alone would be"
+    )
 
 
 def result_of(estimate: Estimate) -> dict[str, Any]:
@@ -354,7 +385,7 @@ def _lacking(estimate: Estimate) -> list[str]:
         sentences.append(
             f"least squares ends where physics allows no arm: {', '.join(values)}; the data hold "
             "something there that the model lacks, as a spring, hysteresis or a lag, and the model "
-            "keeps to what is possible"
+            "keeps to what is possible; `--effects auto` looks for it"
         )
     judged = HoldOut(
         estimate.data.validate,
