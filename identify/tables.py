@@ -145,18 +145,18 @@ def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
 
 
 def _shown_with(estimate: Estimate, k: int) -> str:
-    """By how much the simplest sum is off that holds the mass of a link, in words.
+    """By how much the simplest sum is off the given one that holds the mass of a link, in words.
 
     Torque shows the sum, whatever the prior, and so a payload, wherever in the link it is: nothing
     else of that link and no effect is in it.
     """
     base = estimate.base
-    bodies = estimate.physical.prior.bodies.ravel()
-    links = base.regrouping[:, : bodies.size]
-    excess = estimate.least_squares.beta - links @ bodies
+    given = estimate.given.phi
+    links = base.regrouping[:, : given.size]
+    excess = estimate.least_squares.beta - links @ given
     std = estimate.base_std
     own = links[:, 10 * k + 1 : 10 * k + 10]
-    effects = base.regrouping[:, bodies.size :]
+    effects = base.regrouping[:, given.size :]
     beside = np.hstack([own, effects]).any(axis=1)
     holds = (links[:, 10 * k] != 0) & ~beside & (np.abs(excess) > SURE_STDS * std)
     members = np.where(holds, np.count_nonzero(links, axis=1), np.inf)
@@ -164,10 +164,11 @@ def _shown_with(estimate: Estimate, k: int) -> str:
     if not holds[i]:
         return ""
     unit = UNITS[base.columns[i] % len(UNITS)]
-    alone = excess[i] / links[i, 10 * k]
+    lever = links[i, 10 * k]
+    alone = f"{excess[i] / lever:+.2g} ± {std[i] / abs(lever):.1g} kg"
     return (
         f"; {base.expressions[i]} is off by {excess[i]:+.3g} ± {std[i]:.1g} {unit}, "
-        f"as {alone:+.2g} kg of this link alone would be"
+        f"as {alone} of this link alone would be"
     )
 
 
