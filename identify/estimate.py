@@ -23,7 +23,7 @@ from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.nearness import needed_masses
+from excitant.identify.nearness import impossible_values, needed_masses
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.preprocessing import Mask, prepare
 from excitant.identify.prior import prior_parameters
@@ -84,7 +84,8 @@ class Estimate(Shown):
         base_std: Standard deviations of the base parameters, those of drive gains included; NaN
             where they rest on gains that are not known.
         std: The same of the parameters that torque shows alone, in the units in which they are
-            told; NaN of all others, of which any would be the prior's.
+            told; NaN of all others, of which any would be the prior's, and of those that the data
+            put where physics does not allow them (`impossible_values`).
         data: What was fitted and held out.
         notes: What the user should know, as sentences.
         drive: Drive gains, if torque was recorded as current.
@@ -488,8 +489,9 @@ def _of_parameters(rows: FitRows, fit: LeastSquares, base_std: Array) -> Array:
     std = np.full(len(base.names), np.nan)
     units = units_of(rows.robot, rows.effects, rows.drive)
     category = categories(base)
+    impossible = impossible_values(rows.robot, rows.effects, base, fit)
     for i, k in enumerate(base.columns):
-        if category[k] == "unique":
+        if category[k] == "unique" and i not in impossible:
             factor, _ = units[k]
             # amperes do not depend on the gain
             std[k] = base_std[i] if factor == 1 else factor * fit.std[i]

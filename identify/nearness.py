@@ -1,4 +1,4 @@
-"""What the data alone say of a mass that the fit moved by half.
+"""What the data alone say: of a mass that the fit moved by half, of values that none can have.
 
 Torque shows sums of masses and first moments along an arm, which the prior shares out: a link that
 it moved far is further off than the others are likely to be, and not always one that the data ask
@@ -12,14 +12,19 @@ so wide that it says nothing. It is convex in the standard parameters.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from excitant.exceptions import BadInput, Infeasible
 from excitant.identify.knowledge import Knowledge, Near
+from excitant.identify.least_squares import LeastSquares
 from excitant.identify.physical import AGREEMENT, PhysicalFit, fit_physical
 from excitant.identify.prior import BodyPrior, EffectPrior
+from excitant.robots.base_parameters import BaseParameters, categories
+from excitant.robots.effects import Effect
 from excitant.robots.motion import Array
 from excitant.robots.parameters import inertia
 from excitant.robots.robot import Robot
@@ -30,6 +35,28 @@ CHANCE = 3.84
 """Growth of ‖R x − z‖² that is chance: the 95 % quantile of chi-square, one parameter."""
 HALVINGS = 4
 """Of the logarithm of a mass between half off and fitted: 2.0 kg for 0.2 is told to 13 %."""
+
+
+IMPOSSIBLE_BY_CHANCE = 0.05
+"""Probability that any possible coefficient is said to be none, of all of them; convention."""
+
+
+def impossible_values(
+    robot: Robot, effects: Sequence[Effect], base: BaseParameters, fit: LeastSquares
+) -> tuple[int, ...]:
+    """Base parameters that are a coefficient alone, estimated below its least value beyond chance.
+
+    A rotor inertia, say, that is negative: the model lacks what the data hold in its place, as a
+    spring or hysteresis, and the physically consistent fit keeps to the least value.
+    """
+    lower = np.full(len(base.names), -np.inf)
+    lower[10 * robot.nv :] = [p.lower for e in effects for p in e.parameters(robot)]
+    category = categories(base)
+    alone = [category[k] == "unique" for k in base.columns]
+    least = np.where(alone, lower[list(base.columns)], -np.inf)
+    tried = max(np.isfinite(least).sum(), 1)
+    beyond = fit.beta - scipy.special.ndtri(IMPOSSIBLE_BY_CHANCE / tried) * fit.std
+    return tuple(np.flatnonzero(beyond < least).tolist())
 
 
 def link_lengths(robot: Robot, bodies: Array) -> Array:

@@ -10,7 +10,8 @@ import numpy as np
 
 from excitant.identify.accuracy import Coverage, coverage
 from excitant.identify.friction import curves_over_velocity, friction_curves
-from excitant.identify.nearness import LARGE_CHANGE, link_lengths
+from excitant.identify.nearness import LARGE_CHANGE, impossible_values, link_lengths
+from excitant.identify.objections import HoldOut, worse_joints
 from excitant.identify.prior import decided_by
 from excitant.identify.rows import states, units_of
 from excitant.robots.base_parameters import categories
@@ -46,6 +47,7 @@ class BodyChange:
             gyration, whichever is longest [m].
         needed: Mass nearest to the nominal one that the data allow [kg]; None where that is no
             large change.
+        shown: What torque shows of the mass, and how far that is off, in words; else empty.
         known: Whether a drive gain is known, where currents were recorded: else nothing is told of
             what moved.
     """
@@ -59,6 +61,7 @@ class BodyChange:
     centre_by: str
     length: float
     needed: float | None
+    shown: str
     known: bool
 
     @property
@@ -92,7 +95,8 @@ class BodyChange:
         if self.needed is None:
             return "; the data fit as well with one within half of the given"
         end = "least" if self.mass > self.nominal_mass else "most"
-        return f"; the data need at {end} {self.needed:.2g} kg, or another centre of mass"
+        need = f"{self.needed:.2g} kg, or another centre of mass"
+        return f"; the data need at {end} {need}{self.shown}"
 
     def entry(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
@@ -133,10 +137,39 @@ def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
             centre_by=max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index),
             length=float(lengths[k]),
             needed=estimate.needed.get(link),
+            shown=_shown_with(estimate, k),
             known=drive is None or bool(drive.known.any()),
         )
         changes.append(change)
     return tuple(changes)
+
+
+def _shown_with(estimate: Estimate, k: int) -> str:
+    """By how much the simplest sum is off the given one that holds the mass of a link, in words.
+
+    Torque shows the sum, whatever the prior, and so a payload, wherever in the link it is: nothing
+    else of that link and no effect is in it.
+    """
+    base = estimate.base
+    given = estimate.given.phi
+    links = base.regrouping[:, : given.size]
+    excess = estimate.least_squares.beta - links @ given
+    std = estimate.base_std
+    own = links[:, 10 * k + 1 : 10 * k + 10]
+    effects = base.regrouping[:, given.size :]
+    beside = np.hstack([own, effects]).any(axis=1)
+    holds = (links[:, 10 * k] != 0) & ~beside & (np.abs(excess) > SURE_STDS * std)
+    members = np.where(holds, np.count_nonzero(links, axis=1), np.inf)
+    i = int(np.argmin(members))
+    if not holds[i]:
+        return ""
+    unit = UNITS[base.columns[i] % len(UNITS)]
+    lever = links[i, 10 * k]
+    alone = f"{excess[i] / lever:+.2g} ± {std[i] / abs(lever):.1g} kg"
+    return (
+        f"; {base.expressions[i]} is off by {excess[i]:+.3g} ± {std[i]:.1g} {unit}, "
+        f"as {alone} of this link alone would be"
+    )
 
 
 def result_of(estimate: Estimate) -> dict[str, Any]:
@@ -181,6 +214,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
             ),
             *_moved(estimate, bodies),
             *([estimate.knowledge.sentence] if estimate.knowledge.sentence else []),
+            *_lacking(estimate),
             *_missed(robot.joints, covered),
         ],
     }
@@ -332,6 +366,42 @@ def _tool(estimate: Estimate) -> str:
             parts.append(f"{excess:+.3g} ± {std:.1g} kg·m along {axis}")
     moment = f", with a first moment of {', '.join(parts)}" if parts else ""
     return f": a payload or another tool{moment}?"
+
+
+def _lacking(estimate: Estimate) -> list[str]:
+    """Sentences on what shows that the model lacks something, if anything does."""
+    robot = estimate.given
+    base = estimate.base
+    fit = estimate.least_squares
+    effects = estimate.model.effects
+    units = units_of(robot, effects, estimate.drive)
+    values = []
+    for i in impossible_values(robot, effects, base, fit):
+        k = base.columns[i]
+        factor, unit = units[k]
+        spread = f"{factor * fit.beta[i]:.2g} ± {factor * fit.std[i]:.1g} {unit}"
+        values.append(f"{base.names[k]} = {spread}")
+    sentences = []
+    if values:
+        sentences.append(
+            f"least squares ends where physics allows no arm: {', '.join(values)}; the data hold "
+            "something there that the model lacks, as a spring, hysteresis or a lag, and the model "
+            "keeps to what is possible; `--effects auto` looks for it"
+        )
+    judged = HoldOut(
+        estimate.data.validate,
+        estimate.holdout,
+        estimate.gains,
+        estimate.predicted,
+        nominal=estimate.holdout_columns @ fit.beta / estimate.gains,
+    )
+    if worse := worse_joints(robot.joints, judged):
+        sentences.append(
+            "least squares without regard to what bodies can be predicts the hold-out better than "
+            f"the model, beyond chance, at {', '.join(worse)}: the model lacks something there; "
+            "`excitant diagnose` looks for its cause"
+        )
+    return sentences
 
 
 def _missed(joints: Sequence[str], covered: Coverage) -> list[str]:

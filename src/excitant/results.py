@@ -602,7 +602,8 @@ class Parameter(Record):
     value: Number
     "Identified value."
     std: Number
-    "Standard deviation; null where torque does not determine the parameter alone."
+    "Standard deviation; null where torque does not determine the parameter alone, or determines "
+    "a value that physics does not allow."
     unit: str
     "Unit."
     category: Category

@@ -1,5 +1,7 @@
 """Joints at rest spoil no fit, whatever dry friction holds and whatever encoders toggle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from arms import TrueArm
@@ -20,14 +22,14 @@ STEP = 2 * np.pi / 2**16  # rad
 SHARP = standard_effects(ARM.joints)
 
 
-def run(seed: int, moving=(0, 1), toggling=False, duration=10.0, turning=1e-9) -> Recording:
+def run(seed: int, moving=(0, 1), toggling=False, duration=10.0, turning=1e-9, arm=TRUTH):
     """Friction holds joints at rest with little change; toggling readings are random neighbours."""
     rng, t = np.random.default_rng(seed), np.arange(0, duration, 1 / 200)
     path = random_trajectory(ARM, rng, duration, 5)
     q, dq, ddq = (np.array(path(t, order)) for order in range(3))
     still = [j for j in range(2) if j not in moving]
     q[:, still], dq[:, still], ddq[:, still] = 0.7, 0.0, 0.0
-    tau, read = TRUTH.torque(Motion(t, q, dq, ddq)), STEP * np.round(q / STEP)
+    tau, read = arm.torque(Motion(t, q, dq, ddq)), STEP * np.round(q / STEP)
     tau += TRUTH.Fc * (np.tanh(dq / turning) - np.sign(dq))
     for j in still:
         held = tau[0, j] + TRUTH.Fc[j]
@@ -72,6 +74,14 @@ def test_friction_turns_over_the_speeds_over_which_that_of_the_arm_turns() -> No
         x.std[[x.base.names.index(f"{j}.Fc") for j in ARM.joints]] for x in (found, known)
     )
     assert ((std > 1.05 * exact) & (np.abs(friction(found) - TRUTH.Fc) < 4 * std)).all()
+
+
+@pytest.mark.parametrize("apparent", [0.02, -0.03])  # kg·m²; friction that lags takes some off
+def test_a_rotor_that_none_can_be_is_told_as_what_the_model_lacks(apparent: float) -> None:
+    arm = replace(TRUTH, Ia=np.array([0.05, apparent]))
+    found = identify_robot(ARM, [run(1, arm=arm)], validate=[run(100, arm=arm)])
+    told = any("joint2.Ia = -0.0" in note for note in found.result()["notes"])
+    assert told == np.isnan(found.std[found.base.names.index("joint2.Ia")]) == (apparent < 0)
 
 
 @pytest.mark.parametrize("toggling", [slow(False), True])
