@@ -68,12 +68,15 @@ class Series:
         measured: Filtered torque, shape (n, nv) [torque unit].
         raw: Unfiltered torque, shape (n, nv) [torque unit].
         moves: Rows that no rest of the joint affects, shape (n, nv).
+        least: Standard deviation of the torque that shows more than friction, shape (nv,) [torque
+            unit]; None where that is more than noise.
     """
 
     t: Array
     measured: Array
     raw: Array
     moves: Mask
+    least: Array | None = None
 
     @cached_property
     def counts(self) -> Mask:
@@ -101,7 +104,8 @@ class Series:
         rms = self.rms(error)
         rms_raw = self.rms(self.raw - predicted)
         std = self.std
-        nrmse = np.divide(rms, std, out=np.full_like(rms, np.nan), where=std > 0)
+        shown = std > (0.0 if self.least is None else self.least)
+        nrmse = np.divide(rms, std, out=np.full_like(rms, np.nan), where=shown)
         return Accuracy(
             rms,
             rms_raw,
@@ -119,8 +123,10 @@ class Series:
     @cached_property
     def judged(self) -> Mask:
         """Joints that move here and whose torque varies by more than its noise, shape (nv,)."""
-        varies = self.std > [noise(x) for x in self.raw.T]
-        return self.moves.any(axis=0) & varies
+        least = self.least
+        if least is None:
+            least = np.array([noise(x) for x in self.raw.T])
+        return self.moves.any(axis=0) & (self.std > least)
 
     def losses(self, predicted: Array, instead: Array) -> Array:
         """How much larger the squared error of one prediction is than that of another, (n, nv).

@@ -25,9 +25,15 @@ from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.nearness import needed_masses
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.preprocessing import Mask, prepare
+from excitant.identify.poses import SHOWN, kept, pose_rows, scatter
+from excitant.identify.preprocessing import Mask, Segment, prepare
 from excitant.identify.prior import prior_parameters
-from excitant.identify.recording import Recording, Recordings, recordings_of
+from excitant.identify.recording import (
+    Recording,
+    Recordings,
+    recordings_of,
+    shows_poses,
+)
 from excitant.identify.regression import regression_of
 from excitant.identify.repeats import Repeats, repeats_of
 from excitant.identify.reversals import turned_rows, turning_spread
@@ -94,6 +100,8 @@ class Estimate(Shown):
         repeats: Whether the recordings agree; None of a single one.
         needed: Masses nearest to the given ones that the data allow [kg], by link, of those that
             moved by half because the data ask for it; see `needed_masses`.
+        scatter: Torque that no bodies explain at poses, shape (nv,) [torque unit]; None of motions.
+        kept: Effects of the given arm of which poses show nothing.
     """
 
     given: Robot
@@ -111,6 +119,8 @@ class Estimate(Shown):
     shapes: Shapes | None = None
     repeats: Repeats | None = None
     needed: Mapping[str, float] = field(default_factory=dict)
+    scatter: Array | None = None
+    kept: tuple[Effect, ...] = ()
 
     @property
     def gains(self) -> Array:
@@ -126,7 +136,7 @@ class Estimate(Shown):
     def _fitted(self) -> tuple[Series, Array]:
         """Rows of the fit, and the model's torque there, shape (n, nv) [torque unit]."""
         predicted = predicted_torque(self.model, self.data.train) / self.gains
-        return series(self.data.train), read_only(predicted)
+        return self._series(self.data.train), read_only(predicted)
 
     @cached_property
     def train(self) -> Accuracy:
@@ -137,7 +147,11 @@ class Estimate(Shown):
     @cached_property
     def holdout(self) -> Series:
         """Rows of the hold-out."""
-        return series(self.data.validate)
+        return self._series(self.data.validate)
+
+    def _series(self, segments: Sequence[Segment]) -> Series:
+        rows = series(segments)
+        return rows if self.scatter is None else replace(rows, least=SHOWN * self.scatter)
 
     @cached_property
     def predicted(self) -> Array:
@@ -324,6 +338,8 @@ def identify_robot(
     known = (knowledge or Knowledge()).of(robot)
     default = effects is None
     effects = effects_of(robot, effects)
+    if default and all(map(shows_poses, (*recordings, *validate))):
+        return _of_poses(robot, recordings, validate, prior, known)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
 
     def fitted_to(data: Data) -> tuple[Estimate, float]:
@@ -376,6 +392,33 @@ def identify_robot(
         f"parameter by more than {max(moved, 1e-4):.1g} of its standard error"
     )
     return replace(estimate, notes=(*estimate.notes, note))
+
+
+def _of_poses(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    validate: Sequence[Recording],
+    prior: Array,
+    known: Knowledge,
+) -> Estimate:
+    """The estimate from poses of an arm at rest; see `excitant.identify.poses`."""
+    rows = pose_rows(robot, recordings, validate)
+    fit = weighted_least_squares(rows.reduced)
+    unexplained = scatter(rows, fit)
+    R, z = rows.regression.factor(fit.weight)
+    physical = fit_physical(
+        R, z, prior, rows.open_prior, knowledge=known, links=robot.links
+    )
+    estimate = judged(robot, rows, fit, physical, notes_on(rows, prior))
+    return replace(
+        estimate,
+        # base parameters of gravity are no prior of a motion's
+        model=replace(estimate.model, estimate=None),
+        knowledge=known,
+        needed=needed_masses(physical, R, z, rows.open_prior, known, robot),
+        scatter=unexplained,
+        kept=kept(robot),
+    )
 
 
 def _with_bias(rows: FitRows, fit: LeastSquares) -> LeastSquares:

@@ -109,12 +109,12 @@ def split(
     _refuse_seen(recordings, validate)
     why = "as given"
     if cutoff_hz is None:
-        parts = _parts(recordings, validate)
+        parts = fitted_and_held(recordings, validate)
         highest = min(default_cutoff(r) for group in parts for r in group)
         cutoff_hz, why = _cutoff(harmonics_hz or 0.0, highest)
     train, holdout = (
         tuple(s for r in group for s in prepare(r, cutoff_hz))
-        for group in _parts(recordings, validate)
+        for group in fitted_and_held(recordings, validate)
     )
     names = ", ".join(r.name for r in validate)
     unseen = names or "the last 30 % of each recording (no hold-out was named)"
@@ -198,10 +198,10 @@ def fitted(
     recordings: Sequence[Recording], validate: Sequence[Recording]
 ) -> list[Recording]:
     """Recordings to fit: as they are, or their first part where none is held out."""
-    return list(_parts(recordings, validate)[0])
+    return list(fitted_and_held(recordings, validate)[0])
 
 
-def _parts(
+def fitted_and_held(
     recordings: Sequence[Recording], validate: Sequence[Recording]
 ) -> tuple[Iterable[Recording], Iterable[Recording]]:
     """Fitted and held-out recordings one at a time, since long ones fill the memory."""

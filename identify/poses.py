@@ -1,0 +1,202 @@
+"""Poses: an arm at rest, a row each, whose torque shows gravity and nothing of motion.
+
+    τ = Y(q, 0, 0) φ + Σ_e C_e(q) θ_e + f,    |f_j| ≤ breakaway torque of joint j,
+
+with the effects e that act at rest. Dry friction f holds any torque up to its breakaway torque, as
+the arm came to each pose: it is the noise here, so that a joint whose torque varies by no more than
+that shows friction and no gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from excitant.exceptions import BadRecording
+from excitant.identify.least_squares import NOISE, LeastSquares
+from excitant.identify.preprocessing import REST, Segment
+from excitant.identify.recording import Recording
+from excitant.identify.rows import Data, FitRows, counted_rows, fitted_and_held
+from excitant.identify.regression import regression_of
+from excitant.robots.base_parameters import (
+    BaseParameters,
+    observe,
+    regroup,
+    structural_motion,
+)
+from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
+
+SAME_POSE = 3e-3
+"""Positions [rad or m] within which rows in a row are one pose: a servo holds a joint to that."""
+SHOWN = 2.0
+"""Standard deviation of a joint's torque over its scatter, above which it shows gravity: the best
+model misses half of it then, less than what is objected to (`objections.MISSED`)."""
+NO_MOTION = (
+    "at rest torque shows gravity and its offsets, no friction and no inertia, of which nothing is "
+    "identified"
+)
+
+
+def pose_rows(
+    robot: Robot, recordings: Sequence[Recording], validate: Sequence[Recording]
+) -> FitRows:
+    """Rows of poses for the effects that act at rest, and the base parameters that gravity shows.
+
+    Raises:
+        BadRecording: A row in which a joint moves, or a hold-out with poses that are fitted.
+    """
+    train, held = (
+        [_poses(each, robot) for each in some] for some in (recordings, validate)
+    )
+    _refuse_shared(train, held)
+    fit, holdout = (
+        tuple(_segment(each) for each in some)
+        for some in fitted_and_held(train, held)
+    )
+    names = ", ".join(each.name for each in held)
+    unseen = names or "the last 30 % of each recording (no hold-out was named)"
+    data = Data(
+        fit,
+        holdout,
+        recordings[0].unit,
+        np.inf,
+        f"held out: {unseen}, {_count(holdout)} poses beside {_count(fit)} that are fitted: "
+        f"{NO_MOTION}",
+        "poses: dry friction holds any torque up to its breakaway torque, which counts as noise: "
+        "come to the poses from both sides",
+        recordings[0].drive,
+    )
+    effects = at_rest(robot)
+    base = _base(robot, effects)
+    regression = regression_of(robot, effects, fit)
+    return counted_rows(robot, effects, base, data, regression)
+
+
+def at_rest(robot: Robot) -> tuple[Effect, ...]:
+    """Effects that are estimated: offsets of the torque, and what the given arm has at rest."""
+    offsets = tuple(
+        effect
+        for effect in standard_effects(robot.joints)
+        if effect.name == "torque_offset"
+    )
+    motion = _stopped(structural_motion(robot, np.random.default_rng(1)))
+    others = tuple(
+        effect
+        for effect in robot.effects
+        if effect.name != "torque_offset" and effect.columns(robot, motion).any()
+    )
+    return offsets + others
+
+
+def kept(robot: Robot) -> tuple[Effect, ...]:
+    """Effects of the given arm of which rest shows nothing."""
+    shown = {effect.name for effect in at_rest(robot)}
+    return tuple(effect for effect in robot.effects if effect.name not in shown)
+
+
+def scatter(rows: FitRows, fit: LeastSquares) -> Array:
+    """Torque that no bodies explain, shape (nv,) [torque unit].
+
+    Raises:
+        BadRecording: So few poses that a joint's torque is fitted whatever it is.
+    """
+    problem = rows.reduced
+    R, _ = problem.factor(fit.weight)
+    inverse = np.linalg.inv(R[: problem.p])
+    poses = len(problem)
+    for j, (index, T) in enumerate(
+        zip(problem.index, problem.triangles, strict=True)
+    ):
+        taken = float(
+            ((fit.weight[j] * T[:, :-1] @ inverse[index]) ** 2).sum()
+        )
+        if poses - taken < NOISE.freedom:
+            raise BadRecording(
+                ", ".join(s.name for s in rows.data.train),
+                f"{poses} poses are fitted, of which {rows.robot.joints[j]} takes {taken:.3g} to "
+                "be explained whatever its torque is: record more poses",
+            )
+    return np.asarray(fit.sigma / rows.gains)
+
+
+def _count(segments: Sequence[Segment]) -> int:
+    return sum(len(segment.motion) for segment in segments)
+
+
+def _base(robot: Robot, effects: Sequence[Effect]) -> BaseParameters:
+    motion = structural_motion(robot, np.random.default_rng(0))
+    return regroup(observe(robot, effects, _stopped(motion)))
+
+
+def _stopped(motion: Motion) -> Motion:
+    still = np.zeros_like(motion.q)
+    return replace(motion, dq=still, ddq=still)
+
+
+def _poses(recording: Recording, robot: Robot) -> Recording:
+    """One row a pose, the mean of rows in a row at one place."""
+    _refuse_moving(recording, robot)
+    steps = np.abs(np.diff(recording.q, axis=0)).max(axis=1)
+    first = np.append(0, 1 + np.flatnonzero(steps > SAME_POSE))
+    counts = np.diff(np.append(first, len(recording)))
+    q, tau = (
+        np.add.reduceat(x, first, axis=0) / counts[:, None]
+        for x in (recording.q, recording.tau)
+    )
+    return replace(recording, t=recording.t[first], q=q, tau=tau, dq=None, extras={})
+
+
+def _refuse_moving(recording: Recording, robot: Robot) -> None:
+    if recording.dq is None:
+        return
+    limit = robot.limits.velocity
+    limit = np.where(limit < 1e3, limit, REST.free_speed)
+    moving = np.abs(recording.dq) > REST.moving_share * limit
+    if not moving.any():
+        return
+    rows = moving.any(axis=1)
+    row = int(np.argmax(rows))
+    j = int(np.argmax(moving[row]))
+    raise BadRecording(
+        recording.file,
+        f"{int(rows.sum())} of {len(rows)} rows are no poses, for joints move there "
+        f"({robot.joints[j]} at {recording.dq[row, j]:.3g} here), and too far apart to show a "
+        "motion: record one at 10 Hz or more, or an arm at rest",
+        row=row,
+    )
+
+
+def _refuse_shared(
+    train: Sequence[Recording], held: Sequence[Recording]
+) -> None:
+    """Refuse a hold-out in which a pose has the torques of one that is fitted, to the last digit."""
+    seen = {row.tobytes() for each in train for row in _values(each)}
+    for each in held:
+        shared = sum(row.tobytes() in seen for row in _values(each))
+        if shared:
+            raise BadRecording(
+                each.file,
+                f"{shared} of its {len(each)} poses are fitted too: a hold-out must be unseen; "
+                "name another",
+            )
+
+
+def _values(recording: Recording) -> Array:
+    return np.column_stack([recording.q, recording.tau])
+
+
+def _segment(recording: Recording) -> Segment:
+    """Poses as a segment that nothing filters."""
+    still = np.zeros_like(recording.q)
+    return Segment(
+        name=recording.name,
+        motion=Motion(recording.t, recording.q, still, still),
+        tau=recording.tau,
+        tau_raw=recording.tau,
+        cutoff_hz=np.inf,
+        keep=slice(0, len(recording)),
+    )
