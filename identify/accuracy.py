@@ -104,8 +104,9 @@ class Series:
         rms = self.rms(error)
         rms_raw = self.rms(self.raw - predicted)
         std = self.std
-        shown = std > (0.0 if self.least is None else self.least)
-        nrmse = np.divide(rms, std, out=np.full_like(rms, np.nan), where=shown)
+        nrmse = np.divide(
+            rms, std, out=np.full_like(rms, np.nan), where=self._shown
+        )
         return Accuracy(
             rms,
             rms_raw,
@@ -119,6 +120,10 @@ class Series:
     def std(self) -> Array:
         """Standard deviation of the measured torque where it counts, shape (nv,)."""
         return self.measured.std(axis=0, where=self.counts)
+
+    @property
+    def _shown(self) -> Mask:
+        return self.std > (0.0 if self.least is None else self.least)
 
     @cached_property
     def judged(self) -> Mask:
@@ -134,7 +139,7 @@ class Series:
         Relative to the variance of the torque; 0 where an error does not count.
         """
         std = self.std
-        scale = np.divide(1.0, std, out=np.zeros_like(std), where=std > 0)
+        scale = np.divide(1.0, std, out=np.zeros_like(std), where=self._shown)
         error = (self.measured - predicted) * scale
         other = (self.measured - instead) * scale
         return np.where(self.counts, error**2 - other**2, 0.0)

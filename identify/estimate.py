@@ -25,7 +25,7 @@ from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.nearness import needed_masses
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.poses import SHOWN, kept, pose_rows, scatter
+from excitant.identify.poses import SHOWN, fit_poses, kept, pose_rows
 from excitant.identify.preprocessing import Mask, Segment, prepare
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import (
@@ -403,8 +403,7 @@ def _of_poses(
 ) -> Estimate:
     """The estimate from poses of an arm at rest; see `excitant.identify.poses`."""
     rows = pose_rows(robot, recordings, validate)
-    fit = weighted_least_squares(rows.reduced)
-    unexplained = scatter(rows, fit)
+    fit = fit_poses(rows)
     R, z = rows.regression.factor(fit.weight)
     physical = fit_physical(
         R, z, prior, rows.open_prior, knowledge=known, links=robot.links
@@ -416,7 +415,7 @@ def _of_poses(
         model=replace(estimate.model, estimate=None),
         knowledge=known,
         needed=needed_masses(physical, R, z, rows.open_prior, known, robot),
-        scatter=unexplained,
+        scatter=fit.sigma / rows.gains,
         kept=kept(robot),
     )
 

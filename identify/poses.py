@@ -15,7 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.least_squares import NOISE, LeastSquares
+from excitant.identify.least_squares import (
+    NOISE,
+    LeastSquares,
+    believed,
+    factorised,
+    student_width,
+)
 from excitant.identify.preprocessing import REST, Segment
 from excitant.identify.recording import Recording
 from excitant.identify.rows import Data, FitRows, counted_rows, fitted_and_held
@@ -32,9 +38,10 @@ from excitant.robots.robot import Robot
 
 SAME_POSE = 3e-3
 """Positions [rad or m] within which rows in a row are one pose: a servo holds a joint to that."""
-SHOWN = 2.0
+SHOWN = 3.0
 """Standard deviation of a joint's torque over its scatter, above which it shows gravity: the best
-model misses half of it then, less than what is objected to (`objections.MISSED`)."""
+model misses a third of it then, and by chance of ten poses less than what is objected to
+(`objections.MISSED`)."""
 NO_MOTION = (
     "at rest torque shows gravity and its offsets, no friction and no inertia, of which nothing is "
     "identified"
@@ -98,29 +105,45 @@ def kept(robot: Robot) -> tuple[Effect, ...]:
     return tuple(effect for effect in robot.effects if effect.name not in shown)
 
 
-def scatter(rows: FitRows, fit: LeastSquares) -> Array:
-    """Torque that no bodies explain, shape (nv,) [torque unit].
+def fit_poses(rows: FitRows) -> LeastSquares:
+    """Weighted least squares whose noise has no colour, for poses come in any order.
+
+    The noise of a joint is its squares over the rows that its columns leave, and the covariance is
+    widened by Student's t for these (Satterthwaite 1946).
 
     Raises:
+        RankDeficient: Poses that do not show some columns.
         BadRecording: So few poses that a joint's torque is fitted whatever it is.
     """
     problem = rows.reduced
-    R, _ = problem.factor(fit.weight)
-    inverse = np.linalg.inv(R[: problem.p])
-    poses = len(problem)
-    for j, (index, T) in enumerate(
-        zip(problem.index, problem.triangles, strict=True)
-    ):
-        taken = float(
-            ((fit.weight[j] * T[:, :-1] @ inverse[index]) ** 2).sum()
+    sigma = believed(problem.tau.std(axis=0))
+    for _ in range(NOISE.rounds):
+        factor = factorised(problem, sigma)
+        beta = factor.solve()
+        root = factor.inverse / factor.norms[:, None]
+        acting = zip(problem.index, problem.triangles, sigma, strict=True)
+        shares = [T[:, :-1] @ root[index] / s for index, T, s in acting]
+        freedom = len(problem) - np.array([(B**2).sum() for B in shares])
+        _refuse_few(rows, freedom)
+        squares = (problem.residual(beta) ** 2).sum(axis=0)
+        sigma = believed(np.sqrt(squares / freedom))
+    parts = np.array([((B @ root.T) ** 2).sum(axis=0) for B in shares])
+    width = student_width(
+        parts.sum(axis=0) ** 2 / (parts**2 / freedom[:, None]).sum(axis=0)
+    )
+    covariance = root @ root.T * np.outer(width, width)
+    return LeastSquares(beta, covariance, sigma, np.ones_like(sigma))
+
+
+def _refuse_few(rows: FitRows, freedom: Array) -> None:
+    j = int(np.argmin(freedom))
+    if freedom[j] < NOISE.freedom:
+        n = len(rows.regression)
+        raise BadRecording(
+            ", ".join(s.name for s in rows.data.train),
+            f"{n} poses are fitted, of which parameters take {n - freedom[j]:.3g} at "
+            f"{rows.robot.joints[j]}, whatever its torque is: record more poses",
         )
-        if poses - taken < NOISE.freedom:
-            raise BadRecording(
-                ", ".join(s.name for s in rows.data.train),
-                f"{poses} poses are fitted, of which {rows.robot.joints[j]} takes {taken:.3g} to "
-                "be explained whatever its torque is: record more poses",
-            )
-    return np.asarray(fit.sigma / rows.gains)
 
 
 def _count(segments: Sequence[Segment]) -> int:

@@ -97,6 +97,8 @@ class Search:
 SEARCH = Search()
 _ANGLES = np.linspace(0, 2 * np.pi, 5, endpoint=False)
 """Zero offsets [rad] that determine a trigonometric polynomial of degree 2."""
+_SERVOS = (360.0, 300.0, 270.0, 180.0)
+"""Ranges [°] that the positions of servos count through."""
 _FACTORS = np.geomspace(1e-3, 1e3, 49)
 """Factors of the time, and of positions, that are tried first."""
 
@@ -129,7 +131,8 @@ class Installation:
             if fault.fault == "wrong_mounting":
                 robot = robot.with_gravity(fault.evidence["gravity"])
             elif fault.fault == "wrong_zero":
-                robot = robot.with_zero(fault.joints[0], fault.evidence["offset"])
+                for joint in fault.joints:
+                    robot = robot.with_zero(joint, fault.evidence["offset"])
             elif fault.fault == "wrong_frame":
                 robot = robot.with_parameters(in_joint_frames(robot))
         return robot
@@ -494,6 +497,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
         yield from signs
         return
     yield from _nearest(fit, [*signs, *_orders(fit), *_couplings(fit)])
+    yield from _from_zero(fit)
     if squares > float(rows.sum()):
         yield from _nearest(fit, [*_two_zeros(fit)])
     yield from _frames(fit)
@@ -640,19 +644,33 @@ def _two_zeros(fit: TorqueFit) -> Iterator[Installation]:
             yield _one(fit, *zeros)
 
 
+def _from_zero(fit: TorqueFit) -> Iterator[Installation]:
+    """Positions of servos that count from zero, where the model has the middle of their range."""
+    turning = np.flatnonzero(fit.robot.revolute)
+    q = fit.data.motion.q[:, turning]
+    if not len(turning) or q.min() < -SEARCH.turn:
+        return
+    for degrees in _SERVOS:
+        if q.max() < np.radians(degrees) + SEARCH.turn:
+            middle = np.radians([-degrees / 2])
+            yield _one(fit, _zero(fit, turning.tolist(), middle))
+
+
 def _zero(
     fit: TorqueFit, joints: Sequence[int], offset: Array, std: Array | None = None
 ) -> Fault:
-    [joint] = fit.log.names(joints)
+    names = fit.log.names(joints)
+    listed = ", ".join(names)
     [angle] = np.degrees(offset)
     known = "" if std is None else f" ± {np.degrees(std[0]):.2g}"
     reading = f"{'+' if angle > 0 else '−'} {abs(angle):.3g}{known}°"
     return Fault(
         "wrong_zero",
-        (joint,),
-        f"the zero position of {joint} is off: its true angle is the reading {reading}",
+        names,
+        f"the zero position of {listed} is off: {'its' if len(names) == 1 else 'each'} true angle "
+        f"is the reading {reading}",
         {"offset": float(offset[0])} | _known(std),
-        f"adds {angle:.4g}° to q of {joint}",
+        f"adds {angle:.4g}° to q of {listed}",
         (Remedy("offset", "q", tuple(joints), factor=float(offset[0])),),
     )
 
