@@ -151,7 +151,11 @@ class Estimate(Shown):
 
     def _series(self, segments: Sequence[Segment]) -> Series:
         rows = series(segments)
-        return rows if self.scatter is None else replace(rows, least=SHOWN * self.scatter)
+        return (
+            rows
+            if self.scatter is None
+            else replace(rows, least=SHOWN * self.scatter)
+        )
 
     @cached_property
     def predicted(self) -> Array:

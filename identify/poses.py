@@ -24,8 +24,8 @@ from excitant.identify.least_squares import (
 )
 from excitant.identify.preprocessing import REST, Segment
 from excitant.identify.recording import Recording
-from excitant.identify.rows import Data, FitRows, counted_rows, fitted_and_held
 from excitant.identify.regression import regression_of
+from excitant.identify.rows import Data, FitRows, counted_rows, fitted_and_held
 from excitant.robots.base_parameters import (
     BaseParameters,
     observe,
@@ -170,7 +170,9 @@ def _poses(recording: Recording, robot: Robot) -> Recording:
         np.add.reduceat(x, first, axis=0) / counts[:, None]
         for x in (recording.q, recording.tau)
     )
-    return replace(recording, t=recording.t[first], q=q, tau=tau, dq=None, extras={})
+    return replace(
+        recording, t=recording.t[first], q=q, tau=tau, dq=None, extras={}
+    )
 
 
 def _refuse_moving(recording: Recording, robot: Robot) -> None:
@@ -193,10 +195,8 @@ def _refuse_moving(recording: Recording, robot: Robot) -> None:
     )
 
 
-def _refuse_shared(
-    train: Sequence[Recording], held: Sequence[Recording]
-) -> None:
-    """Refuse a hold-out in which a pose has the torques of one that is fitted, to the last digit."""
+def _refuse_shared(train: Sequence[Recording], held: Sequence[Recording]) -> None:
+    """Refuse a hold-out with a pose and its torques as they are fitted, to the last digit."""
     seen = {row.tobytes() for each in train for row in _values(each)}
     for each in held:
         shared = sum(row.tobytes() in seen for row in _values(each))

@@ -177,8 +177,9 @@ def odds_against(robot: Robot) -> float:
 
 def installation_faults(case: TorqueFit) -> list[Fault]:
     """The faults of unit, installation and clock that the torque shows."""
+    beyond = [*positions_beyond_limits(case)]
     if faults := [*_torque_beyond_limits(case)]:
-        return faults
+        return beyond + faults
     best = Installation()
     reasons = dict[int, Sequence[Any]]()
     for _ in range(case.robot.nv):
@@ -201,7 +202,7 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         if simplest.squares < float(case.rows.sum()):
             break
     if not best.faults or not _throughout(case, best):
-        return [*positions_beyond_limits(case)]
+        return beyond
     faults = [*_polished(case, best).faults]
     for k, (because, more) in reasons.items():
         fault = faults[k]
@@ -405,14 +406,21 @@ def _simplest(
     alike = dict[tuple[Any, ...], str]()
     for other in others:
         faults = other.installation.faults
-        names = tuple((fault.fault, fault.joints) for fault in faults)
-        alike.setdefault(names, " and ".join(fault.detail for fault in faults))
-    alike.pop(tuple((f.fault, f.joints) for f in best.installation.faults), None)
+        details = " and ".join(fault.detail for fault in faults)
+        alike.setdefault(_kinds(faults), details)
+    alike.pop(_kinds(best.installation.faults), None)
     if alike:
         because += (
             f"; the torque would be the same if {' or if '.join(alike.values())}"
         )
-    return best, because, {"gain": best.odds, "alike": [*itertools.chain(*alike)]}
+    told = {(fault.fault, fault.joints) for fault in best.installation.faults}
+    rivals = [x[:2] for x in itertools.chain(*alike) if x[:2] not in told]
+    return best, because, {"gain": best.odds, "alike": rivals}
+
+
+def _kinds(faults: Sequence[Fault]) -> tuple[Any, ...]:
+    """What faults are of, whatever their values: a sign of q is another than one of torque."""
+    return tuple((f.fault, f.joints, f.channel) for f in faults)
 
 
 def support(
@@ -756,7 +764,10 @@ def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
 
 
 def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
-    """Torques far beyond what drives can do, in the unit that brings them nearest."""
+    """Torques far beyond what drives can do, in the unit that brings them nearest.
+
+    It has a name where bodies near the nominal ones have that torque then, and q is no register.
+    """
     log = case.log
     limit = case.robot.limits.torque[case.joints]
     peak = np.abs(log.tau[:, case.joints]).max(axis=0)
@@ -771,14 +782,27 @@ def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
     factor = next(
         (f for f in powers if typical / f < SEARCH.least_scale), max(powers)
     )
-    detail = (
-        f"tau is {typical:.3g} times the torque limit (median over joints), as in "
-        f"{powers[factor]}"
+    gains, std = case.gains
+    clear = std < SEARCH.clear_scale
+    off = np.abs(np.log(gains[clear] / factor))
+    likely = clear.any() and np.median(off) < np.log(SEARCH.least_scale)
+    registers = len(beyond_limits(case.robot, case.data.motion.q)[0]) > 0
+    detail = f"tau is {typical:.3g} times the torque limit (median over joints)"
+    fault = Fault(
+        "wrong_unit",
+        log.joints,
+        f"{detail}: another unit",
+        {"channel": "tau", "factor": typical},
     )
-    remedy = Remedy("scale", "tau", tuple(range(log.nv)), factor=1 / factor)
-    evidence = {"channel": "tau", "factor": typical}
-    done = f"divides tau by {factor:g}"
-    yield Fault("wrong_unit", log.joints, detail, evidence, done, (remedy,))
+    if likely and not registers:
+        every = tuple(range(log.nv))
+        fault = replace(
+            fault,
+            detail=f"{detail}, as in {powers[factor]}",
+            repair=f"divides tau by {factor:g}",
+            remedies=(Remedy("scale", "tau", every, factor=1 / factor),),
+        )
+    yield fault
 
 
 def _scales(fit: TorqueFit) -> Iterator[Installation]:

@@ -1,12 +1,16 @@
 """Joints at rest spoil no fit, whatever dry friction holds and whatever encoders toggle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from arms import TrueArm
 from marks import slow
 
 from excitant.design import random_trajectory
+from excitant.exceptions import BadRecording
 from excitant.identify import Estimate, Recording, identify_link_by_link, identify_robot
+from excitant.identify.export import publication
 from excitant.identify.faults import find_faults
 from excitant.identify.preprocessing import prepare
 from excitant.robots import Array, Motion, load_robot
@@ -39,6 +43,33 @@ def run(seed: int, moving=(0, 1), toggling=False, duration=10.0, turning=1e-9) -
 
 
 HOLDOUT = [run(100)]
+
+
+def poses(seed: int, count: int = 40) -> Recording:
+    """A row each, 3 s apart, at which friction holds any torque."""
+    rng, t = np.random.default_rng(seed), 3.0 * np.arange(count)
+    q, still = rng.uniform(-2, 2, (count, 2)), np.zeros((count, 2))
+    held = rng.uniform(-1, 1, (count, 2)) * TRUTH.Fc
+    tau = TRUTH.torque(Motion(t, q, still, still)) + held
+    return Recording(f"poses {seed}", f"poses{seed}.csv", t, q, tau)
+
+
+def test_poses_show_gravity_and_offsets_alone() -> None:
+    truth = np.append(ARM.phi, DRIVES["offset"])
+    off = list[float]()
+    for seed in range(10):
+        found = identify_robot(ARM, [poses(seed)], validate=[poses(seed + 50)])
+        off += ((found.base.regrouping @ truth - found.least_squares.beta) / found.base_std).tolist()
+        assert publication(found).published
+        shown = {row["name"] for row in found.result()["parameters"]}
+        assert not [name for name in shown if "I" in name or ".F" in name]
+    assert np.mean(np.abs(off) < 1.96) > 0.85  # of 60, 57 ± 1.7
+    log = poses(0)
+    copy, brief = replace(log, t=log.t + 1), poses(1, 5)
+    moving = replace(log, dq=np.full_like(log.q, 0.5))
+    for wrong, held, why in ((log, [copy], "unseen"), (brief, [log], "few"), (moving, [], "no poses")):
+        with pytest.raises(BadRecording, match=why):
+            identify_robot(ARM, [wrong], validate=held)
 
 
 def friction(estimate: Estimate) -> Array:
