@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
+MOST_TURNS = (
+    6.0  # of a joint's range: wrists turn up to 5, a limit of 30° read as 30 rad 10
+)
 TOUCHED = 0.99  # share of a limit from which on it counts as touched
 
 
@@ -66,15 +69,40 @@ class Limits:
         )
 
 
+def endless_ranges(robot: Robot) -> str:
+    """Joints whose range no joint has, which may be degrees, in words; empty without any."""
+    span = np.ptp(robot.limits.position, axis=1)
+    wide = robot.revolute & np.isfinite(span) & (span > 2 * np.pi * MOST_TURNS)
+    if not wide.any():
+        return ""
+    names = ", ".join(np.array(robot.joints)[wide])
+    low, high = robot.limits.position[int(np.argmax(wide))]
+    return (
+        f"the range of {names} is over {MOST_TURNS:g} turns ({low:.4g} to {high:.4g} rad), "
+        "perhaps of degrees"
+    )
+
+
+def unlimited(robot: Robot) -> str:
+    """Joints whose torque no limit bounds, in words; empty without any."""
+    free = np.array(robot.joints)[np.isinf(robot.limits.torque)]
+    return f"torque of {', '.join(free)}, no limit is given" if len(free) else ""
+
+
 def require_limits(robot: Robot) -> str | None:
     """A sentence about acceleration limits that are missing without need, if any.
 
     Raises:
-        BadInput: Limits of speed are missing, or of both acceleration and torque; says which file
-            to write.
+        BadInput: Limits of speed are missing, or of both acceleration and torque, or a range is
+            none of a joint; says which file to write.
     """
     limits = robot.limits
     joints = np.array(robot.joints)
+    if wide := endless_ranges(robot):
+        raise BadInput(
+            f"{robot.source or robot.name}: {wide}; give radians in the <limit>, or pass "
+            "--limits limits.yaml with 'position: ..'"
+        )
     free = np.isinf(limits.acceleration)
     unbounded = free & np.isinf(limits.torque)
     missing = {

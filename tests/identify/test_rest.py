@@ -59,7 +59,9 @@ def test_poses_show_gravity_and_offsets_alone() -> None:
     off = list[float]()
     for seed in range(10):
         found = identify_robot(ARM, [poses(seed)], validate=[poses(seed + 50)])
-        off += ((found.base.regrouping @ truth - found.least_squares.beta) / found.base_std).tolist()
+        off += (
+            (found.base.regrouping @ truth - found.least_squares.beta) / found.base_std
+        ).tolist()
         assert publication(found).published
         shown = {row["name"] for row in found.result()["parameters"]}
         assert not [name for name in shown if "I" in name or ".F" in name]
@@ -67,7 +69,11 @@ def test_poses_show_gravity_and_offsets_alone() -> None:
     log = poses(0)
     copy, brief = replace(log, t=log.t + 1), poses(1, 5)
     moving = replace(log, dq=np.full_like(log.q, 0.5))
-    for wrong, held, why in ((log, [copy], "unseen"), (brief, [log], "few"), (moving, [], "no poses")):
+    for wrong, held, why in (
+        (log, [copy], "unseen"),
+        (brief, [log], "few"),
+        (moving, [], "no poses"),
+    ):
         with pytest.raises(BadRecording, match=why):
             identify_robot(ARM, [wrong], validate=held)
 
