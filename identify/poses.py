@@ -183,12 +183,12 @@ def _refuse_moving(recording: Recording, robot: Robot) -> None:
     moving = np.abs(recording.dq) > REST.moving_share * limit
     if not moving.any():
         return
-    rows = moving.any(axis=1)
-    row = int(np.argmax(rows))
+    rows = np.flatnonzero(moving.any(axis=1))
+    row = int(rows[0])
     j = int(np.argmax(moving[row]))
     raise BadRecording(
         recording.file,
-        f"{int(rows.sum())} of {len(rows)} rows are no poses, for joints move there "
+        f"{len(rows)} of {len(moving)} rows are no poses, for joints move there "
         f"({robot.joints[j]} at {recording.dq[row, j]:.3g} here), and too far apart to show a "
         "motion: record one at 10 Hz or more, or an arm at rest",
         row=row,

@@ -269,8 +269,9 @@ def _limits(robot: Robot, root: Element) -> Warnings:
                 f"no {name} limit, or zero, so that nothing bounds it here; give it in the "
                 f"<limit> [{unit}] or with --limits",
             )
-    if wide := endless_ranges(robot):
-        yield ModelWarning("limits_unit", (robot.name,), f"{wide}; give radians")
+    wide, why = endless_ranges(robot)
+    if wide:
+        yield ModelWarning("limits_unit", wide, why)
     stated = stated_joints(root)
     for joint, (low, high) in zip(robot.joints, robot.limits.position, strict=True):
         kind = stated[joint].get("type")

@@ -69,18 +69,18 @@ class Limits:
         )
 
 
-def endless_ranges(robot: Robot) -> str:
-    """Joints whose range no joint has, which may be degrees, in words; empty without any."""
+def endless_ranges(robot: Robot) -> tuple[tuple[str, ...], str]:
+    """Joints that turn farther than any does, and how it is said; none and nothing otherwise."""
     span = np.ptp(robot.limits.position, axis=1)
     wide = robot.revolute & np.isfinite(span) & (span > 2 * np.pi * MOST_TURNS)
     if not wide.any():
-        return ""
-    names = ", ".join(np.array(robot.joints)[wide])
+        return (), ""
     low, high = robot.limits.position[int(np.argmax(wide))]
-    return (
-        f"the range of {names} is over {MOST_TURNS:g} turns ({low:.4g} to {high:.4g} rad), "
-        "perhaps of degrees"
+    sentence = (
+        f"its range of {low:.4g} to {high:.4g} rad is over {MOST_TURNS:g} turns, perhaps of "
+        "degrees; give radians in the <limit>, or with --limits"
     )
+    return tuple(np.array(robot.joints)[wide].tolist()), sentence
 
 
 def unlimited(robot: Robot) -> str:
@@ -98,11 +98,9 @@ def require_limits(robot: Robot) -> str | None:
     """
     limits = robot.limits
     joints = np.array(robot.joints)
-    if wide := endless_ranges(robot):
-        raise BadInput(
-            f"{robot.source or robot.name}: {wide}; give radians in the <limit>, or pass "
-            "--limits limits.yaml with 'position: ..'"
-        )
+    wide, why = endless_ranges(robot)
+    if wide:
+        raise BadInput(f"{robot.source or robot.name}: {', '.join(wide)}: {why}")
     free = np.isinf(limits.acceleration)
     unbounded = free & np.isinf(limits.torque)
     missing = {
