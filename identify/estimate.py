@@ -25,7 +25,7 @@ from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.nearness import needed_masses
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.poses import SHOWN, fit_poses, kept, pose_rows
+from excitant.identify.poses import SHOWN, fit_poses, kept, pose_rows, scatter
 from excitant.identify.preprocessing import Mask, Segment, prepare
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import (
@@ -272,12 +272,13 @@ class Estimate(Shown):
             share(float(np.nanmedian(x.nrmse)))
             for x in (self.baseline, self.validate)
         )
-        below = f"{self.data.cutoff_hz:.3g} Hz"
+        at_rest = self.scatter is not None
+        where = "at rest" if at_rest else f"below {self.data.cutoff_hz:.3g} Hz"
         broken = violations(self.phi, self.given.links)
         effects = self.model.effects
         return [
             f"Estimate of {self.given.name} ({self.estimator}), on the hold-out",
-            f"error {' → '.join(errors)} (nrmse, median over joints, below {below})",
+            f"error {' → '.join(errors)} (nrmse, median over joints, {where})",
             f"{len(self.base)} base parameters, {'not ' * bool(broken)}physically consistent; "
             f"effects: {', '.join(dict.fromkeys(plain(e.name) for e in effects)) or 'none'}",
         ]
@@ -407,6 +408,7 @@ def _of_poses(
 ) -> Estimate:
     """The estimate from poses of an arm at rest; see `excitant.identify.poses`."""
     rows = pose_rows(robot, recordings, validate)
+    unexplained = scatter(rows)
     fit = fit_poses(rows)
     R, z = rows.regression.factor(fit.weight)
     physical = fit_physical(
@@ -419,7 +421,7 @@ def _of_poses(
         model=replace(estimate.model, estimate=None),
         knowledge=known,
         needed=needed_masses(physical, R, z, rows.open_prior, known, robot),
-        scatter=fit.sigma / rows.gains,
+        scatter=unexplained,
         kept=kept(robot),
     )
 

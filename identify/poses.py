@@ -113,7 +113,6 @@ def fit_poses(rows: FitRows) -> LeastSquares:
 
     Raises:
         RankDeficient: Poses that do not show some columns.
-        BadRecording: So few poses that a joint's torque is fitted whatever it is.
     """
     problem = rows.reduced
     sigma = believed(problem.tau.std(axis=0))
@@ -124,7 +123,6 @@ def fit_poses(rows: FitRows) -> LeastSquares:
         acting = zip(problem.index, problem.triangles, sigma, strict=True)
         shares = [T[:, :-1] @ root[index] / s for index, T, s in acting]
         freedom = len(problem) - np.array([(B**2).sum() for B in shares])
-        _refuse_few(rows, freedom)
         squares = (problem.residual(beta) ** 2).sum(axis=0)
         sigma = believed(np.sqrt(squares / freedom))
     parts = np.array([((B @ root.T) ** 2).sum(axis=0) for B in shares])
@@ -135,15 +133,28 @@ def fit_poses(rows: FitRows) -> LeastSquares:
     return LeastSquares(beta, covariance, sigma, np.ones_like(sigma))
 
 
-def _refuse_few(rows: FitRows, freedom: Array) -> None:
-    j = int(np.argmin(freedom))
-    if freedom[j] < NOISE.freedom:
-        n = len(rows.regression)
-        raise BadRecording(
-            ", ".join(s.name for s in rows.data.train),
-            f"{n} poses are fitted, of which parameters take {n - freedom[j]:.3g} at "
-            f"{rows.robot.joints[j]}, whatever its torque is: record more poses",
-        )
+def scatter(rows: FitRows) -> Array:
+    """Torque that no parameters of a joint's own explain, shape (nv,) [torque unit].
+
+    One that all joints together do not explain, as of another sign, is no friction for that.
+
+    Raises:
+        BadRecording: So few poses that some parameters explain whatever the torque is.
+    """
+    problem = rows.reduced
+    unexplained = []
+    for j, T in enumerate(problem.triangles):
+        own, _, rank, _ = np.linalg.lstsq(T[:, :-1], T[:, -1])
+        freedom = len(problem) - int(rank)
+        if freedom < NOISE.freedom:
+            raise BadRecording(
+                ", ".join(s.name for s in rows.data.train),
+                f"{len(problem)} poses are fitted, of which {int(rank)} parameters explain any "
+                f"torque of {rows.robot.joints[j]}: record more poses",
+            )
+        left = T[:, -1] - T[:, :-1] @ own
+        unexplained.append(float(np.sqrt(left @ left / freedom)))
+    return np.array(unexplained) / rows.gains
 
 
 def _count(segments: Sequence[Segment]) -> int:
