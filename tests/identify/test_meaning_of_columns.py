@@ -162,6 +162,14 @@ def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call
     assert not {f.fault for f in found} & {"dead_channel", "saturation", "wrong_sign"}
 
 
+def test_a_sign_that_two_columns_may_have_is_told_of_both(runs: Call) -> None:
+    """Torque of a pendulum against its position, and position against its torque, are the same."""
+    robot = load_robot("planar_2r", lock={"joint2": 0.0})
+    [run, _] = runs(robot, 3, sensors=industrial_sensors(robot))
+    [fault] = find_faults(robot, replace(run, tau=-run.tau))
+    assert all(f"{channel} of joint1 counts" in fault.detail for channel in ("q", "tau"))
+
+
 @pytest.mark.slow
 def test_sums_of_torques_are_not_likelier_for_being_larger(ur10: Robot) -> None:
     """A small torque and a large one, of an arm that hardly moves."""
