@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -18,6 +18,9 @@ from excitant.identify.least_squares import (
 from excitant.identify.preprocessing import Mask, Segment, away_from_rest
 from excitant.identify.signals import noise
 from excitant.robots.motion import Array, freeze, read_only
+
+if TYPE_CHECKING:
+    from excitant.identify.rows import Poses
 
 LEVEL = 0.95  # share of readings that an interval is to hold
 BLOCKS = 10  # of time, whose means are as good as independent
@@ -159,8 +162,8 @@ def chance_of_loss(losses: Array) -> float:
     return float(scipy.special.stdtr(BLOCKS - 1, -means.mean() / error))
 
 
-def series(segments: Sequence[Segment]) -> Series:
-    """Rows of all segments, one after the other."""
+def series(segments: Sequence[Segment], poses: Poses | None = None) -> Series:
+    """Rows of all segments, one after the other, and what torque shows where they are poses."""
     times = []
     start = 0.0
     for segment in segments:
@@ -173,6 +176,7 @@ def series(segments: Sequence[Segment]) -> Series:
         read_only(measured),
         read_only(raw),
         away_from_rest(segments),
+        None if poses is None else poses.least,
     )
 
 

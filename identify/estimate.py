@@ -26,7 +26,7 @@ from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.nearness import needed_masses
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.poses import SHOWN, fit_poses, kept, pose_rows, scatter
-from excitant.identify.preprocessing import Mask, Segment, prepare
+from excitant.identify.preprocessing import Mask, prepare
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import (
     Recording,
@@ -40,6 +40,7 @@ from excitant.identify.reversals import turned_rows, turning_spread
 from excitant.identify.rows import (
     Data,
     FitRows,
+    Poses,
     effects_of,
     fit_rows,
     fitted,
@@ -100,8 +101,6 @@ class Estimate(Shown):
         repeats: Whether the recordings agree; None of a single one.
         needed: Masses nearest to the given ones that the data allow [kg], by link, of those that
             moved by half because the data ask for it; see `needed_masses`.
-        scatter: Torque that no bodies explain at poses, shape (nv,) [torque unit]; None of motions.
-        kept: Effects of the given arm of which poses show nothing.
     """
 
     given: Robot
@@ -119,8 +118,6 @@ class Estimate(Shown):
     shapes: Shapes | None = None
     repeats: Repeats | None = None
     needed: Mapping[str, float] = field(default_factory=dict)
-    scatter: Array | None = None
-    kept: tuple[Effect, ...] = ()
 
     @property
     def gains(self) -> Array:
@@ -136,7 +133,8 @@ class Estimate(Shown):
     def _fitted(self) -> tuple[Series, Array]:
         """Rows of the fit, and the model's torque there, shape (n, nv) [torque unit]."""
         predicted = predicted_torque(self.model, self.data.train) / self.gains
-        return self._series(self.data.train), read_only(predicted)
+        rows = series(self.data.train, self.data.poses)
+        return rows, read_only(predicted)
 
     @cached_property
     def train(self) -> Accuracy:
@@ -147,15 +145,7 @@ class Estimate(Shown):
     @cached_property
     def holdout(self) -> Series:
         """Rows of the hold-out."""
-        return self._series(self.data.validate)
-
-    def _series(self, segments: Sequence[Segment]) -> Series:
-        rows = series(segments)
-        return (
-            rows
-            if self.scatter is None
-            else replace(rows, least=SHOWN * self.scatter)
-        )
+        return series(self.data.validate, self.data.poses)
 
     @cached_property
     def predicted(self) -> Array:
@@ -272,7 +262,7 @@ class Estimate(Shown):
             share(float(np.nanmedian(x.nrmse)))
             for x in (self.baseline, self.validate)
         )
-        at_rest = self.scatter is not None
+        at_rest = self.data.poses is not None
         where = "at rest" if at_rest else f"below {self.data.cutoff_hz:.3g} Hz"
         broken = violations(self.phi, self.given.links)
         effects = self.model.effects
@@ -421,8 +411,7 @@ def _of_poses(
         model=replace(estimate.model, estimate=None),
         knowledge=known,
         needed=needed_masses(physical, R, z, rows.open_prior, known, robot),
-        scatter=unexplained,
-        kept=kept(robot),
+        data=replace(rows.data, poses=Poses(SHOWN * unexplained, kept(robot))),
     )
 
 

@@ -662,8 +662,10 @@ def publication(
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
     """
+    poses = estimate.data.poses
+    kept = () if poses is None else poses.kept
     return published(
-        estimate.model.with_effects([*estimate.model.effects, *estimate.kept]),
+        estimate.model.with_effects([*estimate.model.effects, *kept]),
         "identified",
         "model.yaml",
         hold_out(estimate),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +43,18 @@ HARMONICS_FACTOR = (
 )
 
 
+class Poses(NamedTuple):
+    """What else is known of data that are poses of an arm at rest.
+
+    Attributes:
+        least: Standard deviation of a joint's torque that shows gravity, shape (nv,) [torque unit].
+        kept: Effects of the given arm of which they show nothing.
+    """
+
+    least: Array
+    kept: tuple[Effect, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Data:
     """Recordings ready for fitting and for judging.
@@ -54,6 +67,7 @@ class Data:
         holdout: What was held out, as a sentence.
         cutoff_why: Why that cut-off, as a sentence.
         drive: Drive gains on which torque in N·m rests, if it was recorded as current.
+        poses: What is known of poses; None of motions.
     """
 
     train: tuple[Segment, ...]
@@ -63,6 +77,7 @@ class Data:
     holdout: str
     cutoff_why: str = ""
     drive: DriveGains | None = None
+    poses: Poses | None = None
 
     @property
     def whole(self) -> Data:
