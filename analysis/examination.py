@@ -17,7 +17,7 @@ from excitant.identify.accuracy import Accuracy
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.export import Publication, publication
 from excitant.identify.faults import proven
-from excitant.identify.faults.fault import INSTALLATION
+from excitant.identify.faults.fault import is_modelled
 from excitant.identify.objections import MISSED
 from excitant.identify.recording import Recording
 from excitant.robots.check import ModelCheck
@@ -71,9 +71,7 @@ class Examination(Shown):
 
         How the arm is set up is judged by all recordings together, in the diagnosis.
         """
-        return [
-            f for f in self.faults if f["fault"] not in INSTALLATION and proven([f])
-        ]
+        return [f for f in self.faults if not is_modelled(f) and proven([f])]
 
     @cached_property
     def use(self) -> str:
@@ -311,7 +309,7 @@ def examine(
     progress(0.3, "diagnosing")
     diagnosis = diagnose(robot, recordings, **options)
     turned = diagnosis.set_up is not None and diagnosis.set_up.robot is not robot
-    data = [fault for fault in faults if fault["fault"] not in INSTALLATION]
+    data = [fault for fault in faults if not is_modelled(fault)]
     publications = {
         "extended": extended_publication(diagnosis, data),
         "identified": publication(

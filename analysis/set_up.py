@@ -17,7 +17,7 @@ import numpy as np
 from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
 from excitant.identify.faults import Checked, Fault, check_recordings
-from excitant.identify.faults.fault import INSTALLATION, PROVEN
+from excitant.identify.faults.fault import INSTALLATION, PROVEN, is_modelled
 from excitant.identify.faults.installation import Installation
 from excitant.identify.recording import Recording
 from excitant.robots.effects import EFFECTS, Acts, Effect, Size, Words
@@ -130,7 +130,7 @@ class SetUp:
         repaired = {(name, f.fault) for name, f in self._repaired}
         changed = self.robot is not self.given
         return (fault["recording"], fault["fault"]) in repaired or (
-            changed and fault["fault"] in INSTALLATION
+            changed and is_modelled(fault)
         )
 
     def without(self, effect: Effect, model: Robot) -> Robot:
@@ -149,7 +149,7 @@ class SetUp:
             fault.evidence
             for fault in reversed(self.checked.of_the_arm)
             if fault.fault == ("wrong_mounting" if static else "wrong_zero")
-            and (static or fault.joints == effect.joints)
+            and (static or {*effect.joints} <= {*fault.joints})
         )
         unknown = np.pi * np.linalg.norm(evidence.get("gravity", 1.0))
         std = evidence.get("std", np.full(len(effect.values or ()), unknown))

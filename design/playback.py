@@ -18,7 +18,7 @@ from excitant.design.constraints import (
 from excitant.design.trajectory import HermiteTrajectory, Trajectory
 from excitant.robots.appearance import Appearance
 from excitant.robots.geometry import Scene, unchecked
-from excitant.robots.limits import LIMIT_NAMES, TOUCHED
+from excitant.robots.limits import LIMIT_NAMES, TOUCHED, unlimited
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
@@ -83,7 +83,9 @@ class Playback:
             "joints": list(robot.joints),
             "revolute": robot.revolute.tolist(),
             **self.limits.entries(robot.limits),
-            "unchecked": unchecked(robot, scene),
+            "unchecked": "; ".join(
+                filter(None, (unlimited(robot), unchecked(robot, scene)))
+            ),
             "clearance_m": near and near.certified,
             "closest": near
             and {

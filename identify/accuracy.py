@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -18,6 +18,9 @@ from excitant.identify.least_squares import (
 from excitant.identify.preprocessing import Mask, Segment, away_from_rest
 from excitant.identify.signals import noise
 from excitant.robots.motion import Array, freeze, read_only
+
+if TYPE_CHECKING:
+    from excitant.identify.rows import Poses
 
 LEVEL = 0.95  # share of readings that an interval is to hold
 BLOCKS = 10  # of time, whose means are as good as independent
@@ -68,12 +71,15 @@ class Series:
         measured: Filtered torque, shape (n, nv) [torque unit].
         raw: Unfiltered torque, shape (n, nv) [torque unit].
         moves: Rows that no rest of the joint affects, shape (n, nv).
+        least: Standard deviation of the torque that shows more than friction, shape (nv,) [torque
+            unit]; None where that is more than noise.
     """
 
     t: Array
     measured: Array
     raw: Array
     moves: Mask
+    least: Array | None = None
 
     @cached_property
     def counts(self) -> Mask:
@@ -101,7 +107,9 @@ class Series:
         rms = self.rms(error)
         rms_raw = self.rms(self.raw - predicted)
         std = self.std
-        nrmse = np.divide(rms, std, out=np.full_like(rms, np.nan), where=std > 0)
+        nrmse = np.divide(
+            rms, std, out=np.full_like(rms, np.nan), where=self._shown
+        )
         return Accuracy(
             rms,
             rms_raw,
@@ -116,11 +124,17 @@ class Series:
         """Standard deviation of the measured torque where it counts, shape (nv,)."""
         return self.measured.std(axis=0, where=self.counts)
 
+    @property
+    def _shown(self) -> Mask:
+        return self.std > (0.0 if self.least is None else self.least)
+
     @cached_property
     def judged(self) -> Mask:
         """Joints that move here and whose torque varies by more than its noise, shape (nv,)."""
-        varies = self.std > [noise(x) for x in self.raw.T]
-        return self.moves.any(axis=0) & varies
+        least = self.least
+        if least is None:
+            least = np.array([noise(x) for x in self.raw.T])
+        return self.moves.any(axis=0) & (self.std > least)
 
     def losses(self, predicted: Array, instead: Array) -> Array:
         """How much larger the squared error of one prediction is than that of another, (n, nv).
@@ -128,7 +142,7 @@ class Series:
         Relative to the variance of the torque; 0 where an error does not count.
         """
         std = self.std
-        scale = np.divide(1.0, std, out=np.zeros_like(std), where=std > 0)
+        scale = np.divide(1.0, std, out=np.zeros_like(std), where=self._shown)
         error = (self.measured - predicted) * scale
         other = (self.measured - instead) * scale
         return np.where(self.counts, error**2 - other**2, 0.0)
@@ -148,8 +162,8 @@ def chance_of_loss(losses: Array) -> float:
     return float(scipy.special.stdtr(BLOCKS - 1, -means.mean() / error))
 
 
-def series(segments: Sequence[Segment]) -> Series:
-    """Rows of all segments, one after the other."""
+def series(segments: Sequence[Segment], poses: Poses | None = None) -> Series:
+    """Rows of all segments, one after the other, and what torque shows where they are poses."""
     times = []
     start = 0.0
     for segment in segments:
@@ -162,6 +176,7 @@ def series(segments: Sequence[Segment]) -> Series:
         read_only(measured),
         read_only(raw),
         away_from_rest(segments),
+        None if poses is None else poses.least,
     )
 
 

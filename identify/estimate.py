@@ -25,15 +25,22 @@ from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.nearness import impossible_values, needed_masses
 from excitant.identify.physical import PhysicalFit, fit_physical
+from excitant.identify.poses import SHOWN, fit_poses, kept, pose_rows, scatter
 from excitant.identify.preprocessing import Mask, prepare
 from excitant.identify.prior import prior_parameters
-from excitant.identify.recording import Recording, Recordings, recordings_of
+from excitant.identify.recording import (
+    Recording,
+    Recordings,
+    recordings_of,
+    shows_poses,
+)
 from excitant.identify.regression import regression_of
 from excitant.identify.repeats import Repeats, repeats_of
 from excitant.identify.reversals import turned_rows, turning_spread
 from excitant.identify.rows import (
     Data,
     FitRows,
+    Poses,
     effects_of,
     fit_rows,
     fitted,
@@ -127,7 +134,8 @@ class Estimate(Shown):
     def _fitted(self) -> tuple[Series, Array]:
         """Rows of the fit, and the model's torque there, shape (n, nv) [torque unit]."""
         predicted = predicted_torque(self.model, self.data.train) / self.gains
-        return series(self.data.train), read_only(predicted)
+        rows = series(self.data.train, self.data.poses)
+        return rows, read_only(predicted)
 
     @cached_property
     def train(self) -> Accuracy:
@@ -138,7 +146,7 @@ class Estimate(Shown):
     @cached_property
     def holdout(self) -> Series:
         """Rows of the hold-out."""
-        return series(self.data.validate)
+        return series(self.data.validate, self.data.poses)
 
     @cached_property
     def predicted(self) -> Array:
@@ -255,12 +263,13 @@ class Estimate(Shown):
             share(float(np.nanmedian(x.nrmse)))
             for x in (self.baseline, self.validate)
         )
-        below = f"{self.data.cutoff_hz:.3g} Hz"
+        at_rest = self.data.poses is not None
+        where = "at rest" if at_rest else f"below {self.data.cutoff_hz:.3g} Hz"
         broken = violations(self.phi, self.given.links)
         effects = self.model.effects
         return [
             f"Estimate of {self.given.name} ({self.estimator}), on the hold-out",
-            f"error {' → '.join(errors)} (nrmse, median over joints, below {below})",
+            f"error {' → '.join(errors)} (nrmse, median over joints, {where})",
             f"{len(self.base)} base parameters, {'not ' * bool(broken)}physically consistent; "
             f"effects: {', '.join(dict.fromkeys(plain(e.name) for e in effects)) or 'none'}",
         ]
@@ -325,6 +334,8 @@ def identify_robot(
     known = (knowledge or Knowledge()).of(robot)
     default = effects is None
     effects = effects_of(robot, effects)
+    if default and all(map(shows_poses, (*recordings, *validate))):
+        return _of_poses(robot, recordings, validate, prior, known)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
 
     def fitted_to(data: Data) -> tuple[Estimate, float]:
@@ -377,6 +388,32 @@ def identify_robot(
         f"parameter by more than {max(moved, 1e-4):.1g} of its standard error"
     )
     return replace(estimate, notes=(*estimate.notes, note))
+
+
+def _of_poses(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    validate: Sequence[Recording],
+    prior: Array,
+    known: Knowledge,
+) -> Estimate:
+    """The estimate from poses of an arm at rest; see `excitant.identify.poses`."""
+    rows = pose_rows(robot, recordings, validate)
+    unexplained = scatter(rows)
+    fit = fit_poses(rows)
+    R, z = rows.regression.factor(fit.weight)
+    physical = fit_physical(
+        R, z, prior, rows.open_prior, knowledge=known, links=robot.links
+    )
+    estimate = judged(robot, rows, fit, physical, notes_on(rows, prior))
+    return replace(
+        estimate,
+        # base parameters of gravity are no prior of a motion's
+        model=replace(estimate.model, estimate=None),
+        knowledge=known,
+        needed=needed_masses(physical, R, z, rows.open_prior, known, robot),
+        data=replace(rows.data, poses=Poses(SHOWN * unexplained, kept(robot))),
+    )
 
 
 def _with_bias(rows: FitRows, fit: LeastSquares) -> LeastSquares:

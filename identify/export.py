@@ -662,8 +662,10 @@ def publication(
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
     """
+    poses = estimate.data.poses
+    kept = () if poses is None else poses.kept
     return published(
-        estimate.model,
+        estimate.model.with_effects([*estimate.model.effects, *kept]),
         "identified",
         "model.yaml",
         hold_out(estimate),
@@ -774,6 +776,8 @@ def exported_files(
         formats = ()
     arm = told_in_torque(folded(model), known)
     refit = Refit(arm, fitted, judged.gains, stated)
+    # poses show nothing of what a refit would move
+    of_motion = not any(segment.of_poses for segment in fitted)
     exported = [ExportedFile(yaml_name, judged.accuracy, model)]
     for file_format, end in _ENDS.items():
         if file_format not in formats:
@@ -783,7 +787,8 @@ def exported_files(
         held = held_by(arm, file_format)
         file = ExportedFile(name, judged.accuracy, held, file_format, lacks)
         if lacks:
-            if (refitted := refit.of(held, file_format)) is not None:
+            refitted = refit.of(held, file_format) if of_motion else None
+            if refitted is not None:
                 file = replace(file, arm=refitted, refitted=True)
             file = _judged(file, judged)
         exported.append(file)

@@ -20,7 +20,12 @@ import numpy.typing as npt
 import scipy
 
 from excitant.exceptions import BadRecording
-from excitant.identify.recording import LEAST_RATE_HZ, MINIMUM_DURATION, Recording
+from excitant.identify.recording import (
+    LEAST_RATE_HZ,
+    MINIMUM_DURATION,
+    Recording,
+    shows_poses,
+)
 from excitant.identify.signals import (
     MEMORY_PERIODS,
     SensorNoise,
@@ -177,8 +182,15 @@ class Segment:
             chunks.append(self.filtered(columns(self.motion[part]), inner))
         return np.concatenate(chunks)
 
+    @property
+    def of_poses(self) -> bool:
+        """Whether rows are poses of an arm at rest, of which nothing is filtered."""
+        return self.cutoff_hz == np.inf
+
     def filtered(self, values: Array, rows: slice = slice(None)) -> Array:
         """Columns, shape (n, ...), through the torque filter at some instants."""
+        if self.of_poses:
+            return values[rows]
         return low_pass(values, self.cutoff_hz, self.rate_hz, rows)
 
     @property
@@ -212,6 +224,13 @@ def prepare(
     """
     t = recording.t
     step = _step(recording)
+    if shows_poses(recording):
+        why = (
+            f"{len(t)} rows {step:.4g} s apart show poses and no motion, of which `identify` alone "
+            f"reads gravity: record a motion at {LEAST_RATE_HZ:g} Hz or more, or say the unit of "
+            "time in a file for --map, such as {units: {t: ms}}"
+        )
+        raise BadRecording(recording.file, why, column="t")
     if cutoff_hz is None:
         cutoff_hz = min(CUTOFF_HZ, default_cutoff(recording))
     highest = 0.5 * SAMPLING.nyquist_share / step
@@ -381,6 +400,9 @@ def away_from_rest(
     fastest = np.maximum(fastest, top_speed(segments))
     masks = []
     for s in segments:
+        if s.of_poses:  # rest is what they show
+            masks.append(np.ones_like(s.motion.q[s.keep], dtype=bool))
+            continue
         least = np.maximum(REST.speed_share * fastest, s.least_speed)
         slow = np.abs(s.motion.dq) <= least
         size = max(1, round(REST.duration_s * s.rate_hz))

@@ -219,22 +219,15 @@ def refuse_bad_rows(
             f"sort or remove those rows, which --repair does where they fit"
         )
         refuse(row, time, why)
-    step = float(np.median(steps[1:])) if len(raw) > 2 else 0.0
-    if _is_rare(raw, step):
-        why = (
-            f"{len(raw)} rows {step:.4g} s apart show poses and no motion, from which excitant "
-            f"identifies: record one at {LEAST_RATE_HZ:g} Hz or more, or say the unit of time in "
-            "a file for --map, such as {units: {t: ms}}"
-        )
-        refuse(0, time, why)
 
 
-def _is_rare(raw: Recording, step: float) -> bool:
-    """Whether samples a median step apart [s] are too rare to show a motion.
+def shows_poses(raw: Recording) -> bool:
+    """Whether rows are too far apart to show a motion: they are poses.
 
     Steps of 1 count samples or seconds: positions are then no samples of a motion, or change by
     what speeds say of a second; between samples at `LEAST_RATE_HZ` by a tenth of it.
     """
+    step = float(np.median(np.diff(raw.t))) if len(raw) > 2 else 0.0
     if step != LONGEST_STEP_S:
         return step > LONGEST_STEP_S
     if not samples_motion(raw.q):

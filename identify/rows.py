@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +43,18 @@ HARMONICS_FACTOR = (
 )
 
 
+class Poses(NamedTuple):
+    """What else is known of data that are poses of an arm at rest.
+
+    Attributes:
+        least: Standard deviation of a joint's torque that shows gravity, shape (nv,) [torque unit].
+        kept: Effects of the given arm of which they show nothing.
+    """
+
+    least: Array
+    kept: tuple[Effect, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Data:
     """Recordings ready for fitting and for judging.
@@ -54,6 +67,7 @@ class Data:
         holdout: What was held out, as a sentence.
         cutoff_why: Why that cut-off, as a sentence.
         drive: Drive gains on which torque in N·m rests, if it was recorded as current.
+        poses: What is known of poses; None of motions.
     """
 
     train: tuple[Segment, ...]
@@ -63,6 +77,7 @@ class Data:
     holdout: str
     cutoff_why: str = ""
     drive: DriveGains | None = None
+    poses: Poses | None = None
 
     @property
     def whole(self) -> Data:
@@ -109,12 +124,12 @@ def split(
     _refuse_seen(recordings, validate)
     why = "as given"
     if cutoff_hz is None:
-        parts = _parts(recordings, validate)
+        parts = fitted_and_held(recordings, validate)
         highest = min(default_cutoff(r) for group in parts for r in group)
         cutoff_hz, why = _cutoff(harmonics_hz or 0.0, highest)
     train, holdout = (
         tuple(s for r in group for s in prepare(r, cutoff_hz))
-        for group in _parts(recordings, validate)
+        for group in fitted_and_held(recordings, validate)
     )
     names = ", ".join(r.name for r in validate)
     unseen = names or "the last 30 % of each recording (no hold-out was named)"
@@ -198,10 +213,10 @@ def fitted(
     recordings: Sequence[Recording], validate: Sequence[Recording]
 ) -> list[Recording]:
     """Recordings to fit: as they are, or their first part where none is held out."""
-    return list(_parts(recordings, validate)[0])
+    return list(fitted_and_held(recordings, validate)[0])
 
 
-def _parts(
+def fitted_and_held(
     recordings: Sequence[Recording], validate: Sequence[Recording]
 ) -> tuple[Iterable[Recording], Iterable[Recording]]:
     """Fitted and held-out recordings one at a time, since long ones fill the memory."""

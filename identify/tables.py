@@ -275,6 +275,8 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
     units = units_of(robot, effects, estimate.drive)
     entries = []
     for k, by in enumerate(who):
+        if estimate.data.poses is not None and category[k] == "unidentifiable":
+            continue  # poses show no inertia
         factor, unit = units[k]
         entry = {
             "name": estimate.base.names[k],

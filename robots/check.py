@@ -20,6 +20,7 @@ import pinocchio as pin
 
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.geometry import Body, bent_pose, sketch, zero_pose
+from excitant.robots.limits import endless_ranges
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import PLACEHOLDER, elements, violations
 from excitant.robots.regressor import rigid_body_torque
@@ -268,6 +269,9 @@ def _limits(robot: Robot, root: Element) -> Warnings:
                 f"no {name} limit, or zero, so that nothing bounds it here; give it in the "
                 f"<limit> [{unit}] or with --limits",
             )
+    wide, why = endless_ranges(robot)
+    if wide:
+        yield ModelWarning("limits_unit", wide, why)
     stated = stated_joints(root)
     for joint, (low, high) in zip(robot.joints, robot.limits.position, strict=True):
         kind = stated[joint].get("type")
@@ -395,7 +399,9 @@ def _not_physical(robot: Robot, body: Body) -> Iterator[str]:
             moment = body.second_moment
             shifted = np.linalg.eigvalsh(moment + np.outer(body.com, body.com))
             spread = np.linalg.eigvalsh(moment)
-            if shifted[0] > 0 and np.linalg.norm(body.com) > _EXTENT:
+            if not np.diag(body.inertia).all():
+                advice = "a moment that is zero or missing: give ixx, iyy and izz"
+            elif shifted[0] > 0 and np.linalg.norm(body.com) > _EXTENT:
                 advice = (
                     "the parallel-axis term may be subtracted twice; give the tensor about the "
                     "centre of mass"

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
+MOST_TURNS = (
+    6.0  # of a joint's range: wrists turn up to 5, a limit of 30° read as 30 rad 10
+)
 TOUCHED = 0.99  # share of a limit from which on it counts as touched
 
 
@@ -66,15 +69,38 @@ class Limits:
         )
 
 
+def endless_ranges(robot: Robot) -> tuple[tuple[str, ...], str]:
+    """Joints that turn farther than any does, and how it is said; none and nothing otherwise."""
+    span = np.ptp(robot.limits.position, axis=1)
+    wide = robot.revolute & np.isfinite(span) & (span > 2 * np.pi * MOST_TURNS)
+    if not wide.any():
+        return (), ""
+    low, high = robot.limits.position[int(np.argmax(wide))]
+    sentence = (
+        f"its range of {low:.4g} to {high:.4g} rad is over {MOST_TURNS:g} turns, perhaps of "
+        "degrees; give radians in the <limit>, or with --limits"
+    )
+    return tuple(np.array(robot.joints)[wide].tolist()), sentence
+
+
+def unlimited(robot: Robot) -> str:
+    """Joints whose torque no limit bounds, in words; empty without any."""
+    free = np.array(robot.joints)[np.isinf(robot.limits.torque)]
+    return f"torque of {', '.join(free)}, no limit is given" if len(free) else ""
+
+
 def require_limits(robot: Robot) -> str | None:
     """A sentence about acceleration limits that are missing without need, if any.
 
     Raises:
-        BadInput: Limits of speed are missing, or of both acceleration and torque; says which file
-            to write.
+        BadInput: Limits of speed are missing, or of both acceleration and torque, or a range is
+            none of a joint; says which file to write.
     """
     limits = robot.limits
     joints = np.array(robot.joints)
+    wide, why = endless_ranges(robot)
+    if wide:
+        raise BadInput(f"{robot.source or robot.name}: {', '.join(wide)}: {why}")
     free = np.isinf(limits.acceleration)
     unbounded = free & np.isinf(limits.torque)
     missing = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -83,6 +84,7 @@ def robot_from_urdf(
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
     restore_link_names(model)
+    limits, soft = _softened(_limits(model), model, root)
     model.gravity.linear = weight
     moving = [named.joints[joint] for joint in list(model.names)[1:]]
     return Robot(
@@ -90,7 +92,7 @@ def robot_from_urdf(
         model=model,
         links=tuple(joint.child for joint in moving),
         revolute=np.array([joint.kind != "prismatic" for joint in moving]),
-        limits=_limits(model),
+        limits=limits,
         description=text,
         locked=tuple(
             sorted((joint, value or 0.0) for joint, value in held.items())
@@ -98,7 +100,7 @@ def robot_from_urdf(
         unchosen=tuple(sorted(unchosen, key=order.index)),
         source=source,
         tool=spec.tip or "",
-        notes=(*angles.notes, *notes),
+        notes=(*angles.notes, *notes, *soft),
         packages=tuple(str(real_path(folder)) for folder in spec.packages),
         format=URDF,
     )
@@ -198,6 +200,33 @@ def number(text: str, key: str, owner: Element, source: str) -> float:
             source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is {why}"
         )
     return value
+
+
+def _softened(
+    limits: Limits, model: pin.Model, root: Element
+) -> tuple[Limits, list[str]]:
+    """Limits within the soft ones of safety controllers, which brake a joint there, and a note."""
+    position = np.array(limits.position)
+    names = list(model.names)[1:]
+    soft = list[str]()
+    for joint in root.findall("joint"):
+        safety = joint.find("safety_controller")
+        name = joint.get("name", "")
+        if safety is None or name not in names:
+            continue
+        low, high = (
+            float(safety.get(f"soft_{side}_limit") or 0.0)
+            for side in ("lower", "upper")
+        )
+        j = names.index(name)
+        inner = max(low, position[j, 0]), min(high, position[j, 1])
+        if inner[0] < inner[1] and inner != tuple(position[j]):
+            position[j] = inner
+            soft.append(name)
+    if not soft:
+        return limits, []
+    note = f"position limits are the soft ones of the safety_controller: {', '.join(soft)}"
+    return replace(limits, position=position), [note]
 
 
 def _limits(model: pin.Model) -> Limits:

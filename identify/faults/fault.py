@@ -30,6 +30,17 @@ PROVEN = (
     "not_measured",
 )
 """Faults after which every figure is wrong, so that nothing is published from such data."""
+
+
+def is_modelled(fault: Mapping[str, Any]) -> bool:
+    """Whether a fault, under its JSON names, is one of the model that a diagnosis amends there.
+
+    A torque without gravity is none: nothing says what was taken off it.
+    """
+    gravity = fault["evidence"].get("gravity", 1.0)
+    return fault["fault"] in INSTALLATION and bool(np.any(gravity))
+
+
 FAULTS = (
     *PROVEN,
     "dead_channel",

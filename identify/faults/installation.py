@@ -97,6 +97,8 @@ class Search:
 SEARCH = Search()
 _ANGLES = np.linspace(0, 2 * np.pi, 5, endpoint=False)
 """Zero offsets [rad] that determine a trigonometric polynomial of degree 2."""
+_SERVOS = (360.0, 300.0, 270.0, 180.0)
+"""Ranges [°] that the positions of servos count through."""
 _FACTORS = np.geomspace(1e-3, 1e3, 49)
 """Factors of the time, and of positions, that are tried first."""
 
@@ -129,7 +131,8 @@ class Installation:
             if fault.fault == "wrong_mounting":
                 robot = robot.with_gravity(fault.evidence["gravity"])
             elif fault.fault == "wrong_zero":
-                robot = robot.with_zero(fault.joints[0], fault.evidence["offset"])
+                for joint in fault.joints:
+                    robot = robot.with_zero(joint, fault.evidence["offset"])
             elif fault.fault == "wrong_frame":
                 robot = robot.with_parameters(in_joint_frames(robot))
         return robot
@@ -174,8 +177,9 @@ def odds_against(robot: Robot) -> float:
 
 def installation_faults(case: TorqueFit) -> list[Fault]:
     """The faults of unit, installation and clock that the torque shows."""
+    beyond = [*positions_beyond_limits(case)]
     if faults := [*_torque_beyond_limits(case)]:
-        return faults
+        return beyond + faults
     best = Installation()
     reasons = dict[int, Sequence[Any]]()
     for _ in range(case.robot.nv):
@@ -198,7 +202,7 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         if simplest.squares < float(case.rows.sum()):
             break
     if not best.faults or not _throughout(case, best):
-        return [*positions_beyond_limits(case)]
+        return beyond
     faults = [*_polished(case, best).faults]
     for k, (because, more) in reasons.items():
         fault = faults[k]
@@ -402,14 +406,21 @@ def _simplest(
     alike = dict[tuple[Any, ...], str]()
     for other in others:
         faults = other.installation.faults
-        names = tuple((fault.fault, fault.joints) for fault in faults)
-        alike.setdefault(names, " and ".join(fault.detail for fault in faults))
-    alike.pop(tuple((f.fault, f.joints) for f in best.installation.faults), None)
+        details = " and ".join(fault.detail for fault in faults)
+        alike.setdefault(_kinds(faults), details)
+    alike.pop(_kinds(best.installation.faults), None)
     if alike:
         because += (
             f"; the torque would be the same if {' or if '.join(alike.values())}"
         )
-    return best, because, {"gain": best.odds, "alike": [*itertools.chain(*alike)]}
+    told = {(fault.fault, fault.joints) for fault in best.installation.faults}
+    rivals = [x[:2] for x in itertools.chain(*alike) if x[:2] not in told]
+    return best, because, {"gain": best.odds, "alike": rivals}
+
+
+def _kinds(faults: Sequence[Fault]) -> tuple[Any, ...]:
+    """What faults are of, whatever their values: a sign of q is another than one of torque."""
+    return tuple((f.fault, f.joints, f.channel) for f in faults)
 
 
 def support(
@@ -494,6 +505,7 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
         yield from signs
         return
     yield from _nearest(fit, [*signs, *_orders(fit), *_couplings(fit)])
+    yield from _from_zero(fit)
     if squares > float(rows.sum()):
         yield from _nearest(fit, [*_two_zeros(fit)])
     yield from _frames(fit)
@@ -640,19 +652,33 @@ def _two_zeros(fit: TorqueFit) -> Iterator[Installation]:
             yield _one(fit, *zeros)
 
 
+def _from_zero(fit: TorqueFit) -> Iterator[Installation]:
+    """Positions of servos that count from zero, where the model has the middle of their range."""
+    turning = np.flatnonzero(fit.robot.revolute)
+    q = fit.data.motion.q[:, turning]
+    if not len(turning) or q.min() < -SEARCH.turn:
+        return
+    for degrees in _SERVOS:
+        if q.max() < np.radians(degrees) + SEARCH.turn:
+            middle = np.radians([-degrees / 2])
+            yield _one(fit, _zero(fit, turning.tolist(), middle))
+
+
 def _zero(
     fit: TorqueFit, joints: Sequence[int], offset: Array, std: Array | None = None
 ) -> Fault:
-    [joint] = fit.log.names(joints)
+    names = fit.log.names(joints)
+    listed = ", ".join(names)
     [angle] = np.degrees(offset)
     known = "" if std is None else f" ± {np.degrees(std[0]):.2g}"
     reading = f"{'+' if angle > 0 else '−'} {abs(angle):.3g}{known}°"
     return Fault(
         "wrong_zero",
-        (joint,),
-        f"the zero position of {joint} is off: its true angle is the reading {reading}",
+        names,
+        f"the zero position of {listed} is off: {'its' if len(names) == 1 else 'each'} true angle "
+        f"is the reading {reading}",
         {"offset": float(offset[0])} | _known(std),
-        f"adds {angle:.4g}° to q of {joint}",
+        f"adds {angle:.4g}° to q of {listed}",
         (Remedy("offset", "q", tuple(joints), factor=float(offset[0])),),
     )
 
@@ -738,7 +764,10 @@ def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
 
 
 def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
-    """Torques far beyond what drives can do, in the unit that brings them nearest."""
+    """Torques far beyond what drives can do, in the unit that brings them nearest.
+
+    It has a name where bodies near the nominal ones have that torque then, and q is no register.
+    """
     log = case.log
     limit = case.robot.limits.torque[case.joints]
     peak = np.abs(log.tau[:, case.joints]).max(axis=0)
@@ -753,14 +782,27 @@ def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
     factor = next(
         (f for f in powers if typical / f < SEARCH.least_scale), max(powers)
     )
-    detail = (
-        f"tau is {typical:.3g} times the torque limit (median over joints), as in "
-        f"{powers[factor]}"
+    gains, std = case.gains
+    clear = std < SEARCH.clear_scale
+    off = np.abs(np.log(gains[clear] / factor))
+    likely = clear.any() and np.median(off) < np.log(SEARCH.least_scale)
+    registers = len(beyond_limits(case.robot, case.data.motion.q)[0]) > 0
+    detail = f"tau is {typical:.3g} times the torque limit (median over joints)"
+    fault = Fault(
+        "wrong_unit",
+        log.joints,
+        f"{detail}: another unit",
+        {"channel": "tau", "factor": typical},
     )
-    remedy = Remedy("scale", "tau", tuple(range(log.nv)), factor=1 / factor)
-    evidence = {"channel": "tau", "factor": typical}
-    done = f"divides tau by {factor:g}"
-    yield Fault("wrong_unit", log.joints, detail, evidence, done, (remedy,))
+    if likely and not registers:
+        every = tuple(range(log.nv))
+        fault = replace(
+            fault,
+            detail=f"{detail}, as in {powers[factor]}",
+            repair=f"divides tau by {factor:g}",
+            remedies=(Remedy("scale", "tau", every, factor=1 / factor),),
+        )
+    yield fault
 
 
 def _scales(fit: TorqueFit) -> Iterator[Installation]:

@@ -947,7 +947,7 @@ class Identify(Modelled, tag_field="verb", tag="identify"):
     prior_sigma: list[Number]
     "Width of the prior of each link's body, relative."
     parameters: list[Parameter]
-    "All parameters."
+    "All parameters; from poses those that gravity and offsets have."
     base_parameters: list[BaseParameter]
     "Base parameters."
     physical: Physical

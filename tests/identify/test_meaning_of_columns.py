@@ -11,7 +11,7 @@ from mistakes import MADE, READ, coupled, geared, run_of, scaled, shifted, with_
 
 from excitant.identify import Recording, faults, load_dataset
 from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
-from excitant.identify.faults.fault import OF_THE_ARM, Log
+from excitant.identify.faults.fault import OF_THE_ARM, Log, is_modelled
 from excitant.identify.faults.torque_fit import TorqueFit, smooth, torque_fit
 from excitant.options import Data
 from excitant.robots import Robot, load_robot
@@ -38,6 +38,26 @@ def late(_: Robot, recording: Recording, seconds: float = 0.3) -> Recording:
     """Torque that was read before it begins is that of the first row."""
     before = np.arange(len(recording)) - round(seconds / np.diff(recording.t).mean())
     return replace(recording, tau=recording.tau[np.maximum(before, 0)])
+
+
+@pytest.mark.parametrize("turn", [360.0, slow(300.0)])
+def test_servos_that_count_from_zero_are_told_as_one(runs: Call, turn: float) -> None:
+    robot = load_robot("so100")
+    [run, _] = runs(robot, 5, sensors=industrial_sensors(robot), tolerance=0.05, duration=12.0)
+    log = replace(run, q=run.q + np.radians(turn / 2))
+    [fault] = [fault for fault in find_faults(robot, log) if fault.fault == "wrong_zero"]
+    assert fault.joints == robot.joints
+    np.testing.assert_allclose(repair(log, [fault])[0].q, run.q, atol=1e-9 + np.radians(2))
+
+
+def test_only_torque_that_bodies_confirm_has_a_unit_by_its_limit(logged) -> None:
+    robot, run = logged
+    counts = replace(run, q=run.q * 4096 / 6.283, dq=None)
+    for log, size, told in ((run, 100, "N·cm"), (run, 3000, "another unit"), (counts, 100, "")):
+        *positions, torque = find_faults(robot, replace(log, tau=size * log.tau))
+        assert told in torque.detail
+        assert bool(torque.remedies) == (size == 100 and log is run)
+        assert bool(positions) == (log is counts)
 
 
 def stops(n: int) -> np.ndarray:
@@ -97,7 +117,10 @@ def test_torque_in_another_unit_is_told_by_its_factor(logged, factor):
 )
 def test_what_the_log_means_is_named(logged, change, name, said):
     found = faults_after(logged, change)
-    assert said in found[name].entry()["detail"]
+    entry = found[name].entry()
+    assert said in entry["detail"]
+    # a diagnosis amends its model, but by no torque of which nobody knows what was taken off
+    assert is_modelled(entry) == (name == "wrong_zero")
     assert "wrong_sample_rate" not in found  # measured velocities confirm the clock
 
 
@@ -137,6 +160,14 @@ def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call
     held = np.column_stack([np.full(len(run), -8.9), run.tau[:, 1]])
     found = find_faults(planar, replace(run, q=q, tau=held, dq=None))
     assert not {f.fault for f in found} & {"dead_channel", "saturation", "wrong_sign"}
+
+
+def test_a_sign_that_two_columns_may_have_is_told_of_both(runs: Call) -> None:
+    """Torque of a pendulum against its position, and position against its torque, are the same."""
+    robot = load_robot("planar_2r", lock={"joint2": 0.0})
+    [run, _] = runs(robot, 3, sensors=industrial_sensors(robot))
+    [fault] = find_faults(robot, replace(run, tau=-run.tau))
+    assert all(f"{channel} of joint1 counts" in fault.detail for channel in ("q", "tau"))
 
 
 @pytest.mark.slow

@@ -219,7 +219,7 @@ def test_rows_seconds_apart_are_poses(planar, save, step, q, speed, samples):
         assert len(load_recording(path, planar)) == samples
         return
     with pytest.raises(BadRecording, match=rf"60 rows {step:g} s apart show poses and no motion"):
-        load_recording(path, planar)
+        prepare(load_recording(path, planar))
     few = pd.DataFrame({"t": 0.2 * K, "q1": q, "q2": q, "tau1": K, "tau2": K})[:16]
     with pytest.raises(BadRecording, match=r"holds 16 samples 0.2 s apart; more than 20"):
         prepare(load_recording(save(few, "few.csv"), planar))

@@ -8,7 +8,9 @@ from arms import TrueArm
 from marks import slow
 
 from excitant.design import random_trajectory
+from excitant.exceptions import BadRecording
 from excitant.identify import Estimate, Recording, identify_link_by_link, identify_robot
+from excitant.identify.export import publication
 from excitant.identify.faults import find_faults
 from excitant.identify.preprocessing import prepare
 from excitant.robots import Array, Motion, load_robot
@@ -41,6 +43,40 @@ def run(seed: int, moving=(0, 1), toggling=False, duration=10.0, turning=1e-9, a
 
 
 HOLDOUT = [run(100)]
+
+
+def poses(seed: int, count: int = 40) -> Recording:
+    """A row each, 3 s apart, at which friction holds any torque."""
+    rng, t = np.random.default_rng(seed), 3.0 * np.arange(count)
+    q, still = rng.uniform(-2, 2, (count, 2)), np.zeros((count, 2))
+    held = rng.uniform(-1, 1, (count, 2)) * TRUTH.Fc
+    tau = TRUTH.torque(Motion(t, q, still, still)) + held
+    return Recording(f"poses {seed}", f"poses{seed}.csv", t, q, tau)
+
+
+def test_poses_show_gravity_and_offsets_alone() -> None:
+    truth, off = np.append(ARM.phi, DRIVES["offset"]), list[float]()
+    given = ARM.with_parameters(1.3 * ARM.phi)
+    for seed in range(10):
+        found = identify_robot(given, [poses(seed)], validate=[poses(seed + 50)])
+        error = found.least_squares.beta - found.base.regrouping @ truth
+        off += (error / found.base_std).tolist()
+        assert publication(found).published
+        shown = {row["name"].split(".")[1][0] for row in found.result()["parameters"]}
+        assert shown == {"m", "o"}  # masses, first moments, offsets
+    assert np.mean(np.abs(off) < 1.96) > 0.85  # of 60, 57 ± 1.7
+    log = poses(0)
+    turned = replace(log, tau=log.tau * [1, -1])
+    assert not publication(identify_robot(ARM, [turned])).published
+    moving = replace(log, dq=np.full_like(log.q, 0.5))
+    wrong = (
+        (log, replace(log, t=log.t + 1), "unseen"),
+        (poses(1, 5), log, "more"),
+        (moving, log, "no"),
+    )
+    for fit, held, why in wrong:
+        with pytest.raises(BadRecording, match=why):
+            identify_robot(ARM, [fit], validate=[held])
 
 
 def friction(estimate: Estimate) -> Array:

@@ -20,7 +20,7 @@ from excitant.design import design_trajectory
 from excitant.exceptions import BadInput, BadRobot
 from excitant.robots import Limits, Motion, Robot, load_limits, load_robot, rigid_body_torque
 from excitant.robots.chains import RobotSpec
-from excitant.robots.limits import require_limits
+from excitant.robots.limits import require_limits, unlimited
 from excitant.robots.parameters import BaseEstimate
 from excitant.robots.torque import torque
 
@@ -89,6 +89,21 @@ def test_missing_limits_are_asked_for_with_the_file_to_write(planar, excitant, t
     limited = robot.with_limits(load_limits(limits, robot))
     assert limited.limits.velocity.tolist() == limited.limits.acceleration.tolist() == [2, 2]
     require_limits(limited)
+
+
+def test_limits_that_no_joint_has_are_refused_and_soft_ones_kept(tmp_path: Path) -> None:
+    text = load_robot("planar_2r").urdf
+    soft = '<safety_controller k_velocity="10" soft_lower_limit="-1" soft_upper_limit="9"/></joint>'
+    (tmp_path / "soft.urdf").write_text(text.replace("</joint>", soft, 1))
+    robot = load_robot(tmp_path / "soft.urdf")
+    hard = load_robot("planar_2r").limits.position
+    assert robot.limits.position.tolist() == [[-1.0, hard[0, 1]], hard[1].tolist()]
+    assert "soft ones of the safety_controller: joint1" in robot.notes[-1]
+    endless = robot.with_limits(replace(robot.limits, position=57.3 * hard))
+    with pytest.raises(BadInput, match="perhaps of degrees"):
+        require_limits(endless)
+    none = robot.with_limits(replace(robot.limits, torque=np.array([np.inf, 1.0])))
+    assert [unlimited(robot), unlimited(none)] == ["", "torque of joint1, no limit is given"]
 
 
 MOVEIT = """

@@ -99,6 +99,7 @@ INERTIAS: dict[str, list[tuple[str, str, Change, str]]] = {
     "inertia_not_physical": [
         ("ur10", "wrist_1_link", stated("inertial/inertia", iyy="-0.00222"), "not positive"),
         ("ur10", "forearm_link", stated("inertial/inertia", izz="0.9"), "triangle"),
+        ("ur10", "wrist_1_link", stated("inertial/inertia", iyy="0"), "zero or missing"),
         ("ur10", "wrist_3_link", stated("inertial/mass", value="-0.365"), "mass -0.365"),
         ("ur10", "upper_arm_link", shifted(-1), "subtracted twice"),
     ],
@@ -170,6 +171,7 @@ def test_what_no_torque_depends_on_is_only_a_hint() -> None:
         ("joint2", stated("limit", velocity="0"), "no_velocity_limit", False),
         ("joint2", stated("limit", lower="1", upper="-1"), "position_limits", False),
         ("joint1", stated("limit", lower="0", upper="0"), "position_limits", False),
+        ("joint2", stated("limit", lower="-172", upper="172"), "limits_unit", False),
         ("joint2", stated("limit", lower="0.5"), "zero_outside_limits", True),
         ("joint1", stated("limit", effort="20"), "gravity", False),
     ],

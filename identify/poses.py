@@ -1,0 +1,236 @@
+"""Poses: an arm at rest, a row each, whose torque shows gravity and nothing of motion.
+
+    τ = Y(q, 0, 0) φ + Σ_e C_e(q) θ_e + f,    |f_j| ≤ breakaway torque of joint j,
+
+with the effects e that act at rest. Dry friction f holds any torque up to its breakaway torque, as
+the arm came to each pose: it is the noise here, so that a joint whose torque varies by no more than
+that shows friction and no gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from excitant.exceptions import BadRecording
+from excitant.identify.least_squares import (
+    NOISE,
+    LeastSquares,
+    believed,
+    factorised,
+    student_width,
+)
+from excitant.identify.preprocessing import REST, Segment
+from excitant.identify.recording import Recording
+from excitant.identify.regression import regression_of
+from excitant.identify.rows import Data, FitRows, counted_rows, fitted_and_held
+from excitant.robots.base_parameters import (
+    BaseParameters,
+    observe,
+    regroup,
+    structural_motion,
+)
+from excitant.robots.effects import Effect, standard_effects
+from excitant.robots.motion import Array, Motion
+from excitant.robots.robot import Robot
+
+SAME_POSE = 3e-3
+"""Positions [rad or m] within which rows in a row are one pose: a servo holds a joint to that."""
+SHOWN = 3.0
+"""Standard deviation of a joint's torque over its scatter, above which it shows gravity: the best
+model misses a third of it then, and by chance of ten poses less than what is objected to
+(`objections.MISSED`)."""
+NO_MOTION = (
+    "at rest torque shows gravity and its offsets, no friction and no inertia, of which nothing is "
+    "identified"
+)
+
+
+def pose_rows(
+    robot: Robot, recordings: Sequence[Recording], validate: Sequence[Recording]
+) -> FitRows:
+    """Rows of poses for the effects that act at rest, and the base parameters that gravity shows.
+
+    Raises:
+        BadRecording: A row in which a joint moves, or a hold-out with poses that are fitted.
+    """
+    train, held = (
+        [_poses(each, robot) for each in some] for some in (recordings, validate)
+    )
+    _refuse_shared(train, held)
+    fit, holdout = (
+        tuple(_segment(each) for each in some)
+        for some in fitted_and_held(train, held)
+    )
+    names = ", ".join(each.name for each in held)
+    unseen = names or "the last 30 % of each recording (no hold-out was named)"
+    data = Data(
+        fit,
+        holdout,
+        recordings[0].unit,
+        np.inf,
+        f"held out: {unseen}, {_count(holdout)} poses beside {_count(fit)} that are fitted: "
+        f"{NO_MOTION}",
+        "poses: dry friction holds any torque up to its breakaway torque, which counts as noise: "
+        "come to the poses from both sides",
+        recordings[0].drive,
+    )
+    effects = at_rest(robot)
+    base = _base(robot, effects)
+    regression = regression_of(robot, effects, fit)
+    return counted_rows(robot, effects, base, data, regression)
+
+
+def at_rest(robot: Robot) -> tuple[Effect, ...]:
+    """Effects that are estimated: offsets of the torque, and what the given arm has at rest."""
+    offsets = tuple(
+        effect
+        for effect in standard_effects(robot.joints)
+        if effect.name == "torque_offset"
+    )
+    motion = _stopped(structural_motion(robot, np.random.default_rng(1)))
+    others = tuple(
+        effect
+        for effect in robot.effects
+        if effect.name != "torque_offset" and effect.columns(robot, motion).any()
+    )
+    return offsets + others
+
+
+def kept(robot: Robot) -> tuple[Effect, ...]:
+    """Effects of the given arm of which rest shows nothing."""
+    shown = {effect.name for effect in at_rest(robot)}
+    return tuple(effect for effect in robot.effects if effect.name not in shown)
+
+
+def fit_poses(rows: FitRows) -> LeastSquares:
+    """Weighted least squares whose noise has no colour, for poses come in any order.
+
+    The noise of a joint is its squares over the rows that its columns leave, and the covariance is
+    widened by Student's t for these (Satterthwaite 1946).
+
+    Raises:
+        RankDeficient: Poses that do not show some columns.
+    """
+    problem = rows.reduced
+    sigma = believed(problem.tau.std(axis=0))
+    for _ in range(NOISE.rounds):
+        factor = factorised(problem, sigma)
+        beta = factor.solve()
+        root = factor.inverse / factor.norms[:, None]
+        acting = zip(problem.index, problem.triangles, sigma, strict=True)
+        shares = [T[:, :-1] @ root[index] / s for index, T, s in acting]
+        freedom = len(problem) - np.array([(B**2).sum() for B in shares])
+        squares = (problem.residual(beta) ** 2).sum(axis=0)
+        sigma = believed(np.sqrt(squares / freedom))
+    parts = np.array([((B @ root.T) ** 2).sum(axis=0) for B in shares])
+    width = student_width(
+        parts.sum(axis=0) ** 2 / (parts**2 / freedom[:, None]).sum(axis=0)
+    )
+    covariance = root @ root.T * np.outer(width, width)
+    return LeastSquares(beta, covariance, sigma, np.ones_like(sigma))
+
+
+def scatter(rows: FitRows) -> Array:
+    """Torque that no parameters of a joint's own explain, shape (nv,) [torque unit].
+
+    One that all joints together do not explain, as of another sign, is no friction for that.
+
+    Raises:
+        BadRecording: So few poses that some parameters explain whatever the torque is.
+    """
+    problem = rows.reduced
+    unexplained = []
+    for j, T in enumerate(problem.triangles):
+        own, _, rank, _ = np.linalg.lstsq(T[:, :-1], T[:, -1])
+        freedom = len(problem) - int(rank)
+        if freedom < NOISE.freedom:
+            raise BadRecording(
+                ", ".join(s.name for s in rows.data.train),
+                f"{len(problem)} poses are fitted, of which {int(rank)} parameters explain any "
+                f"torque of {rows.robot.joints[j]}: record more poses",
+            )
+        left = T[:, -1] - T[:, :-1] @ own
+        unexplained.append(float(np.sqrt(left @ left / freedom)))
+    return np.array(unexplained) / rows.gains
+
+
+def _count(segments: Sequence[Segment]) -> int:
+    return sum(len(segment.motion) for segment in segments)
+
+
+def _base(robot: Robot, effects: Sequence[Effect]) -> BaseParameters:
+    motion = structural_motion(robot, np.random.default_rng(0))
+    return regroup(observe(robot, effects, _stopped(motion)))
+
+
+def _stopped(motion: Motion) -> Motion:
+    still = np.zeros_like(motion.q)
+    return replace(motion, dq=still, ddq=still)
+
+
+def _poses(recording: Recording, robot: Robot) -> Recording:
+    """One row a pose, the mean of rows in a row at one place."""
+    _refuse_moving(recording, robot)
+    steps = np.abs(np.diff(recording.q, axis=0)).max(axis=1)
+    first = np.append(0, 1 + np.flatnonzero(steps > SAME_POSE))
+    counts = np.diff(np.append(first, len(recording)))
+    q, tau = (
+        np.add.reduceat(x, first, axis=0) / counts[:, None]
+        for x in (recording.q, recording.tau)
+    )
+    return replace(
+        recording, t=recording.t[first], q=q, tau=tau, dq=None, extras={}
+    )
+
+
+def _refuse_moving(recording: Recording, robot: Robot) -> None:
+    if recording.dq is None:
+        return
+    limit = robot.limits.velocity
+    limit = np.where(limit < 1e3, limit, REST.free_speed)
+    moving = np.abs(recording.dq) > REST.moving_share * limit
+    if not moving.any():
+        return
+    rows = np.flatnonzero(moving.any(axis=1))
+    row = int(rows[0])
+    j = int(np.argmax(moving[row]))
+    raise BadRecording(
+        recording.file,
+        f"{len(rows)} of {len(moving)} rows are no poses, for joints move there "
+        f"({robot.joints[j]} at {recording.dq[row, j]:.3g} here), and too far apart to show a "
+        "motion: record one at 10 Hz or more, or an arm at rest",
+        row=row,
+    )
+
+
+def _refuse_shared(train: Sequence[Recording], held: Sequence[Recording]) -> None:
+    """Refuse a hold-out with a pose and its torques as they are fitted, to the last digit."""
+    seen = {row.tobytes() for each in train for row in _values(each)}
+    for each in held:
+        shared = sum(row.tobytes() in seen for row in _values(each))
+        if shared:
+            raise BadRecording(
+                each.file,
+                f"{shared} of its {len(each)} poses are fitted too: a hold-out must be unseen; "
+                "name another",
+            )
+
+
+def _values(recording: Recording) -> Array:
+    return np.column_stack([recording.q, recording.tau])
+
+
+def _segment(recording: Recording) -> Segment:
+    """Poses as a segment that nothing filters."""
+    still = np.zeros_like(recording.q)
+    return Segment(
+        name=recording.name,
+        motion=Motion(recording.t, recording.q, still, still),
+        tau=recording.tau,
+        tau_raw=recording.tau,
+        cutoff_hz=np.inf,
+        keep=slice(0, len(recording)),
+    )
