@@ -134,7 +134,8 @@ def gather(
     rows = [s.keep for s in segments]
     residual = tau - train.torque()
     noise = position_noise(segments)
-    facts = joint_facts(motions, rows, residual, segments[0].cutoff_hz, noise)
+    load = np.abs(tau).max(axis=0)
+    facts = joint_facts(motions, rows, residual, segments[0].cutoff_hz, noise, load)
     for effect, trials in proposals(
         robot, facts, [(c.effect, c.trials) for c in believed]
     ):

@@ -25,8 +25,7 @@ from excitant.processes import owned
 from excitant.robots import Robot, builtin_robots, load_limits, load_robot
 
 HERE = Path(__file__).resolve().parent
-_FIGAROH_TIMEOUT = 1800.0  # s
-_ITERATIONS = 100  # of IPOPT per segment, as in its example
+_FIGAROH_TIMEOUT, _ITERATIONS = 1800.0, 100  # s; of IPOPT per segment, as in its example
 _ATTEMPTS = 3  # initial guesses of FIGAROH per segment
 _PER_HARMONIC = 16  # samples by which random search judges
 _LIMITS = ("position", "velocity", "acceleration", "torque")

@@ -33,8 +33,7 @@ COUNTS = (0.6, 0.25, 0.15)  # shares of one, two and three effects
 HARMONICS = 5  # of each motion
 NOISE, ENCODER = 0.01, 2e-5  # of torque, of its standard deviation; of positions [rad]
 CORRELATION, BITS, HEADROOM = 0.02, 12, 1.5  # of coloured noise [s]; of torque, times its peak
-JITTER = 0.1  # of the period
-GAINS = (2.0, 30.0)  # of the drives [N·m/A]
+JITTER, GAINS = 0.1, (2.0, 30.0)  # of the period; of the drives [N·m/A]
 BINS = (0.0, 0.03, 0.05, 0.1, 0.2, 0.4, np.inf)
 
 SAME = {  # exactly the same torque

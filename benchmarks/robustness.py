@@ -46,8 +46,7 @@ HANG = {"fuzz": 60, "arms": 600, "limits": 120, "kills": 600}  # s of processor 
 VERBS = 0.08  # share of commands among the damaged inputs; the others only read
 WRONG, CLAIMED = 0.1, 3.0  # nrmse on an unseen motion, and times the one that was reported
 MEMORY = 2.5  # GB of a process that runs cases; an idle one has 0.34, damaged inputs are small
-ORPHANS = 15.0  # s after which no process of a run that was killed is left
-BEGINNING = 0.1  # s: Python itself begins, and SIGTERM ends it
+ORPHANS, BEGINNING = 15.0, 0.1  # s: no process is left then; Python begins, SIGTERM ends it
 GOOD = ("result", "refused")
 RUN = {"result.json", "series.npz", "summary.txt", "report.html"}
 

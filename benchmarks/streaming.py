@@ -17,8 +17,7 @@ from excitant.identify import identify_robot, read_recordings
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.effects import standard_effects
 
-_RATE = 1000.0  # Hz
-_PERIOD = 20.0  # s, after which the motion repeats; the noise never does
+_RATE, _PERIOD = 1000.0, 20.0  # Hz; s, after which the motion repeats, the noise never
 _NOISE = 1e-5, 0.3  # rad, N·m
 _PIECE = 100_000  # samples written at once
 

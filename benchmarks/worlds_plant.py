@@ -28,8 +28,7 @@ SHIPPED = ("ur10", "panda", "puma560")
 DURATION = 15.0  # of each motion [s]
 SIZES = (0.03, 0.4)  # of an effect's torque to its joint's, rms
 SLIDING = 1e-3  # speed below which dry friction grows with speed [rad/s]
-LONGEST = 0.06  # of the delays [s]
-DRAWS = 20  # of an effect, until it shows
+LONGEST, DRAWS = 0.06, 20  # of the delays [s]; of an effect, until it shows
 
 FRICTION = ("coulomb_friction", "viscous_friction")
 BODIES = ("inertial_parameters", "payload")
@@ -38,7 +37,8 @@ KINDS = (
     *("torque_offset", "spring", "torque_ripple", "rotor_inertia", "friction_coupling"),
     *("torque_gain", "time_delay", "encoder_offset", "gravity_direction", *BODIES),
     *("nonlinear_viscous_friction", "presliding_hysteresis", "thermal_friction_drift"),
-    *("inertia_coupling", "encoder_scale", "kinematic_error"),
+    *("inertia_coupling", "kinematic_error", "motor_saturation"),
+    *("encoder_scale", "encoder_eccentricity"),
 )
 SET_UPS = ("mounting", "torque sign", "joint sign", "swapped", "zero position", "degrees")
 STRUCTURES = ("hose", "bumper", "swaying table")
@@ -76,6 +76,8 @@ class Plant:
     delay: Array | float = 0.0  # of these [s]
     offset: Array | float = 0.0  # true position less reading [rad]
     scale: Array | float = 1.0  # true motion over reading
+    level: Array | float = np.inf  # at which readings of torque stay
+    eccentricity: Array | complex = 0.0  # true position less reading: real part of it times e^(iq)
     edit: Edit = lambda q, tau: (q, tau)  # of what was recorded
 
     @cached_property
@@ -105,7 +107,9 @@ class Plant:
     def state(self, motion: Trajectory, t: Array) -> State:
         """The true motion, and what torque its rigid bodies need by MuJoCo."""
         q, dq, ddq = (self.scale * motion(t, order) for order in range(3))
-        q = q + self.offset
+        off = self.eccentricity * np.exp(1j * q)
+        dq, ddq = dq * (1 - off.imag), ddq * (1 - off.imag) - off.real * dq**2
+        q = q + self.offset + off.real
         rigid, data = np.empty_like(q), mujoco.MjData(self.model)
         for k in range(len(t)):
             data.qpos, data.qvel, data.qacc = q[k], dq[k], ddq[k]
@@ -127,7 +131,7 @@ class Plant:
         tau = np.empty((len(t), len(delay)))
         for each in np.unique(delay):
             tau[:, delay == each] = self.now(motion, t - each)[:, delay == each]
-        return self.gain * tau
+        return np.clip(self.gain * tau, -np.asarray(self.level), self.level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,10 +284,8 @@ class Drawing:
                 return [nv - 2, nv - 1] if rng.random() < 0.5 else [nv - 3, nv - 2]
             case "swaying table":
                 return [0, 1]
-            case "payload":
-                return [nv - 1]
-            case "gravity_direction":
-                return list(range(nv))
+            case "payload" | "gravity_direction":
+                return list(range(nv))[-1 if kind == "payload" else 0 :]
             case "time_delay" if rng.random() < 0.5:
                 return list(range(nv))
         inner = kind == "encoder_offset" and nv > 2  # elsewhere it may not show
@@ -296,8 +298,7 @@ class Drawing:
         robot = alone.robot
         size, way = float(np.exp(rng.uniform(*np.log(self.sizes)))), float(rng.choice([-1, 1]))
         unit = np.eye(robot.nv)[joints].sum(axis=0)
-        found: dict[str, Any] = {}
-        changed: dict[str, Any] = {}
+        changed, found = dict[str, Any](), dict[str, Any]()
         match kind:
             case "torque_gain":
                 changed = found = {"gain": 1 + way * size * unit}
@@ -308,6 +309,12 @@ class Drawing:
                 changed = found = {"offset": way * rng.uniform(0.02, 0.1) * unit}
             case "encoder_scale":
                 changed = found = {"scale": 1 + way * rng.uniform(0.02, 0.1) * unit}
+            case "encoder_eccentricity":
+                off = rng.uniform(0.01, 0.05) * np.exp(1j * rng.uniform(-np.pi, np.pi))
+                changed, found = {"eccentricity": off * unit}, {"wave": [off.real, -off.imag]}
+            case "motor_saturation":
+                high = rng.uniform(0.5, 0.9) * np.abs(self._torque(alone)).max(axis=0)
+                changed = found = {"level": np.where(unit > 0, high, np.inf)}
             case "gravity_direction":
                 changed = {"robot": tilted(robot, rng, rng.uniform(0.05, 0.3))}
                 found = {"gravity": changed["robot"].gravity}

@@ -26,8 +26,10 @@ from excitant.robots.effects.drive import (
 
 # isort: split
 from excitant.robots.effects.sensing import (
+    EncoderEccentricity,
     EncoderOffset,
     EncoderScale,
+    MotorSaturation,
     TimeDelay,
     TorqueGain,
 )
@@ -86,6 +88,7 @@ __all__ = [
     "Backlash",
     "CoulombFriction",
     "Effect",
+    "EncoderEccentricity",
     "EncoderOffset",
     "EncoderScale",
     "Export",
@@ -100,6 +103,7 @@ __all__ = [
     "JointwiseEffect",
     "KinematicError",
     "LoadDependentFriction",
+    "MotorSaturation",
     "NonlinearViscousFriction",
     "PairEffect",
     "Parameter",

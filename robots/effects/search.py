@@ -36,6 +36,7 @@ class JointFacts:
         start: First instant [s].
         duration: Of all recordings, from first to last instant [s].
         blur: Travel about a reversal that sampling and filter hide [rad or m].
+        load: Largest torque [N·m].
         q: Positions at the rows of ``unexplained``, shape (n,).
         dq: Velocities there, shape (n,).
         unexplained: Residual torque of a model, shape (n,) [N·m].
@@ -47,6 +48,7 @@ class JointFacts:
     start: float = 0.0
     duration: float = np.inf
     blur: float = 0.0
+    load: float = np.inf
     q: Array = field(default_factory=lambda: np.zeros(0))
     dq: Array = field(default_factory=lambda: np.zeros(0))
     unexplained: Array = field(default_factory=lambda: np.zeros(0))
@@ -64,10 +66,12 @@ def joint_facts(
     unexplained: Array | None = None,
     cutoff_hz: float = np.inf,
     noise: Array | float = 0.0,
+    load: Array | float = np.inf,
 ) -> tuple[JointFacts, ...]:
     """Statistics of each joint in recordings, with the residual torque of a model at some rows.
 
-    Noise is a density of the positions, (nv,) [rad²/Hz or m²/Hz].
+    Noise is a density of the positions, (nv,) [rad²/Hz or m²/Hz]; ``load`` the largest torque of
+    each joint, (nv,) [N·m].
     """
     states = [(motion.q, motion.dq, motion.ddq) for motion in motions]
     q, dq, ddq = (np.concatenate(parts) for parts in zip(*states, strict=True))
@@ -82,9 +86,10 @@ def joint_facts(
     blur = acceleration * hidden_time**2 / 2 + REVERSAL_STDS * np.sqrt(noise * band)
     speed = np.abs(dq).max(axis=0)
     reach = np.ptp(q, axis=0)
+    most = np.broadcast_to(load, speed.shape)
     facts = tuple(
-        JointFacts(float(s), float(r), start, duration, float(b))
-        for s, r, b in zip(speed, reach, blur, strict=True)
+        JointFacts(float(s), float(r), start, duration, float(b), float(m))
+        for s, r, b, m in zip(speed, reach, blur, most, strict=True)
     )
     if unexplained is None:
         return facts

@@ -14,6 +14,7 @@ from excitant.robots.effects import experiments as by
 from excitant.robots.effects.base import (
     Acts,
     Effect,
+    JointwiseEffect,
     Parameter,
     Physics,
     Size,
@@ -26,6 +27,7 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import carried_torque, torque_along
 from excitant.robots.robot import Robot
 
+LEVELS = np.array((0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0))  # of the largest torque
 DELAYS = (-0.05, -0.02, -0.005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)  # s
 LONGEST_DELAY = 0.04  # s, of an alternative to another delay
 
@@ -126,6 +128,58 @@ class TimeDelay(Effect):
         return columns
 
 
+def _saturation(
+    effect: MotorSaturation,
+    robot: Robot,
+    joints: Sequence[str],
+    sizes: Sequence[Size],
+) -> str:
+    if len(joints) > 1:
+        return usual_sentence(effect, robot, joints, sizes)
+    unit = effect.shape_unit(robot, effect.search.shapes[0])
+    read = f"{100 * (1 + sizes[0].value):.0f}{sizes[0].spread(100)} %"
+    return (
+        f"{joints[0]}: the motor saturates, of torque beyond {effect.level:.3g} {unit} "
+        f"{read} is read"
+    )
+
+
+@registered
+class MotorSaturation(JointwiseEffect):
+    """Reading = τ + c sgn(τ) max(|τ| − L, 0): c = −1 where it stays at L.
+
+    A drive gives no more than its current limit; c > 0 where the iron of a motor saturates and
+    its current grows faster than its torque.
+
+    Attributes:
+        level: L [N·m].
+    """
+
+    name = "motor_saturation"
+    family = "reading"
+    terms = (Parameter("beyond_level", "1", lower=-1.0, typical=1.0),)
+    physics = Physics("torque")
+    search = Search(
+        shapes=(
+            Shape(
+                "level",
+                "N·m",
+                grid=lambda facts: (
+                    LEVELS * facts.load if facts.load < np.inf else ()
+                ),
+                most=lambda facts: facts.load,
+            ),
+        ),
+    )
+    words = Words("torque", {"torque_gain": by.LOADS}, sentence=_saturation)
+
+    level: float = 0.01
+
+    def at(self, robot: Robot, motion: Motion, j: int) -> Sequence[Array]:
+        tau = carried_torque(robot, motion)[:, j]
+        return (tau - np.clip(tau, -self.level, self.level),)
+
+
 class _EncoderError(Effect):
     """A joint is elsewhere than its encoder says."""
 
@@ -171,3 +225,28 @@ class EncoderScale(_EncoderError):
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
         return torque_along(robot, motion, j, motion.q[:, j])[:, :, None]
+
+
+@registered
+class EncoderEccentricity(_EncoderError):
+    """True angle = reading + a cos q + b sin q: the encoder's disk turns about another centre."""
+
+    name = "encoder_eccentricity"
+    terms = (
+        Parameter("eccentricity_cos", "rad", typical=0.1, vector="eccentricity"),
+        Parameter("eccentricity_sin", "rad", typical=0.1, vector="eccentricity"),
+    )
+    words = Words(
+        separated_by={
+            "encoder_offset": f"{by.ZERO} at several angles",
+            "encoder_scale": f"{by.ZERO} at several angles",
+            "inertial_parameters": by.KINEMATICS,
+        }
+    )
+
+    def columns(self, robot: Robot, motion: Motion) -> Array:
+        j = self.rows(robot)[0]
+        q = motion.q[:, j]
+        waves = (np.cos(q), np.sin(q))
+        parts = [torque_along(robot, motion, j, wave) for wave in waves]
+        return np.stack(parts, axis=2)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis import record
+from diagnosis import moving_arm, record
 from marks import slow
-from worlds_plant import Plant, perturbed
+from worlds_plant import Drawing, Plant, perturbed
 
 from excitant.analysis.diagnosis import Diagnosis, _judged_set_up, diagnose
 from excitant.analysis.set_up import SetUp, set_up
@@ -75,6 +75,20 @@ def test_no_cause_is_named_while_a_joint_is_missed(planar: Robot) -> None:
     assert "named" in verdicts[0]
     assert verdicts[1] == {"undecided"}
     assert any("impossible stands beside it: it " in f.downgrade for f in diagnosis.findings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", [1, 3, 4])
+def test_saturation_and_eccentricity_are_named_with_their_size(world: int) -> None:
+    kind = "motor_saturation" if world < 4 else "encoder_eccentricity"
+    rng = np.random.default_rng([977, world])
+    robot, given, plant, paths = moving_arm(rng, 0.0)
+    plant, hidden = Drawing(plant, given, paths, rng).hide(plant, kind, set())
+    fitted, held = (record(plant, path, "white", 1.0, rng, "run") for path in paths)
+    found = diagnose(robot, [fitted], validate=[held]).findings[0]
+    assert (found.effect.name, found.effect.joints, found.verdict) == (kind, hidden.joints, "named")
+    true = hidden.parameters.get("wave", [-1.0])
+    np.testing.assert_allclose(found.effect.values, true, atol=4 * max(found.std))
 
 
 @pytest.mark.slow

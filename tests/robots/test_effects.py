@@ -22,7 +22,7 @@ from excitant.robots.simulation import REST, forward_model
 
 Proposals = list[tuple[Effect, int]]
 JOINTWISE = sorted(name for name, kind in EFFECTS.items() if kind.acts_on is fx.Acts.EACH)
-OF_THE_PAST = ("encoder_scale", "joint_elasticity", "backlash")
+OF_THE_PAST = ("encoder_scale", "encoder_eccentricity", "joint_elasticity", "backlash")
 CARRIED = ("gravity_direction", "payload", "inertial_parameters")
 
 
@@ -92,7 +92,7 @@ def test_amplitude_has_the_spread_of_its_samples() -> None:
 
 def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
     assert EFFECTS[kind.name] is kind
-    assert len(EFFECTS) == 24
+    assert len(EFFECTS) == 26
     told = (name for names in kind.words.separated_by for name in names.split())
     assert {*kind.search.contains, *told} <= {*EFFECTS}
     assert set(kind.search.imitates) <= set(kind.search.contains)
@@ -169,7 +169,7 @@ def test_in_a_simulation_it_makes_the_torque_of_its_columns(planar, random_state
 @pytest.fixture(scope="module")
 def facts(ur10: Robot, random_states: Call) -> list[fx.JointFacts]:
     motion = random_states(ur10, 3, 200)
-    found = fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3)
+    found = fx.joint_facts([motion], [slice(None)], np.cos(9 * motion.q), 1e3, load=9.0)
     return [replace(seen, blur=0.0) for seen in found]  # states in no order have no reversals
 
 
