@@ -9,9 +9,11 @@ sound arms differ. Both are such that what is left has the size expected of it (
 ω from lines through the dates of each arm, τ from the means of the arms.
 
 An arm *differs* where δ_a is an extreme Studentised deviate of its type (the generalised test of
-Rosner 1983, which up to a quarter of odd arms do not hide from each other). It *changes* where β_a
-is not 0 by Student's t. Chances are those of the whole fleet (Bonferroni): where all arms are sound
-and steady, anything at all is said in at most 5 % of fleets.
+Rosner 1983, which up to a quarter of odd arms do not hide from each other). Few arms do not say by
+how much sound ones differ, so that none of them is odd unless far from the others: where equal arms
+would not have such values, those furthest apart are told, with their *difference*. An arm *changes*
+where β_a is not 0 by Student's t. Chances are those of the whole fleet (Bonferroni): where all arms
+are sound and steady, any of them is called odd or changing in at most 5 % of fleets.
 """
 
 from __future__ import annotations
@@ -122,11 +124,37 @@ class Drift:
 
 
 @dataclass(frozen=True)
+class Difference:
+    """A parameter that is not the same for all arms of a type, and none of them is odd.
+
+    Attributes:
+        parameter, unit: Which.
+        low, low_value: Arm with the least value, and this.
+        high, high_value: Arm with the largest value, and this.
+        difference, std: Between both.
+        count: Number of the arms.
+        chance: Probability, among equal arms of a fleet, of values as far apart.
+    """
+
+    parameter: str
+    unit: str
+    low: str
+    low_value: float
+    high: str
+    high_value: float
+    difference: float
+    std: float
+    count: int
+    chance: float
+
+
+@dataclass(frozen=True)
 class Fleet:
     """Data sets of many arms, the arms that differ, and what changes."""
 
     examined: tuple[Examined, ...]
     deviations: tuple[Deviation, ...]
+    differences: tuple[Difference, ...]
     drifts: tuple[Drift, ...]
 
     def result(self) -> dict[str, Any]:
@@ -139,6 +167,7 @@ class Fleet:
             "types": sorted({e.kind for e in done}),
             "data_sets": [_entry(data_set) for data_set in self.examined],
             "deviations": [asdict(deviation) for deviation in self.deviations],
+            "differences": [asdict(difference) for difference in self.differences],
             "drifts": [
                 asdict(drift) | {"first": str(drift.first), "last": str(drift.last)}
                 for drift in self.drifts
@@ -195,7 +224,7 @@ def _notes(done: Sequence[Examined]) -> Iterator[str]:
 def compare_arms(examined: Sequence[Examined]) -> Fleet:
     """The arms of a fleet beside each other and over time."""
     groups = list(_groups([data_set for data_set in examined if data_set.values]))
-    chance = CHANCE / 2
+    chance = CHANCE / 3
     lines = sum(len(group.lines) for group in groups)
     drifts = list[Drift]()
     compared = list[_Group]()
@@ -203,13 +232,19 @@ def compare_arms(examined: Sequence[Examined]) -> Fleet:
         own = [d for d in group.drifts(lines) if d.chance <= chance]
         steady = group.without({d.arm for d in own})
         drifts += own
-        compared += [steady] * (len(steady.arms) >= FEWEST_ARMS)
+        compared += [steady] * (len(steady.arms) > 1)
     drifts.sort(key=lambda d: d.chance)
-    deviations = [
-        d for group in compared for d in group.deviations(chance / len(compared))
-    ]
+    deviations = list[Deviation]()
+    differences = list[Difference]()
+    for group in compared:
+        odd = [*group.deviations(chance / len(compared))]
+        deviations += odd
+        if not odd:
+            differences.append(group.difference(len(compared)))
     deviations.sort(key=lambda d: -d.ratio)
-    return Fleet(tuple(examined), tuple(deviations), tuple(drifts))
+    differences.sort(key=lambda d: (d.chance, -d.difference / d.std))
+    apart = tuple(d for d in differences if d.chance <= chance)
+    return Fleet(tuple(examined), tuple(deviations), apart, tuple(drifts))
 
 
 class _Fit(NamedTuple):
@@ -323,6 +358,8 @@ class _Group:
 
     def deviations(self, chance: float) -> Iterator[Deviation]:
         """Arms that differ, at a chance that any does where none is odd."""
+        if len(self.arms) < FEWEST_ARMS:
+            return
         fit = self.fit(self.within[0])
         mean = fit.mean
         variance = fit.variance
@@ -337,12 +374,33 @@ class _Group:
                 float(np.sqrt(variance[k] + of_mean)), len(rest), ratio,
             )  # fmt: skip
 
+    def difference(self, tested: int) -> Difference:
+        """The arms that are furthest apart, with the chance among so many groups of equal arms."""
+        more, freedom = self.within
+        fit = self.fit(more)
+        squares = _about_mean(fit.mean, fit.variance)[2]
+        others = len(self.arms) - 1
+        if more > 0:  # which is itself estimated
+            chance = scipy.special.fdtrc(others, freedom, squares / others)
+        else:
+            chance = scipy.special.chdtrc(others, squares)
+        low = int(np.argmin(fit.mean))
+        high = int(np.argmax(fit.mean))
+        least, most = float(fit.mean[low]), float(fit.mean[high])
+        std = float(np.sqrt(fit.variance[low] + fit.variance[high]))
+        return Difference(
+            self.name, self.unit, self.arms[low], least, self.arms[high], most, most - least, std,
+            others + 1, min(1.0, tested * float(chance)),
+        )  # fmt: skip
+
 
 def odd_ones(x: Array, variance: Array, chance: float) -> list[tuple[int, float]]:
     """Values that are none of their kind, with how far they are beyond what chance allows.
 
     Generalised extreme Studentised deviates (Rosner 1983) of values that have variances of their
-    own; any is found by a chance where none is odd. At most every fourth can be.
+    own: each is compared with the mean of those that are nearer, whose spread is estimated without
+    it (where variances are alike, that is Rosner's test). Any is found by a chance where none is
+    odd. At most every fourth can be.
     """
     kept = np.arange(len(x))
     removed = list[tuple[int, float]]()
@@ -351,13 +409,16 @@ def odd_ones(x: Array, variance: Array, chance: float) -> list[tuple[int, float]
         between = _between(x[kept], variance[kept])
         mean, _, _ = _about_mean(x[kept], variance[kept] + between)
         far = np.abs(x[kept] - mean) / np.sqrt(variance[kept] + between)
-        k = int(np.argmax(far))
+        k = int(kept[np.argmax(far)])
         n = len(kept)
-        t = float(scipy.special.stdtrit(n - 2, 1 - chance / (2 * n)))
-        ratio = float(far[k]) / ((n - 1) * t / np.sqrt((n - 2 + t**2) * n))
-        removed.append((int(kept[k]), float(ratio)))
-        kept = np.delete(kept, k)
-        if ratio > 1:
+        kept = kept[kept != k]
+        # errors of the arms are known, their spread is not: both are in this, and Student's t
+        between = _between(x[kept], variance[kept])
+        mean, of_mean, _ = _about_mean(x[kept], variance[kept] + between)
+        deviate = abs(x[k] - mean) / np.sqrt(variance[k] + between + of_mean)
+        allowed = scipy.special.stdtrit(n - 2, 1 - chance / (2 * n))
+        removed.append((k, float(deviate / allowed)))
+        if deviate > allowed:
             count = len(removed)
     return removed[:count]
 

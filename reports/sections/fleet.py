@@ -19,10 +19,11 @@ from excitant.reports.figure import (
     figure,
 )
 from excitant.reports.values import Series
-from excitant.results import DataSet, Deviation, Drift, Fleet, Number
+from excitant.results import DataSet, Deviation, Difference, Drift, Fleet, Number
 
 _DRAWN = 6  # changes that are drawn
 _MONTHS = 12.0
+_TOLD = 5  # differences that are told in words
 
 
 def fleet_section(result: Fleet, series: Series) -> p.Section:
@@ -38,6 +39,9 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
         f"{_counted(arms, 'differs from its siblings', 'differ from their siblings')}, "
         f"{_counted(changing, 'changes', 'change')} with time"
     )
+    if result.differences:
+        count = len(result.differences)
+        lead += f"; {_counted(count, 'parameter is', 'parameters are')} not the same for all arms"
     if failed:
         lead += (
             f"; {_counted(len(failed), 'data set has', 'data sets have')} no model"
@@ -52,6 +56,16 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
                 [
                     p.notes([_differs(row) for row in odd], brief="differs"),
                     _odd(odd),
+                ],
+            ),
+            (
+                "What is not the same for all arms",
+                [
+                    p.notes(
+                        [_apart(row) for row in result.differences[:_TOLD]],
+                        brief="not the same",
+                    ),
+                    _differences(result.differences),
                 ],
             ),
             (
@@ -96,6 +110,32 @@ def _differs(row: Deviation) -> str:
     return (
         f"{row.arm}: {row.parameter} is {value} {row.unit}, {apart.lstrip('−-')} {more} than that "
         f"of its {row.count} siblings ({others})"
+    )
+
+
+def _apart(row: Difference) -> str:
+    difference = _interval(row.difference, row.std).text
+    return (
+        f"{row.parameter} differs by {difference} {row.unit} between {row.low} "
+        f"({v.number(row.low_value)}) and {row.high} ({v.number(row.high_value)}); "
+        f"which of {row.count} arms is odd, if any, cannot be told"
+    )
+
+
+def _differences(rows: list[Difference]) -> p.Table | None:
+    return p.table(
+        rows,
+        [
+            ("expression:Parameter", "parameter"),
+            ("number:Least", "low_value"),
+            ("name:Of", "low"),
+            ("number:Most", "high_value"),
+            ("name:Of", "high"),
+            ("number:Difference", lambda r: _interval(r.difference, r.std)),
+            ("name:Unit", "unit"),
+            ("number:Arms", "count", v.whole),
+        ],
+        "The clearest first. Sound arms of one type may differ as much.",
     )
 
 

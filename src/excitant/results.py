@@ -1586,6 +1586,31 @@ class Deviation(Record):
     "Difference over what chance allows."
 
 
+class Difference(Record):
+    """A parameter that is not the same for all arms of a type, and none of them is odd."""
+
+    parameter: str
+    "Parameter."
+    unit: str
+    "Unit."
+    low: str
+    "Arm with the least value."
+    low_value: Number
+    "That value."
+    high: str
+    "Arm with the largest value."
+    high_value: Number
+    "That value."
+    difference: Number
+    "Between both."
+    std: Number
+    "Its standard deviation."
+    count: int
+    "Number of arms."
+    chance: Number
+    "Probability, in a fleet of equal arms, of values as far apart."
+
+
 class Drift(Record):
     """A parameter that changes with time."""
 
@@ -1626,6 +1651,8 @@ class Fleet(Record, tag_field="verb", tag="fleet"):
     "Data sets."
     deviations: list[Deviation]
     "Arms that differ."
+    differences: list[Difference]
+    "What is not the same for all arms, though none of them is odd; the clearest first."
     drifts: list[Drift]
     "What changes."
     notes: list[str]
