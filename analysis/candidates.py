@@ -89,6 +89,8 @@ class Observed:
             for single in effect.singles()
         )
         new = [e for e in dict.fromkeys(singles) if e not in self._computed(e)]
+        if not new:
+            return
         columns = effect_columns(self.robot, new, self.segments)
         for effect, own in zip(new, columns, strict=True):
             self._computed(effect)[effect] = own
