@@ -213,7 +213,8 @@ class BodyPrior:
         draws = self.draws[:, None]
         weight = draws + barrier
         scale = np.sqrt(weight / 2)
-        C = np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
+        P = pseudo_inertia(phi.reshape(-1, 10))
+        C = np.asarray(np.linalg.cholesky(P), float)
         roots = self._roots @ C
         # the nominal body relative to φ
         Q = (roots.swapaxes(1, 2) @ roots)[:, *UPPER]

@@ -104,7 +104,7 @@ def possible(bodies: BodyPrior, p: int, margin: float) -> tuple[Restriction, ...
     """No link is less than a share of the nominal one, in any direction; y has p coordinates."""
     h = (margin * np.eye(4)[UPPER])[_COLUMNS]
     restrictions = []
-    roots = np.linalg.cholesky(pseudo_inertia(bodies.bodies))
+    roots = np.asarray(np.linalg.cholesky(pseudo_inertia(bodies.bodies)), float)
     for k, rows in enumerate(relative_rows(roots)):
         link = slice(10 * k, 10 * k + 10)
         G = np.zeros((10, p))

@@ -215,7 +215,7 @@ def regroup(
 def dependence(R: Array, leading: Sequence[int]) -> Array:
     """Coefficients (r, p) by which independent columns of R, r of p, make all of them."""
     columns = list(leading)
-    B: Array = np.linalg.lstsq(R[:, columns], R, rcond=None)[0]
+    B = np.asarray(np.linalg.lstsq(R[:, columns], R, rcond=None)[0], float)
     B[:, columns] = np.eye(len(columns))
     return B
 

@@ -123,8 +123,7 @@ def test_columns_and_torque_pass_the_same_filter_also_in_parts(ur10, monkeypatch
     assert len(torque) == len(segment.t) == len(segment.tau[segment.keep])
     small = replace(SAMPLING, chunk=500)
     monkeypatch.setattr("excitant.identify.preprocessing.SAMPLING", small)
-    parts = segment.rows(kinds[0])
-    np.testing.assert_allclose(parts, columns, atol=1e-6 * np.abs(columns).max())
+    np.testing.assert_allclose(segment.rows(kinds[0]), columns, atol=1e-6 * np.abs(columns).max())
     # what effects share of a part is computed once
     torque_derivatives.cache_clear()
     effect_columns(ur10, [Backlash((joint,)) for joint in ur10.joints], [segment])
