@@ -52,7 +52,9 @@ class Observed:
         if effect.link(self.robot) is not None:
             rows = effect.rows(self.robot)
             return self.links[:, :, [10 * j + k for j in rows for k in range(10)]]
-        parts = [self._once(each).on(self.robot.nv) for each in effect.singles()]
+        singles = effect.singles()
+        self.prepare(singles)
+        parts = [self._computed(each)[each].on(self.robot.nv) for each in singles]
         return np.concatenate(parts, axis=2)
 
     def acting(self, effect: Effect) -> ActingColumns:
@@ -61,25 +63,40 @@ class Observed:
             effect.link(self.robot) is None
             and len(singles := effect.singles()) == 1
         ):
-            return self._once(singles[0])
+            self.prepare(singles)
+            return self._computed(singles[0])[singles[0]]
         return ActingColumns.of(self.columns(effect))
 
     def matrix(self, effects: Sequence[Effect]) -> Array:
         """Columns of the standard parameters followed by those of effects, shape (n, nv, p)."""
+        self.prepare(effects)
         return np.concatenate([self.links, *map(self.columns, effects)], axis=2)
 
     def torque(self) -> Array:
         """Torque of the robot with its effects, shape (n, nv) [N·m]."""
+        self.prepare(self.robot.effects)
         tau: Array = self.links @ self.robot.phi
         for effect in self.robot.effects:
             tau = tau + self.columns(effect) @ np.array(effect.values or ())
         return tau
 
-    def _once(self, effect: Effect) -> ActingColumns:
-        computed = self._by_robot if effect.physics.on_model else self._by_motion
-        if effect not in computed:
-            computed[effect] = effect_columns(self.robot, effect, self.segments)
-        return computed[effect]
+    def prepare(self, effects: Sequence[Effect]) -> None:
+        """Compute columns of effects that are to be asked for, in one pass over the segments."""
+        singles = (
+            single
+            for effect in effects
+            if effect.link(self.robot) is None
+            for single in effect.singles()
+        )
+        new = [e for e in dict.fromkeys(singles) if e not in self._computed(e)]
+        if not new:
+            return
+        columns = effect_columns(self.robot, new, self.segments)
+        for effect, own in zip(new, columns, strict=True):
+            self._computed(effect)[effect] = own
+
+    def _computed(self, effect: Effect) -> dict[Effect, ActingColumns]:
+        return self._by_robot if effect.physics.on_model else self._by_motion
 
 
 def observed(robot: Robot, segments: Sequence[Segment]) -> Observed:
@@ -136,14 +153,19 @@ def gather(
     noise = position_noise(segments)
     load = np.abs(tau).max(axis=0)
     facts = joint_facts(motions, rows, residual, segments[0].cutoff_hz, noise, load)
-    for effect, trials in proposals(
-        robot, facts, [(c.effect, c.trials) for c in believed]
-    ):
-        if identified and not effect.search.addable:
-            continue
+    considered = [
+        (effect, trials)
+        for effect, trials in proposals(
+            robot, facts, [(c.effect, c.trials) for c in believed]
+        )
+        if (effect.search.addable or not identified)
         # is no other than the drive's gain
-        if gains is not None and effect.physics.on_given_torque:
-            continue
+        and not (gains is not None and effect.physics.on_given_torque)
+    ]
+    of_given = [e for e, _ in considered if e.physics.on_given_torque]
+    nominal.prepare(of_given)
+    train.prepare([e for e, _ in considered if e not in of_given])
+    for effect, trials in considered:
         acting = cause_columns(effect, nominal, train)
         if not len(acting.joints):
             continue

@@ -101,6 +101,11 @@ class Evidence:
         """Xᵀ Λ X, shape (p, p)."""
         return self.products[:-1, :-1]
 
+    @cached_property
+    def information(self) -> Array:
+        """Xᵀ Λ X with the prior precision, shape (p, p)."""
+        return frozen(self.gram + np.diag(self.precision))
+
     @property
     def moment(self) -> Array:
         """Xᵀ Λ r, shape (p,)."""
@@ -275,9 +280,7 @@ class Evidence:
 
     def _root(self, active: Index) -> Array:
         """L of L Lᵀ, the information of active columns."""
-        return _root(
-            self.gram[np.ix_(active, active)] + np.diag(self.precision[active])
-        )
+        return _root(self.information[np.ix_(active, active)])
 
     @cached_property
     def _nuisance_root(self) -> Array:
@@ -285,16 +288,15 @@ class Evidence:
 
     def _halved(self, active: Index, right: Array) -> Array:
         """L⁻¹ times a right-hand side, L Lᵀ the information of active columns."""
-        return np.asarray(
-            scipy.linalg.solve_triangular(self._root(active), right, lower=True),
-            float,
-        )
+        half, _ = scipy.linalg.lapack.dtrtrs(self._root(active), right, lower=1)
+        return np.asarray(half, float)
 
 
 def _root(A: Array) -> Array:
     """L of L Lᵀ = A, positive but for rounding, each column in its own unit."""
     unit = 1 / np.sqrt(np.diag(A))
-    scaled = unit[:, None] * A * unit + _ROUNDING * np.eye(len(A))
+    scaled = unit[:, None] * A * unit
+    scaled[np.diag_indices_from(scaled)] += _ROUNDING
     return np.asarray(np.linalg.cholesky(scaled) / unit[:, None], float)
 
 

@@ -14,7 +14,7 @@ from excitant.analysis.evidence import (
     Key,
     reweighed,
 )
-from excitant.analysis.thresholds import SELECTION
+from excitant.analysis.thresholds import EVIDENCE, SELECTION
 from excitant.robots.effects import Effect, plausible
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
@@ -172,8 +172,10 @@ def _significant(
     candidate: Candidate,
     fall: float,
 ) -> bool:
-    spread = evidence.dispersion(chosen, candidate)
-    return fall > spread * evidence.threshold(candidate, len(chosen))
+    threshold = evidence.threshold(candidate, len(chosen))
+    if fall <= EVIDENCE.least_dispersion * threshold:  # told without the samples
+        return False
+    return fall > evidence.dispersion(chosen, candidate) * threshold
 
 
 def _pruned(

@@ -18,6 +18,9 @@ from excitant.robots.base_parameters import (
     BaseParameters,
     Observation,
     categories,
+    categories_of,
+    dependence,
+    independent_columns,
     observe,
     regroup,
     structural_motion,
@@ -105,7 +108,7 @@ def structure(
     observation = observe(robot, effects, motion, rows, frames)
     base = regroup(observation)
     category = categories(base)
-    flips_at = _flips(observation, category)
+    flips_at = _flips(observation, base, category)
     margin = np.nan_to_num(
         np.maximum(flips_at / TOLERANCE, TOLERANCE / flips_at), nan=MARGIN
     )
@@ -165,15 +168,23 @@ def _circumstantial(
     return replace(motion, q=q, dq=dq, ddq=ddq)
 
 
-def _flips(observation: Observation, category: tuple[str, ...]) -> Array:
+def _flips(
+    observation: Observation, base: BaseParameters, category: tuple[str, ...]
+) -> Array:
     """Tolerance nearest to the one in use at which each category changes, shape (p,)."""
     # in the middle of the half decade in which it does; nan if none within a factor of `MARGIN`
+    R = observation.R
+    accepted, rejected = base.gap
+    usual = dependence(R, base.columns)
     flips_at = np.full(len(category), np.nan)
     for step in range(HALF_DECADES, 0, -1):  # the nearest is written last
         for sign in (1, -1):
-            other = categories(
-                regroup(observation, TOLERANCE * 10 ** (sign * step / 2))
-            )
+            tolerance = TOLERANCE * 10 ** (sign * step / 2)
+            leading, B = base.columns, usual
+            if not rejected <= tolerance < accepted:  # others are independent
+                leading, _ = independent_columns(R, tolerance)
+                B = dependence(R, leading)
+            other = categories_of(np.abs(B) >= tolerance, leading)
             changed = np.array(other) != np.array(category)
             flips_at[changed] = TOLERANCE * 10 ** (sign * (step - 0.5) / 2)
     return flips_at

@@ -370,6 +370,20 @@ def without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
     return tuple(x - Q @ (Q.T @ x) for x in values)
 
 
+def without_own_effects(F: Array, *values: Array) -> tuple[Array, ...]:
+    """The same of all joints at once: values (n, nv), effect columns F, shape (n, nv, e)."""
+    lives = live(F)
+    # columns of zeros stand last, where they change none before them
+    order = np.argsort(~lives, axis=1, kind="stable")
+    sorted_columns = np.take_along_axis(F, order[None], axis=2).swapaxes(0, 1)
+    Q = np.linalg.qr(sorted_columns)[0]
+    Q *= np.take_along_axis(lives, order, axis=1)[:, None]
+    return tuple(
+        x - np.einsum("jne,je->nj", Q, np.einsum("jne,nj->je", Q, x))
+        for x in values
+    )
+
+
 @dataclass(frozen=True)
 class KnownPayload:
     """A body on the last link, as weighed and measured."""

@@ -162,9 +162,14 @@ class Segment:
         )
 
     def rows(self, columns: Callable[[Motion], Array]) -> Array:
-        """Filtered and decimated columns of the motion, shape (rows, ...).
+        """Filtered and decimated columns of the motion, shape (rows, ...)."""
+        return self.rows_of([columns])[0]
 
-        Long segments are evaluated in parts that overlap by what the filter remembers.
+    def rows_of(self, kinds: Sequence[Callable[[Motion], Array]]) -> list[Array]:
+        """Rows of several kinds of columns, each of shape (rows, ...).
+
+        Long segments are evaluated in parts that overlap by what the filter remembers, each part
+        for all kinds: what they share of a motion is computed once.
         """
         start = self.keep.start
         stop = self.keep.stop
@@ -172,15 +177,20 @@ class Segment:
         reach = int(MEMORY_PERIODS * self.rate_hz / self.cutoff_hz)
         size = -(-SAMPLING.chunk // step) * step
         if len(self.motion) <= 3 * size + 2 * reach:
-            return self.filtered(columns(self.motion), self.keep)
-        chunks = []
+            return [
+                self.filtered(columns(self.motion), self.keep) for columns in kinds
+            ]
+        parts: list[list[Array]] = []
         for first in range(start, stop, size):
             part = slice(max(0, first - reach), first + size + reach)
             inner = slice(
                 first - part.start, min(first + size, stop) - part.start, step
             )
-            chunks.append(self.filtered(columns(self.motion[part]), inner))
-        return np.concatenate(chunks)
+            motion = self.motion[part]
+            parts.append(
+                [self.filtered(columns(motion), inner) for columns in kinds]
+            )
+        return [np.concatenate(chunks) for chunks in zip(*parts, strict=True)]
 
     @property
     def of_poses(self) -> bool:

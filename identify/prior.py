@@ -125,21 +125,30 @@ def link_coordinates(reference: Array) -> Array:
     """Map T, φ = T y, to standard parameters; y is relative to consistent ones, (links, 10)."""
     bodies = [pseudo_inertia(isotropic(body)) for body in reference]
     roots = np.linalg.cholesky(bodies)
-    blocks = (from_pseudo_inertia(L @ SYMMETRIC @ L.T).T for L in roots)
-    return scipy.linalg.block_diag(*blocks)
+    blocks = [from_pseudo_inertia(L @ SYMMETRIC @ L.T).T for L in roots]
+    return block_diagonal(np.array(blocks))
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """Blocks of shape (links, r, c) on the diagonal, else zeros, (links r, links c)."""
+    links, rows, columns = blocks.shape
+    whole = np.zeros((links, rows, links, columns))
+    every = np.arange(links)
+    whole[every, :, every] = blocks
+    return whole.reshape(links * rows, links * columns)
 
 
 def matrices(y: Array, links: int) -> Array:
     """The matrices Q_k of the coordinates that y begins with, shape (links, 4, 4)."""
-    return np.tensordot(y[: 10 * links].reshape(links, 10), SYMMETRIC, 1)
+    Q = y[: 10 * links].reshape(links, 10) @ SYMMETRIC.reshape(10, 16)
+    return Q.reshape(links, 4, 4)
 
 
-def relative_rows(phi: Array) -> Array:
-    """Rows R_k of bodies relative to consistent ones φ, shape (links, 10, 10).
+def relative_rows(C: Array) -> Array:
+    """Rows R_k of bodies relative to those of pseudo-inertia C Cᵀ, shape (links, 10, 10).
 
-    R_k φ_k is the upper triangle of C⁻¹ P C⁻ᵀ times `NORMS`, where C Cᵀ is of link k of φ.
+    R_k φ_k is the upper triangle of C⁻¹ P C⁻ᵀ times `NORMS`; C is triangular, (links, 4, 4).
     """
-    C = np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
     inverse = np.linalg.inv(C)[:, None]
     basis = inverse @ PSEUDO_INERTIA_BASIS @ inverse.swapaxes(2, 3)
     relative = basis[..., *UPPER]
@@ -192,22 +201,25 @@ class BodyPrior:
     def quadratic(self, phi: Array) -> tuple[Array, Array]:
         """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order."""
         distance = self._distance @ (phi - self.bodies.ravel())
-        entropic, J = self.entropic(phi)
-        return np.concatenate([distance, entropic]), np.vstack([self._distance, J])
+        entropic, rows = self.entropic(phi)
+        J = np.vstack([self._distance, block_diagonal(rows)])
+        return np.concatenate([distance, entropic]), J
 
     def entropic(self, phi: Array, barrier: float = 0.0) -> tuple[Array, Array]:
-        """Those of the entropic distance, and of so many times −log det P of every link."""
+        """Those of the entropic distance, and of so many times −log det P of every link.
+
+        Rows of each link stand by themselves, shape (links, 10, 10).
+        """
         draws = self.draws[:, None]
         weight = draws + barrier
         scale = np.sqrt(weight / 2)
-        roots = self._roots @ np.linalg.cholesky(
-            pseudo_inertia(phi.reshape(-1, 10))
-        )
+        P = pseudo_inertia(phi.reshape(-1, 10))
+        C = np.asarray(np.linalg.cholesky(P), float)
+        roots = self._roots @ C
         # the nominal body relative to φ
         Q = (roots.swapaxes(1, 2) @ roots)[:, *UPPER]
         residual = scale * NORMS * (draws / weight * Q - np.eye(4)[UPPER])
-        rows = scale[:, :, None] * relative_rows(phi)
-        return residual.ravel(), scipy.linalg.block_diag(*rows)
+        return residual.ravel(), scale[:, :, None] * relative_rows(C)
 
 
 @dataclass(frozen=True, eq=False)

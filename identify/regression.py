@@ -314,24 +314,35 @@ def regression_of(
     parts = []
     for s in segments:
         columns = [ActingColumns.of(s.thin.rows(partial(regressor, robot)))]
-        columns += [effect_columns(robot, effect, [s]) for effect in effects]
+        columns += effect_columns(robot, effects, [s])
         parts.append(dense(columns, s.tau[s.keep], names))
     return joined(parts)
 
 
 def effect_columns(
-    robot: Robot, effect: Effect, segments: Sequence[Segment]
-) -> ActingColumns:
-    """Columns of one effect at the rows of segments; see `regression_of`."""
-    joints = effect.affected(robot)
+    robot: Robot, effects: Sequence[Effect], segments: Sequence[Segment]
+) -> list[ActingColumns]:
+    """Columns of each effect at the rows of segments; see `regression_of`."""
+    joints = [effect.affected(robot) for effect in effects]
+    parts: list[list[Array]] = [[] for _ in effects]
 
-    def columns(motion: Motion) -> Array:
-        return effect.columns(robot, motion)[:, joints]
+    def columns(k: int, motion: Motion) -> Array:
+        return effects[k].columns(robot, motion)[:, joints[k]]
 
-    parts = [
-        (s.thin if effect.physics.smooth else s).rows(columns) for s in segments
+    for segment in segments:
+        for smooth, sampled in ((True, segment.thin), (False, segment)):
+            alike = [
+                k
+                for k, effect in enumerate(effects)
+                if effect.physics.smooth == smooth
+            ]
+            rows = sampled.rows_of([partial(columns, k) for k in alike])
+            for k, values in zip(alike, rows, strict=True):
+                parts[k].append(values)
+    return [
+        ActingColumns.of(frozen(np.concatenate(values)), at)
+        for values, at in zip(parts, joints, strict=True)
     ]
-    return ActingColumns.of(frozen(np.concatenate(parts)), joints)
 
 
 def joined(parts: Sequence[Regression]) -> Regression:

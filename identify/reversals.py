@@ -190,7 +190,8 @@ def _refined(fit: _LeftOut, found: Turning, robot: Robot, data: Data) -> Turning
 def _column(effect: Effect, robot: Robot, data: Data) -> Array:
     """Torque of an effect on one joint per unit, at all rows, shape (n,)."""
     [j] = effect.rows(robot)
-    return effect_columns(robot, effect, data.train).on(robot.nv)[:, j, 0]
+    [columns] = effect_columns(robot, [effect], data.train)
+    return columns.on(robot.nv)[:, j, 0]
 
 
 class _LeftOut:
@@ -252,10 +253,8 @@ def turning_spread(rows: FitRows, fit: LeastSquares, covariance: Array) -> Array
         if not turning_speed(effect):
             continue
         speeds = turning_speed(effect) * np.exp([0.0, REVERSALS.difference])
-        less, more = (
-            effect_columns(rows.robot, turning(effect, v), rows.data.train)
-            for v in speeds.tolist()
-        )
+        near = [turning(effect, v) for v in speeds.tolist()]
+        less, more = effect_columns(rows.robot, near, rows.data.train)
         change = more.on(rows.robot.nv) - less.on(rows.robot.nv)
         slopes.append(change * beta[start] / REVERSALS.difference)
     if not slopes:

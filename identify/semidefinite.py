@@ -104,7 +104,8 @@ def possible(bodies: BodyPrior, p: int, margin: float) -> tuple[Restriction, ...
     """No link is less than a share of the nominal one, in any direction; y has p coordinates."""
     h = (margin * np.eye(4)[UPPER])[_COLUMNS]
     restrictions = []
-    for k, rows in enumerate(relative_rows(bodies.bodies)):
+    roots = np.asarray(np.linalg.cholesky(pseudo_inertia(bodies.bodies)), float)
+    for k, rows in enumerate(relative_rows(roots)):
         link = slice(10 * k, 10 * k + 10)
         G = np.zeros((10, p))
         G[:, link] = (rows @ bodies.T[link, link])[_COLUMNS]
@@ -238,6 +239,9 @@ class _CentralPath:
         self.t = R[:, -1]
         self.N = free_directions(program.restrictions, len(start))
         self.Q, self.R = np.linalg.qr(self.U @ self.N)
+        T = self.bodies.T
+        # φ of each link by the free directions
+        self.moved = (T @ self.N[: len(T)]).reshape(self.links, 10, -1)
 
     def squares(self, y: Array) -> float:
         """The objective but for the entropic distance and a constant."""
@@ -295,19 +299,19 @@ class _CentralPath:
         """Newton's step, its decrement λ, and the part of it after which the objective rises."""
         T = self.bodies.T
         residual, rows = self.bodies.entropic(T @ y[: len(T)], barrier)
-        J = np.pad(rows @ T, ((0, 0), (0, len(y) - len(T))))
+        J = (rows @ self.moved).reshape(len(T), -1)
         logarithms = [_logarithm(r, y) for r in self.cones]
         scale = np.sqrt(barrier / 2)
-        rows = np.vstack([J, *(scale * B for B, _, _ in logarithms)])
         goal = np.concatenate([-residual, *(scale * g for _, g, _ in logarithms)])
-        A = np.vstack([self.R, rows @ self.N])
+        A = np.vstack([self.R, J, *(scale * B @ self.N for B, _, _ in logarithms)])
         z = np.concatenate([self.Q.T @ (self.t - self.U @ y), goal])
         factor = triangle(np.column_stack([A, z]))
         p = len(self.R)
-        step = self.N @ scipy.linalg.solve_triangular(factor[:p, :p], factor[:p, p])
+        free, _ = scipy.linalg.lapack.dtrtrs(factor[:p, :p], factor[:p, p])
+        step = self.N @ free
         weight = self.bodies.draws + barrier
         unit = NORMS * np.sqrt(weight / 2)[:, None]
-        change = matrices((J @ step).reshape(-1, 10) / unit, self.links)
+        change = matrices((J @ free).reshape(-1, 10) / unit, self.links)
         rates = [np.linalg.eigvalsh(change).ravel()]
         rates += [_rates(r, y, step) for r in self.cones]
         weights = [np.repeat(weight, 4), np.full(sum(self.orders), barrier)]

@@ -1,7 +1,8 @@
 from . import plot
+from .nouns import report, save
 from .pages import SavedRun, compare, page_of
 from .render import brief, html, summary, table_lines
-from .run import as_saved, load_run, read_result, report, save, save_run
+from .run import as_saved, load_run, read_result, save_run
 
 __all__ = [
     "SavedRun",

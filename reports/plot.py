@@ -22,8 +22,9 @@ from excitant.reports.figures.estimate import forest_figure, friction_figure
 from excitant.reports.figures.motion import Limits, motion_figure
 from excitant.reports.figures.residual import residual_figure
 from excitant.reports.figures.torque import torque_figure
+from excitant.reports.nouns import Reportable
 from excitant.reports.pyplot import draw, draw_onto
-from excitant.reports.run import Reportable, as_saved
+from excitant.reports.run import as_saved
 from excitant.reports.sections.identify import CURVES
 from excitant.results import Certified, Identify, Parameter
 from excitant.robots.motion import Motion

@@ -90,6 +90,11 @@ def _template(name: str) -> str:
     return (files("excitant.reports") / "templates" / name).read_text("utf-8")
 
 
+def _template_of(block: Block) -> str:
+    """The template of a kind of block: one each, so that only those of a page are compiled."""
+    return f"{type(block).__name__.lower()}.html.j2"
+
+
 @cache
 def _environment() -> jinja2.Environment:
     import jinja2
@@ -103,7 +108,7 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters["breakable"] = _breakable
     environment.filters["packed"] = packed
-    environment.filters["kind"] = lambda block: type(block).__name__
+    environment.filters["template"] = _template_of
     return environment
 
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -72,7 +73,7 @@ class BaseParameters:
         """The parameter that each base parameter is written with."""
         return tuple(self.names[column] for column in self.columns)
 
-    @property
+    @cached_property
     def expressions(self) -> tuple[str, ...]:
         """Each base parameter as text, e.g. ``link1.Izz + 0.36·link2.m``."""
         return tuple(
@@ -195,10 +196,10 @@ def regroup(
     units = observation.units
     leading, parts = independent_columns(R, tolerance)
     columns = list(leading)
-    dependence = np.linalg.lstsq(R[:, columns], R, rcond=None)[0]
-    dependence[np.abs(dependence) < tolerance] = 0.0
+    B = dependence(R, leading)
+    B[np.abs(B) < tolerance] = 0.0
     B = _rounded(
-        dependence * np.where(np.isfinite(units), units, 0.0) / units[columns, None]
+        B * np.where(np.isfinite(units), units, 0.0) / units[columns, None]
     )
     B[:, columns] = np.eye(len(columns))
     rejected = np.delete(parts, columns)
@@ -209,6 +210,14 @@ def regroup(
         read_only(np.linalg.svd(B)[2][len(columns) :].T),
         (float(parts[columns].min(initial=1.0)), float(rejected.max(initial=0.0))),
     )
+
+
+def dependence(R: Array, leading: Sequence[int]) -> Array:
+    """Coefficients (r, p) by which independent columns of R, r of p, make all of them."""
+    columns = list(leading)
+    B = np.asarray(np.linalg.lstsq(R[:, columns], R, rcond=None)[0], float)
+    B[:, columns] = np.eye(len(columns))
+    return B
 
 
 def independent_columns(
@@ -246,10 +255,16 @@ def categories(base: BaseParameters) -> tuple[str, ...]:
     of the regressor, and unidentifiable when it lies inside it (no torque contains it). Both
     can be read off B, whatever the units: a null vector is e_j − Σᵢ B_ij e_columns[i].
     """
-    present = base.regrouping != 0
+    return categories_of(base.regrouping != 0, base.columns)
+
+
+def categories_of(
+    present: npt.NDArray[np.bool_], leading: Sequence[int]
+) -> tuple[str, ...]:
+    """Categories by which coefficients of B, shape (r, p), are not zero."""
     categories = np.where(present.any(axis=0), "combined", "unidentifiable")
     alone = present.sum(axis=1) == 1
-    categories[np.array(base.columns, int)[alone]] = "unique"
+    categories[np.array(leading, int)[alone]] = "unique"
     return tuple(categories.tolist())
 
 

@@ -47,7 +47,9 @@ def pseudo_inertia(phi: npt.ArrayLike) -> Array:
     Returns:
         Shape (..., 4, 4).
     """
-    return np.tensordot(np.asarray(phi, float), PSEUDO_INERTIA_BASIS, axes=1)
+    phi = np.asarray(phi, float)
+    P = phi @ PSEUDO_INERTIA_BASIS.reshape(10, 16)
+    return P.reshape(*phi.shape[:-1], 4, 4)
 
 
 def from_pseudo_inertia(P: npt.ArrayLike) -> Array:

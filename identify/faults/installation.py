@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from excitant.identify.drive_gains import BODY_STD, without_effects
+from excitant.identify.drive_gains import BODY_STD, without_own_effects
 from excitant.identify.faults.fault import (
     ALARM,
     FAULTS,
@@ -531,13 +531,10 @@ def _unlikeness(robot: Robot, data: Smooth) -> float:
 
 def _misfits(model: Array, data: Smooth) -> Array:
     """The same of each joint for a torque of the bodies, shape (N, nv); (nv,)."""
-    F = data.effects
-    squares = []
-    for j in range(model.shape[1]):
-        wanted, measured = without_effects(F[:, j], model[:, j], data.tau[:, j])
-        along = max(float(wanted @ measured), 0.0)
-        factor = along / max(float(wanted @ wanted), 1e-300)
-        squares.append(float(((measured - factor * wanted) ** 2).sum()))
+    wanted, measured = without_own_effects(data.effects, model, data.tau)
+    along = np.maximum((wanted * measured).sum(axis=0), 0.0)
+    factor = along / np.maximum((wanted**2).sum(axis=0), 1e-300)
+    squares = ((measured - factor * wanted) ** 2).sum(axis=0)
     whole = np.maximum((data.tau**2).sum(axis=0), 1e-300)
     return np.asarray(np.log(np.maximum(squares / whole, MODEL_ERROR**2)), float)
 

@@ -32,7 +32,7 @@ from .design import Design, FourierTrajectory, Search
 from .exceptions import ExcitantError
 from .identify import Estimate, Recording, load_dataset
 from .reports import plot
-from .reports.run import report, save
+from .reports.nouns import report, save
 from .robots import Robot, builtin_robots, load_robot
 from .surroundings import Surroundings
 

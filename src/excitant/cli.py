@@ -9,7 +9,6 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from importlib.metadata import version
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
@@ -31,6 +30,8 @@ _SOLVERS = ("pin", "clarabel", "numpy", "scipy")
 
 
 def _version() -> str:
+    from importlib.metadata import version
+
     solvers = ", ".join(f"{name} {version(name)}" for name in _SOLVERS)
     return f"{version('excitant')} ({solvers})"
 

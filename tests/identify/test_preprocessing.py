@@ -5,6 +5,7 @@ Filter and spectra against SciPy's; positions and speeds weighed by their noise.
 
 import re
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from excitant.identify.differentiators import (
     position_spectrum,
 )
 from excitant.identify.preprocessing import SAMPLING, Segment, prepare
+from excitant.identify.regression import effect_columns
 from excitant.identify.rows import split
 from excitant.identify.signals import (
     differentiated,
@@ -31,7 +33,8 @@ from excitant.identify.signals import (
     smoothed,
 )
 from excitant.robots import load_robot, rigid_body_torque
-from excitant.robots.regressor import regressor
+from excitant.robots.effects import Backlash
+from excitant.robots.regressor import regressor, torque_derivatives
 
 RATE, CUTOFF = 256.0, 10.0  # a rate whose steps are exact in binary
 T = np.arange(0, 20, 1 / RATE)
@@ -114,14 +117,17 @@ def test_a_cutoff_that_does_not_fit_is_refused() -> None:
 def test_columns_and_torque_pass_the_same_filter_also_in_parts(ur10, monkeypatch):
     t = T[:2000]
     [segment] = prepared(t, smooth_motion(ur10, t).q)
-    kinds = (regressor, rigid_body_torque)
-    columns, torque = (segment.rows(lambda motion, of=of: of(ur10, motion)) for of in kinds)
+    kinds = [partial(of, ur10) for of in (regressor, rigid_body_torque)]
+    columns, torque = segment.rows_of(kinds)
     np.testing.assert_allclose(columns @ ur10.phi, torque, atol=1e-9 * np.abs(torque).max())
     assert len(torque) == len(segment.t) == len(segment.tau[segment.keep])
     small = replace(SAMPLING, chunk=500)
     monkeypatch.setattr("excitant.identify.preprocessing.SAMPLING", small)
-    parts = segment.rows(lambda motion: regressor(ur10, motion))
-    np.testing.assert_allclose(parts, columns, atol=1e-6 * np.abs(columns).max())
+    np.testing.assert_allclose(segment.rows(kinds[0]), columns, atol=1e-6 * np.abs(columns).max())
+    # what effects share of a part is computed once
+    torque_derivatives.cache_clear()
+    effect_columns(ur10, [Backlash((joint,)) for joint in ur10.joints], [segment])
+    assert 1 < torque_derivatives.cache_info().misses < len(ur10.joints)
     # edges are left out, and rows are twice as dense as the filter lets pass
     assert min(segment.t[0] - t[0], t[-1] - segment.t[-1]) >= 1 / CUTOFF - 1 / RATE
     assert np.diff(segment.t).max() <= 1 / (4 * CUTOFF) + 1e-12
