@@ -5,12 +5,14 @@ from excitant.robots.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
     FrictionCoupling,
+    GradualReversal,
     LoadDependentFriction,
     NonlinearViscousFriction,
     PreslidingHysteresis,
     StribeckFriction,
     ThermalFrictionDrift,
     ViscousFriction,
+    turned,
 )
 
 # isort: split
@@ -91,6 +93,7 @@ __all__ = [
     "Export",
     "FrictionCoupling",
     "GivenInertias",
+    "GradualReversal",
     "GravityDirection",
     "InertiaCoupling",
     "InertialParameters",
@@ -131,6 +134,7 @@ __all__ = [
     "registered",
     "separating_experiment",
     "standard_effects",
+    "turned",
     "turning",
     "turning_speed",
 ]

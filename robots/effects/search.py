@@ -36,6 +36,7 @@ class JointFacts:
         start: First instant [s].
         duration: Of all recordings, from first to last instant [s].
         blur: Travel about a reversal that sampling and filter hide [rad or m].
+        speed_blur: Speeds about a reversal that they hide [rad/s or m/s].
         q: Positions at the rows of ``unexplained``, shape (n,).
         dq: Velocities there, shape (n,).
         unexplained: Residual torque of a model, shape (n,) [N·m].
@@ -47,6 +48,7 @@ class JointFacts:
     start: float = 0.0
     duration: float = np.inf
     blur: float = 0.0
+    speed_blur: float = 0.0
     q: Array = field(default_factory=lambda: np.zeros(0))
     dq: Array = field(default_factory=lambda: np.zeros(0))
     unexplained: Array = field(default_factory=lambda: np.zeros(0))
@@ -82,9 +84,10 @@ def joint_facts(
     blur = acceleration * hidden_time**2 / 2 + REVERSAL_STDS * np.sqrt(noise * band)
     speed = np.abs(dq).max(axis=0)
     reach = np.ptp(q, axis=0)
+    hidden = acceleration * hidden_time
     facts = tuple(
-        JointFacts(float(s), float(r), start, duration, float(b))
-        for s, r, b in zip(speed, reach, blur, strict=True)
+        JointFacts(s, r, start, duration, b, h)
+        for s, r, b, h in np.column_stack([speed, reach, blur, hidden]).tolist()
     )
     if unexplained is None:
         return facts
