@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -14,8 +14,15 @@ from excitant.analysis.thresholds import EVIDENCE
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import PRIOR_SIGMA, link_coordinates, link_weights
 from excitant.identify.regression import ActingColumns, dense, effect_columns
+from excitant.identify.reversals import REVERSALS
 from excitant.identify.rows import implausible_size
-from excitant.robots.effects import Effect, Parameter, joint_facts, proposals
+from excitant.robots.effects import (
+    Effect,
+    GradualReversal,
+    Parameter,
+    joint_facts,
+    proposals,
+)
 from excitant.robots.motion import Array, frozen
 from excitant.robots.regressor import regressor
 from excitant.robots.robot import Robot
@@ -32,6 +39,8 @@ class Observed:
     robot: Robot  # effects that depend on torque take that of this model
     segments: tuple[Segment, ...]
     links: Array  # columns of the standard parameters, shape (n, nv, 10 nv)
+    # friction that turns over a range of speeds, as the rows show
+    reversals: tuple[GradualReversal, ...] = ()
     _by_motion: dict[Effect, ActingColumns] = field(
         default_factory=dict, repr=False
     )
@@ -45,7 +54,7 @@ class Observed:
         kept = {
             effect: own for effect, own in self._by_robot.items() if effect in keep
         }
-        return Observed(robot, self.segments, self.links, self._by_motion, kept)
+        return replace(self, robot=robot, _by_robot=kept)
 
     def columns(self, effect: Effect) -> Array:
         """Columns of one effect, shape (n, nv, k) [N·m per unit]."""
@@ -99,10 +108,14 @@ class Observed:
         return self._by_robot if effect.physics.on_model else self._by_motion
 
 
-def observed(robot: Robot, segments: Sequence[Segment]) -> Observed:
+def observed(
+    robot: Robot,
+    segments: Sequence[Segment],
+    reversals: Sequence[GradualReversal] = (),
+) -> Observed:
     """Columns of a robot at the rows of segments."""
     links = np.concatenate([s.rows(partial(regressor, robot)) for s in segments])
-    return Observed(robot, tuple(segments), frozen(links))
+    return Observed(robot, tuple(segments), frozen(links), tuple(reversals))
 
 
 def cause_columns(
@@ -153,11 +166,14 @@ def gather(
     noise = position_noise(segments)
     load = np.abs(tau).max(axis=0)
     facts = joint_facts(motions, rows, residual, segments[0].cutoff_hz, noise, load)
+    proposed = proposals(robot, facts, [(c.effect, c.trials) for c in believed])
+    for reversal in train.reversals:
+        [j] = reversal.rows(robot)
+        if reversal.speed > facts[j].speed_blur:
+            proposed.append((reversal, len(REVERSALS.shares)))
     considered = [
         (effect, trials)
-        for effect, trials in proposals(
-            robot, facts, [(c.effect, c.trials) for c in believed]
-        )
+        for effect, trials in dict(proposed).items()
         if (effect.search.addable or not identified)
         # is no other than the drive's gain
         and not (gains is not None and effect.physics.on_given_torque)

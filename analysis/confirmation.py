@@ -19,7 +19,7 @@ from excitant.analysis.evidence import (
 )
 from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, is_plain_friction, underlies
-from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, VERDICT
+from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
 from excitant.identify.accuracy import Series, series
 from excitant.identify.attenuation import (
     NOISE_UNSURE,
@@ -33,7 +33,13 @@ from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import dense
 from excitant.identify.rows import identified_robot, predicted_torque
-from excitant.robots.effects import Effect, merged
+from excitant.robots.effects import (
+    CoulombFriction,
+    Effect,
+    GradualReversal,
+    merged,
+    turned,
+)
 from excitant.robots.effects.body import GivenInertias
 from excitant.robots.motion import Array
 from excitant.robots.parameters import from_pseudo_inertia
@@ -181,10 +187,20 @@ class Holdout:
         """Error of the nominal model."""
         return self.series.measured - self.simulated
 
-    def worse(self, predicted: Array, than: Array, share: float = 0.0) -> bool:
-        """Whether a prediction has a larger squared error than another, by a share, in motion."""
+    def worse(
+        self,
+        predicted: Array,
+        than: Array,
+        share: float = 0.0,
+        *,
+        at_rest: bool = False,
+    ) -> bool:
+        """Whether a prediction has a larger squared error than another, by a share, in motion.
+
+        Or at all rows, those ``at_rest`` too.
+        """
         measured = self.series.measured
-        weight = self.series.moves / measured.std(axis=0)
+        weight = (self.series.moves | at_rest) / measured.std(axis=0)
         error = (((measured - predicted) * weight) ** 2).sum()
         other = (((measured - than) * weight) ** 2).sum()
         return bool(error > (1 + share) * other)
@@ -246,7 +262,9 @@ class Extension:
     def settled(self) -> Extension:
         """It with bodies as uncertain as the data say, and no effects that cancel each other.
 
-        A cause stays without which the hold-out is predicted worse: it is not cancelled there.
+        Friction turns as in an identification where that predicts better, rows of rest included,
+        and hardly worse in motion. A cause stays without which the hold-out is predicted worse: it
+        is not cancelled there.
         """
         if self.extender is None:
             return self
@@ -256,6 +274,12 @@ class Extension:
             fit.predicted, self.predicted, CONFIRMATION.floor
         ):
             extender, fit = self.extender, self
+        worse = extender.holdout.worse
+        turning = replace(extender, turns=True)
+        turns = turning(self.chosen) if extender.train.reversals else fit
+        better = worse(fit.predicted, turns.predicted, at_rest=True)
+        if better and not worse(turns.predicted, fit.predicted, SEARCH.gain):
+            extender, fit = turning, turns
         needed = set[Key]()
         while (cause := _cancelled(fit, needed)) is not None:
             without = extender([c for c in fit.chosen if c is not cause])
@@ -300,12 +324,15 @@ class Extender:
     halves: tuple[Observed, ...] = ()
     # whether bodies are as uncertain as the data say, and the bias by noise of the motion counts
     last: bool = False
+    # whether friction of all joints turns as identify has it, cause or not
+    turns: bool = False
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
         robot = self.holdout.observed.robot
         evidence = self.evidence
-        effects = _effects(robot, chosen)
+        hidden = self.train.reversals if self.turns else ()
+        effects = _effects(robot, chosen, hidden)
         W, noise = self._columns(effects)
         names = column_names(robot, effects)
         used = away_from_rest(self.train.segments)
@@ -400,14 +427,32 @@ class Extender:
         return EffectPrior(mean, std, np.array([p.lower for p in parameters]))
 
 
-def _effects(robot: Robot, chosen: Sequence[Candidate]) -> list[Effect]:
+def _effects(
+    robot: Robot,
+    chosen: Sequence[Candidate],
+    hidden: Sequence[GradualReversal] = (),
+) -> list[Effect]:
     present = {p.name for e in robot.effects for p in e.parameters(robot)}
     bodies = [c.effect for c in chosen if c.effect.role == "body"]
     causes = [c.effect for c in chosen if c.effect.role == "torque"]
+    reversals = [e for e in causes if isinstance(e, GradualReversal)]
     added = [
-        e for e in causes if not {p.name for p in e.parameters(robot)} <= present
+        e
+        for e in causes
+        if not isinstance(e, GradualReversal)
+        and not {p.name for p in e.parameters(robot)} <= present
     ]
-    return [*bodies, *robot.effects, *merged(added)]
+    effects = [*bodies, *robot.effects, *merged(added)]
+    rubbing = {
+        j for e in effects if isinstance(e, CoulombFriction) for j in e.joints
+    }
+    finer = {
+        j for e in effects if e.words.abscissa == "reversal" for j in e.joints
+    } | {j for e in reversals for j in e.joints}
+    for reversal in hidden:
+        if {*reversal.joints} <= rubbing - finer:
+            reversals.append(reversal)
+    return turned(effects, reversals)
 
 
 def _cancelled(fit: Extension, needed: Set[Key] = frozenset()) -> Candidate | None:
@@ -497,6 +542,11 @@ def _refitted(
     robot: Robot, fit: Extension, holdout: Holdout, effect: Effect
 ) -> Finding:
     """The change of an effect's values, or of a link, from the nominal ones."""
+    if isinstance(effect, GradualReversal):
+        force = effect_values(fit.model)[effect.parameters(robot)[0].name]
+        torque = fit.observed.columns(effect) @ np.array([force]) / holdout.gains
+        law, none = effect.with_values(()), np.zeros((0, 0))
+        return finding_of(robot, fit, holdout, law, torque, (), none)
     values, nominal, covariance = _coefficients(robot, fit, effect)
     torque = fit.observed.columns(effect) @ (values - nominal) / holdout.gains
     changed = effect.with_values(values.tolist())

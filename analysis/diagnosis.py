@@ -47,10 +47,22 @@ from excitant.identify.objections import objections
 from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording, Recordings, recordings_of
-from excitant.identify.reversals import turned_rows
-from excitant.identify.rows import Data, fitted, gains_of, predicted_torque, split
+from excitant.identify.reversals import Turning, turned_rows, turning_notes
+from excitant.identify.rows import (
+    Data,
+    FitRows,
+    fitted,
+    gains_of,
+    predicted_torque,
+    split,
+)
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.effects import Effect, plain, standard_effects
+from excitant.robots.effects import (
+    Effect,
+    plain,
+    standard_effects,
+    turning_speed,
+)
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame, share
@@ -229,10 +241,10 @@ def diagnose(
     count = len(recordings)
     data = split(repaired[:count], repaired[count:], cutoff_hz)
     measured = series(data.train).measured
-    train = observed(mounted.robot, data.train)
-    drive = data.drive
-    if data.unit == "A":
-        drive = _gains_of_bodies(mounted.robot, data)
+    rows, turnings = _as_identified(mounted.robot, data)
+    reversals = [each.reversal for each in turnings]
+    train = observed(mounted.robot, data.train, reversals)
+    drive = rows.drive
     tau = measured * gains_of(mounted.robot, data, drive)
     if drive is not None and data.unit == "A":
         drive = _refined_gains(train, tau, prior, drive)
@@ -257,6 +269,9 @@ def diagnose(
     findings = [_judged_set_up(mounted, finding) for finding in of_set_up]
     findings += _judged(mounted, fit, holdout, causes, left)
     notes = [data.holdout, *mounted.checked.notes, *[coarse] * bool(coarse)]
+    turned = {e.joints for e in fit.model.effects if turning_speed(e)}
+    told = [each for each in turnings if each.effect.joints in turned]
+    notes += turning_notes(told, nominal)
     if drive is not None:
         notes.append(drive.sentence(joints))
     return Diagnosis(
@@ -386,11 +401,13 @@ def _causes(
     )
 
 
-def _gains_of_bodies(robot: Robot, data: Data) -> DriveGains | None:
-    """Drive gains that suit the nominal bodies best, friction left free, as identify has them."""
+def _as_identified(robot: Robot, data: Data) -> tuple[FitRows, tuple[Turning, ...]]:
+    """The rows of identify, and friction that turns over a range of speeds there.
+
+    Drive gains are those that suit the nominal bodies best, friction left free.
+    """
     usual = standard_effects(robot.joints)
-    rows, _ = turned_rows(robot, usual, base_parameters(robot, usual), data)
-    return rows.drive
+    return turned_rows(robot, usual, base_parameters(robot, usual), data)
 
 
 def _refined_gains(

@@ -212,7 +212,7 @@ def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
     drive = diagnosis.drive
     named = finding.verdict == "named"
     rows = zip(
-        effect.parameters(robot),
+        effect.parameters(robot) if effect.values else (),
         effect.values or (),
         finding.nominal,
         finding.std.tolist(),
@@ -236,7 +236,7 @@ def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
             yield {
                 "name": f"{effect.joints[0]}.{s.name}",
                 "value": getattr(effect, s.name),
-                "std": None,
+                "std": vars(effect).get("std") or None if named else None,
                 "unit": effect.shape_unit(robot, s),
             }
 

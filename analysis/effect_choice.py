@@ -54,7 +54,9 @@ def choose_effects(
         if _with(standard, causes) == before:
             break
         estimate, chosen = _determined(robot, recordings, causes, options)
-    return _with(standard, chosen)
+    # with Coulomb friction that turns as it does there
+    usual = [e for e in estimate.model.effects if e.search.standard]
+    return _with([e.without_values() for e in usual], chosen)
 
 
 def _predictive(evidence: Evidence, chosen: Sequence[Candidate]) -> list[Candidate]:
@@ -93,7 +95,8 @@ def _determined(
     """The arm identified with what was chosen, less any that bodies and others can stand for."""
     try:
         effects = _with(standard_effects(robot.joints), chosen)
-        return identify_robot(robot, recordings, effects=effects, **options), chosen
+        options = options | {"effects": effects, "turning": True}
+        return identify_robot(robot, recordings, **options), chosen
     except RankDeficient as error:
         if not chosen:
             raise

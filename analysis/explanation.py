@@ -286,7 +286,7 @@ def sizes(finding: Finding, diagnosis: Diagnosis) -> tuple[Size, ...]:
     robot = diagnosis.robot
     effect = finding.effect
     parameters = effect.parameters(robot)
-    if not parameters:  # a fault of the data
+    if not effect.values:  # a fault of the data, or another law
         return ()
     scales = [told(p, robot, diagnosis.drive) for p in parameters]
     factors = np.array([factor for factor, _ in scales])

@@ -36,7 +36,12 @@ from excitant.identify.recording import (
 )
 from excitant.identify.regression import regression_of
 from excitant.identify.repeats import Repeats, repeats_of
-from excitant.identify.reversals import turned_rows, turning_spread
+from excitant.identify.reversals import (
+    Turning,
+    turned_rows,
+    turning_notes,
+    turning_spread,
+)
 from excitant.identify.rows import (
     Data,
     FitRows,
@@ -100,6 +105,7 @@ class Estimate(Shown):
         knowledge: What was taken for known of the bodies.
         shapes: Shapes of effects, refined where that fits better; None where there are none.
         repeats: Whether the recordings agree; None of a single one.
+        reversals: Dry friction that turns over a range of speeds, as the data show.
         needed: Masses nearest to the given ones that the data allow [kg], by link, of those that
             moved by half because the data ask for it; see `needed_masses`.
     """
@@ -118,6 +124,7 @@ class Estimate(Shown):
     knowledge: Knowledge = field(default_factory=Knowledge)
     shapes: Shapes | None = None
     repeats: Repeats | None = None
+    reversals: tuple[Turning, ...] = ()
     needed: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -205,7 +212,7 @@ class Estimate(Shown):
         cut-off. As measured torque is, it then passes the torque filter, if ``filtered``, whose
         ends say little. NaN where samples are too few to be filtered.
         """
-        (run,) = self._alike(recording)
+        (run,) = _alike(self, recording)
         predicted = np.full(run.tau.shape, np.nan)
         for s in prepare(run, self.data.cutoff_hz):
             tau = torque(self.model, s.motion) / self.gains
@@ -226,21 +233,13 @@ class Estimate(Shown):
         cutoff_hz = self.data.cutoff_hz
         rows = [
             s
-            for recording in self._alike(recordings)
+            for recording in _alike(self, recordings)
             for s in prepare(recording, cutoff_hz)
         ]
         predicted = predicted_torque(self.model, rows) / self.gains
         accuracy = series(rows).accuracy(predicted)
         joints = enumerate(self.given.joints)
         return [{"name": name, **accuracy.entry(j)} for j, name in joints]
-
-    def _alike(self, recordings: Recordings) -> list[Recording]:
-        found = recordings_of(recordings, self.given)
-        for each in found:
-            if each.unit != self.data.unit:
-                why = f"torque is in {each.unit}, but in {self.data.unit} where it was identified"
-                raise BadRecording(each.file, f"{why}; use recordings of one unit")
-        return found
 
     def to_frame(
         self,
@@ -288,6 +287,17 @@ class Estimate(Shown):
         return heads, rows
 
 
+def _alike(estimate: Estimate, recordings: Recordings) -> list[Recording]:
+    """Recordings whose torque has the unit of an estimate's."""
+    found = recordings_of(recordings, estimate.given)
+    unit = estimate.data.unit
+    for each in found:
+        if each.unit != unit:
+            why = f"torque is in {each.unit}, but in {unit} where it was identified"
+            raise BadRecording(each.file, f"{why}; use recordings of one unit")
+    return found
+
+
 @on_one_thread
 def identify_robot(
     robot: Robot,
@@ -299,6 +309,7 @@ def identify_robot(
     estimator: str | None = None,
     knowledge: Knowledge | None = None,
     harmonics_hz: float | None = None,
+    turning: bool | None = None,
 ) -> Estimate:
     """Identify a robot from recordings.
 
@@ -318,6 +329,8 @@ def identify_robot(
             they show coarse positions instrumental variables, which a note tells.
         knowledge: What is known of the bodies beforehand.
         harmonics_hz: Highest harmonic of the motion as planned [Hz], which the filter passes.
+        turning: Whether Coulomb friction may turn over a range of speeds at reversals, where that
+            predicts better; when None if effects are None.
 
     Raises:
         BadInput: Knowledge that no body fulfils, or of links that the arm does not have.
@@ -332,7 +345,7 @@ def identify_robot(
     validate = recordings_of(validate, robot)
     prior = prior_parameters(robot)
     known = (knowledge or Knowledge()).of(robot)
-    default = effects is None
+    gradual = effects is None if turning is None else turning
     effects = effects_of(robot, effects)
     if default and all(map(shows_poses, (*recordings, *validate))):
         return _of_poses(robot, recordings, validate, prior, known)
@@ -341,10 +354,10 @@ def identify_robot(
     def fitted_to(data: Data) -> tuple[Estimate, float]:
         problem = robot, effects, base_parameters(robot, effects), data
         rows, turns = (
-            turned_rows(*problem, spoiled) if default else (fit_rows(*problem), ())
+            turned_rows(*problem, spoiled) if gradual else (fit_rows(*problem), ())
         )
         rows = with_own_torque(rows, prior, known)
-        notes = (*notes_on(rows, prior), *turns)
+        notes = (*notes_on(rows, prior), *turning_notes(turns, robot))
         shapes = refined_shapes(rows, prior, known)
         if shapes is not None:
             rows = shapes.rows(rows) if shapes.better else rows
@@ -373,6 +386,7 @@ def identify_robot(
             shapes=shapes,
             repeats=repeats_of(rows.reduced, fit, data.train),
             needed=needed,
+            reversals=turns,
         )
         return estimate, _moved_by_rate(rows, fit, physical.x)
 

@@ -16,18 +16,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.accuracy import BLOCKS, chance_of_loss
-from excitant.identify.least_squares import LeastSquares, weighted_least_squares
+from excitant.identify.least_squares import (
+    LeastSquares,
+    autocorrelation_time,
+    weighted_least_squares,
+)
 from excitant.identify.preprocessing import Mask, certain_rows, top_speed
 from excitant.identify.regression import effect_columns, regression_of
 from excitant.identify.rows import Data, FitRows, counted_rows
 from excitant.robots.base_parameters import BaseParameters
-from excitant.robots.effects import Effect, turning, turning_speed
+from excitant.robots.effects import (
+    Effect,
+    GradualReversal,
+    turned,
+    turning,
+    turning_speed,
+)
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
@@ -66,17 +76,51 @@ class ReversalSettings:
 
 
 REVERSALS = ReversalSettings()
+DETERMINED = (
+    2.0  # standard deviations above zero from which on v is told with its ±
+)
 
 
 class Turning(NamedTuple):
-    """Dry friction of a joint over a range of speeds, its column at all rows, and its gain.
+    """Dry friction of a joint over a range of speeds.
 
-    The gain is 1 less the squared error on rows left out over that of friction that turns at once.
+    Attributes:
+        effect: Coulomb friction that turns so, without a value.
+        column: Its column at all rows, shape (n,).
+        gain: 1 less the squared error on rows left out over that of friction that turns at once.
+        std: Standard deviation of log v; NaN where the rows do not show it.
     """
 
     effect: Effect
     column: Array
     gain: float
+    std: float = np.nan
+
+    @property
+    def reversal(self) -> GradualReversal:
+        """It as a cause of errors."""
+        speed = turning_speed(self.effect)
+        std = speed * float(self.std) if self.std < 1 / DETERMINED else 0.0
+        return GradualReversal(self.effect.joints, None, speed, std)
+
+    def words(self, robot: Robot) -> str:
+        """Where it is, v, and its gain."""
+        found = self.reversal
+        spread = f" ± {found.std:.1g}" if found.std else ""
+        unit = found.shape_unit(robot, found.search.shapes[0])
+        gain = f"error {100 * self.less:.0f} % less"
+        return f"{found.joints[0]} {found.speed:.2g}{spread} {unit} ({gain})"
+
+    def entry(self, robot: Robot) -> dict[str, Any]:
+        """As an entry of result.json."""
+        found = self.reversal
+        return {
+            "joint": found.joints[0],
+            "speed": found.speed,
+            "std": found.std or None,
+            "unit": found.shape_unit(robot, found.search.shapes[0]),
+            "error_less": self.less,
+        }
 
     @property
     def less(self) -> float:
@@ -90,54 +134,54 @@ def turned_rows(
     base: BaseParameters,
     data: Data,
     spoiled: Callable[[FitRows], bool] | None = None,
-) -> tuple[FitRows, tuple[str, ...]]:
-    """The rows of a fit with dry friction that turns as they show, and sentences on that.
+) -> tuple[FitRows, tuple[Turning, ...]]:
+    """The rows of a fit with dry friction that turns as they show, and where it does.
 
     Of rows that are ``spoiled``, as by bursts of torque, it turns at once: they decide nothing.
     """
+    effects = [turning(effect, 0.0) for effect in effects]
     regression = regression_of(robot, effects, data.train)
     at_once = counted_rows(robot, effects, base, data, regression)
     reduced = regression.select(base.columns)
     used = certain_rows(effects, robot.joints, data.train)
     least = np.max([s.least_speed for s in data.train], axis=0)
     top = top_speed(data.train)
-    turned = list[Effect]()
-    words = []
+    found = list[Turning]()
     end = 10 * robot.nv
     for effect in effects:
         start = end
         end += len(effect.parameters(robot))
         if turning(effect, 1.0) == effect:
-            turned.append(effect)
             continue
         for column, single in enumerate(effect.singles(), start):
-            [joint] = single.joints
-            turned.append(single)
             if column not in base.columns:
                 continue
-            j = robot.joint_index(joint)
+            [j] = single.rows(robot)
             own = reduced.index[j] == base.columns.index(column)
             if not (own.any() and used[:, j].any()):
                 continue
             fit = _LeftOut(reduced.columns[j], own, reduced.tau[:, j], used[:, j])
             speeds = [v for v in REVERSALS.shares * top[j] if v > least[j]]
-            found = _turning(fit, single, robot, data, speeds)
-            if found is None:
-                continue
-            turned[-1] = found.effect
-            regression = regression.with_column(column, j, found.column)
-            unit = "rad/s" if robot.revolute[j] else "m/s"
-            speed = f"{turning_speed(found.effect):.2g} {unit}"
-            words.append(f"{joint} {speed} (error {100 * found.less:.0f} % less)")
-    if not words or (spoiled is not None and spoiled(at_once)):
+            best = _turning(fit, single, robot, data, speeds)
+            if best is not None:
+                regression = regression.with_column(column, j, best.column)
+                found.append(best)
+    if not found or (spoiled is not None and spoiled(at_once)):
         return at_once, ()
-    rows = counted_rows(robot, turned, base, data, regression)
+    laws = turned(effects, [each.reversal for each in found])
+    return counted_rows(robot, laws, base, data, regression), tuple(found)
+
+
+def turning_notes(found: Sequence[Turning], robot: Robot) -> tuple[str, ...]:
+    """What is told of friction that turns over a range of speeds."""
+    if not found:
+        return ()
     sentence = (
         "dry friction turns over a range of speeds at reversals, F_c tanh(q̇ / v), which "
         "predicts parts of the recordings left out of a fit better than a jump, rows of rest "
-        f"included: v = {', '.join(words)}"
+        f"included: v = {', '.join(each.words(robot) for each in found)}"
     )
-    return rows, (sentence,)
+    return (sentence,)
 
 
 def _turning(
@@ -177,8 +221,10 @@ def _refined(fit: _LeftOut, found: Turning, robot: Robot, data: Data) -> Turning
         )
         column = _column(effect, robot, data)
         slope = (_column(ahead, robot, data) - column) / REVERSALS.difference
-        force, change = fit.coefficients(np.column_stack([column, slope]))
-        found = found._replace(effect=effect, column=column)
+        (force, change), std = fit.coefficients(np.column_stack([column, slope]))
+        found = found._replace(
+            effect=effect, column=column, std=std[1] / max(force, 1e-300)
+        )
         if not force > 0:
             break
         log_ratio = float(
@@ -212,11 +258,20 @@ class _LeftOut:
         self.basis = unit @ (Vt[: len(s)][shown].T / s[shown])
         self.blocks = np.array_split(np.arange(len(tau)), BLOCKS)
 
-    def coefficients(self, columns: Array) -> Array:
-        """Those of columns, shape (n, k), in place of its own in the fit to all rows, (k,)."""
+    def coefficients(self, columns: Array) -> tuple[Array, Array]:
+        """Those of columns, shape (n, k), in place of its own in the fit to all rows.
+
+        With their standard deviations, both of shape (k,).
+        """
         beyond = self._beyond(columns)[self.used]
-        solved = np.linalg.lstsq(beyond, self.tau[self.used], rcond=REVERSALS.rank)
-        return np.asarray(solved[0], float)
+        tau = self._beyond(self.tau)[self.used]
+        x = np.linalg.lstsq(beyond, tau, rcond=REVERSALS.rank)[0]
+        e = tau - beyond @ x
+        variance = (e**2).mean() * autocorrelation_time(e)
+        G = np.linalg.pinv(beyond.T @ beyond, rcond=REVERSALS.rank, hermitian=True)
+        return np.asarray(x, float), np.asarray(
+            np.sqrt(variance * np.diag(G)), float
+        )
 
     def errors(self, column: Array) -> Array:
         """Errors with this column, shape (n,), in place of its own."""

@@ -199,6 +199,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "parameters": _parameters(estimate),
         "base_parameters": _base_parameters(estimate),
         **({} if repeats is None else {"repeats": repeats.entry()}),
+        "reversals": [each.entry(robot) for each in estimate.reversals],
         "physical": {
             "consistent": not broken,
             "violations": broken,

@@ -22,7 +22,7 @@ import scipy
 from scipy.linalg.lapack import dgesv
 
 from excitant.exceptions import BadInput, ExcitantError
-from excitant.robots.effects.base import Effect, Stepper
+from excitant.robots.effects.base import Effect, Stepper, turning_speed
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
@@ -126,7 +126,7 @@ def forward_model(robot: Robot) -> tuple[Any, Array, StateTorque]:
             loaded = changed
         elif effect.physics.on_torque:
             continue
-        elif effect.export.joint_property:
+        elif effect.export.joint_property and not turning_speed(effect):
             drives[effect.export.joint_property][effect.rows(robot)] += (
                 effect.values
             )

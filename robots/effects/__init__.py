@@ -5,12 +5,14 @@ from excitant.robots.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
     FrictionCoupling,
+    GradualReversal,
     LoadDependentFriction,
     NonlinearViscousFriction,
     PreslidingHysteresis,
     StribeckFriction,
     ThermalFrictionDrift,
     ViscousFriction,
+    turned,
 )
 
 # isort: split
@@ -94,6 +96,7 @@ __all__ = [
     "Export",
     "FrictionCoupling",
     "GivenInertias",
+    "GradualReversal",
     "GravityDirection",
     "InertiaCoupling",
     "InertialParameters",
@@ -135,6 +138,7 @@ __all__ = [
     "registered",
     "separating_experiment",
     "standard_effects",
+    "turned",
     "turning",
     "turning_speed",
 ]

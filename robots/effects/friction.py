@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from excitant.robots.effects.base import (
     PairEffect,
     Parameter,
     Physics,
+    Size,
     Words,
     registered,
 )
@@ -248,7 +249,10 @@ class LoadDependentFriction(_Friction, JointwiseEffect):
 
 
 def _is_dry(
-    effect: PreslidingHysteresis, robot: Robot, values: Array, std: Array
+    effect: PreslidingHysteresis | GradualReversal,
+    robot: Robot,
+    values: Array,
+    std: Array,
 ) -> bool:
     """Whether it is a good part of the joint's dry friction; less is a blurred reversal."""
     coulomb = effect_values(robot).get(f"{effect.joints[0]}.Fc", 0.0)
@@ -300,10 +304,84 @@ class PreslidingHysteresis(_Friction, JointwiseEffect):
         return Bristles(self.distance, force, np.zeros(robot.nv), unknown)
 
 
+def _within(
+    effect: GradualReversal,
+    robot: Robot,
+    joints: Sequence[str],
+    sizes: Sequence[Size],
+) -> str:
+    """Statement on friction that turns over a range of speeds."""
+    unit = effect.shape_unit(robot, effect.search.shapes[0])
+    spread = f" ± {effect.std:.1g}" if effect.std else ""
+    within = f"within {effect.speed:.2g}{spread} {unit}"
+    if len(joints) == 1:
+        return (
+            f"{joints[0]}: dry friction turns over gradually at reversals, {within}"
+        )
+    several = (
+        f"Dry friction of {len(joints)} joints turns over gradually at reversals"
+    )
+    return f"{several}, that of {joints[0]} {within}"
+
+
 def _near_reversals(effect: PreslidingHysteresis, x: Array) -> Array:
     """Distances since a reversal, NaN where hysteresis has faded, if some are near."""
     far = np.abs(x) > REVERSAL_DISTANCES * effect.distance
     return np.where(far & (far.mean() < 1), np.nan, x)
+
+
+@dataclass(frozen=True)
+class GradualReversal(_Friction, JointEffect):
+    """τ = F_c (tanh(q̇ / v) − sign q̇): what Coulomb friction has less while it turns.
+
+    A cause of errors only: a model that has it holds a `CoulombFriction` of that turning speed.
+    """
+
+    name = "gradual_reversal"
+    terms = (Parameter("Fc", "N·m", 0.0),)
+    physics = Physics("motion")
+    search = Search(shapes=(Shape("speed", "rad/s"),), feasible=_is_dry)
+    words = Words(
+        "velocity",
+        {
+            "presliding_hysteresis backlash": by.REVERSALS,
+            "stribeck_friction nonlinear_viscous_friction": by.LADDER,
+        },
+        sentence=_within,
+        noun=lambda effect, robot: f"gradual reversal of {effect.joints[0]}",
+    )
+
+    speed: float = 0.1  # v [rad/s]
+    std: float = 0.0  # of v; 0: not known [rad/s]
+
+    def of_state(self, q: Array, dq: Array, ddq: Array) -> Sequence[Array]:
+        return (np.tanh(dq / self.speed) - np.sign(dq),)
+
+    @property
+    def turned(self) -> CoulombFriction:
+        """Coulomb friction of the joint that turns so, without values."""
+        return CoulombFriction(self.joints, turning_speed=self.speed)
+
+
+def turned(
+    effects: Iterable[Effect], reversals: Iterable[GradualReversal]
+) -> list[Effect]:
+    """Effects with Coulomb friction that turns over a range of speeds at some joints.
+
+    A joint without it gets it, without a value.
+    """
+    laws = {reversal.joints: reversal.turned for reversal in reversals}
+    found = list[Effect]()
+    for effect in effects:
+        rubbing = isinstance(effect, CoulombFriction)
+        if not rubbing or laws.keys().isdisjoint((j,) for j in effect.joints):
+            found.append(effect)
+            continue
+        for joint in effect.joints:
+            own = effect.among((joint,)) or effect
+            law = laws.pop((joint,), own)
+            found.append(replace(law, values=own.values))
+    return [*found, *laws.values()]
 
 
 @dataclass(frozen=True, eq=False)

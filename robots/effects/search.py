@@ -36,6 +36,7 @@ class JointFacts:
         start: First instant [s].
         duration: Of all recordings, from first to last instant [s].
         blur: Travel about a reversal that sampling and filter hide [rad or m].
+        speed_blur: Speeds about a reversal that they hide [rad/s or m/s].
         load: Largest torque [N·m].
         q: Positions at the rows of ``unexplained``, shape (n,).
         dq: Velocities there, shape (n,).
@@ -48,6 +49,7 @@ class JointFacts:
     start: float = 0.0
     duration: float = np.inf
     blur: float = 0.0
+    speed_blur: float = 0.0
     load: float = np.inf
     q: Array = field(default_factory=lambda: np.zeros(0))
     dq: Array = field(default_factory=lambda: np.zeros(0))
@@ -86,10 +88,13 @@ def joint_facts(
     blur = acceleration * hidden_time**2 / 2 + REVERSAL_STDS * np.sqrt(noise * band)
     speed = np.abs(dq).max(axis=0)
     reach = np.ptp(q, axis=0)
+    hidden = acceleration * hidden_time
     most = np.broadcast_to(load, speed.shape)
     facts = tuple(
-        JointFacts(float(s), float(r), start, duration, float(b), float(m))
-        for s, r, b, m in zip(speed, reach, blur, most, strict=True)
+        JointFacts(s, r, start, duration, b, h, m)
+        for s, r, b, h, m in np.column_stack(
+            [speed, reach, blur, hidden, most]
+        ).tolist()
     )
     if unexplained is None:
         return facts

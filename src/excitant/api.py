@@ -434,7 +434,8 @@ def identify_robot(
     parked, fit, holdout = as_recorded(robot, recordings, validate)
     arm = parked.robot
     identify.warn_of_faults(arm, fit)
-    if effects == "auto":
+    automatic = effects == "auto"
+    if automatic:
         effects = analysis.choose_effects(
             arm, identify.fitted(fit, holdout), cutoff_hz=cutoff, progress=progress
         )
@@ -451,6 +452,7 @@ def identify_robot(
         harmonics_hz=None
         if trajectory is None
         else highest_harmonic(trajectory, arm),
+        turning=automatic or None,
     )
     return replace(estimate, notes=(*parked.notes, *estimate.notes))
 

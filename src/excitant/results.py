@@ -703,6 +703,21 @@ class Shapes(Record):
     "Shape parameters."
 
 
+class Reversal(Record):
+    """Dry friction of a joint that turns over a range of speeds, F_c tanh(q̇ / v)."""
+
+    joint: str
+    "Joint."
+    speed: Number
+    "Speed v below which it turns."
+    std: Number
+    "Standard deviation of v; null where it is not determined to half of v."
+    unit: str
+    "Unit of the speed."
+    error_less: Number
+    "By how much the rms error on rows left out is less than with friction that turns at once."
+
+
 class Stage(Record):
     """One link of an identification link by link."""
 
@@ -956,6 +971,8 @@ class Identify(Modelled, tag_field="verb", tag="identify"):
     "What --knowledge states."
     repeats: list[Repeat] = []
     "Whether several recordings agree."
+    reversals: list[Reversal] = []
+    "Joints whose dry friction turns over a range of speeds."
     shapes: Shapes | None = None
     "Shapes of effects that were refined."
     link_by_link: LinkByLink | None = None

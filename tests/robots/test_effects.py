@@ -147,7 +147,7 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(ur10, random_states
 
 def test_in_a_simulation_it_makes_the_torque_of_its_columns(planar, random_states, refused, kind):
     """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
-    effect = valued(planar.with_effects(()), kind, 3)
+    effect = fx.turning(valued(planar.with_effects(()), kind, 3), 0.5)
     robot = planar.with_effects((effect,))
     if kind.name in OF_THE_PAST:
         refused(f"effect {kind.name} depends on the past", forward_model, robot, error=BadInput)
