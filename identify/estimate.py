@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -345,7 +345,8 @@ def identify_robot(
     validate = recordings_of(validate, robot)
     prior = prior_parameters(robot)
     known = (knowledge or Knowledge()).of(robot)
-    gradual = effects is None if turning is None else turning
+    default = effects is None
+    gradual = default if turning is None else turning
     effects = effects_of(robot, effects)
     if default and all(map(shows_poses, (*recordings, *validate))):
         return _of_poses(robot, recordings, validate, prior, known)
@@ -394,14 +395,17 @@ def identify_robot(
     if moved > LARGEST_RATE_ERROR:
         estimate, _ = fitted_to(data.whole)
         return estimate
+    return replace(estimate, notes=(*estimate.notes, *_of_rates(data, moved)))
+
+
+def _of_rates(data: Data, moved: float) -> Iterator[str]:
+    """What evaluating smooth columns at a lower rate changes, by `_moved_by_rate`."""
     rates = {f"{s.thin.rate_hz:.4g}" for s in data.train if s.thin is not s}
-    if not rates:
-        return estimate
-    note = (
-        f"smooth columns are evaluated at {' and '.join(sorted(rates))} Hz, which moves no base "
-        f"parameter by more than {max(moved, 1e-4):.1g} of its standard error"
-    )
-    return replace(estimate, notes=(*estimate.notes, note))
+    if rates:
+        yield (
+            f"smooth columns are evaluated at {' and '.join(sorted(rates))} Hz, which moves no "
+            f"base parameter by more than {max(moved, 1e-4):.1g} of its standard error"
+        )
 
 
 def _of_poses(
