@@ -348,7 +348,7 @@ def identify_robot(
     default = effects is None
     gradual = default if turning is None else turning
     effects = effects_of(robot, effects)
-    if default and all(map(shows_poses, (*recordings, *validate))):
+    if default and recordings and all(map(shows_poses, (*recordings, *validate))):
         return _of_poses(robot, recordings, validate, prior, known)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
 

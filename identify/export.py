@@ -663,9 +663,11 @@ def publication(
         UnknownName: A format that is not one of `FORMATS`.
     """
     poses = estimate.data.poses
-    kept = () if poses is None else poses.kept
+    model = estimate.model
+    if poses is not None:
+        model = model.with_effects([*model.effects, *poses.kept])
     return published(
-        estimate.model.with_effects([*estimate.model.effects, *kept]),
+        model,
         "identified",
         "model.yaml",
         hold_out(estimate),

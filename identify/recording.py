@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 MINIMUM_DURATION = 2.0  # s: less holds no motion to fit and to filter
 LONGEST_STEP_S = 1.0  # median sample step: a slower log shows no motion of an arm
+LONGEST_POSE_S = 86_400.0  # between two poses: more is no time in seconds
 LEAST_RATE_HZ = 10.0  # of a motion: torque is filtered at a fifth of it
 CHANNELS = ("q", "dq", "tau")
 
@@ -219,6 +220,13 @@ def refuse_bad_rows(
             f"sort or remove those rows, which --repair does where they fit"
         )
         refuse(row, time, why)
+    step = float(np.median(steps[1:])) if len(raw) > 1 else 0.0
+    if step > LONGEST_POSE_S:
+        why = (
+            f"rows are {step:.4g} s apart, more than a day: say the unit of time in a file for "
+            "--map, such as {units: {t: ms}}"
+        )
+        refuse(0, time, why)
 
 
 def shows_poses(raw: Recording) -> bool:

@@ -129,12 +129,15 @@ EXTRAS = ("cluster", "docs", "mjcf", "ros", "dev")
     ("lock", "extras"), [("requirements.lock", ()), ("requirements-dev.lock", EXTRAS)]
 )
 def test_lock_pins_every_requirement_and_names_no_place(project, lock, extras):
-    lines = (ROOT / lock).read_text().splitlines()
-    pinned = map(Requirement, (line for line in lines if line and not line.startswith("#")))
-    pins = {canonicalize_name(pin.name): pin for pin in pinned}
-    for pin in pins.values():
-        operators = [clause.operator for clause in pin.specifier]
-        assert (pin.url, pin.marker, operators) == (None, None, ["=="])
+    lines = re.sub("^#.*\n", "", (ROOT / lock).read_text(), flags=re.M).replace("\\\n", "")
+    pins = {}
+    for line in lines.splitlines():
+        name, *hashes = line.split(" --hash=")
+        pin = Requirement(name)
+        pins[canonicalize_name(pin.name)] = pin
+        assert (pin.url, [c.operator for c in pin.specifier]) == (None, ["=="])
+        assert hashes, f"{pin} has no hash; run make lock"
+        assert all(re.fullmatch("sha256:[0-9a-f]{64} *", each) for each in hashes)
     table = project["project"]
     wanted = [*table["dependencies"], *project["build-system"]["requires"]]
     wanted += [line for extra in extras for line in table["optional-dependencies"][extra]]
@@ -148,9 +151,9 @@ def test_lock_pins_every_requirement_and_names_no_place(project, lock, extras):
 def test_lock_suits_the_oldest_python(project: dict[str, Any]) -> None:
     """An early 3.11 is what some systems still ship, and what pip there must find."""
     oldest = project["project"]["requires-python"].removeprefix(">=") + ".0"
-    pins = (ROOT / "requirements-dev.lock").read_text().splitlines()
+    pins = re.findall("^[^ #]+", (ROOT / "requirements-dev.lock").read_text(), re.M)
     for found in importlib.metadata.distributions():
-        if (pin := f"{found.name}=={found.version}") in pins:
+        if (pin := f"{canonicalize_name(found.name)}=={found.version}") in pins:
             suits = SpecifierSet(found.metadata.get("Requires-Python") or "")
             assert suits.contains(oldest), f"{pin} needs Python {suits}; run make lock"
 

@@ -461,7 +461,8 @@ def _apart(x: Array, r: Array) -> Mask:
     """Whether values stand apart from the running median, which is unknown at the ends.
 
     Friction at a reversal makes none: a value between those of two rows before and two rows after
-    is on its way, and a kink leaves the cubic by less than a step of the values beside it.
+    is on its way, one on the line through two neighbours on a side is beside a step, and a kink
+    leaves the cubic by less than a step of the values beside it.
     """
     apart = np.abs(x - _running_median(x, _MEDIAN_ROWS)) > 0.5 * np.abs(r)
     step = np.abs(np.diff(x, axis=0))
@@ -469,6 +470,9 @@ def _apart(x: Array, r: Array) -> Mask:
     beside = np.maximum(slope[:-4], slope[4:])
     apart[3:-3] &= np.abs(r[3:-3]) > beside
     apart[2:-2] &= (x[2:-2] - x[:-4]) * (x[2:-2] - x[4:]) > 0
+    lines = 2 * x[1:-3] - x[:-4], 2 * x[3:-1] - x[4:]
+    off = np.minimum(*(np.abs(x[2:-2] - line) for line in lines))
+    apart[2:-2] &= off > 0.5 * np.abs(r[2:-2])
     reach = _MEDIAN_ROWS // 2
     apart[:reach] = False
     apart[len(x) - reach :] = False

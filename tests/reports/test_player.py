@@ -287,7 +287,7 @@ def test_obstacles_stand_around_an_arm_without_shapes_too(tmp_path: Path, capsys
     cell = tmp_path / "cell.yaml"
     cell.write_text("- box: {size: [1, 1, 1], position: [2, 0, 0]}\n", "utf-8")
     shown = Shown("no shapes", tmp_path, "--obstacles", str(cell), "--floor", "-0.5")
-    assert "not checked: self-collision, no link has a collision shape" in capsys.readouterr().out
+    assert "self-collision, no link has a collision shape; floor" in capsys.readouterr().out
     source = shown.file.read_text("utf-8")
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', source)[1])
     assert [obstacle["shape"] for obstacle in data["obstacles"]] == ["box", "half_space"]
