@@ -23,7 +23,7 @@ from excitant.results import DataSet, Deviation, Difference, Drift, Fleet, Numbe
 
 _DRAWN = 6  # changes that are drawn
 _MONTHS = 12.0
-_TOLD = 5  # differences that are told in words
+_TOLD = 3  # differences that are told in words
 
 
 def fleet_section(result: Fleet, series: Series) -> p.Section:
@@ -41,7 +41,10 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
     )
     if result.differences:
         count = len(result.differences)
-        lead += f"; {_counted(count, 'parameter is', 'parameters are')} not the same for all arms"
+        lead += (
+            f"; {_counted(count, 'parameter is', 'parameters are')} not the same for all arms, "
+            "which does not tell the odd one, if any"
+        )
     if failed:
         lead += (
             f"; {_counted(len(failed), 'data set has', 'data sets have')} no model"
@@ -117,8 +120,7 @@ def _apart(row: Difference) -> str:
     difference = _interval(row.difference, row.std).text
     return (
         f"{row.parameter} differs by {difference} {row.unit} between {row.low} "
-        f"({v.number(row.low_value)}) and {row.high} ({v.number(row.high_value)}); "
-        f"which of {row.count} arms is odd, if any, cannot be told"
+        f"({v.number(row.low_value)}) and {row.high} ({v.number(row.high_value)})"
     )
 
 
