@@ -319,7 +319,8 @@ def _ranges(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     joints = list(dict.fromkeys(joint for f in group for joint in f.effect.joints))
     few = 2 * len(joints) <= diagnosis.robot.nv
     where = f" at {', '.join(joints)}" if few else ""
-    return f"{plain(group[0].effect.name)} {', '.join(ranges)}{where}"
+    sizes_told = f" {', '.join(ranges)}" if ranges else ""
+    return f"{plain(group[0].effect.name)}{sizes_told}{where}"
 
 
 def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
