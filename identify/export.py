@@ -185,8 +185,9 @@ def folded(robot: Robot) -> Robot:
 
 def lacking(arm: Robot, file_format: str) -> list[str]:
     """What a file cannot hold of an arm whose bodies are `folded`, in words with the joints."""
-    missing = []
+    missing = dict[str, list[str]]()
     for effect in arm.effects:
+        name = plain(effect.name)
         values = effect.values or ()
         joints = list(effect.joints)
         below = list[str]()
@@ -195,20 +196,21 @@ def lacking(arm: Robot, file_format: str) -> list[str]:
             rows = list(zip(joints, values, lowest, strict=True))
             joints = [joint for joint, value, _ in rows if value]
             below = [joint for joint, value, low in rows if value < low]
-        if joints and file_format not in effect.export.formats:
-            listed = "all joints" if len(joints) == arm.nv else ", ".join(joints)
-            missing.append(f"{plain(effect.name)} of {listed}")
-        elif joints and below:
-            missing.append(f"negative {plain(effect.name)} of {', '.join(below)}")
-    # no format has friction that turns over a range of speeds
-    turning_ones = (
-        e for e in arm.effects if turning_speed(e) and any(e.values or ())
-    )
-    turned = [joint for effect in turning_ones for joint in effect.joints]
-    if turned:
-        listed = "all joints" if len(turned) == arm.nv else ", ".join(turned)
-        missing.append(f"gradual reversal of the friction of {listed}")
-    return missing
+        if file_format not in effect.export.formats:
+            missing.setdefault(name, []).extend(joints)
+        else:
+            missing.setdefault(f"negative {name}", []).extend(below)
+        # no format has friction that turns over a range of speeds
+        if turning_speed(effect) and any(values):
+            missing.setdefault("gradual reversal of the friction", []).extend(
+                joints
+            )
+    found = []
+    for what, joints in missing.items():
+        listed = "all joints" if len(joints) == arm.nv else ", ".join(joints)
+        if joints:
+            found.append(f"{what} of {listed}")
+    return found
 
 
 def held_by(arm: Robot, file_format: str) -> Robot:
