@@ -378,19 +378,20 @@ class _Group:
         """The arms that are furthest apart, with the chance among so many groups of equal arms."""
         more, freedom = self.within
         fit = self.fit(more)
-        squares = _about_mean(fit.mean, fit.variance)[2]
+        middle, _, squares = _about_mean(fit.mean, fit.variance)
         others = len(self.arms) - 1
-        if more > 0:  # which is itself estimated
-            chance = scipy.special.fdtrc(others, freedom, squares / others)
-        else:
-            chance = scipy.special.chdtrc(others, squares)
-        low = int(np.argmin(fit.mean))
-        high = int(np.argmax(fit.mean))
+        # by how much data sets of one arm differ is itself estimated, or not known at all
+        chance = 1.0
+        if freedom:
+            chance = float(scipy.special.fdtrc(others, freedom, squares / others))
+        apart = (fit.mean - middle) / np.sqrt(fit.variance)
+        low = int(np.argmin(apart))
+        high = int(np.argmax(apart))
         least, most = float(fit.mean[low]), float(fit.mean[high])
         std = float(np.sqrt(fit.variance[low] + fit.variance[high]))
         return Difference(
             self.name, self.unit, self.arms[low], least, self.arms[high], most, most - least, std,
-            others + 1, min(1.0, tested * float(chance)),
+            others + 1, min(1.0, tested * chance),
         )  # fmt: skip
 
 

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from excitant.robots.robot import Robot
 
 LIMIT_NAMES = ("position", "velocity", "acceleration", "torque", "jerk")
-MOST_TURNS = (
-    6.0  # of a joint's range: wrists turn up to 5, a limit of 30° read as 30 rad 10
-)
+# of a joint's range: wrists turn up to 5 or without end, a limit of 30° read as 30 rad 10
+MOST_TURNS = 6.0
 TOUCHED = 0.99  # share of a limit from which on it counts as touched
 
 
@@ -70,7 +69,7 @@ class Limits:
 
 
 def endless_ranges(robot: Robot) -> tuple[tuple[str, ...], str]:
-    """Joints that turn farther than any does, and how it is said; none and nothing otherwise."""
+    """Joints that turn farther than most do, and how it is said; none and nothing otherwise."""
     span = np.ptp(robot.limits.position, axis=1)
     wide = robot.revolute & np.isfinite(span) & (span > 2 * np.pi * MOST_TURNS)
     if not wide.any():
@@ -90,17 +89,14 @@ def unlimited(robot: Robot) -> str:
 
 
 def require_limits(robot: Robot) -> str | None:
-    """A sentence about acceleration limits that are missing without need, if any.
+    """A sentence about ranges that may be in degrees, or acceleration limits that are missing.
 
     Raises:
-        BadInput: Limits of speed are missing, or of both acceleration and torque, or a range is
-            none of a joint; says which file to write.
+        BadInput: Limits of speed are missing, or of both acceleration and torque; says which file
+            to write.
     """
     limits = robot.limits
     joints = np.array(robot.joints)
-    wide, why = endless_ranges(robot)
-    if wide:
-        raise BadInput(f"{robot.source or robot.name}: {', '.join(wide)}: {why}")
     free = np.isinf(limits.acceleration)
     unbounded = free & np.isinf(limits.torque)
     missing = {
@@ -118,9 +114,11 @@ def require_limits(robot: Robot) -> str | None:
             f"{robot.source or robot.name} gives no {what} of some joints; write limits.yaml with "
             f"{entries} [rad or m, s] and pass --limits limits.yaml"
         )
-    if not free.any():
-        return None
-    return (
-        f"no acceleration limits of {', '.join(joints[free])}: torque limits bound the motion; "
-        "pass --limits with 'acceleration: ..' where drives allow less"
-    )
+    wide, why = endless_ranges(robot)
+    notes = [f"{', '.join(wide)}: {why}"] * bool(wide)
+    if free.any():
+        notes.append(
+            f"no acceleration limits of {', '.join(joints[free])}: torque limits bound the "
+            "motion; pass --limits with 'acceleration: ..' where drives allow less"
+        )
+    return "; ".join(notes) or None

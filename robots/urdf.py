@@ -84,7 +84,7 @@ def robot_from_urdf(
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
     restore_link_names(model)
-    limits, soft = _softened(_limits(model), model, root)
+    limits, soft = _softened(_limits(model), model, root, source)
     model.gravity.linear = weight
     moving = [named.joints[joint] for joint in list(model.names)[1:]]
     return Robot(
@@ -203,7 +203,7 @@ def number(text: str, key: str, owner: Element, source: str) -> float:
 
 
 def _softened(
-    limits: Limits, model: pin.Model, root: Element
+    limits: Limits, model: pin.Model, root: Element, source: str
 ) -> tuple[Limits, list[str]]:
     """Limits within the soft ones of safety controllers, which brake a joint there, and a note."""
     position = np.array(limits.position)
@@ -215,8 +215,8 @@ def _softened(
         if safety is None or name not in names:
             continue
         low, high = (
-            float(safety.get(f"soft_{side}_limit") or 0.0)
-            for side in ("lower", "upper")
+            number(safety.get(key, "0"), key, joint, source)
+            for key in ("soft_lower_limit", "soft_upper_limit")
         )
         j = names.index(name)
         inner = max(low, position[j, 0]), min(high, position[j, 1])

@@ -175,7 +175,7 @@ def _odd(odd: list[Deviation]) -> p.Table | None:
             ("name:Unit", "unit"),
         ],
         "The most certain first. Of the siblings: mean and standard deviation from arm to arm. A "
-        "fleet of sound arms has any entry here or below in at most 5 % of cases.",
+        "fleet of sound arms has any entry here, or what changes, in at most 5 % of cases.",
     )
 
 

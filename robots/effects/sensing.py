@@ -138,8 +138,9 @@ def _saturation(
         return usual_sentence(effect, robot, joints, sizes)
     unit = effect.shape_unit(robot, effect.search.shapes[0])
     read = f"{100 * (1 + sizes[0].value):.0f}{sizes[0].spread(100)} %"
+    what = "the motor" if sizes[0].value > 0 else "the reading of torque"
     return (
-        f"{joints[0]}: the motor saturates, of torque beyond {effect.level:.3g} {unit} "
+        f"{joints[0]}: {what} saturates, of torque beyond {effect.level:.3g} {unit} "
         f"{read} is read"
     )
 
@@ -148,8 +149,9 @@ def _saturation(
 class MotorSaturation(JointwiseEffect):
     """Reading = τ + c sgn(τ) max(|τ| − L, 0): c = −1 where it stays at L.
 
-    A drive gives no more than its current limit; c > 0 where the iron of a motor saturates and
-    its current grows faster than its torque.
+    c < 0 where what is read ends at a limit that the torque of the motion exceeds, as that of a
+    current or of a sensor; c > 0 where the iron of a motor saturates and its current grows faster
+    than its torque.
 
     Attributes:
         level: L [N·m].
@@ -165,7 +167,7 @@ class MotorSaturation(JointwiseEffect):
                 "level",
                 "N·m",
                 grid=lambda facts: (
-                    LEVELS * facts.load if facts.load < np.inf else ()
+                    LEVELS * facts.load if 0 < facts.load < np.inf else ()
                 ),
                 most=lambda facts: facts.load,
             ),
@@ -246,7 +248,8 @@ class EncoderEccentricity(_EncoderError):
 
     def columns(self, robot: Robot, motion: Motion) -> Array:
         j = self.rows(robot)[0]
+        # a sliding joint has no turn
         q = motion.q[:, j]
-        waves = (np.cos(q), np.sin(q))
+        waves = robot.revolute[j] * np.array([np.cos(q), np.sin(q)])
         parts = [torque_along(robot, motion, j, wave) for wave in waves]
         return np.stack(parts, axis=2)

@@ -91,7 +91,7 @@ def test_missing_limits_are_asked_for_with_the_file_to_write(planar, excitant, t
     require_limits(limited)
 
 
-def test_limits_that_no_joint_has_are_refused_and_soft_ones_kept(tmp_path: Path) -> None:
+def test_limits_that_few_joints_have_are_told_and_soft_ones_kept(tmp_path: Path) -> None:
     text = load_robot("planar_2r").urdf
     soft = '<safety_controller k_velocity="10" soft_lower_limit="-1" soft_upper_limit="9"/></joint>'
     (tmp_path / "soft.urdf").write_text(text.replace("</joint>", soft, 1))
@@ -100,8 +100,7 @@ def test_limits_that_no_joint_has_are_refused_and_soft_ones_kept(tmp_path: Path)
     assert robot.limits.position.tolist() == [[-1.0, hard[0, 1]], hard[1].tolist()]
     assert "soft ones of the safety_controller: joint1" in robot.notes[-1]
     endless = robot.with_limits(replace(robot.limits, position=57.3 * hard))
-    with pytest.raises(BadInput, match="perhaps of degrees"):
-        require_limits(endless)
+    assert "perhaps of degrees" in require_limits(endless)
     none = robot.with_limits(replace(robot.limits, torque=np.array([np.inf, 1.0])))
     assert [unlimited(robot), unlimited(none)] == ["", "torque of joint1, no limit is given"]
 
