@@ -25,7 +25,13 @@ from excitant.identify.least_squares import (
 from excitant.identify.preprocessing import REST, Segment
 from excitant.identify.recording import Recording
 from excitant.identify.regression import regression_of
-from excitant.identify.rows import Data, FitRows, counted_rows, fitted_and_held
+from excitant.identify.rows import (
+    Data,
+    FitRows,
+    counted_rows,
+    fitted_and_held,
+    refuse_mixed_units,
+)
 from excitant.robots.base_parameters import (
     BaseParameters,
     observe,
@@ -56,6 +62,7 @@ def pose_rows(
     Raises:
         BadRecording: A row in which a joint moves, or a hold-out with poses that are fitted.
     """
+    refuse_mixed_units((*recordings, *validate))
     train, held = (
         [_poses(each, robot) for each in some] for some in (recordings, validate)
     )
@@ -174,8 +181,15 @@ def _stopped(motion: Motion) -> Motion:
 def _poses(recording: Recording, robot: Robot) -> Recording:
     """One row a pose, the mean of rows in a row at one place."""
     _refuse_moving(recording, robot)
-    steps = np.abs(np.diff(recording.q, axis=0)).max(axis=1)
-    first = np.append(0, 1 + np.flatnonzero(steps > SAME_POSE))
+    first = [0]
+    for row, q in enumerate(recording.q):
+        if np.abs(q - recording.q[first[-1]]).max() > SAME_POSE:
+            first.append(row)
+    if len(first) < 2:
+        raise BadRecording(
+            recording.file,
+            f"its {len(recording)} rows are one pose: record several",
+        )
     counts = np.diff(np.append(first, len(recording)))
     q, tau = (
         np.add.reduceat(x, first, axis=0) / counts[:, None]

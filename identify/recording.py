@@ -220,7 +220,7 @@ def refuse_bad_rows(
             f"sort or remove those rows, which --repair does where they fit"
         )
         refuse(row, time, why)
-    step = float(np.median(steps[1:])) if len(raw) > 1 else 0.0
+    step = float(np.median(steps[1:])) if len(raw) > 2 else 0.0
     if step > LONGEST_POSE_S:
         why = (
             f"rows are {step:.4g} s apart, more than a day: say the unit of time in a file for "
@@ -232,8 +232,9 @@ def refuse_bad_rows(
 def shows_poses(raw: Recording) -> bool:
     """Whether rows are too far apart to show a motion: they are poses.
 
-    Steps of 1 count samples or seconds: positions are then no samples of a motion, or change by
-    what speeds say of a second; between samples at `LEAST_RATE_HZ` by a tenth of it.
+    Steps of 1 count samples or seconds: positions are then no samples of a motion, or no joint has
+    speed, or they change by what speeds say of a second; between samples at `LEAST_RATE_HZ` by a
+    tenth of it.
     """
     step = float(np.median(np.diff(raw.t))) if len(raw) > 2 else 0.0
     if step != LONGEST_STEP_S:
@@ -243,6 +244,8 @@ def shows_poses(raw: Recording) -> bool:
     if raw.dq is None or not np.isfinite(raw.dq).all():
         return False
     way = (raw.dq[1:] + raw.dq[:-1]) / 2
+    if not way.any():
+        return True
     seconds = (np.diff(raw.q, axis=0) * way).sum() / max((way**2).sum(), 1e-300)
     return bool(seconds > 0.5)
 

@@ -114,13 +114,7 @@ def split(
     if not recordings:
         raise BadInput("no recording given; give at least one")
     first = recordings[0]
-    for recording in (*recordings, *validate):
-        if recording.unit != first.unit:
-            raise BadRecording(
-                recording.file,
-                f"torque is in {recording.unit}, but in {first.unit} in {first.file}; "
-                "use recordings of one unit",
-            )
+    refuse_mixed_units((*recordings, *validate))
     _refuse_seen(recordings, validate)
     why = "as given"
     if cutoff_hz is None:
@@ -142,6 +136,18 @@ def split(
         cutoff_why=f"cut-off: {cutoff_hz:.3g} Hz ({why})",
         drive=first.drive,
     )
+
+
+def refuse_mixed_units(recordings: Sequence[Recording]) -> None:
+    """Refuse recordings whose torque is in different units."""
+    first = recordings[0]
+    for recording in recordings:
+        if recording.unit != first.unit:
+            raise BadRecording(
+                recording.file,
+                f"torque is in {recording.unit}, but in {first.unit} in {first.file}; "
+                "use recordings of one unit",
+            )
 
 
 def _refuse_seen(

@@ -38,6 +38,7 @@ from excitant.identify.faults.installation import (
     beyond_limits,
     installation_faults,
     odds_against,
+    pose_faults,
     support,
     swapped,
 )
@@ -82,7 +83,11 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     """
     # a motion so slow may have a clock in another unit
     poses = shows_poses(recording) and not samples_motion(recording.q)
-    faults = () if poses else _faults(robot, recording)
+    faults = (
+        tuple(pose_faults(robot, Log.of(robot, recording)))
+        if poses
+        else _faults(robot, recording)
+    )
     read = recording.read
     if read is None:
         return faults

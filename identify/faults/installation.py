@@ -423,6 +423,38 @@ def _kinds(faults: Sequence[Fault]) -> tuple[Any, ...]:
     return tuple((f.fault, f.joints, f.channel) for f in faults)
 
 
+def pose_faults(robot: Robot, log: Log) -> Iterator[Fault]:
+    """Joints of an arm at rest whose torque is that of nominal bodies by a factor none can make.
+
+    Beyond what comes by chance of so many poses (Fisher 1915), as friction at rest is no such
+    multiple.
+    """
+    if log.unit != "N·m" or not is_described(robot):
+        return
+    still = np.zeros_like(log.q)
+    given = rigid_body_torque(robot, Motion(log.t, log.q, still, still))
+    model, read = (x - x.mean(axis=0) for x in (given, log.tau))
+    size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
+    along = (model * read).sum(axis=0)
+    likeness = along / np.maximum(size * np.linalg.norm(read, axis=0), 1e-300)
+    left = np.maximum(1 - likeness**2, 1e-300)
+    freedom = len(log) - 2
+    t = np.abs(likeness) * np.sqrt(freedom / left)
+    chance = 2 * scipy.special.stdtr(freedom, -t)
+    clear = (chance < ALARM / log.nv) & (left < SEARCH.halved)
+    for j in np.flatnonzero(clear):
+        factor = float(along[j] / size[j] ** 2)
+        joints = log.names([j])
+        times = f"tau of {joints[0]} at rest is {factor:.3g} times that of the nominal bodies"
+        evidence = {"channel": "tau", "factor": factor}
+        if factor < 0:
+            detail = f"{times}: q or tau counts the other way than the robot's"
+            yield Fault("wrong_sign", joints, detail, evidence)
+        elif abs(np.log(factor)) > np.log(SEARCH.least_scale):
+            detail = f"{times}: another unit, or a current"
+            yield Fault("wrong_unit", joints, detail, evidence)
+
+
 def support(
     robot: Robot,
     recording: Recording,

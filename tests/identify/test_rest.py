@@ -54,6 +54,14 @@ def poses(seed: int, count: int = 40) -> Recording:
     return Recording(f"poses {seed}", f"poses{seed}.csv", t, q, tau)
 
 
+@pytest.mark.parametrize(("factor", "fault"), [(-1.0, "wrong_sign"), (1e3, "wrong_unit")])
+def test_a_wrong_sign_or_unit_shows_at_rest(factor: float, fault: str) -> None:
+    still = poses(3)
+    assert not find_faults(ARM, still)
+    [found] = find_faults(ARM, replace(still, tau=still.tau * [1.0, factor]))
+    assert (found.fault, found.joints) == (fault, ("joint2",))
+
+
 def test_poses_show_gravity_and_offsets_alone() -> None:
     truth, off = np.append(ARM.phi, DRIVES["offset"]), list[float]()
     given = ARM.with_parameters(1.3 * ARM.phi)
