@@ -25,8 +25,15 @@ from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.nearness import impossible_values, needed_masses
 from excitant.identify.physical import PhysicalFit, fit_physical
-from excitant.identify.poses import SHOWN, fit_poses, kept, pose_rows, scatter
-from excitant.identify.preprocessing import Mask, prepare
+from excitant.identify.poses import (
+    SHOWN,
+    fit_poses,
+    kept,
+    pose_rows,
+    pose_segment,
+    scatter,
+)
+from excitant.identify.preprocessing import Mask, Segment, prepare
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import (
     Recording,
@@ -62,7 +69,7 @@ from excitant.robots.base_parameters import (
     categories,
 )
 from excitant.robots.effects import Effect, plain
-from excitant.robots.motion import Array, read_only
+from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.parameters import BaseEstimate, is_covariance, violations
 from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
@@ -214,7 +221,10 @@ class Estimate(Shown):
         """
         (run,) = _alike(self, recording)
         predicted = np.full(run.tau.shape, np.nan)
-        for s in prepare(run, self.data.cutoff_hz):
+        for s in self._segments(run):
+            if s.of_poses:
+                still = Motion(run.t, run.q, 0 * run.q, 0 * run.q)
+                return read_only(torque(self.model, still) / self.gains)
             tau = torque(self.model, s.motion) / self.gains
             t = s.motion.t
             tau = s.filtered(tau) if filtered else tau
@@ -224,17 +234,23 @@ class Estimate(Shown):
             )
         return read_only(predicted)
 
+    def _segments(self, recording: Recording) -> Sequence[Segment]:
+        """Segments of a recording, of which poses are one, filtered as what was fitted."""
+        if shows_poses(recording):
+            return [pose_segment(recording, self.given)]
+        cutoff_hz = self.data.cutoff_hz
+        return prepare(recording, cutoff_hz if cutoff_hz < np.inf else None)
+
     def score(self, recordings: Recordings) -> list[dict[str, Any]]:
         """Accuracy of the model on recordings joint by joint, as ``result.json`` has it.
 
         ``rms``, ``rms_raw`` [torque unit], ``nrmse`` and ``r2`` while the joint moves, which is the
         share ``judged`` of the rows, and ``rms_all`` of all, below the cut-off of this estimate.
         """
-        cutoff_hz = self.data.cutoff_hz
         rows = [
             s
             for recording in _alike(self, recordings)
-            for s in prepare(recording, cutoff_hz)
+            for s in self._segments(recording)
         ]
         predicted = predicted_torque(self.model, rows) / self.gains
         accuracy = series(rows).accuracy(predicted)

@@ -237,6 +237,15 @@ def _values(recording: Recording) -> Array:
     return np.column_stack([recording.q, recording.tau])
 
 
+def pose_segment(recording: Recording, robot: Robot) -> Segment:
+    """The poses of a recording as a segment.
+
+    Raises:
+        BadRecording: A row in which a joint moves, or one pose only.
+    """
+    return _segment(_poses(recording, robot))
+
+
 def _segment(recording: Recording) -> Segment:
     """Poses as a segment that nothing filters."""
     still = np.zeros_like(recording.q)

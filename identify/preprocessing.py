@@ -236,9 +236,9 @@ def prepare(
     step = _step(recording)
     if shows_poses(recording):
         why = (
-            f"{len(t)} rows {step:.4g} s apart show poses and no motion, of which `identify` alone "
-            f"reads gravity: record a motion at {LEAST_RATE_HZ:g} Hz or more, or say the unit of "
-            "time in a file for --map, such as {units: {t: ms}}"
+            f"{len(t)} rows {step:.4g} s apart show poses and no motion: record one at "
+            f"{LEAST_RATE_HZ:g} Hz or more, or say the unit of time in a file for --map, such as "
+            "{units: {t: ms}}; from poses alone, hold-out too, `identify` reads gravity"
         )
         raise BadRecording(recording.file, why, column="t")
     if cutoff_hz is None:
