@@ -165,8 +165,12 @@ def _refuse_without_limits(root: Element, source: str) -> None:
         if joint.get("type") not in _LIMITED:
             continue
         limit = joint.find("limit")
-        keys = [] if limit is None else [k for k in _STATED if k not in limit.attrib]
-        what = f"no {' and no '.join(keys)} in the <limit>" if keys else "no <limit>"
+        keys = (
+            [] if limit is None else [k for k in _STATED if k not in limit.attrib]
+        )
+        what = (
+            f"no {' and no '.join(keys)} in the <limit>" if keys else "no <limit>"
+        )
         if keys or limit is None:
             lacking.setdefault(what, []).append(str(joint.get("name")))
     if lacking:
@@ -174,7 +178,7 @@ def _refuse_without_limits(root: Element, source: str) -> None:
         raise BadRobot(
             source,
             f"{'; '.join(parts)}: give lower and upper [rad or m], effort [N·m or N] and velocity "
-            "[rad/s or m/s], or type=\"continuous\" to a joint that turns without end",
+            '[rad/s or m/s], or type="continuous" to a joint that turns without end',
         )
 
 
