@@ -202,8 +202,9 @@ def _refuse_moving(recording: Recording, robot: Robot) -> None:
     raise BadRecording(
         recording.file,
         f"joints move in {len(rows)} of {len(moving)} rows ({robot.joints[j]} at "
-        f"{recording.dq[row, j]:.3g} {unit} here), so that these are no poses, and rows {step:.3g} s "
-        f"apart do not show accelerations: record at {LEAST_RATE_HZ:.0f} Hz or more, or at rest",
+        f"{recording.dq[row, j]:.3g} {unit} here), so that these are no poses, and rows "
+        f"{step:.3g} s apart do not show accelerations: record at {LEAST_RATE_HZ:.0f} Hz or "
+        "more, or at rest",
         row=row,
     )
 

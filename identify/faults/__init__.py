@@ -140,7 +140,7 @@ def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
     data = smooth(log)
     if faults := [*inertias_beyond_size(robot)]:
-        return [*faults, *poor_excitation(robot, log, data)]
+        return faults
     # torque says nothing of where a joint is that is not read
     if data is not None and "q" not in {fault.channel for fault in channels}:
         case = torque_fit(robot, log, data, joints_without_torque(channels))

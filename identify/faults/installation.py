@@ -770,9 +770,9 @@ def inertias_beyond_size(robot: Robot) -> Iterator[Fault]:
     if not wide.any():
         return
     detail = (
-        f"the given inertias of {', '.join(links[wide])} are in another unit: radius of gyration "
-        f"{radius.max():.3g} m in an arm of {reach:.2g} m; give kg·m² (not kg·mm² or g·mm²) in the "
-        "robot's file"
+        f"the given inertias of {', '.join(links[wide])} do not go with the masses: radius of "
+        f"gyration {radius.max():.3g} m in an arm of {reach:.2g} m: another unit; give kg·m² (not "
+        "kg·mm² or g·mm²) and kg in the robot's file"
     )
     joints = tuple(robot.joints[robot.links.index(link)] for link in links[wide])
     evidence = {"channel": "inertia", "radius": float(radius.max()), "reach": reach}
