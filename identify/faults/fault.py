@@ -64,10 +64,12 @@ _SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
 DECODED: Mapping[str, Callable[[Array, float], Array]] = {
     "unwrap": lambda x, turn: np.asarray(np.unwrap(x, period=turn), float),
-    "signed": lambda x, counts: np.where(x > counts / 2, x - counts, x),
-    "sign_bit": lambda x, bit: np.where(x >= (1 - 1e-9) * bit, bit - x, x),
+    "signed": lambda x, n: np.where(np.sign(n) * x > abs(n) / 2, x - n, x),
+    "sign_bit": lambda x, n: np.where(
+        np.sign(n) * x >= (1 - 1e-9) * abs(n), n - x, x
+    ),
 }
-"""Values of a channel by how they are coded and the size of that code."""
+"""Values of a channel by how they are coded and the size of that code, negative as values are."""
 ON_COLUMNS = {"order", "add", "scale", "offset"}
 """Actions on all values of a channel alike, which a map may state."""
 _IN_SEQUENCE = (*ON_COLUMNS, "advance", *DECODED, "interpolate")

@@ -86,6 +86,9 @@ def test_torque_logged_unsigned_is_decoded(logged, code, size):
         assert len(proven(entries)) == (0 if repaired else len(faults))
     decoded, _ = repair(log, faults)
     np.testing.assert_allclose(decoded.tau, step * count, atol=1e-9)
+    turned = replace(log, tau=-log.tau)  # by the sign of a map
+    again, _ = repair(turned, [*channels.wrapped_counters(turned)])
+    np.testing.assert_allclose(again.tau, -step * count, atol=1e-9)
 
 
 def test_positions_that_wrap_are_continued(logged: tuple[Robot, Recording]) -> None:
