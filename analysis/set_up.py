@@ -16,9 +16,13 @@ import numpy as np
 
 from excitant.analysis.evidence import Candidate
 from excitant.analysis.selection import Rival
+from excitant.exceptions import BadRobot
 from excitant.identify.faults import Checked, Fault, check_recordings
-from excitant.identify.faults.fault import INSTALLATION, PROVEN, is_modelled
-from excitant.identify.faults.installation import Installation
+from excitant.identify.faults.fault import INSTALLATION, OPEN, PROVEN, is_modelled
+from excitant.identify.faults.installation import (
+    Installation,
+    inertias_beyond_size,
+)
 from excitant.identify.recording import Recording
 from excitant.robots.effects import EFFECTS, Acts, Effect, Size, Words
 from excitant.robots.motion import Array, Motion
@@ -112,7 +116,7 @@ class SetUp:
             (name, fault)
             for name, faults in self.checked.faults.items()
             for fault in faults
-            if fault.remedies and fault.fault not in INSTALLATION
+            if fault.repairable and fault.fault not in INSTALLATION
         ]
 
     @property
@@ -122,7 +126,7 @@ class SetUp:
         return [
             f.detail
             for f in every
-            if not f.remedies and f.fault not in INSTALLATION
+            if not f.repairable and f.fault not in INSTALLATION
         ]
 
     def amends(self, fault: Mapping[str, Any]) -> bool:
@@ -162,11 +166,17 @@ def set_up(
     """The installation that recordings show, and the recordings, repaired.
 
     Faults of the data that leave every figure wrong are repaired, no others.
+
+    Raises:
+        BadRobot: Inertias in another unit: no cause can be told beside them.
     """
+    if beyond := next(inertias_beyond_size(robot), None):
+        raise BadRobot(robot.source, beyond.detail)
     checked = check_recordings(
         robot, recordings, repaired=True, only=PROVEN, modelled=INSTALLATION
     )
-    mounted = Installation(checked.of_the_arm).robot(robot)
+    certain = tuple(f for f in checked.of_the_arm if OPEN not in f.evidence)
+    mounted = Installation(certain).robot(robot)
     return SetUp(robot, mounted, checked), checked.recordings
 
 

@@ -23,7 +23,7 @@ from excitant.identify.least_squares import (
     student_width,
 )
 from excitant.identify.preprocessing import REST, Segment
-from excitant.identify.recording import Recording
+from excitant.identify.recording import LEAST_RATE_HZ, Recording
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import (
     Data,
@@ -211,11 +211,14 @@ def _refuse_moving(recording: Recording, robot: Robot) -> None:
     rows = np.flatnonzero(moving.any(axis=1))
     row = int(rows[0])
     j = int(np.argmax(moving[row]))
+    unit = "rad/s" if robot.revolute[j] else "m/s"
+    step = float(np.median(np.diff(recording.t)))
     raise BadRecording(
         recording.file,
-        f"{len(rows)} of {len(moving)} rows are no poses, for joints move there "
-        f"({robot.joints[j]} at {recording.dq[row, j]:.3g} here), and too far apart to show a "
-        "motion: record one at 10 Hz or more, or an arm at rest",
+        f"joints move in {len(rows)} of {len(moving)} rows ({robot.joints[j]} at "
+        f"{recording.dq[row, j]:.3g} {unit} here), so that these are no poses, and rows "
+        f"{step:.3g} s apart do not show accelerations: record at {LEAST_RATE_HZ:.0f} Hz or "
+        "more, or at rest",
         row=row,
     )
 

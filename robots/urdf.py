@@ -155,8 +155,35 @@ def _check(root: Element, source: str) -> None:
                     )
                 for word in words:
                     number(word, key, owner, source)
+    _refuse_without_limits(root, source)
 
 
+def _refuse_without_limits(root: Element, source: str) -> None:
+    """Refuse joints that need a limit and state none, or one without effort or velocity."""
+    lacking: dict[str, list[str]] = {}
+    for joint in root.findall("joint"):
+        if joint.get("type") not in _LIMITED:
+            continue
+        limit = joint.find("limit")
+        keys = (
+            [] if limit is None else [k for k in _STATED if k not in limit.attrib]
+        )
+        what = (
+            f"no {' and no '.join(keys)} in the <limit>" if keys else "no <limit>"
+        )
+        if keys or limit is None:
+            lacking.setdefault(what, []).append(str(joint.get("name")))
+    if lacking:
+        parts = [f"{what} of {', '.join(names)}" for what, names in lacking.items()]
+        raise BadRobot(
+            source,
+            f"{'; '.join(parts)}: give lower and upper [rad or m], effort [N·m or N] and velocity "
+            '[rad/s or m/s], or type="continuous" to a joint that turns without end',
+        )
+
+
+_LIMITED = ("revolute", "prismatic")
+_STATED = ("effort", "velocity")  # attributes of a limit that URDF requires
 _LARGEST = 1e9  # kg, m, rad, kg·m² of anything that is part of an arm
 _LEAST_MASS = 1e-12  # kg: a cube of steel of 5 µm
 _MOST = 1000  # links or joints

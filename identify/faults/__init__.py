@@ -36,6 +36,7 @@ from excitant.identify.faults.fault import (
 )
 from excitant.identify.faults.installation import (
     beyond_limits,
+    inertias_beyond_size,
     installation_faults,
     odds_against,
     pose_faults,
@@ -92,7 +93,10 @@ def find_faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
     if read is None:
         return faults
     return tuple(
-        replace(fault, map=map_of(robot, read, fault.remedies)) for fault in faults
+        replace(fault, map=map_of(robot, read, fault.remedies))
+        if fault.repairable
+        else fault
+        for fault in faults
     )
 
 
@@ -140,7 +144,8 @@ def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
 
 def _by_physics(robot: Robot, log: Log, channels: Sequence[Fault]) -> list[Fault]:
     data = smooth(log)
-    faults = list[Fault]()
+    if faults := [*inertias_beyond_size(robot)]:
+        return faults
     # torque says nothing of where a joint is that is not read
     if data is not None and "q" not in {fault.channel for fault in channels}:
         case = torque_fit(robot, log, data, joints_without_torque(channels))
@@ -287,7 +292,7 @@ class Checked:
         """The faults under their JSON names, each with its recording and whether it is repaired."""
         return [
             {"recording": name, **fault.entry()}
-            | {"repaired": self.repaired and bool(fault.remedies)}
+            | {"repaired": self.repaired and fault.repairable}
             for name, faults in self.faults.items()
             for fault in faults
         ]
@@ -368,13 +373,13 @@ def check_recordings(
         # what was not read from a file has no columns to name, and was believed
         from_file = bool(recording.columns)
         repairable = [f for f in faults[name] if f.fault not in modelled]
-        if not any(fault.remedies for fault in repairable):
+        if not any(fault.repairable for fault in repairable):
             usable.append(checked(recording) if from_file else recording)
             continue
         better, done = repair(recording, repairable)
         notes += [f"{name}: {sentence}" for sentence in done]
         usable.append(checked(better) if from_file else better)
-        open_faults = tuple(fault for fault in faults[name] if not fault.remedies)
+        open_faults = tuple(fault for fault in faults[name] if not fault.repairable)
         _known[usable[-1]] = robot, open_faults
     if not repaired:
         return Checked(list(recordings), faults)

@@ -230,7 +230,7 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         columns = values.T
         steps = log.quanta[name]
         codes = [
-            _wrapped(x) if name == "q" else _unsigned(x) or _sign_bit(x, step)
+            _wrapped(x) if name == "q" else _unsigned_code(x, step)
             for x, step in zip(columns, steps, strict=True)
         ]
         known = [
@@ -244,7 +244,10 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
                 alike = known[0]._replace(
                     size=known[0].size * steps[j], between=np.zeros(0, np.intp)
                 )
-                negative = x.min() >= 0 and (alike.decode(x) < 0).any()
+                way = np.sign(alike.size)
+                negative = (way * x).min() >= 0 and (
+                    way * alike.decode(x) < 0
+                ).any()
                 code = alike if negative else None
             if code is not None:
                 yield _coded(log, name, j, code)
@@ -252,8 +255,8 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
 
 def _coded(log: Log, name: str, j: int, code: _Code) -> Fault:
     """The fault of a channel that is coded so."""
-    x = getattr(log, name)[:, j]
-    size = code.size
+    x = np.copysign(1, code.size) * getattr(log, name)[:, j]
+    size = abs(code.size)
     jumps = int((np.abs(np.diff(x)) > size / 2).sum())
     high = int((x > x.min() + size / 2).sum()) if jumps else len(x)
     way = f"jumps {jumps} times by" if jumps else "is beyond"
@@ -271,7 +274,7 @@ def _coded(log: Log, name: str, j: int, code: _Code) -> Fault:
     }[code.action]
     detail = f"{name} of {log.joints[j]} {way} {size:.6g}, {what}"
     evidence = {"channel": name, "range": size, "jumps": jumps, "count": high}
-    remedies = [Remedy(code.action, name, (j,), factor=size)]
+    remedies = [Remedy(code.action, name, (j,), factor=code.size)]
     if len(code.between):
         remedies.append(Remedy("interpolate", name, (j,), code.between))
     return Fault(
@@ -289,6 +292,13 @@ class _Code(NamedTuple):
     def decode(self, x: Array) -> Array:
         """The values that were coded so."""
         return DECODED[self.action](x, self.size)
+
+
+def _unsigned_code(x: Array, step: float) -> _Code | None:
+    """How negative values are logged unsigned, also where a map turns the sign of all."""
+    way = -1.0 if x.max() <= 0 else 1.0
+    code = _unsigned(way * x) or _sign_bit(way * x, step)
+    return code and code._replace(size=way * code.size)
 
 
 def _wrapped(x: Array) -> _Code | None:

@@ -52,6 +52,8 @@ FAULTS = (
     "poor_excitation",
 )
 """The vocabulary, the same in results, interface and documentation."""
+OPEN = "open"
+"""Evidence of a fault that another column of its joint may have: the torque would be the same."""
 NO_TORQUE = "dead_channel", "tau"
 """Fault and channel of a joint whose torque tells nothing."""
 ALARM = 0.02 / 20
@@ -62,10 +64,12 @@ _SPAN = 4  # samples to either side of the one whose speed is asked
 _SHOWN = 10  # of many rows, in results
 DECODED: Mapping[str, Callable[[Array, float], Array]] = {
     "unwrap": lambda x, turn: np.asarray(np.unwrap(x, period=turn), float),
-    "signed": lambda x, counts: np.where(x > counts / 2, x - counts, x),
-    "sign_bit": lambda x, bit: np.where(x >= (1 - 1e-9) * bit, bit - x, x),
+    "signed": lambda x, n: np.where(np.sign(n) * x > abs(n) / 2, x - n, x),
+    "sign_bit": lambda x, n: np.where(
+        np.sign(n) * x >= (1 - 1e-9) * abs(n), n - x, x
+    ),
 }
-"""Values of a channel by how they are coded and the size of that code."""
+"""Values of a channel by how they are coded and the size of that code, negative as values are."""
 ON_COLUMNS = {"order", "add", "scale", "offset"}
 """Actions on all values of a channel alike, which a map may state."""
 _IN_SEQUENCE = (*ON_COLUMNS, "advance", *DECODED, "interpolate")
@@ -186,6 +190,11 @@ class Fault:
     map: str | None = None  # the same as a column map, where one can state it
 
     @property
+    def repairable(self) -> bool:
+        """Whether its remedies follow from the data, and are not one of several that would do."""
+        return bool(self.remedies) and OPEN not in self.evidence
+
+    @property
     def channel(self) -> object:
         """Channel at fault, where it is one."""
         return self.evidence.get("channel")
@@ -215,6 +224,11 @@ class Fault:
             evidence["rows"] = rows[evidence["rows"]]
         remedies = tuple(replace(r, rows=rows[r.rows]) for r in self.remedies)
         return replace(self, evidence=evidence, remedies=remedies)
+
+
+def as_guess(fault: Fault) -> Fault:
+    """The fault with remedies that are one choice of several: nothing is repaired by them."""
+    return replace(fault, repair=None, evidence={**fault.evidence, OPEN: True})
 
 
 def joints_without_torque(faults: Iterable[Fault]) -> set[str]:
@@ -249,15 +263,15 @@ def repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, tuple[str, ...]]
     Raises:
         BadInput: The repairs leave no two samples.
     """
-    better, rows = after_repair(recording, faults)
+    certain = [fault for fault in faults if fault.repairable]
+    better, rows = after_repair(recording, certain)
     if len(rows) < 2:
         raise BadInput(
             f"repair leaves {len(rows)} of {len(recording)} rows; record again"
         )
     return better, tuple(
         f"{fault.fault} ({', '.join(fault.joints)}): repaired, which {fault.repair}"
-        for fault in faults
-        if fault.remedies
+        for fault in certain
     )
 
 

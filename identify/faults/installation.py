@@ -28,11 +28,13 @@ from excitant.identify.faults.fault import (
     ALARM,
     FAULTS,
     INSTALLATION,
+    OPEN,
     Fault,
     Log,
     Remedy,
     Rows,
     after_repair,
+    as_guess,
     joints_without_torque,
 )
 from excitant.identify.faults.time import RATES, clock_confirmed, slow_clock
@@ -49,7 +51,7 @@ from excitant.identify.recording import Recording
 from excitant.robots.effects.sensing import LONGEST_DELAY
 from excitant.robots.motion import Array, Motion
 from excitant.robots.regressor import regressor, rigid_body_torque
-from excitant.robots.robot import Robot
+from excitant.robots.robot import Robot, spans
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,11 @@ class Search:
     "Twice the log of the ratio of evidence below which two installations look the same."
     tried: int = 6
     "Installations that are judged in full: of the discrete ones, and of all, the nearest."
+    widest: float = 5.0
+    """Radius of gyration over the arm's reach beyond which no body is: kg·cm² make it 100 times too
+    large, lb·in² 58 times; that of a long link is a tenth of the reach, of 1 kg and 1 kg·m² 1 m."""
+    least_reach: float = 0.1
+    "Reach of an arm whose joints and centres of mass lie nearer than that, as of a flywheel [m]."
     polished: int = 3
     "Newton steps of what is no choice among few: an angle, gravity, a delay."
     turn: float = 0.02
@@ -208,7 +215,11 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         fault = faults[k]
         evidence = {**fault.evidence, **more}
         faults[k] = replace(fault, detail=fault.detail + because, evidence=evidence)
-    return faults
+    # those found beside a guess rest on it
+    first = next(
+        (k for k, f in enumerate(faults) if OPEN in f.evidence), len(faults)
+    )
+    return faults[:first] + [as_guess(fault) for fault in faults[first:]]
 
 
 def _polished(case: TorqueFit, installation: Installation) -> Installation:
@@ -413,9 +424,15 @@ def _simplest(
         because += (
             f"; the torque would be the same if {' or if '.join(alike.values())}"
         )
-    told = {(fault.fault, fault.joints) for fault in best.installation.faults}
-    rivals = [x[:2] for x in itertools.chain(*alike) if x[:2] not in told]
-    return best, because, {"gain": best.odds, "alike": rivals}
+    kinds = _kinds(best.installation.faults)
+    told = {kind[:2] for kind in kinds}
+    others_kinds = [*itertools.chain(*alike)]
+    rivals = [x[:2] for x in others_kinds if x[:2] not in told]
+    evidence = {"gain": best.odds, "alike": rivals}
+    # which column of a joint has the sign
+    if any(x[:2] in told and x not in kinds for x in others_kinds):
+        evidence[OPEN] = True
+    return best, because, evidence
 
 
 def _kinds(faults: Sequence[Fault]) -> tuple[Any, ...]:
@@ -769,6 +786,29 @@ def beyond_limits(robot: Robot, q: Array) -> tuple[Rows, Array]:
     margin = np.where(robot.revolute, 2 * np.pi, high - low)
     reach = np.maximum(q.max(axis=0) - high, low - q.min(axis=0)) / margin
     return np.flatnonzero(reach > 1), reach
+
+
+def inertias_beyond_size(robot: Robot) -> Iterator[Fault]:
+    """Given inertias of bodies far wider than the whole arm, which only another unit explains."""
+    bodies = robot.phi.reshape(-1, 10)
+    bodies = bodies[bodies[:, 0] > 0]
+    links = np.array(robot.links)[robot.phi[::10] > 0]
+    com = np.linalg.norm(bodies[:, 1:4] / bodies[:, :1], axis=1)
+    trace = bodies[:, [4, 6, 9]].sum(axis=1)
+    square = trace / (2 * bodies[:, 0]) - com**2
+    radius = np.sqrt(np.maximum(square, 0.0))
+    reach = max(sum(spans(robot)) + float(com.max(initial=0.0)), SEARCH.least_reach)
+    wide = radius > SEARCH.widest * reach
+    if not wide.any():
+        return
+    detail = (
+        f"the given inertias of {', '.join(links[wide])} do not go with the masses: radius of "
+        f"gyration {radius.max():.3g} m in an arm of {reach:.2g} m: another unit; give kg·m² (not "
+        "kg·mm² or g·mm²) and kg in the robot's file"
+    )
+    joints = tuple(robot.joints[robot.links.index(link)] for link in links[wide])
+    evidence = {"channel": "inertia", "radius": float(radius.max()), "reach": reach}
+    yield Fault("wrong_unit", joints, detail, evidence)
 
 
 def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:

@@ -225,6 +225,10 @@ def _remedy(fault: Fault) -> str:
         return f"not repaired; {'; '.join(filter(None, ways))}"
     if "gaps" in fault.evidence:
         return "nothing to repair: the stamps are right"
+    if "open" in fault.evidence:
+        return "not repaired; state in --map which it is"
+    if fault.evidence.get("channel") == "inertia":
+        return "not repaired; correct that file"
     known = "state it in --map" if fault.fault == "wrong_unit" else "record again"
     return f"not repaired; {stated or known}"
 

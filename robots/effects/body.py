@@ -27,6 +27,8 @@ from excitant.robots.regressor import gravity_torque, regressor, rigid_body_torq
 from excitant.robots.robot import Robot
 
 GRAVITY_TOLERANCE = 0.05  # of its size, by which a turned gravity may differ
+STATES = 20  # random ones, of which two thirds tell a torque's size to a quarter
+FAINT = 0.01  # of the torque of a body's change: a mass that makes less is no size of it
 PLACEMENT_STEP = 1e-3  # m: torque is quadratic in a placement, so any step would do
 _BODY = tuple(zip(STANDARD, UNITS, strict=True))
 
@@ -149,6 +151,24 @@ class AddedInertia(Effect):
         phi[self.rows(robot)] += np.reshape(self.coefficients, (-1, 10))
         return robot.with_parameters(phi)
 
+    def told(self, robot: Robot) -> int:
+        """Index of the coefficient that says how large it is: the mass, where torque depends on it.
+
+        Else that which makes most of the torque over random states.
+        """
+        states = robot.random_motion(np.random.default_rng(0), STATES)
+        motion = Motion(np.arange(float(STATES)), *states)
+        torque = self.columns(robot, motion) * self.coefficients
+        size = np.sqrt((torque**2).mean(axis=(0, 1)))
+        main = int(np.argmax(size))
+        return main if size[0] < FAINT * size[main] else 0
+
+
+def _is_load(effect: Payload, robot: Robot, values: Array, std: Array) -> bool:
+    """Whether a body has mass, on which torque depends: without, it is any change of its link."""
+    shown = effect.with_values(values).told(robot) == 0
+    return shown and above(values[:1], 0.0, std[:1])
+
 
 @registered
 class Payload(AddedInertia):
@@ -160,7 +180,7 @@ class Payload(AddedInertia):
     search = Search(
         "diagnosis",
         places=lambda joints: [joints[-1:]],
-        feasible=lambda effect, robot, values, std: above(values[:1], 0.0, std[:1]),
+        feasible=_is_load,
     )
     words = Words(
         separated_by={
@@ -184,6 +204,9 @@ def _wrong_mass(
     sizes: Sequence[Size],
 ) -> str:
     [link] = effect.owners(robot)
+    if told := effect.told(robot):
+        name = STANDARD[told]
+        return f"The inertial parameters of {link} are wrong (its {name} is off by {sizes[told]})"
     mass = sizes[0].value
     size = f"{abs(mass):.2f}{sizes[0].spread()} kg {'lighter' if mass < 0 else 'heavier'}"
     if link == robot.links[-1] and mass < 0:

@@ -222,7 +222,8 @@ class Readings:
             yield
         except ExcitantError as error:
             for fault in ex.identify.proven(self.entries["faults"])[:1]:
-                error.add_note(f"what may explain it, {fault}")
+                if fault.partition(": ")[2] not in str(error):
+                    error.add_note(f"what may explain it, {fault}")
             raise
 
     def others(self, names: Sequence[str]) -> list[Recording]:

@@ -9,6 +9,8 @@ from known_arms import Call
 from marks import slow
 from mistakes import MADE, READ, coupled, geared, run_of, scaled, shifted, with_rows
 
+from excitant.analysis.set_up import set_up
+from excitant.exceptions import BadRobot
 from excitant.identify import Recording, faults, load_dataset
 from excitant.identify.faults import Fault, channels, find_faults, installation, proven, repair
 from excitant.identify.faults.fault import OF_THE_ARM, Log, is_modelled
@@ -17,6 +19,7 @@ from excitant.options import Data
 from excitant.robots import Robot, load_robot
 from excitant.robots.virtual_arm import industrial_sensors
 
+ENTRY = {"recording": "log", "repaired": False}
 Change = Callable[[Robot, Recording], Recording]
 
 
@@ -83,6 +86,9 @@ def test_torque_logged_unsigned_is_decoded(logged, code, size):
         assert len(proven(entries)) == (0 if repaired else len(faults))
     decoded, _ = repair(log, faults)
     np.testing.assert_allclose(decoded.tau, step * count, atol=1e-9)
+    turned = replace(log, tau=-log.tau)  # by the sign of a map
+    again, _ = repair(turned, [*channels.wrapped_counters(turned)])
+    np.testing.assert_allclose(again.tau, -step * count, atol=1e-9)
 
 
 def test_positions_that_wrap_are_continued(logged: tuple[Robot, Recording]) -> None:
@@ -168,6 +174,22 @@ def test_a_sign_that_two_columns_may_have_is_told_of_both(runs: Call) -> None:
     [run, _] = runs(robot, 3, sensors=industrial_sensors(robot))
     [fault] = find_faults(robot, replace(run, tau=-run.tau))
     assert all(f"{channel} of joint1 counts" in fault.detail for channel in ("q", "tau"))
+    assert (fault.repair, repair(run, [fault])[1]) == (None, ())
+    assert set_up(robot, [replace(run, tau=-run.tau)])[0].standing == [fault.detail]
+
+
+@pytest.mark.parametrize("unit", [1, 30, 3417, 1e4, 1e6, 1e9])  # up to lb·in², kg·cm², .. g·mm²
+def test_inertias_in_another_unit_are_told(logged: tuple[Robot, Recording], unit: float) -> None:
+    robot, run = logged
+    phi = robot.phi.reshape(-1, 10).copy()
+    phi[:, 4:] *= unit
+    given = robot.with_parameters(phi.ravel())
+    found = [fault for fault in find_faults(given, run) if fault.channel == "inertia"]
+    assert bool(found) == (unit > 30)
+    for fault in found:
+        assert proven([fault.entry() | ENTRY])
+        with pytest.raises(BadRobot, match=": another unit;"):
+            set_up(given, [run])
 
 
 @pytest.mark.slow

@@ -76,6 +76,18 @@ def test_ripple_and_lever_are_told_by_their_amplitude_whatever_the_phase(planar,
     assert [(size.name, size.value) for size in both] == [("Fv", 0.0), ("Fc", 3.0)]
 
 
+def test_a_body_is_told_by_what_makes_torque(planar: Robot) -> None:
+    """No torque of a pendulum depends on where at its axis how much mass is."""
+    pendulum = load_robot("planar_2r", lock={"joint2": 0.0})
+    for robot, told in ((planar, "2 kg"), (pendulum, "0.3 kg·m")):
+        body = np.array([2.0, 0.3, *np.zeros(8)])
+        load = fx.Payload(robot.joints[-1:], tuple(body))
+        assert load.search.feasible(load, robot, body, 0 * body) == (robot is planar)
+        link = fx.InertialParameters(load.joints, load.values)
+        said = link.words.sentence(link, robot, link.joints, sizes_of(robot, link))
+        assert f"mcx is off by {told[:3]}" in said or "2.00 ± 0.1 kg heavier" in said, said
+
+
 def test_amplitude_has_the_spread_of_its_samples() -> None:
     """√(uᵀ C u) far from zero; near zero no less than what amplitudes of noise are."""
     rng = np.random.default_rng(0)

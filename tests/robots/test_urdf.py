@@ -75,6 +75,15 @@ def test_a_limit_at_zero_is_a_limit(gantry_urdf: str) -> None:
     assert robot.limits.position[0].tolist() == [0.0, 1.5]
 
 
+def test_joints_without_a_limit_are_named_together(gantry_urdf: str, refused: Call) -> None:
+    for lack, told in (
+        ("<limit.*?/>", "no <limit> of"),
+        (' effort=".*?"', "no effort in the <limit> of"),
+    ):
+        given = re.sub(lack, "", gantry_urdf)
+        refused(f"{told} slide, twist: give", robot_from_urdf, given, source="arm", error=BadRobot)
+
+
 def test_robot_without_moving_joint(gantry_urdf: str, refused: Call) -> None:
     fixed = re.sub('type="(prismatic|continuous|revolute)"', 'type="fixed"', gantry_urdf)
     refused("no moving joints", robot_from_urdf, fixed, source="statue", error=BadRobot)
