@@ -209,6 +209,19 @@ def test_rows_of_a_fault_are_rows_of_the_file(clean: Log) -> None:
     assert list(faults["corrupt_rows"].evidence["rows"]) == [602]
 
 
+@pytest.mark.parametrize(
+    ("at", "later", "outliers"), [(15, 15, []), (7, 15, []), (15, 22, []), (15, 0, [[628]])]
+)
+def test_friction_at_a_reversal_is_no_outlier(clean: Log, at: int, later: int, outliers: Any):
+    """On a slope of 1 a row torque falls by 15, at once or over a row: -18, -17, -32, -31, -30."""
+    rows, noise = np.arange(N), np.random.default_rng(0).standard_normal(N)
+    tau = 100 * np.sin(2 * np.pi * rows / 628) + 0.02 * noise
+    tau -= np.select([rows < 628, rows == 628], [0, at], later)
+    faults = find_faults(PLANAR, replace(clean, tau=np.column_stack([tau, clean.tau[:, 1]])))
+    found = [f.evidence["rows"].tolist() for f in faults if f.fault == "corrupt_rows"]
+    assert found == outliers
+
+
 def test_logs_that_count_samples_have_one_clock(read: Read) -> None:
     """That of one joint alone does not tell its step, that of both does."""
     both = [run_of(PLANAR, (3, 0, k)).moved(lambda j, k=k: j >= k) for k in range(2)]
