@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from marks import refused
 
 import excitant as ex
 from excitant.design import play
@@ -113,8 +114,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(estimate, tables, planar, tm
         (UnknownName, "did you mean 'links'", estimate.to_frame, "link"),
         (BadInput, r"excitant\.save\(estimate, folder\)", save_model, estimate, tmp_path / "run"),
     ):
-        with pytest.raises(error, match=f"^.*{said}.*$"):
-            call(*given)
+        refused(f"^.*{said}.*$", call, *given, error=error)
 
 
 def test_everything_at_once_takes_a_table_and_shows_itself(tables: Tables) -> None:
@@ -235,8 +235,7 @@ def test_a_saved_design_is_the_motion(tmp_path: Path) -> None:
     assert {"approach.csv", "return.npz", "first_run.csv"} <= {*played.files}
     assert played.complete
     for name, wrong in (("rate", 0.0), ("repeat", 0), ("speed", 2.0), ("start", (0.1,))):
-        with pytest.raises(BadInput, match=name.replace("start", "from")):
-            play(design, **{name: wrong})
+        refused(name.replace("start", "from"), play, design, **{name: wrong}, error=BadInput)
 
 
 def test_a_model_that_got_worse_is_left_out_with_a_warning(estimate: Estimate, tmp_path: Path):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow
+from marks import refusal, refused, slow
 from mistakes import PLANTS, Mistake, edited, recorded, run_of, scaled, with_rows
 
 import excitant as ex
@@ -238,8 +238,7 @@ def test_nothing_at_all_is_no_traceback(clean: Log) -> None:
 
 def test_a_file_that_is_refused_can_be_read_with_repair(clean: Log, read: Read) -> None:
     log = planted("stamps_twice", planted("velocity_negated", clean))
-    with pytest.raises(BadRecording, match="time repeats"):
-        read(log)
+    refused("time repeats", read, log, error=BadRecording)
     checked = read(log, repaired=True)
     entries = {(entry["recording"], entry["fault"]) for entry in checked.entries()}
     assert entries == {("run0", "duplicate_samples"), ("run0", "wrong_sign")}
@@ -295,8 +294,7 @@ DISORDER: dict[str, tuple[Callable[[Log], Log], str, list[int]]] = {
 @pytest.mark.parametrize("disorder", DISORDER)
 def test_rows_out_of_order_are_put_right_and_stamps_that_fit_nowhere_dropped(clean, read, disorder):
     damage, said, lost = DISORDER[disorder]
-    with pytest.raises(BadRecording, match="time goes back"):
-        read(damage(clean))
+    refused("time goes back", read, damage(clean), error=BadRecording)
     checked = read(damage(clean), repaired=True)
     (note,), (repaired,) = checked.notes, checked.recordings
     assert re.search(said, note)
@@ -370,7 +368,6 @@ UNCLEAR: dict[str, Callable[[Log], Log]] = {
 
 @pytest.mark.parametrize("damage", UNCLEAR)
 def test_time_of_more_than_one_meaning_is_refused(clean: Log, read: Read, damage: str) -> None:
-    with pytest.raises(BadRecording, match=r"time goes back in .* cut the file by hand") as refusal:
-        read(UNCLEAR[damage](clean), repaired=True)
-    assert "\n" not in str(refusal.value)
-    assert (Path(refusal.value.file).name, refusal.value.column) == ("run0.parquet", "t")
+    log, why = UNCLEAR[damage](clean), r"time goes back in .* cut the file by hand"
+    error = refusal(why, read, log, repaired=True, error=BadRecording)
+    assert (Path(error.file).name, error.column) == ("run0.parquet", "t")

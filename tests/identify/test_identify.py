@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from known_arms import Call
-from marks import slow
+from marks import refused, slow
 from plant_recordings import PENDULUM
 
 from excitant.exceptions import RankDeficient
@@ -98,8 +98,7 @@ def test_exact_data_give_exact_predictions_and_files_of_that_torque(arm, effects
 def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: Robot) -> None:
     recording = exact(planar, np.arange(0, 20, 1 / 128))
     q = recording.q * [1, 0] + [0, 0.3]
-    with pytest.raises(RankDeficient, match=r"joint2\.Fv"):
-        identify_robot(planar, [replace(recording, q=q)])
+    refused(r"joint2\.Fv", identify_robot, planar, [replace(recording, q=q)], error=RankDeficient)
 
 
 def test_the_data_need_no_more_of_a_mass_than_there_is(ur10: Robot, runs: Call) -> None:

@@ -12,7 +12,7 @@ import scipy.signal
 import scipy.stats
 from arms import Truth, truth
 from known_arms import Z95, Call, rows_of
-from marks import slow
+from marks import refused, slow
 
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput, RankDeficient
@@ -105,10 +105,8 @@ def test_what_does_not_fit_is_refused() -> None:
         (TAU, NAMES[1:], "4 names"),
         (np.full_like(TAU, np.nan), NAMES, "finite"),
     ):
-        with pytest.raises(BadInput, match=why):
-            dense(W, tau, names)
-    with pytest.raises(BadInput, match="shape"):
-        dense([ActingColumns(np.arange(2), W)], TAU, NAMES)
+        refused(why, dense, W, tau, names, error=BadInput)
+    refused("shape", dense, [ActingColumns(np.arange(2), W)], TAU, NAMES, error=BadInput)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1e-6, 1e-9, 0.0])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scipy
 from known_arms import Call, smooth_motion
+from marks import refusal
 from numpy.polynomial import Polynomial
 
 from excitant.exceptions import BadInput, BadRecording
@@ -98,9 +99,8 @@ def test_gaps_split_and_nothing_is_invented_across_them() -> None:
 def test_parts_too_short_between_gaps_are_left_out_or_refused() -> None:
     t = T + 1.0 * np.floor(T)  # one second on, one second off
     wave, why = np.sin(t)[:, None], r"time jumps 19 times, first after 0\.9961 s"
-    with pytest.raises(BadRecording, match=why) as refusal:
-        prepared(t, wave)
-    assert (refusal.value.file, refusal.value.column) == ("f.csv", "t")
+    error = refusal(why, prepared, t, wave, error=BadRecording)
+    assert (error.file, error.column) == ("f.csv", "t")
     assert len(prepared(np.where(T < 10, T, t), wave)) == 1
 
 

@@ -9,6 +9,7 @@ import pytest
 import yaml
 from khosla import close
 from known_arms import Call
+from marks import refused
 
 from excitant.exceptions import BadInput
 from excitant.identify.export import comment, folded, held_by
@@ -105,7 +106,7 @@ def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
         assert "_" not in said.replace(kind.name, "")
 
 
-def test_torque_is_columns_times_values(arm, random_states, refused, kind):
+def test_torque_is_columns_times_values(arm, random_states, kind):
     motion, effect = random_states(arm, 1, 6), valued(arm, kind, 2)
     columns, tau = effect.columns(arm, motion), effect.torque(arm, motion)
     assert columns.shape == (6, arm.nv, len(effect.values))
@@ -145,7 +146,7 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(ur10, random_states
     assert same != kind.physics.on_model
 
 
-def test_in_a_simulation_it_makes_the_torque_of_its_columns(planar, random_states, refused, kind):
+def test_in_a_simulation_it_makes_the_torque_of_its_columns(planar, random_states, kind):
     """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
     effect = fx.turning(valued(planar.with_effects(()), kind, 3), 0.5)
     robot = planar.with_effects((effect,))

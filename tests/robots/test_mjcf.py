@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from khosla import close
-from known_arms import Call
+from marks import refused
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
@@ -148,7 +148,7 @@ def test_inertia_of_a_mesh_is_that_of_its_volume(tmp_path: Path, frame: str) -> 
     judged(path, packages=[DATA])
 
 
-def test_gripper_and_loose_things_are_held_off_the_chain(refused: Call) -> None:
+def test_gripper_and_loose_things_are_held_off_the_chain() -> None:
     robot = load_robot(GRIPPER, tip="arm", lock={"one": 0.03})
     assert robot.joints == ("turn",)
     assert dict(robot.locked)["two"] == pytest.approx(0.01 - 0.03)
@@ -162,7 +162,7 @@ def test_gripper_and_loose_things_are_held_off_the_chain(refused: Call) -> None:
     refused("'two' mimics 'one'", load_robot, GRIPPER, **named)
 
 
-def test_a_loop_is_refused_where_it_moves(tmp_path: Path, refused: Call) -> None:
+def test_a_loop_is_refused_where_it_moves(tmp_path: Path) -> None:
     path = tmp_path / "loop.xml"
     tie = '<equality><connect body1="left" body2="right" anchor="0 0 0"/></equality></mujoco>'
     path.write_text(GRIPPER.read_text("utf-8").partition("<equality>")[0] + tie)

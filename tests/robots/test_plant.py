@@ -11,7 +11,7 @@ import pytest
 import scipy
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from known_arms import Call
+from marks import refused
 from plant_recordings import (
     PENDULUM,
     RATE,
@@ -425,14 +425,14 @@ def test_torque_never_exceeds_the_limits(planar: Robot) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str, refused: Call) -> None:
+def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str) -> None:
     unknown, none = (hidden(kind, *planar.joints, **more) for more in ({"nonsense": 1.0}, {}))
     refused(f"parameter of {kind}", true_arm, planar, unknown, error=UnknownName)
     if None in parameters_of(kind).values():
         refused(f"{kind} lacks", true_arm, planar, none, error=BadInput)
 
 
-def test_effects_refused(planar: Robot, refused: Call) -> None:
+def test_effects_refused(planar: Robot) -> None:
     bare, gear = planar.with_effects(()), {"stiffness": 1e3}
     refused("did you mean 'payload'", true_arm, bare, hidden("payloads", "joint1"))
     refused("joint", true_arm, bare, hidden("rotor_inertia", "elsewhere", Ia=1.0))
@@ -442,7 +442,7 @@ def test_effects_refused(planar: Robot, refused: Call) -> None:
     refused("two elastic gears", true_arm, bare, *two)
 
 
-def test_motions_and_arms_refused(planar: Robot, refused: Call) -> None:
+def test_motions_and_arms_refused(planar: Robot) -> None:
     arm, rng, moving = true_arm(planar), np.random.default_rng(0), swing(planar)
     refused("starts at", arm.record, lambda t, k: moving(t + 0.1, k), 1.0, rng, error=BadInput)
     refused("shorter than one sample", arm.record, moving, 0.0, rng, error=BadInput)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close
 from known_arms import Call
+from marks import refused
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
@@ -75,7 +76,7 @@ def test_a_limit_at_zero_is_a_limit(gantry_urdf: str) -> None:
     assert robot.limits.position[0].tolist() == [0.0, 1.5]
 
 
-def test_robot_without_moving_joint(gantry_urdf: str, refused: Call) -> None:
+def test_robot_without_moving_joint(gantry_urdf: str) -> None:
     fixed = re.sub('type="(prismatic|continuous|revolute)"', 'type="fixed"', gantry_urdf)
     refused("no moving joints", robot_from_urdf, fixed, source="statue", error=BadRobot)
     none = RobotSpec("held", joints=())
