@@ -138,7 +138,7 @@ def test_scores_are_those_of_the_result(estimate: Estimate, tables: Tables) -> N
             assert score == {"name": joint["name"], **judged}
 
 
-def test_prediction_is_the_models_torque_at_the_instants_of_the_recording(estimate, held):
+def test_prediction_is_the_models_torque_where_samples_can_be_filtered(estimate, held):
     filtered, raw = estimate.predict(held), estimate.predict(held, filtered=False)
     assert filtered.shape == raw.shape == (len(held), 2)
     assert np.isfinite(filtered).all()
@@ -151,9 +151,6 @@ def test_prediction_is_the_models_torque_at_the_instants_of_the_recording(estima
     there = np.interp(irregular.t, held.t, filtered[:, 0])
     error = estimate.predict(irregular)[inner, 0] - there[inner]
     assert np.sqrt((error**2).mean()) < 0.05 * held.tau[:, 0].std()
-
-
-def test_samples_too_few_to_be_filtered_are_not_predicted(estimate: Estimate, held: Recording):
     parted = held.take((held.t < 7.0) | (held.t > 9.0))
     known = np.isfinite(estimate.predict(parted)).all(axis=1)
     np.testing.assert_array_equal(known, parted.t < 7.0)

@@ -70,14 +70,10 @@ def test_no_limit_is_never_exceeded(planar: Robot) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_limit_that_is_hardly_any_is_exceeded_beyond_all_numbers(planar: Robot) -> None:
+def test_hardly_any_limit_is_exceeded_beyond_all_numbers_and_other_arms_refused(planar, ur10):
     trajectory = random_trajectory(planar, np.random.default_rng(0), 5.0, 3)
     worst = check(limited(planar, acceleration=1e-308), trajectory).worst
     assert (worst.quantity, worst.ratio > 1e300) == ("acceleration", True)
-
-
-def test_refuses_another_number_of_joints(planar: Robot, ur10: Robot) -> None:
-    trajectory = random_trajectory(planar, np.random.default_rng(0), 5.0, 3)
     refused("2 joints, robot ur10 has 6", check, ur10, trajectory, error=BadInput)
     refused("1 samples", check, planar, trajectory.at([0.0]), error=BadInput)
 

@@ -110,7 +110,7 @@ def test_what_is_no_trajectory_is_refused_in_one_line(planar, tmp_path, name, co
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
-    said = refused("", load_trajectory, path, planar, error=BadInput)
+    said = refused(".", load_trajectory, path, planar, error=BadInput)
     assert all(words in said for words in (why, str(path)))
 
 

@@ -544,7 +544,7 @@ REFUSED: dict[str, tuple[str, str]] = {
 def test_a_refusal_is_short_and_says_the_path_once(shape: str, tmp_path: Path) -> None:
     name, content = REFUSED[shape]
     (tmp_path / name).write_text(content)
-    said = refused("", load_recording, tmp_path / name, ARM, error=BadRecording)
+    said = refused(".", load_recording, tmp_path / name, ARM, error=BadRecording)
     assert said.count(str(tmp_path)) == 1
     assert len(said.replace(str(tmp_path), "")) < 200, said
 
@@ -709,7 +709,7 @@ def test_a_raw_recording_refuses_no_row(load: Call, save: Call) -> None:
 def test_damaged_rows_and_columns(load: Call, log: Path) -> None:
     """Refused by row and column; a line that was cut is left out with a note."""
     twice = pd.concat([EXACT, EXACT[["q3"]]], axis=1)
-    assert refusal("", load, twice, error=BadRecording).column == "q3"
+    assert refusal(".", load, twice, error=BadRecording).column == "q3"
     text = EXACT.to_csv(index=False)
     lines = text.splitlines()
     for line, cells in ((lines[43].rpartition(",")[0], 18), (f"{lines[43]},1", 20)):

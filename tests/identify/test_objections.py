@@ -43,16 +43,13 @@ def test_a_joint_that_is_not_explained_forbids_it(estimate: Estimate, joint: int
     assert "worse than no model" in useless[0].why
 
 
-def test_friction_beyond_the_effort_limit_forbids_it(estimate: Estimate) -> None:
+def test_friction_beyond_the_effort_limit_forbids_it_and_so_does_no_judgement(estimate: Estimate):
     model, judged = estimate.model, with_error(hold_out(estimate), 0, 0.1)
     weak = replace(model.limits, torque=np.array([np.inf, 1e-6]))
     [strained] = objections(model.with_limits(weak), judged)
     assert model.joints[1] in strained.why
     assert model.joints[0] not in strained.why
     assert objections(model.with_limits(replace(weak, torque=np.zeros(2))), judged) == []
-
-
-def test_nothing_judged_is_nothing_known(estimate: Estimate) -> None:
     judged = with_error(hold_out(estimate), 0, 0.1)
     still = replace(judged.rows, moves=np.zeros_like(judged.rows.moves))
     [unjudged] = objections(estimate.model, replace(judged, rows=still))

@@ -69,7 +69,7 @@ def test_a_bad_table_is_refused_where_it_is_bad(name: str, table: pd.DataFrame, 
     texts = bad.map(lambda v: isinstance(v, str)).any()
     typed = bad.astype({c: str if texts[c] else float for c in bad})
     for path in (save(bad, "bad.csv"), save(typed, "bad.parquet")):
-        error = refusal("", load_recording, path, 2, error=BadRecording)
+        error = refusal(".", load_recording, path, 2, error=BadRecording)
         assert (error.file, error.row, error.column) == (str(path), row, column)
         assert all(part in str(error) for part in (str(path), advice, f"row {row}" if row else ""))
 
@@ -211,7 +211,7 @@ def test_rows_seconds_apart_are_poses(planar, save, step, q, speed, samples):
         return
     why = f"{step:.4g} s apart, more than a day"
     why = f"60 rows {step:.4g} s apart show poses and no motion" if step < 86_400 else why
-    refused(re.escape(why), prepare, load_recording(path, planar), error=BadRecording)
+    refused(re.escape(why), lambda: prepare(load_recording(path, planar)), error=BadRecording)
     few = pd.DataFrame({"t": 0.2 * K, "q1": q, "q2": q, "tau1": K, "tau2": K})[:16]
     with pytest.raises(BadRecording, match=r"holds 16 samples 0.2 s apart; more than 20"):
         prepare(load_recording(save(few, "few.csv"), planar))
@@ -283,14 +283,11 @@ def test_windows_of_a_long_log_give_its_estimate(jitter: float, monkeypatch: Any
     assert (gap.fault, gap.evidence["gaps"]) == ("dropped_samples", 1)
 
 
-def test_speeds_that_end_within_a_long_log_are_left_out() -> None:
-    parts = [*pieces(logged(np.arange(8000) / RATE), 1000)]
+def test_pieces_of_long_files_have_no_speeds_that_end_and_bad_rows_are_refused(save, monkeypatch):
+    whole = logged(np.arange(8000) / RATE)
+    parts = [*pieces(whole, 1000)]
     some = excerpt([*(replace(part, dq=part.q) for part in parts[:4]), *parts[4:]], 0.9)
     assert (some.dq, len(some)) == (None, 8000)
-
-
-def test_long_files_are_read_in_pieces_and_bad_rows_refused(save: Call, monkeypatch: Any) -> None:
-    whole = logged(np.arange(8000) / RATE)
     path = save(whole, "log.csv")
     known = load_dataset("planar_2r")
     assert len(known.recordings([str(path)])[0]) == 8000

@@ -301,11 +301,14 @@ def kept(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
+def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm_beside_it(kept: Path) -> None:
     found = load_robot(kept).estimate
     assert (found.names, found.value.tolist()) == (("link1.mcx", "link,2.m"), [0.5, -1 / 3])
     assert found.covariance.tolist() == [[4.0, 1.0], [1.0, 2.0]]
     assert load_robot(kept, lock={"joint2": 0.3}).estimate is None
+    for name, why in (("../x.csv", "outside its folder"), ("none.csv", "cannot be read")):
+        kept.write_text(f"model: arm.urdf\nestimate: {name}\n")
+        refused(why, load_robot, kept, error=BadRobot)
 
 
 @pytest.mark.parametrize(
@@ -327,9 +330,3 @@ def test_an_estimate_that_is_none_is_refused(kept, old, new, why):
     said = refused(re.escape(why), load_robot, kept, error=BadRobot)
     assert "arm-estimate.csv" in said
     assert "write the model again" in said
-
-
-def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path) -> None:
-    for name, why in (("../x.csv", "outside its folder"), ("none.csv", "cannot be read")):
-        kept.write_text(f"model: arm.urdf\nestimate: {name}\n")
-        refused(why, load_robot, kept, error=BadRobot)

@@ -129,7 +129,7 @@ def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(folder, monkeypa
     assert not (folder / "ran").exists()
 
 
-def test_what_the_environment_holds_is_taken_as_not_set(folder: Path) -> None:
+def test_no_environment_and_only_files_of_given_packages_are_read(folder: Path) -> None:
     path = folder / "arm.xacro"
     path.write_text(arm(name="$(optenv SECRET plain)"))
     robot = load_robot(path)
@@ -137,17 +137,9 @@ def test_what_the_environment_holds_is_taken_as_not_set(folder: Path) -> None:
     assert any("$(optenv SECRET) is taken as not set" in n for n in robot.notes)
     path.write_text(arm(name="$(optenv ABSENT_HERE plain)"))
     assert load_robot(path).notes == ()
-
-
-def test_no_file_makes_expressions_run(folder: Path) -> None:
-    path = folder / "arm.xacro"
     path.write_text(arm(name="${(lambda: xacro.load_yaml('../secret.yaml')['key'])()}"))
     (folder / "robot.yaml").write_text("model: arm.xacro\ntrust_xacro: true\n")
     refused("plain values", load_robot, folder / "robot.yaml", error=BadRobot)
-
-
-def test_files_of_a_package_that_is_given_are_read(folder: Path) -> None:
-    path = folder / "arm.xacro"
     path.write_text(arm(name="${xacro.load_yaml('../secret.yaml').key}"))
     assert load_robot(path, packages=[folder.parent]).name == "hidden"
     (folder.parent / "package.xml").write_text("<package><name>arms</name></package>")

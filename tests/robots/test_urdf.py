@@ -63,15 +63,12 @@ def test_built_in_arm_keeps_limits_and_effects_of_the_joints_left(builtin: Robot
     assert np.allclose(friction(part), friction(builtin)[:, rows], rtol=1e-12, atol=1e-12)
 
 
-def test_continuous_joints_have_one_position_and_no_limits(gantry: Robot) -> None:
+def test_continuous_joints_have_no_limits_and_one_at_zero_is_a_limit(gantry, gantry_urdf):
     j = gantry.joint_index("swing")
     assert gantry.model.nq == gantry.nv == 3
     assert np.array_equal(gantry.limits.position[j], [-np.inf, np.inf])
     assert gantry.limits.velocity[j] == gantry.limits.torque[j] == np.inf
     assert gantry.revolute.tolist() == [False, True, True]
-
-
-def test_a_limit_at_zero_is_a_limit(gantry_urdf: str) -> None:
     robot = robot_from_urdf(gantry_urdf.replace('lower="-1"', 'lower="0"'), source="given")
     assert robot.limits.position[0].tolist() == [0.0, 1.5]
 
