@@ -15,7 +15,7 @@ def refusal(match: str, call: Any, *given: Any, error: Any = ExcitantError, **mo
     """``refusal(match, call, ...)``: the error that refuses a call, of one line."""
     with pytest.raises(error, match=match) as raised:
         call(*given, **more)
-    assert "\n" not in str(raised.value)
+    assert len(str(raised.value).splitlines()) == 1
     return raised.value
 
 
