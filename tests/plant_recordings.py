@@ -73,6 +73,18 @@ def mujoco_model(robot: Robot) -> mujoco.MjModel:
     return spec.compile()
 
 
+def inverse_dynamics(model: mujoco.MjModel, joints: tuple[str, ...], motion: Motion) -> np.ndarray:
+    """Torque of some joints at every instant by MuJoCo, all others at their reference."""
+    data, tau = mujoco.MjData(model), []
+    at, rows = np.array([(model.joint(j).qposadr[0], model.joint(j).dofadr[0]) for j in joints]).T
+    for q, dq, ddq in zip(motion.q, motion.dq, motion.ddq, strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = model.qpos0, 0, 0
+        data.qpos[at], data.qvel[rows], data.qacc[rows] = q, dq, ddq
+        mujoco.mj_inverse(model, data)
+        tau.append(data.qfrc_inverse[rows])
+    return np.array(tau)
+
+
 def true_arm(
     robot: Robot, *effects: va.HiddenEffect, rate: float = RATE, sensors: va.Sensors | None = None
 ) -> va.VirtualArm:

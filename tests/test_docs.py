@@ -233,12 +233,9 @@ def test_options_that_pages_mention_exist(page: str) -> None:
     assert not named - known_options(), f"{page} names options that excitant does not have"
 
 
-def test_site_and_start_page_lead_to_every_page() -> None:
+def test_site_and_start_page_lead_to_every_page_and_the_readme_fits_on_a_screen() -> None:
     nav, start = ((ROOT / p).read_text("utf-8") for p in ("mkdocs.yml", "docs/index.md"))
     pages = [p for p in PAGES if p != "index.md"]
     assert [p for p in pages if p not in nav] == []
     assert [p for p in pages if f"({p})" not in start] == []
-
-
-def test_readme_fits_on_a_screen() -> None:
     assert len(README.read_text("utf-8").splitlines()) <= 65

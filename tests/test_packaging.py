@@ -112,13 +112,10 @@ def excitant_alone(wheel, project, tmp_path_factory) -> Path:
     return home / "bin"
 
 
-def test_one_version(project: dict[str, Any]) -> None:
+def test_one_version_and_a_place_for_the_next_change(project: dict[str, Any]) -> None:
     citation, table = yaml.safe_load((ROOT / "CITATION.cff").read_text()), project["project"]
     assert table["version"] == str(citation["version"]) == excitant.__version__
     assert citation["license"] == table["license"]
-
-
-def test_changelog_has_a_place_for_the_next_change() -> None:
     assert "## [Unreleased]" in (ROOT / "CHANGELOG.md").read_text().splitlines()
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from marks import refused
 
 import excitant as ex
 from excitant.design import play
@@ -113,8 +114,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(estimate, tables, planar, tm
         (UnknownName, "did you mean 'links'", estimate.to_frame, "link"),
         (BadInput, r"excitant\.save\(estimate, folder\)", save_model, estimate, tmp_path / "run"),
     ):
-        with pytest.raises(error, match=f"^.*{said}.*$"):
-            call(*given)
+        refused(f"^.*{said}.*$", call, *given, error=error)
 
 
 def test_everything_at_once_takes_a_table_and_shows_itself(tables: Tables) -> None:
@@ -138,7 +138,7 @@ def test_scores_are_those_of_the_result(estimate: Estimate, tables: Tables) -> N
             assert score == {"name": joint["name"], **judged}
 
 
-def test_prediction_is_the_models_torque_at_the_instants_of_the_recording(estimate, held):
+def test_prediction_is_the_models_torque_where_samples_can_be_filtered(estimate, held):
     filtered, raw = estimate.predict(held), estimate.predict(held, filtered=False)
     assert filtered.shape == raw.shape == (len(held), 2)
     assert np.isfinite(filtered).all()
@@ -151,9 +151,6 @@ def test_prediction_is_the_models_torque_at_the_instants_of_the_recording(estima
     there = np.interp(irregular.t, held.t, filtered[:, 0])
     error = estimate.predict(irregular)[inner, 0] - there[inner]
     assert np.sqrt((error**2).mean()) < 0.05 * held.tau[:, 0].std()
-
-
-def test_samples_too_few_to_be_filtered_are_not_predicted(estimate: Estimate, held: Recording):
     parted = held.take((held.t < 7.0) | (held.t > 9.0))
     known = np.isfinite(estimate.predict(parted)).all(axis=1)
     np.testing.assert_array_equal(known, parted.t < 7.0)
@@ -235,8 +232,7 @@ def test_a_saved_design_is_the_motion(tmp_path: Path) -> None:
     assert {"approach.csv", "return.npz", "first_run.csv"} <= {*played.files}
     assert played.complete
     for name, wrong in (("rate", 0.0), ("repeat", 0), ("speed", 2.0), ("start", (0.1,))):
-        with pytest.raises(BadInput, match=name.replace("start", "from")):
-            play(design, **{name: wrong})
+        refused(name.replace("start", "from"), play, design, **{name: wrong}, error=BadInput)
 
 
 def test_a_model_that_got_worse_is_left_out_with_a_warning(estimate: Estimate, tmp_path: Path):

@@ -14,7 +14,7 @@ from known_arms import recorded, smooth_motion
 from marks import slow
 from planted import DRAWN, SCALAR, Case, Diagnosed, Runs, hidden
 
-from excitant.analysis.confirmation import HoldoutScale, _cancelled
+from excitant.analysis.confirmation import Extender, Extension, Holdout, HoldoutScale, _cancelled
 from excitant.analysis.diagnosis import Diagnosis, diagnose
 from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import are_placeholders, placeholder_links
@@ -352,6 +352,29 @@ def test_of_effects_that_cancel_the_finer_is_not_published() -> None:
         model = robot.with_effects([plain.with_values([1.0]), finer.with_values([size])])
         fit = SimpleNamespace(model=model, observed=seen, chosen=chosen, findings=margins)
         assert _cancelled(fit) is gone
+
+
+@pytest.mark.parametrize(
+    ("resting", "moving", "turns"),
+    [(0.0, 1.009, True), (0.9, 0.9, True), (0.0, 1.011, False), (1.1, 0.9, False), (1, 1, False)],
+)
+def test_friction_of_other_joints_turns_only_where_it_predicts(
+    planar: Robot, resting: float, moving: float, turns: bool, monkeypatch: Any
+) -> None:
+    """Squared errors at rest and in motion, of two equal halves, over those of a jump."""
+    moves = np.arange(100)[:, None] < [50, 50]
+    rows = SimpleNamespace(measured=SWING + SWING[:, ::-1], moves=moves)
+    holdout = Holdout(*[None] * 2, rows, *[None] * 3)
+    plain: Any = {"model": planar.with_effects([]), "chosen": (), "findings": ()}
+    jumps, turned = (
+        SimpleNamespace(predicted=rows.measured - 0.1 * np.sqrt(error), **plain)
+        for error in (1.0, np.where(moves, moving, resting))
+    )
+    monkeypatch.setattr(Extender, "__call__", lambda it, _: turned if it.turns else jumps)
+    train = SimpleNamespace(reversals=["one"])
+    extender = Extender(None, train, None, holdout, None)
+    fit = SimpleNamespace(**vars(jumps), extender=extender)
+    assert (Extension.settled(fit) is turned) == turns
 
 
 @pytest.mark.slow

@@ -70,11 +70,16 @@ def test_uncertainty_shrinks_with_the_root_of_the_samples(ur10: Robot) -> None:
     assert nine.motion.condition_number == pytest.approx(once.motion.condition_number, rel=1e-9)
 
 
-def test_verdicts_follow_the_uncertainty() -> None:
+def test_a_motion_of_all_joints_is_exciting_and_verdicts_follow_the_uncertainty() -> None:
     for p in under().practical:
         unsure = p.rel_std is None or p.rel_std > 0.3
         good = "roughly" if unsure or p.rel_std > 0.1 else "well"
         assert p.verdict == (("negligible" if p.negligible else "hardly") if unsure else good)
+    found = under().motion.persistency
+    assert found.level >= 1
+    assert (found.enough, found.missing, found.joints, found.weak) == (True, 0, (), ())
+    sentence = under().result()["persistency"]["sentence"]
+    assert sentence.startswith("persistently exciting over 10 s at level")
 
 
 def test_a_motion_at_rest_shows_what_gravity_does_and_no_more(ur10: Robot) -> None:
@@ -176,18 +181,12 @@ def test_what_is_shown_is_counted_of_all_combinations(planar: Robot) -> None:
     assert len(base) > counts[0] > counts[1] > 0
 
 
-def test_a_motion_of_all_joints_is_exciting() -> None:
-    found = under().motion.persistency
-    assert found.level >= 1
-    assert (found.enough, found.missing, found.joints, found.weak) == (True, 0, (), ())
-    sentence = under().result()["persistency"]["sentence"]
-    assert sentence.startswith("persistently exciting over 10 s at level")
-
-
-def test_a_motion_without_motion_shows_nothing(ur10: Robot) -> None:
+def test_a_motion_at_rest_shows_nothing_and_one_without_duration_is_refused(ur10: Robot) -> None:
     silent = persistency(ur10, motion_of(ur10, resting=range(6)))
     assert (silent.enough, silent.level) == (False, pytest.approx(0.0, abs=1e-6))
     assert set(silent.joints) >= set(ur10.joints[1:])  # gravity is along the first axis
+    with pytest.raises(BadInput, match="a motion of 0 s"):
+        persistency(ur10, motion_of(ur10)[:1], ())
 
 
 @pytest.mark.parametrize("joint", [2, 5])
@@ -201,11 +200,6 @@ def test_the_resting_joint_is_named(ur10: Robot, joint: int) -> None:
     assert said["sentence"].endswith(f"move {', '.join(said['joints'])}")
     assert said["missing"] == found.missing
     assert json.loads(json.dumps(said, allow_nan=False)) == said
-
-
-def test_a_motion_without_duration_is_refused(ur10: Robot) -> None:
-    with pytest.raises(BadInput, match="a motion of 0 s"):
-        persistency(ur10, motion_of(ur10)[:1], ())
 
 
 def test_gravity_in_the_plane_shows_first_moments_and_tilting_brings_it(planar: Robot) -> None:
@@ -318,7 +312,7 @@ BASE = BaseParameters(("a.m", "a.Ixx", "b.Izz"), (0, 1, 2), np.eye(3), np.zeros(
 UNITS = ("kg", "kg·m²", "kg·m²")
 
 
-def test_what_trades_against_each_other_is_named() -> None:
+def test_what_trades_against_each_other_is_named_after_what_is_not_seen() -> None:
     C = np.diag([1e-6, 4.0, 4.0])
     C[1, 2] = C[2, 1] = -3.96
     seen = uncertainty.MotionInformation(np.eye(3), C, np.zeros((0, 3)), np.ones(3))
@@ -331,9 +325,6 @@ def test_what_trades_against_each_other_is_named() -> None:
         change[BASE.names.index(name)] = value
     # one standard deviation: δᵀ C⁻¹ δ = 1
     assert change @ np.linalg.inv(C) @ change == pytest.approx(1.0)
-
-
-def test_directions_that_are_not_seen_come_first() -> None:
     C, unseen = np.diag([1.0, 0.0, 0.0]), np.array([[0, 1.0, -0.25]])
     seen = uncertainty.MotionInformation(np.eye(3), C, unseen, np.ones(3))
     first, *rest = uncertainty.weak_directions(BASE, UNITS, seen, np.ones(3))
@@ -352,13 +343,10 @@ def judged(planar: Robot, runs: Runs) -> Judged:
     return Judged(estimate=estimate, prior=prior, found=analyze(planar, estimate=estimate))
 
 
-def test_a_recording_gives_its_own_uncertainty(judged: Judged) -> None:
+def test_a_recording_gives_its_uncertainty_and_the_prior_decides_what_is_null(judged: Judged):
     std = np.sqrt(np.diag(judged.estimate.least_squares.covariance))
     np.testing.assert_array_equal([p.std for p in judged.found.practical], std)
     assert "residual" in judged.found.motion.basis
-
-
-def test_the_prior_decides_what_is_null_and_not_what_is_seen(judged: Judged) -> None:
     for e in judged.found.entries:
         if e.category == "unidentifiable":
             assert (e.influence, e.prior_dominated) == (pytest.approx(1.0, abs=1e-6), True)

@@ -65,7 +65,7 @@ def test_a_short_stop_counts_and_a_longer_one_does_not(samples: int, counted: bo
     assert away_from_rest([at_speed(dq)]).all() == counted
 
 
-def test_each_joint_rests_by_its_own_fastest_motion_in_all_segments() -> None:
+def test_each_joint_rests_by_its_own_fastest_motion_at_the_rows_that_are_kept() -> None:
     dq = np.hstack([sine(4.0), sine(4.0, 1e-3), sine(4.0)])
     dq[400:500, 2] = 0.0
     counts = away_from_rest([at_speed(dq)])
@@ -75,9 +75,6 @@ def test_each_joint_rests_by_its_own_fastest_motion_in_all_segments() -> None:
     assert away_from_rest([slow]).all()
     both = away_from_rest([fast, slow])
     np.testing.assert_array_equal(both[:, 0], np.arange(len(both)) < len(fast.t))
-
-
-def test_rows_are_those_that_are_kept() -> None:
     dq, keep = sine(4.0), slice(20, -20, 5)
     dq[300:400] = 0.0
     whole = away_from_rest([at_speed(dq)])

@@ -12,16 +12,18 @@ from marks import slow
 from planted import Runs, hidden
 
 from excitant.analysis import effect_choice
-from excitant.analysis.candidates import Observed, observed
+from excitant.analysis.candidates import Observed, gather, observed
 from excitant.analysis.effect_choice import choose_effects, described
 from excitant.analysis.evidence import Candidate
 from excitant.exceptions import RankDeficient
 from excitant.identify import Recording, identify_robot, load_dataset
 from excitant.identify.estimate import Estimate
+from excitant.identify.prior import prior_parameters
 from excitant.identify.regression import regression_of
 from excitant.identify.rows import predicted_torque, split
 from excitant.robots import Robot, load_robot
 from excitant.robots import effects as kinds
+from excitant.robots.effects.search import joint_facts
 from excitant.robots.parameters import violations
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
@@ -87,7 +89,8 @@ def test_what_the_motion_leaves_undetermined_is_not_chosen(planar, two, monkeypa
             return identify_robot(*given, effects=effects, **options)
 
         monkeypatch.setattr(effect_choice, "identify_robot", refusing)
-        assert choose_effects(planar, two[:1]) == (*STANDARD, first)
+        chosen = choose_effects(planar, two[:1])
+        assert [effect for effect in chosen if not effect.search.standard] == [first]
 
 
 @pytest.mark.slow
@@ -177,6 +180,18 @@ def test_columns_are_those_of_any_model(factor: float, rows: Observed, planar: R
     found, W = rows.by(model), regression_of(model, EACH, rows.segments).W
     np.testing.assert_allclose(found.matrix(EACH), W, atol=1e-12)
     np.testing.assert_allclose(found.torque(), predicted_torque(model, rows.segments), atol=1e-9)
+
+
+def test_a_reversal_that_filter_and_sampling_hide_is_not_proposed(rows: Observed, planar: Robot):
+    facts = joint_facts([s.motion for s in rows.segments], cutoff_hz=rows.segments[0].cutoff_hz)
+    reversals = [
+        kinds.GradualReversal((joint,), None, share * each.speed_blur)
+        for joint, each, share in zip(JOINTS, facts, (0.99, 1.01), strict=True)
+    ]
+    train, bodies = observed(planar, rows.segments, reversals), prior_parameters(planar)
+    tau = np.random.default_rng(0).normal(train.torque(), 0.1)
+    found = gather(planar, train, tau, bodies)
+    assert [c.effect for c in found.candidates if c.effect in reversals] == reversals[1:]
 
 
 def test_each_column_is_worked_out_once(rows: Observed, planar: Robot) -> None:

@@ -208,7 +208,7 @@ def test_all_recordings_of_an_arm_share_its_set_up() -> None:
 
 
 @pytest.mark.slow
-def test_a_mounting_that_the_other_recordings_refute_is_no_fault(ur10: Robot) -> None:
+def test_a_mounting_counts_where_all_recordings_support_it_and_none_refutes_it(ur10: Robot) -> None:
     robot = bare(ur10)
     pushed, *_ = recorded(robot, 2, gravity=TURNED)
     first, second = recorded(robot, 3)
@@ -218,11 +218,6 @@ def test_a_mounting_that_the_other_recordings_refute_is_no_fault(ur10: Robot) ->
         refuted = {"wrong_mounting"} if len(recordings) > 1 else set()
         told = [tuple(fault for fault in mine if fault.fault not in refuted) for mine in own]
         assert shared_installation(robot, recordings, own) == told
-
-
-@pytest.mark.slow
-def test_an_installation_that_all_recordings_support_is_that_of_each(ur10: Robot) -> None:
-    robot = bare(ur10)
     recordings = recorded(robot, 2, gravity=TURNED)
     mounting, other = (find_faults(robot, each) for each in recordings)
     assert [f.fault for f in mounting] == [f.fault for f in other] == ["wrong_mounting"]
@@ -276,7 +271,7 @@ def frictionless(ur10: Robot) -> Diagnosis:
     return diagnose(bare(ur10), [fitted], validate=[held])
 
 
-def test_friction_that_the_model_lacks_is_one_finding(frictionless: Diagnosis) -> None:
+def test_friction_that_the_model_lacks_is_one_significant_finding(frictionless: Diagnosis) -> None:
     (entry,) = frictionless.result()["findings"]
     assert (entry["effect"], entry["verdict"]) == ("friction", "named")
     assert set(entry["joints"]) == set(frictionless.robot.joints)
@@ -285,16 +280,10 @@ def test_friction_that_the_model_lacks_is_one_finding(frictionless: Diagnosis) -
     assert entry["explained"] == pytest.approx(sum(f.explained for f in frictionless.findings))
     values = [p["value"] for p in entry["parameters"] if p["name"].endswith(".Fv")]
     assert f"viscous friction {min(values):.2g} to {max(values):.2g} N·m·s/rad" in entry["sentence"]
-
-
-def test_without_friction_of_all_joints_the_error_is_the_given_models(frictionless: Diagnosis):
     before, after = frictionless.before_and_after(frictionless.findings)
     given = frictionless.simulation.rms
     assert before == pytest.approx(np.sqrt((given**2).mean()), rel=0.05)
     assert after < 0.1 * before
-
-
-def test_nothing_within_two_standard_deviations_is_named(frictionless: Diagnosis) -> None:
     for f in (f for f in frictionless.findings if f.verdict == "named"):
         assert (np.abs(np.array(f.effect.values) - f.nominal) > 2 * np.array(f.std)).any()
 

@@ -228,11 +228,14 @@ def shown_of(found: Structure) -> set[str]:
     return {name for name, kind in pairs if kind != "unidentifiable"}
 
 
-def test_the_last_torque_shows_the_last_link_alone(ur10: Robot) -> None:
+def test_the_last_torque_shows_the_last_link_alone_and_a_rest_only_gravity(ur10: Robot) -> None:
     found = structure(ur10, measured=[ur10.joints[-1]])
     assert {name.rpartition(".")[0] for name in shown_of(found)} == {ur10.links[-1]}
     assert len(found.base) == parameter_nullspace(ur10).shown[-1]
     assert "torque of joints" in found.circumstances[-1]
+    shown = shown_of(structure(ur10, moving=[], held="any"))
+    assert {name.rpartition(".")[2][0] for name in shown} == {"m"}
+    assert len(structure(ur10.with_gravity((0, 0, 0)), moving=[], held="any").base) == 0
 
 
 def test_circumstances_are_said(ur10: Robot) -> None:
@@ -246,12 +249,6 @@ def test_circumstances_are_said(ur10: Robot) -> None:
     assert len(many.base) > len(found.base)
     locked = structure(load_robot("ur10", lock={"elbow_joint": 1.0}).with_gravity((0, 0, 0)))
     assert {"no gravity", "joint elbow_joint at 1 locked"} <= set(locked.circumstances)
-
-
-def test_at_rest_only_gravity_speaks(ur10: Robot) -> None:
-    shown = shown_of(structure(ur10, moving=[], held="any"))
-    assert {name.rpartition(".")[2][0] for name in shown} == {"m"}
-    assert len(structure(ur10.with_gravity((0, 0, 0)), moving=[], held="any").base) == 0
 
 
 MOVING = {"revolute", "continuous", "prismatic"}

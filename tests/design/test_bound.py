@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 from limit_use import limited
-from marks import slow
+from marks import refused, slow
 
 from excitant.design import condition_number, design_trajectory, random_trajectory
 from excitant.design.bound import Bound, best_mixture, lower_bound
@@ -174,5 +174,4 @@ def test_refuses_what_it_cannot_bound(planar: Robot) -> None:
         (limited(planar, velocity=np.inf), {"harmonics": None}, "velocity"),
         (planar, {"pool": [numbered(*np.zeros((3, 4, 3)))]}, "joints"),
     ):
-        with pytest.raises(BadInput, match=why):
-            lower_bound(robot, **options)
+        refused(why, lower_bound, robot, **options, error=BadInput)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from limit_use import limit_shares, limited
-from marks import slow
+from marks import refused, slow
 
 from excitant.design import check, from_coefficients, random_trajectory
 from excitant.design.constraints import KINEMATIC
@@ -70,18 +70,12 @@ def test_no_limit_is_never_exceeded(planar: Robot) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_limit_that_is_hardly_any_is_exceeded_beyond_all_numbers(planar: Robot) -> None:
+def test_hardly_any_limit_is_exceeded_beyond_all_numbers_and_other_arms_refused(planar, ur10):
     trajectory = random_trajectory(planar, np.random.default_rng(0), 5.0, 3)
     worst = check(limited(planar, acceleration=1e-308), trajectory).worst
     assert (worst.quantity, worst.ratio > 1e300) == ("acceleration", True)
-
-
-def test_refuses_another_number_of_joints(planar: Robot, ur10: Robot) -> None:
-    trajectory = random_trajectory(planar, np.random.default_rng(0), 5.0, 3)
-    with pytest.raises(BadInput, match="2 joints, robot ur10 has 6"):
-        check(ur10, trajectory)
-    with pytest.raises(BadInput, match="1 samples"):
-        check(planar, trajectory.at([0.0]))
+    refused("2 joints, robot ur10 has 6", check, ur10, trajectory, error=BadInput)
+    refused("1 samples", check, planar, trajectory.at([0.0]), error=BadInput)
 
 
 @pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
@@ -104,8 +98,7 @@ def test_gravity_above_the_torque_limit_names_the_joint(ur10: Robot) -> None:
     position[1:3], weak[1] = [[-0.2, 0.2], [-0.1, 0.1]], 1.0  # stretched
     robot = limited(ur10, torque=weak, position=position)
     why = rf"torque limit of {ur10.joints[1]} \(1 N·m\) .* within the position limits"
-    with pytest.raises(Infeasible, match=why):
-        random_trajectory(robot, np.random.default_rng(0), 10.0, 5)
+    refused(why, random_trajectory, robot, np.random.default_rng(0), 10.0, 5, error=Infeasible)
 
 
 def test_friction_above_the_torque_limit_names_the_joint(planar: Robot) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import ros2
 import yaml
-from marks import slow
+from marks import refused, slow
 from rosbags.highlevel import AnyReader
 from urscript import Controller
 
@@ -20,7 +20,7 @@ from excitant import design
 from excitant.design import load_trajectory, write_formats
 from excitant.design.export import FORMATS, TOPIC
 from excitant.design.trajectory import FourierSeries, Series, SplineSeries
-from excitant.exceptions import BadInput, ExcitantError
+from excitant.exceptions import BadInput
 from excitant.robots import Motion, Robot
 
 FIELDS = ("positions", "velocities", "accelerations")
@@ -110,11 +110,8 @@ def test_what_is_no_trajectory_is_refused_in_one_line(planar, tmp_path, name, co
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(BadInput) as error:
-        load_trajectory(path, planar)
-    [line] = str(error.value).splitlines()
-    assert why in line
-    assert str(path) in line
+    said = refused(".", load_trajectory, path, planar, error=BadInput)
+    assert all(words in said for words in (why, str(path)))
 
 
 @pytest.fixture(scope="module")
@@ -264,14 +261,14 @@ def test_client_without_go_moves_nothing_and_needs_no_ros(planar, way, tmp_path)
     assert "nothing was sent" in said
     for wrong in ("0", "1.01", "nan"):
         words = [*command, "--go", "--scale", wrong]
-        refused = subprocess.run(words, capture_output=True, text=True)
-        assert refused.returncode == 2
-        assert "not above 0 and up to 1" in refused.stderr
+        ran = subprocess.run(words, capture_output=True, text=True)
+        assert ran.returncode == 2
+        assert "not above 0 and up to 1" in ran.stderr
 
 
 def test_write_formats_refuses(planar: Robot, ur10: Robot, motion: Motion) -> None:
     close = replace(motion[:2], t=np.array([0.0, 1e-10]))
-    for refused, robot, name, why in (
+    for other, robot, name, why in (
         (motion, ur10, "mcp", "unknown format 'mcp': did you mean 'mcap'"),
         (motion, planar, "npz", "motion has 6 joints, robot planar_2r has 2"),
         (sampled(2, 10.0), planar, "urscript", "six turning joints, planar_2r has 2 joints"),
@@ -281,5 +278,4 @@ def test_write_formats_refuses(planar: Robot, ur10: Robot, motion: Motion) -> No
         (close, ur10, "ros2", "less than 1 ns apart"),
         (close, ur10, "mcap", "less than 1 ns apart"),
     ):
-        with pytest.raises(ExcitantError, match=why):
-            write_formats({"trajectory": refused}, robot, [name])
+        refused(why, write_formats, {"trajectory": other}, robot, [name])

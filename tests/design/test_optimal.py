@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 from limit_use import assert_holds_for_every_mass, assert_limits_hold, limited
-from marks import slow
+from marks import refused, slow
 from threadpoolctl import threadpool_limits
 
 from excitant.design import Design, check, design_trajectory, random_trajectory
@@ -158,8 +158,7 @@ def test_progress_tells_what_is_reached(planar: Robot) -> None:
 )
 @pytest.mark.parametrize("design", [design_trajectory, design_link_by_link])
 def test_refuses_impossible_options(planar, design, option, value, why):
-    with pytest.raises((BadInput, UnknownName), match=why):
-        design(planar, **{option: value})
+    refused(why, design, planar, **{option: value}, error=(BadInput, UnknownName))
 
 
 @pytest.mark.slow
@@ -219,8 +218,7 @@ def test_noise_weights_equations(planar: Robot) -> None:
     np.testing.assert_allclose(M, expected, rtol=1e-9, atol=1e-12)
     exact = weighted.linearise(motion)
     np.testing.assert_allclose(exact.Y, weighted.observation(motion, smooth=True), atol=1e-12)
-    with pytest.raises(BadInput, match="one positive number"):
-        information(planar, noise=[1.0])
+    refused("one positive number", information, planar, noise=[1.0], error=BadInput)
 
 
 @pytest.mark.slow

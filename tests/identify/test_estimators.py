@@ -134,7 +134,7 @@ def test_silent_and_dependent_columns_are_named(name: str, change: int, named: s
     assert set(refusal.value.names) == named
 
 
-def test_noise_levels_and_correlation_are_found() -> None:
+def test_noise_and_its_correlation_are_found_and_the_noisier_joint_counts_less() -> None:
     n, rho = 800, 0.8
     fit = weighted_least_squares(dense(columns(n), measured(2, rho, n), NAMES))
     tau = (1 + rho) / (1 - rho)  # integrated autocorrelation time of AR(1)
@@ -142,9 +142,6 @@ def test_noise_levels_and_correlation_are_found() -> None:
     np.testing.assert_allclose(fit.inflation, tau, rtol=0.5)
     assert autocorrelation_time(np.random.default_rng(0).standard_normal(4000)) < 1.2
     assert autocorrelation_time(np.zeros(100)) == 1.0
-
-
-def test_the_noisier_joint_counts_less() -> None:
     W, tau = columns(), measured(4, 0.0)
     fit = weighted_least_squares(dense(W, tau, NAMES))
     A = (W / SIGMA[:, None]).reshape(-1, R)
@@ -188,7 +185,7 @@ def test_instruments_take_away_the_bias_that_wrong_columns_make() -> None:
     assert abs(covered(*found) - 0.95) <= 3 * np.sqrt(0.95 * 0.05 / 60)
 
 
-def test_wrong_columns_are_told_from_right_ones() -> None:
+def test_wrong_columns_are_told_from_right_ones_and_from_missing_physics() -> None:
     rng, W, chances = np.random.default_rng(10), columns(), np.zeros(60)
     for k in range(60):
         again = W + 0.1 * SIZE * rng.standard_normal(W.shape)
@@ -201,9 +198,6 @@ def test_wrong_columns_are_told_from_right_ones() -> None:
         assert statistic > 30
     with pytest.raises(BadInput, match="nothing is left to test"):
         errors_in_variables(*problem(W, measured(rng, 0.0)))
-
-
-def test_missing_physics_is_no_error_of_columns() -> None:
     rng, W = np.random.default_rng(11), columns()
     again, seen = (W + 0.01 * SIZE * rng.standard_normal(W.shape) for _ in range(2))
     missing = np.sin(np.linspace(0, 40, N))[:, None] * np.array([3.0, 10.0])
@@ -295,7 +289,7 @@ def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
     assert (found.least_squares.std >= fit.std * (1 - 1e-12)).all()
 
 
-def test_a_motion_known_exactly_needs_no_instruments(planar: Robot, exact: Call) -> None:
+def test_instruments_need_no_noise_but_a_rate_for_every_second_sample(planar: Robot, exact: Call):
     """At a rate at which interpolation between every second sample leaves no error."""
     recording = exact(planar, np.arange(0, 10, 1 / 512))
     found = identify_robot(planar, [recording], estimator="iv")
@@ -304,9 +298,6 @@ def test_a_motion_known_exactly_needs_no_instruments(planar: Robot, exact: Call)
     known = identify_robot(planar, [recording], estimator="wls").least_squares
     assert (np.abs(fit.beta - known.beta) <= 1e-2 * known.std).all()
     np.testing.assert_allclose(fit.covariance, known.covariance, rtol=1e-2)
-
-
-def test_a_rate_too_low_for_every_second_sample_is_refused(planar: Robot) -> None:
     with pytest.raises(BadInput, match=r"choose one up to 25 Hz"):
         identify_robot(planar, [NOISY], cutoff_hz=40.0, estimator="iv")
 

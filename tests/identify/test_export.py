@@ -526,9 +526,17 @@ def test_command_writes_result_but_no_model_when_it_got_worse(tmp_path, planar, 
     assert written == {"urdf", "links", "yaml", "sdf", "csv"}
 
 
-def test_an_effect_without_values_is_refused(planar: Robot) -> None:
+def test_negative_friction_is_left_out_and_friction_without_values_refused(planar: Robot) -> None:
     with pytest.raises(BadInput, match="viscous_friction has no values"):
         model_files(planar.with_effects([fx.ViscousFriction(planar.joints)]), "arm", "arm.yaml")
+    pairs = ((fx.CoulombFriction, 0.5), (fx.RotorInertia, 0.1))
+    arm = planar.with_effects([kind(planar.joints, (-x, x)) for kind, x in pairs])
+    files = model_files(arm, "arm", "arm.yaml")
+    for name in ("arm.xml", "arm.sdf"):
+        assert f"not in this file: negative Coulomb friction of {planar.joints[0]}" in files[name]
+    loaded = mujoco.MjModel.from_xml_string(files["arm.xml"])
+    np.testing.assert_array_equal(loaded.dof_frictionloss, [0.0, 0.5])
+    np.testing.assert_array_equal(loaded.dof_armature, [0.0, 0.1])
 
 
 ODD = """
@@ -552,17 +560,6 @@ def test_odd_names_break_no_file_and_occur_once() -> None:
     assert bare.phi[0] == 0  # a link without mass is written as one
     text = model_files(bare, "arm", "arm.yaml")["arm.urdf"]
     assert np.array_equal(robot_from_urdf(text, source="arm.urdf").phi, bare.phi)
-
-
-def test_negative_friction_is_left_out_and_said_so(planar: Robot) -> None:
-    pairs = ((fx.CoulombFriction, 0.5), (fx.RotorInertia, 0.1))
-    arm = planar.with_effects([kind(planar.joints, (-x, x)) for kind, x in pairs])
-    files = model_files(arm, "arm", "arm.yaml")
-    for name in ("arm.xml", "arm.sdf"):
-        assert f"not in this file: negative Coulomb friction of {planar.joints[0]}" in files[name]
-    loaded = mujoco.MjModel.from_xml_string(files["arm.xml"])
-    np.testing.assert_array_equal(loaded.dof_frictionloss, [0.0, 0.5])
-    np.testing.assert_array_equal(loaded.dof_armature, [0.0, 0.1])
 
 
 def test_what_files_make_up_for_holds_in_other_motions_and_known_torque(planar: Robot) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from known_arms import Call
-from marks import slow
+from marks import refused, slow
 from plant_recordings import PENDULUM
 
 from excitant.exceptions import RankDeficient
@@ -49,16 +49,13 @@ def test_a_virtual_arm_is_predicted_on_another_motion(ideal: Estimate) -> None:
     assert ideal.validate.nrmse.mean() < 0.03
 
 
-def test_the_model_is_one_that_bodies_can_have(ideal: Estimate) -> None:
+def test_the_model_is_one_that_bodies_can_have_and_the_result_complete(ideal: Estimate) -> None:
+    """Its keys are those of its record, which is read wherever a report is written."""
     assert violations(ideal.phi, ideal.given.links) == []
     assert ideal.physical.kkt.stationarity <= 1e-8
     for effect in ideal.model.effects:
         least = np.array([p.lower for p in effect.parameters(ideal.given)])
         assert (np.array(effect.values) >= least - 1e-6).all(), effect.name
-
-
-def test_the_result_is_complete(ideal: Estimate) -> None:
-    """Its keys are those of its record, which is read wherever a report is written."""
     result, arrays = ideal.result(), ideal.series()
     assert len(result["parameters"]) == 14 * ideal.given.nv
     assert result["physical"]["consistent"]
@@ -98,8 +95,7 @@ def test_exact_data_give_exact_predictions_and_files_of_that_torque(arm, effects
 def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: Robot) -> None:
     recording = exact(planar, np.arange(0, 20, 1 / 128))
     q = recording.q * [1, 0] + [0, 0.3]
-    with pytest.raises(RankDeficient, match=r"joint2\.Fv"):
-        identify_robot(planar, [replace(recording, q=q)])
+    refused(r"joint2\.Fv", identify_robot, planar, [replace(recording, q=q)], error=RankDeficient)
 
 
 def test_the_data_need_no_more_of_a_mass_than_there_is(ur10: Robot, runs: Call) -> None:

@@ -130,8 +130,14 @@ def test_what_the_log_means_is_named(logged, change, name, said):
     assert "wrong_sample_rate" not in found  # measured velocities confirm the clock
 
 
-def test_a_log_as_it_should_be_is_not_accused(logged: tuple[Robot, Recording]) -> None:
+def test_neither_a_log_as_it_should_be_nor_a_clock_that_velocities_confirm_is_accused(logged):
+    """At half the speed of the torque: the torque alone tells, until velocities speak."""
     assert faults_after(logged, lambda _, run: run) == {}
+    robot, run = logged
+    slow = replace(run, t=2 * run.t, dq=run.dq / 2)
+    for log, told in ((replace(slow, dq=None), 1), (slow, 0)):
+        fit = fit_of(robot, log)
+        assert len([*installation._clock(fit, installation._pulled(fit))]) == told
 
 
 def fit_of(robot: Robot, recording: Recording) -> TorqueFit:
@@ -148,15 +154,6 @@ def test_a_push_by_hand_is_no_installation() -> None:
         robot = load_robot(name)
         log = READ["pushed_by_hand"][1](robot, run_of(robot, (3, 0, k)).log, None)
         assert not {fault.fault for fault in find_faults(robot, log)} & set(OF_THE_ARM)
-
-
-def test_a_clock_is_left_alone_where_velocities_confirm_it(logged: tuple[Robot, Recording]) -> None:
-    """At half the speed of the torque: the torque alone tells, until velocities speak."""
-    robot, run = logged
-    slow = replace(run, t=2 * run.t, dq=run.dq / 2)
-    for log, told in ((replace(slow, dq=None), 1), (slow, 0)):
-        fit = fit_of(robot, log)
-        assert len([*installation._clock(fit, installation._pulled(fit))]) == told
 
 
 def test_channels_of_a_joint_that_stands_are_not_dead(planar: Robot, exact: Call) -> None:

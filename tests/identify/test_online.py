@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from known_arms import Call, smooth_motion, write_csv
+from marks import refused
 
 from excitant.exceptions import BadInput
 from excitant.identify import LocalPolynomial, Monitor, OnlineEstimator, Recording
@@ -167,11 +168,9 @@ def test_a_joint_at_rest_gives_no_row_where_friction_is_dry(planar: Robot) -> No
 
 def test_what_cannot_be_is_refused(planar: Robot) -> None:
     online = estimator(planar)
-    with pytest.raises(BadInput, match="no row yet"):
-        online.estimate()
+    refused("no row yet", online.estimate, error=BadInput)
     online.push(0.0, np.zeros(2), np.zeros(2))
-    with pytest.raises(BadInput, match="goes back"):
-        online.push(0.0, np.zeros(2), np.zeros(2))
+    refused("goes back", online.push, 0.0, np.zeros(2), np.zeros(2), error=BadInput)
     with pytest.raises(BadInput, match="is not a number"):
         online.extend(T[1:100], np.full((99, 2), np.nan), np.zeros((99, 2)))
     for why, option, value in (
@@ -179,8 +178,7 @@ def test_what_cannot_be_is_refused(planar: Robot) -> None:
         ("longer time constant", "forgetting", 1e-3),
         ("depends on the past", "effects", (TimeDelay(planar.joints),)),
     ):
-        with pytest.raises(BadInput, match=why):
-            estimator(planar, **{option: value})
+        refused(why, estimator, planar, **{option: value}, error=BadInput)
 
 
 def test_the_monitor_says_since_when_and_which_joint(planar: Robot) -> None:

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from arms import TrueArm
 from known_arms import Call, smooth_motion, write_csv
+from marks import refused
 from scipy.interpolate import BPoly
 from scipy.stats import binom
 from worlds_plant import perturbed
@@ -84,22 +85,16 @@ def test_mass_and_centre_after_ten_seconds_of_task(found: PayloadEstimate) -> No
     assert entry["link"] == "panda_link7"
 
 
-def test_an_arm_that_carries_nothing_is_said_to_carry_nothing(held: Runs) -> None:
+def test_no_payload_too_little_motion_and_no_unloaded_arm_are_said(held: Runs) -> None:
     _, free = held
     first, second = free.between(0, 0.5, "first"), free.between(0.5, 1, "second")
     empty = identify_payload(PANDA, [first], unloaded=[second])
     assert empty.mass < 0.02 * MASS
     assert "no payload is seen" in empty.shortcomings[0]
-
-
-def test_too_little_motion_says_so(held: Runs) -> None:
     move = held[0].between(0, 0.06, "half a move")
     poor = identify_payload(PANDA, [move], unloaded=held[1:])
     assert "only" in poor.shortcomings[0]
     assert (np.abs(poor.centre - CENTRE) < 4 * poor.centre_std).all()
-
-
-def test_the_given_model_may_stand_for_the_unloaded_arm(held: Runs) -> None:
     rough = identify_payload(PANDA, held[:1])
     assert "--unloaded" in rough.notes[0]
     # the model is 3 % off where 1 % is taken, so this is no test of the interval
@@ -132,8 +127,7 @@ def test_without_noise_the_body_is_exact(ur10: Robot) -> None:
 def test_currents_need_the_unloaded_arm_and_leave_the_gain_open(held, found):
     gains = np.array([20.0, 18.0, 17.0, 19.0, 9.0, 8.0, 7.0])
     loaded, free = (replace(r, tau=r.tau / gains, unit="A") for r in held)
-    with pytest.raises(BadInput, match="--unloaded"):
-        identify_payload(PANDA, [loaded])
+    refused("--unloaded", identify_payload, PANDA, [loaded], error=BadInput)
     amperes = identify_payload(PANDA, [loaded], unloaded=[free])
     assert any("gain that is wrong by 1 %" in note for note in amperes.notes)
     # a common gain leaves the centre of mass alone
@@ -271,12 +265,19 @@ bench = functools.cache(Bench)
 PAYLOADS = (KnownPayload(MASS), KnownPayload(MASS, centre=CENTRE))
 
 
-def test_without_noise_the_gains_are_exact() -> None:
+def test_gains_are_exact_without_noise_and_one_that_does_not_show_is_said() -> None:
+    """A payload on the last axis leaves the last joint with what its friction could make."""
     b = bench("ur10")
     for payload in PAYLOADS:
         found = b.found(payload, 0, share=1e-9)
         np.testing.assert_allclose(found.gains, b.gains, rtol=1e-5)
         assert all(found.shown)
+    on_axis = pin.Inertia(MASS, np.array([0.0, 0.0, 0.1]), BODY.inertia)
+    found = b.found(KnownPayload(MASS), 8, b.with_payload(on_axis))
+    assert found.shown.tolist() == found.known.tolist() == [True] * 5 + [False]
+    assert (np.abs(found.gains - b.gains)[:5] < 3.5 * found.std[:5]).all()
+    assert found.std[5] == pytest.approx(0.5 * found.gains[5], rel=0.01)
+    assert "the gain of wrist_3_joint (±50 %) is not determined" in found.sentence(b.robot.joints)
 
 
 @pytest.mark.parametrize("payload", PAYLOADS)
@@ -291,7 +292,7 @@ def test_gains_are_within_three_deviations_that_are_calibrated(payload: KnownPay
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
 
 
-def test_the_payloads_own_uncertainty_counts() -> None:
+def test_the_payloads_own_uncertainty_counts_and_one_too_small_is_refused() -> None:
     b = bench("planar_2r")
     weighed = b.found(KnownPayload(MASS, mass_std=0.02 * MASS), 6, share=1e-4)
     np.testing.assert_allclose(weighed.std / weighed.gains, 0.02, rtol=0.02)
@@ -302,17 +303,10 @@ def test_the_payloads_own_uncertainty_counts() -> None:
     # a payload twice as heavy as it was said to be makes gains half as large
     wrong = b.found(KnownPayload(MASS / 2), 6, share=1e-4)
     np.testing.assert_allclose(wrong.gains, b.gains / 2, rtol=1e-3)
-
-
-def test_a_gain_that_does_not_show_is_said_to_be_another_s() -> None:
-    """A payload on the last axis leaves the last joint with what its friction could make."""
-    b = bench("ur10")
-    on_axis = pin.Inertia(MASS, np.array([0.0, 0.0, 0.1]), BODY.inertia)
-    found = b.found(KnownPayload(MASS), 8, b.with_payload(on_axis))
-    assert found.shown.tolist() == found.known.tolist() == [True] * 5 + [False]
-    assert (np.abs(found.gains - b.gains)[:5] < 3.5 * found.std[:5]).all()
-    assert found.std[5] == pytest.approx(0.5 * found.gains[5], rel=0.01)
-    assert "the gain of wrist_3_joint (±50 %) is not determined" in found.sentence(b.robot.joints)
+    small = pin.Inertia(1e-4, CENTRE, 1e-4 * BODY.inertia)
+    with pytest.raises(BadInput, match=r"hardly show.*use a heavier payload"):
+        b.found(KnownPayload(1e-4), 10, b.with_payload(small), 0.05)
+    refused("hardly show", b.found, PAYLOADS[1], 10, b.bare, error=BadInput)  # nothing is carried
 
 
 @pytest.mark.slow
@@ -329,15 +323,6 @@ def test_gains_by_given_masses_are_within_their_deviations(monkeypatch) -> None:
     assert np.mean(np.abs(errors) < 1.96) > 0.9
     monkeypatch.setattr("excitant.identify.drive_gains._common", lambda *_: 0.0)
     np.testing.assert_allclose(current_gains(given, W, currents).gains, found.gains, rtol=1e-4)
-
-
-def test_a_payload_too_small_to_show_is_refused() -> None:
-    b = bench("planar_2r")
-    small = pin.Inertia(1e-4, CENTRE, 1e-4 * BODY.inertia)
-    with pytest.raises(BadInput, match=r"hardly show.*use a heavier payload"):
-        b.found(KnownPayload(1e-4), 10, b.with_payload(small), 0.05)
-    with pytest.raises(BadInput, match="hardly show"):  # nothing is carried at all
-        b.found(PAYLOADS[1], 10, b.bare)
 
 
 @pytest.mark.parametrize(("mass", "std"), [(0.0, 0.0), (np.nan, 0.0), (1.0, -1.0)])

@@ -110,12 +110,9 @@ def test_every_figure_is_drawn_as_large_as_its_place(opened):
         assert canvas["width"] == pytest.approx(panel.bounding_box()["width"], abs=30)
 
 
-def test_tables_that_go_on_show_it(opened):
+def test_tables_that_go_on_show_it_and_no_cell_is_a_ladder_of_words(opened):
     seen = opened.page.evaluate(asked("tables"))
     assert all(goes_on == before and not after for goes_on, before, after in seen)
-
-
-def test_no_cell_is_a_ladder_of_words(opened):
     assert opened.page.evaluate(asked("ladders")) == []
 
 

@@ -71,16 +71,12 @@ def test_page_of_a_design_without_a_limit_on_torque_or_a_scene(saved, show):
     assert "obstacle" not in " ".join(page.labels)
 
 
-def test_unlimited_joints_are_drawn_without_lines(make):
+def test_unlimited_joints_have_no_lines_and_twelve_fit_on_a_small_page(make, show):
     result, series = make["design"]()
     figure = motion_figure(result["joints"], Drawn(), series)
     assert figure.legend == ()
     assert "no limits" in figure.caption
     assert all("velocity no limit" in panel.label for panel in figure.panels)
-
-
-def test_twelve_joints_fit_on_a_small_page(make, show):
-    result, series = make["design"]()
     names = [f"{side}_{k}" for side in ("left", "right") for k in range(1, 7)]
     wide = {key: np.tile(series[key][::4], 3) for key in ("q", "dq", "ddq", "tau")}
     wide["t"] = series["t"][::4]

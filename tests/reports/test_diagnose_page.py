@@ -58,7 +58,7 @@ def test_nothing_found_shows_one_model(run, show):
     assert "→" not in fact.value
 
 
-def test_noise_is_said_in_a_sentence(run):
+def test_noise_is_said_in_a_sentence_and_long_waterfalls_are_cut(run):
     result, _ = run
     names = [row["name"] for row in result["simulation"]["joints"]]
     result["unexplained"] = [{"joint": n, "share": 1e-4, "structure": "noise-like"} for n in names]
@@ -66,6 +66,10 @@ def test_noise_is_said_in_a_sentence(run):
     assert "looks like noise" in sentence.sentences[0]
     assert table.folded
     assert "Against the noise" not in [heading for heading, _ in table.columns]
+    result["waterfall"] = [{"label": f"+ spring at joint{k}", "rms": 1 - k / 40} for k in range(30)]
+    names = " ".join(name for name, _ in parts_of(result, {})["Error step by step"][0].rows)
+    shown = [word in names for word in ("smaller causes", "joint29", "joint20")]
+    assert shown == [True, True, False]
 
 
 def test_an_unknown_cause_claims_no_share(run):
@@ -79,11 +83,3 @@ def test_an_unknown_cause_claims_no_share(run):
     assert [row[k].text for k in (1, 3, 5)] == ["unknown cause", "–", "–"]
     (blocks,) = (blocks for title, blocks in parts.items() if title.startswith("Finding 1"))
     assert blocks[0].sentences[0] == "joint1: 2.0 N·m remain unexplained"
-
-
-def test_long_waterfalls_are_cut(run):
-    result, _ = run
-    result["waterfall"] = [{"label": f"+ spring at joint{k}", "rms": 1 - k / 40} for k in range(30)]
-    names = " ".join(name for name, _ in parts_of(result, {})["Error step by step"][0].rows)
-    shown = [word in names for word in ("smaller causes", "joint29", "joint20")]
-    assert shown == [True, True, False]

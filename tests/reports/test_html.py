@@ -9,6 +9,7 @@ from base64 import b64encode
 import matplotlib as mpl
 import numpy as np
 import pytest
+from marks import refused
 from records import full
 
 from excitant.exceptions import BadInput
@@ -157,11 +158,9 @@ def test_what_is_no_record_is_refused_by_its_path(change, where, make, tmp_path)
     result, series = make["diagnose"]()
     save_run(tmp_path, result, series)
     change(result)
-    with pytest.raises(BadInput, match=rf"^result.json: .*{where}"):
-        page_of(result, series)
+    refused(rf"^result.json: .*{where}", page_of, result, series, error=BadInput)
     (tmp_path / "result.json").write_text(json.dumps(result))
-    with pytest.raises(BadInput, match=rf"^{tmp_path}/result.json: .*{where}"):
-        load_run(tmp_path)
+    refused(rf"^{tmp_path}/result.json: .*{where}", load_run, tmp_path, error=BadInput)
 
 
 @pytest.mark.slow

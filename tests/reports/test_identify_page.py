@@ -26,7 +26,7 @@ def test_every_part_is_there_with_its_figure(make, show, written):
     assert not set(show(result, series).headings) & PARTS
 
 
-def test_spans_of_poor_excitation_are_named_and_messages_written(make, show, written):
+def test_spans_of_poor_excitation_messages_and_payload_are_in_words(make, show, written):
     said = written("identify").words
     assert "not exciting enough from 6.5 s to 9.0 s" in said
     assert "not exciting enough since 2.1 s: 3 of 40 visible <directions>" in said
@@ -34,6 +34,9 @@ def test_spans_of_poor_excitation_are_named_and_messages_written(make, show, wri
     history = result["online"]["history"]
     history["excitation_level"] = [x and 30.0 for x in history["excitation_level"]]
     assert "here never below it" in show(result, {}).words
+    for part in ("1.5000 ± 0.0020 kg", "20.00 ± 0.10 mm", "200.0 ± 5.0 mm", "held by link7",
+                 "Torque was recorded as current", "along z is known to ±10 mm only."):  # fmt: skip
+        assert part in said, part
 
 
 def test_estimates_shown_are_those_that_were_learnt(written):
@@ -42,13 +45,6 @@ def test_estimates_shown_are_those_that_were_learnt(written):
     owners = [title.split(" over time")[0].rpartition(".")[0] for title in titles]
     assert 0 < len(set(owners)) == len(owners) <= 12
     assert all(re.search(r"± \S+ (kg|N)", title) for title in titles)
-
-
-def test_payload_in_words(written):
-    said = written("identify").words
-    for part in ("1.5000 ± 0.0020 kg", "20.00 ± 0.10 mm", "200.0 ± 5.0 mm", "held by link7",
-                 "Torque was recorded as current", "along z is known to ±10 mm only."):  # fmt: skip
-        assert part in said, part
 
 
 def test_the_torque_figure_explains_its_band(make):

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import matplotlib as mpl
 import numpy as np
 import pytest
+from marks import refused
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
@@ -121,8 +122,7 @@ def test_axes_of_ones_own_take_one_drawing_in_their_own_style(estimate: Estimate
     assert plt.get_fignums() == [figure.number]
     third = plt.figure().gca()
     for many in (ex.plot.friction, ex.plot.parameters):
-        with pytest.raises(BadInput, match="ax holds one drawing, but these are"):
-            many(estimate, ax=third)
+        refused("ax holds one drawing, but these are", many, estimate, ax=third, error=BadInput)
     assert not third.has_data()
 
 
@@ -143,11 +143,9 @@ def test_motions_are_drawn_against_limits(planar: Robot) -> None:
 def test_unknown_names_and_nothing_to_draw_are_refused(estimate, planar, recordings):
     with pytest.raises(UnknownName, match="unknown joint 'joint3': did you mean 'joint"):
         ex.plot.residuals(estimate, "joint3")
-    with pytest.raises(UnknownName, match="unknown parameter 'mass'"):
-        ex.plot.parameters(estimate, "mass")
+    refused("unknown parameter 'mass'", ex.plot.parameters, estimate, "mass", error=UnknownName)
     bare = identify_robot(planar, recordings[0], effects=())
-    with pytest.raises(BadInput, match="nothing to draw"):
-        ex.plot.friction(bare)
+    refused("nothing to draw", ex.plot.friction, bare, error=BadInput)
 
 
 def test_joints_come_in_the_order_in_which_they_are_named(estimate: Estimate) -> None:

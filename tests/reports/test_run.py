@@ -17,7 +17,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from marks import slow
+from marks import refused, slow
 from records import full
 
 from excitant import files
@@ -232,8 +232,7 @@ def test_a_signal_waits_until_the_run_is_whole(number, tmp_path, monkeypatch):
     before, real = signal.signal(number, signal.default_int_handler), os.fsync
     monkeypatch.setattr(os, "fsync", lambda file: (signal.raise_signal(number), real(file)))
     try:
-        with pytest.raises(KeyboardInterrupt, match="was written"):
-            save_run(tmp_path / "run", CHECK, {})
+        refused("was written", save_run, tmp_path / "run", CHECK, {}, error=KeyboardInterrupt)
     finally:
         signal.signal(number, before)
     assert names(tmp_path) == OWN
@@ -277,8 +276,7 @@ def test_spoilt_run_is_refused_in_one_line(culprit, content, tmp_path):
     file.unlink()
     if content is not None:
         file.write_bytes({"cut": old[:200], "torn": torn}.get(content, content))
-    with pytest.raises(BadInput, match=rf"^[^\n]*{culprit}[^\n]*\Z"):
-        load_run(tmp_path)
+    refused(rf"^[^\n]*{culprit}[^\n]*\Z", load_run, tmp_path, error=BadInput)
 
 
 @pytest.mark.parametrize(
@@ -291,6 +289,5 @@ def test_spoilt_run_is_refused_in_one_line(culprit, content, tmp_path):
     ],
 )
 def test_what_cannot_be_saved_is_refused_by_its_name(said, given, tmp_path):
-    with pytest.raises(BadInput, match=said):
-        save_run(tmp_path / "r", *given)
+    refused(said, save_run, tmp_path / "r", *given, error=BadInput)
     assert list(tmp_path.iterdir()) == []

@@ -2,12 +2,10 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from excitant.exceptions import ExcitantError
 from excitant.robots import Motion, Robot, load_robot
 from excitant.robots.urdf import robot_from_urdf
 
@@ -35,19 +33,6 @@ def arm(request: pytest.FixtureRequest, gantry: Robot) -> Robot:
 @pytest.fixture(scope="session", params=KINDS)
 def builtin(request: pytest.FixtureRequest) -> Robot:
     return load_robot(request.param)
-
-
-@pytest.fixture(scope="session")
-def refused() -> Callable[..., str]:
-    """``refused(match, call, ...)``: what a call is refused with, in one line."""
-
-    def message(match: str, call: Any, *given: Any, error: Any = ExcitantError, **more: Any) -> str:
-        with pytest.raises(error, match=match) as raised:
-            call(*given, **more)
-        assert "\n" not in str(raised.value)
-        return str(raised.value)
-
-    return message
 
 
 @pytest.fixture(scope="session")

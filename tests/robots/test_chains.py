@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from khosla import close
 from known_arms import Call
+from marks import refused
 
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots import Motion, Robot, load_robot, regressor, rigid_body_torque
@@ -93,12 +94,12 @@ def test_a_follower_of_a_joint_that_moves_is_held_and_that_is_said(random_states
         ({"joints": ["lift"], "lock": {"lift": 0.1}}, BadInput, "both kept"),
     ],
 )
-def test_a_choice_that_cannot_be_is_refused_in_one_line(refused, choice, error, match):
+def test_a_choice_that_cannot_be_is_refused_in_one_line(choice, error, match):
     refused(match, load_robot, TWINS, error=error, **choice)
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_a_joint_of_several_freedoms_is_held_or_refused(tmp_path, kind, random_states, refused):
+def test_a_joint_of_several_freedoms_is_held_or_refused(tmp_path, kind, random_states):
     path = tmp_path / "loose.urdf"
     text = TWINS.read_text("utf-8")
     path.write_text(text.replace('"root" type="fixed"', f'"root" type="{kind}"'))
@@ -122,7 +123,7 @@ def test_a_tree_needs_the_torque_of_newton_and_euler(random_states: Call) -> Non
     assert not Y[:, 4:, 10:40].any()
 
 
-def test_robot_yaml_chooses_a_chain(tmp_path: Path, refused: Call) -> None:
+def test_robot_yaml_chooses_a_chain(tmp_path: Path) -> None:
     file = tmp_path / "left.yaml"
     shutil.copy(TWINS, tmp_path)
     chosen = f"model: {TWINS.name}\nbase: torso\ntip: left_hand\nlock: {{lift: 0.2}}\n"

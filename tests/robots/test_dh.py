@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close, dh_from_robot, frames
 from known_arms import Call
+from marks import refused
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Limits, Motion, Robot, load_robot, rigid_body_torque
@@ -40,7 +41,7 @@ def test_a_chain_never_changes(random_chain: Call, name: str) -> None:
         getattr(random_chain(0, 3), name)[0] = 1
 
 
-def test_a_link_without_mass_is_refused_by_name(random_chain: Call, refused: Call) -> None:
+def test_a_link_without_mass_is_refused_by_name(random_chain: Call) -> None:
     chain = random_chain(0, 3)
     phi = np.where(np.arange(30) == 10, 0.0, chain.phi)
     refused("link 'l1' has no mass", robot_from_dh, replace(chain, phi=phi), error=BadRobot)

@@ -9,6 +9,7 @@ import pytest
 import yaml
 from khosla import close
 from known_arms import Call
+from marks import refused
 
 from excitant.exceptions import BadInput
 from excitant.identify.export import comment, folded, held_by
@@ -117,7 +118,7 @@ def test_vocabulary(kind: type[Effect], planar: Robot) -> None:
         assert "_" not in said.replace(kind.name, "")
 
 
-def test_torque_is_columns_times_values(arm, random_states, refused, kind):
+def test_torque_is_columns_times_values(arm, random_states, kind):
     motion, effect = random_states(arm, 1, 6), valued(arm, kind, 2)
     columns, tau = effect.columns(arm, motion), effect.torque(arm, motion)
     assert columns.shape == (6, arm.nv, len(effect.values))
@@ -157,7 +158,7 @@ def test_columns_depend_on_the_model_where_an_effect_says_so(ur10, random_states
     assert same != kind.physics.on_model
 
 
-def test_in_a_simulation_it_makes_the_torque_of_its_columns(planar, random_states, refused, kind):
+def test_in_a_simulation_it_makes_the_torque_of_its_columns(planar, random_states, kind):
     """At single states; with bodies and gravity in the model, and inertia in the mass matrix."""
     effect = fx.turning(valued(planar.with_effects(()), kind, 3), 0.5)
     robot = planar.with_effects((effect,))
@@ -251,24 +252,9 @@ def test_a_file_of_the_model_holds_it_or_says_that_it_does_not(planar, kind, fil
         np.testing.assert_allclose(kept.values, np.maximum(effect.values, lowest))
 
 
-def test_parameter_names_are_unique(ur10: Robot) -> None:
+def test_parameter_names_are_unique_and_entries_read_back_to_the_same_effects(ur10: Robot) -> None:
     names = [p.name for kind in EFFECTS.values() for p in on(ur10, kind).parameters(ur10)]
     assert len(set(names)) == len(names)
-
-
-@pytest.mark.parametrize("name", ["payload", "inertial_parameters"])
-def test_added_inertia_is_that_of_a_changed_link(arm, random_states, name):
-    motion = random_states(arm, 6, 10)
-    added = EFFECTS[name](arm.joints[-1:]).with_values(arm.phi[-10:] * 0.3)
-    phi = np.array(arm.phi)
-    phi[-10:] *= 1.3
-    expected = rigid_body_torque(arm.with_parameters(phi), motion)
-    assert close(rigid_body_torque(arm, motion) + added.torque(arm, motion), expected, 1e-9)
-    assert close(rigid_body_torque(added.applied(arm), motion), expected, 1e-9)
-    assert [p.name.rsplit("_", 1)[1] for p in added.parameters(arm)] == list(STANDARD)
-
-
-def test_entries_read_back_to_the_same_effects(ur10: Robot) -> None:
     effects = []
     for k, kind in enumerate(EFFECTS.values()):
         defaults = {field.name: field.default for field in fields(kind)[2:]}
@@ -281,6 +267,18 @@ def test_entries_read_back_to_the_same_effects(ur10: Robot) -> None:
         assert fx.effects_from_entries(written, ur10, "given") == tuple(effects)
     entry = {"effect": "torque_offset", "values": [1.0] * ur10.nv}  # joints not named: all
     assert fx.effects_from_entries([entry], ur10, "given")[0].joints == ur10.joints
+
+
+@pytest.mark.parametrize("name", ["payload", "inertial_parameters"])
+def test_added_inertia_is_that_of_a_changed_link(arm, random_states, name):
+    motion = random_states(arm, 6, 10)
+    added = EFFECTS[name](arm.joints[-1:]).with_values(arm.phi[-10:] * 0.3)
+    phi = np.array(arm.phi)
+    phi[-10:] *= 1.3
+    expected = rigid_body_torque(arm.with_parameters(phi), motion)
+    assert close(rigid_body_torque(arm, motion) + added.torque(arm, motion), expected, 1e-9)
+    assert close(rigid_body_torque(added.applied(arm), motion), expected, 1e-9)
+    assert [p.name.rsplit("_", 1)[1] for p in added.parameters(arm)] == list(STANDARD)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import yaml
 from arms import ARMS as LIBRARY
 from arms import data_folder
 from known_arms import Call
+from marks import refused
 
 from excitant.analysis.identifiability import analyze
 from excitant.analysis.uncertainty import NOT_SHOWN
@@ -43,7 +44,7 @@ def test_any_arm_is_read(spec: RobotSpec, joints: int) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("own_time")
 @pytest.mark.parametrize("kind", ["xacro", "mjcf", "both arms of two"])
-def test_any_arm_gets_a_motion_that_shows_it(kind: str, refused: Call) -> None:
+def test_any_arm_gets_a_motion_that_shows_it(kind: str) -> None:
     robot = load_robot(READ[kind][0])
     if kind == "mjcf":  # which has no word for the limit of a speed
         refused("no velocity limits", require_limits, robot, error=BadInput)
@@ -135,7 +136,7 @@ def test_joint_limits_of_moveit_and_ros2_control_are_read(planar: Robot, tmp_pat
         assert numbers(limits_of(tmp_path, text, planar)) == expected
 
 
-def test_an_arm_without_mass_is_refused_a_design(planar: Robot, refused: Call) -> None:
+def test_an_arm_without_mass_is_refused_a_design(planar: Robot) -> None:
     massless = planar.with_parameters(np.zeros(20))
     refused("no link has a mass", design_trajectory, massless, starts=1, error=BadRobot)
 
@@ -231,7 +232,7 @@ REFUSED = [  # a file, what is written in place of a part of it or at its start,
 
 
 @pytest.mark.parametrize(("file", "old", "new", "words"), REFUSED)
-def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path, refused, file, old, new, words):
+def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path, file, old, new, words):
     shutil.copy(DATA / "gantry.urdf", tmp_path)
     path, text = tmp_path / file, (DATA / file).read_text() if (DATA / file).exists() else ""
     assert old in text
@@ -281,7 +282,7 @@ BAD_LIMITS = {
 
 
 @pytest.mark.parametrize("text", BAD_LIMITS)
-def test_bad_limits_are_refused_in_one_line(planar, tmp_path, refused, text):
+def test_bad_limits_are_refused_in_one_line(planar, tmp_path, text):
     refused("no such file", load_limits, tmp_path / "limits.yaml", planar)
     said = refused(BAD_LIMITS[text], limits_of, tmp_path, text, planar, error=BadInput)
     assert str(tmp_path / "limits.yaml") in said
@@ -299,11 +300,14 @@ def kept(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
+def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm_beside_it(kept: Path) -> None:
     found = load_robot(kept).estimate
     assert (found.names, found.value.tolist()) == (("link1.mcx", "link,2.m"), [0.5, -1 / 3])
     assert found.covariance.tolist() == [[4.0, 1.0], [1.0, 2.0]]
     assert load_robot(kept, lock={"joint2": 0.3}).estimate is None
+    for name, why in (("../x.csv", "outside its folder"), ("none.csv", "cannot be read")):
+        kept.write_text(f"model: arm.urdf\nestimate: {name}\n")
+        refused(why, load_robot, kept, error=BadRobot)
 
 
 @pytest.mark.parametrize(
@@ -318,16 +322,10 @@ def test_a_robot_yaml_keeps_an_estimate_of_the_whole_arm(kept: Path) -> None:
         ("\nlink1.mcx", "\nlink1.mcy", "line 2 is of 'link1.mcy', not of 'link1.mcx'"),
     ],
 )
-def test_an_estimate_that_is_none_is_refused(kept, refused, old, new, why):
+def test_an_estimate_that_is_none_is_refused(kept, old, new, why):
     file = kept.with_name("arm-estimate.csv")
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new, 1))
     said = refused(re.escape(why), load_robot, kept, error=BadRobot)
     assert "arm-estimate.csv" in said
     assert "write the model again" in said
-
-
-def test_an_estimate_elsewhere_or_missing_is_refused(kept: Path, refused: Call) -> None:
-    for name, why in (("../x.csv", "outside its folder"), ("none.csv", "cannot be read")):
-        kept.write_text(f"model: arm.urdf\nestimate: {name}\n")
-        refused(why, load_robot, kept, error=BadRobot)

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from khosla import close
-from known_arms import Call
+from marks import refused
+from plant_recordings import inverse_dynamics
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
@@ -21,34 +22,21 @@ DATA = Path(__file__).parent / "data"
 FULL, GRIPPER = DATA / "full.xml", DATA / "gripper.xml"
 
 
-def inverse_dynamics(path: Path, joints: tuple[str, ...], motion: Motion) -> np.ndarray:
-    """Torque of some joints at every instant by MuJoCo, all others at their reference.
-
-    Without contacts, limits, Coulomb friction and constraints.
-    """
-    model = mujoco.MjModel.from_xml_path(str(path))
-    for flag in ("CONTACT", "LIMIT", "FRICTIONLOSS", "EQUALITY"):
-        model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")
-    data, tau = mujoco.MjData(model), []
-    at, rows = np.array([(model.joint(j).qposadr[0], model.joint(j).dofadr[0]) for j in joints]).T
-    for q, dq, ddq in zip(motion.q, motion.dq, motion.ddq, strict=True):
-        data.qpos[:], data.qvel[:], data.qacc[:] = model.qpos0, 0, 0
-        data.qpos[at], data.qvel[rows], data.qacc[rows] = q, dq, ddq
-        mujoco.mj_inverse(model, data)
-        tau.append(data.qfrc_inverse[rows])
-    return np.array(tau)
-
-
 def states(robot: Robot) -> Motion:
     return Motion(np.arange(10.0), *np.random.default_rng(0).uniform(-2, 2, (3, 10, robot.nv)))
 
 
 def judged(path: Path, **given: Any) -> Robot:
-    """The robot of a file, whose torque is that of MuJoCo."""
-    robot = load_robot(path, **given)
+    """The robot of a file, whose torque is that of MuJoCo.
+
+    Without contacts, limits, Coulomb friction and constraints.
+    """
+    robot, model = load_robot(path, **given), mujoco.MjModel.from_xml_path(str(path))
+    for flag in ("CONTACT", "LIMIT", "FRICTIONLOSS", "EQUALITY"):
+        model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")
     kept = [effect for effect in robot.effects if not isinstance(effect, CoulombFriction)]
     motion = states(robot)
-    expected = inverse_dynamics(path, robot.joints, motion)
+    expected = inverse_dynamics(model, robot.joints, motion)
     assert close(torque(robot.with_effects(kept), motion), expected, 1e-8)
     return robot
 
@@ -148,7 +136,7 @@ def test_inertia_of_a_mesh_is_that_of_its_volume(tmp_path: Path, frame: str) -> 
     judged(path, packages=[DATA])
 
 
-def test_gripper_and_loose_things_are_held_off_the_chain(refused: Call) -> None:
+def test_gripper_and_loose_things_are_held_off_the_chain() -> None:
     robot = load_robot(GRIPPER, tip="arm", lock={"one": 0.03})
     assert robot.joints == ("turn",)
     assert dict(robot.locked)["two"] == pytest.approx(0.01 - 0.03)
@@ -162,7 +150,7 @@ def test_gripper_and_loose_things_are_held_off_the_chain(refused: Call) -> None:
     refused("'two' mimics 'one'", load_robot, GRIPPER, **named)
 
 
-def test_a_loop_is_refused_where_it_moves(tmp_path: Path, refused: Call) -> None:
+def test_a_loop_is_refused_where_it_moves(tmp_path: Path) -> None:
     path = tmp_path / "loop.xml"
     tie = '<equality><connect body1="left" body2="right" anchor="0 0 0"/></equality></mujoco>'
     path.write_text(GRIPPER.read_text("utf-8").partition("<equality>")[0] + tie)

@@ -11,7 +11,7 @@ import pytest
 import scipy
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from known_arms import Call
+from marks import refused
 from plant_recordings import (
     PENDULUM,
     RATE,
@@ -19,6 +19,7 @@ from plant_recordings import (
     Recorded,
     displaced,
     energy,
+    inverse_dynamics,
     mujoco_model,
     steady,
     swing,
@@ -46,13 +47,8 @@ def without_gravity(robot: Robot, strength: float) -> Robot:
 
 def mujoco_error(robot: Robot) -> float:
     """Largest difference of the recorded torque from MuJoCo's, relative to the largest torque."""
-    run, model = Recorded(robot, duration=1.0), mujoco_model(robot)
-    motion, data, expected = run.motion, mujoco.MjData(model), []
-    rows = [model.joint(joint).dofadr[0] for joint in robot.joints]
-    for state in zip(motion.q, motion.dq, motion.ddq, strict=True):
-        data.qpos[rows], data.qvel[rows], data.qacc[rows] = state
-        mujoco.mj_inverse(model, data)
-        expected.append(data.qfrc_inverse[rows])
+    run = Recorded(robot, duration=1.0)
+    expected = inverse_dynamics(mujoco_model(robot), robot.joints, run.motion)
     return float(np.abs(run.tau - expected).max() / np.abs(run.tau).max())
 
 
@@ -391,10 +387,7 @@ def test_drawn_effects_are_of_every_kind_and_show(planar: Robot) -> None:
     counts = [len(base_parameters(planar, [RotorInertia((joint,))])) for joint in planar.joints]
     assert counts == [rigid := len(base_parameters(planar)), rigid + 1]
     assert {e.joint for e in found if e.effect == "rotor_inertia"} == {planar.joints[1]}
-
-
-def test_a_payload_on_the_axis_of_the_only_joint_is_drawn_again() -> None:
-    """No joint would feel it, and nobody could find it."""
+    # no joint would feel it, and nobody could find it
     found = (va.draw_hidden_effect(PENDULUM, np.random.default_rng(seed)) for seed in range(40))
     assert "payload" not in {effect.effect for effect in found}
 
@@ -425,14 +418,14 @@ def test_torque_never_exceeds_the_limits(planar: Robot) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str, refused: Call) -> None:
+def test_parameters_unknown_or_lacking_are_refused(planar: Robot, kind: str) -> None:
     unknown, none = (hidden(kind, *planar.joints, **more) for more in ({"nonsense": 1.0}, {}))
     refused(f"parameter of {kind}", true_arm, planar, unknown, error=UnknownName)
     if None in parameters_of(kind).values():
         refused(f"{kind} lacks", true_arm, planar, none, error=BadInput)
 
 
-def test_effects_refused(planar: Robot, refused: Call) -> None:
+def test_effects_refused(planar: Robot) -> None:
     bare, gear = planar.with_effects(()), {"stiffness": 1e3}
     refused("did you mean 'payload'", true_arm, bare, hidden("payloads", "joint1"))
     refused("joint", true_arm, bare, hidden("rotor_inertia", "elsewhere", Ia=1.0))
@@ -442,7 +435,7 @@ def test_effects_refused(planar: Robot, refused: Call) -> None:
     refused("two elastic gears", true_arm, bare, *two)
 
 
-def test_motions_and_arms_refused(planar: Robot, refused: Call) -> None:
+def test_motions_and_arms_refused(planar: Robot) -> None:
     arm, rng, moving = true_arm(planar), np.random.default_rng(0), swing(planar)
     refused("starts at", arm.record, lambda t, k: moving(t + 0.1, k), 1.0, rng, error=BadInput)
     refused("shorter than one sample", arm.record, moving, 0.0, rng, error=BadInput)

@@ -6,7 +6,7 @@ import pinocchio as pin
 import pytest
 import scipy
 from known_arms import Call
-from marks import slow
+from marks import refused, slow
 from plant_recordings import PENDULUM, energy, mujoco_model, swing, swinging
 
 from excitant.exceptions import BadInput
@@ -134,7 +134,7 @@ def test_irregular_time_is_followed(planar: Robot, count: int) -> None:
     assert np.abs(simulate(planar, command, Controller()).q - command.q).max() < 1e-4
 
 
-def test_what_cannot_be_simulated_is_refused_in_one_line(planar: Robot, refused: Call) -> None:
+def test_what_cannot_be_simulated_is_refused_in_one_line(planar: Robot) -> None:
     motion = swinging(planar, TIME)
     unknown = planar.with_effects([fx.ViscousFriction(planar.joints)])
     refused("two instants or more", simulate, planar, motion[:1], error=BadInput)

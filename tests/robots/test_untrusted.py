@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import robustness_inputs
-from known_arms import Call
-from marks import slow
+from marks import refused, slow
 from robustness import READERS
 
 from excitant.exceptions import BadInput, BadRobot, ExcitantError, UnknownName
@@ -116,7 +115,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("case", range(len(TEXTS)))
-def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(folder, refused, monkeypatch, case):
+def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(folder, monkeypatch, case):
     monkeypatch.setattr(xacro, "SECONDS", 2)
     before, words = TEXTS[case]
     if words in (OUTSIDE, "--package FOLDER"):  # refused by what it says, not by a limit
@@ -130,7 +129,7 @@ def test_a_xacro_file_runs_reads_and_repeats_nothing_it_may_not(folder, refused,
     assert not (folder / "ran").exists()
 
 
-def test_what_the_environment_holds_is_taken_as_not_set(folder: Path) -> None:
+def test_no_environment_and_only_files_of_given_packages_are_read(folder: Path) -> None:
     path = folder / "arm.xacro"
     path.write_text(arm(name="$(optenv SECRET plain)"))
     robot = load_robot(path)
@@ -138,17 +137,9 @@ def test_what_the_environment_holds_is_taken_as_not_set(folder: Path) -> None:
     assert any("$(optenv SECRET) is taken as not set" in n for n in robot.notes)
     path.write_text(arm(name="$(optenv ABSENT_HERE plain)"))
     assert load_robot(path).notes == ()
-
-
-def test_no_file_makes_expressions_run(folder: Path, refused: Call) -> None:
-    path = folder / "arm.xacro"
     path.write_text(arm(name="${(lambda: xacro.load_yaml('../secret.yaml')['key'])()}"))
     (folder / "robot.yaml").write_text("model: arm.xacro\ntrust_xacro: true\n")
     refused("plain values", load_robot, folder / "robot.yaml", error=BadRobot)
-
-
-def test_files_of_a_package_that_is_given_are_read(folder: Path) -> None:
-    path = folder / "arm.xacro"
     path.write_text(arm(name="${xacro.load_yaml('../secret.yaml').key}"))
     assert load_robot(path, packages=[folder.parent]).name == "hidden"
     (folder.parent / "package.xml").write_text("<package><name>arms</name></package>")
@@ -276,7 +267,7 @@ DRAWN = [(seed, file) for seed in range(3) for file in attacks(np.random.default
 
 @pytest.mark.parametrize(("seed", "file"), [*((0, file) for file in FILES), *DRAWN])
 def test_other_files_neither_reach_nor_build_what_they_may_not(
-    folder, refused, capfd, monkeypatch, seed, file
+    folder, capfd, monkeypatch, seed, file
 ):
     monkeypatch.setattr(reader, "SECONDS", 3)
     text, words = (FILES | attacks(np.random.default_rng(seed)))[file]
@@ -299,7 +290,7 @@ def test_other_files_neither_reach_nor_build_what_they_may_not(
     assert capfd.readouterr() == ("", "")
 
 
-def test_shapes_without_numbers_are_refused_without_a_word_of_pinocchio(folder, refused, capfd):
+def test_shapes_without_numbers_are_refused_without_a_word_of_pinocchio(folder, capfd):
     path = folder / "a.urdf"
     for shape in ("<box/>", "<sphere/>", '<cylinder radius="1"/>', "<mesh/>", "<ball/>", ""):
         path.write_text(shaped(shape))
@@ -323,7 +314,7 @@ def test_meshes_elsewhere_count_as_not_found_and_how_to_allow_them_is_said(folde
         assert said.startswith("self-collision;")
 
 
-def test_a_data_set_names_no_robot_elsewhere(folder: Path, refused: Call) -> None:
+def test_a_data_set_names_no_robot_elsewhere(folder: Path) -> None:
     sidecar = folder / "dataset.json"
     sidecar.write_text('{"kinematics": {"urdf": "../arm.urdf"}}')
     refused("outside its folder.*ROBOT and the paths", load_dataset, folder)
@@ -354,7 +345,7 @@ MESHES = {  # name, scale, content
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("kind", MESHES)
-def test_a_mesh_ends_no_process(folder: Path, refused: Call, kind: str, seed: int) -> None:
+def test_a_mesh_ends_no_process(folder: Path, kind: str, seed: int) -> None:
     rng, (file, scale, text) = np.random.default_rng(seed), MESHES[kind]
     content = bytearray((DATA / "wedge.stl").read_bytes())
     (folder / "good.stl").write_bytes(content)
@@ -379,7 +370,7 @@ def test_a_mesh_opens_no_other_file_and_a_flat_one_is_a_solid(folder: Path, libr
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_package_is_the_files_own_or_one_that_the_user_names(folder, refused, monkeypatch, seed):
+def test_a_package_is_the_files_own_or_one_that_the_user_names(folder, monkeypatch, seed):
     """None beside a folder around it, whether by its name, a link, or the word of a robot.yaml."""
     name, where = f"pack{np.random.default_rng(seed).integers(99)}", folder / "a" / "b"
     package = (where.parent, folder, folder.parent)[seed % 3] / "share" / name
@@ -464,13 +455,13 @@ NAMING: dict[str, str] = {
 
 
 @pytest.mark.parametrize("name", NAMING)
-def test_a_name_too_long_for_a_file_is_refused(name: str, tmp_path: Path, refused: Call) -> None:
+def test_a_name_too_long_for_a_file_is_refused(name: str, tmp_path: Path) -> None:
     (file := tmp_path / name).write_text(NAMING[name], "utf-8")
     read = load_dataset if name == "dataset.json" else load_robot
     refused("xxx|no robot model", read, tmp_path if name == "dataset.json" else file)
 
 
-def test_a_name_too_long_from_the_caller_is_refused(planar: Robot, refused: Call) -> None:
+def test_a_name_too_long_from_the_caller_is_refused(planar: Robot) -> None:
     refused("xxx", load_robot, f"{LONG}.urdf")
     refused("xxx", load_robot, LONG, error=UnknownName)
     refused("xxx", load_dataset, LONG, error=UnknownName)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from khosla import close
 from known_arms import Call
+from marks import refused
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Motion, Robot, load_robot, rigid_body_torque, torque
@@ -62,20 +63,17 @@ def test_built_in_arm_keeps_limits_and_effects_of_the_joints_left(builtin: Robot
     assert np.allclose(friction(part), friction(builtin)[:, rows], rtol=1e-12, atol=1e-12)
 
 
-def test_continuous_joints_have_one_position_and_no_limits(gantry: Robot) -> None:
+def test_continuous_joints_have_no_limits_and_one_at_zero_is_a_limit(gantry, gantry_urdf):
     j = gantry.joint_index("swing")
     assert gantry.model.nq == gantry.nv == 3
     assert np.array_equal(gantry.limits.position[j], [-np.inf, np.inf])
     assert gantry.limits.velocity[j] == gantry.limits.torque[j] == np.inf
     assert gantry.revolute.tolist() == [False, True, True]
-
-
-def test_a_limit_at_zero_is_a_limit(gantry_urdf: str) -> None:
     robot = robot_from_urdf(gantry_urdf.replace('lower="-1"', 'lower="0"'), source="given")
     assert robot.limits.position[0].tolist() == [0.0, 1.5]
 
 
-def test_joints_without_a_limit_are_named_together(gantry_urdf: str, refused: Call) -> None:
+def test_joints_without_a_limit_are_named_together(gantry_urdf: str) -> None:
     for lack, told in (
         ("<limit.*?/>", "no <limit> of"),
         (' effort=".*?"', "no effort in the <limit> of"),
@@ -84,7 +82,7 @@ def test_joints_without_a_limit_are_named_together(gantry_urdf: str, refused: Ca
         refused(f"{told} slide, twist: give", robot_from_urdf, given, source="arm", error=BadRobot)
 
 
-def test_robot_without_moving_joint(gantry_urdf: str, refused: Call) -> None:
+def test_robot_without_moving_joint(gantry_urdf: str) -> None:
     fixed = re.sub('type="(prismatic|continuous|revolute)"', 'type="fixed"', gantry_urdf)
     refused("no moving joints", robot_from_urdf, fixed, source="statue", error=BadRobot)
     none = RobotSpec("held", joints=())

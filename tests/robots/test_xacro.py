@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xacro as ros
-from known_arms import Call
+from marks import refused
 
 from excitant.exceptions import BadRobot
 from excitant.robots import Robot, load_robot
@@ -96,13 +96,13 @@ def test_written_out_it_is_the_same_arm(arm: Path) -> None:
         ("links.xacro", "limbs.xacro", {}, "limbs.xacro"),
     ],
 )
-def test_what_is_missing_is_said_in_one_line(arm, refused, capfd, old, new, arguments, words):
+def test_what_is_missing_is_said_in_one_line(arm, capfd, old, new, arguments, words):
     write(arm, old, new)
     assert "bars.urdf.xacro" in refused(words, load_robot, arm, xacro_args=arguments)
     assert capfd.readouterr().err == ""
 
 
-def test_what_is_no_arm_in_xacro_is_refused(arm: Path, refused: Call) -> None:
+def test_what_is_no_arm_in_xacro_is_refused(arm: Path) -> None:
     macros, plain = arm.parents[1] / "parts" / "links.xacro", arm.parent / "plain.urdf"
     plain.write_text(load_robot("planar_2r").urdf)
     assert "links.xacro" in refused("only defines macros", load_robot, macros)
