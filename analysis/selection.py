@@ -268,13 +268,13 @@ def _agrees(
 
 def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
     """Whether a cause makes far more torque than there is to explain, which others cancel."""
-    made = there = 0.0
-    for j, here in evidence.acting(cause):
-        x = coordinates[evidence.problem.index[j][here]]
-        G = evidence.problem.grams[j]
-        made += float(evidence.weight[j] * (x @ G[np.ix_(here, here)] @ x))
-        there += float(evidence.weight[j] * G[-1, -1])
-    return made > SELECTION.cancelled * there
+    at = cause.columns
+    made = float(coordinates[at] @ evidence.gram[at, at] @ coordinates[at])
+    there = sum(
+        evidence.weight[j] * evidence.problem.grams[j][-1, -1]
+        for j, _ in evidence.acting(cause)
+    )
+    return bool(made > SELECTION.cancelled * there)
 
 
 def frictionless(robot: Robot) -> set[str]:
