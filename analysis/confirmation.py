@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -291,6 +292,11 @@ class Extension:
                 fit = without
         return fit
 
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Coefficients of the model's own effects by name."""
+        return effect_values(self.model)
+
     def covariance_of(self, names: Sequence[str]) -> Array:
         """Covariance of some of the parameters, shape (k, k)."""
         at = [self.names.index(name) for name in names]
@@ -461,11 +467,10 @@ def _cancelled(fit: Extension, needed: Set[Key] = frozenset()) -> Candidate | No
     Their sum is known, not what each of them is. Plain friction stays, the finer goes; what is
     needed stays.
     """
-    values = effect_values(fit.model)
     torques = {}
     for each in (single for e in fit.model.effects for single in e.singles()):
         if each.role == "torque":
-            own = np.array([values[p.name] for p in each.parameters(fit.model)])
+            own = np.array([fit.values[p.name] for p in each.parameters(fit.model)])
             torques[each.name, each.joints] = fit.observed.columns(each) @ own
 
     def cancelled(cause: Candidate) -> bool:
@@ -543,7 +548,7 @@ def _refitted(
 ) -> Finding:
     """The change of an effect's values, or of a link, from the nominal ones."""
     if isinstance(effect, GradualReversal):
-        force = effect_values(fit.model)[effect.parameters(robot)[0].name]
+        force = fit.values[effect.parameters(robot)[0].name]
         torque = fit.observed.columns(effect) @ np.array([force]) / holdout.gains
         law, none = effect.with_values(()), np.zeros((0, 0))
         return finding_of(robot, fit, holdout, law, torque, (), none)
@@ -689,10 +694,9 @@ def _coefficients(
         part = slice(10 * j, 10 * j + 10)
         change = fit.model.phi[part] - robot.phi[part]
         return change, np.zeros(10), fit.covariance_of(robot.parameter_names[part])
-    fitted = effect_values(fit.model)
     nominal = effect_values(robot)
     names = [p.name for p in effect.parameters(robot)]
-    value = np.array([fitted[name] for name in names])
+    value = np.array([fit.values[name] for name in names])
     before = np.array([nominal.get(name, 0.0) for name in names])
     return value, before, fit.covariance_of(names)
 

@@ -163,6 +163,20 @@ class Evidence:
             falls[of_size] = np.einsum("ck,ckl,cl->c", rest[at], inverse, rest[at])
         return falls
 
+    def removals(self, chosen: Sequence[Candidate]) -> Array:
+        """Rise of J by taking each candidate out of a set, shape (chosen,).
+
+        It is xᵀ C⁻¹ x of the candidate's coordinates x and their covariance C.
+        """
+        coordinates = self.coordinates(chosen)
+        covariance = self.covariance(chosen)
+        rises = []
+        for candidate in chosen:
+            at = candidate.columns
+            x = coordinates[at]
+            rises.append(float(x @ np.linalg.solve(covariance[at, at], x)))
+        return np.array(rises)
+
     @cached_property
     def _by_size(self) -> list[tuple[Index, Index]]:
         """Candidates of the same number of coefficients k, and their columns, (c,) and (c, k)."""

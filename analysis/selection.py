@@ -80,7 +80,7 @@ def _best_addition(
 ) -> Candidate | None:
     falls = evidence.additions(chosen)
     taken = {c.key for c in chosen}
-    scores = falls - [_chance(c) for c in evidence.candidates]
+    scores = falls - _chances(evidence.candidates)
     for k in np.argsort(-scores, kind="stable"):
         candidate: Candidate = evidence.candidates[k]
         if scores[k] <= 0:
@@ -144,7 +144,7 @@ def _simplest(
 
 def idle(evidence: Evidence, chosen: Sequence[Candidate]) -> set[Effect]:
     """Causes that explain no more than chance, whichever of a set is left out."""
-    chance = [_chance(c) for c in evidence.candidates]
+    chance = _chances(evidence.candidates)
     sets = [[*chosen], *([c for c in chosen if c is not out] for out in chosen)]
     falls = np.max([evidence.additions(causes) for causes in sets], axis=0)
     return {
@@ -157,13 +157,15 @@ def idle(evidence: Evidence, chosen: Sequence[Candidate]) -> set[Effect]:
 
 def _beyond_chance(evidence: Evidence, chosen: Sequence[Candidate]) -> float:
     """J of a set, and what each of its causes would explain by chance."""
-    return evidence.cost(chosen) + sum(_chance(c) for c in chosen)
+    return evidence.cost(chosen) + float(_chances(chosen).sum())
 
 
-def _chance(candidate: Candidate) -> float:
-    """Fall of J that the best shape of an absent cause reaches by chance."""
-    tail = SELECTION.chance_tail / candidate.trials
-    return float(scipy.special.chdtri(candidate.size, tail))
+def _chances(candidates: Sequence[Candidate]) -> Array:
+    """Fall of J that the best shape of each reaches by chance where it is absent, (candidates,)."""
+    sizes = np.array([c.size for c in candidates])
+    trials = np.array([c.trials for c in candidates])
+    falls = scipy.special.chdtri(sizes, SELECTION.chance_tail / trials)
+    return np.asarray(falls, float)
 
 
 def _significant(
@@ -187,17 +189,19 @@ def _pruned(
     """The set without causes whose removal costs no more than chance explains."""
     # ``falls`` is the fall of J by each when last tested; tested again when it has halved since
     pruned = list(chosen)
+    rises = dict(zip(pruned, evidence.removals(pruned), strict=True))
     for candidate in chosen:
         rest = [c for c in pruned if c is not candidate]
         if underlies(robot, rest, candidate):
             continue
-        fall = evidence.cost(rest) - evidence.cost(pruned)
+        fall = rises[candidate]
         if fall > SELECTION.faded * falls.get(candidate, np.inf):
             continue
         if _significant(evidence, rest, candidate, fall):
             falls[candidate] = fall
         else:
             pruned = rest
+            rises = dict(zip(pruned, evidence.removals(pruned), strict=True))
     return pruned
 
 
@@ -264,13 +268,13 @@ def _agrees(
 
 def _cancelled(evidence: Evidence, cause: Candidate, coordinates: Array) -> bool:
     """Whether a cause makes far more torque than there is to explain, which others cancel."""
-    made = there = 0.0
-    for j, here in evidence.acting(cause):
-        x = coordinates[evidence.problem.index[j][here]]
-        G = evidence.problem.grams[j]
-        made += float(evidence.weight[j] * (x @ G[np.ix_(here, here)] @ x))
-        there += float(evidence.weight[j] * G[-1, -1])
-    return made > SELECTION.cancelled * there
+    at = cause.columns
+    made = float(coordinates[at] @ evidence.gram[at, at] @ coordinates[at])
+    there = sum(
+        evidence.weight[j] * evidence.problem.grams[j][-1, -1]
+        for j, _ in evidence.acting(cause)
+    )
+    return bool(made > SELECTION.cancelled * there)
 
 
 def frictionless(robot: Robot) -> set[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -86,31 +86,6 @@ class _File(Record, frozen=True):
     links: dict[str, Any] | None = None
 
 
-class Near(NamedTuple):
-    """A link that stays near to a body.
-
-    Attributes:
-        low: Its least mass,
-        high: and its largest [kg].
-        centre: Where its centre of mass lies, shape (3,),
-        reach: to within this distance [m].
-    """
-
-    low: float
-    high: float
-    centre: tuple[float, float, float]
-    reach: float
-
-    def restrictions(self, name: str) -> Iterator[Restriction]:
-        """Restrictions of its ten parameters."""
-        mass = np.eye(10)[0]
-        ends = np.array([self.low, -self.high])
-        rows = np.array([mass, -mass])
-        yield Restriction("nonnegative", rows, ends, f"mass of {name}")
-        ball = Ellipsoid(self.centre, (self.reach,) * 3)
-        yield from _regions(LinkKnowledge(com_ellipsoid=ball), name)
-
-
 @dataclass(frozen=True)
 class Knowledge:
     """Prior knowledge of a physically consistent fit.
@@ -120,14 +95,12 @@ class Knowledge:
         links: What is known of links, by name.
         source: File it was read from.
         regions: Where the centres of mass of other links lie, by their geometry.
-        near: Links that stay near to a body, by name.
     """
 
     total_mass: float | Quantity | None = None
     links: Mapping[str, LinkKnowledge] = field(default_factory=dict)
     source: str = "knowledge"
     regions: Mapping[str, Box] = field(default_factory=dict)
-    near: Mapping[str, Near] = field(default_factory=dict)
 
     def of(self, robot: Robot) -> Knowledge:
         """The same, with the geometry of a robot's links."""
@@ -247,11 +220,6 @@ def known_rows(
         place = np.eye(p)[10 * links.index(name) :][:10]
         restrictions += [
             replace(each, G=each.G @ place) for each in _regions(known, name)
-        ]
-    for name, body in knowledge.near.items():
-        place = np.eye(p)[10 * links.index(name) :][:10]
-        restrictions += [
-            replace(each, G=each.G @ place) for each in body.restrictions(name)
         ]
     return np.vstack(rows), np.concatenate(values), restrictions
 

@@ -4,10 +4,10 @@ Torque shows sums of masses and first moments along an arm, which the prior shar
 it moved far is further off than the others are likely to be, and not always one that the data ask
 to move. The mass nearest to the given one is looked for at which the data are fitted as well,
 
-    ‖R x − z‖² ≤ minimum + χ²   subject to   m ≤ m_k ≤ M,   ‖m_k c − m_k c̄‖ ≤ m_k L / 2,
+    ‖R x − z‖² ≤ minimum + χ²   subject to   ‖m_k c − m_k c̄‖ ≤ m_k L / 2,
 
-the centre of mass within half of the link's length L of the given one, with a prior of all bodies
-so wide that it says nothing. It is convex in the standard parameters.
+the centre of mass within half of the link's length L of the given one, without a prior of the
+bodies. It is a conic programme in the standard parameters.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from excitant.exceptions import BadInput, Infeasible
-from excitant.identify.knowledge import Knowledge, Near
+from excitant.exceptions import BadInput
+from excitant.identify.knowledge import Ellipsoid, Knowledge, LinkKnowledge
 from excitant.identify.least_squares import LeastSquares
-from excitant.identify.physical import AGREEMENT, PhysicalFit, fit_physical
-from excitant.identify.prior import BodyPrior, EffectPrior
+from excitant.identify.physical import PhysicalFit, fit_program
+from excitant.identify.prior import EffectPrior
+from excitant.identify.semidefinite import Program, least_misfit, least_value
 from excitant.robots.base_parameters import BaseParameters, categories
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array
@@ -33,10 +34,8 @@ LARGE_CHANGE = 0.5
 """Of a nominal mass or of a link's length: it is named."""
 CHANCE = 3.84
 """Growth of ‖R x − z‖² that is chance: the 95 % quantile of chi-square, one parameter."""
-HALVINGS = 4
+SHORT = 1 / 16
 """Of the logarithm of a mass between half off and fitted: 2.0 kg for 0.2 is told to 13 %."""
-
-
 IMPOSSIBLE_BY_CHANCE = 0.05
 """Probability that any possible coefficient is said to be none, of all of them; convention."""
 
@@ -86,8 +85,8 @@ def needed_masses(
     """Masses [kg], nearest to the given ones that the data allow, of links that moved by half.
 
     By name of the link; those are left out of which the data allow that they stay within half. A
-    mass is told that they exclude, just before the first that they allow. Arguments as in
-    `fit_physical`.
+    mass is told just short of the fitted one where the data exclude all before it, as where they
+    ask for another centre of mass. Arguments as in `fit_physical`.
     """
     bodies = fit.prior.bodies
     nominal = bodies[:, 0]
@@ -98,40 +97,32 @@ def needed_masses(
         return {}
     centres = bodies[:, 1:4] / bodies[:, :1]
     reach = LARGE_CHANGE * link_lengths(robot, bodies)
-    wide = BodyPrior(bodies, np.maximum(fit.prior.sigma, AGREEMENT.largest))
 
-    def misfit(near: dict[str, Near]) -> float | None:
-        """The least; None where what is known leaves no room, or the programme is unsettled."""
-        known = replace(knowledge, near=near)
-        try:
-            found = fit_physical(R, z, wide, effects, known, robot.links)
-        except (BadInput, Infeasible):
-            return None
-        return None if found.note else float(((R @ found.x - z) ** 2).sum())
+    def program(known: Knowledge) -> tuple[Program, Array, Array]:
+        return fit_program(R, z, fit.prior, effects, known, robot.links)
 
-    least = misfit({})
-    if least is None:
+    whole, scale, centre = program(knowledge)
+    misfit = least_misfit(whole, centre) + CHANCE
+    if np.isnan(misfit):
         return {}
-
-    def excluded(k: int, value: float) -> bool:
-        low = min(value, (1 - LARGE_CHANGE) * nominal[k])
-        high = max(value, (1 + LARGE_CHANGE) * nominal[k])
-        near = Near(low, high, tuple(centres[k].tolist()), reach[k])
-        error = misfit({robot.links[k]: near})
-        return error is not None and error > least + CHANCE
-
     found = {}
     for k in np.flatnonzero(moved).tolist():
-        change = np.clip(mass[k] / nominal[k] - 1, -LARGE_CHANGE, LARGE_CHANGE)
-        nearest = float((1 + change) * nominal[k])
-        if not excluded(k, nearest):
+        link = robot.links[k]
+        ball = Ellipsoid(tuple(centres[k].tolist()), (reach[k],) * 3)
+        near = LinkKnowledge(
+            com_box=knowledge.regions.get(link), com_ellipsoid=ball
+        )
+        try:
+            stays, _, _ = program(
+                replace(knowledge, links={**knowledge.links, link: near})
+            )
+        except BadInput:
             continue
-        last = float(mass[k])
-        for _ in range(HALVINGS):
-            middle = float(np.sqrt(nearest * last))
-            if excluded(k, middle):
-                nearest = middle
-            else:
-                last = middle
-        found[robot.links[k]] = nearest
+        sign = np.sign(mass[k] - nominal[k])
+        # of a mass that rose; of one that fell, minus the largest
+        least = least_value(stays, sign * scale[10 * k], misfit, centre)
+        nearest = (1 + sign * LARGE_CHANGE) * nominal[k]
+        if least > sign * nearest:
+            last = mass[k] * (nearest / mass[k]) ** SHORT
+            found[link] = float(sign * min(least, sign * last))
     return found

@@ -144,28 +144,11 @@ def fit_physical(
         BadInput: Knowledge that no body fulfils, or about other links.
         Infeasible: Knowledge leaves no room.
     """
-    knowledge = knowledge or Knowledge()
     if not isinstance(prior, BodyPrior):
         prior = BodyPrior(prior, agreement(R, z, prior))
-    nominal = prior.bodies.ravel()
     names = links or [f"link {k + 1}" for k in range(len(prior.bodies))]
-    # units of the effect coefficients that make their columns alike
-    squares = (R[:, len(nominal) :] ** 2).sum(axis=0)
-    units = np.sqrt(len(R) / (squares + effects.std**-2.0))
-    scale = scipy.linalg.block_diag(prior.T, np.diag(units))
-    centre = np.concatenate(
-        [np.linalg.solve(prior.T, nominal), effects.mean / units]
-    )
-    C, d, restrictions = _known(
-        knowledge, names, prior, effects.lower / units, centre
-    )
-    program = Program(
-        A=R @ scale,
-        z=z,
-        C=scipy.linalg.block_diag(C, np.diag(units / effects.std)),
-        d=np.concatenate([d, effects.mean / effects.std]),
-        bodies=prior,
-        restrictions=restrictions,
+    program, scale, centre = fit_program(
+        R, z, prior, effects, knowledge or Knowledge(), names
     )
     solution = solve(program, centre)
     covariance, root = _uncertainty(program, solution.y, scale)
@@ -178,6 +161,40 @@ def fit_physical(
         prior=prior,
         note="" if solution.settled else _UNSETTLED.format(solution.error),
     )
+
+
+def fit_program(
+    R: Array,
+    z: Array,
+    prior: BodyPrior,
+    effects: EffectPrior,
+    knowledge: Knowledge,
+    links: Sequence[str],
+) -> tuple[Program, Array, Array]:
+    """Programme of the fit, x by its unknowns, shape (p, p), and the given arm in them, (p,).
+
+    Arguments and errors as in `fit_physical`.
+    """
+    nominal = prior.bodies.ravel()
+    # units of the effect coefficients that make their columns alike
+    squares = (R[:, len(nominal) :] ** 2).sum(axis=0)
+    units = np.sqrt(len(R) / (squares + effects.std**-2.0))
+    scale = scipy.linalg.block_diag(prior.T, np.diag(units))
+    centre = np.concatenate(
+        [np.linalg.solve(prior.T, nominal), effects.mean / units]
+    )
+    C, d, restrictions = _known(
+        knowledge, links, prior, effects.lower / units, centre
+    )
+    program = Program(
+        A=R @ scale,
+        z=z,
+        C=scipy.linalg.block_diag(C, np.diag(units / effects.std)),
+        d=np.concatenate([d, effects.mean / effects.std]),
+        bodies=prior,
+        restrictions=restrictions,
+    )
+    return program, scale, centre
 
 
 def agreement(R: Array, z: Array, prior: Array) -> Array:

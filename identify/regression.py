@@ -211,9 +211,11 @@ class Regression:
         for w, index, gram in zip(weight, self.index, self.grams, strict=True):
             target = place[np.append(index, self.p)]
             here = np.flatnonzero(target >= 0)
-            total[np.ix_(target[here], target[here])] += (
-                w * gram[np.ix_(here, here)]
-            )
+            own = gram if len(here) == len(gram) else gram[np.ix_(here, here)]
+            # whole rows, which is quicker than element by element
+            rows = np.zeros((len(here), size))
+            rows[:, target[here]] = w * own
+            total[target[here]] += rows
         return total
 
     @cached_property

@@ -178,9 +178,11 @@ def _best_orders(ripple: TorqueRipple, facts: JointFacts) -> list[Effect]:
     apart = 3 * _step(facts)
     best: list[float] = []
     for order in orders[np.argsort(-gains)].tolist():
+        if len(best) == RIPPLE_CANDIDATES:
+            break
         if all(abs(order - other) > apart for other in best):
             best.append(order)
-    return [replace(ripple, order=order) for order in best[:RIPPLE_CANDIDATES]]
+    return [replace(ripple, order=order) for order in best]
 
 
 def _finer_orders(
