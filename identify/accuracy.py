@@ -33,6 +33,9 @@ COVERAGE_MARGIN = (
 )
 COVERAGE_STDS = 2.0  # standard deviations that chance is allowed beyond that
 
+CHANCE_OF_LOSS = 0.01
+"""Of a prediction as good as another that is taken for a worse one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
@@ -271,3 +274,18 @@ def coverage(inside: Sequence[Mask]) -> Coverage:
     independent = np.array([len(hit) / autocorrelation_time(hit) for hit in hits])
     share = np.array([hit.mean() for hit in hits])
     return Coverage(share, np.sqrt(LEVEL * (1 - LEVEL) / independent))
+
+
+def worse_joints(
+    joints: Sequence[str], rows: Series, predicted: Array, other: Array
+) -> list[str]:
+    """Joints that another prediction suits better beyond chance, with both errors."""
+    first = rows.accuracy(other).nrmse
+    then = rows.accuracy(predicted).nrmse
+    losses = rows.losses(predicted, other)
+    return [
+        f"{joint} (nrmse {first[j]:.3g} → {then[j]:.3g})"
+        for j, joint in enumerate(joints)
+        if chance_of_loss(losses[rows.counts[:, j], j])
+        < CHANCE_OF_LOSS / len(joints)
+    ]

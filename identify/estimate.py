@@ -221,7 +221,7 @@ class Estimate(Shown):
         """
         (run,) = _alike(self, recording)
         predicted = np.full(run.tau.shape, np.nan)
-        for s in self._segments(run):
+        for s in _segments(run, self.data, self.given):
             if s.of_poses:
                 still = Motion(run.t, run.q, 0 * run.q, 0 * run.q)
                 return read_only(torque(self.model, still) / self.gains)
@@ -234,13 +234,6 @@ class Estimate(Shown):
             )
         return read_only(predicted)
 
-    def _segments(self, recording: Recording) -> Sequence[Segment]:
-        """Segments of a recording, of which poses are one, filtered as what was fitted."""
-        if shows_poses(recording):
-            return [pose_segment(recording, self.given)]
-        cutoff_hz = self.data.cutoff_hz
-        return prepare(recording, cutoff_hz if cutoff_hz < np.inf else None)
-
     def score(self, recordings: Recordings) -> list[dict[str, Any]]:
         """Accuracy of the model on recordings joint by joint, as ``result.json`` has it.
 
@@ -250,7 +243,7 @@ class Estimate(Shown):
         rows = [
             s
             for recording in _alike(self, recordings)
-            for s in self._segments(recording)
+            for s in _segments(recording, self.data, self.given)
         ]
         predicted = predicted_torque(self.model, rows) / self.gains
         accuracy = series(rows).accuracy(predicted)
@@ -301,6 +294,14 @@ class Estimate(Shown):
         )
         heads = ("joint", "rms error as given", "identified", "nrmse", "r²")
         return heads, rows
+
+
+def _segments(recording: Recording, data: Data, robot: Robot) -> Sequence[Segment]:
+    """Segments of a recording, of which poses are one, filtered as the data of a fit."""
+    if shows_poses(recording):
+        return [pose_segment(recording, robot)]
+    cutoff_hz = data.cutoff_hz
+    return prepare(recording, cutoff_hz if cutoff_hz < np.inf else None)
 
 
 def _alike(estimate: Estimate, recordings: Recordings) -> list[Recording]:

@@ -23,13 +23,12 @@ import yaml
 
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import write_file
-from excitant.identify.accuracy import Accuracy
+from excitant.identify.accuracy import Accuracy, worse_joints
 from excitant.identify.objections import (
     HoldOut,
     Objection,
     objections,
     useless_joints,
-    worse_joints,
 )
 from excitant.identify.preprocessing import Mask, Segment
 from excitant.identify.refit import Refit
@@ -714,7 +713,9 @@ def published(
     correct = "correct the recording, with --repair where it says so"
     against = [Objection(fault, correct) for fault in faults]
     against += objections(model, judged)
-    worse = worse_joints(model.joints, judged)
+    worse = worse_joints(
+        model.joints, judged.rows, judged.predicted, judged.nominal
+    )
     reasons = "; ".join(objection.why for objection in against)
     if len(against) == 1 and worse and judged.got_worse:
         reasons += f"; worst at {'; '.join(worse)}"

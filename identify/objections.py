@@ -13,16 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from excitant.identify.accuracy import Accuracy, Series, chance_of_loss
+from excitant.identify.accuracy import (
+    CHANCE_OF_LOSS,
+    Accuracy,
+    Series,
+    chance_of_loss,
+)
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.preprocessing import Segment
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
 MISSED = 0.6  # nrmse of a joint: beyond it, more than a third of its variance is not explained
-CHANCE_OF_LOSS = (
-    0.01  # of a model as good as the given one that is taken for a worse one
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,16 +153,4 @@ def _strained(model: Robot, judged: HoldOut) -> list[str]:
         f"{largest[j]:.4g} {model.torque_unit(joint=j)} of {limits[j]:.4g} at "
         f"{model.joints[j]}"
         for j in beyond
-    ]
-
-
-def worse_joints(joints: Sequence[str], judged: HoldOut) -> list[str]:
-    """Joints that the model as given predicts better beyond chance, with both errors."""
-    first = judged.nominal_accuracy.nrmse
-    then = judged.accuracy.nrmse
-    return [
-        f"{joint} (nrmse {first[j]:.3g} → {then[j]:.3g})"
-        for j, joint in enumerate(joints)
-        if chance_of_loss(judged.losses[judged.rows.counts[:, j], j])
-        < CHANCE_OF_LOSS / len(joints)
     ]

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from excitant.identify.accuracy import Coverage, coverage
+from excitant.identify.accuracy import Coverage, coverage, worse_joints
 from excitant.identify.friction import curves_over_velocity, friction_curves
 from excitant.identify.nearness import LARGE_CHANGE, impossible_values, link_lengths
-from excitant.identify.objections import HoldOut, worse_joints
 from excitant.identify.prior import decided_by
 from excitant.identify.rows import states, units_of
 from excitant.robots.base_parameters import categories
@@ -391,14 +390,10 @@ def _lacking(estimate: Estimate) -> list[str]:
             "something there that the model lacks, as a spring, hysteresis or a lag, and the model "
             "keeps to what is possible; `--effects auto` looks for it"
         )
-    judged = HoldOut(
-        estimate.data.validate,
-        estimate.holdout,
-        estimate.gains,
-        estimate.predicted,
-        nominal=estimate.holdout_columns @ fit.beta / estimate.gains,
-    )
-    if worse := worse_joints(robot.joints, judged):
+    least = estimate.holdout_columns @ fit.beta / estimate.gains
+    if worse := worse_joints(
+        robot.joints, estimate.holdout, estimate.predicted, least
+    ):
         sentences.append(
             "least squares without regard to what bodies can be predicts the hold-out better than "
             f"the model, beyond chance, at {', '.join(worse)}: the model lacks something there; "

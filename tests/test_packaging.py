@@ -133,8 +133,7 @@ def test_lock_pins_every_requirement_and_names_no_place(project, lock, extras):
         pin = Requirement(name)
         pins[canonicalize_name(pin.name)] = pin
         assert (pin.url, [c.operator for c in pin.specifier]) == (None, ["=="])
-        assert hashes, f"{pin} has no hash; run make lock"
-        assert all(re.fullmatch("sha256:[0-9a-f]{64} *", each) for each in hashes)
+        assert [x for x in hashes if re.fullmatch("sha256:[0-9a-f]{64} *", x)] == hashes != [], pin
     table = project["project"]
     wanted = [*table["dependencies"], *project["build-system"]["requires"]]
     wanted += [line for extra in extras for line in table["optional-dependencies"][extra]]

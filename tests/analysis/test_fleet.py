@@ -95,8 +95,7 @@ def test_what_a_fleet_cannot_tell_is_said() -> None:
     few = compare_arms(fleet(rng, 3, 2, odd=[(1, 1, 50.0)]))
     assert not said(few)
     [apart] = [each for each in few.differences if each.parameter == "p1"]
-    assert apart.high == "arm1"
-    assert abs(apart.difference - 50) < 4 * apart.std + 0.5
+    assert (apart.high, apart.difference) == ("arm1", pytest.approx(50, abs=4 * apart.std + 0.5))
     first, second = few.result()["notes"]
     assert "from 4 of a type on" in first
     assert "at most 2 dated data sets" in second

@@ -89,8 +89,7 @@ def test_what_the_motion_leaves_undetermined_is_not_chosen(planar, two, monkeypa
             return identify_robot(*given, effects=effects, **options)
 
         monkeypatch.setattr(effect_choice, "identify_robot", refusing)
-        chosen = choose_effects(planar, two[:1])
-        assert [effect for effect in chosen if not effect.search.standard] == [first]
+        assert [e for e in choose_effects(planar, two[:1]) if not e.search.standard] == [first]
 
 
 @pytest.mark.slow

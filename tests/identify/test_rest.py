@@ -56,9 +56,8 @@ def poses(seed: int, count: int = 40) -> Recording:
 
 @pytest.mark.parametrize(("factor", "fault"), [(-1.0, "wrong_sign"), (1e3, "wrong_unit")])
 def test_a_wrong_sign_or_unit_shows_at_rest(factor: float, fault: str) -> None:
-    still = poses(3)
-    assert not find_faults(ARM, still)
-    [found] = find_faults(ARM, replace(still, tau=still.tau * [1.0, factor]))
+    assert not find_faults(ARM, poses(3))
+    [found] = find_faults(ARM, replace(poses(3), tau=poses(3).tau * [1.0, factor]))
     assert (found.fault, found.joints) == (fault, ("joint2",))
 
 
