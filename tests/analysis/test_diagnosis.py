@@ -26,7 +26,7 @@ from excitant.identify.preprocessing import away_from_rest
 from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import EFFECTS, RotorInertia, TorqueGain
+from excitant.robots.effects import EFFECTS, RotorInertia, TorqueGain, effect_values
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -347,10 +347,10 @@ def test_of_effects_that_cancel_the_finer_is_not_published() -> None:
     robot, seen = load_robot("planar_2r"), SimpleNamespace(columns=lambda _: SWING[:, :, None])
     plain, finer = (EFFECTS[kind](("joint1",)) for kind in ("viscous_friction", CURVE))
     chosen = [SimpleNamespace(effect=e, key=(e.name, e.joints)) for e in (plain, finer)]
-    margins = [SimpleNamespace(margin=margin) for margin in (0.1, 0.9)]
+    rest = {"chosen": chosen, "findings": [SimpleNamespace(margin=x) for x in (0.1, 0.9)]}
     for size, gone in ((-0.7, chosen[1]), (-0.2, None), (0.7, None)):
         model = robot.with_effects([plain.with_values([1.0]), finer.with_values([size])])
-        fit = SimpleNamespace(model=model, observed=seen, chosen=chosen, findings=margins)
+        fit = SimpleNamespace(model=model, observed=seen, values=effect_values(model), **rest)
         assert _cancelled(fit) is gone
 
 
