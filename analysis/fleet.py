@@ -129,8 +129,8 @@ class Difference:
 
     Attributes:
         parameter, unit: Which.
-        low, low_value: Arm with the least value, and this.
-        high, high_value: Arm with the largest value, and this.
+        low, low_value: Arm furthest below the mean of all, in its standard deviations, its value.
+        high, high_value: Arm furthest above it, likewise, its value.
         difference, std: Between both.
         count: Number of the arms.
         chance: Probability, among equal arms of a fleet, of values as far apart.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from excitant.exceptions import BadRecording, UnknownName
+from excitant.exceptions import UnknownName
 from excitant.identify import tables
 from excitant.identify.accuracy import (
     Accuracy,
@@ -59,6 +59,7 @@ from excitant.identify.rows import (
     gains_of,
     identified_robot,
     predicted_torque,
+    refuse_other_units,
     split,
     units_of,
 )
@@ -307,11 +308,7 @@ def _segments(recording: Recording, data: Data, robot: Robot) -> Sequence[Segmen
 def _alike(estimate: Estimate, recordings: Recordings) -> list[Recording]:
     """Recordings whose torque has the unit of an estimate's."""
     found = recordings_of(recordings, estimate.given)
-    unit = estimate.data.unit
-    for each in found:
-        if each.unit != unit:
-            why = f"torque is in {each.unit}, but in {unit} where it was identified"
-            raise BadRecording(each.file, f"{why}; use recordings of one unit")
+    refuse_other_units(found, estimate.data.unit, "where it was identified")
     return found
 
 

@@ -30,7 +30,7 @@ from excitant.identify.rows import (
     FitRows,
     counted_rows,
     fitted_and_held,
-    refuse_mixed_units,
+    refuse_other_units,
 )
 from excitant.robots.base_parameters import (
     BaseParameters,
@@ -62,7 +62,8 @@ def pose_rows(
     Raises:
         BadRecording: A row in which a joint moves, or a hold-out with poses that are fitted.
     """
-    refuse_mixed_units((*recordings, *validate))
+    first = recordings[0]
+    refuse_other_units((*recordings, *validate), first.unit, f"in {first.file}")
     train, held = (
         [_poses(each, robot) for each in some] for some in (recordings, validate)
     )
@@ -76,13 +77,13 @@ def pose_rows(
     data = Data(
         fit,
         holdout,
-        recordings[0].unit,
+        first.unit,
         np.inf,
         f"held out: {unseen}, {_count(holdout)} poses beside {_count(fit)} that are fitted: "
         f"{NO_MOTION}",
         "poses: dry friction holds any torque up to its breakaway torque, which counts as noise: "
         "come to the poses from both sides",
-        recordings[0].drive,
+        first.drive,
     )
     effects = at_rest(robot)
     base = _base(robot, effects)

@@ -114,7 +114,7 @@ def split(
     if not recordings:
         raise BadInput("no recording given; give at least one")
     first = recordings[0]
-    refuse_mixed_units((*recordings, *validate))
+    refuse_other_units((*recordings, *validate), first.unit, f"in {first.file}")
     _refuse_seen(recordings, validate)
     why = "as given"
     if cutoff_hz is None:
@@ -138,14 +138,15 @@ def split(
     )
 
 
-def refuse_mixed_units(recordings: Sequence[Recording]) -> None:
-    """Refuse recordings whose torque is in different units."""
-    first = recordings[0]
+def refuse_other_units(
+    recordings: Sequence[Recording], unit: str, where: str
+) -> None:
+    """Refuse recordings whose torque is in another unit than it is elsewhere."""
     for recording in recordings:
-        if recording.unit != first.unit:
+        if recording.unit != unit:
             raise BadRecording(
                 recording.file,
-                f"torque is in {recording.unit}, but in {first.unit} in {first.file}; "
+                f"torque is in {recording.unit}, but in {unit} {where}; "
                 "use recordings of one unit",
             )
 

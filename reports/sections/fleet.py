@@ -129,9 +129,9 @@ def _differences(rows: list[Difference]) -> p.Table | None:
         rows,
         [
             ("expression:Parameter", "parameter"),
-            ("number:Least", "low_value"),
+            ("number:Lower", "low_value"),
             ("name:Of", "low"),
-            ("number:Most", "high_value"),
+            ("number:Higher", "high_value"),
             ("name:Of", "high"),
             ("number:Difference", lambda r: _interval(r.difference, r.std)),
             ("name:Unit", "unit"),

@@ -1611,13 +1611,13 @@ class Difference(Record):
     unit: str
     "Unit."
     low: str
-    "Arm with the least value."
+    "Arm furthest below the mean of all, in its standard deviations."
     low_value: Number
-    "That value."
+    "Its value."
     high: str
-    "Arm with the largest value."
+    "Arm furthest above it, likewise."
     high_value: Number
-    "That value."
+    "Its value."
     difference: Number
     "Between both."
     std: Number
