@@ -336,7 +336,10 @@ def _samples(path: Path) -> int:
     try:
         size = size_of(path)
         if suffix in (".parquet", ".pq"):
-            with pyarrow.parquet.ParquetFile(path) as file:
+            with (
+                path.open("rb") as opened,
+                pyarrow.parquet.ParquetFile(opened) as file,
+            ):
                 return int(file.metadata.num_rows)
         if suffix in TEXTS:
             with path.open("rb") as file:

@@ -20,6 +20,7 @@ from excitant import fleets
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
 from excitant.identify.dataset import origin
+from excitant.processes import connect, unordered
 from excitant.robots import load_robot
 from excitant.robots.virtual_arm import virtual_arm
 
@@ -39,6 +40,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "robot.urdf").write_text(ROBOT.urdf)
     shutil.copytree(root / "arm0", root / "broken")
     (root / "broken" / "2026-03-01" / "robot.urdf").write_text("<robot>")
+    (root / "arm1").rename(root / os.fsdecode(b"arm\xe9"))  # which is not UTF-8
     (root / "lost").mkdir()
     shutil.copy(root / "arm0" / "2026-03-01" / "run0.parquet", root / "lost")
     return root
@@ -53,29 +55,34 @@ def made(folder: Path) -> dict[str, float]:
 @pytest.mark.slow
 def test_it_goes_on_where_it_was_and_names_what_is_broken(two: Path, here: Path, excitant: Any):
     shutil.copytree(two, here / "all")
+    for name, target in (("twin", "arm0"), ("up", "..")):
+        (here / "all" / name).symlink_to(target)
     ran = excitant("fleet all --jobs 1 -o out --json")
     assert ran.status == 0, ran.err
-    _, sound, broken, lost = sets = ran.result["data_sets"]
-    names = ["arm0/2026-03-01", "arm1/2026-03-01", "broken/2026-03-01", "lost"]
-    assert [each["name"] for each in sets] == names
-    assert (sound["arm"], sound["date"], sound["failed"]) == ("arm1", "2026-03-01", None)
+    _, sound, broken, lost, twin = sets = ran.result["data_sets"]
+    dated = [rf"{arm}/2026-03-01" for arm in ("arm0", r"arm\udce9", "broken", "twin")]
+    assert [each["name"] for each in sets] == [*dated[:3], "lost", dated[3]]
+    assert (sound["arm"], sound["date"], sound["failed"]) == (r"arm\udce9", "2026-03-01", None)
+    assert "its files are those of arm0/2026-03-01" in twin["failed"]
     assert "robot.urdf" in broken["failed"]
     assert "no robot model" in lost["failed"]
     assert ran.result["arms"] == 2
     table = pd.read_parquet("out/parameters.parquet")
-    assert set(table.arm) == {"arm0", "arm1"}
+    assert set(table.arm) == {"arm0", r"arm\udce9"}
     assert {"joint1", "joint2", "link1", "link2"} <= set(table.joint)
     assert (table.low < table.value).all()
     assert set(table[table.parameter == "joint2.Fc"].unit) == {"N·m"}
     before = made(here / "out")
     assert excitant("fleet all --jobs 1 -o out").status == 0
     assert made(here / "out") == before
-    shutil.copy(two / "arm1/2026-03-01/run0.parquet", here / "all/arm0/2026-03-01/run0.parquet")
+    [other] = two.glob("arm[!0]/2026-03-01/run0.parquet")
+    shutil.copy(other, here / "all/arm0/2026-03-01/run0.parquet")
     (here / "all/broken/2026-03-01/robot.urdf").write_text(ROBOT.urdf)
     ran = excitant("fleet all --jobs 1 -o out --json")
     again = {name.split("/")[0] for name, t in made(here / "out").items() if before.get(name) != t}
-    assert again == {"arm0", "broken"}
-    assert [e["name"] for e in ran.result["data_sets"] if e["failed"]] == ["lost"]
+    assert again == {"arm0", "broken", "twin"}
+    failed = [each["name"] for each in ran.result["data_sets"] if each["failed"]]
+    assert failed == [sound["name"], "lost", twin["name"]]
 
 
 @pytest.mark.parametrize(
@@ -84,7 +91,7 @@ def test_it_goes_on_where_it_was_and_names_what_is_broken(two: Path, here: Path,
         ("fleet", "no folder given"),
         ("fleet nowhere", "nowhere: no such folder"),
         ("fleet empty", "empty: no data set in it"),
-        ("fleet a/x b/x a/x", "another data set is called x/x"),
+        ("fleet a/x b/x a/x", "a/x: given twice"),
     ],
 )
 def test_what_is_no_fleet_is_refused(line: str, said: str, here: Path, excitant: Any) -> None:
@@ -178,6 +185,8 @@ def test_a_cluster_comes_to_the_same(two: Path, here: Path, excitant: Any) -> No
     shutil.copytree(two, here / "all")
     alone = excitant("fleet all --jobs 1 -o alone --json").result
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        with connect(cluster.scheduler_address) as client:
+            assert [os.getpid()] != list(unordered(os.getpid, [()], 1, client))
         ran = excitant(f"fleet all --cluster {cluster.scheduler_address} -o there --json")
     assert ran.status == 0, ran.err
     assert ran.result["data_sets"] == alone["data_sets"]

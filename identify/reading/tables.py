@@ -126,12 +126,15 @@ def parquet_table(path: Path) -> Table:
         some = columns if len({*names}) == len(names) else None
         wanted = None if some is None else [name for name in names if name in some]
         try:
-            with pq.ParquetFile(
-                path,
-                pre_buffer=False,
-                buffer_size=_BUFFER,
-                page_checksum_verification=True,
-            ) as file:
+            with (
+                path.open("rb") as opened,
+                pq.ParquetFile(
+                    opened,
+                    pre_buffer=False,
+                    buffer_size=_BUFFER,
+                    page_checksum_verification=True,
+                ) as file,
+            ):
                 if rows is None:
                     kept = len(names) if wanted is None else len(wanted)
                     refuse_size(8 * file.metadata.num_rows * kept)
@@ -161,13 +164,17 @@ def parquet_table(path: Path) -> Table:
         )
         return np.from_dlpack(whole)  # to_numpy would import pandas
 
-    schema = pq.read_schema(path)
-    names = tuple(schema.names)
-    if any(map(pa.types.is_list, schema.types)):
-        about = pq.read_metadata(path)
-        groups = map(about.row_group, range(about.num_row_groups))
-        refuse_size(sum(group.total_byte_size for group in groups))
-        whole = pq.read_table(path).to_pandas()
+    # opened here: PyArrow opens no path that is not UTF-8
+    with path.open("rb") as opened, pq.ParquetFile(opened) as file:
+        schema = file.schema_arrow
+        names = tuple(schema.names)
+        lists = any(map(pa.types.is_list, schema.types))
+        if lists:
+            about = file.metadata
+            groups = map(about.row_group, range(about.num_row_groups))
+            refuse_size(sum(group.total_byte_size for group in groups))
+            whole = file.read().to_pandas()
+    if lists:
         arrays = {name: _stacked(whole[name].tolist()) for name in whole}
         return _table_of_arrays(arrays, path)
     return Table(str(path), names, frames)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from os.path import isdir, isfile
@@ -22,7 +23,7 @@ from excitant.exceptions import (
     line_of,
 )
 from excitant.files import write_file
-from excitant.names import in_folder, one_line
+from excitant.names import in_folder, one_line, printable
 from excitant.options import Run
 from excitant.processes import connect, processors, unordered
 from excitant.progress import Advance, progress_bar
@@ -105,47 +106,50 @@ def compare_fleet(
     ]
     with connect(cluster) if cluster else nullcontext() as client:
         _examine_all(sets, jobs or processors(), client, progress)
-    return ex.analysis.compare_arms([_examined(data_set) for data_set in sets])
+    first = dict[str, str]()
+    for data_set in sets:
+        first.setdefault(_noted(data_set.out).get("input", ""), data_set.name)
+    return ex.analysis.compare_arms(
+        [_examined(data_set, first) for data_set in sets]
+    )
 
 
 def _data_sets(folders: Sequence[str | Path], root: Path) -> dict[str, str]:
-    """Folders of all data sets by name, in order; names tell which of the folders they are in."""
+    """Folders of all data sets by name, which is their path below what the folders share."""
+    if not folders:
+        raise BadInput("no folder given; name folders of data sets")
     sets = dict[str, str]()
     for folder in map(Path, folders):
         if not isdir(folder):
             raise BadInput(f"{folder}: no such folder; give folders of data sets")
-        inside = list(_below(folder, root))
+    shared = os.path.commonpath([os.path.abspath(folder) for folder in folders])
+    for folder in map(Path, folders):
+        inside = list(_below(folder, root, folder.resolve().parents))
         if not inside:
             raise BadInput(
                 f"{folder}: no data set in it, which is a folder with robot.urdf, robot.yaml or "
                 "dataset.json and recordings"
             )
         for path in inside:
-            top = folder.resolve().name
-            name = top if path == folder else path.relative_to(folder).as_posix()
+            below = os.path.relpath(os.path.abspath(path), shared)
+            name = printable(os.path.basename(shared) if below == "." else below)
             if name in sets:
-                name = f"{top}/{name}"
-            if name in sets:
-                raise BadInput(
-                    f"{path}: another data set is called {name}; rename one"
-                )
+                raise BadInput(f"{path}: given twice; name each data set once")
             sets[name] = str(path.resolve())  # workers may be in another folder
-    if not sets:
-        raise BadInput("no folder given; name folders of data sets")
     return sets
 
 
-def _below(folder: Path, root: Path) -> Iterator[Path]:
-    """Data sets in a folder, at any depth, but not among the results."""
-    if folder.resolve() == root.resolve():
+def _below(folder: Path, root: Path, above: Sequence[Path]) -> Iterator[Path]:
+    """Data sets in a folder, at any depth, but not among the results; links are followed."""
+    resolved = folder.resolve()
+    if resolved == root.resolve() or resolved in above:
         return
     if ex.identify.is_dataset(folder):
         yield folder
         return
     for inner in sorted(folder.iterdir()):
-        hidden = inner.is_symlink() or inner.name.startswith(".")
-        if inner.is_dir() and not hidden:
-            yield from _below(inner, root)
+        if inner.is_dir() and not inner.name.startswith("."):
+            yield from _below(inner, root, (*above, resolved))
 
 
 def _safe(name: str) -> str:
@@ -234,12 +238,17 @@ def _noted(out: str) -> dict[str, str]:
     return stamp if isinstance(stamp, dict) else {}
 
 
-def _examined(data_set: _DataSet) -> Examined:
-    """What a data set came to."""
+def _examined(data_set: _DataSet, first: Mapping[str, str]) -> Examined:
+    """What a data set came to; of those of the same files ``first`` names the one that counts."""
     name, folder, out = data_set
+    noted = _noted(out)
     examined = ex.analysis.Examined(
-        name, name, None, failed=_noted(out).get("failed", "")
+        name, name, None, failed=noted.get("failed", "")
     )
+    original = first[noted.get("input", "")]
+    if original != name:
+        why = f"its files are those of {original}, which is counted instead"
+        examined = replace(examined, failed=why)
     try:
         arm, day = ex.identify.origin(Path(folder), name)
         examined = replace(examined, arm=arm, day=day)

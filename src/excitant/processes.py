@@ -74,25 +74,14 @@ def unordered(
     Raises:
         WorkerDied: A process ended; tasks without a result may have been done or not.
     """
-    import joblib
-
     if not tasks:
         return
-    options: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1}
-    jobs = max(min(jobs, len(tasks)), 1 + apart)
-    perform = owned(function)
-    if client is not None:
-        options = {"backend": "dask", "client": client}
-        jobs = -1
-        perform = function
-    elif jobs == 1:
-        options = {"backend": "sequential"}
+    if client is None:
+        results = _here(function, tasks, max(min(jobs, len(tasks)), 1 + apart))
+    else:
+        results = _on_cluster(function, tasks, client)
     try:
-        with joblib.parallel_config(**options):
-            parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-            with _interrupts_blocked() if jobs != 1 else nullcontext():
-                results = parallel(joblib.delayed(perform)(*task) for task in tasks)
-            yield from results
+        yield from results
     except Exception as error:
         if (
             isinstance(error, BrokenExecutor)
@@ -100,6 +89,36 @@ def unordered(
         ):
             raise WorkerDied() from None
         raise
+
+
+def _here(
+    function: Callable[..., T], tasks: Sequence[tuple[Any, ...]], jobs: int
+) -> Iterator[T]:
+    import joblib
+
+    options: dict[str, Any] = {"backend": "sequential"}
+    if jobs > 1:
+        options = {"backend": "loky", "inner_max_num_threads": 1}
+    perform = owned(function)
+    with joblib.parallel_config(**options):
+        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+        with _interrupts_blocked() if jobs > 1 else nullcontext():
+            results = parallel(joblib.delayed(perform)(*task) for task in tasks)
+        yield from results
+
+
+def _on_cluster(
+    function: Callable[..., T], tasks: Sequence[tuple[Any, ...]], client: Any
+) -> Iterator[T]:
+    from distributed import as_completed
+
+    futures = [client.submit(function, *task, pure=False) for task in tasks]
+    try:
+        completed = as_completed(futures, loop=client.loop)  # type: ignore[no-untyped-call]
+        for future in completed:
+            yield future.result()
+    finally:
+        client.cancel(futures)
 
 
 @contextmanager
