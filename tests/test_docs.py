@@ -34,7 +34,8 @@ from excitant.identify.reading.mapping import ColumnMap, column_map
 from excitant.robots.effects import EFFECTS
 from excitant.robots.schema import parsed_yaml
 
-pytestmark = pytest.mark.whole  # each page says something of its own
+# each page says something of its own, and what its reader will see
+pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("own_steps")]
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
