@@ -27,9 +27,6 @@ COLOURS = {  # on light, on dark ground
     "cloud": ("#9aa0a6", "#7f8891"),
     "band": ("#c3dcec", "#234a63"),
     "zero": ("#8a8f94", "#7b848c"),
-    "base": ("#8a9299", "#6d757c"),
-    "solid": ("#e3e7ea", "#3a4248"),
-    "edge": ("#7fa3b8", "#86a9be"),
     "ink": ("#1d2125", "#e4e7ea"),
     "paper": ("#ffffff", "#16191c"),
 }
@@ -85,17 +82,6 @@ class Band:
     high: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Polygon:
-    """An area with corners x, y of shape (n,), with or without an edge."""
-
-    x: Array
-    y: Array
-    colour: str
-    edge: str = ""
-    opacity: float = 1.0
-
-
 @dataclass(frozen=True)
 class Span:
     """A faint strip across the whole axes, between two values of the axis ``along``."""
@@ -117,17 +103,7 @@ class Rule:
     dashed: bool = False
 
 
-@dataclass(frozen=True)
-class Words:
-    """Words in the axes, shifted from their point [pt]; centred there without a shift."""
-
-    x: float
-    y: float
-    text: str
-    shift: tuple[float, float] = (0.0, 0.0)
-
-
-Mark = Line | Points | Band | Polygon | Span | Rule | Words
+Mark = Line | Points | Band | Span | Rule
 
 
 @dataclass(frozen=True)
@@ -152,8 +128,6 @@ class Axes:
     Attributes:
         title: Heading on the left, in its colour.
         remark: Heading on the right.
-        equal: One scale for both axes.
-        framed: Whether the axes are drawn, too.
     """
 
     marks: Sequence[Mark]
@@ -163,8 +137,6 @@ class Axes:
     title: str = ""
     remark: str = ""
     colour: str = "ink"
-    equal: bool = False
-    framed: bool = True
 
     def ends(self, along: Literal["x", "y"]) -> tuple[float, float]:
         """Least and greatest value shown along an axis."""
@@ -195,15 +167,13 @@ def _along(mark: Mark, along: str) -> Array:
     match mark:
         case Band() if along == "y":
             return np.concatenate([mark.low, mark.high])
-        case Line() | Points() | Polygon() | Band():
+        case Line() | Points() | Band():
             values: Array = np.asarray(getattr(mark, along), float)
             return values
         case Span() if mark.along == along:
             return np.array([mark.low, mark.high])
         case Rule() if mark.along == along:
             return np.array([mark.at])
-        case Words():
-            return np.array([getattr(mark, along)], float)
     return np.empty(0)
 
 

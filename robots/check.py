@@ -18,8 +18,9 @@ from xml.etree.ElementTree import Element, fromstring
 import numpy as np
 import pinocchio as pin
 
+from excitant.robots.appearance import Appearance
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.geometry import Body, bent_pose, sketch, zero_pose
+from excitant.robots.geometry import Body, bent_pose, zero_pose
 from excitant.robots.limits import endless_ranges
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import PLACEHOLDER, elements, violations
@@ -213,15 +214,29 @@ class ModelCheck:
                 zip(robot.parameter_names, robot.phi.tolist(), strict=True)
             ),
             "notes": list(robot.notes),
+            "appearance": Appearance(robot).entries(),
         }
 
     def series(self) -> dict[str, Array]:
-        """Data of the figure of the arm: ``zero_`` and ``bent_`` with the keys of `sketch`."""
-        poses = {"zero": zero_pose(self.robot), "bent": bent_pose(self.robot)}
+        """The joints in turn, from zero to a bent pose, as `excitant.design.playback` has a motion.
+
+        Returns:
+            ``play_t`` (n,) [s], ``play_q``, ``play_dq`` (n, nv), ``play_shares`` of the limits on
+            position (n, 1, nv); meshes as of `Appearance.meshes`.
+        """
+        robot = self.robot
+        moved = np.tri(robot.nv + 1, robot.nv, -1, dtype=bool)
+        q = np.where(moved, bent_pose(robot), zero_pose(robot))
+        low, high = robot.limits.position.T
+        unlimited = np.isinf(high - low)
+        middle = np.where(unlimited, 0.0, low + high) / 2
+        half = np.where(unlimited, np.inf, high - low) / 2
         return {
-            f"{name}_{key}": array
-            for name, q in poses.items()
-            for key, array in sketch(self.robot, q).items()
+            "play_t": np.arange(robot.nv + 1.0),
+            "play_q": q,
+            "play_dq": np.zeros_like(q),
+            "play_shares": (np.abs(q - middle) / half)[:, None],
+            **Appearance(robot).meshes(),
         }
 
 

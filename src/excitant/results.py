@@ -1450,6 +1450,8 @@ class Robots(Run, tag_field="verb", tag="robots"):
     "Standard parameters by name."
     notes: list[str]
     "Remarks on reading."
+    appearance: Appearance
+    "The arm as it is drawn."
     kind: str | None = None
     "Kind of a built-in arm."
     sources: Any = None
