@@ -99,8 +99,12 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
             p for f in diagnosis.corrected for p in _parameters(f, diagnosis)
         ],
         "unexplained": [
-            {"joint": residual.joint, "share": float(np.clip(1 - r2, 0, 1))}
-            | _beyond_noise(residual)
+            {
+                "joint": residual.joint,
+                "share": float(np.clip(1 - r2, 0, 1)),
+                "against_noise": residual.against_noise,
+                "structure": residual.structure,
+            }
             for residual, r2 in zip(
                 diagnosis.residuals, diagnosis.extended.r2, strict=True
             )
@@ -114,9 +118,6 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
                 for nominal, extended in residuals
             ]
         },
-        "waterfall": [
-            {"label": label, "rms": rms} for label, rms in diagnosis.waterfall
-        ],
         "notes": [note for note in notes if note],
     }
 
@@ -280,14 +281,4 @@ def _distribution(residual: Residual) -> Entry:
         "shares": dict(residual.shares),
         "bands": dict(residual.bands),
         "telling": residual.dominant,
-    }
-
-
-def _beyond_noise(residual: Residual) -> Entry:
-    return {
-        "rms": residual.rms,
-        "noise_floor": residual.floor,
-        "against_noise": residual.against_noise,
-        "structure": residual.structure,
-        "shows": dict(residual.shares),
     }

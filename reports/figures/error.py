@@ -1,4 +1,4 @@
-"""Errors as bars: of each joint by model, and step by step with every effect that is added."""
+"""Errors as bars, of each joint by model."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from excitant.reports import values as v
-from excitant.reports.figure import FITTED, GIVEN, LIGHT, Bar, Bars, Key
+from excitant.reports.figure import FITTED, GIVEN, Bar, Bars, Key
 from excitant.reports.figures.torque import GIVEN_MODEL
-from excitant.results import Accuracy, Diagnose
+from excitant.results import Accuracy
 
 _SHARE = "rms of residual, share of the measured torque's std"
-_STEPS = 12  # of the waterfall that are drawn one by one
 _TALLEST = 4.0  # times the median error, or 1.5: bars beyond are cut
 
 
@@ -70,41 +69,4 @@ def error_bars(
         f"rms per joint: {'; '.join(remarks)}",
         f"{what}, {measure}; beside each bar the rms [{unit}]: shorter is better.",
         [Key("box", colour, label) for label, colour in looks],
-    )
-
-
-def waterfall_figure(result: Diagnose) -> Bars | None:
-    """Hold-out error, relative to the given model, after each effect; small ones as one."""
-    steps = []
-    for row in result.waterfall:
-        effect, where, joints = row.label.partition(" at ")
-        if (rms := row.rms) is not None:
-            steps.append((v.plain(effect) + where + joints, rms))
-    small = len(steps) - _STEPS
-    if small > 1:
-        merged = (f"+ {small} smaller causes", steps[-2][1])
-        steps = [*steps[: _STEPS - 1], merged, steps[-1]]
-    if len(steps) < 2:
-        return None
-    before = 0.0
-    rows = []
-    for k, (label, rms) in enumerate(steps):
-        pieces = [(rms, FITTED if k else GIVEN)]
-        if before > rms:
-            pieces.append((before - rms, LIGHT))
-        rows.append((label, (Bar(pieces, v.percent(rms, 3)),)))
-        before = rms
-    listed = "; ".join(f"{label} {v.percent(rms, 3)}" for label, rms in steps)
-    return Bars(
-        rows,
-        "error on the hold-out, share of the given model's",
-        max(rms for _, rms in steps) or 1.0,
-        f"error on the hold-out step by step: {listed}",
-        "Hold-out error after each effect that was added, every joint relative to the model as "
-        "given: long grey pieces are effects that matter.",
-        (
-            Key("box", GIVEN, "model as given"),
-            Key("box", FITTED, "what remains"),
-            Key("box", LIGHT, "removed by this effect"),
-        ),
     )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figures.error import error_bars, waterfall_figure
+from excitant.reports.figures.error import error_bars
 from excitant.reports.figures.residual import evidence_figure
 from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.sections.identify import (
@@ -104,10 +104,6 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
         ),
         [
             ("Further findings", others),
-            (
-                "Error step by step",
-                [waterfall_figure(result) if changed else None],
-            ),
             ("Error per joint", _errors(result, changed)),
             (
                 over_holdout(unit),

@@ -1259,16 +1259,10 @@ class Unexplained(Record):
     "Joint."
     share: Number
     "Share of the measured torque's variance."
-    rms: Number
-    "Root mean square [N·m or A]."
-    noise_floor: Number
-    "Noise of the torque [N·m or A]."
     against_noise: str
     "Comparison of both in words."
     structure: str
     "The variable that explains most of it, in words."
-    shows: dict[str, Number]
-    "Share of it that each variable explains."
 
 
 class Residual(Record):
@@ -1298,15 +1292,6 @@ class ErrorStructure(Record):
 
     joints: list[JointResidual]
     "By joint."
-
-
-class Step(Record):
-    """A step of the waterfall of errors."""
-
-    label: str
-    "Model."
-    rms: Number
-    "Root mean square over joints [N·m or A]."
 
 
 class Simulation(Record):
@@ -1342,8 +1327,6 @@ class Diagnose(Modelled, tag_field="verb", tag="diagnose"):
     "Errors of the extended model."
     error: ErrorStructure
     "Structure of the nominal model's error."
-    waterfall: list[Step]
-    "Error as causes are added."
 
 
 # --- robots, examinations, fleets, comparisons

@@ -289,8 +289,6 @@ def diagnose_run() -> Run:
     t, _, dq, measured, given, extended = _holdout(rng)
     scale, before, after = (x.std(0) for x in (measured, measured - given, measured - extended))
     stribeck = 6 * np.sign(dq[:, 1]) * np.exp(-np.abs(dq[:, 1]) / 0.3) + 3 * np.sign(dq[:, 1])
-    steps = ["as given", "+ stribeck_friction at elbow_joint"]
-    steps += [f"+ inertial_parameters at {JOINTS[2]}, wrist_roll_joint", "+ unknown"]
     headline = "elbow_joint has Stribeck friction that the model lacks; the inertia of the forearm "
     cut = {"fault": "saturation", "joints": ["elbow_joint"], "detail": "41 samples at ±87 N·m"}
     left = {"joint": "wrist_roll_joint", "share": 0.021, "structure": "periodic in motor angle"}
@@ -299,7 +297,6 @@ def diagnose_run() -> Run:
         result[model] = {"joints": _accuracy(rms, scale, name=JOINTS)}
     result |= {"faults": [cut, {"fault": "duplicate_samples"}]}
     result |= {"unexplained": [left, {"joint": "elbow_joint"}]}
-    result["waterfall"] = _rows(label=steps, rms=[4.62, 1.31, 1.18, None])
     result["notes"] = ["Velocities below 0.05 rad/s are rare: presliding was not judged."]
     shares = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8}
     bands = {"slower": 0.0, "motion": 0.9, "faster": 0.1}
