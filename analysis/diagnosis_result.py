@@ -279,6 +279,5 @@ def _distribution(residual: Residual) -> Entry:
     return {
         "rms": residual.rms,
         "shares": dict(residual.shares),
-        "bands": dict(residual.bands),
         "telling": residual.dominant,
     }

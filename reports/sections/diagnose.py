@@ -41,9 +41,8 @@ _QUANTITIES = (
 _MEANING = (
     "Constant: offset. Direction of motion: dry friction. Velocity: viscous friction. Position: "
     "springs, ripple. Load: gain, load-dependent friction. Distance since the last reversal: "
-    "hysteresis, backlash. Time: drift. Last, the error slower, as fast, faster than the motion."
+    "hysteresis, backlash. Time: drift."
 )
-_BANDS = ("slower", "motion", "faster")
 _FIRST = 7  # findings in the first table
 _NAMED = 3  # joints in a title
 _LEADING = 3  # findings that are shown without opening a fold
@@ -376,7 +375,7 @@ def _shares(
     def share(key: str) -> p.Column:
         def cell(row: JointResidual) -> p.Cell:
             residual = of(row)
-            x = residual.bands.get(key, residual.shares.get(key))
+            x = residual.shares.get(key)
             return p.cell(
                 x, v.percent, p.POOR if residual.telling == key else p.PLAIN
             )
@@ -388,7 +387,7 @@ def _shares(
         [
             ("name:Joint", "name"),
             (f"number:rms [{unit}]", lambda r: of(r).rms),
-            *map(share, (*_QUANTITIES, *_BANDS)),
+            *map(share, _QUANTITIES),
         ],
         f"Error {'left by the extended model' if extended else 'of the model as given'} while the "
         "joint moves, and the shares of its square that go with one quantity (they overlap): "

@@ -1272,8 +1272,6 @@ class Residual(Record):
     "Root mean square [N·m or A]."
     shares: dict[str, Number]
     "Share of it that each variable explains."
-    bands: dict[str, Number]
-    "Share by band of frequency: slower than the motion, of the motion, faster."
     telling: str
     "The above in words."
 
