@@ -52,6 +52,7 @@ _CLOSER = 0.4  # how much nearer without it
 _LEVER = 0.05  # of the arm: centres of mass nearer to the joint make no difference worth a word
 _SLIGHT = 0.01  # of a joint's torque: what changes less matters to none
 _ROUNDING = 1e-3  # relative violation that digits left out explain
+_FRAMES = 20  # of a joint that moves in the picture
 _UNSEEN = "hardly any torque depends on it"  # makes a hint of a warning
 
 
@@ -225,16 +226,19 @@ class ModelCheck:
             position (n, 1, nv); meshes as of `Appearance.meshes`.
         """
         robot = self.robot
-        moved = np.tri(robot.nv + 1, robot.nv, -1, dtype=bool)
-        q = np.where(moved, bent_pose(robot), zero_pose(robot))
+        start = zero_pose(robot)
+        way = bent_pose(robot) - start
+        t = np.linspace(0, robot.nv, 1 + _FRAMES * robot.nv)
+        x = np.clip(t[:, None] - np.arange(robot.nv), 0, 1)
+        q = start + x**2 * (3 - 2 * x) * way
         low, high = robot.limits.position.T
         unlimited = np.isinf(high - low)
         middle = np.where(unlimited, 0.0, low + high) / 2
         half = np.where(unlimited, np.inf, high - low) / 2
         return {
-            "play_t": np.arange(robot.nv + 1.0),
+            "play_t": t,
             "play_q": q,
-            "play_dq": np.zeros_like(q),
+            "play_dq": 6 * x * (1 - x) * way,
             "play_shares": (np.abs(q - middle) / half)[:, None],
             **Appearance(robot).meshes(),
         }

@@ -20,11 +20,10 @@ def test_the_joints_of_an_arm_move_in_turn(name):
     [arm] = [b for part in shown.sections[0].parts for b in part.blocks if isinstance(b, Player)]
     assert [joint for joint, _ in arm.joints] == list(robot.joints)
     q = check.series()["play_q"]
-    assert (q[[0, -1]] == [zero_pose(robot), bent_pose(robot)]).all()
-    for j, step in enumerate(np.diff(q, axis=0)):
-        assert set(np.flatnonzero(step)) <= {j}
+    np.testing.assert_allclose(q[[0, -1]], [zero_pose(robot), bent_pose(robot)])
+    assert (np.count_nonzero(np.diff(q, axis=0), axis=1) <= 1).all()
     low, high = robot.limits.position.T
-    assert ((low <= q) & (q <= high)).all()
+    assert ((low - 1e-12 <= q) & (q <= high + 1e-12)).all()
     assert check.series()["play_shares"].max() <= 1 + 1e-12
 
 
