@@ -1683,12 +1683,8 @@ class ComparedFigure(Record):
     "As written on the pages."
     values: list[Number]
     "Values."
-    difference: list[Number] | None = None
-    "Differences to the first run."
-    ratio: list[Number] | None = None
-    "Ratios to the first run."
-    deviations: list[Number] | None = None
-    "Differences in their standard deviations."
+    deviations: list[Number]
+    "Differences to the first run in their standard deviations; null of what is no estimate."
 
 
 class ComparedTable(Record):
