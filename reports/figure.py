@@ -205,32 +205,6 @@ class Figure:
     legend: Sequence[Key] = ()
 
 
-@dataclass(frozen=True)
-class Bar:
-    """Pieces one after the other, each a length and a colour, and the words behind them."""
-
-    pieces: Sequence[tuple[float, str]]
-    words: str
-
-
-@dataclass(frozen=True)
-class Bars:
-    """Horizontal bars below the name of their row.
-
-    Attributes:
-        rows: Name and bars of each.
-        measure: What the length of a bar is, with its unit.
-        top: Length of the longest that is drawn whole.
-    """
-
-    rows: Sequence[tuple[str, Sequence[Bar]]]
-    measure: str
-    top: float
-    label: str
-    caption: str
-    legend: Sequence[Key] = ()
-
-
 def figure(
     panels: Sequence[Panel | None], caption: str, legend: Sequence[Key] = ()
 ) -> Figure | None:

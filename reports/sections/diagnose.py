@@ -6,7 +6,6 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figures.error import error_bars
 from excitant.reports.figures.residual import evidence_figure
 from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.sections.identify import (
@@ -103,7 +102,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
         ),
         [
             ("Further findings", others),
-            ("Error per joint", _errors(result, changed)),
+            ("Error per joint", [_errors(result, changed)]),
             (
                 over_holdout(unit),
                 [torque_figure(joints, series, unit, curves)],
@@ -396,7 +395,7 @@ def _shares(
     )
 
 
-def _errors(result: Diagnose, changed: bool) -> p.Blocks:
+def _errors(result: Diagnose, changed: bool) -> p.Table | None:
     unit = result.unit
     models = [("Given", result.simulation.joints)]
     if changed:
@@ -414,7 +413,7 @@ def _errors(result: Diagnose, changed: bool) -> p.Blocks:
     same = ""
     if result.cutoff_hz is not None:
         same = f", all after the same filter ({v.quantity(result.cutoff_hz, 'Hz')})"
-    table = p.table(
+    return p.table(
         _pairs(result),
         [
             ("name:Joint", lambda r: r[0].name),
@@ -427,14 +426,6 @@ def _errors(result: Diagnose, changed: bool) -> p.Blocks:
         f"The model as given{' and with the findings added' * changed}, on the hold-out{same}; "
         "nrmse is rms over the measured torque's standard deviation.",
     )
-    bars = error_bars(
-        [row.name for row in result.simulation.joints],
-        [rows for _, rows in models],
-        unit,
-        _CURVES.after_label,
-        "Prediction error per joint on the hold-out",
-    )
-    return [bars, table]
 
 
 def _unexplained(rows: list[Unexplained]) -> p.Blocks:

@@ -9,7 +9,6 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figures.error import error_bars
 from excitant.reports.figures.estimate import (
     forest_figure,
     forest_groups,
@@ -87,7 +86,7 @@ def identify_section(result: Identify, series: Series) -> p.Section:
         _brief(result),
         [
             ("Friction curves", [friction_figure(result.joints, series)]),
-            ("Error per joint", _errors(result)),
+            ("Error per joint", [_errors(result)]),
             (
                 over_holdout(unit),
                 [
@@ -293,13 +292,13 @@ def _how(result: Identify) -> p.Facts | None:
     )
 
 
-def _errors(result: Identify) -> p.Blocks:
+def _errors(result: Identify) -> p.Table | None:
     unit = result.unit
     rows = result.joints
     same = ""
     if result.cutoff_hz is not None:
         same = f" after the same filter ({v.quantity(result.cutoff_hz, 'Hz')})"
-    table = p.table(
+    return p.table(
         rows,
         [
             ("name:Joint", "name"),
@@ -317,14 +316,6 @@ def _errors(result: Identify) -> p.Blocks:
         "holds any torque, are judged in the column of all rows only. nrmse is rms over "
         "the measured torque's standard deviation.",
     )
-    bars = error_bars(
-        _names(result),
-        ([row.baseline for row in rows], [row.validate for row in rows]),
-        unit,
-        CURVES.after_label,
-        "Prediction error per joint on the hold-out",
-    )
-    return [bars, table]
 
 
 def _names(result: Identify) -> list[str]:

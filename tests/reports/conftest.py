@@ -406,8 +406,7 @@ class Shown(HTMLParser):
         self.words = _plain(source)
         self.headings = [_plain(h) for h in re.findall(r"<h3[^>]*>(.*?)</h3>", source)]
         drawn = [attrs for _, attrs in self.elements if attrs.get("role") == "img"]
-        bars = [attrs for attrs in self.all("figure") if attrs.get("class") == "bars"]
-        self.labels = [attrs["aria-label"] or "" for attrs in (*drawn, *bars)]
+        self.labels = [attrs["aria-label"] or "" for attrs in drawn]
 
     def handle_starttag(self, tag, attrs):
         self.elements.append((tag, dict(attrs)))
