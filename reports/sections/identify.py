@@ -16,13 +16,7 @@ from excitant.reports.figures.estimate import (
     owner_of,
     symbol_of,
 )
-from excitant.reports.figures.online import (
-    ENOUGH,
-    estimates_figure,
-    excitation_figure,
-    excitation_levels,
-    payload_figure,
-)
+from excitant.reports.figures.online import estimates_figure, payload_figure
 from excitant.reports.figures.residual import residual_figure
 from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.values import Series
@@ -43,6 +37,7 @@ from excitant.robots.parameters import STANDARD
 CUTOFF_REMARK = (
     "errors are judged below it; measured and predicted torque are filtered alike"
 )
+_ENOUGH = 1.0  # excitation at which the last seconds say as much as the prior
 _FEW = 3  # links that moved are told on the terminal
 _MESSAGES = 8  # shown without opening a fold
 CURVES = Curves(
@@ -623,15 +618,15 @@ def _online(result: Identify, series: Series) -> p.Parts:
     return [
         ("On-line estimation", [_online_facts(online), messages]),
         ("Estimates over time", [estimates_figure(result, series)]),
-        ("Excitation over time", [excitation_figure(online)]),
     ]
 
 
 def _online_facts(online: Online) -> p.Facts | None:
     state = ("yes", p.GOOD) if online.converged else ("not yet", p.FAIR)
-    t, level = excitation_levels(online)
+    t = v.reals(online.history.t)
+    level = v.reals(online.history.excitation_level)
     judged = np.isfinite(level)
-    share = float((level[judged] >= ENOUGH).mean()) if judged.any() else None
+    share = float((level[judged] >= _ENOUGH).mean()) if judged.any() else None
     span = np.ptp(t) if len(t) else None
     aged = "age of the newest instant"
     converging = (
