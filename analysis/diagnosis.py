@@ -180,7 +180,7 @@ class Diagnosis(Shown):
         }
         for k, item in enumerate(self.ordered):
             curve = curve_of(self, item)
-            for name in ("x", "residual", "fit", "rival"):
+            for name in ("x", "residual", "fit"):
                 if (values := getattr(curve, name)) is not None:
                     arrays[f"finding{k}_{name}"] = values
         return arrays
