@@ -18,7 +18,6 @@ from excitant.analysis.structure import Structure, structure
 from excitant.analysis.thresholds import RESOLUTION
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
-    Direction,
     Practical,
     candidate_experiments,
     dependent_groups,
@@ -27,11 +26,10 @@ from excitant.analysis.uncertainty import (
     practical,
     resolution,
     verdict,
-    weak_directions,
 )
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.excitation import WindowExcitation, persistency
-from excitant.identify.prior import base_prior, decided_by
+from excitant.identify.prior import decided_by
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, read_only
@@ -118,7 +116,6 @@ class PracticalIdentifiability:
         Array  # of the base columns scaled to unit length, greatest first
     )
     practical: tuple[Practical, ...]  # each base parameter
-    directions: tuple[Direction, ...]  # of the base parameters, unseen or weakest
     noise: Array  # of each measured joint's torque, assumed or estimated [N·m]
     resting: tuple[str, ...]  # joints that do not move
     basis: str  # where the standard deviations come from, as a sentence
@@ -140,7 +137,6 @@ class PracticalIdentifiability:
             "not_shown": [
                 {key: row[key] for key in ("name", "needed")} for row in lost
             ],
-            "directions": [d.result() for d in self.directions],
             "persistency": self.persistency and self.persistency.result(),
         }
 
@@ -397,19 +393,10 @@ def _practical(
     R = information.R[:, columns]
     lengths = np.linalg.norm(R, axis=0)
     scaled = R / np.where(lengths > 0, lengths, 1.0)
-    if experiment.prior is not None:
-        size = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
-    else:  # what makes as much torque as the noise
-        signal = information.signal[columns]
-        size = 1 / np.maximum(signal, 1e-6 * signal.max())
-    units = _units(robot, effects)
     return PracticalIdentifiability(
         condition_number=information.condition_number,
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
         practical=practical(base, experiment.beta, information, further),
-        directions=weak_directions(
-            base, [units[k] for k in columns], information, size
-        ),
         noise=sigma,
         resting=tuple(robot.joints[j] for j in experiment.resting),
         basis=experiment.basis,

@@ -256,114 +256,11 @@ def practical(
     return tuple(map(Practical, base.expressions, *columns))
 
 
-@dataclass(frozen=True)
-class Direction:
-    """Base parameters that can change together with hardly any change of torque."""
-
-    # name, change that one deviation of the noise hides (unseen: per unit of the first), and unit
-    members: tuple[tuple[str, float, str], ...]
-    std: float  # along it, relative to the sizes of its members; inf if unseen
-    share: float  # part of the direction that its members make
-
-    @property
-    def expression(self) -> str:
-        """The direction as text, e.g. ``link3.Ixx − 0.83·link2.Izz``."""
-        text = ""
-        lead = self.members[0][1]
-        for name, change, _ in self.members:
-            size = f"{abs(change / lead):.2g}"
-            sign = (" − " if change / lead < 0 else " + ") if text else ""
-            text += sign + ("" if size == "1" else f"{size}·") + name
-        return text
-
-    @property
-    def meaning(self) -> str:
-        """The direction as a sentence."""
-        name, change, unit = self.members[0]
-        if not np.isfinite(self.std):
-            if len(self.members) == 1:
-                return f"{name} changes no torque of this motion"
-            others = listed(
-                [f"{other} by {c:.2g}" for other, c, _ in self.members[1:]]
-            )
-            return f"{name} by 1 with {others} (SI units) changes no torque of this motion"
-        if len(self.members) == 1:
-            return f"{name} may be {abs(change):.2g} {unit} off without showing above the noise"
-        moves = [
-            f"{other} {'falls' if c * change < 0 else 'rises'} by {abs(c):.2g} {u}"
-            for other, c, u in self.members[1:]
-        ]
-        return (
-            f"{name} may rise by {abs(change):.2g} {unit} while {listed(moves)}: "
-            "torque changes by no more than the noise"
-        )
-
-    def result(self) -> dict[str, Any]:
-        """Its entry in ``result.json``."""
-        members = [
-            dict(zip(("name", "change", "unit"), m, strict=True))
-            for m in self.members
-        ]
-        return {
-            "expression": self.expression,
-            "meaning": self.meaning,
-            "share": self.share,
-            "rel_std": self.std,
-            "members": members,
-        }
-
-
 def listed(words: Sequence[str]) -> str:
     """Words with commas and ``and``."""
     return " and ".join(
         [", ".join(words[:-1]), words[-1]] if len(words) > 1 else words
     )
-
-
-def weak_directions(
-    base: BaseParameters,
-    units: Sequence[str],
-    information: MotionInformation,
-    size: Array,
-    count: int = 5,
-) -> tuple[Direction, ...]:
-    """Directions that a motion does not see, then a count of those it sees worst.
-
-    With D the diagonal of sizes (r,), these are the leading eigenvectors u of D⁻¹ C D⁻¹;
-    a change D u √λ of the base parameters is one standard deviation.
-    """
-    names = [base.names[k] for k in base.columns]
-    directions = [
-        _direction(row, row, np.inf, names, units, size)
-        for row in information.unseen
-    ]
-    values, U = np.linalg.eigh(information.covariance / np.outer(size, size))
-    for k in np.argsort(-values, kind="stable")[:count]:
-        std = float(np.sqrt(max(float(values[k]), 0.0)))
-        if std > 0:
-            directions.append(
-                _direction(U[:, k], U[:, k] * std * size, std, names, units, size)
-            )
-    return tuple(directions)
-
-
-def _direction(
-    row: Array,
-    change: Array,
-    std: float,
-    names: Sequence[str],
-    units: Sequence[str],
-    size: Array,
-) -> Direction:
-    weight = row if np.isfinite(std) else row / size
-    weight = weight / np.linalg.norm(weight)
-    order = [int(k) for k in np.argsort(-np.abs(weight), kind="stable")]
-    members = [k for k in order if abs(weight[k]) >= RESOLUTION.member] or order[:1]
-    if not np.isfinite(std):
-        members = [k for k in order if abs(weight[k]) > 1e-3]
-        change = change / change[members[0]]
-    terms = tuple((names[k], float(change[k]), units[k]) for k in members)
-    return Direction(terms, std, float((weight[members] ** 2).sum()))
 
 
 def candidate_experiments(

@@ -1077,32 +1077,6 @@ class NotShown(Record):
     "What would be needed to see it."
 
 
-class Change(Record):
-    """Change of a parameter along a direction."""
-
-    name: str
-    "Parameter."
-    change: Number
-    "Change."
-    unit: str
-    "Unit."
-
-
-class Direction(Record):
-    """A direction of the base parameters that the motion shows least."""
-
-    expression: str
-    "The direction as a sum."
-    meaning: str
-    "What it means, in words."
-    share: Number
-    "Share of the uncertainty that it makes."
-    rel_std: Number
-    "Standard deviation along it over the value."
-    members: list[Change]
-    "Parameters that change along it."
-
-
 class Structure(Record):
     """What the structural analysis rests on."""
 
@@ -1147,8 +1121,6 @@ class Analyze(Imported, tag_field="verb", tag="analyze"):
     "Joints that do not move."
     not_shown: list[NotShown] = []
     "Base parameters that the motion does not show."
-    directions: list[Direction] = []
-    "Directions that it shows least."
     persistency: Persistency | None = None
     "Persistency of excitation."
     faults: list[Fault] = []

@@ -1,7 +1,6 @@
 """What cannot be known changes no torque; what can, does; how well, and what would show more."""
 
 import json
-import re
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace as Judged
@@ -23,7 +22,7 @@ from excitant.identify.rows import fit_rows
 from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot
-from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import standard_effects
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 from excitant.robots.regressor import regressor
@@ -306,31 +305,6 @@ def test_deviations_are_met_by_repeated_experiments_on_recursive_newton_euler(ur
     for column, std in zip(found.base.columns, predicted, strict=True):
         if found.entries[column].category == "unique":
             assert found.entries[column].std_data == pytest.approx(std)
-
-
-BASE = BaseParameters(("a.m", "a.Ixx", "b.Izz"), (0, 1, 2), np.eye(3), np.zeros((3, 0)), (1.0, 0.0))
-UNITS = ("kg", "kg·m²", "kg·m²")
-
-
-def test_what_trades_against_each_other_is_named_after_what_is_not_seen() -> None:
-    C = np.diag([1e-6, 4.0, 4.0])
-    C[1, 2] = C[2, 1] = -3.96
-    seen = uncertainty.MotionInformation(np.eye(3), C, np.zeros((0, 3)), np.ones(3))
-    worst = uncertainty.weak_directions(BASE, UNITS, seen, np.ones(3))[0]
-    assert worst.std == pytest.approx(np.sqrt(7.96))
-    assert worst.expression in ("a.Ixx − b.Izz", "b.Izz − a.Ixx")
-    assert re.search("rise by 2 kg·m² while.*falls by 2 kg·m²", worst.meaning)
-    change = np.zeros(3)
-    for name, value, _ in worst.members:
-        change[BASE.names.index(name)] = value
-    # one standard deviation: δᵀ C⁻¹ δ = 1
-    assert change @ np.linalg.inv(C) @ change == pytest.approx(1.0)
-    C, unseen = np.diag([1.0, 0.0, 0.0]), np.array([[0, 1.0, -0.25]])
-    seen = uncertainty.MotionInformation(np.eye(3), C, unseen, np.ones(3))
-    first, *rest = uncertainty.weak_directions(BASE, UNITS, seen, np.ones(3))
-    assert (first.std, first.expression) == (np.inf, "a.Ixx − 0.25·b.Izz")
-    assert "no torque of this motion" in first.meaning
-    assert [d.members[0][0] for d in rest] == ["a.m"]
 
 
 @pytest.fixture(scope="module")
