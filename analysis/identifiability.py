@@ -20,7 +20,6 @@ from excitant.analysis.uncertainty import (
     NOT_SHOWN,
     Practical,
     candidate_experiments,
-    dependent_groups,
     experiments_needed,
     known_values,
     practical,
@@ -150,7 +149,6 @@ class Identifiability(Shown):
         effects: Effects whose coefficients are unknown too.
         structure: Structural identifiability.
         entries: Every parameter of ``base.names``.
-        follow: Groups of parameters of which any one determines the others.
         motion: Practical identifiability by the given motion or recording; None without one.
         notes: Remarks to the user, as sentences.
     """
@@ -159,7 +157,6 @@ class Identifiability(Shown):
     effects: tuple[Effect, ...]
     structure: Structure
     entries: tuple[ParameterIdentifiability, ...]
-    follow: tuple[tuple[str, ...], ...] = ()
     motion: PracticalIdentifiability | None = None
     notes: tuple[str, ...] = ()
 
@@ -194,7 +191,6 @@ class Identifiability(Shown):
                 **self.structure.decomposition(),
             },
             "links": [self._link(link, joint) for link, joint in links],
-            "follow_each_other": self.follow,
             **(self.motion.result() if self.motion else without),
             "notes": list(self.notes),
         }
@@ -331,7 +327,6 @@ def analyze(
     ]
     pose = np.zeros(robot.nv)
     sigma = default_noise(robot)
-    R = base.regrouping
     experiment: Experiment | None = None
     if estimate is not None:
         experiment = recorded_experiment(robot, base, estimate)
@@ -341,13 +336,9 @@ def analyze(
         rests = experiment.resting
         pose = experiment.q.mean(axis=0)
         sigma[rows] = experiment.sigma
-        R = experiment.information.R
     further = candidate_experiments(robot, effects, sigma, rests, pose, rows)
     entries = _entries(robot, effects, structural, further, experiment)
-    groups = (tuple(base.names[k] for k in group) for group in dependent_groups(R))
-    identifiability = Identifiability(
-        robot, effects, structural, entries, tuple(groups)
-    )
+    identifiability = Identifiability(robot, effects, structural, entries)
     if experiment is not None:
         practical = _practical(robot, effects, base, experiment, further)
         notes = (*_notes(structural, practical, entries), *experiment.notes)

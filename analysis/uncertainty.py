@@ -86,18 +86,6 @@ def deviations(R: Array, A: Array) -> Array:
     return np.asarray(np.where(hidden, np.inf, std), float)
 
 
-def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
-    """Columns of which any one determines the others: parallel rows of the null space."""
-    _, _, V, seen = _decomposed(R)
-    N = V[:, ~seen]
-    size = np.linalg.norm(N, axis=1)
-    hidden = np.flatnonzero(size > UNSEEN_PART)
-    directions = N[hidden] / size[hidden, None]
-    parallel = np.abs(directions @ directions.T) > 1 - UNSEEN_PART**1.5
-    groups = dict.fromkeys(tuple(int(k) for k in hidden[row]) for row in parallel)
-    return tuple(group for group in groups if len(group) > 1)
-
-
 def without_rounding(W: Array) -> Array:
     """Columns, shape (n, rows, p), with those that are zero but for rounding set to zero."""
     silent = silent_columns(np.sqrt((W**2).sum(axis=0)))

@@ -274,12 +274,6 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
         ],
         "Found by adding each experiment's rows and looking at rank and standard deviation again.",
     )
-    own = {row.name for row in link.parameters}
-    follow = [
-        f"Once one of {', '.join(group)} is known from elsewhere, the data give the rest of them."
-        for group in result.follow_each_other
-        if own & set(group)
-    ]
     practical = {row.name: row for row in result.practical}
     combined = link.combined
 
@@ -304,7 +298,6 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
         _parameters(link),
         combinations,
         needed,
-        p.notes(follow),
     ]
 
 

@@ -1107,8 +1107,6 @@ class Analyze(Imported, tag_field="verb", tag="analyze"):
     "Circumstances of the structural analysis, its frames and decomposition."
     links: list[LinkIdentifiability]
     "Link by link."
-    follow_each_other: list[list[str]]
-    "Groups of parameters of which any one determines the others."
     condition_number: Number
     "Condition number of the base columns under the motion, unscaled."
     practical: list[Practical]

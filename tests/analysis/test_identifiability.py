@@ -143,14 +143,6 @@ def test_the_result_is_its_record_link_by_link(ur10: Robot) -> None:
     assert len(seen) == 60
 
 
-def test_parameters_that_follow_from_one_another_are_grouped(planar: Robot) -> None:
-    """Torque shows link1.mcx + l m2, and link1.Iyy + l² m2 with the rotor's inertia added."""
-    effects, motion = standard_effects(planar.joints), motion_of(planar)
-    assert analyze(planar).follow == (("link1.mcx", "link1.Iyy", "link2.m"),)
-    for given in (None, motion):
-        assert analyze(planar, effects=effects, motion=given).follow == (("link1.mcx", "link2.m"),)
-
-
 def test_level_is_information_per_noise(planar: Robot) -> None:
     motion, sigma = motion_of(planar), np.array([0.2, 0.1])
     one, half = (persistency(planar, motion, sigma=s) for s in (sigma, sigma / 2))
