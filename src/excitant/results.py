@@ -363,8 +363,6 @@ class Start(Record):
     "Why it ended."
     iterations: int
     "Convex steps taken."
-    history: list[Number]
-    "Condition number after each of them."
 
 
 class FirstRun(Record):

@@ -118,9 +118,8 @@ def design_run() -> Run:
         for k, row in enumerate(_base_parameters()[:10], start=1)
     ]
     ends = 9.31 + 0.7 * np.arange(8) ** 1.5
-    history = [[*(x + 160 * np.exp(-np.arange(39) / (x - 5))), None] for x in ends]
     status = ["converged"] * 6 + ["stopped: time limit"] * 2
-    starts = _rows(condition_number=ends, status=status, history=history)
+    starts = _rows(condition_number=ends, status=status)
     certified = {
         "position": _rows(low=q.min(0), high=q.max(0), ratio=0.98, t=3.2),
         "velocity": _rows(low=-fast, high=fast, ratio=1.0, t=7.77),
