@@ -23,7 +23,6 @@ COLOURS = {  # on light, on dark ground
     "purple": ("#b0558f", "#d88cbd"),
     "amber": ("#e69f00", "#e9b23f"),
     "sky": ("#3a93c9", "#7cc4ef"),
-    "light": ("#b9bdc2", "#646d76"),
     "cloud": ("#9aa0a6", "#7f8891"),
     "band": ("#c3dcec", "#234a63"),
     "zero": ("#8a8f94", "#7b848c"),
@@ -37,7 +36,6 @@ GREEN = "green"
 PURPLE = "purple"
 AMBER = "amber"
 SKY = "sky"
-LIGHT = "light"
 CLOUD = "cloud"
 BAND = "band"
 ZERO = "zero"
@@ -84,13 +82,11 @@ class Band:
 
 @dataclass(frozen=True)
 class Span:
-    """A faint strip across the whole axes, between two values of the axis ``along``."""
+    """A faint strip across the whole axes, between two values of the ordinate."""
 
     low: float
     high: float
     colour: str
-    along: Literal["x", "y"] = "y"
-    opacity: float = 0.13
 
 
 @dataclass(frozen=True)
@@ -170,7 +166,7 @@ def _along(mark: Mark, along: str) -> Array:
         case Line() | Points() | Band():
             values: Array = np.asarray(getattr(mark, along), float)
             return values
-        case Span() if mark.along == along:
+        case Span() if along == "y":
             return np.array([mark.low, mark.high])
         case Rule() if mark.along == along:
             return np.array([mark.at])

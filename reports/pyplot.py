@@ -33,6 +33,7 @@ _PIXELS = 88  # px of a page for an inch
 _HEADING = 0.3  # inch: title of a panel
 _TICK = 35  # px of a page for a tick of the ordinate
 _LETTER = 0.065  # inch: width of one in a legend
+_FAINT = 0.13  # opacity of a strip
 _DASHED = (0, (5, 3))
 _STYLE: Any = {
     "font.size": 9,
@@ -163,9 +164,8 @@ def _draw_mark(mark: Mark, ax: Drawn, order: float) -> None:
             look: Any = {"color": COLOURS["band"][0], "lw": 0, "zorder": order}
             ax.fill_between(mark.x, mark.low, mark.high, **look)
         case Span():
-            span = ax.axvspan if mark.along == "x" else ax.axhspan
             look = {"color": COLOURS[mark.colour][0], "lw": 0, "zorder": order}
-            span(mark.low, mark.high, alpha=mark.opacity, **look)
+            ax.axhspan(mark.low, mark.high, alpha=_FAINT, **look)
         case Rule():
             rule = ax.axvline if mark.along == "x" else ax.axhline
             stroke = _DASHED if mark.dashed else "-"

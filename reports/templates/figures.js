@@ -87,11 +87,10 @@
         start = k + 1;
       });
     },
-    span(c, { low, high, colour, along = "y", opacity = 0.13 }, X, Y, box) {
-      c.globalAlpha = opacity;
+    span(c, { low, high, colour }, X, Y, box) {
+      c.globalAlpha = 0.13;
       c.fillStyle = ink(colour);
-      if (along === "x") c.fillRect(X(low), box.top, X(high) - X(low), box.height);
-      else c.fillRect(box.left, Y(high), box.width, Y(low) - Y(high));
+      c.fillRect(box.left, Y(high), box.width, Y(low) - Y(high));
     },
     rule(c, { at, colour = "zero", along = "y", dashed }, X, Y, box) {
       c.beginPath();
