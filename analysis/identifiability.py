@@ -29,6 +29,7 @@ from excitant.analysis.uncertainty import (
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.excitation import WindowExcitation, persistency
 from excitant.identify.prior import decided_by
+from excitant.names import listed
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, read_only
@@ -410,9 +411,8 @@ def _notes(
         if parameter.verdict == NOT_SHOWN:
             lost.setdefault(parameter.needed, []).append(base.names[k])
     for what, names in lost.items():
-        more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
         notes.append(
-            f"this motion does not show {', '.join(names[:LISTED])}{more} "
+            f"this motion does not show {listed(names, LISTED)} "
             f"({len(names)} of {len(base)} base parameters); "
             f"shown {'' if what.startswith('never') else 'by '}{what}"
         )

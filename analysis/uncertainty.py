@@ -244,13 +244,6 @@ def practical(
     return tuple(map(Practical, base.expressions, *columns))
 
 
-def listed(words: Sequence[str]) -> str:
-    """Words with commas and ``and``."""
-    return " and ".join(
-        [", ".join(words[:-1]), words[-1]] if len(words) > 1 else words
-    )
-
-
 def candidate_experiments(
     robot: Robot,
     effects: Sequence[Effect],
@@ -281,7 +274,7 @@ def candidate_experiments(
         )
     if len(rests) > 1:
         experiments[
-            f"moving {listed([robot.joints[j] for j in rests])} together"
+            f"moving {' and '.join(robot.joints[j] for j in rests)} together"
         ] = factor(robot)
     elif not rests:
         experiments["a wider and faster motion of all joints"] = factor(robot)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from excitant.names import listed
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.figures.residual import evidence_figure
@@ -218,10 +219,9 @@ def _finding_table(
 def _corrected_line(rows: list[FoundParameter]) -> list[tuple[str, str]]:
     if not rows:
         return []
-    first, *others = (row.name for row in rows)
-    more = f" and {len(others)} more" if others else ""
+    names = listed([row.name for row in rows], 1)
     words = "corrected by the data within the tolerance of given values"
-    return [("", f"{first}{more}: {words}, listed in report.html")]
+    return [("", f"{names}: {words}, listed in report.html")]
 
 
 def _corrected(rows: list[FoundParameter]) -> p.Table | None:
