@@ -9,6 +9,7 @@ default null may be missing. Files are paths as printed.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import date
 from typing import Any, Literal, TypeAlias
 
 import msgspec
@@ -1536,21 +1537,21 @@ class Deviation(Record):
     "Parameter."
     unit: str
     "Unit."
-    value: Number
+    value: float
     "Of the arm."
-    std: Number
+    std: float
     "Its standard deviation."
-    siblings: Number
+    siblings: float
     "Mean of the other arms."
-    spread: Number
+    spread: float
     "Their standard deviation."
-    difference: Number
+    difference: float
     "Of the arm from that mean."
-    difference_std: Number
+    difference_std: float
     "Its standard deviation."
     count: int
     "Number of the other arms."
-    ratio: Number
+    ratio: float
     "Difference over what chance allows."
 
 
@@ -1563,19 +1564,19 @@ class Difference(Record):
     "Unit."
     low: str
     "Arm furthest below the mean of all, in its standard deviations."
-    low_value: Number
+    low_value: float
     "Its value."
     high: str
     "Arm furthest above it, likewise."
-    high_value: Number
+    high_value: float
     "Its value."
-    difference: Number
+    difference: float
     "Between both."
-    std: Number
+    std: float
     "Its standard deviation."
     count: int
     "Number of arms."
-    chance: Number
+    chance: float
     "Probability, in a fleet of equal arms, of values as far apart."
 
 
@@ -1588,21 +1589,21 @@ class Drift(Record):
     "Parameter."
     unit: str
     "Unit."
-    per_year: Number
+    per_year: float
     "Slope [unit per year]."
-    std: Number
+    std: float
     "Its standard deviation."
-    first: str
+    first: date
     "Date of the first data set."
-    last: str
+    last: date
     "Date of the last one."
-    before: Number
+    before: float
     "Value of the line at the first date."
-    after: Number
+    after: float
     "Value at the last one."
     count: int
     "Number of data sets."
-    chance: Number
+    chance: float
     "Probability, in a fleet without any change, of one as clear."
 
 
