@@ -23,7 +23,6 @@ from excitant.identify.prior import reference_motion, silent_columns
 from excitant.robots.base_parameters import (
     BaseParameters,
     Observation,
-    independent_columns,
     regroup,
 )
 from excitant.robots.effects import Effect
@@ -124,8 +123,8 @@ class MotionInformation:
     """Information of a motion's torque on the r base parameters β of p parameters x."""
 
     R: Array  # triangular factor of the whitened columns, shape (p, p)
+    columns: tuple[int, ...]  # those of β among them, shape (r,)
     covariance: Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
-    unseen: Array  # directions of β that change no torque, each with few members, shape (d, r)
     signal: (
         Array  # largest rms torque per unit of each parameter over the noise, (p,)
     )
@@ -137,9 +136,8 @@ class MotionInformation:
         values = np.sqrt(
             np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0)
         )
-        length = np.linalg.norm(self.unseen, axis=1, keepdims=True)
-        hidden = (np.abs(C @ (self.unseen / length).T) > UNSEEN_PART).any(axis=1)
-        return np.asarray(np.where(hidden, np.inf, values), float)
+        unseen = np.isinf(deviations(self.R[:, self.columns], C))
+        return np.asarray(np.where(unseen, np.inf, values), float)
 
 
 def motion_information(
@@ -147,33 +145,15 @@ def motion_information(
 ) -> MotionInformation:
     """Information of columns (n, rows, p) with noise (rows,), or covariance (r, r) if known."""
     R = triangle(W, sigma)
-    columns = list(base.columns)
+    columns = base.columns
+    scale, s, V, seen = _decomposed(R[:, columns])
     if covariance is None:
-        scale, s, V, seen = _decomposed(R[:, columns])
         half = V[:, seen] / s[seen] / scale[:, None]
         covariance = half @ half.T
-    unseen = unseen_directions(R[:, columns])
     plain = np.linalg.qr(W[:, :, columns].reshape(-1, len(base)), mode="r")
-    condition = np.inf if len(unseen) else float(np.linalg.cond(plain))
+    condition = float(np.linalg.cond(plain)) if seen.all() else np.inf
     signal = (np.sqrt((W**2).mean(axis=0)) / sigma[:, None]).max(axis=0)
-    return MotionInformation(R, covariance, unseen, signal, condition)
-
-
-def unseen_directions(R: Array) -> Array:
-    """Null space of R by sparse vectors, one per column that depends on earlier ones, (d, r)."""
-    scale, unit = _unit_columns(R)
-    independent, _ = independent_columns(unit, ROUNDING)
-    rest = [k for k in range(R.shape[1]) if k not in independent]
-    directions = np.zeros((len(rest), R.shape[1]))
-    directions[:, list(independent)] = -np.linalg.lstsq(
-        unit[:, list(independent)], unit[:, rest], rcond=None
-    )[0].T
-    directions[np.abs(directions) < UNSEEN_PART] = 0.0
-    directions[range(len(rest)), rest] = 1.0
-    directions /= scale
-    return np.asarray(
-        directions / directions[range(len(rest)), rest][:, None], float
-    )
+    return MotionInformation(R, columns, covariance, signal, condition)
 
 
 @dataclass(frozen=True)
