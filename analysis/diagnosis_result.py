@@ -78,7 +78,6 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
         shared_friction(diagnosis),
         too_slight(diagnosis),
     ]
-    residuals = zip(diagnosis.nominal_residuals, diagnosis.residuals, strict=True)
     return {
         "verb": "diagnose",
         "robot": diagnosis.robot.name,
@@ -112,10 +111,13 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
         "extended": {"joints": _joints(diagnosis, diagnosis.extended)},
         "error": {
             "joints": [
-                {"name": nominal.joint}
-                | _distribution(nominal)
-                | {"left": _distribution(extended)}
-                for nominal, extended in residuals
+                {
+                    "name": residual.joint,
+                    "rms": residual.rms,
+                    "shares": dict(residual.shares),
+                    "telling": residual.dominant,
+                }
+                for residual in diagnosis.nominal_residuals
             ]
         },
         "notes": [note for note in notes if note],
@@ -273,11 +275,3 @@ def _figure(diagnosis: Diagnosis, item: Item) -> Entry:
 def _joints(diagnosis: Diagnosis, accuracy: Accuracy) -> list[Entry]:
     joints = enumerate(diagnosis.robot.joints)
     return [{"name": joint, **accuracy.entry(j)} for j, joint in joints]
-
-
-def _distribution(residual: Residual) -> Entry:
-    return {
-        "rms": residual.rms,
-        "shares": dict(residual.shares),
-        "telling": residual.dominant,
-    }

@@ -24,7 +24,6 @@ from excitant.results import (
     JointResidual,
     Number,
     Part,
-    Residual,
     Unexplained,
 )
 
@@ -73,10 +72,6 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
         if findings
         else "Error of the given model"
     )
-    shares: p.Blocks = [
-        _shares(result.error.joints, extended, unit)
-        for extended in (False, True)[: 1 + changed]
-    ]
     first, others = _finding_parts(findings, series, unit)
     return p.section(
         "Diagnosis",
@@ -91,7 +86,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
                 ],
             ),
             ("Given values that the data correct", [_corrected(result.corrected)]),
-            (wrong, shares),
+            (wrong, [_shares(result.error.joints, unit)]),
             ("Files of the extended model", [exported_table(result.exported)]),
             *first,
         ],
@@ -365,19 +360,11 @@ def _rivals(finding: Finding) -> p.Table | None:
     )
 
 
-def _shares(
-    joints: list[JointResidual], extended: bool, unit: str
-) -> p.Table | None:
-    def of(row: JointResidual) -> Residual:
-        return row.left if extended else row
-
+def _shares(joints: list[JointResidual], unit: str) -> p.Table | None:
     def share(key: str) -> p.Column:
         def cell(row: JointResidual) -> p.Cell:
-            residual = of(row)
-            x = residual.shares.get(key)
-            return p.cell(
-                x, v.percent, p.POOR if residual.telling == key else p.PLAIN
-            )
+            tone = p.POOR if row.telling == key else p.PLAIN
+            return p.cell(row.shares.get(key), v.percent, tone)
 
         return f"number:{key}", cell
 
@@ -385,13 +372,11 @@ def _shares(
         joints,
         [
             ("name:Joint", "name"),
-            (f"number:rms [{unit}]", lambda r: of(r).rms),
+            (f"number:rms [{unit}]", "rms"),
             *map(share, _QUANTITIES),
         ],
-        f"Error {'left by the extended model' if extended else 'of the model as given'} while the "
-        "joint moves, and the shares of its square that go with one quantity (they overlap): "
-        f"○ marks the simplest that explains it. {'' if extended else _MEANING}",
-        "What the extended model leaves, joint by joint" if extended else "",
+        "Error of the model as given while the joint moves, and the shares of its square that go "
+        f"with one quantity (they overlap): ○ marks the simplest that explains it. {_MEANING}",
     )
 
 

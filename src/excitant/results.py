@@ -1234,24 +1234,17 @@ class Unexplained(Record):
     "The variable that explains most of it, in words."
 
 
-class Residual(Record):
-    """Structure of a residual."""
+class JointResidual(Record):
+    """Structure of the error of a joint."""
 
+    name: str
+    "Joint."
     rms: Number
     "Root mean square [N·m or A]."
     shares: dict[str, Number]
     "Share of it that each variable explains."
     telling: str
     "The above in words."
-
-
-class JointResidual(Residual):
-    """Structure of the error of a joint."""
-
-    name: str
-    "Joint."
-    left: Residual
-    "The same of the extended model."
 
 
 class ErrorStructure(Record):

@@ -166,10 +166,12 @@ def test_an_error_is_the_same_wherever_it_is_told(coulomb: Diagnosis) -> None:
     """Over rows at which the joint moves, after one filter: findings, tables, headline."""
     assert not coulomb.holdout.series.moves.all()
     result, lead = coulomb.result(), coulomb.findings[0]
-    for model, key in (("simulation", "given"), ("extended", "extended")):
-        rms = [row["rms"] for row in result[model]["joints"]]
-        told = [row if key == "given" else row["left"] for row in result["error"]["joints"]]
-        assert [row["rms"] for row in told] == pytest.approx(rms, rel=1e-9)
+    given = [row["rms"] for row in result["simulation"]["joints"]]
+    extended = [row["rms"] for row in result["extended"]["joints"]]
+    told = [row["rms"] for row in result["error"]["joints"]]
+    assert told == pytest.approx(given, rel=1e-9)
+    left = [residual.rms for residual in coulomb.residuals]
+    assert left == pytest.approx(extended, rel=1e-9)
     assert lead.rms_after == pytest.approx(coulomb.extended.rms[lead.joint], rel=1e-9)
     assert result["findings"][0]["holdout"]["rms_after"] == pytest.approx(lead.rms_after)
 
@@ -199,7 +201,7 @@ def test_the_result_is_its_record_and_names_every_joint(kind: str, case: Case) -
     assert all({"std", "unit"} <= set(p) for p in parameters)
     explained = [f["explained"] for f in result["findings"]]
     assert explained == sorted(explained, reverse=True)
-    spectra = [part for row in result["error"]["joints"] for part in (row, row["left"])]
+    spectra = result["error"]["joints"]
     assert all(set(part["shares"]) <= set(QUANTITIES) for part in spectra)
     shares = [row["share"] for row in result["unexplained"]]
     shares += [x for part in spectra for x in part["shares"].values()]

@@ -299,7 +299,7 @@ def diagnose_run() -> Run:
     result["notes"] = ["Velocities below 0.05 rad/s are rare: presliding was not judged."]
     shares = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8}
     error = {"rms": 4.0, "shares": shares, "telling": "direction"}
-    wrong = [{"name": name, **error, "left": error | {"rms": 1.0}} for name in JOINTS]
+    wrong = [{"name": name, **error} for name in JOINTS]
     result |= {"findings": _findings(), "error": {"joints": wrong}}
     noise = rng.normal(size=(3, len(t)))
     series = {"t": t, "measured": measured, "simulated": given, "extended": extended}
