@@ -255,7 +255,7 @@ def test_why_a_cause_that_pays_is_not_decided(rms, left, own, rough, said):
     large = cause("viscous_friction", 0.6, "joint2", rms)
     others = (large, cause("stribeck_friction", rough[1], rough[0], rms))
     residuals = [
-        Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {}, {})
+        Residual(f"joint{j}", np.hypot(x, FLOOR), FLOOR, 2 * x + FLOOR, 1.0, {})
         for j, x in enumerate(left, start=1)
     ]
     reason = reason_to_downgrade(load_robot("planar_2r"), found, others, residuals, 0.1)
@@ -278,7 +278,7 @@ SWUNG, BACK, FAINT = cause("spring", 2.0, torque=SWING), "mostly cancel", "small
 def reason_among(*causes: Finding) -> str:
     """Why the first of all causes is not decided, where little is left."""
     robot = load_robot("planar_2r")
-    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}, {}) for joint in robot.joints]
+    left = [Residual(joint, FLOOR, FLOOR, 1.0, 0.01, {}) for joint in robot.joints]
     return reason_to_downgrade(robot, causes[0], causes, left, 0.1)
 
 
