@@ -11,11 +11,9 @@ import scipy
 
 from excitant.analysis.thresholds import RESOLUTION
 from excitant.analysis.uncertainty import (
-    PAYLOAD_KG,
     MotionInformation,
     known_values,
     motion_information,
-    scale_deviation,
     torque_noise,
     without_rounding,
 )
@@ -190,9 +188,8 @@ def recorded_experiment(
     if estimate.data.unit == "A":
         notes.append(
             "torque was recorded as current: all values share one scale that currents do not "
-            f"show; a known payload of {PAYLOAD_KG:g} kg would determine it to "
-            f"±{100 * scale_deviation(robot, effects, sigma):.2g} % in ten seconds of motion of "
-            "all joints"
+            "show; recordings with a known payload would determine it (identify "
+            "--payload-recording)"
         )
     return Experiment(
         sigma=sigma,

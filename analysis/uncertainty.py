@@ -3,8 +3,7 @@
 With the torque noise σ of each joint, the whitened columns W/σ of all parameters x have a
 triangular factor R, and ‖R δ‖ is the torque that a change δ makes, in standard deviations of the
 noise: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what is (Gautier and Khalil
-1992; Swevers et al. 1997). A further experiment adds rows. A known payload adds none where torque
-is in N·m; where it comes as current, it shows the common scale of all drive gains.
+1992; Swevers et al. 1997). A further experiment adds rows.
 """
 
 from __future__ import annotations
@@ -40,7 +39,6 @@ UNSEEN_PART = (
 
 DURATION_S = 10.0  # of a further experiment
 RATE_HZ = 20.0
-PAYLOAD_KG = 1.0  # known payload that is tried, at the last joint's frame
 _NEVER = "never by joint torques"
 APART = f"{_NEVER} or base forces: weigh or swing the link apart from the arm"
 
@@ -364,21 +362,3 @@ def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
         *robot.phi.tolist(),
         *(values.get(p.name) for e in effects for p in e.parameters(robot)),
     ]
-
-
-def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> float:
-    """Relative standard deviation of the drive gains' common scale κ, once a payload is known.
-
-    Of readings i, a change δκ is seen as W δφ − i δκ; without a payload, δφ = φ δκ hides it.
-    """
-    motion = reference_motion(robot, DURATION_S, RATE_HZ)
-    W = observation_columns(robot, effects, motion)
-    load = np.zeros(W.shape[2])
-    load[10 * robot.nv - 10] = PAYLOAD_KG
-    x = np.array([value or 0.0 for value in known_values(robot, effects)])
-    rows = [
-        np.concatenate([W, -(W @ values)[:, :, None]], axis=2)
-        for values in (x, x + load)
-    ]
-    R = triangle(np.concatenate(rows), sigma)
-    return float(deviations(R, np.eye(len(load) + 1)[-1:])[0])
