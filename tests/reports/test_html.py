@@ -186,7 +186,8 @@ HOSTILE = '<script>alert("1")</script> & $\\frac{1}$ \'"><img src=x onerror=y>'
 
 def _rename(value):
     if isinstance(value, dict):
-        kept = ("verb", "unit", "kind", "category", "decided_by", "verdict", "shape", "first", "last")
+        kept = ("verb", "unit", "kind", "category", "decided_by", "verdict", "shape")
+        kept += ("first", "last")
         return {key: item if key in kept else _rename(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_rename(item) for item in value]
