@@ -377,6 +377,7 @@ def _shares(joints: list[JointResidual], unit: str) -> p.Table | None:
         ],
         "Error of the model as given while the joint moves, and the shares of its square that go "
         f"with one quantity (they overlap): ○ marks the simplest that explains it. {_MEANING}",
+        "What the error goes with, joint by joint",
     )
 
 
