@@ -59,7 +59,6 @@ from excitant.identify.rows import (
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import (
     Effect,
-    plain,
     standard_effects,
     turning_speed,
 )
@@ -96,7 +95,6 @@ class Diagnosis(Shown):
         corrected: Nominal values within their tolerance that the data correct beyond chance.
         nominal_residuals: Residuals of the nominal model, joint by joint.
         residuals: Residuals of the extended model.
-        waterfall: Error relative to the nominal model's, as causes are added.
         notes: Remarks to the user, as sentences.
         drive: Drive gains, if torque was recorded as current.
         set_up: Mounting, zero positions and repairs of the data, if not the nominal ones.
@@ -111,7 +109,6 @@ class Diagnosis(Shown):
     corrected: tuple[Finding, ...]
     nominal_residuals: tuple[Residual, ...]
     residuals: tuple[Residual, ...]
-    waterfall: tuple[tuple[str, float], ...]
     notes: tuple[str, ...]
     drive: DriveGains | None = None
     set_up: SetUp | None = None
@@ -183,7 +180,7 @@ class Diagnosis(Shown):
         }
         for k, item in enumerate(self.ordered):
             curve = curve_of(self, item)
-            for name in ("x", "residual", "fit", "rival"):
+            for name in ("x", "residual", "fit"):
                 if (values := getattr(curve, name)) is not None:
                     arrays[f"finding{k}_{name}"] = values
         return arrays
@@ -286,9 +283,6 @@ def diagnose(
             joints, data.validate, holdout.error, holdout.error, holdout.simulated
         ),
         residuals=left,
-        waterfall=_waterfall(
-            holdout, error, [f for f in findings if f.effect.values]
-        ),
         notes=tuple(notes),
         drive=drive,
         set_up=mounted,
@@ -518,19 +512,3 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
             break
     assert best is not None
     return best
-
-
-def _waterfall(
-    holdout: Holdout, extended: Array, findings: Sequence[Finding]
-) -> tuple[tuple[str, float], ...]:
-    steps = ["given model"]
-    errors = [holdout.error]
-    for finding in findings:
-        errors.append(errors[-1] - finding.torque)
-        effect = finding.effect
-        steps.append(f"+ {plain(effect.name)} at {', '.join(effect.joints)}")
-    steps.append("all re-identified")
-    errors.append(extended)
-    rms = np.array([holdout.series.rms(error) for error in errors])
-    sizes = np.sqrt(((rms / rms[0]) ** 2).mean(axis=1))
-    return tuple(zip(steps, sizes.tolist(), strict=True))

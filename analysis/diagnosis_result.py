@@ -78,7 +78,6 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
         shared_friction(diagnosis),
         too_slight(diagnosis),
     ]
-    residuals = zip(diagnosis.nominal_residuals, diagnosis.residuals, strict=True)
     return {
         "verb": "diagnose",
         "robot": diagnosis.robot.name,
@@ -99,8 +98,12 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
             p for f in diagnosis.corrected for p in _parameters(f, diagnosis)
         ],
         "unexplained": [
-            {"joint": residual.joint, "share": float(np.clip(1 - r2, 0, 1))}
-            | _beyond_noise(residual)
+            {
+                "joint": residual.joint,
+                "share": float(np.clip(1 - r2, 0, 1)),
+                "against_noise": residual.against_noise,
+                "structure": residual.structure,
+            }
             for residual, r2 in zip(
                 diagnosis.residuals, diagnosis.extended.r2, strict=True
             )
@@ -108,15 +111,15 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
         "extended": {"joints": _joints(diagnosis, diagnosis.extended)},
         "error": {
             "joints": [
-                {"name": nominal.joint}
-                | _distribution(nominal)
-                | {"left": _distribution(extended)}
-                for nominal, extended in residuals
+                {
+                    "name": residual.joint,
+                    "rms": residual.rms,
+                    "shares": dict(residual.shares),
+                    "telling": residual.dominant,
+                }
+                for residual in diagnosis.nominal_residuals
             ]
         },
-        "waterfall": [
-            {"label": label, "rms": rms} for label, rms in diagnosis.waterfall
-        ],
         "notes": [note for note in notes if note],
     }
 
@@ -272,22 +275,3 @@ def _figure(diagnosis: Diagnosis, item: Item) -> Entry:
 def _joints(diagnosis: Diagnosis, accuracy: Accuracy) -> list[Entry]:
     joints = enumerate(diagnosis.robot.joints)
     return [{"name": joint, **accuracy.entry(j)} for j, joint in joints]
-
-
-def _distribution(residual: Residual) -> Entry:
-    return {
-        "rms": residual.rms,
-        "shares": dict(residual.shares),
-        "bands": dict(residual.bands),
-        "telling": residual.dominant,
-    }
-
-
-def _beyond_noise(residual: Residual) -> Entry:
-    return {
-        "rms": residual.rms,
-        "noise_floor": residual.floor,
-        "against_noise": residual.against_noise,
-        "structure": residual.structure,
-        "shows": dict(residual.shares),
-    }

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from excitant.analysis.confirmation import Finding
 from excitant.analysis.explanation import Item
 from excitant.analysis.residuals import explanatory
 from excitant.identify.rows import states
-from excitant.robots.effects import plain, standard_effects
+from excitant.robots.effects import plain
 from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
@@ -29,8 +28,6 @@ class Curve:
     x: Array  # at the rows of the hold-out, NaN where not to be shown, shape (n,)
     residual: Array  # residual there without the cause, shape (n,) [torque unit]
     fit: Array | None = None  # torque of the cause; None where there is none
-    # of its closest rival, fitted to the residual; None without one
-    rival: Array | None = None
 
 
 def curve_of(diagnosis: Diagnosis, item: Item) -> Curve:
@@ -58,38 +55,7 @@ def curve_of(diagnosis: Diagnosis, item: Item) -> Curve:
         label, x = effect.words.drawn(effect, label, x)
     x = np.where(moves[:, j], x, np.nan)
     residual_torque = error[:, j] + torque
-    rival = None
-    if len({f.effect.name for f in item.findings}) == 1:
-        rival = _rival(diagnosis, lead, j, residual_torque)
-    return Curve(j, label, x, residual_torque, torque, rival)
-
-
-def _rival(
-    diagnosis: Diagnosis, finding: Finding, j: int, residual: Array
-) -> Array | None:
-    """Torque of the first rival fitted to a joint's residual, friction against friction."""
-    if not finding.rivals:
-        return None
-    rival = finding.rivals[0].candidate.effect
-    if not all(
-        e.jointwise and e.family == "friction" for e in (finding.effect, rival)
-    ):
-        return None
-    usual = standard_effects((diagnosis.robot.joints[j],))
-    beside = [e for e in usual if e.export.joint_property in ("viscous", "offset")]
-    observed = diagnosis.extension.observed
-    columns = np.concatenate(
-        [observed.columns(e)[:, j] for e in (rival, *beside)], axis=1
-    )
-    rows = diagnosis.holdout.series.moves[:, j]
-    sizes = np.sqrt((columns[rows] ** 2).sum(axis=0))
-    unit = columns[:, sizes > 0] / sizes[sizes > 0]
-    if not unit.shape[1]:
-        return None
-    fitted: Array = (
-        unit @ np.linalg.lstsq(unit[rows], residual[rows], rcond=1e-8)[0]
-    )
-    return fitted
+    return Curve(j, label, x, residual_torque, torque)
 
 
 def _abscissa(

@@ -11,11 +11,9 @@ import scipy
 
 from excitant.analysis.thresholds import RESOLUTION
 from excitant.analysis.uncertainty import (
-    PAYLOAD_KG,
     MotionInformation,
     known_values,
     motion_information,
-    scale_deviation,
     torque_noise,
     without_rounding,
 )
@@ -48,14 +46,10 @@ class Prior:
     L: Array  # blocks of ten by ten for each link and a diagonal for effects, shape (p, p)
     links: int  # number of links
 
-    def directions(self, R: Array) -> tuple[Array, Array]:
-        """Information per unit of w: singular values of R L, and its right vectors as rows."""
-        _, s, Vt = np.linalg.svd(R @ self.L)
-        return np.pad(s, (0, len(Vt) - len(s))), Vt
-
     def posterior_std(self, R: Array) -> Array:
         """Standard deviation of each parameter after data, constraints ignored, shape (p,)."""
-        s, Vt = self.directions(R)
+        _, s, Vt = np.linalg.svd(R @ self.L)
+        s = np.pad(s, (0, len(Vt) - len(s)))
         return np.asarray(
             np.linalg.norm(self.L @ Vt.T / np.sqrt(1 + s**2), axis=1), float
         )
@@ -64,32 +58,18 @@ class Prior:
         """How far each parameter x follows the prior in linear theory, 0 to 1, shape (p,)."""
         return linear_influence(R, self.L, x, self.links)
 
-    def stretches(self, w: Array) -> Array:
-        """Eigenvalues of P̄⁻¹ P − 1 of each link, P̄ that of the prior, ascending, (links, 4)."""
-        change = pseudo_inertia((self.L @ w)[: 10 * self.links].reshape(-1, 10))
-        roots = np.linalg.inv(np.linalg.cholesky(self.bodies))
-        return np.asarray(
-            np.linalg.eigvalsh(roots @ change @ roots.swapaxes(1, 2)), float
-        )
-
-    @property
-    def bodies(self) -> Array:
-        """Pseudo-inertias of the given links, shape (links, 4, 4)."""
-        return pseudo_inertia(self.mean[: 10 * self.links].reshape(-1, 10))
-
-    def size(self, w: Array) -> float:
-        """Largest relative change of any link in any direction, or of an effect in its std."""
-        return float(
-            np.abs(np.append(self.stretches(w), w[10 * self.links :])).max(
-                initial=0.0
-            )
-        )
-
     def at_limit(self, x: Array) -> tuple[int, ...]:
         """Links of x, shape (p,), at the limit of physical consistency: almost flat or thin."""
-        w = np.asarray(np.linalg.solve(self.L, x - self.mean), float)
-        smallest = 1 + self.stretches(w)[:, 0]
-        return tuple(int(k) for k in np.flatnonzero(smallest < RESOLUTION.flat))
+        end = 10 * self.links
+        bodies, given = (
+            pseudo_inertia(y[:end].reshape(-1, 10)) for y in (x, self.mean)
+        )
+        smallest = [
+            scipy.linalg.eigvalsh(body, own)[0]
+            for body, own in zip(bodies, given, strict=True)
+        ]
+        flat = (k for k, least in enumerate(smallest) if least < RESOLUTION.flat)
+        return tuple(flat)
 
 
 def prior_of(
@@ -208,9 +188,8 @@ def recorded_experiment(
     if estimate.data.unit == "A":
         notes.append(
             "torque was recorded as current: all values share one scale that currents do not "
-            f"show; a known payload of {PAYLOAD_KG:g} kg would determine it to "
-            f"±{100 * scale_deviation(robot, effects, sigma):.2g} % in ten seconds of motion of "
-            "all joints"
+            "show; recordings with a known payload would determine it (identify "
+            "--payload-recording)"
         )
     return Experiment(
         sigma=sigma,

@@ -19,15 +19,17 @@ are sound and steady, any of them is called odd or changing in at most 5 % of fl
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from excitant.results import Deviation, Difference, Drift
 from excitant.robots.motion import Array
 
 Mask = npt.NDArray[np.bool_]
@@ -72,83 +74,6 @@ class Examined:
 
 
 @dataclass(frozen=True)
-class Deviation:
-    """A parameter by which an arm differs from the others of its type.
-
-    Attributes:
-        arm, parameter, unit: Which.
-        value, std: Of the arm, over its data sets.
-        siblings, spread: Mean of the other arms and their standard deviation.
-        difference, difference_std: Of the arm from that mean.
-        count: Number of the other arms.
-        ratio: Of the difference to what chance allows.
-    """
-
-    arm: str
-    parameter: str
-    unit: str
-    value: float
-    std: float
-    siblings: float
-    spread: float
-    difference: float
-    difference_std: float
-    count: int
-    ratio: float
-
-
-@dataclass(frozen=True)
-class Drift:
-    """A parameter of an arm that changes with time.
-
-    Attributes:
-        arm, parameter, unit: Which.
-        per_year, std: Its slope [unit per year].
-        first, last: Dates between which it changes.
-        before, after: Values of the line at these.
-        count: Number of data sets.
-        chance: Probability, in a fleet without any change, of one as clear.
-    """
-
-    arm: str
-    parameter: str
-    unit: str
-    per_year: float
-    std: float
-    first: date
-    last: date
-    before: float
-    after: float
-    count: int
-    chance: float
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A parameter that is not the same for all arms of a type, and none of them is odd.
-
-    Attributes:
-        parameter, unit: Which.
-        low, low_value: Arm furthest below the mean of all, in its standard deviations, its value.
-        high, high_value: Arm furthest above it, likewise, its value.
-        difference, std: Between both.
-        count: Number of the arms.
-        chance: Probability, among equal arms of a fleet, of values as far apart.
-    """
-
-    parameter: str
-    unit: str
-    low: str
-    low_value: float
-    high: str
-    high_value: float
-    difference: float
-    std: float
-    count: int
-    chance: float
-
-
-@dataclass(frozen=True)
 class Fleet:
     """Data sets of many arms, the arms that differ, and what changes."""
 
@@ -166,12 +91,9 @@ class Fleet:
             "arms": len({(e.kind, e.arm) for e in done}),
             "types": sorted({e.kind for e in done}),
             "data_sets": [_entry(data_set) for data_set in self.examined],
-            "deviations": [asdict(deviation) for deviation in self.deviations],
-            "differences": [asdict(difference) for difference in self.differences],
-            "drifts": [
-                asdict(drift) | {"first": str(drift.first), "last": str(drift.last)}
-                for drift in self.drifts
-            ],
+            "deviations": msgspec.to_builtins(self.deviations),
+            "differences": msgspec.to_builtins(self.differences),
+            "drifts": msgspec.to_builtins(self.drifts),
             "notes": list(_notes(done)),
         }
 

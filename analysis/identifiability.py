@@ -18,20 +18,18 @@ from excitant.analysis.structure import Structure, structure
 from excitant.analysis.thresholds import RESOLUTION
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
-    Direction,
     Practical,
     candidate_experiments,
-    dependent_groups,
     experiments_needed,
     known_values,
     practical,
     resolution,
     verdict,
-    weak_directions,
 )
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.excitation import WindowExcitation, persistency
-from excitant.identify.prior import base_prior, decided_by
+from excitant.identify.prior import decided_by
+from excitant.names import listed
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, read_only
@@ -118,7 +116,6 @@ class PracticalIdentifiability:
         Array  # of the base columns scaled to unit length, greatest first
     )
     practical: tuple[Practical, ...]  # each base parameter
-    directions: tuple[Direction, ...]  # of the base parameters, unseen or weakest
     noise: Array  # of each measured joint's torque, assumed or estimated [N·m]
     resting: tuple[str, ...]  # joints that do not move
     basis: str  # where the standard deviations come from, as a sentence
@@ -140,7 +137,6 @@ class PracticalIdentifiability:
             "not_shown": [
                 {key: row[key] for key in ("name", "needed")} for row in lost
             ],
-            "directions": [d.result() for d in self.directions],
             "persistency": self.persistency and self.persistency.result(),
         }
 
@@ -154,7 +150,6 @@ class Identifiability(Shown):
         effects: Effects whose coefficients are unknown too.
         structure: Structural identifiability.
         entries: Every parameter of ``base.names``.
-        follow: Groups of parameters of which any one determines the others.
         motion: Practical identifiability by the given motion or recording; None without one.
         notes: Remarks to the user, as sentences.
     """
@@ -163,7 +158,6 @@ class Identifiability(Shown):
     effects: tuple[Effect, ...]
     structure: Structure
     entries: tuple[ParameterIdentifiability, ...]
-    follow: tuple[tuple[str, ...], ...] = ()
     motion: PracticalIdentifiability | None = None
     notes: tuple[str, ...] = ()
 
@@ -198,7 +192,6 @@ class Identifiability(Shown):
                 **self.structure.decomposition(),
             },
             "links": [self._link(link, joint) for link, joint in links],
-            "follow_each_other": self.follow,
             **(self.motion.result() if self.motion else without),
             "notes": list(self.notes),
         }
@@ -335,7 +328,6 @@ def analyze(
     ]
     pose = np.zeros(robot.nv)
     sigma = default_noise(robot)
-    R = base.regrouping
     experiment: Experiment | None = None
     if estimate is not None:
         experiment = recorded_experiment(robot, base, estimate)
@@ -345,13 +337,9 @@ def analyze(
         rests = experiment.resting
         pose = experiment.q.mean(axis=0)
         sigma[rows] = experiment.sigma
-        R = experiment.information.R
     further = candidate_experiments(robot, effects, sigma, rests, pose, rows)
     entries = _entries(robot, effects, structural, further, experiment)
-    groups = (tuple(base.names[k] for k in group) for group in dependent_groups(R))
-    identifiability = Identifiability(
-        robot, effects, structural, entries, tuple(groups)
-    )
+    identifiability = Identifiability(robot, effects, structural, entries)
     if experiment is not None:
         practical = _practical(robot, effects, base, experiment, further)
         notes = (*_notes(structural, practical, entries), *experiment.notes)
@@ -397,19 +385,10 @@ def _practical(
     R = information.R[:, columns]
     lengths = np.linalg.norm(R, axis=0)
     scaled = R / np.where(lengths > 0, lengths, 1.0)
-    if experiment.prior is not None:
-        size = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
-    else:  # what makes as much torque as the noise
-        signal = information.signal[columns]
-        size = 1 / np.maximum(signal, 1e-6 * signal.max())
-    units = _units(robot, effects)
     return PracticalIdentifiability(
         condition_number=information.condition_number,
         singular_values=read_only(np.linalg.svd(scaled, compute_uv=False)),
         practical=practical(base, experiment.beta, information, further),
-        directions=weak_directions(
-            base, [units[k] for k in columns], information, size
-        ),
         noise=sigma,
         resting=tuple(robot.joints[j] for j in experiment.resting),
         basis=experiment.basis,
@@ -432,9 +411,8 @@ def _notes(
         if parameter.verdict == NOT_SHOWN:
             lost.setdefault(parameter.needed, []).append(base.names[k])
     for what, names in lost.items():
-        more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
         notes.append(
-            f"this motion does not show {', '.join(names[:LISTED])}{more} "
+            f"this motion does not show {listed(names, LISTED)} "
             f"({len(names)} of {len(base)} base parameters); "
             f"shown {'' if what.startswith('never') else 'by '}{what}"
         )

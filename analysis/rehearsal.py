@@ -23,6 +23,7 @@ from excitant.exceptions import RankDeficient
 from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.reading.logs import recording_from_table
 from excitant.identify.recording import Recording
+from excitant.names import listed
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
 from excitant.robots.motion import Array, Motion, read_only
@@ -57,6 +58,7 @@ _SHARE = {
 _TOLERANCE = 0.05  # of masses, centres of mass and inertias
 _SLOWER = 0.8  # speed of the hold-out
 _READINGS = 6
+_LISTED = 4  # names in a sentence
 _CASES = 300  # noisy recordings of the same run, and intervals to judge, at least
 
 _OVER = 0.05  # of a limit: an arm that tracks a motion overshoots it a little
@@ -255,7 +257,7 @@ def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Ite
 
 
 def _undetermined(situation: Situation, error: RankDeficient) -> Item:
-    names = ", ".join(error.names[:4]) + (", ..." if len(error.names) > 4 else "")
+    names = listed(error.names, _LISTED)
     weakest = min(situation.use, key=situation.use.__getitem__)
     detail = (
         f"the motion leaves {len(error.names)} parameters undetermined: {names}"
@@ -364,11 +366,8 @@ class Rehearsal(Shown):
             for x in self.items
             if not x.passed
         ]
-        names = list(dict.fromkeys(failed))
-        listed = ", ".join(names[:4]) + (
-            f" and {len(names) - 4} more" if len(names) > 4 else ""
-        )
-        return f"The motion would not do: {listed}"
+        names = listed(list(dict.fromkeys(failed)), _LISTED)
+        return f"The motion would not do: {names}"
 
     def _lines(self) -> list[str]:
         met = sum(x.passed for x in self.items)

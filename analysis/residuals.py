@@ -37,12 +37,12 @@ QUANTITIES = {
     "time": "drift with time",
 }
 """Variables that may explain an error, simplest first; load and reversal by direction."""
-BANDS = ("slower", "motion", "faster")
-"""Below the band of the motion, in it, above it."""
 
 BINS = 24
 TREND_DEGREE = 2  # degree of what changes slowly over time
-OUTSIDE_BAND = 0.02  # of the power on either side of a motion's band
+OUTSIDE_BAND = (
+    0.02  # of the power of positions below the lowest frequency of a motion
+)
 
 ABOVE_MOTION = 1.5  # times the cut-off: where nothing of the motion is left
 PASSED_NOISE = 0.898  # of white noise below the cut-off: ∫ dx / (1 + x⁸)²
@@ -63,9 +63,8 @@ class Explanatory:
     velocity: Array  # [rad/s or m/s]
     load: Array  # torque of a model [torque unit]
     reversal: Array  # distance since the joint last turned back, signed by velocity [rad or m]
-    lengths: tuple[int, ...]  # rows of each uninterrupted part
-    steps: tuple[float, ...]  # time between the rows of each part [s]
-    bands: Array  # lowest and highest frequency of each joint's motion, shape (nv, 2) [Hz]
+    duration: float  # of all rows [s]
+    lowest_hz: Array  # lowest frequency of each joint's motion, shape (nv,) [Hz]
 
 
 def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
@@ -80,9 +79,8 @@ def explanatory(segments: Sequence[Segment], load: Array) -> Explanatory:
         velocity=np.concatenate([m.dq for m in motions]),
         load=load,
         reversal=np.concatenate(since),
-        lengths=tuple(len(s.t) for s in segments),
-        steps=tuple(float(s.t[1] - s.t[0]) for s in segments),
-        bands=_motion_bands(segments),
+        duration=float(sum(len(s.t) * (s.t[1] - s.t[0]) for s in segments)),
+        lowest_hz=_lowest_frequency(segments),
     )
 
 
@@ -135,7 +133,7 @@ def shares(e: Array, by: Explanatory, j: int, rows: Mask) -> dict[str, float]:
         explained[name] = (
             _explained(rest, means, len(np.unique(bin_of)) - 1) / total
         )
-    if by.bands[j, 0] * np.dot(by.lengths, by.steps) >= STRUCTURED.trend_periods:
+    if by.lowest_hz[j] * by.duration >= STRUCTURED.trend_periods:
         trend = np.polynomial.Polynomial.fit(time, rest, TREND_DEGREE)(time)
         explained["time"] = _explained(rest, trend, TREND_DEGREE) / total
     return {
@@ -151,41 +149,17 @@ def _explained(e: Array, fitted: Array | float, freedom: int) -> float:
     return float((e**2).sum()) - remaining - remaining * freedom / independent
 
 
-def band_shares(e: Array, by: Explanatory, j: int) -> dict[str, float]:
-    """Share of the power of joint j's error (n,), its mean left out, in each of `BANDS`."""
-    power = np.zeros(3)
-    (low, high) = by.bands[j]
-    parts = np.split(e - e.mean(), np.cumsum(by.lengths)[:-1])
-    for part, step in zip(parts, by.steps, strict=True):
-        f, density = _spectrum(part[:, None], step)
-        at = np.searchsorted([low - f[1] / 2, high + f[1] / 2], f)
-        power += np.bincount(at, density[:, 0], minlength=3)
-    total = max(float(power.sum()), 1e-300)
-    return {
-        name: float(part / total) for name, part in zip(BANDS, power, strict=True)
-    }
-
-
-def _motion_bands(segments: Sequence[Segment]) -> Array:
-    """Lowest and highest frequency at which each joint moves, shape (nv, 2) [Hz]."""
-    # all but a fiftieth of the power of its positions lies above, of its velocities below
+def _lowest_frequency(segments: Sequence[Segment]) -> Array:
+    """Lowest frequency at which each joint moves, shape (nv,) [Hz]."""
+    # all but a fiftieth of the power of its positions lies above
     longest = max(segments, key=lambda s: len(s.motion))
-    step = 1 / longest.rate_hz
-    f, positions = _spectrum(longest.motion.q - longest.motion.q.mean(axis=0), step)
-    _, velocities = _spectrum(longest.motion.dq, step)
-    edges = []
-    for power, share in ((positions, OUTSIDE_BAND), (velocities, 1 - OUTSIDE_BAND)):
-        reached = np.cumsum(power, axis=0) >= share * power.sum(axis=0)
-        edges.append(f[np.argmax(reached, axis=0)])
-    return np.column_stack([np.minimum(*edges), edges[1]])
-
-
-def _spectrum(x: Array, step: float) -> tuple[Array, Array]:
-    power = np.abs(np.fft.rfft(x * np.hanning(len(x))[:, None], axis=0)) ** 2
+    q = longest.motion.q
+    window = np.hanning(len(q))[:, None]
+    power = np.abs(np.fft.rfft((q - q.mean(axis=0)) * window, axis=0)) ** 2
     power[0] = 0.0
-    return np.asarray(np.fft.rfftfreq(len(x), step), float), np.asarray(
-        power, float
-    )
+    reached = np.cumsum(power, axis=0) >= OUTSIDE_BAND * power.sum(axis=0)
+    f = np.fft.rfftfreq(len(q), 1 / longest.rate_hz)
+    return np.asarray(f[np.argmax(reached, axis=0)], float)
 
 
 @dataclass(frozen=True)
@@ -198,7 +172,6 @@ class Residual:
     given: float  # rms that the given model leaves
     correlation_s: float  # how long the error stays correlated [s]
     shares: Mapping[str, float]  # of the error's power, by `QUANTITIES`
-    bands: Mapping[str, float]  # of the error's power, by `BANDS`
 
     @property
     def structured(self) -> float:
@@ -261,7 +234,7 @@ def residuals(
     """
     by = explanatory(segments, load)
     moves = away_from_rest(segments)
-    step = by.steps[0]
+    step = float(segments[0].t[1] - segments[0].t[0])
     cutoff = segments[0].cutoff_hz
     of_joints = []
     for j, joint in enumerate(joints):
@@ -277,7 +250,6 @@ def residuals(
                 given=float(np.sqrt((nominal_error[at, j] ** 2).mean())),
                 correlation_s=float(autocorrelation_time(e) * step),
                 shares=shares(error[:, j], by, j, at),
-                bands=band_shares(error[:, j], by, j),
             )
         )
     return tuple(of_joints)

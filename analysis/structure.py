@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from excitant.exceptions import UnknownName
+from excitant.names import listed
 from excitant.robots.base_parameters import (
     TOLERANCE,
     BaseParameters,
@@ -34,7 +35,7 @@ Held = Mapping[str, float] | Literal["any"]
 
 MARGIN = 1e3  # factor on the tolerance that must not change a category
 HALF_DECADES = 6  # to there
-LISTED = 6  # members of a vector that are spelt out
+LISTED = 6  # parameters, or members of a vector, that are spelt out
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ class Structure:
         return (
             f"{len(self.close)} of {len(self.base.names)} parameters have a category that depends "
             f"on about {size} of their torque (geometry, pose or mounting nearly special): "
-            f"{', '.join(self.close[:6])}{' and more' if len(self.close) > 6 else ''}"
+            f"{listed(self.close, LISTED)}"
         )
 
 

@@ -267,9 +267,6 @@ class ResolutionThresholds:
     roughly: float = 0.3
     """Relative std ≤ this: *roughly* determined."""
 
-    member: float = 0.3
-    """Coefficient of a unit vector ≥ this: the parameter is named. Convention."""
-
     repeats: float = 10.0
     """A longer recording is proposed up to this many lengths of the present one. Convention."""
 

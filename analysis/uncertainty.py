@@ -3,8 +3,7 @@
 With the torque noise σ of each joint, the whitened columns W/σ of all parameters x have a
 triangular factor R, and ‖R δ‖ is the torque that a change δ makes, in standard deviations of the
 noise: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what is (Gautier and Khalil
-1992; Swevers et al. 1997). A further experiment adds rows. A known payload adds none where torque
-is in N·m; where it comes as current, it shows the common scale of all drive gains.
+1992; Swevers et al. 1997). A further experiment adds rows.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from excitant.identify.prior import reference_motion, silent_columns
 from excitant.robots.base_parameters import (
     BaseParameters,
     Observation,
-    independent_columns,
     regroup,
 )
 from excitant.robots.effects import Effect
@@ -41,7 +39,6 @@ UNSEEN_PART = (
 
 DURATION_S = 10.0  # of a further experiment
 RATE_HZ = 20.0
-PAYLOAD_KG = 1.0  # known payload that is tried, at the last joint's frame
 _NEVER = "never by joint torques"
 APART = f"{_NEVER} or base forces: weigh or swing the link apart from the arm"
 
@@ -86,18 +83,6 @@ def deviations(R: Array, A: Array) -> Array:
     return np.asarray(np.where(hidden, np.inf, std), float)
 
 
-def dependent_groups(R: Array) -> tuple[tuple[int, ...], ...]:
-    """Columns of which any one determines the others: parallel rows of the null space."""
-    _, _, V, seen = _decomposed(R)
-    N = V[:, ~seen]
-    size = np.linalg.norm(N, axis=1)
-    hidden = np.flatnonzero(size > UNSEEN_PART)
-    directions = N[hidden] / size[hidden, None]
-    parallel = np.abs(directions @ directions.T) > 1 - UNSEEN_PART**1.5
-    groups = dict.fromkeys(tuple(int(k) for k in hidden[row]) for row in parallel)
-    return tuple(group for group in groups if len(group) > 1)
-
-
 def without_rounding(W: Array) -> Array:
     """Columns, shape (n, rows, p), with those that are zero but for rounding set to zero."""
     silent = silent_columns(np.sqrt((W**2).sum(axis=0)))
@@ -136,8 +121,8 @@ class MotionInformation:
     """Information of a motion's torque on the r base parameters β of p parameters x."""
 
     R: Array  # triangular factor of the whitened columns, shape (p, p)
+    columns: tuple[int, ...]  # those of β among them, shape (r,)
     covariance: Array  # of β as far as it is seen, shape (r, r); zero along unseen directions
-    unseen: Array  # directions of β that change no torque, each with few members, shape (d, r)
     signal: (
         Array  # largest rms torque per unit of each parameter over the noise, (p,)
     )
@@ -149,9 +134,8 @@ class MotionInformation:
         values = np.sqrt(
             np.maximum(np.einsum("mr,rs,ms->m", C, self.covariance, C), 0.0)
         )
-        length = np.linalg.norm(self.unseen, axis=1, keepdims=True)
-        hidden = (np.abs(C @ (self.unseen / length).T) > UNSEEN_PART).any(axis=1)
-        return np.asarray(np.where(hidden, np.inf, values), float)
+        unseen = np.isinf(deviations(self.R[:, self.columns], C))
+        return np.asarray(np.where(unseen, np.inf, values), float)
 
 
 def motion_information(
@@ -159,33 +143,15 @@ def motion_information(
 ) -> MotionInformation:
     """Information of columns (n, rows, p) with noise (rows,), or covariance (r, r) if known."""
     R = triangle(W, sigma)
-    columns = list(base.columns)
+    columns = base.columns
+    scale, s, V, seen = _decomposed(R[:, columns])
     if covariance is None:
-        scale, s, V, seen = _decomposed(R[:, columns])
         half = V[:, seen] / s[seen] / scale[:, None]
         covariance = half @ half.T
-    unseen = unseen_directions(R[:, columns])
     plain = np.linalg.qr(W[:, :, columns].reshape(-1, len(base)), mode="r")
-    condition = np.inf if len(unseen) else float(np.linalg.cond(plain))
+    condition = float(np.linalg.cond(plain)) if seen.all() else np.inf
     signal = (np.sqrt((W**2).mean(axis=0)) / sigma[:, None]).max(axis=0)
-    return MotionInformation(R, covariance, unseen, signal, condition)
-
-
-def unseen_directions(R: Array) -> Array:
-    """Null space of R by sparse vectors, one per column that depends on earlier ones, (d, r)."""
-    scale, unit = _unit_columns(R)
-    independent, _ = independent_columns(unit, ROUNDING)
-    rest = [k for k in range(R.shape[1]) if k not in independent]
-    directions = np.zeros((len(rest), R.shape[1]))
-    directions[:, list(independent)] = -np.linalg.lstsq(
-        unit[:, list(independent)], unit[:, rest], rcond=None
-    )[0].T
-    directions[np.abs(directions) < UNSEEN_PART] = 0.0
-    directions[range(len(rest)), rest] = 1.0
-    directions /= scale
-    return np.asarray(
-        directions / directions[range(len(rest)), rest][:, None], float
-    )
+    return MotionInformation(R, columns, covariance, signal, condition)
 
 
 @dataclass(frozen=True)
@@ -256,116 +222,6 @@ def practical(
     return tuple(map(Practical, base.expressions, *columns))
 
 
-@dataclass(frozen=True)
-class Direction:
-    """Base parameters that can change together with hardly any change of torque."""
-
-    # name, change that one deviation of the noise hides (unseen: per unit of the first), and unit
-    members: tuple[tuple[str, float, str], ...]
-    std: float  # along it, relative to the sizes of its members; inf if unseen
-    share: float  # part of the direction that its members make
-
-    @property
-    def expression(self) -> str:
-        """The direction as text, e.g. ``link3.Ixx − 0.83·link2.Izz``."""
-        text = ""
-        lead = self.members[0][1]
-        for name, change, _ in self.members:
-            size = f"{abs(change / lead):.2g}"
-            sign = (" − " if change / lead < 0 else " + ") if text else ""
-            text += sign + ("" if size == "1" else f"{size}·") + name
-        return text
-
-    @property
-    def meaning(self) -> str:
-        """The direction as a sentence."""
-        name, change, unit = self.members[0]
-        if not np.isfinite(self.std):
-            if len(self.members) == 1:
-                return f"{name} changes no torque of this motion"
-            others = listed(
-                [f"{other} by {c:.2g}" for other, c, _ in self.members[1:]]
-            )
-            return f"{name} by 1 with {others} (SI units) changes no torque of this motion"
-        if len(self.members) == 1:
-            return f"{name} may be {abs(change):.2g} {unit} off without showing above the noise"
-        moves = [
-            f"{other} {'falls' if c * change < 0 else 'rises'} by {abs(c):.2g} {u}"
-            for other, c, u in self.members[1:]
-        ]
-        return (
-            f"{name} may rise by {abs(change):.2g} {unit} while {listed(moves)}: "
-            "torque changes by no more than the noise"
-        )
-
-    def result(self) -> dict[str, Any]:
-        """Its entry in ``result.json``."""
-        members = [
-            dict(zip(("name", "change", "unit"), m, strict=True))
-            for m in self.members
-        ]
-        return {
-            "expression": self.expression,
-            "meaning": self.meaning,
-            "share": self.share,
-            "rel_std": self.std,
-            "members": members,
-        }
-
-
-def listed(words: Sequence[str]) -> str:
-    """Words with commas and ``and``."""
-    return " and ".join(
-        [", ".join(words[:-1]), words[-1]] if len(words) > 1 else words
-    )
-
-
-def weak_directions(
-    base: BaseParameters,
-    units: Sequence[str],
-    information: MotionInformation,
-    size: Array,
-    count: int = 5,
-) -> tuple[Direction, ...]:
-    """Directions that a motion does not see, then a count of those it sees worst.
-
-    With D the diagonal of sizes (r,), these are the leading eigenvectors u of D⁻¹ C D⁻¹;
-    a change D u √λ of the base parameters is one standard deviation.
-    """
-    names = [base.names[k] for k in base.columns]
-    directions = [
-        _direction(row, row, np.inf, names, units, size)
-        for row in information.unseen
-    ]
-    values, U = np.linalg.eigh(information.covariance / np.outer(size, size))
-    for k in np.argsort(-values, kind="stable")[:count]:
-        std = float(np.sqrt(max(float(values[k]), 0.0)))
-        if std > 0:
-            directions.append(
-                _direction(U[:, k], U[:, k] * std * size, std, names, units, size)
-            )
-    return tuple(directions)
-
-
-def _direction(
-    row: Array,
-    change: Array,
-    std: float,
-    names: Sequence[str],
-    units: Sequence[str],
-    size: Array,
-) -> Direction:
-    weight = row if np.isfinite(std) else row / size
-    weight = weight / np.linalg.norm(weight)
-    order = [int(k) for k in np.argsort(-np.abs(weight), kind="stable")]
-    members = [k for k in order if abs(weight[k]) >= RESOLUTION.member] or order[:1]
-    if not np.isfinite(std):
-        members = [k for k in order if abs(weight[k]) > 1e-3]
-        change = change / change[members[0]]
-    terms = tuple((names[k], float(change[k]), units[k]) for k in members)
-    return Direction(terms, std, float((weight[members] ** 2).sum()))
-
-
 def candidate_experiments(
     robot: Robot,
     effects: Sequence[Effect],
@@ -396,7 +252,7 @@ def candidate_experiments(
         )
     if len(rests) > 1:
         experiments[
-            f"moving {listed([robot.joints[j] for j in rests])} together"
+            f"moving {' and '.join(robot.joints[j] for j in rests)} together"
         ] = factor(robot)
     elif not rests:
         experiments["a wider and faster motion of all joints"] = factor(robot)
@@ -506,21 +362,3 @@ def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
         *robot.phi.tolist(),
         *(values.get(p.name) for e in effects for p in e.parameters(robot)),
     ]
-
-
-def scale_deviation(robot: Robot, effects: Sequence[Effect], sigma: Array) -> float:
-    """Relative standard deviation of the drive gains' common scale κ, once a payload is known.
-
-    Of readings i, a change δκ is seen as W δφ − i δκ; without a payload, δφ = φ δκ hides it.
-    """
-    motion = reference_motion(robot, DURATION_S, RATE_HZ)
-    W = observation_columns(robot, effects, motion)
-    load = np.zeros(W.shape[2])
-    load[10 * robot.nv - 10] = PAYLOAD_KG
-    x = np.array([value or 0.0 for value in known_values(robot, effects)])
-    rows = [
-        np.concatenate([W, -(W @ values)[:, :, None]], axis=2)
-        for values in (x, x + load)
-    ]
-    R = triangle(np.concatenate(rows), sigma)
-    return float(deviations(R, np.eye(len(load) + 1)[-1:])[0])

@@ -163,7 +163,6 @@ class Design(Shown):
                     "condition_number": [None, *start.history][-1],
                     "status": start.status,
                     "iterations": start.iterations,
-                    "history": list(start.history),
                 }
                 for start in self.starts
             ],

@@ -54,8 +54,6 @@ class _Store:
             "x": vars(axes.x) | dict(zip(_ENDS, axes.ends("x"), strict=True)),
             "y": vars(axes.y) | dict(zip(_ENDS, axes.ends("y"), strict=True)),
             "height": axes.height,
-            "equal": axes.equal,
-            "framed": axes.framed,
             "marks": [self._mark(mark) for mark in axes.marks],
         }
 

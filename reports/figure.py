@@ -23,13 +23,9 @@ COLOURS = {  # on light, on dark ground
     "purple": ("#b0558f", "#d88cbd"),
     "amber": ("#e69f00", "#e9b23f"),
     "sky": ("#3a93c9", "#7cc4ef"),
-    "light": ("#b9bdc2", "#646d76"),
     "cloud": ("#9aa0a6", "#7f8891"),
     "band": ("#c3dcec", "#234a63"),
     "zero": ("#8a8f94", "#7b848c"),
-    "base": ("#8a9299", "#6d757c"),
-    "solid": ("#e3e7ea", "#3a4248"),
-    "edge": ("#7fa3b8", "#86a9be"),
     "ink": ("#1d2125", "#e4e7ea"),
     "paper": ("#ffffff", "#16191c"),
 }
@@ -40,7 +36,6 @@ GREEN = "green"
 PURPLE = "purple"
 AMBER = "amber"
 SKY = "sky"
-LIGHT = "light"
 CLOUD = "cloud"
 BAND = "band"
 ZERO = "zero"
@@ -85,26 +80,13 @@ class Band:
     high: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Polygon:
-    """An area with corners x, y of shape (n,), with or without an edge."""
-
-    x: Array
-    y: Array
-    colour: str
-    edge: str = ""
-    opacity: float = 1.0
-
-
 @dataclass(frozen=True)
 class Span:
-    """A faint strip across the whole axes, between two values of the axis ``along``."""
+    """A faint strip across the whole axes, between two values of the ordinate."""
 
     low: float
     high: float
     colour: str
-    along: Literal["x", "y"] = "y"
-    opacity: float = 0.13
 
 
 @dataclass(frozen=True)
@@ -117,17 +99,7 @@ class Rule:
     dashed: bool = False
 
 
-@dataclass(frozen=True)
-class Words:
-    """Words in the axes, shifted from their point [pt]; centred there without a shift."""
-
-    x: float
-    y: float
-    text: str
-    shift: tuple[float, float] = (0.0, 0.0)
-
-
-Mark = Line | Points | Band | Polygon | Span | Rule | Words
+Mark = Line | Points | Band | Span | Rule
 
 
 @dataclass(frozen=True)
@@ -152,8 +124,6 @@ class Axes:
     Attributes:
         title: Heading on the left, in its colour.
         remark: Heading on the right.
-        equal: One scale for both axes.
-        framed: Whether the axes are drawn, too.
     """
 
     marks: Sequence[Mark]
@@ -163,8 +133,6 @@ class Axes:
     title: str = ""
     remark: str = ""
     colour: str = "ink"
-    equal: bool = False
-    framed: bool = True
 
     def ends(self, along: Literal["x", "y"]) -> tuple[float, float]:
         """Least and greatest value shown along an axis."""
@@ -195,15 +163,13 @@ def _along(mark: Mark, along: str) -> Array:
     match mark:
         case Band() if along == "y":
             return np.concatenate([mark.low, mark.high])
-        case Line() | Points() | Polygon() | Band():
+        case Line() | Points() | Band():
             values: Array = np.asarray(getattr(mark, along), float)
             return values
-        case Span() if mark.along == along:
+        case Span() if along == "y":
             return np.array([mark.low, mark.high])
         case Rule() if mark.along == along:
             return np.array([mark.at])
-        case Words():
-            return np.array([getattr(mark, along)], float)
     return np.empty(0)
 
 
@@ -231,32 +197,6 @@ class Figure:
     """Panels beside each other that share a legend; the caption says what to see."""
 
     panels: Sequence[Panel]
-    caption: str
-    legend: Sequence[Key] = ()
-
-
-@dataclass(frozen=True)
-class Bar:
-    """Pieces one after the other, each a length and a colour, and the words behind them."""
-
-    pieces: Sequence[tuple[float, str]]
-    words: str
-
-
-@dataclass(frozen=True)
-class Bars:
-    """Horizontal bars below the name of their row.
-
-    Attributes:
-        rows: Name and bars of each.
-        measure: What the length of a bar is, with its unit.
-        top: Length of the longest that is drawn whole.
-    """
-
-    rows: Sequence[tuple[str, Sequence[Bar]]]
-    measure: str
-    top: float
-    label: str
     caption: str
     legend: Sequence[Key] = ()
 

@@ -9,7 +9,7 @@ from operator import attrgetter
 from typing import Any
 
 from excitant.reports import values as v
-from excitant.reports.figure import Bars, Figure, Key
+from excitant.reports.figure import Figure, Key
 from excitant.reports.values import NONE
 
 GOOD = "good"
@@ -154,7 +154,7 @@ class Folded:
     closed: bool = False
 
 
-Block = Table | Figure | Bars | Matrix | Player | Facts | Notes | Folded
+Block = Table | Figure | Matrix | Player | Facts | Notes | Folded
 Blocks = list["Block | tuple[str, Blocks] | None"]
 """What stands in a part; a title with blocks is a part within it."""
 Parts = list[tuple[str, Blocks]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
@@ -61,16 +60,6 @@ _SECTIONS: dict[str, Callable[[Any, Series], Section]] = {
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _APART = 2.0  # standard deviations of a difference from which on estimates disagree
 _STD = "± std"  # in the heading of a column that belongs to the one before
-_PAIRED = (
-    3  # runs up to which differences have columns; of more, result.json has them
-)
-_HEADINGS = {
-    "difference": "{} − A",
-    "ratio": "{} / A",
-    "deviations": "{} − A [std]",
-}
-# what depends on the filter and on the rows
-_ERROR = re.compile(r"\b(rms|nrmse)\b|r²|error")
 _REMARKS = {
     "robot": "The runs are of different arms: {}.",
     "cutoff_hz": "Torque was filtered at different cut-offs, {} Hz: errors do not compare.",
@@ -174,7 +163,6 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
         )
     pages = [page_of(run.result, {}) for run in runs]
     remarks = _remarks(runs)
-    judged = not any("error" in remark for remark in remarks)
     names = [PurePath(run.folder).name for run in runs]
     robots = [getattr(run.result, "robot", "") for run in runs]
     return {
@@ -190,7 +178,7 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
             for run, name, page in zip(runs, names, pages, strict=True)
         ],
         "remarks": remarks,
-        "sections": _compared(pages, judged),
+        "sections": _compared(pages),
     }
 
 
@@ -225,29 +213,27 @@ def _same_rows(series: Sequence[Series]) -> bool:
     return True
 
 
-def _compared(pages: Sequence[Page], judged: bool) -> list[dict[str, Any]]:
+def _compared(pages: Sequence[Page]) -> list[dict[str, Any]]:
     walked = [_figures(page) for page in pages]
     sections: dict[str, dict[tuple[str, str], list[dict[str, Any]]]] = {}
     for key in dict.fromkeys(key for figures in walked for key in figures):
         title, part, of, name, heading = key
         tables = sections.setdefault(title, {})
         cells = [figures.get(key, (Cell(NONE), None)) for figures in walked]
-        written, values = (
-            [getattr(cell, k) for cell, _ in cells] for k in ("text", "value")
-        )
-        row: dict[str, Any] = {"name": name, "figure": heading, "written": written}
-        if all(value is None for value in values):
-            if len(set(written)) == 1:
-                continue  # words that all runs share
-        elif judged or not _ERROR.search(f"{name} {heading}".lower()):
-            first, *others = [(cell.value, std) for cell, std in cells]
-            pairs = [(first[0], value) for value, _ in others]
-            row["difference"] = [
-                None if x is None or y is None else y - x for x, y in pairs
-            ]
-            row["ratio"] = [None if not x or y is None else y / x for x, y in pairs]
-            row["deviations"] = [deviations(*first, *other) for other in others]
-        tables.setdefault((part, of), []).append(row | {"values": values})
+        written = [cell.text for cell, _ in cells]
+        values = [cell.value for cell, _ in cells]
+        shared = len(set(written)) == 1
+        if shared and all(value is None for value in values):
+            continue  # words that all runs share
+        first, *others = [(cell.value, std) for cell, std in cells]
+        row = {
+            "name": name,
+            "figure": heading,
+            "written": written,
+            "values": values,
+            "deviations": [deviations(*first, *other) for other in others],
+        }
+        tables.setdefault((part, of), []).append(row)
     return [
         {
             "title": title,
@@ -337,7 +323,7 @@ def _comparison_page(result: Compare) -> Page:
 def _count(section: ComparedSection) -> str:
     rows = [row for table in section.tables for row in table.rows]
     differ = sum(len(set(row.written)) > 1 for row in rows)
-    apart = [x for row in rows for x in row.deviations or () if x is not None]
+    apart = [x for row in rows for x in row.deviations if x is not None]
     sentence = f"{differ} of {len(rows)} figures differ."
     if apart:
         far = sum(x > _APART for x in apart)
@@ -351,43 +337,20 @@ def _count(section: ComparedSection) -> str:
 def _table(table: ComparedTable, letters: Sequence[str]) -> p.Table | None:
     rows = table.rows
 
-    def value(row: ComparedFigure, key: str, k: int) -> float | None:
-        values: list[float | None] | None = getattr(row, key)
-        return None if values is None else values[k]
-
-    def column(key: str, k: int, letter: str) -> p.Column | None:
+    def column(k: int, letter: str) -> p.Column:
         def cell(row: ComparedFigure) -> Cell:
-            x = value(row, key, k)
-            far = key == "deviations" and (x or 0.0) > _APART
-            share = key == "difference" and any(w[-1:] == "%" for w in row.written)
-            text = (v.percent if share else v.number)(x)
-            return Cell(text, p.POOR if far else p.PLAIN, x)
-
-        known = any(value(row, key, k) is not None for row in rows)
-        return (f"number:{_HEADINGS[key].format(letter)}", cell) if known else None
-
-    def written(k: int) -> Callable[[ComparedFigure], Cell]:
-        def cell(row: ComparedFigure) -> Cell:
-            far = k > 0 and (value(row, "deviations", k - 1) or 0.0) > _APART
+            far = k > 0 and (row.deviations[k - 1] or 0.0) > _APART
             return Cell(row.written[k], p.POOR if far else p.PLAIN)
 
-        return cell
-
-    def kind(k: int) -> str:
         known = any(row.values[k] is not None for row in rows)
-        return "number" if known else "text"
+        return f"{'number' if known else 'text'}:{letter}", cell
 
-    pairs = list(enumerate(letters[1:])) if len(letters) <= _PAIRED else []
     some = any(row.figure for row in rows)
     return p.table(
         rows,
         [
             (f"name:{table.of}", "name"),
             ("name:Quantity", "figure") if some else None,
-            *(
-                (f"{kind(k)}:{letter}", written(k))
-                for k, letter in enumerate(letters)
-            ),
-            *(column(key, k, x) for k, x in pairs for key in _HEADINGS),
+            *(column(k, letter) for k, letter in enumerate(letters)),
         ],
     )

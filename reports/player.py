@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -14,24 +16,55 @@ from excitant.reports import values as v
 from excitant.reports.figure import AMBER, FITTED, GIVEN, GREEN, PURPLE, Key
 from excitant.reports.page import Moment, Player
 from excitant.reports.values import Series
-from excitant.results import Motion
+from excitant.results import Appearance, Motion
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
 
 FULL = 1 + 1e-9  # share of a limit that holds, up to rounding
-_QUANTITIES = LIMIT_NAMES[:4]
 _SHARE = 1e-4  # step in which shares are written
-_CAPTION = (
-    "The arm as it moves, with the path of its tool; at the base the axes of its frame, x red, "
-    "y green, z blue. Drag or use the arrow keys with Shift to turn it, the arrow keys to move it, "
-    "and the wheel, once it was clicked, to come closer."
+_CAPTION = "The arm as it moves, with the path of its tool;"
+_HANDLING = (
+    "at the base the axes of its frame, x red, y green, z blue. Drag or use the arrow keys with "
+    "Shift to turn it, the arrow keys to move it, and the wheel, once it was clicked, to come "
+    "closer."
 )
 
 
 def player(result: Motion, series: Series) -> Player | None:
     """The motion to play; None of results that have none."""
-    names = result.joints
-    look = result.appearance
-    frames = _frames(series, len(names))
+    legend = [
+        Key("box", GIVEN, "limit exceeded"),
+        *[Key("line", GREEN, "shortest distance of two bodies")]
+        * ("play_distance" in series),
+        Key("line", FITTED, "path of the tool"),
+        *[Key("box", PURPLE, "obstacle, workspace")]
+        * any(obstacle.name != "floor" for obstacle in result.obstacles),
+    ]
+    shown = arm_player(
+        result.joints, result.appearance, series, LIMIT_NAMES[:4], _CAPTION
+    )
+    if shown is None:
+        return None
+    around = {
+        "bodies": result.bodies,
+        "obstacles": msgspec.to_builtins(result.obstacles),
+    }
+    return replace(
+        shown,
+        data=shown.data | around,
+        moments=moments(result),
+        legend=[*shown.legend, *legend],
+    )
+
+
+def arm_player(
+    names: Sequence[str],
+    look: Appearance,
+    series: Series,
+    quantities: Sequence[str],
+    caption: str,
+) -> Player | None:
+    """An arm that moves, with the share of the limits on some quantities; None without frames."""
+    frames = _frames(series, len(quantities), len(names))
     if frames is None:
         return None
     units = ["m" if joint.slides else "rad" for joint in look.joints]
@@ -39,31 +72,24 @@ def player(result: Motion, series: Series) -> Player | None:
         msgspec.to_builtins(shape) | _mesh(series, k)
         for k, shape in enumerate(look.shapes)
     ]
-    legend = [
-        Key("box", AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
-        Key("box", GIVEN, "limit exceeded"),
-        *[Key("line", GREEN, "shortest distance of two bodies")]
-        * ("distance" in frames),
-        Key("line", FITTED, "path of the tool"),
-        *[Key("box", PURPLE, "obstacle, workspace")]
-        * any(obstacle.name != "floor" for obstacle in result.obstacles),
-    ]
     return Player(
         data={
             "joints": msgspec.to_builtins(look.joints),
             "tool": msgspec.to_builtins(look.tool),
             "shapes": shapes,
-            "bodies": result.bodies,
-            "obstacles": msgspec.to_builtins(result.obstacles),
+            "bodies": [],
+            "obstacles": [],
             "frames": {name: _packed(values) for name, values in frames.items()},
             "touched": TOUCHED / _SHARE,
             "share": _SHARE,
         },
         joints=list(zip(names, units, strict=True)),
-        quantities=_QUANTITIES,
-        moments=moments(result),
-        caption=" ".join([_CAPTION, *map(v.sentence, look.notes)]),
-        legend=legend,
+        quantities=quantities,
+        moments=(),
+        caption=" ".join([caption, _HANDLING, *map(v.sentence, look.notes)]),
+        legend=[
+            Key("box", AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more")
+        ],
     )
 
 
@@ -90,10 +116,12 @@ def moments(result: Motion) -> list[Moment]:
     return sorted(instants, key=lambda moment: moment.t)
 
 
-def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
+def _frames(
+    series: Series, quantities: int, nv: int
+) -> dict[str, npt.NDArray[Any]] | None:
     """Arrays of the frames, as they are written; None unless they are whole."""
     n = len(np.atleast_1d(series.get("play_t", ())))
-    joints = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
+    joints = {"q": (nv,), "dq": (nv,), "shares": (quantities, nv)}
     frames = _whole(series, n, {"t": (), **joints})
     if n < 2 or not frames:
         return None

@@ -18,10 +18,8 @@ from excitant.reports.figure import (
     Mark,
     Panel,
     Points,
-    Polygon,
     Rule,
     Span,
-    Words,
 )
 from excitant.reports.values import power_of_ten
 
@@ -35,6 +33,7 @@ _PIXELS = 88  # px of a page for an inch
 _HEADING = 0.3  # inch: title of a panel
 _TICK = 35  # px of a page for a tick of the ordinate
 _LETTER = 0.065  # inch: width of one in a legend
+_FAINT = 0.13  # opacity of a strip
 _DASHED = (0, (5, 3))
 _STYLE: Any = {
     "font.size": 9,
@@ -147,10 +146,6 @@ def _draw_axes(axes: Axes, ax: Drawn) -> None:
             getattr(ax, f"set_{along}label")(axis.label)
     ax.set_xlim(*axes.ends("x"))
     ax.set_ylim(*axes.ends("y"))
-    if axes.equal:
-        ax.set_aspect("equal", adjustable="box")
-    if not axes.framed:
-        ax.set_axis_off()
     ax.set_title(axes.title, loc="left", color=COLOURS[axes.colour][0])
     ax.set_title(axes.remark, loc="right", color="#5a626a")
 
@@ -168,35 +163,13 @@ def _draw_mark(mark: Mark, ax: Drawn, order: float) -> None:
         case Band():
             look: Any = {"color": COLOURS["band"][0], "lw": 0, "zorder": order}
             ax.fill_between(mark.x, mark.low, mark.high, **look)
-        case Polygon():
-            edge = COLOURS[mark.edge][0] if mark.edge else "none"
-            fill = COLOURS[mark.colour][0]
-            look = {
-                "facecolor": fill,
-                "edgecolor": edge,
-                "lw": 0.7,
-                "zorder": order,
-            }
-            ax.fill(mark.x, mark.y, alpha=mark.opacity, **look)
         case Span():
-            span = ax.axvspan if mark.along == "x" else ax.axhspan
             look = {"color": COLOURS[mark.colour][0], "lw": 0, "zorder": order}
-            span(mark.low, mark.high, alpha=mark.opacity, **look)
+            ax.axhspan(mark.low, mark.high, alpha=_FAINT, **look)
         case Rule():
             rule = ax.axvline if mark.along == "x" else ax.axhline
             stroke = _DASHED if mark.dashed else "-"
             rule(mark.at, color=COLOURS[mark.colour][0], lw=0.9, ls=stroke)
-        case Words():
-            side = "left" if mark.shift != (0.0, 0.0) else "center"
-            ax.annotate(
-                mark.text,
-                (mark.x, mark.y),
-                mark.shift,
-                textcoords="offset points",
-                ha=side,
-                va="center",
-                zorder=order,
-            )
 
 
 def _draw_points(mark: Points, ax: Drawn, order: float) -> None:

@@ -18,8 +18,9 @@ from xml.etree.ElementTree import Element, fromstring
 import numpy as np
 import pinocchio as pin
 
+from excitant.robots.appearance import Appearance
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.geometry import Body, bent_pose, sketch, zero_pose
+from excitant.robots.geometry import Body, bent_pose, zero_pose
 from excitant.robots.limits import endless_ranges
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import PLACEHOLDER, elements, violations
@@ -51,6 +52,7 @@ _CLOSER = 0.4  # how much nearer without it
 _LEVER = 0.05  # of the arm: centres of mass nearer to the joint make no difference worth a word
 _SLIGHT = 0.01  # of a joint's torque: what changes less matters to none
 _ROUNDING = 1e-3  # relative violation that digits left out explain
+_FRAMES = 20  # of a joint that moves in the picture
 _UNSEEN = "hardly any torque depends on it"  # makes a hint of a warning
 
 
@@ -213,15 +215,32 @@ class ModelCheck:
                 zip(robot.parameter_names, robot.phi.tolist(), strict=True)
             ),
             "notes": list(robot.notes),
+            "appearance": Appearance(robot).entries(),
         }
 
     def series(self) -> dict[str, Array]:
-        """Data of the figure of the arm: ``zero_`` and ``bent_`` with the keys of `sketch`."""
-        poses = {"zero": zero_pose(self.robot), "bent": bent_pose(self.robot)}
+        """The joints in turn, from zero to a bent pose, as `excitant.design.playback` has a motion.
+
+        Returns:
+            ``play_t`` (n,) [s], ``play_q``, ``play_dq`` (n, nv), ``play_shares`` of the limits on
+            position (n, 1, nv); meshes as of `Appearance.meshes`.
+        """
+        robot = self.robot
+        start = zero_pose(robot)
+        way = bent_pose(robot) - start
+        t = np.linspace(0, robot.nv, 1 + _FRAMES * robot.nv)
+        x = np.clip(t[:, None] - np.arange(robot.nv), 0, 1)
+        q = start + x**2 * (3 - 2 * x) * way
+        low, high = robot.limits.position.T
+        unlimited = np.isinf(high - low)
+        middle = np.where(unlimited, 0.0, low + high) / 2
+        half = np.where(unlimited, np.inf, high - low) / 2
         return {
-            f"{name}_{key}": array
-            for name, q in poses.items()
-            for key, array in sketch(self.robot, q).items()
+            "play_t": t,
+            "play_q": q,
+            "play_dq": 6 * x * (1 - x) * way,
+            "play_shares": (np.abs(q - middle) / half)[:, None],
+            **Appearance(robot).meshes(),
         }
 
 

@@ -1,4 +1,4 @@
-"""Geometry of an arm's bodies: links as stated, a sketch, obstacles, and distances."""
+"""Geometry of an arm's bodies: links as stated, poses, obstacles, and distances."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def bent_pose(robot: Robot) -> Array:
     low, high = np.minimum(low, robot.limits.position[:, 1]), np.maximum(low, high)
     poses = np.random.default_rng(0).uniform(low, high, (_DRAWN, robot.nv))
     poses[:, 0] = np.clip(0.3, *robot.limits.position[0])
-    return max(poses, key=lambda q: _clarity(_points(robot, q)))
+    return max(poses, key=lambda q: _clarity(joint_places(robot, q)))
 
 
 def _clarity(points: Array) -> float:
@@ -123,7 +123,8 @@ def _clarity(points: Array) -> float:
     return (float(meant.min(initial=size)) + _BELOW * below) / size
 
 
-def _points(robot: Robot, q: Array) -> Array:
+def joint_places(robot: Robot, q: Array) -> Array:
+    """Base, joints in order and tool in a pose (nv,), in the base frame, shape (nv + 2, 3) [m]."""
     model = robot.model
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
@@ -136,33 +137,6 @@ def joint_axes(robot: Robot, q: Array, data: Any) -> Array:
     # Pinocchio gives the Jacobian of a single joint as a vector, here and elsewhere
     J = np.reshape(pin.computeJointJacobians(robot.model, data, q), (6, -1))
     return np.where(robot.revolute[:, None], J[3:].T, J[:3].T)
-
-
-def sketch(robot: Robot, q: Array) -> dict[str, Array]:
-    """An arm in a pose, shape (nv,) [rad or m], in the base frame.
-
-    Returns:
-        ``pose``; ``points``, base, joints and tool, shape (nv + 2, 3) [m]; ``axes``, directions of
-        the joints, shape (nv, 3); ``solids``, number of the joint that carries each (0 for the
-        base), both ends of its axis and its radius, shape (k, 8) [m].
-    """
-    model = robot.model
-    data = model.createData()
-    axes = joint_axes(robot, q, data)
-    pin.updateFramePlacements(model, data)
-    solids = []
-    for body in robot.format.bodies(robot):
-        frame = data.oMf[model.getFrameId(body.link, pin.FrameType.BODY)]
-        joint = robot.links.index(body.carrier) + 1 if body.carrier else 0
-        for shape in body.shapes:
-            ends = (*frame.act(shape.start), *frame.act(shape.end))
-            solids.append((joint, *ends, shape.radius))
-    return {
-        "pose": q,
-        "points": _points(robot, q),
-        "axes": axes,
-        "solids": np.reshape(solids, (-1, 8)),
-    }
 
 
 @dataclass(frozen=True)

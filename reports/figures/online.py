@@ -1,4 +1,4 @@
-"""Estimates while samples come in, with their bands, and how well the motion excites them."""
+"""Estimates while samples come in, with their bands."""
 
 from __future__ import annotations
 
@@ -6,45 +6,31 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from excitant.reports import values as v
 from excitant.reports.figure import (
-    AMBER,
     BAND,
     FITTED,
-    MEASURED,
     Axes,
     Axis,
     Band,
     Figure,
     Key,
     Line,
-    Mark,
     Panel,
-    Points,
-    Rule,
-    Span,
     figure,
 )
 from excitant.reports.values import Series
-from excitant.results import Identify, Online, Payload
+from excitant.results import Identify, Payload
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD
 
-ENOUGH = 1.0  # level at which the window knows as much as the prior
 _SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that were estimated
 _BAND = 2.0  # standard deviations
 _LEGEND = (
     Key("line", FITTED, "estimate"),
     Key("box", BAND, f"± {_BAND:g} standard deviations"),
 )
-_FEW = 4  # stretches of too little excitation that are written out
-
-
-def excitation_levels(online: Online) -> tuple[Array, Array]:
-    """Times and excitation levels of the looks; NaN before a whole window."""
-    return v.reals(online.history.t), v.reals(online.history.excitation_level)
 
 
 def estimates_figure(result: Identify, series: Series) -> Figure | None:
@@ -127,58 +113,3 @@ def _estimate_panel(
     axes = Axes(marks, abscissa, ordinate, 150)
     label = f"{name} over time, at the end {last} {unit}"
     return Panel((axes,), label, v.shorten(name, 44))
-
-
-def excitation_figure(online: Online) -> Figure | None:
-    """Excitation of the last seconds at each look, and where it was too little."""
-    t, level = excitation_levels(online)
-    seen = np.isfinite(level) & (level > 0)
-    if seen.sum() < 2:
-        return None
-    t = t[seen]
-    level = level[seen]
-    spans = _spans(t, level < ENOUGH)
-    name = "weakest visible direction"
-    marks: list[Mark] = [
-        *(Span(first, last, AMBER, "x", 0.25) for first, last in spans),
-        Line(t, level, FITTED, name, 1.3),
-        Points(t, level, FITTED, size=2.2),
-        Rule(ENOUGH, MEASURED, dashed=True),
-    ]
-    least = min(0.5 * float(level.min()), 0.5)
-    most = max(2 * float(level.max()), 2.0)
-    ordinate = Axis("excitation level [–]", least, most, log=True)
-    axes = Axes(marks, Axis("time [s]", float(t[0]), float(t[-1])), ordinate, 190)
-    legend = [Key("line", FITTED, name), Key("dash", MEASURED, "enough")]
-    verdict = "never below it"
-    if spans:
-        legend.append(Key("box", AMBER, "not exciting enough"))
-        verdict = _too_little(spans)
-    caption = (
-        "Information of the last seconds about the weakest direction that a fast motion of all "
-        f"joints shows, relative to the prior's. Level 1 is enough; here {verdict}."
-    )
-    panel = Panel((axes,), f"excitation level over time; {verdict}")
-    return Figure((panel,), caption, legend)
-
-
-def _too_little(spans: Sequence[tuple[float, float]]) -> str:
-    since = ", ".join(
-        f"{first:.1f} s to {last:.1f} s" for first, last in spans[:_FEW]
-    )
-    lacking = v.quantity(sum(last - first for first, last in spans), "s")
-    more = " and later again" if len(spans) > _FEW else ""
-    return (
-        f"not exciting enough from {since}{more} ({lacking} in all; a message's “since” is where "
-        "its window began)"
-    )
-
-
-def _spans(t: Array, bad: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Intervals in which a condition held, from the look that saw it to the next that did not."""
-    edges = np.flatnonzero(
-        np.diff(np.concatenate([[False], bad, [False]]).astype(int))
-    )
-    return [
-        (float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in edges.reshape(-1, 2)
-    ]

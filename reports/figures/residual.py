@@ -15,7 +15,6 @@ from excitant.reports.figure import (
     FITTED,
     GIVEN,
     MEASURED,
-    PURPLE,
     Axes,
     Axis,
     Figure,
@@ -94,9 +93,9 @@ def evidence_figure(
 ) -> Figure | None:
     """Residual before an effect was added, over the quantity that shows it, and the fit."""
     rows = len(np.atleast_1d(series.get(f"finding{index}_x", ())))
-    x, residual, fit, rival = (
+    x, residual, fit = (
         v.curve(series, f"finding{index}_{key}", rows=rows)
-        for key in ("x", "residual", "fit", "rival")
+        for key in ("x", "residual", "fit")
     )
     if x is None or residual is None or len(_along(x, residual)[0]) < 2:
         return None
@@ -105,7 +104,6 @@ def evidence_figure(
     quantity = labels.x_label if labels else "quantity that shows it"
     joints = v.listing(finding.joints, "all joints")
     joint = (labels and labels.joint) or joints
-    rivals = [v.plain(row.effect) for row in finding.rivals]
     marks = cloud(x, residual, "residual before")
     legend = [Key("dot", CLOUD, "residual before")]
     legend += [MEDIANS] * (len(marks) > 1)
@@ -114,32 +112,24 @@ def evidence_figure(
         "from zero are what no candidate describes."
     )
     if fit is not None:
-        marks.append(_curve(x, fit, FITTED, effect, 1.8))
+        marks.append(_curve(x, fit, effect))
         legend.append(Key("line", FITTED, "fitted effect"))
         through = "medians" if MEDIANS in legend else "points"
         caption = (
             f"Residual at {joint} without {effect} but with all other findings, against "
             f"{quantity}: the fitted effect (blue) should run through the {through}."
         )
-    if rival is not None and rivals:
-        marks.append(_curve(x, rival, PURPLE, rivals[0], 1.5, dashed=True))
-        words = f"{rivals[0]} instead, fitted to these points"
-        legend.append(Key("dash", PURPLE, words))
-        if fit is not None:
-            caption += f" Where the dashed curve of {rivals[0]} does too, these data cannot decide."
     ordinate = Axis((labels and labels.y_label) or f"residual [{unit}]")
     axes = Axes(marks, Axis(quantity), ordinate, 210)
     label = f"{joint}: residual against {quantity}, with the fitted {effect}"
     return Figure((Panel((axes,), label, joint),), caption, legend)
 
 
-def _curve(
-    x: Array, y: Array, colour: str, name: str, width: float, dashed: bool = False
-) -> Line:
+def _curve(x: Array, y: Array, name: str) -> Line:
     along, height = _medians(*_along(x, y), _CURVE, 1)
     gaps = np.flatnonzero(np.diff(along, prepend=along[:1]) > _WIDE * np.ptp(along))
     along = np.insert(along, gaps, np.nan)
-    return Line(along, np.insert(height, gaps, np.nan), colour, name, width, dashed)
+    return Line(along, np.insert(height, gaps, np.nan), FITTED, name, 1.8)
 
 
 def residual_figure(result: Identify, series: Series) -> Figure | None:

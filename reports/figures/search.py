@@ -1,4 +1,4 @@
-"""What a motion shows, and how a design was found."""
+"""What a motion shows."""
 
 from __future__ import annotations
 
@@ -6,30 +6,24 @@ import numpy as np
 
 from excitant.reports import values as v
 from excitant.reports.figure import (
-    AMBER,
     FITTED,
     GIVEN,
-    LIGHT,
     MEASURED,
     Axes,
     Axis,
     Figure,
     Key,
-    Line,
     Mark,
     Panel,
     Points,
-    Rule,
 )
 from excitant.reports.values import Series
-from excitant.results import Design
 from excitant.robots.motion import Array
 
 _ENDS = (
     ("initial", GIVEN, "start of the search"),
     ("final", FITTED, "designed motion"),
 )
-_LOG_RATIO = 8  # of condition numbers from which on their axis is logarithmic
 
 
 def spectrum_figure(series: Series) -> Figure | None:
@@ -75,43 +69,3 @@ def spectrum_figure(series: Series) -> Figure | None:
 def _positive(series: Series, key: str) -> Array:
     values = v.curve(series, key)
     return np.empty(0) if values is None else np.sort(values[values > 0])[::-1]
-
-
-def convergence_figure(result: Design) -> Figure | None:
-    """Condition number over the iterations of each start; the best start stands out."""
-    every = [(row.status, v.reals(row.history)) for row in result.starts]
-    known = [(status, h[np.isfinite(h)]) for status, h in every]
-    starts = [(status, h) for status, h in known if len(h) > 1]
-    if not starts:
-        return None
-    ends = [h[-1] for _, h in starts]
-    best = int(np.argmin(ends))
-    marks: list[Mark] = []
-    for k, (_, history) in sorted(
-        enumerate(starts), key=lambda pair: pair[0] == best
-    ):
-        colour = FITTED if k == best else LIGHT
-        iteration = np.arange(len(history), dtype=float)
-        name = f"start {k + 1}"
-        width = 1.6 if k == best else 1.0
-        marks.append(Line(iteration, history, colour, name, width))
-        marks.append(Points(iteration[-1:], history[-1:], colour, name, 3.0))
-    legend = [Key("line", FITTED, "best start")]
-    legend += [Key("line", LIGHT, "other starts")] * (len(starts) > 1)
-    bound = result.condition_number.lower_bound
-    if bound is not None and bound > 0:
-        marks.append(Rule(bound, AMBER, dashed=True))
-        legend.append(Key("dash", AMBER, "proven lower bound"))
-    reached: Array = np.concatenate([h for _, h in starts])
-    log = bool(reached.min() > 0 and reached.max() > _LOG_RATIO * reached.min())
-    ordinate = Axis("condition number [–]", log=log)
-    axes = Axes(marks, Axis("iteration", 0.0, whole=True), ordinate, 180)
-    caption = "Each start of the optimisation, a dot where it ended: several that end at the same "
-    caption += "value suggest that a much better motion does not exist."
-    if cut := sum(status == "time limit" for status, _ in starts):
-        caption += f" The time limit ended {cut} of these {len(starts)}: more time may find better."
-    label = (
-        f"condition number over iterations of {len(starts)} starts; "
-        f"best ends at {v.number(ends[best])}"
-    )
-    return Figure((Panel((axes,), label),), caption, legend)

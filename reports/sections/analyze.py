@@ -13,7 +13,6 @@ from excitant.reports.values import NONE, Series
 from excitant.results import (
     Analyze,
     Combined,
-    Direction,
     LinkIdentifiability,
     ParameterIdentifiability,
     Practical,
@@ -57,7 +56,6 @@ def analyze_section(result: Analyze, series: Series) -> p.Section:
         ],
         brief,
         [
-            ("Least determined by the motion", [_weakest(result)]),
             *(
                 (_title(link), _link(result, link, f"Link {k} of {len(links)}"))
                 for k, link in enumerate(links, start=1)
@@ -248,24 +246,6 @@ def _determined(row: Practical | None) -> p.Cell:
     return p.Cell(verdict, _TONES.get(verdict, p.quality(row.rel_std)))
 
 
-def _weakest(result: Analyze) -> p.Table | None:
-    def share(row: Direction) -> p.Cell:
-        if row.rel_std is None:
-            return p.Cell("not seen", p.POOR)
-        return p.relative(row)
-
-    return p.table(
-        result.directions,
-        [
-            ("expression:Direction", "expression"),
-            ("number:Std relative to prior", share),
-            ("text:What it means", "meaning"),
-        ],
-        "Combinations of base parameters, each named by its first member, that this motion shows "
-        "worst; above 100\u00a0% the data say less than the prior.",
-    )
-
-
 def _title(link: LinkIdentifiability) -> str:
     name = link.link
     return f"{name} at {link.joint}" if link.joint not in ("", name) else name
@@ -294,12 +274,6 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
         ],
         "Found by adding each experiment's rows and looking at rank and standard deviation again.",
     )
-    own = {row.name for row in link.parameters}
-    follow = [
-        f"Once one of {', '.join(group)} is known from elsewhere, the data give the rest of them."
-        for group in result.follow_each_other
-        if own & set(group)
-    ]
     practical = {row.name: row for row in result.practical}
     combined = link.combined
 
@@ -324,7 +298,6 @@ def _link(result: Analyze, link: LinkIdentifiability, place: str) -> p.Blocks:
         _parameters(link),
         combinations,
         needed,
-        p.notes(follow),
     ]
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from excitant.reports import page as p
 from excitant.reports import values as v
 from excitant.reports.figures.motion import (
@@ -11,7 +13,7 @@ from excitant.reports.figures.motion import (
     motion_figure,
     share_of_limit,
 )
-from excitant.reports.figures.search import convergence_figure, spectrum_figure
+from excitant.reports.figures.search import spectrum_figure
 from excitant.reports.player import FULL, moments, player
 from excitant.reports.values import NONE, Series
 from excitant.results import (
@@ -69,7 +71,7 @@ def design_section(result: Design, series: Series) -> p.Section:
         [
             *_motion(result, series),
             ("Least excited parameters", [_weakest(result)]),
-            ("The search", [convergence_figure(result)]),
+            ("The search", [_starts(result)]),
         ],
     )
 
@@ -395,6 +397,23 @@ def _weakest(result: Design) -> p.Table | None:
         "Standard deviation (std) by least squares from the motion at 100 Hz, at least 1000 "
         f"samples, for white torque noise of 1 N·m{weighted}. Fv is viscous and Fc Coulomb "
         "friction, Ia the rotor's inertia.",
+    )
+
+
+def _starts(result: Design) -> p.Table | None:
+    rows = sorted(result.starts, key=lambda row: row.condition_number or np.inf)
+    return p.table(
+        rows,
+        [
+            ("number:Start", "start", v.whole),
+            ("number:Builds upon", "parent", v.whole),
+            ("number:Condition number", "condition_number"),
+            ("number:Convex steps", "iterations", v.whole),
+            ("text:Ended", "status"),
+        ],
+        "The best first: several that end at the same value suggest that a much better motion does "
+        "not exist.",
+        p.folded(f"All {len(rows)} starts", len(rows)),
     )
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from excitant.names import listed
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figures.error import error_bars, waterfall_figure
 from excitant.reports.figures.residual import evidence_figure
 from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.sections.identify import (
@@ -24,7 +24,6 @@ from excitant.results import (
     JointResidual,
     Number,
     Part,
-    Residual,
     Unexplained,
 )
 
@@ -41,9 +40,8 @@ _QUANTITIES = (
 _MEANING = (
     "Constant: offset. Direction of motion: dry friction. Velocity: viscous friction. Position: "
     "springs, ripple. Load: gain, load-dependent friction. Distance since the last reversal: "
-    "hysteresis, backlash. Time: drift. Last, the error slower, as fast, faster than the motion."
+    "hysteresis, backlash. Time: drift."
 )
-_BANDS = ("slower", "motion", "faster")
 _FIRST = 7  # findings in the first table
 _NAMED = 3  # joints in a title
 _LEADING = 3  # findings that are shown without opening a fold
@@ -74,10 +72,6 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
         if findings
         else "Error of the given model"
     )
-    shares: p.Blocks = [
-        _shares(result.error.joints, extended, unit)
-        for extended in (False, True)[: 1 + changed]
-    ]
     first, others = _finding_parts(findings, series, unit)
     return p.section(
         "Diagnosis",
@@ -92,7 +86,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
                 ],
             ),
             ("Given values that the data correct", [_corrected(result.corrected)]),
-            (wrong, shares),
+            (wrong, [_shares(result.error.joints, unit)]),
             ("Files of the extended model", [exported_table(result.exported)]),
             *first,
         ],
@@ -104,11 +98,7 @@ def diagnose_section(result: Diagnose, series: Series) -> p.Section:
         ),
         [
             ("Further findings", others),
-            (
-                "Error step by step",
-                [waterfall_figure(result) if changed else None],
-            ),
-            ("Error per joint", _errors(result, changed)),
+            ("Error per joint", [_errors(result, changed)]),
             (
                 over_holdout(unit),
                 [torque_figure(joints, series, unit, curves)],
@@ -224,10 +214,9 @@ def _finding_table(
 def _corrected_line(rows: list[FoundParameter]) -> list[tuple[str, str]]:
     if not rows:
         return []
-    first, *others = (row.name for row in rows)
-    more = f" and {len(others)} more" if others else ""
+    names = listed([row.name for row in rows], 1)
     words = "corrected by the data within the tolerance of given values"
-    return [("", f"{first}{more}: {words}, listed in report.html")]
+    return [("", f"{names}: {words}, listed in report.html")]
 
 
 def _corrected(rows: list[FoundParameter]) -> p.Table | None:
@@ -371,19 +360,11 @@ def _rivals(finding: Finding) -> p.Table | None:
     )
 
 
-def _shares(
-    joints: list[JointResidual], extended: bool, unit: str
-) -> p.Table | None:
-    def of(row: JointResidual) -> Residual:
-        return row.left if extended else row
-
+def _shares(joints: list[JointResidual], unit: str) -> p.Table | None:
     def share(key: str) -> p.Column:
         def cell(row: JointResidual) -> p.Cell:
-            residual = of(row)
-            x = residual.bands.get(key, residual.shares.get(key))
-            return p.cell(
-                x, v.percent, p.POOR if residual.telling == key else p.PLAIN
-            )
+            tone = p.POOR if row.telling == key else p.PLAIN
+            return p.cell(row.shares.get(key), v.percent, tone)
 
         return f"number:{key}", cell
 
@@ -391,17 +372,16 @@ def _shares(
         joints,
         [
             ("name:Joint", "name"),
-            (f"number:rms [{unit}]", lambda r: of(r).rms),
-            *map(share, (*_QUANTITIES, *_BANDS)),
+            (f"number:rms [{unit}]", "rms"),
+            *map(share, _QUANTITIES),
         ],
-        f"Error {'left by the extended model' if extended else 'of the model as given'} while the "
-        "joint moves, and the shares of its square that go with one quantity (they overlap): "
-        f"○ marks the simplest that explains it. {'' if extended else _MEANING}",
-        "What the extended model leaves, joint by joint" if extended else "",
+        "Error of the model as given while the joint moves, and the shares of its square that go "
+        f"with one quantity (they overlap): ○ marks the simplest that explains it. {_MEANING}",
+        "What the error goes with, joint by joint",
     )
 
 
-def _errors(result: Diagnose, changed: bool) -> p.Blocks:
+def _errors(result: Diagnose, changed: bool) -> p.Table | None:
     unit = result.unit
     models = [("Given", result.simulation.joints)]
     if changed:
@@ -419,7 +399,7 @@ def _errors(result: Diagnose, changed: bool) -> p.Blocks:
     same = ""
     if result.cutoff_hz is not None:
         same = f", all after the same filter ({v.quantity(result.cutoff_hz, 'Hz')})"
-    table = p.table(
+    return p.table(
         _pairs(result),
         [
             ("name:Joint", lambda r: r[0].name),
@@ -432,14 +412,6 @@ def _errors(result: Diagnose, changed: bool) -> p.Blocks:
         f"The model as given{' and with the findings added' * changed}, on the hold-out{same}; "
         "nrmse is rms over the measured torque's standard deviation.",
     )
-    bars = error_bars(
-        [row.name for row in result.simulation.joints],
-        [rows for _, rows in models],
-        unit,
-        _CURVES.after_label,
-        "Prediction error per joint on the hold-out",
-    )
-    return [bars, table]
 
 
 def _unexplained(rows: list[Unexplained]) -> p.Blocks:

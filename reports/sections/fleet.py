@@ -19,7 +19,7 @@ from excitant.reports.figure import (
     figure,
 )
 from excitant.reports.values import Series
-from excitant.results import DataSet, Deviation, Difference, Drift, Fleet, Number
+from excitant.results import DataSet, Deviation, Difference, Drift, Fleet
 
 _DRAWN = 6  # changes that are drawn
 _MONTHS = 12.0
@@ -101,12 +101,12 @@ def _facts(result: Fleet, odd: int, changing: int, failed: int) -> p.Facts | Non
     )
 
 
-def _interval(value: Number, std: Number) -> p.Cell:
+def _interval(value: float, std: float) -> p.Cell:
     return p.Cell(" ± ".join(v.value_and_std(value, std)), value=value)
 
 
 def _differs(row: Deviation) -> str:
-    more = "less" if (row.difference or 0.0) < 0 else "more"
+    more = "less" if row.difference < 0 else "more"
     value = _interval(row.value, row.std).text
     apart = _interval(row.difference, row.difference_std).text
     others = _interval(row.siblings, row.spread).text
@@ -143,7 +143,7 @@ def _differences(rows: list[Difference]) -> p.Table | None:
 
 def _monthly(row: Drift) -> tuple[float, float]:
     """Slope a month, and its standard deviation."""
-    return (row.per_year or 0.0) / _MONTHS, (row.std or 0.0) / _MONTHS
+    return row.per_year / _MONTHS, row.std / _MONTHS
 
 
 def _changes(row: Drift) -> str:
@@ -188,9 +188,9 @@ def _drifts(drifts: list[Drift]) -> p.Table | None:
             ("number:A month", lambda r: _interval(*_monthly(r))),
             ("name:Unit", "unit"),
             ("number:From", "before"),
-            ("name:On", "first"),
+            ("name:On", "first", str),
             ("number:To", "after"),
-            ("name:By", "last"),
+            ("name:By", "last", str),
             ("number:Data sets", "count", v.whole),
         ],
         "Slope of a line through all dates, and its ends.",

@@ -9,7 +9,6 @@ import numpy as np
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figures.error import error_bars
 from excitant.reports.figures.estimate import (
     forest_figure,
     forest_groups,
@@ -17,13 +16,7 @@ from excitant.reports.figures.estimate import (
     owner_of,
     symbol_of,
 )
-from excitant.reports.figures.online import (
-    ENOUGH,
-    estimates_figure,
-    excitation_figure,
-    excitation_levels,
-    payload_figure,
-)
+from excitant.reports.figures.online import estimates_figure, payload_figure
 from excitant.reports.figures.residual import residual_figure
 from excitant.reports.figures.torque import Curves, over_holdout, torque_figure
 from excitant.reports.values import Series
@@ -44,6 +37,7 @@ from excitant.robots.parameters import STANDARD
 CUTOFF_REMARK = (
     "errors are judged below it; measured and predicted torque are filtered alike"
 )
+_ENOUGH = 1.0  # excitation at which the last seconds say as much as the prior
 _FEW = 3  # links that moved are told on the terminal
 _MESSAGES = 8  # shown without opening a fold
 CURVES = Curves(
@@ -87,7 +81,7 @@ def identify_section(result: Identify, series: Series) -> p.Section:
         _brief(result),
         [
             ("Friction curves", [friction_figure(result.joints, series)]),
-            ("Error per joint", _errors(result)),
+            ("Error per joint", [_errors(result)]),
             (
                 over_holdout(unit),
                 [
@@ -293,13 +287,13 @@ def _how(result: Identify) -> p.Facts | None:
     )
 
 
-def _errors(result: Identify) -> p.Blocks:
+def _errors(result: Identify) -> p.Table | None:
     unit = result.unit
     rows = result.joints
     same = ""
     if result.cutoff_hz is not None:
         same = f" after the same filter ({v.quantity(result.cutoff_hz, 'Hz')})"
-    table = p.table(
+    return p.table(
         rows,
         [
             ("name:Joint", "name"),
@@ -317,14 +311,6 @@ def _errors(result: Identify) -> p.Blocks:
         "holds any torque, are judged in the column of all rows only. nrmse is rms over "
         "the measured torque's standard deviation.",
     )
-    bars = error_bars(
-        _names(result),
-        ([row.baseline for row in rows], [row.validate for row in rows]),
-        unit,
-        CURVES.after_label,
-        "Prediction error per joint on the hold-out",
-    )
-    return [bars, table]
 
 
 def _names(result: Identify) -> list[str]:
@@ -632,15 +618,15 @@ def _online(result: Identify, series: Series) -> p.Parts:
     return [
         ("On-line estimation", [_online_facts(online), messages]),
         ("Estimates over time", [estimates_figure(result, series)]),
-        ("Excitation over time", [excitation_figure(online)]),
     ]
 
 
 def _online_facts(online: Online) -> p.Facts | None:
     state = ("yes", p.GOOD) if online.converged else ("not yet", p.FAIR)
-    t, level = excitation_levels(online)
+    t = v.reals(online.history.t)
+    level = v.reals(online.history.excitation_level)
     judged = np.isfinite(level)
-    share = float((level[judged] >= ENOUGH).mean()) if judged.any() else None
+    share = float((level[judged] >= _ENOUGH).mean()) if judged.any() else None
     span = np.ptp(t) if len(t) else None
     aged = "age of the newest instant"
     converging = (

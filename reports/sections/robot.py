@@ -7,10 +7,14 @@ from dataclasses import replace
 
 from excitant.reports import page as p
 from excitant.reports import values as v
-from excitant.reports.figures.arm import arm_figure
+from excitant.reports.player import arm_player
 from excitant.reports.values import NONE, Series
 from excitant.results import ModelWarning, Number, RobotJoint, RobotLink, Robots
 
+_CAPTION = (
+    "The joints move in turn from zero, or as near to it as their ranges allow, to a bent pose: "
+    "compare axes and directions with the maker's drawing;"
+)
 _FULL = 0.9  # of its effort limit that gravity takes: hardly any left to move
 
 
@@ -53,7 +57,7 @@ def robot_section(result: Robots, series: Series) -> p.Section:
                     p.notes(result.notes),
                 ],
             ),
-            ("The arm", [arm_figure(series)]),
+            ("The arm", [_arm(result, series)]),
             ("Joints", [_joints(joints)]),
             ("Links", [_links(result)]),
             ("Friction and drives", [_effects(result)]),
@@ -61,6 +65,12 @@ def robot_section(result: Robots, series: Series) -> p.Section:
         ],
         (("checked", f"{count}, {mass} of moving links. {verdict}"),),
     )
+
+
+def _arm(result: Robots, series: Series) -> p.Player | None:
+    """The arm in 3D, whose joints move in turn."""
+    names = [joint.name for joint in result.joints]
+    return arm_player(names, result.appearance, series, ("position",), _CAPTION)
 
 
 def _sentence(warning: ModelWarning) -> str:

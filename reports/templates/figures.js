@@ -87,41 +87,16 @@
         start = k + 1;
       });
     },
-    polygon(c, mark, X, Y) {
-      trace(c, mark, X, Y);
-      c.closePath();
-      c.globalAlpha = mark.opacity ?? 1;
-      c.fillStyle = ink(mark.colour);
-      c.fill();
-      if (mark.edge) stroke(c, mark.edge, 1);
-    },
-    span(c, { low, high, colour, along = "y", opacity = 0.13 }, X, Y, box) {
-      c.globalAlpha = opacity;
+    span(c, { low, high, colour }, X, Y, box) {
+      c.globalAlpha = 0.13;
       c.fillStyle = ink(colour);
-      if (along === "x") c.fillRect(X(low), box.top, X(high) - X(low), box.height);
-      else c.fillRect(box.left, Y(high), box.width, Y(low) - Y(high));
+      c.fillRect(box.left, Y(high), box.width, Y(low) - Y(high));
     },
     rule(c, { at, colour = "zero", along = "y", dashed }, X, Y, box) {
       c.beginPath();
       if (along === "x") { c.moveTo(X(at), box.top); c.lineTo(X(at), box.top + box.height); }
       else { c.moveTo(box.left, Y(at)); c.lineTo(box.left + box.width, Y(at)); }
       stroke(c, colour, dashed ? 1.2 : 0.8, dashed);
-    },
-    words(c, { x, y, text, shift }, X, Y) {
-      const r = devicePixelRatio;
-      const [right, up] = shift || [0, 0];
-      const at = [X(x) + right * r, Y(y) - up * r];
-      c.font = `${12 * r}px system-ui, sans-serif`;
-      c.textAlign = shift ? "left" : "center";
-      c.textBaseline = "middle";
-      c.globalAlpha = 0.8;
-      c.strokeStyle = ink("paper");
-      c.lineWidth = 4 * r;
-      c.setLineDash([]);
-      c.strokeText(text, ...at);
-      c.globalAlpha = 1;
-      c.fillStyle = ink("ink");
-      c.fillText(text, ...at);
     },
   };
   const EDGE = 3;  // pixels by which marks may leave the frame
@@ -212,8 +187,8 @@
     return tick ? tick[1] : number(x);
   };
   const COUNTS = [1, 2, 5].flatMap((step) => [0, 1, 2, 3, 4].map((k) => step * 10 ** k));
-  const axisOf = (axis, side, framed, inner) => ({
-    scale: side, show: framed,
+  const axisOf = (axis, side, inner) => ({
+    scale: side,
     label: axis.label || undefined, labelSize: 18, labelGap: 0, labelFont: "12px system-ui, sans-serif",
     font: "11.5px system-ui, sans-serif", gap: 4,
     space: side === "x" ? 48 : 22,
@@ -237,13 +212,6 @@
     const tip = make("div", { class: "tip" });
     tip.hidden = true;
     const view = (plot, x, y) => {
-      if (spec.equal) {
-        const { width, height } = plot.bbox;
-        const step = Math.max((x[1] - x[0]) / width, (y[1] - y[0]) / height) / 2;
-        const [across, up] = [(x[0] + x[1]) / 2, (y[0] + y[1]) / 2];
-        x = [across - step * width, across + step * width];
-        y = [up - step * height, up + step * height];
-      }
       plot.batch(() => {
         plot.setScale("x", { min: x[0], max: x[1] });
         plot.setScale("y", { min: y[0], max: y[1] });
@@ -267,11 +235,11 @@
     };
     const plot = new uPlot({
       width: panel.width(), height: panel.height(spec),
-      padding: [8, spec.x.ticks.length ? 38 : 15, spec.framed && spec.x.label ? 0 : 4, spec.framed ? 0 : 10],
+      padding: [8, spec.x.ticks.length ? 38 : 15, spec.x.label ? 0 : 4, 0],
       legend: { show: false },
       series: [{}],
       scales: { x: scale(spec.x), y: scale(spec.y) },
-      axes: [axisOf(spec.x, "x", spec.framed, inner), axisOf(spec.y, "y", spec.framed)],
+      axes: [axisOf(spec.x, "x", inner), axisOf(spec.y, "y")],
       cursor: {
         drag: { x: true, y: true, uni: 24, setScale: false }, points: { show: false }, y: false,
         sync: panel.shared && panel.specs.length > 1 ? { key: panel.key, scales: ["x", null], setSeries: false } : undefined,
@@ -291,9 +259,8 @@
         return [middle - half, middle + half];
       };
       const { x, y } = plot.scales;
-      view(plot, ends(x, shift), spec.equal ? ends(y, 0) : [y.min, y.max]);
+      view(plot, ends(x, shift), [y.min, y.max]);
     };
-    if (spec.equal) whole(plot);
     return plot;
   };
 
@@ -309,7 +276,7 @@
       for (const { axes } of content.panels)
         for (const mark of axes.flatMap((each) => each.marks)) {
           for (const name of ["x", "y", "low", "high"])
-            if (mark.kind !== "span" && mark.kind !== "words" && name in mark) mark[name] = arrays[mark[name]];
+            if (mark.kind !== "span" && name in mark) mark[name] = arrays[mark[name]];
           if (mark.kind === "line") mark.grows = grows(mark.x);
         }
       return content;
@@ -336,7 +303,6 @@
           panel.plots.forEach((plot, i) => {
             const spec = panel.specs[i];
             plot.setSize({ width: panel.width(), height: panel.height(spec) });
-            if (spec.equal) plot.whole();
           });
         },
       };

@@ -9,6 +9,7 @@ default null may be missing. Files are paths as printed.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import date
 from typing import Any, Literal, TypeAlias
 
 import msgspec
@@ -363,8 +364,6 @@ class Start(Record):
     "Why it ended."
     iterations: int
     "Convex steps taken."
-    history: list[Number]
-    "Condition number after each of them."
 
 
 class FirstRun(Record):
@@ -1077,32 +1076,6 @@ class NotShown(Record):
     "What would be needed to see it."
 
 
-class Change(Record):
-    """Change of a parameter along a direction."""
-
-    name: str
-    "Parameter."
-    change: Number
-    "Change."
-    unit: str
-    "Unit."
-
-
-class Direction(Record):
-    """A direction of the base parameters that the motion shows least."""
-
-    expression: str
-    "The direction as a sum."
-    meaning: str
-    "What it means, in words."
-    share: Number
-    "Share of the uncertainty that it makes."
-    rel_std: Number
-    "Standard deviation along it over the value."
-    members: list[Change]
-    "Parameters that change along it."
-
-
 class Structure(Record):
     """What the structural analysis rests on."""
 
@@ -1133,8 +1106,6 @@ class Analyze(Imported, tag_field="verb", tag="analyze"):
     "Circumstances of the structural analysis, its frames and decomposition."
     links: list[LinkIdentifiability]
     "Link by link."
-    follow_each_other: list[list[str]]
-    "Groups of parameters of which any one determines the others."
     condition_number: Number
     "Condition number of the base columns under the motion, unscaled."
     practical: list[Practical]
@@ -1147,8 +1118,6 @@ class Analyze(Imported, tag_field="verb", tag="analyze"):
     "Joints that do not move."
     not_shown: list[NotShown] = []
     "Base parameters that the motion does not show."
-    directions: list[Direction] = []
-    "Directions that it shows least."
     persistency: Persistency | None = None
     "Persistency of excitation."
     faults: list[Fault] = []
@@ -1259,38 +1228,23 @@ class Unexplained(Record):
     "Joint."
     share: Number
     "Share of the measured torque's variance."
-    rms: Number
-    "Root mean square [N·m or A]."
-    noise_floor: Number
-    "Noise of the torque [N·m or A]."
     against_noise: str
     "Comparison of both in words."
     structure: str
     "The variable that explains most of it, in words."
-    shows: dict[str, Number]
-    "Share of it that each variable explains."
 
 
-class Residual(Record):
-    """Structure of a residual."""
-
-    rms: Number
-    "Root mean square [N·m or A]."
-    shares: dict[str, Number]
-    "Share of it that each variable explains."
-    bands: dict[str, Number]
-    "Share by band of frequency: slower than the motion, of the motion, faster."
-    telling: str
-    "The above in words."
-
-
-class JointResidual(Residual):
+class JointResidual(Record):
     """Structure of the error of a joint."""
 
     name: str
     "Joint."
-    left: Residual
-    "The same of the extended model."
+    rms: Number
+    "Root mean square [N·m or A]."
+    shares: dict[str, Number]
+    "Share of it that each variable explains."
+    telling: str
+    "The above in words."
 
 
 class ErrorStructure(Record):
@@ -1298,15 +1252,6 @@ class ErrorStructure(Record):
 
     joints: list[JointResidual]
     "By joint."
-
-
-class Step(Record):
-    """A step of the waterfall of errors."""
-
-    label: str
-    "Model."
-    rms: Number
-    "Root mean square over joints [N·m or A]."
 
 
 class Simulation(Record):
@@ -1342,8 +1287,6 @@ class Diagnose(Modelled, tag_field="verb", tag="diagnose"):
     "Errors of the extended model."
     error: ErrorStructure
     "Structure of the nominal model's error."
-    waterfall: list[Step]
-    "Error as causes are added."
 
 
 # --- robots, examinations, fleets, comparisons
@@ -1450,6 +1393,8 @@ class Robots(Run, tag_field="verb", tag="robots"):
     "Standard parameters by name."
     notes: list[str]
     "Remarks on reading."
+    appearance: Appearance
+    "The arm as it is drawn."
     kind: str | None = None
     "Kind of a built-in arm."
     sources: Any = None
@@ -1585,21 +1530,21 @@ class Deviation(Record):
     "Parameter."
     unit: str
     "Unit."
-    value: Number
+    value: float
     "Of the arm."
-    std: Number
+    std: float
     "Its standard deviation."
-    siblings: Number
+    siblings: float
     "Mean of the other arms."
-    spread: Number
+    spread: float
     "Their standard deviation."
-    difference: Number
+    difference: float
     "Of the arm from that mean."
-    difference_std: Number
+    difference_std: float
     "Its standard deviation."
     count: int
     "Number of the other arms."
-    ratio: Number
+    ratio: float
     "Difference over what chance allows."
 
 
@@ -1612,19 +1557,19 @@ class Difference(Record):
     "Unit."
     low: str
     "Arm furthest below the mean of all, in its standard deviations."
-    low_value: Number
+    low_value: float
     "Its value."
     high: str
     "Arm furthest above it, likewise."
-    high_value: Number
+    high_value: float
     "Its value."
-    difference: Number
+    difference: float
     "Between both."
-    std: Number
+    std: float
     "Its standard deviation."
     count: int
     "Number of arms."
-    chance: Number
+    chance: float
     "Probability, in a fleet of equal arms, of values as far apart."
 
 
@@ -1637,21 +1582,21 @@ class Drift(Record):
     "Parameter."
     unit: str
     "Unit."
-    per_year: Number
+    per_year: float
     "Slope [unit per year]."
-    std: Number
+    std: float
     "Its standard deviation."
-    first: str
+    first: date
     "Date of the first data set."
-    last: str
+    last: date
     "Date of the last one."
-    before: Number
+    before: float
     "Value of the line at the first date."
-    after: Number
+    after: float
     "Value at the last one."
     count: int
     "Number of data sets."
-    chance: Number
+    chance: float
     "Probability, in a fleet without any change, of one as clear."
 
 
@@ -1700,12 +1645,8 @@ class ComparedFigure(Record):
     "As written on the pages."
     values: list[Number]
     "Values."
-    difference: list[Number] | None = None
-    "Differences to the first run."
-    ratio: list[Number] | None = None
-    "Ratios to the first run."
-    deviations: list[Number] | None = None
-    "Differences in their standard deviations."
+    deviations: list[Number]
+    "Differences to the first run in their standard deviations; null of what is no estimate."
 
 
 class ComparedTable(Record):

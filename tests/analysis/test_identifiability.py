@@ -1,7 +1,6 @@
 """What cannot be known changes no torque; what can, does; how well, and what would show more."""
 
 import json
-import re
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace as Judged
@@ -23,7 +22,7 @@ from excitant.identify.rows import fit_rows
 from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot
-from excitant.robots.base_parameters import BaseParameters, base_parameters
+from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import standard_effects
 from excitant.robots.parameters import from_pseudo_inertia, pseudo_inertia
 from excitant.robots.regressor import regressor
@@ -144,14 +143,6 @@ def test_the_result_is_its_record_link_by_link(ur10: Robot) -> None:
     assert len(seen) == 60
 
 
-def test_parameters_that_follow_from_one_another_are_grouped(planar: Robot) -> None:
-    """Torque shows link1.mcx + l m2, and link1.Iyy + l² m2 with the rotor's inertia added."""
-    effects, motion = standard_effects(planar.joints), motion_of(planar)
-    assert analyze(planar).follow == (("link1.mcx", "link1.Iyy", "link2.m"),)
-    for given in (None, motion):
-        assert analyze(planar, effects=effects, motion=given).follow == (("link1.mcx", "link2.m"),)
-
-
 def test_level_is_information_per_noise(planar: Robot) -> None:
     motion, sigma = motion_of(planar), np.array([0.2, 0.1])
     one, half = (persistency(planar, motion, sigma=s) for s in (sigma, sigma / 2))
@@ -258,14 +249,6 @@ def test_the_base_feels_what_newton_and_euler_say(ur10: Robot) -> None:
         np.testing.assert_allclose(columns @ ur10.phi, expected, atol=1e-9)
 
 
-def test_a_known_payload_shows_the_scale_of_currents(ur10: Robot, monkeypatch: pytest.MonkeyPatch):
-    sigma, std = 0.01 * ur10.limits.torque, []
-    for mass in (0.0, 0.05, 0.1):
-        monkeypatch.setattr(uncertainty, "PAYLOAD_KG", mass)
-        std.append(uncertainty.scale_deviation(ur10, standard_effects(ur10.joints), sigma))
-    assert (std[0], std[1] / std[2]) == (np.inf, pytest.approx(2.0, rel=0.02))
-
-
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
 def test_what_is_not_seen_has_no_deviation(unit: float) -> None:
     X = np.random.default_rng(1).normal(size=(50, 1, 4))
@@ -277,14 +260,6 @@ def test_what_is_not_seen_has_no_deviation(unit: float) -> None:
     first, second = X[:, 0, 0] / np.linalg.norm(X[:, 0, 0]), X[:, 0, 1]
     alone = np.linalg.norm(second - first * (first @ second))  # what the first cannot imitate
     np.testing.assert_allclose(std[3], 1 / alone, rtol=1e-9)
-
-
-def test_unseen_directions_are_sparse_and_silent() -> None:
-    R = np.random.default_rng(2).normal(size=(6, 6))
-    R[:, 3], R[:, 5] = R[:, 0] - 0.5 * R[:, 2], 0.0
-    found = uncertainty.unseen_directions(R)
-    np.testing.assert_allclose(found @ R.T, 0, atol=1e-12)
-    np.testing.assert_allclose(found, [[-1, 0, 0.5, 1, 0, 0], [0, 0, 0, 0, 0, 1]], atol=1e-12)
 
 
 def test_deviations_are_met_by_repeated_experiments_on_recursive_newton_euler(ur10: Robot) -> None:
@@ -306,31 +281,6 @@ def test_deviations_are_met_by_repeated_experiments_on_recursive_newton_euler(ur
     for column, std in zip(found.base.columns, predicted, strict=True):
         if found.entries[column].category == "unique":
             assert found.entries[column].std_data == pytest.approx(std)
-
-
-BASE = BaseParameters(("a.m", "a.Ixx", "b.Izz"), (0, 1, 2), np.eye(3), np.zeros((3, 0)), (1.0, 0.0))
-UNITS = ("kg", "kg·m²", "kg·m²")
-
-
-def test_what_trades_against_each_other_is_named_after_what_is_not_seen() -> None:
-    C = np.diag([1e-6, 4.0, 4.0])
-    C[1, 2] = C[2, 1] = -3.96
-    seen = uncertainty.MotionInformation(np.eye(3), C, np.zeros((0, 3)), np.ones(3))
-    worst = uncertainty.weak_directions(BASE, UNITS, seen, np.ones(3))[0]
-    assert worst.std == pytest.approx(np.sqrt(7.96))
-    assert worst.expression in ("a.Ixx − b.Izz", "b.Izz − a.Ixx")
-    assert re.search("rise by 2 kg·m² while.*falls by 2 kg·m²", worst.meaning)
-    change = np.zeros(3)
-    for name, value, _ in worst.members:
-        change[BASE.names.index(name)] = value
-    # one standard deviation: δᵀ C⁻¹ δ = 1
-    assert change @ np.linalg.inv(C) @ change == pytest.approx(1.0)
-    C, unseen = np.diag([1.0, 0.0, 0.0]), np.array([[0, 1.0, -0.25]])
-    seen = uncertainty.MotionInformation(np.eye(3), C, unseen, np.ones(3))
-    first, *rest = uncertainty.weak_directions(BASE, UNITS, seen, np.ones(3))
-    assert (first.std, first.expression) == (np.inf, "a.Ixx − 0.25·b.Izz")
-    assert "no torque of this motion" in first.meaning
-    assert [d.members[0][0] for d in rest] == ["a.m"]
 
 
 @pytest.fixture(scope="module")

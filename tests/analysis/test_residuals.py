@@ -168,14 +168,8 @@ def test_a_trend_is_not_judged_on_a_motion_that_hardly_repeats() -> None:
     assert "time" not in residuals.shares(np.linspace(-1, 1, len(m)), by, 0, np.ones(len(m), bool))
 
 
-@pytest.mark.parametrize(("hz", "band"), [(0.05, "slower"), (0.4, "motion"), (3.0, "faster")])
-def test_an_error_lies_in_the_band_of_its_frequency(hz: float, band: str) -> None:
-    np.testing.assert_allclose(BY.bands[0], HARMONICS_HZ, atol=0.05)
-    t = BY.steps[0] * np.arange(len(NOISE))
-    found = residuals.band_shares(np.sin(2 * np.pi * hz * t) + 7.0, BY, 0)
-    assert set(found) == set(residuals.BANDS)
-    assert found[band] > 0.95
-    assert sum(found.values()) == pytest.approx(1.0)
+def test_the_lowest_frequency_of_a_motion() -> None:
+    assert BY.lowest_hz[0] == pytest.approx(HARMONICS_HZ[0], abs=0.05)
 
 
 def test_distance_since_a_reversal() -> None:

@@ -118,9 +118,8 @@ def design_run() -> Run:
         for k, row in enumerate(_base_parameters()[:10], start=1)
     ]
     ends = 9.31 + 0.7 * np.arange(8) ** 1.5
-    history = [[*(x + 160 * np.exp(-np.arange(39) / (x - 5))), None] for x in ends]
     status = ["converged"] * 6 + ["stopped: time limit"] * 2
-    starts = _rows(condition_number=ends, status=status, history=history)
+    starts = _rows(condition_number=ends, status=status)
     certified = {
         "position": _rows(low=q.min(0), high=q.max(0), ratio=0.98, t=3.2),
         "velocity": _rows(low=-fast, high=fast, ratio=1.0, t=7.77),
@@ -289,8 +288,6 @@ def diagnose_run() -> Run:
     t, _, dq, measured, given, extended = _holdout(rng)
     scale, before, after = (x.std(0) for x in (measured, measured - given, measured - extended))
     stribeck = 6 * np.sign(dq[:, 1]) * np.exp(-np.abs(dq[:, 1]) / 0.3) + 3 * np.sign(dq[:, 1])
-    steps = ["as given", "+ stribeck_friction at elbow_joint"]
-    steps += [f"+ inertial_parameters at {JOINTS[2]}, wrist_roll_joint", "+ unknown"]
     headline = "elbow_joint has Stribeck friction that the model lacks; the inertia of the forearm "
     cut = {"fault": "saturation", "joints": ["elbow_joint"], "detail": "41 samples at ±87 N·m"}
     left = {"joint": "wrist_roll_joint", "share": 0.021, "structure": "periodic in motor angle"}
@@ -299,12 +296,10 @@ def diagnose_run() -> Run:
         result[model] = {"joints": _accuracy(rms, scale, name=JOINTS)}
     result |= {"faults": [cut, {"fault": "duplicate_samples"}]}
     result |= {"unexplained": [left, {"joint": "elbow_joint"}]}
-    result["waterfall"] = _rows(label=steps, rms=[4.62, 1.31, 1.18, None])
     result["notes"] = ["Velocities below 0.05 rad/s are rare: presliding was not judged."]
     shares = {"constant": 0.02, "direction": 0.81, "velocity": 0.83, "position": 0.0, "load": 0.8}
-    bands = {"slower": 0.0, "motion": 0.9, "faster": 0.1}
-    error = {"rms": 4.0, "shares": shares, "bands": bands, "telling": "direction"}
-    wrong = [{"name": name, **error, "left": error | {"rms": 1.0}} for name in JOINTS]
+    error = {"rms": 4.0, "shares": shares, "telling": "direction"}
+    wrong = [{"name": name, **error} for name in JOINTS]
     result |= {"findings": _findings(), "error": {"joints": wrong}}
     noise = rng.normal(size=(3, len(t)))
     series = {"t": t, "measured": measured, "simulated": given, "extended": extended}
@@ -410,8 +405,7 @@ class Shown(HTMLParser):
         self.words = _plain(source)
         self.headings = [_plain(h) for h in re.findall(r"<h3[^>]*>(.*?)</h3>", source)]
         drawn = [attrs for _, attrs in self.elements if attrs.get("role") == "img"]
-        bars = [attrs for attrs in self.all("figure") if attrs.get("class") == "bars"]
-        self.labels = [attrs["aria-label"] or "" for attrs in (*drawn, *bars)]
+        self.labels = [attrs["aria-label"] or "" for attrs in drawn]
 
     def handle_starttag(self, tag, attrs):
         self.elements.append((tag, dict(attrs)))

@@ -13,7 +13,6 @@ def test_every_link_has_its_section_and_parameters(make, written):
     (result, _), page = make["analyze"](), written("analyze")
     assert {f"{link['link']} at {link['joint']}" for link in result["links"]} <= {*page.headings}
     said = [row["name"] for row in result["practical"]]
-    said += [direction["meaning"] for direction in result["directions"]]
     for words in (*said, "weigh or swing the link apart from the arm"):
         assert words in page.words
     assert len(page.source.encode()) < 1_000_000

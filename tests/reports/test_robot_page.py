@@ -3,34 +3,28 @@
 import numpy as np
 import pytest
 
-from excitant.reports import load_run
-from excitant.reports.figure import Polygon, Words
-from excitant.reports.figures.arm import arm_figure
+from excitant.reports import load_run, page_of
+from excitant.reports.page import Player
+from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import builtin_robots, load_robot
 from excitant.robots.check import ModelCheck
+from excitant.robots.geometry import bent_pose, zero_pose
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "scara", "so100", "iiwa14"])
-def test_arms_have_a_picture(name):
+def test_the_joints_of_an_arm_move_in_turn(name):
     robot = load_robot(name)
-    figure = arm_figure(ModelCheck(robot).series())
-    assert len(figure.panels) == len({panel.title for panel in figure.panels}) == 3
-    for panel in figure.panels:
-        words = [mark.text for mark in panel.axes[0].marks if isinstance(mark, Words)]
-        numbers = {int(k) for group in words for k in group.split(",") if k.isdigit()}
-        assert numbers == set(range(1, robot.nv + 1))
-
-
-def test_the_picture_shows_what_there_is():
-    series = ModelCheck(load_robot("ur10")).series()
-    whole, bare = map(arm_figure, (series, series | {"zero_solids": np.empty((0, 8))}))
-    assert "solids" in whole.caption
-    assert "as lines" in bare.caption
-    assert len(whole.legend) == len(bare.legend) + 1
-    for figure, count in ((whole, len(series["zero_solids"])), (bare, 0)):
-        marks = figure.panels[0].axes[0].marks
-        assert sum(isinstance(mark, Polygon) and mark.edge != "" for mark in marks) == count
+    check = ModelCheck(robot)
+    shown = page_of(*as_saved(check.result(), check.series()))
+    [arm] = [b for part in shown.sections[0].parts for b in part.blocks if isinstance(b, Player)]
+    assert [joint for joint, _ in arm.joints] == list(robot.joints)
+    q = check.series()["play_q"]
+    np.testing.assert_allclose(q[[0, -1]], [zero_pose(robot), bent_pose(robot)])
+    assert (np.count_nonzero(np.diff(q, axis=0), axis=1) <= 1).all()
+    low, high = robot.limits.position.T
+    assert ((low - 1e-12 <= q) & (q <= high + 1e-12)).all()
+    assert check.series()["play_shares"].max() <= 1 + 1e-12
 
 
 def test_page_and_terminal_say_what_is_wrong_and_where(here, excitant, show):
@@ -49,12 +43,11 @@ def test_page_and_terminal_say_what_is_wrong_and_where(here, excitant, show):
     text = (here / "out" / "summary.txt").read_text()
     for written in (page.words, text, ran.out):
         assert [warning for warning in result.warnings if warning.sentence not in written] == []
-    assert len(page.labels) == 3
+    assert len(page.all("figure")) == 1
     out = excitant("robots weak.urdf").out
     for words in ("joint1: gravity takes up to", "joint2: no velocity limit"):
         assert f"WARNING: {words}" in out
-    kinds = ("pose", "points", "axes", "solids")
-    assert set(series) == {f"{pose}_{kind}" for pose in ("zero", "bent") for kind in kinds}
+    assert set(series) == {f"play_{kind}" for kind in ("t", "q", "dq", "shares")}
 
 
 def test_a_sound_arm_is_said_to_be(here, excitant):
