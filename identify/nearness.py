@@ -4,10 +4,10 @@ Torque shows sums of masses and first moments along an arm, which the prior shar
 it moved far is further off than the others are likely to be, and not always one that the data ask
 to move. The mass nearest to the given one is looked for at which the data are fitted as well,
 
-    ‖R x − z‖² ≤ minimum + χ²   subject to   ‖m_k c − m_k c̄‖ ≤ m_k L / 2,
+    ‖R x − z‖² ≤ minimum + χ²   subject to   |m_k c − m_k c̄| ≤ m_k L / 2,
 
-the centre of mass within half of the link's length L of the given one, without a prior of the
-bodies. It is a conic programme in the standard parameters.
+the centre of mass within half of the link's length L of the given one along each axis, without a
+prior of the bodies. It is a conic programme in the standard parameters.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import BadInput
-from excitant.identify.knowledge import Ellipsoid, Knowledge, LinkKnowledge
+from excitant.identify.knowledge import Box, Knowledge, LinkKnowledge
 from excitant.identify.least_squares import LeastSquares
 from excitant.identify.physical import PhysicalFit, fit_program
 from excitant.identify.prior import EffectPrior
@@ -108,10 +108,15 @@ def needed_masses(
     found = {}
     for k in np.flatnonzero(moved).tolist():
         link = robot.links[k]
-        ball = Ellipsoid(tuple(centres[k].tolist()), (reach[k],) * 3)
-        near = LinkKnowledge(
-            com_box=knowledge.regions.get(link), com_ellipsoid=ball
-        )
+        low = centres[k] - reach[k]
+        high = centres[k] + reach[k]
+        if (region := knowledge.regions.get(link)) is not None:
+            low = np.maximum(low, region.low)
+            high = np.minimum(high, region.high)
+        if (low > high).any():
+            continue
+        box = Box(tuple(low.tolist()), tuple(high.tolist()))
+        near = LinkKnowledge(com_box=box)
         try:
             stays, _, _ = program(
                 replace(knowledge, links={**knowledge.links, link: near})
