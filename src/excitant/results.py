@@ -938,8 +938,6 @@ class Modelled(Imported, kw_only=True):
     "Standard deviations of the drive gains, null likewise."
     drive_gain_scale_rel_std: Number = None
     "Relative standard deviation of the scale that all gains share."
-    drive_gain_shown: list[bool] | None = None
-    "Whether the currents show each gain relative to the others."
     published: bool | None = None
     "Whether the model was written."
     refusal: str = ""
