@@ -33,11 +33,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from excitant.exceptions import RankDeficient
 from excitant.identify.estimate import (
     Estimate,
     estimate_by,
-    identify_robot,
     notes_on,
 )
 from excitant.identify.information import Information, gaussian, square_root
@@ -313,45 +311,23 @@ class LinkByLink:
     estimate: Estimate  # physically consistent model and its accuracy
     cascade: Cascade  # the base parameters with their covariance
     stages: tuple[Stage, ...]  # the links, last one first
-    all_at_once: Estimate  # all links from all rows together, for comparison
-    refusal: str  # why weighted least squares of all rows was not possible; empty if it was
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json: those of `identify`, and the stages under ``link_by_link``."""
         robot = self.estimate.given
-        estimate = self.estimate
-        how = (
-            "all rows with the given robot as prior, because weighted least squares refuses: "
-            if self.refusal
-            else "weighted least squares of all rows, then physically consistent fit"
-        ) + self.refusal
-        rms = {
-            "given": estimate.baseline.rms,
-            "all_at_once": self.all_at_once.validate.rms,
-            "link_by_link": estimate.validate.rms,
-        }
-        return estimate.result() | {
+        return self.estimate.result() | {
             "estimator": "link by link from the last inward, each from its own joint's row with "
             "the outer links known; then physically consistent semidefinite fit",
             "link_by_link": {
                 "stages": [stage.result(robot) for stage in self.stages],
                 "determined": sum(len(stage.determined) for stage in self.stages),
-                "base_parameters": len(estimate.base),
-                "comparison": {
-                    "all_at_once": how,
-                    "refusal": self.refusal or None,
-                    "joints": [
-                        {"name": joint}
-                        | {key: float(each[j]) for key, each in rms.items()}
-                        for j, joint in enumerate(robot.joints)
-                    ],
-                },
+                "base_parameters": len(self.estimate.base),
             },
         }
 
     def series(self) -> dict[str, Array]:
         """Measured torque and that of the models on the hold-out, each of shape (n, nv)."""
-        return self.estimate.series() | {"all_at_once": self.all_at_once.predicted}
+        return self.estimate.series()
 
 
 @on_one_thread
@@ -363,7 +339,7 @@ def identify_link_by_link(
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
 ) -> LinkByLink:
-    """Identify a robot from the last link inward, and compare with all links at once.
+    """Identify a robot from the last link inward.
 
     Args and errors are those of `identify_robot`, but no motion is refused for what it leaves open.
     """
@@ -380,24 +356,7 @@ def identify_link_by_link(
     known = cascade.information()
     whitened = known.R @ rows.base.regrouping, known.z
     estimate = estimate_by(robot, rows, fit, whitened, _notes(rows, stages, prior))
-    try:
-        whole = identify_robot(
-            robot,
-            recordings,
-            validate=validate,
-            effects=effects,
-            cutoff_hz=cutoff_hz,
-        )
-        refusal = ""
-    except (
-        RankDeficient
-    ) as error:  # then with the given robot as prior, the noise of the stages
-        refusal = str(error)
-        weight = replace(
-            fit, sigma=np.where(np.isfinite(noise), noise, np.inf)
-        ).weight
-        whole = estimate_by(robot, rows, fit, rows.regression.factor(weight), ())
-    return LinkByLink(estimate, cascade, stages, whole, refusal)
+    return LinkByLink(estimate, cascade, stages)
 
 
 def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:

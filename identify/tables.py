@@ -236,7 +236,6 @@ def series_of(estimate: Estimate) -> dict[str, Array]:
 
 
 def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
-    sensors = estimate.data.sensors
     half_width = estimate.interval.half_width.mean(axis=0)
     by_parameters = estimate.interval.parameters.mean(axis=0)
     entries = []
@@ -252,8 +251,6 @@ def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
             "validate": estimate.validate.entry(j) | {"interval95": interval},
             "baseline": estimate.baseline.entry(j),
         }
-        if sensors is not None:
-            entry["motion"] = sensors.entry(j, estimate.data.cutoff_hz)
         if curve is not None:
             entry["friction"] = curve.entry()
         entries.append(entry)

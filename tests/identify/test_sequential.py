@@ -205,10 +205,9 @@ def test_a_joint_at_rest_may_hold_any_torque(planar: Robot) -> None:
     outer = alone.stages[0]
     assert (outer.determined, outer.mode, outer.rows) == ((), "does not move", 0)
     assert planar.joints[1] in outer.needed[0]
-    assert alone.refusal
 
 
-def test_command_writes_stages_and_comparison(planar, tmp_path, excitant):
+def test_command_writes_stages(planar, tmp_path, excitant):
     rng = np.random.default_rng(5)
     truth = truth_near(planar, rng)
     files = [write_csv(tmp_path / f"{k}.csv", recorded(planar, truth, rng)) for k in range(2)]
@@ -218,12 +217,9 @@ def test_command_writes_stages_and_comparison(planar, tmp_path, excitant):
     assert [stage["joint"] for stage in found["stages"]] == [*reversed(planar.joints)]
     assert sum(len(stage["determined"]) for stage in found["stages"]) == 12
     assert [name for stage in found["stages"] for name in stage["missing"]] == ["link2.Iyy"]
-    for row, joint in zip(found["comparison"]["joints"], result["joints"], strict=True):
-        assert row["link_by_link"] == joint["validate"]["rms"]
-        assert row["given"] == joint["baseline"]["rms"]
-        assert row["link_by_link"] < 1.2 * row["all_at_once"] < row["given"]
+    assert all(joint["validate"]["rms"] < joint["baseline"]["rms"] for joint in result["joints"])
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert "Link by link against all links at once" in page
+    assert ">Link by link<" in page
 
 
 @pytest.mark.slow
@@ -237,5 +233,7 @@ def test_real_joints_moving_one_at_a_time(data_folder: Path) -> None:
     assert all(stage.needed for stage in found.stages[:-1])
     rms, given = found.estimate.validate.rms, found.estimate.baseline.rms
     assert (rms < 0.5 * given).all()
-    at_once = found.all_at_once.validate.rms  # from the same rows: nothing that rests spoils it
+    # from the same rows: nothing that rests spoils it
+    effects = standard_effects(dataset.robot.joints)
+    at_once = identify_robot(dataset.robot, runs, validate=unseen, effects=effects).validate.rms
     assert (np.abs(rms / at_once - 1) < 0.1).all()
