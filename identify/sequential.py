@@ -62,13 +62,9 @@ INDEPENDENCE = (0.3, 0.1, 1e-2, 1e-4, 1e-7)
 NEGLIGIBLE_COEFFICIENT = 1e-6  # in units of the parameters' scale
 ROUNDING = 1e-8  # of the clearest direction: what rounding and interpolation leave
 NEGLIGIBLE_STDS = 0.05  # of a combination: terms that matter less are not written
-RARE = (
-    0.1  # of the time that a joint moves: what happens more rarely is not mentioned
-)
 TRIED_STATES = 40  # of a motion that is tried, beyond the parameters sought
 VISIBLE = 1e-6  # of the largest singular value
 MOST_JOINTS_FOR_PAIRS = 10  # up to which pairs of them are tried
-SAME_POSE = 0.1  # rad or m: positions that differ less are one pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,33 +224,6 @@ class LinkRows(FitRows):
         moves = np.concatenate(self.moves)[:, joint]
         return q[moves if moves.any() else ~moves].mean(axis=0)
 
-    def mode(self, joint: int) -> str:
-        """Joints that move along with a joint, in words; rare moments are left aside."""
-        times = []
-        poses = []
-        for segment, moves in zip(self.data.train, self.moves, strict=True):
-            now = moves[:, joint]
-            if now.any():
-                times.append(moves[now].sum(axis=0) / segment.rate_hz)
-                poses.append(np.delete(segment.motion.q[now].mean(axis=0), joint))
-        if not poses:
-            return "does not move"
-        each = np.array(times)
-        own = each[:, joint]
-        share = np.delete(each.sum(axis=0) / own.sum(), joint)
-        others = [k for k in range(self.robot.nv) if k != joint]
-        moved = [k for k, often in zip(others, share > RARE, strict=True) if often]
-        if moved:
-            if joint and set(range(joint)) <= set(moved):
-                return "moves with all joints before it"
-            return "moves with " + ", ".join(self.robot.joints[k] for k in moved)
-        spread = np.ptp(np.array(poses)[own > RARE * own.sum()], axis=0).max(
-            initial=0.0
-        )
-        briefly = " but for moments" if share.max(initial=0.0) > 0 else ""
-        several = "several poses" if spread > SAME_POSE else "one pose"
-        return f"moves alone{briefly}, the others in {several}"
-
 
 def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows:
     """Rows of the training segments, see `LinkRows`."""
@@ -288,7 +257,6 @@ class Stage:
     noise: float  # their standard deviation [torque unit]; NaN without rows
     inflation: float  # rows that count as one independent row
     recordings: tuple[str, ...]  # that have such rows
-    mode: str  # which joints moved with it, in words
     determined: tuple[Determined, ...]  # what the row adds to the links further out
     # base parameters of the link that no recording shows
     missing: tuple[str, ...] = ()
@@ -377,8 +345,9 @@ def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
             F, leading, cascade.functionals[before:], rows.scale, own
         )
         determined = _determined(rows, cascade, F[before:], leading[before:])
-        of = rows.recordings(j), rows.mode(j), determined
-        stages.append(Stage(j, int(counted.sum()), noise, inflation, *of))
+        count = int(counted.sum())
+        recordings = rows.recordings(j)
+        stages.append(Stage(j, count, noise, inflation, recordings, determined))
     return cascade, tuple(_completed(rows, F, leading, stage) for stage in stages)
 
 

@@ -528,10 +528,7 @@ def _stage(stage: Stage) -> p.Blocks:
     source = f"{stage.joint} does not move."
     if stage.recordings:
         recordings = v.listing(stage.recordings)
-        moves = f"{stage.joint} {stage.mode}"
-        source = (
-            f"Torque of {stage.joint}: {stage.rows} rows of {recordings}; {moves}."
-        )
+        source = f"Torque of {stage.joint}: {stage.rows} rows of {recordings}."
     missing = [Determined(expression, None, None) for expression in stage.missing]
 
     def verdict(row: Determined) -> p.Cell:

@@ -716,8 +716,6 @@ class Stage(Record):
     "Integrated autocorrelation time of the noise [rows]."
     recordings: list[str]
     "Recordings used."
-    mode: str
-    "Which joints moved."
     determined: list[Determined]
     "What the equation determined."
     missing: list[str]
