@@ -31,7 +31,6 @@ _COLUMNS = np.lexsort(UPPER)  # the conic solver takes the triangle column by co
 _CONES = {
     "nonnegative": clarabel.NonnegativeConeT,
     "zero": clarabel.ZeroConeT,
-    "second_order": clarabel.SecondOrderConeT,
     "semidefinite": lambda _: clarabel.PSDTriangleConeT(4),
 }
 
@@ -75,8 +74,8 @@ PATH = PathSettings()
 class Restriction:
     """G y − h, shape (m,), lies in a cone; the name is for contradictions.
 
-    Cones: ``"nonnegative"``, ``"zero"``, ``"second_order"`` (first value ≥ norm of the rest) or
-    ``"semidefinite"`` (triangle of a 4×4 matrix, off-diagonal terms times √2, shape (10,)).
+    Cones: ``"nonnegative"``, ``"zero"`` or ``"semidefinite"`` (triangle of a 4×4 matrix,
+    off-diagonal terms times √2, shape (10,)).
     """
 
     cone: str
@@ -95,8 +94,6 @@ class Restriction:
             triangle = np.empty(10)
             triangle[_COLUMNS] = slack
             return -float(np.linalg.eigvalsh(matrices(triangle / NORMS, 1))[0, 0])
-        if self.cone == "second_order":
-            return float(np.linalg.norm(slack[1:]) - slack[0])
         return float(np.abs(slack).max() if self.cone == "zero" else -slack.min())
 
 
@@ -376,80 +373,16 @@ def _equal(y: Array, restrictions: Sequence[Restriction]) -> Array:
 def _nearest(restrictions: Sequence[Restriction], centre: Array) -> Array | None:
     """The point nearest to a centre, shape (p,), that fulfils restrictions; None without any."""
     p = len(centre)
-    solution = _conic(np.eye(p), np.zeros(p), restrictions, centre)
-    solved = str(solution.status) in ("Solved", "AlmostSolved")
-    return centre + np.array(solution.x) if solved else None
-
-
-def least_misfit(program: Program, centre: Array) -> float:
-    """Least ‖A y − z‖² + ‖C y − d‖² of bodies that can exist, but for what no y explains.
-
-    The prior of the bodies says nothing; NaN where the solver does not settle.
-    """
-    p = len(centre)
-    U, t = _misfit(program)
-    bodies = possible(program.bodies, p, 0.0)
-    # a norm above the misfit's is one more unknown
-    restrictions = [
-        replace(r, G=np.column_stack([r.G, np.zeros(len(r.h))]))
-        for r in (*bodies, *program.restrictions)
-    ]
-    norm = np.eye(p + 1)[p]
-    G = np.vstack([norm, np.column_stack([U, np.zeros(len(U))])])
-    restrictions.append(Restriction("second_order", G, np.array([0.0, *t])))
-    return _least(norm, restrictions, np.array([*centre, 0.0])) ** 2
-
-
-def least_value(
-    program: Program, cost: Array, misfit: float, centre: Array
-) -> float:
-    """Least cost · y of bodies that can exist, with at most a misfit as in `least_misfit`.
-
-    Infinite where no y has it, −∞ without a bound, NaN where the solver does not settle. The cost
-    and the point from which the solver counts have shape (p,).
-    """
-    U, t = _misfit(program)
-    G = np.vstack([np.zeros(len(centre)), U])
-    fitted = Restriction("second_order", G, np.array([-np.sqrt(misfit), *t]))
-    bodies = possible(program.bodies, len(centre), 0.0)
-    return _least(cost, (*bodies, *program.restrictions, fitted), centre)
-
-
-def _misfit(program: Program) -> tuple[Array, Array]:
-    """U and t, ‖U y − t‖² being ‖A y − z‖² + ‖C y − d‖² but for a constant."""
-    A = np.vstack([program.A, program.C])
-    z = np.concatenate([program.z, program.d])
-    p = A.shape[1]
-    factor = triangle(np.column_stack([A, z]))[:p]
-    return factor[:, :p], factor[:, p]
-
-
-def _least(
-    cost: Array, restrictions: Sequence[Restriction], centre: Array
-) -> float:
-    """Least cost · y under restrictions; see `least_value`."""
-    p = len(centre)
-    solution = _conic(np.zeros((p, p)), cost, restrictions, centre)
-    ends = {
-        "Solved": float(cost @ (centre + np.array(solution.x))),
-        "PrimalInfeasible": np.inf,
-        "DualInfeasible": -np.inf,
-    }
-    return ends.get(str(solution.status), np.nan)
-
-
-def _conic(
-    P: Array, cost: Array, restrictions: Sequence[Restriction], centre: Array
-) -> clarabel.DefaultSolution:
-    """Solution x of min ½ xᵀ P x + cost · x, centre + x fulfilling the restrictions."""
     A = -np.vstack([r.G for r in restrictions])
     b = np.concatenate([r.slack(centre) for r in restrictions])
     cones = [_CONES[r.cone](len(r.h)) for r in restrictions]
     sparse = scipy.sparse.csc_matrix
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    problem = sparse(P), cost, sparse(A), b, cones, settings
-    return clarabel.DefaultSolver(*problem).solve()
+    problem = sparse(np.eye(p)), np.zeros(p), sparse(A), b, cones, settings
+    solution = clarabel.DefaultSolver(*problem).solve()
+    solved = str(solution.status) in ("Solved", "AlmostSolved")
+    return centre + np.array(solution.x) if solved else None
 
 
 def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:
