@@ -57,8 +57,8 @@ from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 
 SURER_THAN_PRIOR = 2.0  # times, from which on the recordings decide a direction
-INDEPENDENCE = (0.3, 0.1, 1e-2, 1e-4, 1e-7)
-"""Shares of a leading parameter outside those before it, which are tried in turn."""
+PREFERENCE = 100.0
+"""Weight of a link's own parameters where one is chosen to lead a combination."""
 NEGLIGIBLE_COEFFICIENT = 1e-6  # in units of the parameters' scale
 ROUNDING = 1e-8  # of the clearest direction: what rounding and interpolation leave
 NEGLIGIBLE_STDS = 0.05  # of a combination: terms that matter less are not written
@@ -176,27 +176,14 @@ def _led_combinations(
     rest = (rows - rows[:, led] @ F) * scale
     rest[:, led] = 0.0
     Q = np.linalg.qr(rest.T)[0].T
-    order = [
-        k for k in dict.fromkeys((*preferred, *range(len(scale)))) if k not in led
-    ]
-    added = _clearly_independent(Q, order)
+    weight = np.ones(len(scale))
+    weight[list(preferred)] = PREFERENCE
+    _, pivots = scipy.linalg.qr(Q * weight, mode="r", pivoting=True)
+    added = sorted(pivots[: len(Q)].tolist(), key=lambda k: (k not in preferred, k))
     new = np.linalg.solve(Q[:, added], Q)
     new[np.abs(new) < NEGLIGIBLE_COEFFICIENT] = 0.0
     new[:, added] = np.eye(len(added))
     return np.vstack([F, new * scale[added, None] / scale]), led + added
-
-
-def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
-    chosen: list[int] = []
-    basis = np.zeros((len(Q), 0))
-    for clear in INDEPENDENCE:
-        for k in order:
-            rest = Q[:, k] - basis @ (basis.T @ Q[:, k])
-            size = float(np.linalg.norm(rest))
-            if len(chosen) < len(Q) and k not in chosen and size > clear:
-                basis = np.column_stack([basis, rest / size])
-                chosen.append(k)
-    return chosen
 
 
 @dataclass(frozen=True, eq=False)
