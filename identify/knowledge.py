@@ -99,25 +99,15 @@ class Knowledge:
     @property
     def sentence(self) -> str:
         """Description of the knowledge used beside the given bodies; empty where there is none."""
-        masses = self.masses
-        parts = (
-            [f"total mass {masses['total_mass']} kg"]
-            if "total_mass" in masses
-            else []
-        )
-        for name, link in self.links.items():
-            mass = (
-                [f"mass {masses[f'mass of {name}']} kg"]
-                if link.mass is not None
-                else []
-            )
-            box = ["com_box"] * (link.com_box is not None)
-            parts.append(f"{name}: {', '.join([*mass, *box])}")
-        return (
-            f"taken for known from {self.source}: {'; '.join(parts)}"
-            if parts
-            else ""
-        )
+        known = [f"{name} {mass} kg" for name, mass in self.masses.items()]
+        known += [
+            f"com_box of {name}"
+            for name, link in self.links.items()
+            if link.com_box is not None
+        ]
+        if not known:
+            return ""
+        return f"taken for known from {self.source}: {'; '.join(known)}"
 
     def entry(self) -> dict[str, Any]:
         """As in the file, without what is not known."""

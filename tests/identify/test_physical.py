@@ -464,7 +464,7 @@ def test_command(tmp_path: Path, planar: Robot, exact: Call, excitant: Call) -> 
     masses = [by_name[f"link{k}.m"]["value"] for k in (1, 2)]
     np.testing.assert_allclose(masses, [5.0, 2.5], rtol=0, atol=1e-6)
     assert by_name["link2.m"]["prior_dominated"]
-    assert any("total mass 7.5 kg; link2: mass 2.5 kg" in note for note in result["notes"])
+    assert any("total_mass 7.5 kg; mass of link2 2.5 kg" in note for note in result["notes"])
     online = excitant(*call, "--online")
     file.write_text("total_mass: 1\nlinks: {link1: {mass: 2}}")
     said = ("--knowledge is for all rows at once", "contradict each other")
