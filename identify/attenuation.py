@@ -25,7 +25,7 @@ from excitant.identify.preprocessing import (
 )
 from excitant.identify.recording import Recording
 from excitant.identify.regression import DEPENDENT
-from excitant.identify.rows import Data
+from excitant.identify.rows import Data, states
 from excitant.identify.signals import mean_noise
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, read_only
@@ -94,11 +94,7 @@ def attenuation(
         x: Their coefficients, shape (r,).
     """
     noise = acceleration_noise(segments)
-    motions = [s.motion[s.keep] for s in segments]
-    q, dq, ddq = (
-        np.concatenate([getattr(motion, name) for motion in motions])
-        for name in ("q", "dq", "ddq")
-    )
+    q, dq, ddq = states(segments)
     some = np.linspace(0, len(q) - 1, min(len(q), ROWS)).astype(int)
     t = np.arange(float(len(some)))
     delta = np.random.default_rng(0).standard_normal((len(some), robot.nv)) * noise

@@ -21,9 +21,8 @@ bodies have larger errors to explain; the equation is free of that bias.) Gauss 
 solves both together, and its matrix gives the covariance, the noise of a row being widened by its
 autocorrelation time.
 
-A gain is *shown* whose standard deviation relative to the others the currents have halved, from
-that by which gains scatter anyway; it is *known* where that holds for the gain itself, and where
-the largest current makes no torque far beyond the limit of the joint.
+A gain is *known* whose standard deviation the currents have halved, from that by which gains
+scatter anyway, and where the largest current makes no torque far beyond the limit of the joint.
 
 Payload: without it (a) and with it (b), the torque of joint j is k_j i_j, so that
 
@@ -120,14 +119,6 @@ class DriveGains:
         return self.gains * np.sqrt(np.diag(self.covariance))
 
     @property
-    def shown(self) -> Mask:
-        """Whether the currents show each gain relative to the others, shape (nv,)."""
-        nv = len(self.gains)
-        contrasts = np.eye(nv) - 1 / nv
-        variance = np.diag(contrasts @ self.covariance @ contrasts)
-        return np.asarray(variance <= LARGEST_STD**2)
-
-    @property
     def known(self) -> Mask:
         """Whether each gain is determined, and possible, shape (nv,)."""
         certain = np.diag(self.covariance) <= LARGEST_STD**2
@@ -214,7 +205,6 @@ class DriveGains:
             "drive_gain_Nm_per_A": of_known(self.gains),
             "drive_gain_std_Nm_per_A": of_known(self.std),
             "drive_gain_scale_rel_std": self.scale_std,
-            "drive_gain_shown": self.shown.tolist(),
         }
 
 
@@ -372,16 +362,11 @@ def without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
 
 def without_own_effects(F: Array, *values: Array) -> tuple[Array, ...]:
     """The same of all joints at once: values (n, nv), effect columns F, shape (n, nv, e)."""
-    lives = live(F)
-    # columns of zeros stand last, where they change none before them
-    order = np.argsort(~lives, axis=1, kind="stable")
-    sorted_columns = np.take_along_axis(F, order[None], axis=2).swapaxes(0, 1)
-    Q = np.linalg.qr(sorted_columns)[0]
-    Q *= np.take_along_axis(lives, order, axis=1)[:, None]
-    return tuple(
-        x - np.einsum("jne,je->nj", Q, np.einsum("jne,nj->je", Q, x))
-        for x in values
-    )
+    joints = [
+        without_effects(F[:, j], *(x[:, j] for x in values))
+        for j in range(F.shape[1])
+    ]
+    return tuple(np.stack(x, axis=1) for x in zip(*joints, strict=True))
 
 
 @dataclass(frozen=True)

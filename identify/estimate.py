@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,7 +23,7 @@ from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.nearness import impossible_values, needed_masses
+from excitant.identify.nearness import impossible_values
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.poses import (
     SHOWN,
@@ -114,8 +114,6 @@ class Estimate(Shown):
         shapes: Shapes of effects, refined where that fits better; None where there are none.
         repeats: Whether the recordings agree; None of a single one.
         reversals: Dry friction that turns over a range of speeds, as the data show.
-        needed: Masses nearest to the given ones that the data allow [kg], by link, of those that
-            moved by half because the data ask for it; see `needed_masses`.
     """
 
     given: Robot
@@ -133,7 +131,6 @@ class Estimate(Shown):
     shapes: Shapes | None = None
     repeats: Repeats | None = None
     reversals: tuple[Turning, ...] = ()
-    needed: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def gains(self) -> Array:
@@ -388,7 +385,6 @@ def identify_robot(
         physical = fit_physical(
             R, z, prior, rows.open_prior, knowledge=known, links=robot.links
         )
-        needed = needed_masses(physical, R, z, rows.open_prior, known, robot)
         if shapes is not None and shapes.better:
             fit, physical = widened(fit, physical, rows.base, shapes.spread)
         if turns:
@@ -400,7 +396,6 @@ def identify_robot(
             knowledge=known,
             shapes=shapes,
             repeats=repeats_of(rows.reduced, fit, data.train),
-            needed=needed,
             reversals=turns,
         )
         return estimate, _moved_by_rate(rows, fit, physical.x)
@@ -443,7 +438,6 @@ def _of_poses(
         # base parameters of gravity are no prior of a motion's
         model=replace(estimate.model, estimate=None),
         knowledge=known,
-        needed=needed_masses(physical, R, z, rows.open_prior, known, robot),
         data=replace(rows.data, poses=Poses(SHOWN * unexplained, kept(robot))),
     )
 

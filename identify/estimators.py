@@ -62,13 +62,10 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 )
 """Name and description of every estimator."""
 
-FALSE_ALARM = 0.01  # of the tests that compare two estimators
+FALSE_ALARM = 0.01  # of the test whether errors follow the motion
 SHIFTS = 199  # of errors against the motion: FALSE_ALARM is two ranks of them and the own one
 GOLDEN = (np.sqrt(5) - 1) / 2
 NORMAL_MEDIAN = 0.6744897501960817  # median magnitude of a standard normal variable
-MOTION_ERROR = (
-    1e-6  # of a column's length: smaller errors are those of interpolation
-)
 
 
 @dataclass(frozen=True)
@@ -169,8 +166,7 @@ def estimated(
         return simulated.fit, name, (note, simulated.sentence(loop.bandwidth_hz))
     even, odd = half_regressions(rows, recordings)
     try:
-        fit = iv(even, odd)
-        return fit, name, (note, _tested(even, odd, fit))
+        return iv(even, odd), name, (note,)
     except (np.linalg.LinAlgError, RankDeficient) as error:
         instead = (
             f"{ESTIMATORS[name]} left out ({error}): positions are too coarse or the motion "
@@ -411,60 +407,6 @@ def _projected(
     pairs = zip(instruments.index, instruments.columns, strict=True)
     explained = np.stack([Z @ C[index] for index, Z in pairs], axis=1)
     return dense(explained, problem.tau, problem.names, problem.used)
-
-
-def errors_in_variables(
-    problem: Regression, instruments: Regression
-) -> tuple[float, float]:
-    """Test whether errors of W move with those of the torque (Durbin, Wu, Hausman 1978).
-
-    V is the part of W that instruments do not explain. Without errors in W that matter, V has no
-    coefficient of its own in τ ≈ W β + V γ. The statistic γ̂ᵀ C⁻¹ γ̂, C the covariance of γ̂ under
-    coloured noise, is then χ² with as many degrees of freedom as V has independent columns. A
-    model that lacks physics leaves p large, unless what it lacks moves with V.
-
-    Returns:
-        Statistic, and p, the chance of one as large where least squares is not biased.
-
-    Raises:
-        BadInput: Instruments that explain W entirely leave nothing to test.
-        RankDeficient: Columns, or instruments, that the motion does not show.
-    """
-    r = problem.p
-    W = problem.W
-    sigma = weighted_least_squares(problem).sigma
-    unexplained = (W - _projected(problem, instruments, sigma).W) / sigma[:, None]
-    lengths = np.linalg.norm(W / sigma[:, None], axis=(0, 1))
-    errors = (unexplained / lengths).reshape(-1, r)
-    U, s, _ = scipy.linalg.svd(errors, full_matrices=False)
-    significant = s > MOTION_ERROR
-    if not significant.any():
-        raise BadInput(
-            "the instruments explain the columns entirely, so nothing is left to test; "
-            "give instruments with errors of their own"
-        )
-    V = U[:, significant].reshape(*W.shape[:2], -1) * sigma[:, None]
-    added = tuple(f"error {k + 1}" for k in range(V.shape[2]))
-    fit = weighted_least_squares(problem.with_columns(V, added))
-    gamma = fit.beta[r:]
-    C = fit.covariance[r:, r:]
-    statistic = float(gamma @ scipy.linalg.solve(C, gamma, assume_a="pos"))
-    return statistic, float(scipy.special.chdtrc(len(gamma), statistic))
-
-
-def _tested(problem: Regression, instruments: Regression, fit: LeastSquares) -> str:
-    """Verdict of the test on least squares of the same columns, and its importance."""
-    try:
-        statistic, p = errors_in_variables(problem, instruments)
-    except BadInput:
-        return "even and odd samples show one and the same motion: no errors of it to be tested"
-    moved = np.abs(weighted_least_squares(problem).beta - fit.beta) / fit.std
-    seen = "are seen" if p < FALSE_ALARM else "are not seen"
-    return (
-        f"errors of the motion that bias least squares {seen} (Durbin-Wu-Hausman: "
-        f"{statistic:.4g}, p = {p:.2g}); instruments move its base parameters by up to "
-        f"{moved.max():.2g} standard deviations"
-    )
 
 
 def half_regressions(

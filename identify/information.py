@@ -98,7 +98,6 @@ class InformationFilter:
         self._picked = np.append(columns, -1)
         self._size = len(columns) + 1
         self._factor = np.zeros((self._size, self._size), order="F")
-        self._scale = 1.0  # of the factor, by which what it holds is forgotten
         self._rows = np.zeros((2 * TOGETHER, self._size))
         self.waiting = 0
 
@@ -113,25 +112,21 @@ class InformationFilter:
         """Take the rows that wait."""
         if self.waiting:
             stacked = np.asfortranarray(self._rows[: self.waiting])
-            factor = (
-                self._factor if self._scale == 1.0 else self._scale * self._factor
-            )
             panel = min(_PANEL, self._size)
-            self._factor = lapack.dtpqrt(0, panel, factor, stacked, 1, 1)[0]
-            self._scale = 1.0
+            self._factor = lapack.dtpqrt(0, panel, self._factor, stacked, 1, 1)[0]
             self.waiting = 0
 
     def forget(self, factor: float) -> None:
         """Weigh everything so far by a factor on the information, 0 < factor ≤ 1."""
-        self._scale *= np.sqrt(factor)
+        self._factor *= np.sqrt(factor)
         self._rows[: self.waiting] *= np.sqrt(factor)
 
     def information(self) -> Information:
         """Information of the rows so far on all p parameters."""
         self.take()
         n = self._size - 1
-        own = self._scale * self._factor
         R = np.zeros((n, self.p))
-        R[:, self.columns] = own[:n, :n]
-        full = information_of(R, own[:n, n])
-        return Information(full.R, full.z, full.rest + float(own[n, n] ** 2))
+        R[:, self.columns] = self._factor[:n, :n]
+        full = information_of(R, self._factor[:n, n])
+        rest = full.rest + float(self._factor[n, n] ** 2)
+        return Information(full.R, full.z, rest)

@@ -14,7 +14,6 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.semidefinite import Restriction
 from excitant.robots.geometry import centre_regions
 from excitant.robots.motion import Array
-from excitant.robots.parameters import PSEUDO_INERTIA_BASIS
 from excitant.robots.robot import Robot
 from excitant.robots.schema import Positive, Record, Three, convert, read_yaml
 
@@ -44,41 +43,16 @@ class Box(Record, frozen=True, array_like=True):
                 )
 
 
-class Ellipsoid(Record, frozen=True):
-    """Points of an ellipsoid along the axes of a link's frame; radii are its half axes [m]."""
-
-    centre: Three
-    radii: tuple[Positive, Positive, Positive]
-
-    def to_unit(self) -> Array:
-        """Map from homogeneous coordinates to those of the unit ball, shape (3, 4)."""
-        radii = np.array(self.radii)
-        return np.column_stack([np.diag(1 / radii), -np.array(self.centre) / radii])
-
-
 class LinkKnowledge(Record, frozen=True, omit_defaults=True):
     """Known values of one link, everything fixed to it included; None where unknown.
 
     Attributes:
         mass: Its mass [kg].
         com_box: Where its centre of mass lies.
-        com_ellipsoid: Where its centre of mass lies.
-        body_ellipsoid: What the whole body lies in (Wensing, Kim, Slotine 2018).
     """
 
     mass: Positive | Quantity | None = None
     com_box: Box | None = None
-    com_ellipsoid: Ellipsoid | None = None
-    body_ellipsoid: Ellipsoid | None = None
-
-    @property
-    def regions(self) -> list[str]:
-        """Names of the regions known."""
-        return [
-            key
-            for key in self.__struct_fields__[1:]
-            if getattr(self, key) is not None
-        ]
 
 
 class _File(Record, frozen=True):
@@ -125,24 +99,15 @@ class Knowledge:
     @property
     def sentence(self) -> str:
         """Description of the knowledge used beside the given bodies; empty where there is none."""
-        masses = self.masses
-        parts = (
-            [f"total mass {masses['total_mass']} kg"]
-            if "total_mass" in masses
-            else []
-        )
-        for name, link in self.links.items():
-            mass = (
-                [f"mass {masses[f'mass of {name}']} kg"]
-                if link.mass is not None
-                else []
-            )
-            parts.append(f"{name}: {', '.join([*mass, *link.regions])}")
-        return (
-            f"taken for known from {self.source}: {'; '.join(parts)}"
-            if parts
-            else ""
-        )
+        known = [f"{name} {mass} kg" for name, mass in self.masses.items()]
+        known += [
+            f"com_box of {name}"
+            for name, link in self.links.items()
+            if link.com_box is not None
+        ]
+        if not known:
+            return ""
+        return f"taken for known from {self.source}: {'; '.join(known)}"
 
     def entry(self) -> dict[str, Any]:
         """As in the file, without what is not known."""
@@ -179,10 +144,8 @@ def known_rows(
 ) -> tuple[Array, Array, list[Restriction]]:
     """Knowledge about the links of an arm: rows C φ ≈ d of unit noise, and what holds exactly.
 
-    All of it is convex in the standard parameters: masses and their sum are linear; a centre of
-    mass c in a box is m c_lo ≤ m c ≤ m c_hi; in an ellipsoid of radii r around c₀ it is the
-    second-order cone ‖(m c − m c₀) / r‖ ≤ m; and a body inside an ellipsoid exists for P ≻ 0
-    exactly when tr(P E) ≥ 0, the mean of 1 − ‖(x − c₀) / r‖² over its mass (Wensing et al. 2018).
+    All of it is linear in the standard parameters: masses, their sum, and a centre of mass c in a
+    box, m c_lo ≤ m c ≤ m c_hi.
 
     Raises:
         BadInput: Knowledge of a link that the arm does not have.
@@ -211,48 +174,31 @@ def known_rows(
             restrictions.append(
                 Restriction("zero", row, np.array([mass.value]), what)
             )
-    regions = [
-        (name, LinkKnowledge(com_box=box))
-        for name, box in knowledge.regions.items()
-        if name not in knowledge.links or not knowledge.links[name].regions
-    ]
-    for name, known in (*regions, *knowledge.links.items()):
+    stated = {
+        name: known.com_box
+        for name, known in knowledge.links.items()
+        if known.com_box is not None
+    }
+    for name, box in {**knowledge.regions, **stated}.items():
         place = np.eye(p)[10 * links.index(name) :][:10]
         restrictions += [
-            replace(each, G=each.G @ place) for each in _regions(known, name)
+            replace(each, G=each.G @ place) for each in _within(box, name)
         ]
     return np.vstack(rows), np.concatenate(values), restrictions
 
 
-def _regions(known: LinkKnowledge, name: str) -> Iterator[Restriction]:
-    """Restrictions of one link's ten parameters."""
+def _within(box: Box, name: str) -> Iterator[Restriction]:
+    """A centre of mass in a box as restrictions of its link's ten parameters."""
     mass = np.eye(10)[0]
     first = np.eye(10)[1:4]
-    if known.com_box is not None:
-        # where the box has no width, a coordinate is known
-        low = np.array(known.com_box.low)
-        high = np.array(known.com_box.high)
-        flat = low == high
-        G = np.array([first - np.outer(low, mass), np.outer(high, mass) - first])
-        for cone, rows in (
-            ("nonnegative", G[:, ~flat].reshape(-1, 10)),
-            ("zero", G[0, flat]),
-        ):
-            if len(rows):
-                yield Restriction(
-                    cone, rows, np.zeros(len(rows)), f"com_box of {name}"
-                )
-    if known.com_ellipsoid is not None:
-        G = np.vstack(
-            [mass, known.com_ellipsoid.to_unit() @ np.vstack([first, mass])]
-        )
-        yield Restriction(
-            "second_order", G, np.zeros(4), f"com_ellipsoid of {name}"
-        )
-    if known.body_ellipsoid is not None:
-        to_unit = known.body_ellipsoid.to_unit()
-        E = np.diag([0.0, 0.0, 0.0, 1.0]) - to_unit.T @ to_unit
-        row = np.einsum("kij,ij->k", PSEUDO_INERTIA_BASIS, E)
-        yield Restriction(
-            "nonnegative", row[None], np.zeros(1), f"body_ellipsoid of {name}"
-        )
+    low = np.array(box.low)
+    high = np.array(box.high)
+    # where the box has no width, a coordinate is known
+    flat = low == high
+    G = np.array([first - np.outer(low, mass), np.outer(high, mass) - first])
+    for cone, rows in (
+        ("nonnegative", G[:, ~flat].reshape(-1, 10)),
+        ("zero", G[0, flat]),
+    ):
+        if len(rows):
+            yield Restriction(cone, rows, np.zeros(len(rows)), f"com_box of {name}")

@@ -1,29 +1,13 @@
-"""What the data alone say: of a mass that the fit moved by half, of values that none can have.
-
-Torque shows sums of masses and first moments along an arm, which the prior shares out: a link that
-it moved far is further off than the others are likely to be, and not always one that the data ask
-to move. The mass nearest to the given one is looked for at which the data are fitted as well,
-
-    ‖R x − z‖² ≤ minimum + χ²   subject to   ‖m_k c − m_k c̄‖ ≤ m_k L / 2,
-
-the centre of mass within half of the link's length L of the given one, without a prior of the
-bodies. It is a conic programme in the standard parameters.
-"""
+"""What the data say that the bodies of no arm can have, and which change of a link is large."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import scipy
 
-from excitant.exceptions import BadInput
-from excitant.identify.knowledge import Ellipsoid, Knowledge, LinkKnowledge
 from excitant.identify.least_squares import LeastSquares
-from excitant.identify.physical import PhysicalFit, fit_program
-from excitant.identify.prior import EffectPrior
-from excitant.identify.semidefinite import Program, least_misfit, least_value
 from excitant.robots.base_parameters import BaseParameters, categories
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array
@@ -32,10 +16,6 @@ from excitant.robots.robot import Robot
 
 LARGE_CHANGE = 0.5
 """Of a nominal mass or of a link's length: it is named."""
-CHANCE = 3.84
-"""Growth of ‖R x − z‖² that is chance: the 95 % quantile of chi-square, one parameter."""
-SHORT = 1 / 16
-"""Of the logarithm of a mass between half off and fitted: 2.0 kg for 0.2 is told to 13 %."""
 IMPOSSIBLE_BY_CHANCE = 0.05
 """Probability that any possible coefficient is said to be none, of all of them; convention."""
 
@@ -72,57 +52,3 @@ def link_lengths(robot: Robot, bodies: Array) -> Array:
         ends = (np.linalg.norm(end) for end in (body.lever, *next_joint))
         lengths.append(max(radius, *ends))
     return np.array(lengths)
-
-
-def needed_masses(
-    fit: PhysicalFit,
-    R: Array,
-    z: Array,
-    effects: EffectPrior,
-    knowledge: Knowledge,
-    robot: Robot,
-) -> dict[str, float]:
-    """Masses [kg], nearest to the given ones that the data allow, of links that moved by half.
-
-    By name of the link; those are left out of which the data allow that they stay within half. A
-    mass is told just short of the fitted one where the data exclude all before it, as where they
-    ask for another centre of mass. Arguments as in `fit_physical`.
-    """
-    bodies = fit.prior.bodies
-    nominal = bodies[:, 0]
-    mass = fit.x[: bodies.size : 10]
-    moved = np.abs(mass - nominal) >= LARGE_CHANGE * nominal
-    moved &= [link not in knowledge.links for link in robot.links]
-    if not moved.any():
-        return {}
-    centres = bodies[:, 1:4] / bodies[:, :1]
-    reach = LARGE_CHANGE * link_lengths(robot, bodies)
-
-    def program(known: Knowledge) -> tuple[Program, Array, Array]:
-        return fit_program(R, z, fit.prior, effects, known, robot.links)
-
-    whole, scale, centre = program(knowledge)
-    misfit = least_misfit(whole, centre) + CHANCE
-    if np.isnan(misfit):
-        return {}
-    found = {}
-    for k in np.flatnonzero(moved).tolist():
-        link = robot.links[k]
-        ball = Ellipsoid(tuple(centres[k].tolist()), (reach[k],) * 3)
-        near = LinkKnowledge(
-            com_box=knowledge.regions.get(link), com_ellipsoid=ball
-        )
-        try:
-            stays, _, _ = program(
-                replace(knowledge, links={**knowledge.links, link: near})
-            )
-        except BadInput:
-            continue
-        sign = np.sign(mass[k] - nominal[k])
-        # of a mass that rose; of one that fell, minus the largest
-        least = least_value(stays, sign * scale[10 * k], misfit, centre)
-        nearest = (1 + sign * LARGE_CHANGE) * nominal[k]
-        if least > sign * nearest:
-            last = mass[k] * (nearest / mass[k]) ** SHORT
-            found[link] = float(sign * min(least, sign * last))
-    return found

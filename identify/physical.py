@@ -14,7 +14,7 @@ projected afterwards (Sousa and Cortesão 2014).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -329,12 +329,8 @@ def _scaled(restriction: Restriction, T: Array, p: int) -> Restriction:
     """A restriction of φ as one of y, its rows of about length one, which changes no cone."""
     G = np.zeros((len(restriction.h), p))
     G[:, : len(T)] = restriction.G @ T
-    norms = np.linalg.norm(G, axis=1, keepdims=True)
-    if restriction.cone == "second_order":
-        norms = np.full_like(norms, norms.max())
-    return Restriction(
-        restriction.cone, G / norms, restriction.h / norms[:, 0], restriction.name
-    )
+    norms = np.linalg.norm(G, axis=1)
+    return replace(restriction, G=G / norms[:, None], h=restriction.h / norms)
 
 
 def _uncertainty(program: Program, y: Array, scale: Array) -> tuple[Array, Array]:

@@ -126,16 +126,7 @@ def link_coordinates(reference: Array) -> Array:
     bodies = [pseudo_inertia(isotropic(body)) for body in reference]
     roots = np.linalg.cholesky(bodies)
     blocks = [from_pseudo_inertia(L @ SYMMETRIC @ L.T).T for L in roots]
-    return block_diagonal(np.array(blocks))
-
-
-def block_diagonal(blocks: Array) -> Array:
-    """Blocks of shape (links, r, c) on the diagonal, else zeros, (links r, links c)."""
-    links, rows, columns = blocks.shape
-    whole = np.zeros((links, rows, links, columns))
-    every = np.arange(links)
-    whole[every, :, every] = blocks
-    return whole.reshape(links * rows, links * columns)
+    return scipy.linalg.block_diag(*blocks)
 
 
 def matrices(y: Array, links: int) -> Array:
@@ -202,7 +193,7 @@ class BodyPrior:
         """Rows J and r, ‖r + J dφ‖² + constant being −2 log p to second order."""
         distance = self._distance @ (phi - self.bodies.ravel())
         entropic, rows = self.entropic(phi)
-        J = np.vstack([self._distance, block_diagonal(rows)])
+        J = np.vstack([self._distance, scipy.linalg.block_diag(*rows)])
         return np.concatenate([distance, entropic]), J
 
     def entropic(self, phi: Array, barrier: float = 0.0) -> tuple[Array, Array]:

@@ -11,17 +11,16 @@ errors of a recording are no part of it. Joint properties alone are fitted first
 that is still better.
 
 What is lacking must be imitated in other motions, too: an offset of torque looks like a first
-moment where a joint keeps to one side. Both fits are judged on parts of the rows that they were not
-fitted to, and on the same motion in a mirror: positions about the middle of each joint's range, and
-speeds the other way round, where the complete model tells the torque.
+moment where a joint keeps to one side. Both fits are judged on the rows and on the same motion in a
+mirror, to which they were not fitted: positions about the middle of each joint's range, and speeds
+the other way round, where the complete model tells the torque.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -31,7 +30,7 @@ from excitant.identify.least_squares import believed
 from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Mask, Segment
 from excitant.identify.prior import BodyPrior, EffectPrior, prior_parameters
-from excitant.identify.regression import Index, Regression, regression_of, triangle
+from excitant.identify.regression import Index, Regression, regression_of
 from excitant.identify.rows import (
     identified_robot,
     implausible_size,
@@ -42,17 +41,12 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 
 REFIT_GAIN = 0.95
-"""Largest nrmse, summed over the joints, of a refit over that of the simpler choice, on rows that
-the refit has not seen and in the mirror. It counts the model's own error, too: a reader of the
-file sees both. Less would move bodies for what no reader notices (benchmarks/recordings.py).
+"""Largest nrmse, summed over the joints, of a refit over that of the simpler choice, on the rows
+and in the mirror. It counts the model's own error, too: a reader of the file sees both. Less would
+move bodies for what no reader notices (benchmarks/recordings.py).
 """
-REFIT_PARTS = 4
-"""Parts of the rows, each of which is predicted by a refit to the others."""
 REFIT_ROUNDS = 2
 """Fits with the errors e_j of the one before: a joint that friction was lacking counts again."""
-
-Fit = Callable[[Array, Array], Array]
-"""Parameters by whitened columns and torque, ‖R x − z‖²."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,26 +76,21 @@ class Refit:
             return None
         heir = self._heir(held, file_format)
         best = heir.start
-        recorded, mirrored = self._recorded, self._mirrored
-        least = [
-            self._total(motion.residual(best)) for motion in (recorded, mirrored)
-        ]
+        recorded = self._recorded
+        least = self._totals(best)
         complete = self._total(np.zeros_like(recorded.tau))
         for fit in (heir.drives, heir.everything):
-            most = REFIT_GAIN * np.array(least)
+            most = REFIT_GAIN * least
             if (complete > most).any():
                 break
             x = best
             for _ in range(REFIT_ROUNDS):
                 weight = 1 / believed(self._errors(recorded.residual(x)))
-                x = fit(*_factor(self._parts, weight))
-            in_mirror = self._total(mirrored.residual(x))
-            if in_mirror > most[1]:
-                continue
-            unseen = self._total(self._of_unseen(fit, weight))
-            if unseen <= most[0]:
+                x = fit(*recorded.factor(weight))
+            totals = self._totals(x)
+            if (totals <= most).all():
                 best = x
-                least = [unseen, in_mirror]
+                least = totals
         if best is heir.start:
             return None
         robot = identified_robot(self.arm, self._effects, best)
@@ -157,23 +146,6 @@ class Refit:
         return columns.counting(self._rows.counts & self.known).with_torque(tau)
 
     @cached_property
-    def _parts(self) -> tuple[Regression, ...]:
-        """Parts of the rows, each with its triangles."""
-        ends = np.linspace(0, len(self._recorded), REFIT_PARTS + 1).astype(int)
-        return tuple(
-            self._recorded.at(slice(first, last))
-            for first, last in pairwise(ends.tolist())
-        )
-
-    def _of_unseen(self, fit: Fit, weight: Array) -> Array:
-        """Residual of each part of the rows by a fit to the others, shape (n, nv) [N·m]."""
-        residuals = []
-        for part in self._parts:
-            others = [other for other in self._parts if other is not part]
-            residuals.append(part.residual(fit(*_factor(others, weight))))
-        return np.concatenate(residuals)
-
-    @cached_property
     def _remaining(self) -> Array:
         """Errors of the complete model on the rows of the fit, shape (nv,) [N·m]."""
         predicted = self._recorded.tau / self.gains
@@ -182,6 +154,11 @@ class Refit:
     def _errors(self, residual: Array) -> Array:
         """Errors with a residual (n, nv) to the model's torque, the model's own too, (nv,)."""
         return np.hypot(self._rows.rms(residual), self._remaining)
+
+    def _totals(self, x: Array) -> Array:
+        """`_total` of parameters on the recorded motion and in the mirror, shape (2,)."""
+        motions = (self._recorded, self._mirrored)
+        return np.array([self._total(motion.residual(x)) for motion in motions])
 
     def _total(self, residual: Array) -> float:
         """Nrmse with it, summed over the joints whose gains are known."""
@@ -231,12 +208,6 @@ class _Heir:
         if not fit.note:
             x[columns] = fit.x
         return x
-
-
-def _factor(parts: Sequence[Regression], weight: Array) -> tuple[Array, Array]:
-    """R and z of the rows of all parts; see `Regression.factor`."""
-    R = triangle(np.concatenate([part.stacked(weight) for part in parts]))
-    return R[:, :-1], R[:, -1]
 
 
 def _mirrored(segment: Segment, arm: Robot) -> Segment:

@@ -31,7 +31,6 @@ _COLUMNS = np.lexsort(UPPER)  # the conic solver takes the triangle column by co
 _CONES = {
     "nonnegative": clarabel.NonnegativeConeT,
     "zero": clarabel.ZeroConeT,
-    "second_order": clarabel.SecondOrderConeT,
     "semidefinite": lambda _: clarabel.PSDTriangleConeT(4),
 }
 
@@ -75,8 +74,8 @@ PATH = PathSettings()
 class Restriction:
     """G y − h, shape (m,), lies in a cone; the name is for contradictions.
 
-    Cones: ``"nonnegative"``, ``"zero"``, ``"second_order"`` (first value ≥ norm of the rest) or
-    ``"semidefinite"`` (triangle of a 4×4 matrix, off-diagonal terms times √2, shape (10,)).
+    Cones: ``"nonnegative"``, ``"zero"`` or ``"semidefinite"`` (triangle of a 4×4 matrix,
+    off-diagonal terms times √2, shape (10,)).
     """
 
     cone: str
@@ -95,8 +94,6 @@ class Restriction:
             triangle = np.empty(10)
             triangle[_COLUMNS] = slack
             return -float(np.linalg.eigvalsh(matrices(triangle / NORMS, 1))[0, 0])
-        if self.cone == "second_order":
-            return float(np.linalg.norm(slack[1:]) - slack[0])
         return float(np.abs(slack).max() if self.cone == "zero" else -slack.min())
 
 
@@ -115,7 +112,7 @@ def possible(bodies: BodyPrior, p: int, margin: float) -> tuple[Restriction, ...
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """min ‖A y − z‖² + ‖C y − d‖² − 2 log p(bodies), y restricted.
+    """min ‖A y − z‖² + ‖C y − d‖² − 2 log p(bodies), y restricted by halfspaces and planes.
 
     Data have shape (m, p), what is known of y beside the prior of the bodies (c, p).
     """
@@ -223,12 +220,9 @@ class _CentralPath:
     def __init__(self, program: Program, start: Array) -> None:
         self.program = program
         self.bodies = program.bodies
-        self.cones = [r for r in program.restrictions if r.cone != "zero"]
+        self.bounds = together(program.restrictions, "nonnegative", len(start))
         self.links = len(self.bodies.bodies)
-        self.orders = [
-            2 if r.cone == "second_order" else len(r.h) for r in self.cones
-        ]
-        self.logarithms = 4 * self.links + sum(self.orders)
+        self.logarithms = 4 * self.links + len(self.bounds.h)
         J, residual = program.prior(start)
         # rows of the quadratic part, which do not change
         fixed = np.r_[: 10 * self.links, 20 * self.links : len(J)]
@@ -264,27 +258,19 @@ class _CentralPath:
 
     def multipliers(self, y: Array, barrier: float) -> tuple[Array, ...]:
         """Forces of the restrictions: along the slopes of the logarithms, in equilibrium."""
-        directions = []  # of forces, shape (m, 1) or, where every slack has its own, (m, m)
-        usual = []  # their sizes on the central path: a small slack is known to rounding only
-        for r in self.program.restrictions:
-            if r.cone == "zero":
-                directions.append(np.eye(len(r.h)))
-                usual.append(np.zeros(len(r.h)))
-                continue
-            push = barrier * _logarithm(r, y)[2]
-            own = r.cone == "nonnegative"
-            directions.append(np.diag(push) if own else push[:, None])
-            usual.append(np.ones(len(push) if own else 1))
-        if not directions:
+        restrictions = self.program.restrictions
+        if not restrictions:
             return ()
-        pairs = zip(self.program.restrictions, directions, strict=True)
-        forces = np.hstack([r.G.T @ direction for r, direction in pairs])
-        sizes = np.concatenate(usual)
+        lengths = [len(r.h) for r in restrictions]
+        exact = np.repeat([r.cone == "zero" for r in restrictions], lengths)
+        slack = np.concatenate([r.slack(y) for r in restrictions])
+        push = np.divide(barrier, slack, out=np.ones_like(slack), where=~exact)
+        forces = np.vstack([r.G for r in restrictions]).T * push
+        # one on the central path: a small slack is known to rounding only
+        sizes = np.where(exact, 0.0, 1.0)
         missing = self.program.gradient(y) - forces @ sizes
         sizes += np.linalg.lstsq(forces, missing, rcond=PATH.rounding)[0]
-        ends = np.cumsum([len(part) for part in usual])[:-1]
-        parts = zip(directions, np.split(sizes, ends), strict=True)
-        return tuple(direction @ size for direction, size in parts)
+        return tuple(np.split(push * sizes, np.cumsum(lengths)[:-1]))
 
     def inside(self, y: Array) -> bool:
         """Whether every body and every slack is positive."""
@@ -293,18 +279,19 @@ class _CentralPath:
             np.linalg.cholesky(pseudo_inertia(phi.reshape(-1, 10)))
         except np.linalg.LinAlgError:
             return False
-        return all(r.violation(y) < 0 for r in self.cones)
+        return bool((self.bounds.slack(y) > 0).all())
 
     def _newton(self, y: Array, barrier: float) -> tuple[Array, float, float]:
         """Newton's step, its decrement λ, and the part of it after which the objective rises."""
         T = self.bodies.T
         residual, rows = self.bodies.entropic(T @ y[: len(T)], barrier)
         J = (rows @ self.moved).reshape(len(T), -1)
-        logarithms = [_logarithm(r, y) for r in self.cones]
+        # ½ ‖B d − 1‖² is −Σ log of the slacks at y + d to second order
+        B = self.bounds.G / self.bounds.slack(y)[:, None]
         scale = np.sqrt(barrier / 2)
-        goal = np.concatenate([-residual, *(scale * g for _, g, _ in logarithms)])
-        A = np.vstack([self.R, J, *(scale * B @ self.N for B, _, _ in logarithms)])
-        z = np.concatenate([self.Q.T @ (self.t - self.U @ y), goal])
+        goal = np.full(len(B), scale)
+        A = np.vstack([self.R, J, scale * B @ self.N])
+        z = np.concatenate([self.Q.T @ (self.t - self.U @ y), -residual, goal])
         factor = triangle(np.column_stack([A, z]))
         p = len(self.R)
         free, _ = scipy.linalg.lapack.dtrtrs(factor[:p, :p], factor[:p, p])
@@ -312,13 +299,10 @@ class _CentralPath:
         weight = self.bodies.draws + barrier
         unit = NORMS * np.sqrt(weight / 2)[:, None]
         change = matrices((J @ free).reshape(-1, 10) / unit, self.links)
-        rates = [np.linalg.eigvalsh(change).ravel()]
-        rates += [_rates(r, y, step) for r in self.cones]
-        weights = [np.repeat(weight, 4), np.full(sum(self.orders), barrier)]
+        rates = np.append(np.linalg.eigvalsh(change), B @ step)
+        weights = np.append(np.repeat(weight, 4), np.full(len(B), barrier))
         square = 2 * float(np.sum((self.U @ step) ** 2))
-        return step, *_length(
-            square, np.concatenate(weights), np.concatenate(rates)
-        )
+        return step, *_length(square, weights, rates)
 
 
 def _length(square: float, weights: Array, rates: Array) -> tuple[float, float]:
@@ -339,42 +323,6 @@ def _length(square: float, weights: Array, rates: Array) -> tuple[float, float]:
     return float(np.sqrt(slope)), float(end)
 
 
-def _logarithm(restriction: Restriction, y: Array) -> tuple[Array, Array, Array]:
-    """Rows B and g, ½ ‖B d − g‖² being −Σ log of the slacks at y + d, and the slopes of Σ log."""
-    slack = restriction.slack(y)
-    if restriction.cone == "nonnegative":
-        return restriction.G / slack[:, None], np.ones_like(slack), 1 / slack
-    # the root of its Hessian 2 (2 w wᵀ − J) / s², w = J slack / s, is √2 (2 v vᵀ − J) / s
-    s = _size(slack)
-    mirror = np.array([1.0, *-np.ones(len(slack) - 1)])
-    w = mirror * slack / s
-    unit = np.eye(len(slack))[0]
-    v = (w + unit) / np.sqrt(2 * (w[0] + 1))
-    root = np.sqrt(2) / s * (2 * np.outer(v, v) - np.diag(mirror))
-    return root @ restriction.G, np.sqrt(2) * unit, 2 * w / s
-
-
-def _size(slack: Array) -> float:
-    """√(s₀² − s₁² − …) of a slack in the second-order cone."""
-    rest = float(np.linalg.norm(slack[1:]))
-    return float(np.sqrt((slack[0] - rest) * (slack[0] + rest)))
-
-
-def _rates(restriction: Restriction, y: Array, step: Array) -> Array:
-    """Rates s at which slacks change along a step, as Π (1 + a s) of what they are at y."""
-    slack = restriction.slack(y)
-    change = restriction.G @ step
-    if restriction.cone == "nonnegative":
-        return change / slack
-    size = _size(slack)
-    w = slack / size
-    relative = change / size
-    half = w[0] * relative[0] - float(w[1:] @ relative[1:])
-    product = relative[0] ** 2 - float(relative[1:] @ relative[1:])
-    spread = np.sqrt(max(half**2 - product, 0.0))
-    return np.array([half - spread, half + spread])
-
-
 def interior(program: Program, centre: Array) -> Array:
     """A point inside all restrictions, the nearest to the centre but for a margin, shape (p,).
 
@@ -387,7 +335,11 @@ def interior(program: Program, centre: Array) -> Array:
         bodies = possible(program.bodies, p, margin)
         near: Array | None = centre
         if margin:
-            near = _nearest([*bodies, *_narrowed(restrictions, margin)], centre)
+            narrowed = [
+                replace(r, h=r.h + margin * (r.cone != "zero"))
+                for r in restrictions
+            ]
+            near = _nearest([*bodies, *narrowed], centre)
         if near is None:
             continue
         y = _equal(near, restrictions)
@@ -400,117 +352,37 @@ def interior(program: Program, centre: Array) -> Array:
     )
 
 
-def _narrowed(
-    restrictions: Sequence[Restriction], margin: float
-) -> list[Restriction]:
-    """The restrictions with slacks of at least a margin."""
-    narrowed = []
-    for r in restrictions:
-        least = np.zeros_like(r.h)
-        if r.cone != "zero":
-            least[: 1 if r.cone == "second_order" else None] = margin
-        narrowed.append(replace(r, h=r.h + least))
-    return narrowed
-
-
-def _equalities(restrictions: Sequence[Restriction], p: int) -> Array:
-    """Rows of what holds exactly, shape (k, p)."""
-    return np.vstack(
-        [np.zeros((0, p)), *(r.G for r in restrictions if r.cone == "zero")]
-    )
+def together(restrictions: Sequence[Restriction], cone: str, p: int) -> Restriction:
+    """All restrictions of a cone as one; without rows where there are none."""
+    own = [r for r in restrictions if r.cone == cone]
+    G = np.vstack([np.zeros((0, p)), *(r.G for r in own)])
+    return Restriction(cone, G, np.concatenate([np.zeros(0), *(r.h for r in own)]))
 
 
 def free_directions(restrictions: Sequence[Restriction], p: int) -> Array:
     """Orthonormal directions of y in which nothing holds exactly, shape (p, free)."""
-    return scipy.linalg.null_space(_equalities(restrictions, p))
+    return scipy.linalg.null_space(together(restrictions, "zero", p).G)
 
 
 def _equal(y: Array, restrictions: Sequence[Restriction]) -> Array:
     """The nearest point at which what holds exactly does, shape (p,)."""
-    G = _equalities(restrictions, len(y))
-    h = np.concatenate(
-        [np.zeros(0), *(r.h for r in restrictions if r.cone == "zero")]
-    )
-    return y - np.linalg.pinv(G) @ (G @ y - h)
+    exact = together(restrictions, "zero", len(y))
+    return y - np.linalg.pinv(exact.G) @ exact.slack(y)
 
 
 def _nearest(restrictions: Sequence[Restriction], centre: Array) -> Array | None:
     """The point nearest to a centre, shape (p,), that fulfils restrictions; None without any."""
     p = len(centre)
-    solution = _conic(np.eye(p), np.zeros(p), restrictions, centre)
-    solved = str(solution.status) in ("Solved", "AlmostSolved")
-    return centre + np.array(solution.x) if solved else None
-
-
-def least_misfit(program: Program, centre: Array) -> float:
-    """Least ‖A y − z‖² + ‖C y − d‖² of bodies that can exist, but for what no y explains.
-
-    The prior of the bodies says nothing; NaN where the solver does not settle.
-    """
-    p = len(centre)
-    U, t = _misfit(program)
-    bodies = possible(program.bodies, p, 0.0)
-    # a norm above the misfit's is one more unknown
-    restrictions = [
-        replace(r, G=np.column_stack([r.G, np.zeros(len(r.h))]))
-        for r in (*bodies, *program.restrictions)
-    ]
-    norm = np.eye(p + 1)[p]
-    G = np.vstack([norm, np.column_stack([U, np.zeros(len(U))])])
-    restrictions.append(Restriction("second_order", G, np.array([0.0, *t])))
-    return _least(norm, restrictions, np.array([*centre, 0.0])) ** 2
-
-
-def least_value(
-    program: Program, cost: Array, misfit: float, centre: Array
-) -> float:
-    """Least cost · y of bodies that can exist, with at most a misfit as in `least_misfit`.
-
-    Infinite where no y has it, −∞ without a bound, NaN where the solver does not settle. The cost
-    and the point from which the solver counts have shape (p,).
-    """
-    U, t = _misfit(program)
-    G = np.vstack([np.zeros(len(centre)), U])
-    fitted = Restriction("second_order", G, np.array([-np.sqrt(misfit), *t]))
-    bodies = possible(program.bodies, len(centre), 0.0)
-    return _least(cost, (*bodies, *program.restrictions, fitted), centre)
-
-
-def _misfit(program: Program) -> tuple[Array, Array]:
-    """U and t, ‖U y − t‖² being ‖A y − z‖² + ‖C y − d‖² but for a constant."""
-    A = np.vstack([program.A, program.C])
-    z = np.concatenate([program.z, program.d])
-    p = A.shape[1]
-    factor = triangle(np.column_stack([A, z]))[:p]
-    return factor[:, :p], factor[:, p]
-
-
-def _least(
-    cost: Array, restrictions: Sequence[Restriction], centre: Array
-) -> float:
-    """Least cost · y under restrictions; see `least_value`."""
-    p = len(centre)
-    solution = _conic(np.zeros((p, p)), cost, restrictions, centre)
-    ends = {
-        "Solved": float(cost @ (centre + np.array(solution.x))),
-        "PrimalInfeasible": np.inf,
-        "DualInfeasible": -np.inf,
-    }
-    return ends.get(str(solution.status), np.nan)
-
-
-def _conic(
-    P: Array, cost: Array, restrictions: Sequence[Restriction], centre: Array
-) -> clarabel.DefaultSolution:
-    """Solution x of min ½ xᵀ P x + cost · x, centre + x fulfilling the restrictions."""
     A = -np.vstack([r.G for r in restrictions])
     b = np.concatenate([r.slack(centre) for r in restrictions])
     cones = [_CONES[r.cone](len(r.h)) for r in restrictions]
     sparse = scipy.sparse.csc_matrix
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    problem = sparse(P), cost, sparse(A), b, cones, settings
-    return clarabel.DefaultSolver(*problem).solve()
+    problem = sparse(np.eye(p)), np.zeros(p), sparse(A), b, cones, settings
+    solution = clarabel.DefaultSolver(*problem).solve()
+    solved = str(solution.status) in ("Solved", "AlmostSolved")
+    return centre + np.array(solution.x) if solved else None
 
 
 def contradiction(restrictions: Sequence[Restriction]) -> tuple[str, ...]:

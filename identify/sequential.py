@@ -33,11 +33,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from excitant.exceptions import RankDeficient
 from excitant.identify.estimate import (
     Estimate,
     estimate_by,
-    identify_robot,
     notes_on,
 )
 from excitant.identify.information import Information, gaussian, square_root
@@ -59,18 +57,14 @@ from excitant.robots.threads import on_one_thread
 from excitant.robots.torque import observation_columns
 
 SURER_THAN_PRIOR = 2.0  # times, from which on the recordings decide a direction
-INDEPENDENCE = (0.3, 0.1, 1e-2, 1e-4, 1e-7)
-"""Shares of a leading parameter outside those before it, which are tried in turn."""
+PREFERENCE = 100.0
+"""Weight of a link's own parameters where one is chosen to lead a combination."""
 NEGLIGIBLE_COEFFICIENT = 1e-6  # in units of the parameters' scale
 ROUNDING = 1e-8  # of the clearest direction: what rounding and interpolation leave
 NEGLIGIBLE_STDS = 0.05  # of a combination: terms that matter less are not written
-RARE = (
-    0.1  # of the time that a joint moves: what happens more rarely is not mentioned
-)
 TRIED_STATES = 40  # of a motion that is tried, beyond the parameters sought
 VISIBLE = 1e-6  # of the largest singular value
 MOST_JOINTS_FOR_PAIRS = 10  # up to which pairs of them are tried
-SAME_POSE = 0.1  # rad or m: positions that differ less are one pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,27 +176,14 @@ def _led_combinations(
     rest = (rows - rows[:, led] @ F) * scale
     rest[:, led] = 0.0
     Q = np.linalg.qr(rest.T)[0].T
-    order = [
-        k for k in dict.fromkeys((*preferred, *range(len(scale)))) if k not in led
-    ]
-    added = _clearly_independent(Q, order)
+    weight = np.ones(len(scale))
+    weight[list(preferred)] = PREFERENCE
+    _, pivots = scipy.linalg.qr(Q * weight, mode="r", pivoting=True)
+    added = sorted(pivots[: len(Q)].tolist(), key=lambda k: (k not in preferred, k))
     new = np.linalg.solve(Q[:, added], Q)
     new[np.abs(new) < NEGLIGIBLE_COEFFICIENT] = 0.0
     new[:, added] = np.eye(len(added))
     return np.vstack([F, new * scale[added, None] / scale]), led + added
-
-
-def _clearly_independent(Q: Array, order: Sequence[int]) -> list[int]:
-    chosen: list[int] = []
-    basis = np.zeros((len(Q), 0))
-    for clear in INDEPENDENCE:
-        for k in order:
-            rest = Q[:, k] - basis @ (basis.T @ Q[:, k])
-            size = float(np.linalg.norm(rest))
-            if len(chosen) < len(Q) and k not in chosen and size > clear:
-                basis = np.column_stack([basis, rest / size])
-                chosen.append(k)
-    return chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,33 +210,6 @@ class LinkRows(FitRows):
         q = np.concatenate([s.motion.q for s in self.data.train])
         moves = np.concatenate(self.moves)[:, joint]
         return q[moves if moves.any() else ~moves].mean(axis=0)
-
-    def mode(self, joint: int) -> str:
-        """Joints that move along with a joint, in words; rare moments are left aside."""
-        times = []
-        poses = []
-        for segment, moves in zip(self.data.train, self.moves, strict=True):
-            now = moves[:, joint]
-            if now.any():
-                times.append(moves[now].sum(axis=0) / segment.rate_hz)
-                poses.append(np.delete(segment.motion.q[now].mean(axis=0), joint))
-        if not poses:
-            return "does not move"
-        each = np.array(times)
-        own = each[:, joint]
-        share = np.delete(each.sum(axis=0) / own.sum(), joint)
-        others = [k for k in range(self.robot.nv) if k != joint]
-        moved = [k for k, often in zip(others, share > RARE, strict=True) if often]
-        if moved:
-            if joint and set(range(joint)) <= set(moved):
-                return "moves with all joints before it"
-            return "moves with " + ", ".join(self.robot.joints[k] for k in moved)
-        spread = np.ptp(np.array(poses)[own > RARE * own.sum()], axis=0).max(
-            initial=0.0
-        )
-        briefly = " but for moments" if share.max(initial=0.0) > 0 else ""
-        several = "several poses" if spread > SAME_POSE else "one pose"
-        return f"moves alone{briefly}, the others in {several}"
 
 
 def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows:
@@ -290,7 +244,6 @@ class Stage:
     noise: float  # their standard deviation [torque unit]; NaN without rows
     inflation: float  # rows that count as one independent row
     recordings: tuple[str, ...]  # that have such rows
-    mode: str  # which joints moved with it, in words
     determined: tuple[Determined, ...]  # what the row adds to the links further out
     # base parameters of the link that no recording shows
     missing: tuple[str, ...] = ()
@@ -313,45 +266,23 @@ class LinkByLink:
     estimate: Estimate  # physically consistent model and its accuracy
     cascade: Cascade  # the base parameters with their covariance
     stages: tuple[Stage, ...]  # the links, last one first
-    all_at_once: Estimate  # all links from all rows together, for comparison
-    refusal: str  # why weighted least squares of all rows was not possible; empty if it was
 
     def result(self) -> dict[str, Any]:
         """Entries of result.json: those of `identify`, and the stages under ``link_by_link``."""
         robot = self.estimate.given
-        estimate = self.estimate
-        how = (
-            "all rows with the given robot as prior, because weighted least squares refuses: "
-            if self.refusal
-            else "weighted least squares of all rows, then physically consistent fit"
-        ) + self.refusal
-        rms = {
-            "given": estimate.baseline.rms,
-            "all_at_once": self.all_at_once.validate.rms,
-            "link_by_link": estimate.validate.rms,
-        }
-        return estimate.result() | {
+        return self.estimate.result() | {
             "estimator": "link by link from the last inward, each from its own joint's row with "
             "the outer links known; then physically consistent semidefinite fit",
             "link_by_link": {
                 "stages": [stage.result(robot) for stage in self.stages],
                 "determined": sum(len(stage.determined) for stage in self.stages),
-                "base_parameters": len(estimate.base),
-                "comparison": {
-                    "all_at_once": how,
-                    "refusal": self.refusal or None,
-                    "joints": [
-                        {"name": joint}
-                        | {key: float(each[j]) for key, each in rms.items()}
-                        for j, joint in enumerate(robot.joints)
-                    ],
-                },
+                "base_parameters": len(self.estimate.base),
             },
         }
 
     def series(self) -> dict[str, Array]:
         """Measured torque and that of the models on the hold-out, each of shape (n, nv)."""
-        return self.estimate.series() | {"all_at_once": self.all_at_once.predicted}
+        return self.estimate.series()
 
 
 @on_one_thread
@@ -363,7 +294,7 @@ def identify_link_by_link(
     effects: Sequence[Effect] | None = None,
     cutoff_hz: float | None = None,
 ) -> LinkByLink:
-    """Identify a robot from the last link inward, and compare with all links at once.
+    """Identify a robot from the last link inward.
 
     Args and errors are those of `identify_robot`, but no motion is refused for what it leaves open.
     """
@@ -380,24 +311,7 @@ def identify_link_by_link(
     known = cascade.information()
     whitened = known.R @ rows.base.regrouping, known.z
     estimate = estimate_by(robot, rows, fit, whitened, _notes(rows, stages, prior))
-    try:
-        whole = identify_robot(
-            robot,
-            recordings,
-            validate=validate,
-            effects=effects,
-            cutoff_hz=cutoff_hz,
-        )
-        refusal = ""
-    except (
-        RankDeficient
-    ) as error:  # then with the given robot as prior, the noise of the stages
-        refusal = str(error)
-        weight = replace(
-            fit, sigma=np.where(np.isfinite(noise), noise, np.inf)
-        ).weight
-        whole = estimate_by(robot, rows, fit, rows.regression.factor(weight), ())
-    return LinkByLink(estimate, cascade, stages, whole, refusal)
+    return LinkByLink(estimate, cascade, stages)
 
 
 def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
@@ -418,8 +332,9 @@ def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
             F, leading, cascade.functionals[before:], rows.scale, own
         )
         determined = _determined(rows, cascade, F[before:], leading[before:])
-        of = rows.recordings(j), rows.mode(j), determined
-        stages.append(Stage(j, int(counted.sum()), noise, inflation, *of))
+        count = int(counted.sum())
+        recordings = rows.recordings(j)
+        stages.append(Stage(j, count, noise, inflation, recordings, determined))
     return cascade, tuple(_completed(rows, F, leading, stage) for stage in stages)
 
 

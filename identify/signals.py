@@ -25,7 +25,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -229,17 +228,6 @@ class SensorNoise:
     def span(self) -> Array:
         """Range of the positions of a joint at rest, ± 5 deviations, shape (nv,) [rad or m]."""
         return 10.0 * self.position
-
-    def entry(self, joint: int, cutoff_hz: float) -> dict[str, Any]:
-        """Entry of a joint in ``result.json``; the speed's weight is that at a cut-off [Hz]."""
-        measured = bool(np.isfinite(self.speed[joint]))
-        return {
-            "position_noise": float(self.position[joint]),
-            "position_step": float(self.step[joint]) or None,
-            "speed_noise": float(self.speed[joint]) if measured else None,
-            "crossover_hz": float(self.crossover_hz[joint]) if measured else None,
-            "speed_weight": float(self.speed_share(cutoff_hz)[joint]),
-        }
 
     def sentence(self, joints: Sequence[str]) -> str:
         """From which frequency speeds count more than positions, joint by joint."""

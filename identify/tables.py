@@ -44,9 +44,8 @@ class BodyChange:
         centre_by: Who decided it, by the least sure of its coordinates.
         length: From the joint to the next one or to the nominal centre of mass, or the radius of
             gyration, whichever is longest [m].
-        needed: Mass nearest to the nominal one that the data allow [kg]; None where that is no
-            large change.
-        shown: What torque shows of the mass, and how far that is off, in words; else empty.
+        shown: What torque shows of a mass that the data do not decide alone, and how far that is
+            off, in words; else empty.
         known: Whether a drive gain is known, where currents were recorded: else nothing is told of
             what moved.
     """
@@ -59,7 +58,6 @@ class BodyChange:
     centre: Array
     centre_by: str
     length: float
-    needed: float | None
     shown: str
     known: bool
 
@@ -77,7 +75,7 @@ class BodyChange:
         if abs(self.mass - self.nominal_mass) >= LARGE_CHANGE * self.nominal_mass:
             changes.append(
                 f"mass {self.nominal_mass:.3g} → {self.mass:.3g} kg "
-                f"({_DECIDED_BY[self.mass_by]}{self._need})"
+                f"({_DECIDED_BY[self.mass_by]}{self.shown})"
             )
         if self.shift >= max(LARGE_CHANGE * self.length, SMALLEST_SHIFT):
             changes.append(
@@ -85,17 +83,6 @@ class BodyChange:
                 f"({_DECIDED_BY[self.centre_by]})"
             )
         return f"{self.link}: {' and '.join(changes)}" if changes else ""
-
-    @property
-    def _need(self) -> str:
-        """What the data alone ask for of a mass that moved, if they have not decided it."""
-        if self.mass_by == "data":
-            return ""
-        if self.needed is None:
-            return "; the data fit as well with one within half of the given"
-        end = "least" if self.mass > self.nominal_mass else "most"
-        need = f"{self.needed:.2g} kg, or another centre of mass"
-        return f"; the data need at {end} {need}{self.shown}"
 
     def entry(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
@@ -135,8 +122,7 @@ def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
             centre=phi[1:] / phi[0],
             centre_by=max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index),
             length=float(lengths[k]),
-            needed=estimate.needed.get(link),
-            shown=_shown_with(estimate, k),
+            shown="" if who[10 * k] == "data" else _shown_with(estimate, k),
             known=drive is None or bool(drive.known.any()),
         )
         changes.append(change)
@@ -236,7 +222,6 @@ def series_of(estimate: Estimate) -> dict[str, Array]:
 
 
 def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
-    sensors = estimate.data.sensors
     half_width = estimate.interval.half_width.mean(axis=0)
     by_parameters = estimate.interval.parameters.mean(axis=0)
     entries = []
@@ -252,8 +237,6 @@ def _joints(estimate: Estimate, covered: Coverage) -> list[dict[str, Any]]:
             "validate": estimate.validate.entry(j) | {"interval95": interval},
             "baseline": estimate.baseline.entry(j),
         }
-        if sensors is not None:
-            entry["motion"] = sensors.entry(j, estimate.data.cutoff_hz)
         if curve is not None:
             entry["friction"] = curve.entry()
         entries.append(entry)

@@ -52,9 +52,9 @@ class _ColumnsRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     dq: _Names = None
     tau: _Names = None
     i: _Names = None
-    units: Any = None
-    offset: Any = None
-    drive: Any = None
+    units: _UnitsRecord | None = None
+    offset: _OffsetRecord | None = None
+    drive: _DriveRecord | None = None
     sign: dict[Name, float | dict[Name, float]] | None = None
     coupling: dict[Name, dict[Name, Finite | _Parts]] | None = None
     rate: Positive | None = None
@@ -112,8 +112,6 @@ def load_column_map(path: str | Path) -> ColumnMap:
 def column_map(content: object, source: str) -> ColumnMap:
     """Column map from the content of a YAML file; see `load_column_map`."""
     record = convert(content, _ColumnsRecord, source)
-    units = convert(record.units or {}, _UnitsRecord, source, "units")
-    offset = convert(record.offset or {}, _OffsetRecord, source, "offset")
     names = {quantity: getattr(record, quantity) for quantity in QUANTITIES}
     if record.rate is not None and record.t is not None:
         why = "both 't' and 'rate' are given; keep one"
@@ -121,10 +119,13 @@ def column_map(content: object, source: str) -> ColumnMap:
     return ColumnMap(
         columns=_of_joints(names, lambda _, name: str(name)),
         units=_of_joints(
-            msgspec.structs.asdict(units),
+            msgspec.structs.asdict(record.units or _UnitsRecord()),
             lambda quantity, value: _unit(quantity, value, source),
         ),
-        offset=_of_joints(msgspec.structs.asdict(offset), lambda _, value: value),
+        offset=_of_joints(
+            msgspec.structs.asdict(record.offset or _OffsetRecord()),
+            lambda _, value: value,
+        ),
         sign=_by_quantity(
             record.sign or {},
             (1, -1).__contains__,

@@ -71,10 +71,7 @@ def identify_section(result: Identify, series: Series) -> p.Section:
             ("Files of the model", [exported_table(result.exported)]),
             ("Data faults", [fault_table(result.faults or [])]),
             ("Payload", _payload(result.payload)),
-            (
-                "Link by link against all links at once",
-                _link_by_link(result.link_by_link, unit),
-            ),
+            ("Link by link", _link_by_link(result.link_by_link)),
             ("Masses and centres of mass", [_bodies(result)]),
             ("Friction and other effects", [_effects(result)]),
         ],
@@ -499,7 +496,7 @@ def _physical(result: Identify) -> p.Notes | None:
     return p.notes([sound], p.GOOD)
 
 
-def _link_by_link(fit: LinkByLink | None, unit: str) -> p.Blocks:
+def _link_by_link(fit: LinkByLink | None) -> p.Blocks:
     if fit is None:
         return []
     by_link = " + ".join(str(len(stage.determined)) for stage in fit.stages)
@@ -509,32 +506,15 @@ def _link_by_link(fit: LinkByLink | None, unit: str) -> p.Blocks:
         f"{by_link}, from the last link inward",
         p.GOOD if fit.determined == fit.base_parameters else p.FAIR,
     )
-    models = {"given": "Model as given", "all_at_once": "All links at once"}
-    models["link_by_link"] = "Link by link"
-    comparison = p.table(
-        fit.comparison.joints,
-        [
-            ("name:Joint", "name"),
-            *(
-                (f"number:{name}, rms [{unit}]", key)
-                for key, name in models.items()
-            ),
-        ],
-        "Prediction error on the hold-out, fitted to the same recordings. All links at once: "
-        f"{fit.comparison.all_at_once}.",
-    )
     folds = ((f"Link {stage.link}", _stage(stage)) for stage in fit.stages)
-    return [p.Facts((count,)), comparison, *folds]
+    return [p.Facts((count,)), *folds]
 
 
 def _stage(stage: Stage) -> p.Blocks:
     source = f"{stage.joint} does not move."
     if stage.recordings:
         recordings = v.listing(stage.recordings)
-        moves = f"{stage.joint} {stage.mode}"
-        source = (
-            f"Torque of {stage.joint}: {stage.rows} rows of {recordings}; {moves}."
-        )
+        source = f"Torque of {stage.joint}: {stage.rows} rows of {recordings}."
     missing = [Determined(expression, None, None) for expression in stage.missing]
 
     def verdict(row: Determined) -> p.Cell:

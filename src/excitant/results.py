@@ -511,21 +511,6 @@ class Simulate(Run, tag_field="verb", tag="simulate"):
 # --- identification
 
 
-class SensorNoise(Record):
-    """Noise of a joint's position and speed."""
-
-    position_noise: Number
-    "Standard deviation of the position [rad]."
-    position_step: Number
-    "Step of the encoder [rad]; null where none is seen."
-    speed_noise: Number
-    "Standard deviation of the measured speed [rad/s]."
-    crossover_hz: Number
-    "Frequency above which the measured speed counts more [Hz]."
-    speed_weight: Number
-    "Mean weight of the measured speed within the torque filter's band."
-
-
 class FrictionNoise(Record):
     """Units of a joint's friction curve in series.npz."""
 
@@ -548,8 +533,6 @@ class IdentifiedJoint(Record):
     "On the hold-out."
     baseline: Accuracy
     "Of the nominal model, on the hold-out."
-    motion: SensorNoise | None = None
-    "Noise of the position and speed sensors."
     friction: FrictionNoise | None = None
     "Units of the friction curve."
 
@@ -732,38 +715,12 @@ class Stage(Record):
     "Integrated autocorrelation time of the noise [rows]."
     recordings: list[str]
     "Recordings used."
-    mode: str
-    "Which joints moved."
     determined: list[Determined]
     "What the equation determined."
     missing: list[str]
     "What it leaves open."
     needed: list[str]
     "Motions that would show it."
-
-
-class ComparedJoint(Record):
-    """Errors of one joint, link by link and all at once."""
-
-    name: str
-    "Joint."
-    given: Number
-    "rms of the nominal model [N·m or A]."
-    all_at_once: Number
-    "rms of the model from all rows at once."
-    link_by_link: Number
-    "rms of the model link by link."
-
-
-class Comparison(Record):
-    """Link by link beside all at once."""
-
-    all_at_once: str
-    "How the other model was made."
-    refusal: str | None
-    "Why it could not be made."
-    joints: list[ComparedJoint]
-    "Errors."
 
 
 class LinkByLink(Record):
@@ -775,8 +732,6 @@ class LinkByLink(Record):
     "Number of base parameters determined."
     base_parameters: int
     "Number of base parameters."
-    comparison: Comparison
-    "Beside all links at once."
 
 
 class Message(Record):
@@ -937,8 +892,6 @@ class Modelled(Imported, kw_only=True):
     "Standard deviations of the drive gains, null likewise."
     drive_gain_scale_rel_std: Number = None
     "Relative standard deviation of the scale that all gains share."
-    drive_gain_shown: list[bool] | None = None
-    "Whether the currents show each gain relative to the others."
     published: bool | None = None
     "Whether the model was written."
     refusal: str = ""

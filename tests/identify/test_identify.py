@@ -98,14 +98,11 @@ def test_a_motion_that_hides_parameters_is_refused_by_name(exact: Call, planar: 
     refused(r"joint2\.Fv", identify_robot, planar, [replace(recording, q=q)], error=RankDeficient)
 
 
-def test_the_data_need_no_more_of_a_mass_than_there_is(ur10: Robot, runs: Call) -> None:
+def test_a_tool_is_told_with_the_sum_in_which_torque_shows_it(ur10: Robot, runs: Call) -> None:
     place, phi = np.array([0.06, 0.04, 0.03, 1.0]), np.array(ur10.phi)
     phi[50:] += from_pseudo_inertia(2.0 * (np.outer(place, place) + np.diag([1e-3] * 3 + [0])))
     found = identified(ur10, runs(ur10.with_parameters(phi), 1))
-    [needed] = found.needed.values()
-    assert 1.5 * ur10.phi[50] < needed < phi[50]
-    for told in (f"the data need at least {needed:.2g} kg", "as +2 ± "):
-        assert told in body_changes(found)[-1].moved
+    assert "as +2 ± " in body_changes(found)[-1].moved
     assert any("tool, with a first moment of" in note for note in found.result()["notes"])
 
 

@@ -137,9 +137,10 @@ def test_a_rotor_that_none_can_be_is_told_as_what_the_model_lacks(apparent: floa
 @pytest.mark.parametrize("toggling", [slow(False), True])
 def test_one_joint_at_a_time_as_in_the_papers_offline_procedure(toggling: bool) -> None:
     single = [run(20 + k, (k % 2,), toggling, 4.0) for k in range(4)]
-    found = identify_link_by_link(ARM, [*single, run(1)], validate=HOLDOUT)
-    both = found.estimate, found.all_at_once
-    assert not found.refusal
+    runs = [*single, run(1)]
+    found = identify_link_by_link(ARM, runs, validate=HOLDOUT)
+    effects = standard_effects(ARM.joints)
+    both = found.estimate, identify_robot(ARM, runs, validate=HOLDOUT, effects=effects)
     assert (np.abs([*map(friction, both)] - TRUTH.Fc) < 0.02).all()
     assert (np.abs(both[0].validate.rms / both[1].validate.rms - 1) < 0.03).all()
 

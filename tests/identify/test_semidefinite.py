@@ -11,7 +11,6 @@ from marks import slow
 
 from excitant.identify.knowledge import (
     Box,
-    Ellipsoid,
     Knowledge,
     LinkKnowledge,
     Quantity,
@@ -30,7 +29,6 @@ BETTER = 1e-6  # of the objective: no feasible point is better by more
 _CONE = {
     "nonnegative": clarabel.NonnegativeConeT,
     "zero": clarabel.ZeroConeT,
-    "second_order": clarabel.SecondOrderConeT,
 }
 UPPER = np.triu_indices(4)
 PLACE = {(i, j): n for n, (i, j) in enumerate(zip(*UPPER, strict=True))}
@@ -112,18 +110,16 @@ def case(seed: int) -> Case:
 
 
 def knowledge(rng: np.random.Generator, bodies: Array) -> tuple[Knowledge, str]:
-    said = str(rng.choice(["nothing", "mass", "total", "box", "box and mass", "ellipsoid"]))
+    said = str(rng.choice(["nothing", "mass", "total", "box", "box and mass"]))
     mass, centre = float(bodies[0, 0]), bodies[0, 1:4] / bodies[0, 0]
     off = float(rng.choice([1.0, 1.3, 3.0, 0.2]))
     low, high = centre - 10 ** rng.uniform(-6, -1, 3), centre + 10 ** rng.uniform(-3, -1, 3)
-    around, radii = centre + rng.uniform(-0.01, 0.01, 3), 10 ** rng.uniform(-3, -0.5, 3)
     total = Quantity(float(off * bodies[:, 0].sum()), float(rng.choice([0.0, 0.01])))
     box = Box(low.tolist(), high.tolist())
     first = {
         "mass": LinkKnowledge(mass=Quantity(off * mass)),
         "box": LinkKnowledge(com_box=box),
         "box and mass": LinkKnowledge(mass=Quantity(mass), com_box=box),
-        "ellipsoid": LinkKnowledge(com_ellipsoid=Ellipsoid(around.tolist(), radii.tolist())),
     }.get(said)
     return Knowledge(total if said == "total" else None, {"link0": first} if first else {}), said
 

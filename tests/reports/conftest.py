@@ -243,10 +243,9 @@ def identify_run() -> Run:
     payload["notes"] = ["torque was recorded as current: a gain wrong by 1 % makes mass wrong"]
     seen = {"determined": [{"expression": "l2.Izz", "value": 1.0, "std": 0.1}]}
     left = {"missing": ["l2.m"], "needed": ["turn the base"]}
-    used = {"recordings": ["r"], "rows": 100, "mode": "swings"}
+    used = {"recordings": ["r"], "rows": 100}
     stages = [{"link": "l2", "joint": "j2", **used, **seen, **left}, {"link": "l1", "joint": "j1"}]
-    errors = {"joints": [{"name": "j1", "given": 1.0, "all_at_once": 0.5, "link_by_link": 0.4}]}
-    by_link = {"determined": 1, "base_parameters": 2, "stages": stages, "comparison": errors}
+    by_link = {"determined": 1, "base_parameters": 2, "stages": stages}
     note = "wrist_roll_joint moved too little in the hold-out to be judged there."
     result = FILTERED | {"verb": "identify", "estimator": "physical", "notes": [note]}
     result["effects"] = ["viscous_friction", "coulomb_friction", "torque_offset"]
