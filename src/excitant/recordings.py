@@ -419,7 +419,7 @@ def diagnose(
     force: bool = False,
     part: Part = Part(),
     run: Run = Run(),
-) -> None:
+) -> int:
     """Errors of the given model, by cause.
 
     Args:
@@ -466,3 +466,4 @@ def diagnose(
         folder,
         first=(diagnosis.undetermined, model.note),
     )
+    return 0 if model.published else 1

@@ -1135,7 +1135,7 @@ class Part(Record, kw_only=True):
     parameters: list[FoundParameter]
     "Coefficients."
     explained: Number
-    "Share of the nominal model's squared error that it removes."
+    "Share that it removes of the squared error: the nominal model's, or without it if larger."
     holdout: RmsChange
     "Error on the hold-out without it and with it."
     unit: str
