@@ -22,9 +22,7 @@ from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.robots.motion import Array
 from excitant.robots.parameters import STANDARD, elements, inertia, steiner
 from excitant.robots.plant.arm import (
-    Believed,
     Progress,
-    ReadingNoise,
     Trajectory,
     rigid_torque,
     simulate,
@@ -75,56 +73,12 @@ class VirtualArm:
         """True run of a trajectory; see `record`."""
         return simulate(
             self.nominal,
-            Believed(nominal_truth(self.nominal)),
+            nominal_truth(self.nominal),
             self.truth.drawn(rng, duration),
             trajectory,
             duration,
             self.sensors.rate_hz,
             progress,
-        )
-
-    def follow(
-        self,
-        trajectory: Trajectory,
-        duration: float,
-        torque: Callable[[Array], Array],
-        rng: np.random.Generator,
-    ) -> Run:
-        """True run under the torque of any model, by noisy readings of the encoders.
-
-        Gains of the controller are those of the nominal arm, whatever the model. Torque is meant as
-        it is recorded: the drives close their loop on the sensor whose offset and gain the record
-        has.
-
-        Args:
-            trajectory: As in `record`.
-            duration: Length of the run [s].
-            torque: What the model says the record would hold at instants of the trajectory, shape
-                (n,) [s], of shape (n, nv) [N·m].
-            rng: Draws noise.
-
-        Raises:
-            BadInput: The trajectory starts in motion or cannot be followed.
-        """
-        truth = self.truth.drawn(rng, duration)
-        sensors = self.sensors
-        gain = truth.recorder.gain
-        offset = truth.drives.offset
-
-        def motor_torque(t: Array) -> Array:
-            motor = np.linalg.solve(gain, (torque(t) - offset).T).T
-            return np.asarray(motor, float)
-
-        return simulate(
-            self.nominal,
-            Believed(nominal_truth(self.nominal), motor_torque),
-            truth,
-            trajectory,
-            duration,
-            sensors.rate_hz,
-            noise=ReadingNoise(
-                sensors.position_resolution, sensors.velocity_noise, rng
-            ),
         )
 
     def record(
@@ -384,7 +338,6 @@ def draw_hidden_effect(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
 def draw_payload(robot: Robot, rng: np.random.Generator) -> HiddenEffect:
     """A box at the frame farthest out on the last link."""
     model = robot.model
-    reach = sum(float(np.linalg.norm(p.translation)) for p in model.jointPlacements)
     fixed = [
         f.placement.translation for f in model.frames if f.parentJoint == robot.nv
     ]

@@ -71,35 +71,6 @@ class Controller:
         return self.feedforward[k] + self.gain[k] @ error
 
 
-@dataclass(frozen=True, eq=False)
-class Believed:
-    """The arm that a controller believes in.
-
-    Gains are those of its rigid bodies. The torque of the desired motion is theirs with friction,
-    or that of another model: a function of instants, shape (n,) [s], to torque, (n, nv) [N·m].
-    """
-
-    truth: (
-        Truth  # of which bodies, with rotor inertia as armature, and friction count
-    )
-    torque: Callable[[Array], Array] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class ReadingNoise:
-    """Noise of what the controller reads, white from step to step."""
-
-    position: float  # width of an even distribution: the encoder's step [rad or m]
-    velocity: float  # standard deviation [rad/s or m/s]
-    rng: np.random.Generator
-
-    def of(self, values: Array, width: float, std: float) -> Array:
-        """Values with noise, of any shape."""
-        even = width * self.rng.uniform(-0.5, 0.5, values.shape)
-        normal = std * self.rng.standard_normal(values.shape)
-        return values + even + normal
-
-
 def rigid_torque(model: pin.Model, q: Array, dq: Array, ddq: Array) -> Array:
     """Torque of rigid bodies in some states, each of shape (n, nv)."""
     data = model.createData()
@@ -109,10 +80,9 @@ def rigid_torque(model: pin.Model, q: Array, dq: Array, ddq: Array) -> Array:
 
 def tracking_controller(
     robot: Robot,
-    believed: Believed,
+    believed: Truth,
     trajectory: Trajectory,
     t: Array,
-    noise: ReadingNoise | None,
 ) -> Controller:
     """Controller that would follow a trajectory exactly if what it believes were the arm.
 
@@ -123,18 +93,11 @@ def tracking_controller(
         np.ascontiguousarray(trajectory(t, order), dtype=float)
         for order in range(3)
     )
-    model = believed.truth.model
+    model = believed.model
     limit = robot.limits.torque
     data = model.createData()
     gain = np.array([pin.crba(model, data, pose).copy() for pose in q])
-    if believed.torque is None:
-        feedforward = believed.truth.drives.friction(dq)
-        feedforward += rigid_torque(model, q, dq, ddq)
-    else:
-        feedforward = believed.torque(t)
-    if noise is not None:  # it acts through what is desired less what is read
-        q = noise.of(q, noise.position, 0.0)
-        dq = noise.of(dq, 0.0, noise.velocity)
+    feedforward = believed.drives.friction(dq) + rigid_torque(model, q, dq, ddq)
     floor = np.where(np.isfinite(limit), 0.05 * limit / 0.01, 0.0) / BANDWIDTH**2
     diagonal = np.einsum("kjj->kj", gain)
     np.maximum(diagonal, floor, out=diagonal)
@@ -143,25 +106,23 @@ def tracking_controller(
 
 def simulate(
     robot: Robot,
-    believed: Believed,
+    believed: Truth,
     truth: Truth,
     trajectory: Trajectory,
     duration: float,
     rate_hz: float,
     progress: Progress | None = None,
-    noise: ReadingNoise | None = None,
 ) -> Run:
     """Let the true arm follow a trajectory under a controller that believes another one.
 
     Args:
         robot: The arm, for its names and torque limits.
-        believed: What the controller believes.
+        believed: What the controller takes for the physics.
         truth: The physics of the arm.
         trajectory: Desired motion; starts at rest, where the arm starts too.
         duration: Length of the run [s].
         rate_hz: Rate at which the state is kept, every step where the recorder is late [Hz].
         progress: Called with the fraction done.
-        noise: Of what the controller reads.
 
     Raises:
         BadInput: The trajectory starts in motion, or the arm could not follow it at all.
@@ -188,7 +149,7 @@ def simulate(
     for first in range(0, steps, REPORT_STEPS):
         count = min(REPORT_STEPS, steps - first)
         t = np.minimum((first + np.arange(2 * count + 1) / 2) * h, duration)
-        control = tracking_controller(robot, believed, trajectory, t, noise)
+        control = tracking_controller(robot, believed, trajectory, t)
         for k in range(count):
             if (first + k) % every == 0:
                 samples.append(arm.seen(state, control, 2 * k))

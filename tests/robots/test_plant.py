@@ -115,8 +115,7 @@ def test_a_sliding_joint_comes_to_rest_without_creep_or_chatter(planar: Robot) -
     nominal = va.nominal_truth(bare)
     friction = hidden("viscous_friction", Fv=0.6), hidden("coulomb_friction", Fc=0.8)
     step = plant_arm.Arm(plant(nominal, bare.joints, friction), 5e-4)
-    believed = plant_arm.Believed(nominal)
-    control = plant_arm.tracking_controller(bare, believed, swing(bare), np.zeros(1), None)
+    control = plant_arm.tracking_controller(bare, nominal, swing(bare), np.zeros(1))
     state, moving = (np.zeros(2), np.array([1.0, -2.0]), np.zeros(2)), []
     for _ in range(4000):
         state = step.step(state, control, 0, 0.0)
