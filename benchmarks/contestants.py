@@ -118,7 +118,7 @@ Found = tuple[float, Any, int]  # condition number, trajectory, number of starts
 
 
 def excitant(
-    problem: Problem, settings: Settings, *, series: str = "fourier", criterion: str = "condition",
+    problem: Problem, settings: Settings, *, criterion: str = "condition",
     searched: bool = False,
 ) -> Found:  # fmt: skip
     """Our own design, perhaps with a search for the number of harmonics or pieces."""
@@ -129,7 +129,6 @@ def excitant(
         duration=problem.duration,
         harmonics="search" if searched else problem.harmonics,
         scene=(),
-        series=series,
         criterion=criterion,
         columns="inertial",
         **effort,
@@ -170,7 +169,6 @@ CONTESTANTS: dict[str, Callable[[Problem, Settings], Found]] = {
     "excitant": excitant,
     "a-optimal": partial(excitant, criterion="a"),
     "searched": partial(excitant, searched=True),
-    "spline": partial(excitant, series="spline", searched=True),
     "random": random_search,
 }
 

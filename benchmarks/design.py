@@ -26,7 +26,7 @@ from excitant.design import check, load_trajectory
 from excitant.exceptions import ExcitantError
 
 METHODS = (*CONTESTANTS, "figaroh")
-SEARCHED = ("searched", "spline")  # they choose how many harmonics or pieces
+SEARCHED = ("searched",)  # they choose how many harmonics
 _REST = 1e-9
 FIGAROH_SEGMENTS = 2  # as in its UR10 example
 NOISE = {"equal": "1 N·m on every joint", "limit": "1% of each joint's torque limit"}

@@ -325,10 +325,9 @@ def limits(rng: Rng, folder: Path, _: Path) -> Case:
         given["torque"] = np.minimum(arm.limits.torque, 1e3) * rng.uniform(0.2, 1, arm.nv)
     file = {quantity: value.tolist() for quantity, value in given.items()}
     (folder / "limits.yaml").write_text(yaml.safe_dump(file))
-    series = str(rng.choice(["fourier", "spline"], p=[0.8, 0.2]))
     harmonics, duration = int(rng.integers(2, 6)), int(rng.integers(4, 13))
     line = (
-        f"design {name} --limits limits.yaml --series {series} --harmonics {harmonics} --rate 10000"
+        f"design {name} --limits limits.yaml --harmonics {harmonics} --rate 10000"
         f" --duration {duration} --starts 1 --jobs 1 --time-limit 3 --ignore-collisions --use 1"
     )
     found, said = command(f"{line} -o out", folder / "out")

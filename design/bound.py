@@ -184,7 +184,7 @@ def bound_of(
     return lower_bound(
         design.robot.with_limits(design.robot.limits.used(design.use)),
         period=trajectory.period,
-        harmonics=None if trajectory.series.name == "spline" else design.harmonics,
+        harmonics=design.harmonics,
         columns=design.information.columns,
         seed=seed,
         time_limit=time_limit,

@@ -256,8 +256,7 @@ def within_limits(
     fall on the way there. With a scene also None if bodies come nearer than ``least`` [m].
     """
     X = trajectory.coefficients
-    one = trajectory.series.one
-    centre = trajectory.series.constant(one @ X / one.sum())
+    centre = trajectory.series.constant(trajectory.offset)
     for _ in range(CERTIFICATION.shrinks):
         excess = check(robot, trajectory).worst.ratio - 1
         if excess <= 0:

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import yaml
 
-from excitant.design.trajectory import FourierTrajectory, SplineSeries, Trajectory
+from excitant.design.trajectory import COEFFICIENTS, FourierTrajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import read_text
 from excitant.robots.motion import Motion
@@ -47,14 +47,14 @@ def _columns(nv: int) -> list[str]:
 
 
 def trajectory_csv(
-    trajectory: Trajectory, rate_hz: float = 100.0, repetitions: int = 1
+    trajectory: FourierTrajectory, rate_hz: float = 100.0, repetitions: int = 1
 ) -> str:
     """All periods at a control rate [Hz], once or more, as a table with first and last sample."""
     return motion_csv(trajectory.motion(rate_hz, repetitions))
 
 
-class _FourierRecord(msgspec.Struct, frozen=True):
-    """A ``trajectory.json`` of a Fourier series."""
+class _Record(msgspec.Struct, frozen=True):
+    """A ``trajectory.json``: the coefficients of a Fourier series."""
 
     period: Positive
     offset: list[Finite]
@@ -63,46 +63,23 @@ class _FourierRecord(msgspec.Struct, frozen=True):
     periods: _Periods = 1
     joints: Any = None
 
-    def trajectory(self) -> Trajectory:
-        return FourierTrajectory(
-            self.offset, self.cosine, self.sine, self.period, self.periods
-        )
 
-
-class _SplineRecord(msgspec.Struct, frozen=True):
-    """A ``trajectory.json`` of a B-spline."""
-
-    period: Positive
-    control_points: list[list[Finite]]
-    periods: _Periods = 1
-    joints: Any = None
-
-    def trajectory(self) -> Trajectory:
-        series = SplineSeries(
-            self.period, len(self.control_points), periods=self.periods
-        )
-        return series.trajectory(self.control_points)
-
-
-def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
+def trajectory_json(trajectory: FourierTrajectory, robot: Robot) -> str:
     """The exact coefficients, with the names of the joints."""
     content: dict[str, Any] = {
-        "format": trajectory.series.name,
+        "format": "fourier",
         "robot": robot.name,
         "joints": list(robot.joints),
         "period": trajectory.period,
-        "periods": trajectory.series.periods,
+        "periods": trajectory.periods,
         "harmonics": trajectory.harmonics,
     }
-    if isinstance(trajectory, FourierTrajectory):
-        for name in ("offset", "cosine", "sine"):
-            content[name] = getattr(trajectory, name).tolist()
-    else:
-        content["control_points"] = trajectory.coefficients.tolist()
+    for name in COEFFICIENTS:
+        content[name] = getattr(trajectory, name).tolist()
     return json.dumps(content, indent=1) + "\n"
 
 
-def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
+def load_trajectory(path: str | Path, robot: Robot) -> FourierTrajectory | Motion:
     """Trajectory from a ``.json`` file of coefficients or a table of samples (CSV).
 
     Raises:
@@ -123,13 +100,9 @@ def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
     return _from_csv(text, path, robot)
 
 
-def _from_json(path: Path, robot: Robot) -> Trajectory:
+def _from_json(path: Path, robot: Robot) -> FourierTrajectory:
     content = read_yaml(path, dict[str, Any], "coefficients of a trajectory")
-    record: _FourierRecord | _SplineRecord = (
-        convert(content, _SplineRecord, path)
-        if "control_points" in content
-        else convert(content, _FourierRecord, path)
-    )
+    record = convert(content, _Record, path)
     joints = record.joints
     if (
         isinstance(joints, list)
@@ -141,7 +114,13 @@ def _from_json(path: Path, robot: Robot) -> Trajectory:
             f"{robot.name} ({', '.join(robot.joints)})"
         )
     try:
-        trajectory = record.trajectory()
+        trajectory = FourierTrajectory(
+            np.array(record.offset),
+            np.array(record.cosine),
+            np.array(record.sine),
+            record.period,
+            record.periods,
+        )
     except ValueError as error:
         raise BadInput(f"trajectory {path}: {error}") from None
     if trajectory.nv != robot.nv:

@@ -7,12 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from excitant.design.constraints import kinematic_limits, pose_use, position_range
-from excitant.design.trajectory import (
-    FourierSeries,
-    FourierTrajectory,
-    Series,
-    Trajectory,
-)
+from excitant.design.trajectory import FourierSeries, FourierTrajectory
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
@@ -56,25 +51,25 @@ def random_trajectory(
         Infeasible: No pose, or no motion found, within position and torque limits.
     """
     series = FourierSeries(duration, harmonics)
-    return series.trajectory(random_start(robot, rng, series).coefficients)
+    return random_start(robot, rng, series)
 
 
 def random_start(
     robot: Robot,
     rng: np.random.Generator,
-    series: Series,
+    series: FourierSeries,
     scene: Scene | None = None,
     required: float = 0.0,
-) -> Trajectory:
+) -> FourierTrajectory:
     """A random trajectory of a series, as `random_trajectory`; bodies of a scene apart [m]."""
     t = series.instants(START.samples)
 
-    def uses(trajectory: Trajectory) -> Array:
+    def uses(trajectory: FourierTrajectory) -> Array:
         """Of each torque limit, and of the clearance."""
         apart = pose_use(scene, required, trajectory(t)).max()
         return np.append(torque_use(robot, trajectory.at(t)), apart)
 
-    drawn: list[tuple[float, int, Trajectory]] = []
+    drawn: list[tuple[float, int, FourierTrajectory]] = []
     for k in range(START.draws):
         trajectory = _draw(robot, rng, series)
         drawn.append((float(uses(trajectory).max()), k, trajectory))
@@ -119,11 +114,13 @@ def torque_use(robot: Robot, motion: Motion) -> Array:
     return use
 
 
-def _draw(robot: Robot, rng: np.random.Generator, series: Series) -> Trajectory:
+def _draw(
+    robot: Robot, rng: np.random.Generator, series: FourierSeries
+) -> FourierTrajectory:
     """Random waves, scaled joint by joint into the kinematic limits."""
     middle, half = position_range(robot.limits, np.pi)
     bound = kinematic_limits(robot.limits)[1]
-    waves = FourierSeries(series.period, min(series.terms, START.harmonics))
+    waves = FourierSeries(series.period, min(series.harmonics, START.harmonics))
     fade = 1 / np.arange(1, waves.harmonics + 1)[:, None] ** rng.uniform(0.0, 2.0)
     X = rng.normal(size=(waves.size, robot.nv))
     X[1:] *= np.vstack([fade, fade])

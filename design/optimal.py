@@ -28,7 +28,7 @@ from excitant.design.search import (
     best_solutions,
     search,
 )
-from excitant.design.trajectory import FourierSeries, Series, SplineSeries
+from excitant.design.trajectory import FourierSeries
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.processes import connect, processors
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
@@ -40,7 +40,6 @@ Progress = Callable[[int, int | None, float, float], None]
 """Called with starts done, starts in all (None: until the time limit), best condition number
 and its worst limit ratio."""
 
-SERIES = ("fourier", "spline")
 CANDIDATES = 4  # best searches whose exact figures decide
 
 STARTS = 16  # of a search without a time limit
@@ -55,7 +54,7 @@ SceneOption = Scene | tuple[()] | None
 
 def motion_options(search: Search) -> dict[str, Any]:
     """Options of `build_design`."""
-    names = ("duration", "periods", "harmonics", "series", "criterion", "columns")
+    names = ("duration", "periods", "harmonics", "criterion", "columns")
     return {name: getattr(search, name) for name in names}
 
 
@@ -87,7 +86,6 @@ def build_design(
     duration: float = 10.0,
     periods: int | Literal["search"] = "search",
     harmonics: int | Literal["search"] = 5,
-    series: str = "fourier",
     criterion: str = "condition",
     columns: str = "friction",
     noise: npt.ArrayLike | None = None,
@@ -104,7 +102,6 @@ def build_design(
     if not np.isfinite(clearance) or clearance < 0:
         raise BadInput(f"clearance {clearance} m is not a distance")
     begun = _series(
-        series,
         duration,
         1 if periods == "search" else periods,
         FEWEST_HARMONICS if harmonics == "search" else harmonics,
@@ -118,20 +115,15 @@ def build_design(
     )
 
 
-def _series(name: str, duration: float, periods: int, harmonics: int) -> Series:
-    if name not in SERIES:
-        raise UnknownName("series", name, SERIES)
+def _series(duration: float, periods: int, harmonics: int) -> FourierSeries:
     if not (np.isfinite(duration) and duration > 0):
         raise BadInput(f"duration {duration} s is not a positive number")
     if periods < 1:
         raise BadInput(f"{periods} periods: at least one is needed")
-    fewest = 2 if name == "fourier" else 3
-    if harmonics < fewest:
+    if harmonics < 2:
         raise BadInput(
-            f"{harmonics} harmonics cannot move and be at rest at both ends; use at least {fewest}"
+            f"{harmonics} harmonics cannot move and be at rest at both ends; use at least 2"
         )
-    if name == "spline":
-        return SplineSeries(float(duration), 2 * harmonics).split(periods)
     return FourierSeries(float(duration), harmonics).split(periods)
 
 
@@ -165,7 +157,7 @@ def design_trajectory(
 
     Raises:
         Infeasible: No motion keeps the limits; names those in conflict.
-        UnknownName: Another criterion, other columns or another series.
+        UnknownName: Another criterion, or other columns.
         BadRobot: No link has a mass.
         BadInput: Duration, periods, use, harmonics or starts out of range, or no cluster there.
     """
@@ -189,7 +181,8 @@ def design_trajectory(
             first, effort, **free_counts(asked), top_hz=asked.max_frequency
         )
     if problem.period != first.period:
-        begun = replace(problem, series=problem.series.resized(first.series.terms))
+        few = replace(problem.series, harmonics=first.series.harmonics)
+        begun = replace(problem, series=few)
         initial = begun.random(np.random.default_rng([asked.seed, 0]))
     candidates = [initial]
     for z in best_solutions(searches, CANDIDATES):

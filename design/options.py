@@ -16,8 +16,6 @@ class Search:
     "Equal periods that it has; 'search' for as many as lower the condition number."
     harmonics: int | Literal["search"] = 5
     "Harmonics of a period, or 'search' to add them as long as they lower the condition number."
-    series: Literal["fourier", "spline"] = "fourier"
-    "spline: B-splines of 2 H pieces, for tight cells."
     max_frequency: float = 2.5
     "Highest frequency [Hz] that a search for periods or harmonics goes to."
     criterion: Literal["condition", "d", "a", "e"] = "condition"

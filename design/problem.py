@@ -12,7 +12,7 @@ import numpy.typing as npt
 from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information
 from excitant.design.feasible import random_start
-from excitant.design.trajectory import Series, Trajectory
+from excitant.design.trajectory import FourierSeries, FourierTrajectory
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -34,9 +34,8 @@ class DesignProblem:
 
     information: Information  # what is to be made visible, on which robot
     criterion: str  # ``"condition"``, ``"d"``, ``"a"`` or ``"e"``
-    series: (
-        Series  # functions of time that the motion is a combination of; c of them
-    )
+    # functions of time that the motion is a combination of; c of them
+    series: FourierSeries
     # the arm's bodies and obstacles; None to leave clearance out
     scene: Scene | None = None
     required: float = 0.0  # smallest distance between bodies [m]
@@ -108,15 +107,15 @@ class DesignProblem:
         """Basis functions of z for q, q̇, q̈ (and more) at given instants, each (n, c − 2)."""
         return [self.basis(t, order) for order in range(orders)]
 
-    def trajectory(self, z: Array) -> Trajectory:
+    def trajectory(self, z: Array) -> FourierTrajectory:
         """The trajectory of these unknowns."""
         return self.series.trajectory(self.series.rest @ z)
 
-    def random(self, rng: np.random.Generator) -> Trajectory:
+    def random(self, rng: np.random.Generator) -> FourierTrajectory:
         """A random trajectory within all limits, clearance included."""
         return random_start(self.robot, rng, self.series, self.scene, self.required)
 
-    def unknowns(self, trajectory: Trajectory) -> Array:
+    def unknowns(self, trajectory: FourierTrajectory) -> Array:
         """The unknowns of a trajectory at rest, or of the nearest that the series holds."""
         z: Array = self.series.rest.T @ self.series.nearest(trajectory)
         return z

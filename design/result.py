@@ -91,7 +91,7 @@ class Design(Shown):
 
     @property
     def harmonics(self) -> int:
-        """Number of harmonics; of a spline, half its pieces."""
+        """Number of harmonics of a period."""
         return self.trajectory.harmonics
 
     @cached_property
@@ -138,9 +138,8 @@ class Design(Shown):
             "verb": "design",
             **self.playback.result(),
             "duration": self.duration,
-            "periods": self.trajectory.series.periods,
+            "periods": self.trajectory.periods,
             "harmonics": self.harmonics,
-            "series": self.trajectory.series.name,
             "columns": self.information.columns,
             "base_parameters": len(self.base),
             "criterion": self.criterion,

@@ -18,7 +18,7 @@ from excitant.design.criterion import condition_number, objective
 from excitant.design.peaks import worst_use
 from excitant.design.problem import DesignProblem
 from excitant.design.step import PENALTY, local_model, solve_step
-from excitant.design.trajectory import Series
+from excitant.design.trajectory import FourierSeries
 from excitant.exceptions import Infeasible
 from excitant.processes import unordered
 from excitant.robots.motion import Array
@@ -296,7 +296,8 @@ def _most_telling(
         candidate = replace(problem, series=problem.series.split(count))
         if (
             best is not None
-            and _most_terms(candidate.series, top_hz) < candidate.series.terms
+            and _most_harmonics(candidate.series, top_hz)
+            < candidate.series.harmonics
         ):
             break
         starts = (
@@ -353,18 +354,21 @@ def _grow(
     return problem, searches
 
 
-def _larger(series: Series, periods: bool, top_hz: float) -> Iterator[Series]:
+def _larger(
+    series: FourierSeries, periods: bool, top_hz: float
+) -> Iterator[FourierSeries]:
     """More harmonics: to a higher frequency, and to the same in longer and so fewer periods."""
-    terms = min(2 * series.terms, _most_terms(series, top_hz))
-    if terms > series.terms:
-        yield series.resized(terms)
+    harmonics = min(2 * series.harmonics, _most_harmonics(series, top_hz))
+    if harmonics > series.harmonics:
+        yield replace(series, harmonics=harmonics)
     if periods and series.periods > 1:
         times = 2 if series.periods % 2 == 0 else 3
-        yield series.resized(times * series.terms).split(series.periods // times)
+        finer = replace(series, harmonics=times * series.harmonics)
+        yield finer.split(series.periods // times)
 
 
-def _most_terms(series: Series, top_hz: float) -> int:
-    """Number of terms that reach a highest frequency [Hz], which may be off by rounding."""
+def _most_harmonics(series: FourierSeries, top_hz: float) -> int:
+    """Number of harmonics that reach a highest frequency [Hz], which may be off by rounding."""
     return int(top_hz * series.period * (1 + 1e-9))
 
 

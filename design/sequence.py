@@ -45,7 +45,6 @@ _POSES = 200  # drawn for one that keeps clear
 _SHARED = (
     "joints",
     "revolute",
-    "series",
     "limit_use",
     "limit_values",
     "obstacles",

@@ -274,13 +274,13 @@ def _facts(result: Design) -> p.Facts | None:
     effort = f"{starts} start{'s' * (starts != 1)}, {result.iterations} iterations"
     if not starts:
         effort = f"{result.iterations} iterations"
-    pieces = f"{result.harmonics} harmonics"
-    if result.series == "spline":
-        pieces = f"spline of {2 * result.harmonics} pieces"
     return p.facts(
         p.fact("Condition number", kappa.final, v.number, reached),
         p.fact("Condition number, scaled", scaled.final, v.number, unit_length),
-        _duration(result.duration, _split(result, "{} periods of {}, ") + pieces),
+        _duration(
+            result.duration,
+            _split(result, "{} periods of {}, ") + f"{result.harmonics} harmonics",
+        ),
         p.fact(
             "Base parameters",
             result.base_parameters,

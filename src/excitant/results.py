@@ -423,7 +423,7 @@ class Design(Motion, tag_field="verb", tag="design"):
     """``excitant design``: an excitation trajectory."""
 
     harmonics: int
-    "Harmonics of a period; of a spline, half its pieces."
+    "Harmonics of a period."
     columns: str
     "What is made visible: ``friction`` (all that identify estimates) or ``inertial``."
     base_parameters: int
@@ -444,8 +444,6 @@ class Design(Motion, tag_field="verb", tag="design"):
     "Remarks."
     periods: int | None = None
     "Equal periods of the motion."
-    series: str | None = None
-    "``fourier`` or ``spline``."
     condition_number_scaled: Pair | None = None
     "The same with columns scaled to unit length."
     joint_weights: list[float] = []

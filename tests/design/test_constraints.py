@@ -5,7 +5,6 @@ from marks import refused, slow
 
 from excitant.design import check, from_coefficients, random_trajectory
 from excitant.design.constraints import KINEMATIC
-from excitant.design.trajectory import SplineSeries
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, torque
 from excitant.robots.effects import CoulombFriction, ViscousFriction
@@ -15,14 +14,11 @@ UNLIMITED["position"] = [-np.inf, np.inf]
 
 
 @pytest.mark.parametrize("friction", [slow(False), True])
-@pytest.mark.parametrize("kind", ["fourier", "spline", "sampled"])
+@pytest.mark.parametrize("kind", ["fourier", "sampled"])
 def test_ratios_cover_dense_sampling(ur10: Robot, kind: str, friction: bool) -> None:
     effects = [CoulombFriction(ur10.joints, (9.0,) * 6), ViscousFriction(ur10.joints, (5.0,) * 6)]
     robot = limited(ur10, acceleration=12.0).with_effects(effects if friction else ())
     trajectory = random_trajectory(robot, np.random.default_rng(4), 6.0, 6)
-    if kind == "spline":
-        series = SplineSeries(6.0, 24)
-        trajectory = series.trajectory(series.nearest(trajectory))
     report = check(robot, trajectory.motion(100) if kind == "sampled" else trajectory)
     exact = limit_shares(robot, trajectory.sample(100_001))
     for use in report.uses:
