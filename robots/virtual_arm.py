@@ -181,7 +181,6 @@ def nominal_truth(robot: Robot) -> Truth:
         np.zeros((n, n)),
         Encoder(np.ones(n), zeros),
         Recorder(np.eye(n), zeros),
-        robot.tip,
     )
     nominal = [
         hidden for effect in robot.effects for hidden in _described(robot, effect)

@@ -299,8 +299,8 @@ class Arm:
         if truth.shafts:
             passive += self.drag @ v
         load = b + M @ a[:n] - self.armature * a[:n] if truth.dry else b.copy()
-        if truth.loads or truth.walls:
-            outer = self._outside(x, v, t)
+        if truth.loads:
+            outer = self._outside(x, t)
             passive += outer
             load += outer[:n]
         for m, gear in enumerate(truth.gears, start=n):
@@ -321,24 +321,12 @@ class Arm:
             K[m, m] += h * h / 4 * contact.stiffness(ahead, float(v[m]))
         return K, passive, load
 
-    def _outside(self, x: Array, v: Array, t: float) -> Array:
-        """Torque that loads and walls take."""
-        truth = self.truth
+    def _outside(self, x: Array, t: float) -> Array:
+        """Torque that loads take."""
         torque = np.zeros(self.size)
-        for load in truth.loads:
+        for load in self.truth.loads:
             i = self.motor[load.joint] if load.on_motor else load.joint
             torque[i] += load.torque(float(x[i]), t)
-        if truth.walls:
-            frame = truth.tip
-            world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            pin.computeJointJacobians(self.model, self.data, x[: self.n])
-            pin.updateFramePlacement(self.model, self.data, frame)
-            J = np.reshape(
-                pin.getFrameJacobian(self.model, self.data, frame, world), (6, -1)
-            )[:3]
-            place = np.array(self.data.oMf[frame].translation)
-            force = sum(wall.force(place, J @ v[: self.n]) for wall in truth.walls)
-            torque[: self.n] -= J.T @ force
         return torque
 
     def _dry(self, speed: Array, t: float, load: Array) -> tuple[Array, Array]:

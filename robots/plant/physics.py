@@ -144,24 +144,6 @@ class Gear:
 
 
 @dataclass(frozen=True, eq=False)
-class Wall:
-    """Elastic wall n·x ≥ d for the tip: it pushes back by depth and speed, never pulls."""
-
-    normal: Array  # n, the direction into the wall in the base frame, shape (3,)
-    distance: float  # d from the origin of the base frame [m]
-    stiffness: float  # [N/m]
-    damping: float  # [N·s/m]
-
-    def force(self, x: Array, dx: Array) -> Array:
-        """Force on the tip at a position [m] and velocity [m/s] in the base frame, (3,) [N]."""
-        depth = float(self.normal @ x) - self.distance
-        if depth <= 0:
-            return np.zeros(3)
-        push = self.stiffness * depth + self.damping * float(self.normal @ dx)
-        return -max(push, 0.0) * self.normal
-
-
-@dataclass(frozen=True, eq=False)
 class Truth:
     """The physics of an arm."""
 
@@ -170,13 +152,11 @@ class Truth:
     rotors: Array  # what turning rotors couple, added to the mass matrix, shape (nv, nv) [kg·m²]
     encoder: Encoder  # what the controller reads and records
     recorder: Recorder  # how the record differs from that
-    tip: int  # Pinocchio's frame
     dry: tuple[DryFriction, ...] = ()
     presliding: tuple[Bristles, ...] = ()
     shafts: tuple[CoupledShaft, ...] = ()
     loads: tuple[JointTorque, ...] = ()
     random: tuple[Telegraph, ...] = ()  # drawn for each run
-    walls: tuple[Wall, ...] = ()
     gears: tuple[Gear, ...] = ()  # one per joint at most
 
     def __post_init__(self) -> None:

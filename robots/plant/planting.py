@@ -22,10 +22,9 @@ from excitant.robots.plant.physics import (
     JointTorque,
     Telegraph,
     Truth,
-    Wall,
 )
 
-STRUCTURES = ("wall_contact", "telegraph_torque", "sensor_crosstalk")
+STRUCTURES = ("telegraph_torque", "sensor_crosstalk")
 """Structures of an ``unknown`` effect, which no name of the vocabulary describes."""
 
 _PAIRS = ("friction_coupling", "inertia_coupling", "sensor_crosstalk")
@@ -318,22 +317,6 @@ def _gear(
     )
 
 
-def _wall(
-    truth: Truth,
-    joints: list[int],
-    *,
-    nx: float,
-    ny: float,
-    nz: float,
-    distance: float,
-    stiffness: float,
-    damping: float = 0.0,
-) -> Truth:
-    normal = np.array([nx, ny, nz])
-    normal /= np.linalg.norm(normal)
-    return _with(truth, "walls", Wall(normal, distance, stiffness, damping))
-
-
 PLANTERS: dict[str, Callable[..., Truth]] = {
     "inertial_parameters": _added_inertia,
     "payload": _added_inertia,
@@ -344,7 +327,6 @@ PLANTERS: dict[str, Callable[..., Truth]] = {
     "joint_elasticity": _gear,
     "backlash": _gear,
     "kinematic_error": _misplaced,
-    "wall_contact": _wall,
     "sensor_crosstalk": _crosstalk,
 }
 """The others: truth, indices of the joints, and the parameters by name; the truth with it."""

@@ -6,7 +6,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pandas as pd
-import pinocchio as pin
 import pytest
 import scipy
 from hypothesis import example, given, settings
@@ -232,29 +231,6 @@ def test_a_delay_is_where_the_error_is_least(planar: Robot, delay: float, late: 
 
 
 @pytest.mark.slow
-def test_a_wall_pushes_only_where_it_is(ur10: Robot) -> None:
-    """τ = −Jᵀ f with f = k depth + c speed along the normal, by finite differences of the tip."""
-    model, data = ur10.model, ur10.model.createData()
-
-    def tips(q: np.ndarray) -> np.ndarray:
-        places = []
-        for x in q:
-            pin.forwardKinematics(model, data, x)
-            places.append(pin.updateFramePlacement(model, data, ur10.tip).translation[0])
-        return np.array(places)
-
-    distance = float(np.quantile(tips(Recorded(ur10).motion.q), 0.6))
-    wall = {"nx": 2.0, "ny": 0, "nz": 0, "distance": distance, "stiffness": 150, "damping": 3}
-    run = Recorded(ur10, hidden("wall_contact", **wall))
-    q, d = run.motion.q, 1e-6
-    place, depth = tips(q), tips(q) - distance
-    speed = (tips(q + d * run.motion.dq) - place) / d
-    push = np.where(depth > 0, np.maximum(150 * depth + 3.0 * speed, 0.0), 0.0)
-    J = np.array([(tips(q + d * e) - place) / d for e in np.eye(ur10.nv)]).T
-    assert 0.1 < (depth > 0).mean() < 0.9
-    run.agree(J * push[:, None], 1e-2, steady(depth))
-
-
 def test_a_telegraph_switches_at_random(ur10: Robot) -> None:
     run = Recorded(ur10, hidden("telegraph_torque", ur10.joints[1], amplitude=4.0, rate=6.0))
     rest = run.rest[run.sliding, 1]
