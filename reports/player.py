@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -16,81 +15,97 @@ from excitant.reports import values as v
 from excitant.reports.figure import AMBER, FITTED, GIVEN, GREEN, PURPLE, Key
 from excitant.reports.page import Moment, Player
 from excitant.reports.values import Series
-from excitant.results import Appearance, Motion
+from excitant.results import Appearance, Motion, Robots
 from excitant.robots.limits import LIMIT_NAMES, TOUCHED
 
 FULL = 1 + 1e-9  # share of a limit that holds, up to rounding
+_QUANTITIES = LIMIT_NAMES[:4]
 _SHARE = 1e-4  # step in which shares are written
-_CAPTION = "The arm as it moves, with the path of its tool;"
-_HANDLING = (
-    "at the base the axes of its frame, x red, y green, z blue. Drag or use the arrow keys with "
-    "Shift to turn it, the arrow keys to move it, and the wheel, once it was clicked, to come "
-    "closer."
+_CAPTION = (
+    "The arm as it moves, with the path of its tool; at the base the axes of its frame, x red, "
+    "y green, z blue. Drag or use the arrow keys with Shift to turn it, the arrow keys to move it, "
+    "and the wheel, once it was clicked, to come closer."
+)
+_KINDS = {"t": "<f8", "shares": "<u2", "pair": "<u2"}  # of frames; others are <f4
+_USED = "The table has the share of each limit that is used at this instant."
+_ONE_BY_ONE = (
+    "Each joint in turn moves to one side and back, from zero or as near to it as its range "
+    "allows: compare the arm, and the way each joint goes, with the maker's drawing."
 )
 
 
 def player(result: Motion, series: Series) -> Player | None:
     """The motion to play; None of results that have none."""
+    look = result.appearance
+    frames = _frames(series, len(result.joints))
+    if frames is None:
+        return None
     legend = [
+        Key("box", AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more"),
         Key("box", GIVEN, "limit exceeded"),
         *[Key("line", GREEN, "shortest distance of two bodies")]
-        * ("play_distance" in series),
+        * ("distance" in frames),
         Key("line", FITTED, "path of the tool"),
         *[Key("box", PURPLE, "obstacle, workspace")]
         * any(obstacle.name != "floor" for obstacle in result.obstacles),
     ]
-    shown = arm_player(
-        result.joints, result.appearance, series, LIMIT_NAMES[:4], _CAPTION
-    )
-    if shown is None:
-        return None
-    around = {
-        "bodies": result.bodies,
-        "obstacles": msgspec.to_builtins(result.obstacles),
-    }
-    return replace(
-        shown,
-        data=shown.data | around,
+    return Player(
+        data=_drawn(look, frames, series)
+        | {
+            "bodies": result.bodies,
+            "obstacles": msgspec.to_builtins(result.obstacles),
+            "touched": TOUCHED / _SHARE,
+            "share": _SHARE,
+        },
+        joints=_units(result.joints, look),
+        quantities=_QUANTITIES,
         moments=moments(result),
-        legend=[*shown.legend, *legend],
+        caption=" ".join([_CAPTION, _USED, *map(v.sentence, look.notes)]),
+        legend=legend,
     )
 
 
-def arm_player(
-    names: Sequence[str],
-    look: Appearance,
-    series: Series,
-    quantities: Sequence[str],
-    caption: str,
-) -> Player | None:
-    """An arm that moves, with the share of the limits on some quantities; None without frames."""
-    frames = _frames(series, len(quantities), len(names))
-    if frames is None:
+def arm_player(result: Robots, series: Series) -> Player | None:
+    """An arm whose joints move one after the other; None without frames."""
+    names = [joint.name for joint in result.joints]
+    look = result.appearance
+    n = len(np.atleast_1d(series.get("play_t", ())))
+    frames = _whole(series, n, {"t": (), "q": (len(names),), "dq": (len(names),)})
+    if not frames:
         return None
+    return Player(
+        data=_drawn(look, frames, series) | {"obstacles": []},
+        joints=_units(names, look),
+        quantities=(),
+        moments=(),
+        caption=" ".join([_ONE_BY_ONE, _CAPTION, *map(v.sentence, look.notes)]),
+        legend=[Key("line", FITTED, "path of the tool")],
+    )
+
+
+def _units(joints: Sequence[str], look: Appearance) -> list[tuple[str, str]]:
+    """Each joint with the unit of its position."""
     units = ["m" if joint.slides else "rad" for joint in look.joints]
+    return list(zip(joints, units, strict=True))
+
+
+def _drawn(
+    look: Appearance, frames: dict[str, npt.NDArray[Any]], series: Series
+) -> dict[str, Any]:
+    """An arm and its frames as the script reads them."""
     shapes = [
         msgspec.to_builtins(shape) | _mesh(series, k)
         for k, shape in enumerate(look.shapes)
     ]
-    return Player(
-        data={
-            "joints": msgspec.to_builtins(look.joints),
-            "tool": msgspec.to_builtins(look.tool),
-            "shapes": shapes,
-            "bodies": [],
-            "obstacles": [],
-            "frames": {name: _packed(values) for name, values in frames.items()},
-            "touched": TOUCHED / _SHARE,
-            "share": _SHARE,
+    return {
+        "joints": msgspec.to_builtins(look.joints),
+        "tool": msgspec.to_builtins(look.tool),
+        "shapes": shapes,
+        "frames": {
+            name: _packed(values.astype(_KINDS.get(name, "<f4")))
+            for name, values in frames.items()
         },
-        joints=list(zip(names, units, strict=True)),
-        quantities=quantities,
-        moments=(),
-        caption=" ".join([caption, _HANDLING, *map(v.sentence, look.notes)]),
-        legend=[
-            Key("box", AMBER, f"joint at {v.percent(TOUCHED)} of a limit or more")
-        ],
-    )
+    }
 
 
 def moments(result: Motion) -> list[Moment]:
@@ -116,12 +131,10 @@ def moments(result: Motion) -> list[Moment]:
     return sorted(instants, key=lambda moment: moment.t)
 
 
-def _frames(
-    series: Series, quantities: int, nv: int
-) -> dict[str, npt.NDArray[Any]] | None:
-    """Arrays of the frames, as they are written; None unless they are whole."""
+def _frames(series: Series, nv: int) -> dict[str, npt.NDArray[Any]] | None:
+    """Arrays of the frames, shares in steps; None unless they are whole."""
     n = len(np.atleast_1d(series.get("play_t", ())))
-    joints = {"q": (nv,), "dq": (nv,), "shares": (quantities, nv)}
+    joints = {"q": (nv,), "dq": (nv,), "shares": (len(_QUANTITIES), nv)}
     frames = _whole(series, n, {"t": (), **joints})
     if n < 2 or not frames:
         return None
@@ -130,8 +143,7 @@ def _frames(
     shares += (frames["shares"] > FULL) & (shares * _SHARE <= 1)
     frames["shares"] = np.minimum(shares, 65535)
     frames |= _whole(series, n, {"pair": (), "distance": (), "points": (2, 3)})
-    kinds = {"t": "<f8", "shares": "<u2", "pair": "<u2"}
-    return {name: x.astype(kinds.get(name, "<f4")) for name, x in frames.items()}
+    return frames
 
 
 def _whole(

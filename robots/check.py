@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from excitant.robots.appearance import Appearance
 from excitant.robots.base_parameters import base_parameters
-from excitant.robots.geometry import Body, bent_pose, zero_pose
+from excitant.robots.geometry import Body, zero_pose
 from excitant.robots.limits import endless_ranges
 from excitant.robots.motion import Array, Motion
 from excitant.robots.parameters import PLACEHOLDER, elements, violations
@@ -38,6 +38,7 @@ _STEPS = 24  # positions that it tries of each joint in turn
 _ROUNDS = 2
 _UNIT = 1e-3  # deviation of an axis from length one that digits left out explain
 _LEVEL = 1e-9  # N·m: no gravity torque
+_SLIDE = 0.3  # m: how far a sliding joint is shown to move
 
 _OUTSIDE = {True: 0.15, False: 0.5}  # of the link's size, with and without solids
 _TOO_WIDE = 1.0  # radius of gyration over the link's size; a half is possible
@@ -52,7 +53,6 @@ _CLOSER = 0.4  # how much nearer without it
 _LEVER = 0.05  # of the arm: centres of mass nearer to the joint make no difference worth a word
 _SLIGHT = 0.01  # of a joint's torque: what changes less matters to none
 _ROUNDING = 1e-3  # relative violation that digits left out explain
-_FRAMES = 20  # of a joint that moves in the picture
 _UNSEEN = "hardly any torque depends on it"  # makes a hint of a warning
 
 
@@ -209,37 +209,35 @@ class ModelCheck:
                 {**asdict(w), "where": list(w.where)} for w in self.warnings
             ],
             "joints": joints,
+            "appearance": Appearance(robot).entries(),
             "links": [_link(body) for body in self.bodies],
             "locked": dict(robot.locked),
             "parameters": dict(
                 zip(robot.parameter_names, robot.phi.tolist(), strict=True)
             ),
             "notes": list(robot.notes),
-            "appearance": Appearance(robot).entries(),
         }
 
     def series(self) -> dict[str, Array]:
-        """The joints in turn, from zero to a bent pose, as `excitant.design.playback` has a motion.
+        """Frames in which each joint alone swings away from zero and back, one after the other.
 
         Returns:
-            ``play_t`` (n,) [s], ``play_q``, ``play_dq`` (n, nv), ``play_shares`` of the limits on
-            position (n, 1, nv); meshes as of `Appearance.meshes`.
+            ``play_t`` (n,) [s], ``play_q``, ``play_dq`` (n, nv); meshes as of `Appearance.meshes`.
         """
         robot = self.robot
-        start = zero_pose(robot)
-        way = bent_pose(robot) - start
-        t = np.linspace(0, robot.nv, 1 + _FRAMES * robot.nv)
-        x = np.clip(t[:, None] - np.arange(robot.nv), 0, 1)
-        q = start + x**2 * (3 - 2 * x) * way
+        zero = zero_pose(robot)
         low, high = robot.limits.position.T
-        unlimited = np.isinf(high - low)
-        middle = np.where(unlimited, 0.0, low + high) / 2
-        half = np.where(unlimited, np.inf, high - low) / 2
+        side = np.where(high - zero >= zero - low, 1.0, -1.0)
+        step = np.where(robot.revolute, np.pi / 2, _SLIDE)
+        way = np.clip(zero + side * step, low, high) - zero
+        t = np.linspace(0.0, 2.0 * robot.nv, 40 * robot.nv + 1)
+        turn = np.minimum(t // 2, robot.nv - 1)[:, None]
+        way = np.where(np.arange(robot.nv) == turn, way, 0.0)
+        angle = np.pi * t[:, None]
         return {
             "play_t": t,
-            "play_q": q,
-            "play_dq": 6 * x * (1 - x) * way,
-            "play_shares": (np.abs(q - middle) / half)[:, None],
+            "play_q": zero + way * (1 - np.cos(angle)) / 2,
+            "play_dq": way * np.pi / 2 * np.sin(angle),
             **Appearance(robot).meshes(),
         }
 

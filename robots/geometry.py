@@ -1,4 +1,4 @@
-"""Geometry of an arm's bodies: links as stated, poses, obstacles, and distances."""
+"""Geometry of an arm's bodies: links as stated, obstacles, and distances."""
 
 from __future__ import annotations
 
@@ -19,9 +19,6 @@ from excitant.robots.motion import Array
 from excitant.robots.robot import Robot, spans
 from excitant.robots.schema import HalfSpaceRecord
 
-_DRAWN = 300  # poses tried for one in which the arm does not hide itself
-_BEND = 1.9  # rad, either way, of those
-_BELOW = 0.5  # how strongly points under the base count against a pose
 CLEARANCE = 0.01  # m: required unless said otherwise
 _POSES = 200  # random ones, for pairs whose distance depends on the drawing
 _MOVING = 1e-3  # m: distances that change less do not change
@@ -41,9 +38,7 @@ _POINT = 1e-4  # m, radius of the sphere that stands for it
 class Shape:
     """A solid of a link: box, sphere, or cylinder (a capsule counts as one); in the link frame."""
 
-    start: Array  # one end of its axis, shape (3,) [m]
-    end: Array  # the other end; the same point for a sphere
-    radius: float  # around the axis; of a box, half its mean width [m]
+    centre: Array  # shape (3,) [m]
     corners: Array  # of a box around it, shape (8, 3) [m]
     volume: float  # [m³]
     spread: Array  # second moment per volume about its centre, (3, 3) [m²]
@@ -90,7 +85,7 @@ class Body:
         if not self.shapes:
             return None
         volumes = [shape.volume for shape in self.shapes]
-        centres = np.array([(shape.start + shape.end) / 2 for shape in self.shapes])
+        centres = np.array([shape.centre for shape in self.shapes])
         spread = np.average(
             [shape.spread for shape in self.shapes], axis=0, weights=volumes
         )
@@ -100,36 +95,6 @@ class Body:
 def zero_pose(robot: Robot) -> Array:
     """Zero, or the end of a joint's range that is nearest to it, shape (nv,) [rad or m]."""
     return np.clip(np.zeros(robot.nv), *robot.limits.position.T)
-
-
-def bent_pose(robot: Robot) -> Array:
-    """A pose that keeps the joints apart in a picture, always the same, shape (nv,) [rad or m]."""
-    low, high = np.clip(robot.limits.position, -_BEND, _BEND).T
-    low, high = np.minimum(low, robot.limits.position[:, 1]), np.maximum(low, high)
-    poses = np.random.default_rng(0).uniform(low, high, (_DRAWN, robot.nv))
-    poses[:, 0] = np.clip(0.3, *robot.limits.position[0])
-    return max(poses, key=lambda q: _clarity(joint_places(robot, q)))
-
-
-def _clarity(points: Array) -> float:
-    """Least distance of joints that are not neighbours, relative to the arm, less what is low."""
-    gaps = np.linalg.norm(points[:, None] - points[None], axis=2)[
-        np.triu_indices(len(points), 2)
-    ]
-    size = max(float(gaps.max(initial=0.0)), 1e-9)
-    # joints that meet in a point do so in every pose
-    meant = gaps[gaps > 1e-3 * size]
-    below = float(min(points[:, 2].min(), 0.0))
-    return (float(meant.min(initial=size)) + _BELOW * below) / size
-
-
-def joint_places(robot: Robot, q: Array) -> Array:
-    """Base, joints in order and tool in a pose (nv,), in the base frame, shape (nv + 2, 3) [m]."""
-    model = robot.model
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    places = [*data.oMi, data.oMf[robot.tip]]
-    return np.array([place.translation for place in places])
 
 
 def joint_axes(robot: Robot, q: Array, data: Any) -> Array:

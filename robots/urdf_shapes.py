@@ -110,26 +110,21 @@ def _shape(element: Element) -> Shape | None:
     length = float(solid.get("length", "0"))
     box = floats(solid.get("size", "0 0 0")) / 2
     variance = np.array([r * r / 4, r * r / 4, length**2 / 12])
-    bar = np.array([r, r, length / 2]), np.pi * r * r * length, variance, length, r
-    known = {  # half the extents, volume, variances, length of the axis, radius
-        "sphere": (np.full(3, r), 4.19 * r**3, np.full(3, r * r / 5), 0.0, r),
+    bar = np.array([r, r, length / 2]), np.pi * r * r * length, variance
+    known = {  # half the extents, volume, variances
+        "sphere": (np.full(3, r), 4.19 * r**3, np.full(3, r * r / 5)),
         "cylinder": bar,
         "capsule": (bar[0] + [0, 0, r], *bar[1:]),
-        "box": (box, 8 * box.prod(), box**2 / 3, 2 * box[2], float(box[:2].mean())),
+        "box": (box, 8 * box.prod(), box**2 / 3),
     }
-    half, volume, variance, axis, radius = known.get(
-        solid.tag, (box, 0.0, box, 0.0, 0.0)
-    )
+    half, volume, variance = known.get(solid.tag, (box, 0.0, box))
     if volume <= 0:
         return None
     place = stated_place(element)
     R = place.rotation
     c = place.translation
     corners = c + (np.array(list(product((-1, 1), repeat=3))) * half) @ R.T
-    tip = R[:, 2] * axis / 2
-    return Shape(
-        c - tip, c + tip, radius, corners, float(volume), (R * variance) @ R.T
-    )
+    return Shape(c, corners, float(volume), (R * variance) @ R.T)
 
 
 @lru_cache(maxsize=8)

@@ -11,15 +11,11 @@ from excitant.reports.player import arm_player
 from excitant.reports.values import NONE, Series
 from excitant.results import ModelWarning, Number, RobotJoint, RobotLink, Robots
 
-_CAPTION = (
-    "The joints move in turn from zero, or as near to it as their ranges allow, to a bent pose: "
-    "compare axes and directions with the maker's drawing;"
-)
 _FULL = 0.9  # of its effort limit that gravity takes: hardly any left to move
 
 
 def robot_section(result: Robots, series: Series) -> p.Section:
-    """An arm with its picture, tables and warnings."""
+    """An arm to look at, with tables and warnings."""
     joints = result.joints
     kind = result.kind or "an arm"
     count = _count(len(joints), "joint")
@@ -57,7 +53,7 @@ def robot_section(result: Robots, series: Series) -> p.Section:
                     p.notes(result.notes),
                 ],
             ),
-            ("The arm", [_arm(result, series)]),
+            ("The arm", [arm_player(result, series)]),
             ("Joints", [_joints(joints)]),
             ("Links", [_links(result)]),
             ("Friction and drives", [_effects(result)]),
@@ -65,12 +61,6 @@ def robot_section(result: Robots, series: Series) -> p.Section:
         ],
         (("checked", f"{count}, {mass} of moving links. {verdict}"),),
     )
-
-
-def _arm(result: Robots, series: Series) -> p.Player | None:
-    """The arm in 3D, whose joints move in turn."""
-    names = [joint.name for joint in result.joints]
-    return arm_player(names, result.appearance, series, ("position",), _CAPTION)
 
 
 def _sentence(warning: ModelWarning) -> str:

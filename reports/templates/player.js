@@ -200,7 +200,7 @@
         const size = `${Number((1000 * Math.abs(motion.distance[n])).toPrecision(3))} mm`;
         told.push(inside ? `${bodies} overlap by ${size}` : `Nearest: ${bodies}, ${size} apart`);
       }
-      said.textContent = told.length ? `${told.join(". ")}.` : "No limit is touched here.";
+      said.textContent = told.length ? `${told.join(". ")}.` : quantities.length ? "No limit is touched here." : "";
     };
 
     const seek = (wanted) => {
