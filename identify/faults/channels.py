@@ -34,7 +34,7 @@ from excitant.identify.signals import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_COUNTERS = (2.0**8, 2.0**10, 2.0**12, 2.0**16, 2.0**32)
+_NONE: Rows = np.zeros(0, np.intp)
 _OUTLIER = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])
 """Distances from the cubic through the four neighbours, around one outlier."""
 _AT_EXTREME = (
@@ -43,7 +43,7 @@ _AT_EXTREME = (
 _MOST_JOINTS = 0.5  # of the joints: one that bears mainly weight proves nothing
 _EXPLAINED = 0.5  # of the variance of a torque's noise: it is that of the motion
 _MOST_JUMPS = 0.2  # of the samples, of a channel that wraps
-_EMPTY = 0.2  # of the range, between positive and negative values logged unsigned
+_FEW_STEPS = 128  # of its resolution: a code has more of them
 _PASSING = 0.02  # of the range: a change that is as large is no small one
 _MEDIAN_ROWS = 11  # of the running median that a value is compared with
 _Evidence = tuple[str, dict[str, Any]] | None
@@ -227,28 +227,21 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
     One joint shows by its jumps how all joints are coded whose values go as far.
     """
     for name, values in log.channels():
-        columns = values.T
         steps = log.quanta[name]
-        codes = [
-            _wrapped(x) if name == "q" else _unsigned_code(x, step)
-            for x, step in zip(columns, steps, strict=True)
-        ]
+        columns = list(values.T)
+        codes = [_turns(x) if name == "q" else _unsigned(x) for x in columns]
         known = [
-            code._replace(size=code.size / step)
+            (code, step)
             for code, step in zip(codes, steps, strict=True)
-            if code and step > 0
+            if code and name != "q"
         ]
-        for j, x in enumerate(columns):
-            code = codes[j]
-            if code is None and known and name != "q":
-                alike = known[0]._replace(
-                    size=known[0].size * steps[j], between=np.zeros(0, np.intp)
-                )
+        for j, (x, code) in enumerate(zip(columns, codes, strict=True)):
+            if code is None and known:
+                shown, step = known[0]
+                alike = _Code(shown.action, shown.size * steps[j] / step, _NONE)
                 way = np.sign(alike.size)
-                negative = (way * x).min() >= 0 and (
-                    way * alike.decode(x) < 0
-                ).any()
-                code = alike if negative else None
+                coded = (way * x).min() >= 0 and (way * alike.decode(x)).min() < 0
+                code = alike if coded else None
             if code is not None:
                 yield _coded(log, name, j, code)
 
@@ -294,14 +287,7 @@ class _Code(NamedTuple):
         return DECODED[self.action](x, self.size)
 
 
-def _unsigned_code(x: Array, step: float) -> _Code | None:
-    """How negative values are logged unsigned, also where a map turns the sign of all."""
-    way = -1.0 if x.max() <= 0 else 1.0
-    code = _unsigned(way * x) or _sign_bit(way * x, step)
-    return code and code._replace(size=way * code.size)
-
-
-def _wrapped(x: Array) -> _Code | None:
+def _turns(x: Array) -> _Code | None:
     """A position that jumps by a turn, of radians or degrees, and else by far less."""
     change = np.abs(np.diff(x))
     for turn in (2 * np.pi, 360.0):
@@ -311,69 +297,43 @@ def _wrapped(x: Array) -> _Code | None:
         usual = float(np.quantile(change[~jumps], 0.99))
         off = abs(float(np.median(change[jumps])) - turn)
         if usual < turn / 8 and off < turn / 4:
-            return _Code("unwrap", turn, np.zeros(0, np.intp))
-    return None
-
-
-def _sign_bit(x: Array, step: float) -> _Code | None:
-    """Values of which those beyond a bit are negative: no other crosses it in large steps alone."""
-    for bit in step * 2.0 ** np.arange(7, 32) if x.min() >= 0 else ():
-        code = _Code("sign_bit", float(bit), np.zeros(0, np.intp))
-        crossings = np.flatnonzero(np.diff((x >= bit).astype(np.int8)))
-        if 2 <= len(crossings) <= _MOST_JUMPS * len(x):
-            changes = np.abs(np.diff(x)[crossings])
-            decoded = np.abs(np.diff(code.decode(x))[crossings])
-            if changes.min() > bit / 2 and np.median(decoded) < bit / 8:
-                return code
+            return _Code("unwrap", turn, _NONE)
     return None
 
 
 def _unsigned(x: Array) -> _Code | None:
-    """A channel of positive values, whose upper ones stand for negative ones.
+    """Negative values logged unsigned: with a sign bit, or in two's complement of twice that bit.
 
-    Either set has its own range, with none between but those that were interpolated. It is left at
-    small magnitudes only: in two's complement at the upper end of the upper range, with a sign bit
-    at the lower one.
+    Where their sign changes all of them jump by more than half the bit, decoded ones by less than
+    half as much. A logger that interpolates leaves rows on the way of a jump.
     """
-    span = float(np.ptp(x))
-    if x.min() < 0 or span == 0:
-        return None
+    # a map may turn the sign of all
+    way = -1.0 if x.max() <= 0 else 1.0
+    x = way * x
     change = np.diff(x)
-    rising = change[:-1] * change[1:] > 0
-    steep = np.minimum(np.abs(change[:-1]), np.abs(change[1:])) > _PASSING * span
-    kept = np.delete(x, 1 + np.flatnonzero(rising & steep))
-    ordered = np.sort(kept)
-    widest = int(np.argmax(np.diff(ordered)))
-    low, high = (float(end) for end in ordered[widest : widest + 2])
-    kept = np.delete(x, np.flatnonzero((x > low) & (x < high)))
-    upper = kept >= high
-    after = 1 + np.flatnonzero(np.diff(upper.astype(np.int8)))
-    if (
-        high - low < _EMPTY * span
-        or len(after) < 2
-        or len(after) > _MOST_JUMPS * len(x)
-    ):
-        return None
+    steep = np.abs(change) > _PASSING * np.ptp(x)
+    onward = steep[1:] & steep[:-1] & (change[1:] * change[:-1] > 0)
+    passing = 1 + np.flatnonzero(onward)
+    kept = np.delete(x, passing)
     step = quantum(kept)
-    within = np.abs(np.delete(np.diff(kept), after - 1))
-    tolerance = 3 * float(np.quantile(within, 0.9)) + 2 * step
-    counts = step * np.array(_COUNTERS)
-    ranges = np.concatenate([counts, 65536.0 * 10.0 ** np.arange(-6, 1)])
-    size = float(np.median(np.abs(np.diff(kept)[after - 1])))
-    nearest = float(ranges[np.argmin(np.abs(ranges - size))])
-    bits = step * 2.0 ** np.arange(7, 32)
-    bits = bits[(bits > high - tolerance) & (bits < high + step / 2)]
-    if abs(nearest - size) <= (high - low) / 4 and nearest > ordered[-1]:
-        action, size = "signed", nearest
-    elif len(bits):
-        action, size = "sign_bit", float(bits[-1])
-        high = size + tolerance
-    else:
+    highest = float(kept.max())
+    if kept.min() < 0 or highest < _FEW_STEPS * step or step == 0:
         return None
-    between = np.flatnonzero((x > low + tolerance) & (x < high - tolerance))
-    code = _Code(action, size, between)
-    typical = float(np.median(np.abs(np.diff(code.decode(kept))[after - 1])))
-    return code if typical < (high - low) / 2 else None
+    bit = step * 2.0 ** np.floor(np.log2(highest / step) + 1e-9)
+    upper = kept >= (1 - 1e-9) * bit
+    at = np.flatnonzero(np.diff(upper))
+    jumps = np.abs(np.diff(kept)[at])
+    if not 2 <= len(at) <= _MOST_JUMPS * len(x) or jumps.min() <= bit / 2:
+        return None
+    low = kept[~upper].max()
+    high = kept[upper].min()
+    between = passing[(x[passing] > low) & (x[passing] < high)]
+    for action, size in (("signed", 2 * bit), ("sign_bit", bit)):
+        code = _Code(action, float(size), between)
+        decoded = np.abs(np.diff(code.decode(kept))[at])
+        if np.median(decoded) < np.median(jumps) / 2:
+            return code._replace(size=way * code.size)
+    return None
 
 
 def missing_values(log: Log) -> Iterator[Fault]:
