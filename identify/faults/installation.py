@@ -443,24 +443,17 @@ def _kinds(faults: Sequence[Fault]) -> tuple[Any, ...]:
 def pose_faults(robot: Robot, log: Log) -> Iterator[Fault]:
     """Joints of an arm at rest whose torque is that of nominal bodies by a factor none can make.
 
-    Beyond what comes by chance of so many poses (Fisher 1915), as friction at rest is no such
-    multiple.
+    Beyond what comes by chance of so many poses, as friction at rest is no such multiple.
     """
     if log.unit != "N·m" or not is_described(robot):
         return
     still = np.zeros_like(log.q)
-    given = rigid_body_torque(robot, Motion(log.t, log.q, still, still))
-    model, read = (x - x.mean(axis=0) for x in (given, log.tau))
-    size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
-    along = (model * read).sum(axis=0)
-    likeness = along / np.maximum(size * np.linalg.norm(read, axis=0), 1e-300)
-    left = np.maximum(1 - likeness**2, 1e-300)
-    freedom = len(log) - 2
-    t = np.abs(likeness) * np.sqrt(freedom / left)
-    chance = 2 * scipy.special.stdtr(freedom, -t)
-    clear = (chance < ALARM / log.nv) & (left < SEARCH.halved)
-    for j in np.flatnonzero(clear):
-        factor = float(along[j] / size[j] ** 2)
+    model = rigid_body_torque(robot, Motion(log.t, log.q, still, still))
+    for j in np.flatnonzero(np.ptp(model, axis=0) > 0):
+        line = scipy.stats.linregress(model[:, j], log.tau[:, j])
+        if line.pvalue >= ALARM / log.nv or 1 - line.rvalue**2 >= SEARCH.halved:
+            continue
+        factor = float(line.slope)
         joints = log.names([j])
         times = f"tau of {joints[0]} at rest is {factor:.3g} times that of the nominal bodies"
         evidence = {"channel": "tau", "factor": factor}
