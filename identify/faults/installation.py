@@ -191,18 +191,16 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
     reasons = dict[int, Sequence[Any]]()
     for _ in range(case.robot.nv):
         tried = [best.joined(move) for move in _moves(best.fit(case))]
-        _, *judged = _judge(case, tried)
-        judged.sort(key=lambda each: -each.odds)
+        judged = sorted(_judge(case, tried), key=lambda each: -each.odds)
         # one by one: what another leaves is no noise of theirs
-        nearest = [each for each in judged[: SEARCH.tried] if each.odds > 0]
         likely = [
             each.installation
-            for each in nearest
-            if _likelier(case, [each.installation], best)[1]
+            for each in judged[: SEARCH.tried]
+            if each.odds > 0 and _likelier(case, each.installation, best)
         ]
         if not likely:
             break
-        stands, *same = _judge(case, likely)
+        stands, *same = _judge(case, [Installation(), *likely])
         simplest, *reason = _simplest(stands, same, case)
         best = simplest.installation
         reasons[len(best.faults) - 1] = reason
@@ -327,7 +325,7 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
         log = case.log.take(rows)
         part = torque_fit(case.robot, log, smooth(log), dead)
         if part:
-            stands, judged = _judge(part, [installation])
+            stands, judged = _judge(part, [Installation(), installation])
             allowed = stands.squares + SEARCH.fits * float(part.rows.sum())
             if judged.squares > allowed:
                 return False
@@ -335,40 +333,30 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
 
 
 def _likelier(
-    case: TorqueFit, installations: Sequence[Installation], other: Installation
-) -> tuple[_Judged, list[_Judged]]:
-    """The log as it stands, and installations that are likelier than another.
-
-    They also leave half the squares of the other, or fit.
-    """
-    others = [other] if other.faults else []
-    stands, *judged = _judge(case, [*others, *installations])
-    theirs = judged.pop(0) if others else stands
-    fits = SEARCH.fits * float(case.rows.sum())
-    allowed = max(SEARCH.halved * theirs.squares, fits)
-    likelier = [
-        each
-        for each in judged
-        if each.odds > theirs.odds and each.squares <= allowed
-    ]
-    return stands, likelier
+    case: TorqueFit, installation: Installation, other: Installation
+) -> _Judged | None:
+    """An installation, if it is likelier than another, and leaves half its squares, or fits."""
+    theirs, mine = _judge(case, [other, installation])
+    allowed = max(
+        SEARCH.halved * theirs.squares, SEARCH.fits * float(case.rows.sum())
+    )
+    likelier = mine.odds > theirs.odds and mine.squares <= allowed
+    return mine if likelier else None
 
 
 def _judge(case: TorqueFit, installations: Sequence[Installation]) -> list[_Judged]:
-    """The log as it stands, with the squares that it leaves, and each installation."""
-    fits = [installation.fit(case) for installation in installations]
-    before, evidence = _evidence(case, fits)
-    pairs = zip(installations, evidence, strict=True)
-    judged = [
-        _Judged(each, gain - each.price, squares) for each, (gain, squares) in pairs
+    """Each installation by the evidence of the torque and its price."""
+    evidence = _evidence(case, [each.fit(case) for each in installations])
+    return [
+        _Judged(each, gain - each.price, squares)
+        for each, (gain, squares) in zip(installations, evidence, strict=True)
     ]
-    return [_Judged(Installation(), 0.0, before), *judged]
 
 
 def _evidence(
     case: TorqueFit, fits: Sequence[TorqueFit]
-) -> tuple[float, list[tuple[float, float]]]:
-    """Squares that a log as it stands leaves; of other fits twice the log evidence, and squares.
+) -> list[tuple[float, float]]:
+    """Twice the log evidence of fits against that of the log as it stands, and their squares.
 
     As it stands any one of the links may be another body: that needs no other installation. Errors
     of the model count as noise.
@@ -377,16 +365,19 @@ def _evidence(
     noise = case.power
     for fit in fits:
         noise = np.minimum(noise, fit.power[np.argsort(fit.data.recorded)])
-    as_it_stands = [case.surprise(noise, case.rows, link) for link in range(nv)]
-    before = min(surprise for _, surprise in as_it_stands)
-    most = min(squares for squares, _ in as_it_stands)
+    links = [case.surprise(noise, case.rows, link) for link in range(nv)]
+    squares, surprises = zip(*links, strict=True)
     rows = float(case.rows.sum())
     evidence = []
     for fit in fits:
+        if fit is case:
+            evidence.append((0.0, min(squares)))
+            continue
         order = fit.data.recorded
-        squares, surprise = fit.surprise(noise[order], case.rows[order], nv - 1)
-        evidence.append(((before - surprise) / max(1.0, squares / rows), squares))
-    return most, evidence
+        left, surprise = fit.surprise(noise[order], case.rows[order], nv - 1)
+        gain = (min(surprises) - surprise) / max(1.0, left / rows)
+        evidence.append((gain, left))
+    return evidence
 
 
 def _simplest(
@@ -479,8 +470,8 @@ def support(
     case = torque_fit(robot, log, smooth(log), joints_without_torque(others))
     if case is None:
         return 0.0
-    _, likely = _likelier(case, [Installation(tuple(faults))], Installation())
-    return likely[0].odds if likely else -np.inf
+    likely = _likelier(case, Installation(tuple(faults)), Installation())
+    return likely.odds if likely else -np.inf
 
 
 def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, int]]:
@@ -519,7 +510,7 @@ def _with_torque_of(robot: Robot, log: Log, other: Log) -> float:
     change = _unlikeness(robot, moved) - _unlikeness(robot, case.data)
     if change > np.log(SEARCH.halved):
         return -np.inf
-    _, [(gain, _)] = _evidence(case, [replace(case, data=moved)])
+    [(gain, _)] = _evidence(case, [replace(case, data=moved)])
     return gain
 
 
