@@ -67,8 +67,8 @@ __all__ = [
     "check_recordings",
     "find_copies",
     "find_faults",
+    "repair",
 ]
-__all__ += ["faults_of", "repair"]
 
 _ROWS = 50  # fewer prove nothing
 # what was told
@@ -316,13 +316,9 @@ def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         and (
             fault["fault"] in PROVEN
             or "jumps" in fault["evidence"]
-            or (fault["fault"], _channel(fault)) == NO_TORQUE
+            or (fault["fault"], fault["evidence"].get("channel")) == NO_TORQUE
         )
     ]
-
-
-def _channel(fault: Mapping[str, Any]) -> object:
-    return fault["evidence"].get("channel")
 
 
 def check_recordings(

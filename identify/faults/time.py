@@ -304,31 +304,28 @@ def _smoothed(t: Array) -> Array:
 
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
     """Reordered rows whose positions do not fit between their new neighbours."""
-    steps = np.diff(t)
-    change = np.abs(np.diff(q, axis=0))
+    # before each row and after the last; the log has nothing beyond its ends
+    beyond = 10 * longest_step(step)
+    steps = np.diff(t, prepend=t[0] - beyond, append=t[-1] + beyond)
     gap = steps > longest_step(step)
+    change = np.abs(np.diff(q, axis=0, prepend=q[:1], append=q[-1:]))
     usual = np.quantile(change[~gap] if (~gap).any() else change, 0.99, axis=0)
     allowed = REPAIRABLE.jump * usual * np.maximum(steps / step, 1.0)[:, None]
     smooth = (change <= allowed).all(axis=1)
-    joined = (np.diff(order) == 1) | gap | smooth
-    over_one = np.median(change, axis=0)
+    joined = gap | smooth | (np.diff(order, prepend=-1, append=-1) == 1)
+    over_one = np.median(change[1:-1], axis=0)
     over_two = np.median(np.abs(q[2:] - q[:-2]), axis=0)
     take_turns = bool((over_one > REPAIRABLE.rough * over_two).any())
     unfit = moved & take_turns
     for start, count in zip(*run_lengths(moved), strict=True):
         end = start + count
-        first = start == 0
-        last = end == len(t)
-        needed = REPAIRABLE.room * step * (count + 1)
-        room = first or last or t[end] - t[start - 1] >= needed
-        beside = (not first and not gap[start - 1]) or (
-            not last and not gap[end - 1]
-        )
-        near = count > REPAIRABLE.run or beside
-        fits = room and near and joined[max(start - 1, 0) : end].all()
-        unfit[start:end] |= not fits
-    unfit[1:] |= (steps == 0) & moved[1:]
-    unfit[:-1] |= (steps == 0) & ~moved[1:]
+        around = slice(start, end + 1)
+        room = steps[around].sum() >= REPAIRABLE.room * step * (count + 1)
+        near = count > REPAIRABLE.run or not (gap[start] and gap[end])
+        unfit[start:end] |= not (room and near and joined[around].all())
+    twice = steps[1:-1] == 0
+    unfit[1:] |= twice & moved[1:]
+    unfit[:-1] |= twice & ~moved[1:]
     return unfit
 
 
@@ -391,22 +388,12 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     if not len(rows):
         return
     equal = [(x[beside] == x[before]).all(axis=1) for _, x in log.channels()]
-    identical = int(np.all(equal, axis=0).sum())
-    n = len(log)
-    beside_only = len(rows) - len(again)
-    parts = []
-    if beside_only:
-        share = f"{100 * beside_only / n:.2f} %"
-        parts.append(
-            f"{beside_only} of {n} rows ({share}) repeat the time of the row before, {identical} "
-            "of them all its values too"
-        )
-    if len(again):
-        parts.append(
-            f"{len(again)} of {n} rows repeat time and values of earlier ones"
-        )
-    detail = f"{'; '.join(parts)}; {log.first(rows)}"
-    identical += len(again)
+    identical = int(np.all(equal, axis=0).sum()) + len(again)
+    share = f"{100 * len(rows) / len(log):.2f} %"
+    detail = (
+        f"{len(rows)} of {len(log)} rows ({share}) repeat the time of an earlier one, {identical} "
+        f"of them all its values too; {log.first(rows)}"
+    )
     fault = dropped(
         log.joints, rows, detail, "duplicate_samples", identical=identical
     )
