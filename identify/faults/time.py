@@ -304,28 +304,31 @@ def _smoothed(t: Array) -> Array:
 
 def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
     """Reordered rows whose positions do not fit between their new neighbours."""
-    # before each row and after the last; the log has nothing beyond its ends
-    beyond = 10 * longest_step(step)
-    steps = np.diff(t, prepend=t[0] - beyond, append=t[-1] + beyond)
+    steps = np.diff(t)
+    change = np.abs(np.diff(q, axis=0))
     gap = steps > longest_step(step)
-    change = np.abs(np.diff(q, axis=0, prepend=q[:1], append=q[-1:]))
     usual = np.quantile(change[~gap] if (~gap).any() else change, 0.99, axis=0)
     allowed = REPAIRABLE.jump * usual * np.maximum(steps / step, 1.0)[:, None]
     smooth = (change <= allowed).all(axis=1)
-    joined = gap | smooth | (np.diff(order, prepend=-1, append=-1) == 1)
-    over_one = np.median(change[1:-1], axis=0)
+    joined = (np.diff(order) == 1) | gap | smooth
+    over_one = np.median(change, axis=0)
     over_two = np.median(np.abs(q[2:] - q[:-2]), axis=0)
     take_turns = bool((over_one > REPAIRABLE.rough * over_two).any())
     unfit = moved & take_turns
     for start, count in zip(*run_lengths(moved), strict=True):
         end = start + count
-        around = slice(start, end + 1)
-        room = steps[around].sum() >= REPAIRABLE.room * step * (count + 1)
-        near = count > REPAIRABLE.run or not (gap[start] and gap[end])
-        unfit[start:end] |= not (room and near and joined[around].all())
-    twice = steps[1:-1] == 0
-    unfit[1:] |= twice & moved[1:]
-    unfit[:-1] |= twice & ~moved[1:]
+        first = start == 0
+        last = end == len(t)
+        needed = REPAIRABLE.room * step * (count + 1)
+        room = first or last or t[end] - t[start - 1] >= needed
+        beside = (not first and not gap[start - 1]) or (
+            not last and not gap[end - 1]
+        )
+        near = count > REPAIRABLE.run or beside
+        fits = room and near and joined[max(start - 1, 0) : end].all()
+        unfit[start:end] |= not fits
+    unfit[1:] |= (steps == 0) & moved[1:]
+    unfit[:-1] |= (steps == 0) & ~moved[1:]
     return unfit
 
 
