@@ -113,11 +113,11 @@ def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
             log, remaining = after_repair(log, new)
             rows = rows[remaining]
 
-    stamps, starts = stamp_faults(log)
+    stamps, in_order = stamp_faults(log)
     note(*stamps)
-    if starts is None:
+    if not in_order:
         return tuple(faults)
-    parts = np.union1d(log.t[np.isin(rows, starts)], recording.starts)
+    parts = np.asarray(recording.starts)
     if len(log) >= _ROWS:
         note(*gap_faults(log, parts))
     note(*missing_values(log))
