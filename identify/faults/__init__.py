@@ -188,8 +188,7 @@ def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
                 f"{name} holds the same {len(recording)} rows as {original}: all positions, "
                 "velocities and torques are equal, so it adds no evidence and is no hold-out"
             )
-            evidence = {"same_as": original, "count": len(recording)}
-            copies[name] = Fault("duplicate_samples", (), detail, evidence)
+            copies[name] = Fault("duplicate_samples", (), detail, {})
     return copies
 
 
@@ -209,7 +208,7 @@ def find_swapped(
                 robot.joints,
                 f"the torque of {name} is that of the motion of {source}, and the reverse: "
                 f"so exchanged, it is that of bodies near the given ones",
-                {"torque_of": source},
+                {},
                 f"takes the torque of {source}",
                 (Remedy("exchange", "tau"),),
             )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -46,22 +46,20 @@ _MOST_JUMPS = 0.2  # of the samples, of a channel that wraps
 _FEW_STEPS = 128  # of its resolution: a code has more of them
 _PASSING = 0.02  # of the range: a change that is as large is no small one
 _MEDIAN_ROWS = 11  # of the running median that a value is compared with
-_Evidence = tuple[str, dict[str, Any]] | None
-"""Detail and evidence."""
 
 
 def dead_channels(log: Log) -> Iterator[Fault]:
     """Channels that are constant, only noise, or stop for a while, though the joint moves."""
     for (name, x), j in product(log.channels(), range(log.nv)):
         for test in (_constant, _white, _stretch):
-            if (shown := test(log, name, x[:, j], j)) is not None:
-                detail = f"{name} of {log.joints[j]} {shown[0]}"
-                evidence = {"channel": name} | shown[1]
+            if shown := test(log, name, x[:, j], j):
+                detail = f"{name} of {log.joints[j]} {shown}"
+                evidence = {"channel": name}
                 yield Fault("dead_channel", (log.joints[j],), detail, evidence)
                 break
 
 
-def _constant(log: Log, name: str, x: Array, j: int) -> _Evidence:
+def _constant(log: Log, name: str, x: Array, j: int) -> str | None:
     """A channel with one value, of which a position or velocity counts where the other moves."""
     moves = log.moving[:, j].any()
     if np.ptp(x) > 0 or (name != "q" and not moves):
@@ -74,10 +72,10 @@ def _constant(log: Log, name: str, x: Array, j: int) -> _Evidence:
         against = f", while dq of the joint varies over {np.ptp(speed):.4g}"
     else:
         against = f", while q of the joint moves over {np.ptp(log.q[:, j]):.4g}"
-    return f"is {x[0]:.6g} in every row{against}", {"value": float(x[0])}
+    return f"is {x[0]:.6g} in every row{against}"
 
 
-def _white(log: Log, name: str, x: Array, j: int) -> _Evidence:
+def _white(log: Log, name: str, x: Array, j: int) -> str | None:
     """A channel whose block means scatter no more than those of white noise, as χ² with B − 1."""
     blocks = 100
     rows = len(x) // blocks
@@ -88,14 +86,13 @@ def _white(log: Log, name: str, x: Array, j: int) -> _Evidence:
     bound = float(scipy.special.chdtri(blocks - 1, ALARM / log.nv)) / (blocks - 1)
     if ratio > bound:
         return None
-    detail = (
+    return (
         f"is only noise of {x.std():.3g} while the joint moves: means of {rows} samples vary "
         f"{ratio:.2f} times as much as those of white noise (by chance up to {bound:.2f})"
     )
-    return detail, {"ratio": ratio, "bound": bound, "std": x.std()}
 
 
-def _stretch(log: Log, name: str, x: Array, j: int) -> _Evidence:
+def _stretch(log: Log, name: str, x: Array, j: int) -> str | None:
     """The longest run of one value, if the channel never else keeps a value that long."""
     starts, lengths = run_lengths(np.diff(x) == 0)
     length = int(lengths.max(initial=0))
@@ -118,13 +115,10 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> _Evidence:
     by_chance = equal.mean() > 0.01  # pairs that far apart are often equal
     if way <= clear or by_chance or x[start] in (x.max(), x.min()):
         return None
-    value = float(x[start])
-    t = float(log.t[start])
-    detail = (
-        f"stays at {value:.6g} for {seconds:.3g} s from t = {t:.4g} s while the "
+    return (
+        f"stays at {x[start]:.6g} for {seconds:.3g} s from t = {log.t[start]:.4g} s while the "
         f"joint moves; else it keeps no value for that long"
     )
-    return detail, {"value": value, "start": t, "seconds": seconds}
 
 
 def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
@@ -172,9 +166,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
             f"tau of {joint} is {where} {value:.6g} {log.unit} in {count} of "
             f"{len(log)} rows, up to {longest} in a row{more}"
         )
-        evidence = {"value": value} | ({"near": near} if more else {})
-        evidence |= {"count": count, "longest": longest}
-        yield Fault("saturation", (joint,), detail, evidence)
+        yield Fault("saturation", (joint,), detail, {"channel": "tau"})
 
 
 def held_channels(log: Log) -> Iterator[Fault]:
@@ -192,8 +184,7 @@ def held_channels(log: Log) -> Iterator[Fault]:
             f"at {log.joints[worst]} repeat the one before exactly while the joint moves, "
             f"though the others change by many steps of its resolution"
         )
-        evidence = {"channel": name, "share": list(held.values())}
-        yield Fault("duplicate_samples", joints, detail, evidence)
+        yield Fault("duplicate_samples", joints, detail, {"channel": name})
 
 
 def _held_share(x: Array, moving: Mask, step: float) -> float:
@@ -266,7 +257,7 @@ def _coded(log: Log, name: str, j: int, code: _Code) -> Fault:
         ),
     }[code.action]
     detail = f"{name} of {log.joints[j]} {way} {size:.6g}, {what}"
-    evidence = {"channel": name, "range": size, "jumps": jumps, "count": high}
+    evidence = {"channel": name, "range": size, "jumps": jumps}
     remedies = [Remedy(code.action, name, (j,), factor=code.size)]
     if len(code.between):
         remedies.append(Remedy("interpolate", name, (j,), code.between))
@@ -380,15 +371,7 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
                 f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g}, which is {size:.4g} from "
                 f"those around{times}"
             )
-            evidence = {
-                "channel": name,
-                "rows": rows,
-                "count": len(rows),
-                "value": value,
-                "around": around,
-            }
-            if least > 0:
-                evidence["noises"] = size / least
+            evidence = {"channel": name, "rows": rows}
             remedies = (Remedy("interpolate", name, (int(j),), rows),)
             repair = f"interpolates {name} of {joint} there"
             yield Fault(
@@ -551,8 +534,7 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
             f"of its spread ({log.joints[worst]}), and its own noise is at most {max(own):.1g} "
             f"{log.unit}"
         )
-        evidence = {"missed": missed[ideal], "noise": own}
-        yield Fault("not_measured", names, detail, evidence)
+        yield Fault("not_measured", names, detail, {"channel": "tau"})
     derived = _derived(log, case.joints)
     if len(derived) > _MOST_JOINTS * len(case.joints):
         worst = max(derived, key=lambda j: derived[j])
@@ -562,8 +544,7 @@ def not_measured(case: TorqueFit) -> Iterator[Fault]:
             f"to {100 * derived[worst]:.1f} % of the variance of its noise ({log.joints[worst]}) "
             f"is that of the differentiated positions and velocities"
         )
-        evidence = {"explained": [*derived.values()]}
-        yield Fault("not_measured", names, detail, evidence)
+        yield Fault("not_measured", names, detail, {"channel": "tau"})
 
 
 def _own_noise(x: Array) -> float:
@@ -610,7 +591,7 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
     if data is None:
         if still.all() or not span.any():
             detail = f"no joint moves: positions vary by at most {span.max():.3g}"
-            yield Fault("poor_excitation", log.joints, detail, {"span": span})
+            yield Fault("poor_excitation", log.joints, detail, {})
         return
     try:
         window = persistency(robot, data.motion)
@@ -630,10 +611,4 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
         f"in this time get less than {least:g} of the information that the given model already "
         f"has, the weakest {window.level:.2g} ({weakest}); move {', '.join(names)}"
     )
-    evidence = {
-        "missing": missing,
-        "visible": visible,
-        "level": window.level,
-        "still": resting,
-    }
-    yield Fault("poor_excitation", names, detail, evidence)
+    yield Fault("poor_excitation", names, detail, {})

@@ -244,7 +244,7 @@ def dropped(
     **evidence: Any,
 ) -> Fault:
     """A fault of rows that a repair leaves out."""
-    known = {"rows": rows, "count": len(rows), **evidence}
+    known = {"rows": rows, **evidence}
     done = f"leaves these {len(rows)} rows out"
     return Fault(fault, joints, detail, known, done, (Remedy("drop", rows=rows),))
 

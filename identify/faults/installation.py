@@ -419,7 +419,7 @@ def _simplest(
     told = {kind[:2] for kind in kinds}
     others_kinds = [*itertools.chain(*alike)]
     rivals = [x[:2] for x in others_kinds if x[:2] not in told]
-    evidence = {"gain": best.odds, "alike": rivals}
+    evidence: dict[str, Any] = {"alike": rivals}
     # which column of a joint has the sign
     if any(x[:2] in told and x not in kinds for x in others_kinds):
         evidence[OPEN] = True
@@ -447,7 +447,7 @@ def pose_faults(robot: Robot, log: Log) -> Iterator[Fault]:
         factor = float(line.slope)
         joints = log.names([j])
         times = f"tau of {joints[0]} at rest is {factor:.3g} times that of the nominal bodies"
-        evidence = {"channel": "tau", "factor": factor}
+        evidence = {"channel": "tau"}
         if factor < 0:
             detail = f"{times}: q or tau counts the other way than the robot's"
             yield Fault("wrong_sign", joints, detail, evidence)
@@ -611,7 +611,7 @@ def _orders(fit: TorqueFit) -> Iterator[Installation]:
                 "wrong_order",
                 log.names(wrong),
                 f"{what} are in another order: {words}",
-                {"order": names, "channels": channels},
+                {},
                 f"puts the {what} of {len(wrong)} joints in the order of the robot",
                 tuple(Remedy("order", channel, order) for channel in channels),
             )
@@ -663,7 +663,7 @@ def _couplings(fit: TorqueFit) -> Iterator[Installation]:
             (joint, other),
             f"q of {joint} is logged with that of {other} {'added' if added else 'taken off'}"
             + ", and torque is that of these axes" * torque,
-            {"channel": "q", "factor": sign, "torque": torque},
+            {"channel": "q"},
             f"{'takes' if added else 'adds'} q of {other} {'off' if added else 'to'} that of "
             f"{joint}",
             tuple(remedies),
@@ -742,7 +742,7 @@ def _in_degrees(fit: TorqueFit) -> Iterator[Installation]:
                 "wrong_unit",
                 log.names(joints),
                 f"q is in degrees: it reaches {largest[widest]:.4g} at {log.joints[widest]}",
-                {"channel": "q", "largest": largest},
+                {"channel": "q"},
                 "multiplies q and dq, which agrees with it, by π/180",
                 tuple(remedies),
             ),
@@ -791,8 +791,7 @@ def inertias_beyond_size(robot: Robot) -> Iterator[Fault]:
         "kg·mm² or g·mm²) and kg in the robot's file"
     )
     joints = tuple(robot.joints[robot.links.index(link)] for link in links[wide])
-    evidence = {"channel": "inertia", "radius": float(radius.max()), "reach": reach}
-    yield Fault("wrong_unit", joints, detail, evidence)
+    yield Fault("wrong_unit", joints, detail, {"channel": "inertia"})
 
 
 def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
@@ -813,7 +812,7 @@ def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
         f"{largest:.4g}, its limits are {low[worst]:.4g} and {high[worst]:.4g}: motor positions, "
         "counts or another unit"
     )
-    yield Fault("wrong_unit", names, detail, {"channel": "q", "largest": largest})
+    yield Fault("wrong_unit", names, detail, {"channel": "q"})
 
 
 def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
@@ -845,7 +844,7 @@ def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
         "wrong_unit",
         log.joints,
         f"{detail}: another unit",
-        {"channel": "tau", "factor": typical},
+        {"channel": "tau"},
     )
     if likely and not registers:
         every = tuple(range(log.nv))
@@ -891,9 +890,7 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
         f"tau of {', '.join(names)} is {what}: another unit, currents or per cent, or inertias of "
         "the model in another unit"
     )
-    fault = Fault(
-        "wrong_unit", unscaled, detail, {"channel": "tau", "factor": gains}
-    )
+    fault = Fault("wrong_unit", unscaled, detail, {"channel": "tau"})
     factors = 1 if one else len(names)
     yield _one(fit, fault, more=2 * factors * float(np.log(SEARCH.scales)))
 
@@ -1028,7 +1025,7 @@ def _mounting(
             "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
             "gravity: [0, 0, 0], or record the torque of the drives"
         )
-        evidence = {"gravity": np.zeros(3), "angle": 0.0}
+        evidence = {"gravity": np.zeros(3)}
         yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
         return
     near = _mounted(fit, range(fit.robot.nv), tried[int(np.argmin(squares))])
@@ -1056,7 +1053,7 @@ def _mounted(
         f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
         f"in the base frame, {angle:.0f}° from the given direction; give robot.yaml that gravity"
     )
-    evidence = {"gravity": gravity, "angle": angle} | _known(std)
+    evidence = {"gravity": gravity} | _known(std)
     return Fault("wrong_mounting", fit.log.names(joints), detail, evidence)
 
 

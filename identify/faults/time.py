@@ -110,8 +110,7 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
         f"longest, {steps[k] * log.step:.4g} s after t = {log.t[k]:.4g} s, is {steps[k]:.3g} times "
         f"the median step of {log.step:.4g} s"
     )
-    evidence = {"gaps": len(at), "missing": missing, "rows": at}
-    evidence["longest"] = float(steps[k])
+    evidence = {"gaps": len(at), "rows": at}
     yield Fault("dropped_samples", log.joints, detail, evidence)
 
 
@@ -149,10 +148,7 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
     if frozen:
         spans = (f"{log.t[i]:.4g} to {log.t[k]:.4g} s" for i, k in frozen)
         detail += f"; frozen from t = {', '.join(spans)}"
-    longest = max([*lengths, *(end - start for start, end in frozen)]) + 1
-    yield dropped(
-        log.joints, rows, detail, "duplicate_samples", longest=int(longest)
-    )
+    yield dropped(log.joints, rows, detail, "duplicate_samples")
 
 
 def _held_torque(log: Log, repeats: Mask) -> Iterator[tuple[int, int]]:
@@ -211,8 +207,7 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
         f"{missing} rows are missing though the stamps run on; first after t = {log.t[k]:.4g} s, "
         f"where q moves {1 + m[k]:.2f} times as far as its speed allows"
     )
-    evidence = {"rows": rows, "missing": missing, "ratio": 1 + m[rows]}
-    yield Fault("dropped_samples", log.joints, detail, evidence)
+    yield Fault("dropped_samples", log.joints, detail, {"rows": rows})
 
 
 def _median_around(x: Array) -> Array:
@@ -307,9 +302,7 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
         f"{len(rows)} of {len(log)} rows ({share}) repeat the time of an earlier one, {identical} "
         f"of them all its values too; {log.first(rows)}"
     )
-    fault = dropped(
-        log.joints, rows, detail, "duplicate_samples", identical=identical
-    )
+    fault = dropped(log.joints, rows, detail, "duplicate_samples")
     done = f"keeps the first of each and leaves {len(rows)} rows out"
     yield replace(fault, repair=done)
 
@@ -329,12 +322,7 @@ def _backward(
             f"time goes back in {len(rows)} of {len(log)} rows, {where}, and no order fits all "
             f"rows: cut the file by hand in row {first}, or correct its time"
         )
-        evidence = {
-            "rows": rows,
-            "count": len(rows),
-            "channel": "t",
-            "unclear": True,
-        }
+        evidence = {"rows": rows, "channel": "t", "unclear": True}
         yield Fault("corrupt_rows", log.joints, detail, evidence)
         return
     late, lost = settled
@@ -352,12 +340,7 @@ def _backward(
     detail = (
         f"time goes back: {len(moved)} of {len(log)} rows are out of order, {where}"
     )
-    evidence = {
-        "rows": moved,
-        "count": len(moved),
-        "channel": "t",
-        "late": len(late),
-    }
+    evidence = {"rows": moved, "channel": "t"}
     done = " and ".join(words)
     yield Fault("corrupt_rows", log.joints, detail, evidence, done, tuple(remedies))
 
@@ -400,11 +383,7 @@ def velocity_faults(log: Log) -> list[Fault]:
         f"{len(follows)} moving joints; the median step is {log.step:.4g} s, "
         f"{log.step / factor:.4g} s would fit"
     )
-    return [
-        slow_clock(
-            log.joints, factor, detail, factor=shared, slopes=b, errors=error
-        )
-    ]
+    return [slow_clock(log.joints, factor, detail)]
 
 
 def _shared_slope(slopes: Array) -> float | None:
@@ -552,5 +531,4 @@ def _joint_fault(log: Log, j: int, slope: float, error: float) -> Fault:
         what += ", and its sign is flipped" if slope < 0 else ""
     remedy = Remedy("scale", channel, (j,), factor=factor)
     detail = f"∫dq dt of {joint} is {slope:.4g} ± {error:.2g} times the change of its q{what}"
-    evidence = {"channel": channel, "slope": slope, "error": error}
-    return Fault(fault, (joint,), detail, evidence, done, (remedy,))
+    return Fault(fault, (joint,), detail, {"channel": channel}, done, (remedy,))
