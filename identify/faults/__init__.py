@@ -49,7 +49,6 @@ from excitant.identify.faults.time import (
     repeated_rows,
     stamp_faults,
     velocity_faults,
-    with_one_clock,
 )
 from excitant.identify.faults.torque_fit import smooth, torque_fit
 from excitant.identify.recording import Recording, checked, shows_poses
@@ -351,7 +350,7 @@ def check_recordings(
     faults = dict[str, tuple[Fault, ...]]()
     notes = list[str]()
     usable = list[Recording]()
-    shared = shared_installation(robot, exchanged, with_one_clock(alone), known)
+    shared = shared_installation(robot, exchanged, alone, known)
     for recording, mine in zip(exchanged, shared, strict=True):
         name = recording.name
         among = [found[name] for found in (copies, swaps) if name in found]

@@ -11,7 +11,7 @@ joints at once where the time runs c times too fast. No model is needed to see t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -366,11 +366,11 @@ def velocity_faults(log: Log) -> list[Fault]:
         first, last = log.t[[0, -1]]
         detail = f"every time step is exactly 1, so t counts samples ({first:g} to {last:g})"
         if shared is None or not of_clock:
-            return [Fault("wrong_sample_rate", log.joints, detail, {"step": 1.0})]
+            return [Fault("wrong_sample_rate", log.joints, detail, {})]
         detail += (
             f"; q and dq agree at a step of {1 / shared:.4g} s ({shared:.4g} Hz)"
         )
-        return [slow_clock(log.joints, shared, detail, step=1.0)]
+        return [slow_clock(log.joints, shared, detail)]
     if wrong and (change := _rate_change(log)) is not None:
         return [change]
     if shared is None or not of_clock or _unit_slope(shared) is not None:
@@ -471,39 +471,13 @@ def _unit_slope(slope: float) -> float | None:
     return next(near, None)
 
 
-def slow_clock(
-    joints: tuple[str, ...], factor: float, detail: str, /, **evidence: object
-) -> Fault:
+def slow_clock(joints: tuple[str, ...], factor: float, detail: str) -> Fault:
     """The fault of a clock that runs so many times too slow."""
     done = f"divides the time by {factor:.5g}"
     remedy = Remedy("scale", "t", factor=1 / factor)
-    evidence = {"factor": factor, **evidence}
-    return Fault("wrong_sample_rate", joints, detail, evidence, done, (remedy,))
-
-
-def with_one_clock(
-    faults: Sequence[Sequence[Fault]],
-) -> list[tuple[Fault, ...]]:
-    """Faults of each recording; those that count samples take the steps that some of them show."""
-    known = [
-        fault.evidence["factor"]
-        for some in faults
-        for fault in some
-        if "step" in fault.evidence and fault.remedies
-    ]
-    if not known or max(known) > (1 + _MARGIN) * min(known):
-        return [tuple(some) for some in faults]
-    factor = float(np.median(known))
-    others = f"; a step is {1 / factor:.4g} s in others that count them"
-    return [
-        tuple(
-            slow_clock(fault.joints, factor, fault.detail + others, step=1.0)
-            if "step" in fault.evidence and not fault.remedies
-            else fault
-            for fault in some
-        )
-        for some in faults
-    ]
+    return Fault(
+        "wrong_sample_rate", joints, detail, {"factor": factor}, done, (remedy,)
+    )
 
 
 def _joint_fault(log: Log, j: int, slope: float, error: float) -> Fault:

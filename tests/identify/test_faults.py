@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import refusal, refused, slow
-from mistakes import PLANTS, Mistake, edited, recorded, run_of, scaled, with_rows
+from mistakes import PLANTS, Mistake, edited, recorded, scaled, with_rows
 
 import excitant as ex
 from excitant.exceptions import BadRecording, FaultWarning
@@ -220,14 +220,6 @@ def test_friction_at_a_reversal_is_no_outlier(clean: Log, at: int, later: int, o
     faults = find_faults(PLANAR, replace(clean, tau=np.column_stack([tau, clean.tau[:, 1]])))
     found = [f.evidence["rows"].tolist() for f in faults if f.fault == "corrupt_rows"]
     assert found == outliers
-
-
-def test_logs_that_count_samples_have_one_clock(read: Read) -> None:
-    """That of one joint alone does not tell its step, that of both does."""
-    both = [run_of(PLANAR, (3, 0, k)).moved(lambda j, k=k: j >= k) for k in range(2)]
-    checked = read(*(replace(log, t=np.arange(N)) for log in both), repaired=True)
-    for recording in checked.recordings:
-        assert np.median(np.diff(recording.t)) == pytest.approx(0.008, rel=0.03)
 
 
 def test_nothing_at_all_is_no_traceback(clean: Log) -> None:
