@@ -238,14 +238,9 @@ def shared_installation(
         return [(*data, *known) for data in of_data]
     if len(recordings) == 1:
         return [tuple(faults[0])]
-    shown = tuple[Fault, ...]()
-    most = odds_against(robot)
-    for some in filter(None, of_arm):
-        supported = gain(some)
-        if supported > most:
-            shown = some
-            most = supported
-    if not shown:
+    gains = {some: gain(some) for some in filter(None, of_arm)}
+    shown = max(gains, key=gains.__getitem__, default=())
+    if gains.get(shown, 0.0) <= odds_against(robot):
         # signs and order may be those of one logger
         return [
             tuple(f for f in some if f.fault not in INSTALLATION) for some in faults

@@ -517,34 +517,33 @@ def _distance(t: Array, x: Array) -> Array:
 def not_measured(case: TorqueFit) -> Iterator[Fault]:
     """Joints whose torque has no error of its own, and those whose noise is that of the motion."""
     log = case.log
-    noise = {j: _own_noise(log.tau[:, j]) for j in case.joints}
-    missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     span = np.ptp(log.tau, axis=0)
+    missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     # no drive is known to a hundredth of its torque, or as free of noise as to a thousandth
-    ideal = [
-        j for j in case.joints if noise[j] < 1e-3 * span[j] and missed[j] < 0.01
-    ]
-    if len(ideal) > _MOST_JOINTS * len(case.joints):
-        worst = max(ideal, key=lambda j: missed[j])
-        names = log.names(ideal)
-        own = [noise[j] for j in ideal]
-        detail = (
-            f"tau of {', '.join(names)} is the output of a model, not a measurement: rigid bodies "
-            f"with viscous and Coulomb friction miss it by at most {100 * missed[worst]:.2f} % "
-            f"of its spread ({log.joints[worst]}), and its own noise is at most {max(own):.1g} "
-            f"{log.unit}"
-        )
-        yield Fault("not_measured", names, detail, {"channel": "tau"})
-    derived = _derived(log, case.joints)
-    if len(derived) > _MOST_JOINTS * len(case.joints):
-        worst = max(derived, key=lambda j: derived[j])
-        names = log.names(derived)
-        detail = (
-            f"tau of {', '.join(names)} is computed from the logged motion, not measured: up "
-            f"to {100 * derived[worst]:.1f} % of the variance of its noise ({log.joints[worst]}) "
-            f"is that of the differentiated positions and velocities"
-        )
-        yield Fault("not_measured", names, detail, {"channel": "tau"})
+    ideal = {
+        j: float(missed[j])
+        for j in case.joints
+        if missed[j] < 0.01 and _own_noise(log.tau[:, j]) < 1e-3 * span[j]
+    }
+    computed = (
+        (
+            ideal,
+            "the output of a model, not a measurement: rigid bodies with viscous and Coulomb "
+            "friction miss it by at most {:.2f} % of its spread, and its own noise is less than "
+            "a thousandth of its range",
+        ),
+        (
+            _derived(log, case.joints),
+            "computed from the logged motion, not measured: up to {:.1f} % of the variance of its "
+            "noise is that of the differentiated positions and velocities",
+        ),
+    )
+    for shares, how in computed:
+        if len(shares) > _MOST_JOINTS * len(case.joints):
+            names = log.names(shares)
+            what = how.format(100 * max(shares.values()))
+            detail = f"tau of {', '.join(names)} is {what}"
+            yield Fault("not_measured", names, detail, {"channel": "tau"})
 
 
 def _own_noise(x: Array) -> float:

@@ -185,7 +185,7 @@ def odds_against(robot: Robot) -> float:
 def installation_faults(case: TorqueFit) -> list[Fault]:
     """The faults of unit, installation and clock that the torque shows."""
     beyond = [*positions_beyond_limits(case)]
-    if faults := [*_torque_beyond_limits(case)]:
+    if faults := [*_torque_beyond_limits(case, bool(beyond))]:
         return beyond + faults
     best = Installation()
     reasons = dict[int, Sequence[Any]]()
@@ -815,7 +815,7 @@ def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
     yield Fault("wrong_unit", names, detail, {"channel": "q"})
 
 
-def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
+def _torque_beyond_limits(case: TorqueFit, registers: bool) -> Iterator[Fault]:
     """Torques far beyond what drives can do, in the unit that brings them nearest.
 
     It has a name where bodies near the nominal ones have that torque then, and q is no register.
@@ -838,7 +838,6 @@ def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
     clear = std < SEARCH.clear_scale
     off = np.abs(np.log(gains[clear] / factor))
     likely = clear.any() and np.median(off) < np.log(SEARCH.least_scale)
-    registers = len(beyond_limits(case.robot, case.data.motion.q)[0]) > 0
     detail = f"tau is {typical:.3g} times the torque limit (median over joints)"
     fault = Fault(
         "wrong_unit",
