@@ -1084,10 +1084,9 @@ def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
             squares = partial(_at_zero, left, flipped)
             free = _least(squares, np.arange(-np.pi, np.pi, SEARCH.step))
             right = SEARCH.right * round(free / SEARCH.right)
-            offsets = np.array([0.0, right, free])
             negated = (*counted, *("tau",) * (flipped is not None))
-            pairs = zip(squares(offsets).tolist(), offsets.tolist(), strict=True)
-            tried += [(value, negated, offset) for value, offset in pairs]
+            for offset in (0.0, right, free):
+                tried.append((float(squares(np.array(offset))), negated, offset))
     tried.sort(key=lambda each: len({*each[1]} - {"dq"}))
     simplest = list[tuple[tuple[str, ...], float]]()
     for some in (tried, [each for each in tried if "tau" not in each[1]]):
