@@ -6,7 +6,6 @@ data (signs, order, units, clock) are repaired, mounting and zero positions chan
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -104,34 +103,31 @@ class SetUp:
     @cached_property
     def faults(self) -> tuple[DataFault, ...]:
         """The faults that are repaired, each once, whatever the number of recordings."""
-        repaired = {(f.fault, f.joints): f for _, f in self._repaired}
+        repaired = {
+            (f.fault, f.joints): f for _, f in self._of_data if f.repairable
+        }
         return tuple(
             DataFault(f.joints, (), f.fault, f.detail) for f in repaired.values()
         )
 
-    @property
-    def _repaired(self) -> list[tuple[str, Fault]]:
-        """Faults of the data that have a remedy, with the names of their recordings."""
+    @cached_property
+    def _of_data(self) -> list[tuple[str, Fault]]:
+        """Faults of the data, with the names of their recordings."""
         return [
             (name, fault)
             for name, faults in self.checked.faults.items()
             for fault in faults
-            if fault.repairable and fault.fault not in INSTALLATION
+            if fault.fault not in INSTALLATION
         ]
 
     @property
     def standing(self) -> list[str]:
         """Faults that leave every figure wrong and that nothing repairs, a sentence each."""
-        every = itertools.chain(*self.checked.faults.values())
-        return [
-            f.detail
-            for f in every
-            if not f.repairable and f.fault not in INSTALLATION
-        ]
+        return [f.detail for _, f in self._of_data if not f.repairable]
 
     def amends(self, fault: Mapping[str, Any]) -> bool:
         """Whether a fault, under its JSON names, is repaired or in the model."""
-        repaired = {(name, f.fault) for name, f in self._repaired}
+        repaired = {(name, f.fault) for name, f in self._of_data if f.repairable}
         changed = self.robot is not self.given
         return (fault["recording"], fault["fault"]) in repaired or (
             changed and is_modelled(fault)

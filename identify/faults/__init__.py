@@ -49,7 +49,6 @@ from excitant.identify.faults.time import (
     repeated_rows,
     stamp_faults,
     velocity_faults,
-    with_one_clock,
 )
 from excitant.identify.faults.torque_fit import smooth, torque_fit
 from excitant.identify.recording import Recording, checked, shows_poses
@@ -67,8 +66,8 @@ __all__ = [
     "check_recordings",
     "find_copies",
     "find_faults",
+    "repair",
 ]
-__all__ += ["faults_of", "repair"]
 
 _ROWS = 50  # fewer prove nothing
 # what was told
@@ -113,11 +112,11 @@ def _faults(robot: Robot, recording: Recording) -> tuple[Fault, ...]:
             log, remaining = after_repair(log, new)
             rows = rows[remaining]
 
-    stamps, starts = stamp_faults(log)
+    stamps, in_order = stamp_faults(log)
     note(*stamps)
-    if starts is None:
+    if not in_order:
         return tuple(faults)
-    parts = np.union1d(log.t[np.isin(rows, starts)], recording.starts)
+    parts = np.asarray(recording.starts)
     if len(log) >= _ROWS:
         note(*gap_faults(log, parts))
     note(*missing_values(log))
@@ -188,8 +187,7 @@ def find_copies(recordings: Mapping[str, Recording]) -> dict[str, Fault]:
                 f"{name} holds the same {len(recording)} rows as {original}: all positions, "
                 "velocities and torques are equal, so it adds no evidence and is no hold-out"
             )
-            evidence = {"same_as": original, "count": len(recording)}
-            copies[name] = Fault("duplicate_samples", (), detail, evidence)
+            copies[name] = Fault("duplicate_samples", (), detail, {})
     return copies
 
 
@@ -209,7 +207,7 @@ def find_swapped(
                 robot.joints,
                 f"the torque of {name} is that of the motion of {source}, and the reverse: "
                 f"so exchanged, it is that of bodies near the given ones",
-                {"torque_of": source},
+                {},
                 f"takes the torque of {source}",
                 (Remedy("exchange", "tau"),),
             )
@@ -240,14 +238,9 @@ def shared_installation(
         return [(*data, *known) for data in of_data]
     if len(recordings) == 1:
         return [tuple(faults[0])]
-    shown = tuple[Fault, ...]()
-    most = odds_against(robot)
-    for some in filter(None, of_arm):
-        supported = gain(some)
-        if supported > most:
-            shown = some
-            most = supported
-    if not shown:
+    gains = {some: gain(some) for some in filter(None, of_arm)}
+    shown = max(gains, key=gains.__getitem__, default=())
+    if gains.get(shown, 0.0) <= odds_against(robot):
         # signs and order may be those of one logger
         return [
             tuple(f for f in some if f.fault not in INSTALLATION) for some in faults
@@ -316,13 +309,9 @@ def proven(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         and (
             fault["fault"] in PROVEN
             or "jumps" in fault["evidence"]
-            or (fault["fault"], _channel(fault)) == NO_TORQUE
+            or (fault["fault"], fault["evidence"].get("channel")) == NO_TORQUE
         )
     ]
-
-
-def _channel(fault: Mapping[str, Any]) -> object:
-    return fault["evidence"].get("channel")
 
 
 def check_recordings(
@@ -356,7 +345,7 @@ def check_recordings(
     faults = dict[str, tuple[Fault, ...]]()
     notes = list[str]()
     usable = list[Recording]()
-    shared = shared_installation(robot, exchanged, with_one_clock(alone), known)
+    shared = shared_installation(robot, exchanged, alone, known)
     for recording, mine in zip(exchanged, shared, strict=True):
         name = recording.name
         among = [found[name] for found in (copies, swaps) if name in found]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -34,7 +34,7 @@ from excitant.identify.signals import noise, quantum
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 
-_COUNTERS = (2.0**8, 2.0**10, 2.0**12, 2.0**16, 2.0**32)
+_NONE: Rows = np.zeros(0, np.intp)
 _OUTLIER = np.array([1 / 6, -2 / 3, 1.0, -2 / 3, 1 / 6])
 """Distances from the cubic through the four neighbours, around one outlier."""
 _AT_EXTREME = (
@@ -43,25 +43,23 @@ _AT_EXTREME = (
 _MOST_JOINTS = 0.5  # of the joints: one that bears mainly weight proves nothing
 _EXPLAINED = 0.5  # of the variance of a torque's noise: it is that of the motion
 _MOST_JUMPS = 0.2  # of the samples, of a channel that wraps
-_EMPTY = 0.2  # of the range, between positive and negative values logged unsigned
+_FEW_STEPS = 128  # of its resolution: a code has more of them
 _PASSING = 0.02  # of the range: a change that is as large is no small one
 _MEDIAN_ROWS = 11  # of the running median that a value is compared with
-_Evidence = tuple[str, dict[str, Any]] | None
-"""Detail and evidence."""
 
 
 def dead_channels(log: Log) -> Iterator[Fault]:
     """Channels that are constant, only noise, or stop for a while, though the joint moves."""
     for (name, x), j in product(log.channels(), range(log.nv)):
         for test in (_constant, _white, _stretch):
-            if (shown := test(log, name, x[:, j], j)) is not None:
-                detail = f"{name} of {log.joints[j]} {shown[0]}"
-                evidence = {"channel": name} | shown[1]
+            if shown := test(log, name, x[:, j], j):
+                detail = f"{name} of {log.joints[j]} {shown}"
+                evidence = {"channel": name}
                 yield Fault("dead_channel", (log.joints[j],), detail, evidence)
                 break
 
 
-def _constant(log: Log, name: str, x: Array, j: int) -> _Evidence:
+def _constant(log: Log, name: str, x: Array, j: int) -> str | None:
     """A channel with one value, of which a position or velocity counts where the other moves."""
     moves = log.moving[:, j].any()
     if np.ptp(x) > 0 or (name != "q" and not moves):
@@ -74,10 +72,10 @@ def _constant(log: Log, name: str, x: Array, j: int) -> _Evidence:
         against = f", while dq of the joint varies over {np.ptp(speed):.4g}"
     else:
         against = f", while q of the joint moves over {np.ptp(log.q[:, j]):.4g}"
-    return f"is {x[0]:.6g} in every row{against}", {"value": float(x[0])}
+    return f"is {x[0]:.6g} in every row{against}"
 
 
-def _white(log: Log, name: str, x: Array, j: int) -> _Evidence:
+def _white(log: Log, name: str, x: Array, j: int) -> str | None:
     """A channel whose block means scatter no more than those of white noise, as χ² with B − 1."""
     blocks = 100
     rows = len(x) // blocks
@@ -88,14 +86,13 @@ def _white(log: Log, name: str, x: Array, j: int) -> _Evidence:
     bound = float(scipy.special.chdtri(blocks - 1, ALARM / log.nv)) / (blocks - 1)
     if ratio > bound:
         return None
-    detail = (
+    return (
         f"is only noise of {x.std():.3g} while the joint moves: means of {rows} samples vary "
         f"{ratio:.2f} times as much as those of white noise (by chance up to {bound:.2f})"
     )
-    return detail, {"ratio": ratio, "bound": bound, "std": x.std()}
 
 
-def _stretch(log: Log, name: str, x: Array, j: int) -> _Evidence:
+def _stretch(log: Log, name: str, x: Array, j: int) -> str | None:
     """The longest run of one value, if the channel never else keeps a value that long."""
     starts, lengths = run_lengths(np.diff(x) == 0)
     length = int(lengths.max(initial=0))
@@ -118,13 +115,10 @@ def _stretch(log: Log, name: str, x: Array, j: int) -> _Evidence:
     by_chance = equal.mean() > 0.01  # pairs that far apart are often equal
     if way <= clear or by_chance or x[start] in (x.max(), x.min()):
         return None
-    value = float(x[start])
-    t = float(log.t[start])
-    detail = (
-        f"stays at {value:.6g} for {seconds:.3g} s from t = {t:.4g} s while the "
+    return (
+        f"stays at {x[start]:.6g} for {seconds:.3g} s from t = {log.t[start]:.4g} s while the "
         f"joint moves; else it keeps no value for that long"
     )
-    return detail, {"value": value, "start": t, "seconds": seconds}
 
 
 def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
@@ -172,9 +166,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
             f"tau of {joint} is {where} {value:.6g} {log.unit} in {count} of "
             f"{len(log)} rows, up to {longest} in a row{more}"
         )
-        evidence = {"value": value} | ({"near": near} if more else {})
-        evidence |= {"count": count, "longest": longest}
-        yield Fault("saturation", (joint,), detail, evidence)
+        yield Fault("saturation", (joint,), detail, {"channel": "tau"})
 
 
 def held_channels(log: Log) -> Iterator[Fault]:
@@ -192,8 +184,7 @@ def held_channels(log: Log) -> Iterator[Fault]:
             f"at {log.joints[worst]} repeat the one before exactly while the joint moves, "
             f"though the others change by many steps of its resolution"
         )
-        evidence = {"channel": name, "share": list(held.values())}
-        yield Fault("duplicate_samples", joints, detail, evidence)
+        yield Fault("duplicate_samples", joints, detail, {"channel": name})
 
 
 def _held_share(x: Array, moving: Mask, step: float) -> float:
@@ -227,28 +218,21 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
     One joint shows by its jumps how all joints are coded whose values go as far.
     """
     for name, values in log.channels():
-        columns = values.T
         steps = log.quanta[name]
-        codes = [
-            _wrapped(x) if name == "q" else _unsigned_code(x, step)
-            for x, step in zip(columns, steps, strict=True)
-        ]
+        columns = list(values.T)
+        codes = [_turns(x) if name == "q" else _unsigned(x) for x in columns]
         known = [
-            code._replace(size=code.size / step)
+            (code, step)
             for code, step in zip(codes, steps, strict=True)
-            if code and step > 0
+            if code and name != "q"
         ]
-        for j, x in enumerate(columns):
-            code = codes[j]
-            if code is None and known and name != "q":
-                alike = known[0]._replace(
-                    size=known[0].size * steps[j], between=np.zeros(0, np.intp)
-                )
+        for j, (x, code) in enumerate(zip(columns, codes, strict=True)):
+            if code is None and known:
+                shown, step = known[0]
+                alike = _Code(shown.action, shown.size * steps[j] / step, _NONE)
                 way = np.sign(alike.size)
-                negative = (way * x).min() >= 0 and (
-                    way * alike.decode(x) < 0
-                ).any()
-                code = alike if negative else None
+                coded = (way * x).min() >= 0 and (way * alike.decode(x)).min() < 0
+                code = alike if coded else None
             if code is not None:
                 yield _coded(log, name, j, code)
 
@@ -273,7 +257,7 @@ def _coded(log: Log, name: str, j: int, code: _Code) -> Fault:
         ),
     }[code.action]
     detail = f"{name} of {log.joints[j]} {way} {size:.6g}, {what}"
-    evidence = {"channel": name, "range": size, "jumps": jumps, "count": high}
+    evidence = {"channel": name, "range": size, "jumps": jumps}
     remedies = [Remedy(code.action, name, (j,), factor=code.size)]
     if len(code.between):
         remedies.append(Remedy("interpolate", name, (j,), code.between))
@@ -294,14 +278,7 @@ class _Code(NamedTuple):
         return DECODED[self.action](x, self.size)
 
 
-def _unsigned_code(x: Array, step: float) -> _Code | None:
-    """How negative values are logged unsigned, also where a map turns the sign of all."""
-    way = -1.0 if x.max() <= 0 else 1.0
-    code = _unsigned(way * x) or _sign_bit(way * x, step)
-    return code and code._replace(size=way * code.size)
-
-
-def _wrapped(x: Array) -> _Code | None:
+def _turns(x: Array) -> _Code | None:
     """A position that jumps by a turn, of radians or degrees, and else by far less."""
     change = np.abs(np.diff(x))
     for turn in (2 * np.pi, 360.0):
@@ -311,69 +288,43 @@ def _wrapped(x: Array) -> _Code | None:
         usual = float(np.quantile(change[~jumps], 0.99))
         off = abs(float(np.median(change[jumps])) - turn)
         if usual < turn / 8 and off < turn / 4:
-            return _Code("unwrap", turn, np.zeros(0, np.intp))
-    return None
-
-
-def _sign_bit(x: Array, step: float) -> _Code | None:
-    """Values of which those beyond a bit are negative: no other crosses it in large steps alone."""
-    for bit in step * 2.0 ** np.arange(7, 32) if x.min() >= 0 else ():
-        code = _Code("sign_bit", float(bit), np.zeros(0, np.intp))
-        crossings = np.flatnonzero(np.diff((x >= bit).astype(np.int8)))
-        if 2 <= len(crossings) <= _MOST_JUMPS * len(x):
-            changes = np.abs(np.diff(x)[crossings])
-            decoded = np.abs(np.diff(code.decode(x))[crossings])
-            if changes.min() > bit / 2 and np.median(decoded) < bit / 8:
-                return code
+            return _Code("unwrap", turn, _NONE)
     return None
 
 
 def _unsigned(x: Array) -> _Code | None:
-    """A channel of positive values, whose upper ones stand for negative ones.
+    """Negative values logged unsigned: with a sign bit, or in two's complement of twice that bit.
 
-    Either set has its own range, with none between but those that were interpolated. It is left at
-    small magnitudes only: in two's complement at the upper end of the upper range, with a sign bit
-    at the lower one.
+    Where their sign changes all of them jump by more than half the bit, decoded ones by less than
+    half as much. A logger that interpolates leaves rows on the way of a jump.
     """
-    span = float(np.ptp(x))
-    if x.min() < 0 or span == 0:
-        return None
+    # a map may turn the sign of all
+    way = -1.0 if x.max() <= 0 else 1.0
+    x = way * x
     change = np.diff(x)
-    rising = change[:-1] * change[1:] > 0
-    steep = np.minimum(np.abs(change[:-1]), np.abs(change[1:])) > _PASSING * span
-    kept = np.delete(x, 1 + np.flatnonzero(rising & steep))
-    ordered = np.sort(kept)
-    widest = int(np.argmax(np.diff(ordered)))
-    low, high = (float(end) for end in ordered[widest : widest + 2])
-    kept = np.delete(x, np.flatnonzero((x > low) & (x < high)))
-    upper = kept >= high
-    after = 1 + np.flatnonzero(np.diff(upper.astype(np.int8)))
-    if (
-        high - low < _EMPTY * span
-        or len(after) < 2
-        or len(after) > _MOST_JUMPS * len(x)
-    ):
-        return None
+    steep = np.abs(change) > _PASSING * np.ptp(x)
+    onward = steep[1:] & steep[:-1] & (change[1:] * change[:-1] > 0)
+    passing = 1 + np.flatnonzero(onward)
+    kept = np.delete(x, passing)
     step = quantum(kept)
-    within = np.abs(np.delete(np.diff(kept), after - 1))
-    tolerance = 3 * float(np.quantile(within, 0.9)) + 2 * step
-    counts = step * np.array(_COUNTERS)
-    ranges = np.concatenate([counts, 65536.0 * 10.0 ** np.arange(-6, 1)])
-    size = float(np.median(np.abs(np.diff(kept)[after - 1])))
-    nearest = float(ranges[np.argmin(np.abs(ranges - size))])
-    bits = step * 2.0 ** np.arange(7, 32)
-    bits = bits[(bits > high - tolerance) & (bits < high + step / 2)]
-    if abs(nearest - size) <= (high - low) / 4 and nearest > ordered[-1]:
-        action, size = "signed", nearest
-    elif len(bits):
-        action, size = "sign_bit", float(bits[-1])
-        high = size + tolerance
-    else:
+    highest = float(kept.max())
+    if kept.min() < 0 or highest < _FEW_STEPS * step or step == 0:
         return None
-    between = np.flatnonzero((x > low + tolerance) & (x < high - tolerance))
-    code = _Code(action, size, between)
-    typical = float(np.median(np.abs(np.diff(code.decode(kept))[after - 1])))
-    return code if typical < (high - low) / 2 else None
+    bit = step * 2.0 ** np.floor(np.log2(highest / step) + 1e-9)
+    upper = kept >= (1 - 1e-9) * bit
+    at = np.flatnonzero(np.diff(upper))
+    jumps = np.abs(np.diff(kept)[at])
+    if not 2 <= len(at) <= _MOST_JUMPS * len(x) or jumps.min() <= bit / 2:
+        return None
+    low = kept[~upper].max()
+    high = kept[upper].min()
+    between = passing[(x[passing] > low) & (x[passing] < high)]
+    for action, size in (("signed", 2 * bit), ("sign_bit", bit)):
+        code = _Code(action, float(size), between)
+        decoded = np.abs(np.diff(code.decode(kept))[at])
+        if np.median(decoded) < np.median(jumps) / 2:
+            return code._replace(size=way * code.size)
+    return None
 
 
 def missing_values(log: Log) -> Iterator[Fault]:
@@ -420,15 +371,7 @@ def jumps_and_outliers(log: Log) -> Iterator[Fault]:
                 f"worst row {k} at t = {log.t[k]:.4g} s: {value:.5g}, which is {size:.4g} from "
                 f"those around{times}"
             )
-            evidence = {
-                "channel": name,
-                "rows": rows,
-                "count": len(rows),
-                "value": value,
-                "around": around,
-            }
-            if least > 0:
-                evidence["noises"] = size / least
+            evidence = {"channel": name, "rows": rows}
             remedies = (Remedy("interpolate", name, (int(j),), rows),)
             repair = f"interpolates {name} of {joint} there"
             yield Fault(
@@ -574,36 +517,33 @@ def _distance(t: Array, x: Array) -> Array:
 def not_measured(case: TorqueFit) -> Iterator[Fault]:
     """Joints whose torque has no error of its own, and those whose noise is that of the motion."""
     log = case.log
-    noise = {j: _own_noise(log.tau[:, j]) for j in case.joints}
-    missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     span = np.ptp(log.tau, axis=0)
+    missed = np.sqrt(case.power) / np.maximum(case.tau.std(axis=0), 1e-100)
     # no drive is known to a hundredth of its torque, or as free of noise as to a thousandth
-    ideal = [
-        j for j in case.joints if noise[j] < 1e-3 * span[j] and missed[j] < 0.01
-    ]
-    if len(ideal) > _MOST_JOINTS * len(case.joints):
-        worst = max(ideal, key=lambda j: missed[j])
-        names = log.names(ideal)
-        own = [noise[j] for j in ideal]
-        detail = (
-            f"tau of {', '.join(names)} is the output of a model, not a measurement: rigid bodies "
-            f"with viscous and Coulomb friction miss it by at most {100 * missed[worst]:.2f} % "
-            f"of its spread ({log.joints[worst]}), and its own noise is at most {max(own):.1g} "
-            f"{log.unit}"
-        )
-        evidence = {"missed": missed[ideal], "noise": own}
-        yield Fault("not_measured", names, detail, evidence)
-    derived = _derived(log, case.joints)
-    if len(derived) > _MOST_JOINTS * len(case.joints):
-        worst = max(derived, key=lambda j: derived[j])
-        names = log.names(derived)
-        detail = (
-            f"tau of {', '.join(names)} is computed from the logged motion, not measured: up "
-            f"to {100 * derived[worst]:.1f} % of the variance of its noise ({log.joints[worst]}) "
-            f"is that of the differentiated positions and velocities"
-        )
-        evidence = {"explained": [*derived.values()]}
-        yield Fault("not_measured", names, detail, evidence)
+    ideal = {
+        j: float(missed[j])
+        for j in case.joints
+        if missed[j] < 0.01 and _own_noise(log.tau[:, j]) < 1e-3 * span[j]
+    }
+    computed = (
+        (
+            ideal,
+            "the output of a model, not a measurement: rigid bodies with viscous and Coulomb "
+            "friction miss it by at most {:.2f} % of its spread, and its own noise is less than "
+            "a thousandth of its range",
+        ),
+        (
+            _derived(log, case.joints),
+            "computed from the logged motion, not measured: up to {:.1f} % of the variance of its "
+            "noise is that of the differentiated positions and velocities",
+        ),
+    )
+    for shares, how in computed:
+        if len(shares) > _MOST_JOINTS * len(case.joints):
+            names = log.names(shares)
+            what = how.format(100 * max(shares.values()))
+            detail = f"tau of {', '.join(names)} is {what}"
+            yield Fault("not_measured", names, detail, {"channel": "tau"})
 
 
 def _own_noise(x: Array) -> float:
@@ -650,7 +590,7 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
     if data is None:
         if still.all() or not span.any():
             detail = f"no joint moves: positions vary by at most {span.max():.3g}"
-            yield Fault("poor_excitation", log.joints, detail, {"span": span})
+            yield Fault("poor_excitation", log.joints, detail, {})
         return
     try:
         window = persistency(robot, data.motion)
@@ -670,10 +610,4 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
         f"in this time get less than {least:g} of the information that the given model already "
         f"has, the weakest {window.level:.2g} ({weakest}); move {', '.join(names)}"
     )
-    evidence = {
-        "missing": missing,
-        "visible": visible,
-        "level": window.level,
-        "still": resting,
-    }
-    yield Fault("poor_excitation", names, detail, evidence)
+    yield Fault("poor_excitation", names, detail, {})

@@ -143,8 +143,8 @@ class Remedy:
     joints of a channel (joint j is then the one recorded as ``joints[j]``), ``add`` the second of
     two joints to the first, ``offset`` values, ``unwrap`` turns, decode ``signed`` counters or a
     ``sign_bit``, ``advance`` a channel against the time, which leaves out rows that it does not
-    reach, ``shift`` the time from a row on, ``sort`` all rows by time, or ``exchange`` the torque
-    for that of another recording, which is done where both are at hand.
+    reach, ``sort`` all rows by time, or ``exchange`` the torque for that of another recording,
+    which is done where both are at hand.
     """
 
     action: str
@@ -244,7 +244,7 @@ def dropped(
     **evidence: Any,
 ) -> Fault:
     """A fault of rows that a repair leaves out."""
-    known = {"rows": rows, "count": len(rows), **evidence}
+    known = {"rows": rows, **evidence}
     done = f"leaves these {len(rows)} rows out"
     return Fault(fault, joints, detail, known, done, (Remedy("drop", rows=rows),))
 
@@ -281,21 +281,18 @@ def after_repair(recording: _R, faults: Sequence[Fault]) -> tuple[_R, Rows]:
     Rows of remedies count rows of this recording: sorted first, and left out last.
     """
     remedies = [r for fault in faults for r in fault.remedies]
-    t = np.array(recording.t)
     kept = np.ones(len(recording), bool)
     order = np.arange(len(recording))
     for remedy in remedies:
-        if remedy.action == "shift":
-            t[int(remedy.rows[0]) :] += remedy.factor
-        elif remedy.action == "drop":
+        if remedy.action == "drop":
             kept[remedy.rows] = False
     if any(remedy.action == "sort" for remedy in remedies):
-        order = np.argsort(t, kind="stable")
+        order = np.argsort(recording.t, kind="stable")
     kept = kept[order]
     place = np.argsort(order)
     ordered = recording.take(order)
     values: dict[str, Any] = {name: np.array(x) for name, x in ordered.channels()}
-    values["t"] = t[order]
+    values["t"] = np.array(ordered.t)
     for remedy in remedies:
         if remedy.action in _IN_SEQUENCE and remedy.channel in values:
             _apply(values, remedy, place[remedy.rows], kept)

@@ -185,24 +185,22 @@ def odds_against(robot: Robot) -> float:
 def installation_faults(case: TorqueFit) -> list[Fault]:
     """The faults of unit, installation and clock that the torque shows."""
     beyond = [*positions_beyond_limits(case)]
-    if faults := [*_torque_beyond_limits(case)]:
+    if faults := [*_torque_beyond_limits(case, bool(beyond))]:
         return beyond + faults
     best = Installation()
     reasons = dict[int, Sequence[Any]]()
     for _ in range(case.robot.nv):
         tried = [best.joined(move) for move in _moves(best.fit(case))]
-        _, *judged = _judge(case, tried)
-        judged.sort(key=lambda each: -each.odds)
+        judged = sorted(_judge(case, tried), key=lambda each: -each.odds)
         # one by one: what another leaves is no noise of theirs
-        nearest = [each for each in judged[: SEARCH.tried] if each.odds > 0]
         likely = [
             each.installation
-            for each in nearest
-            if _likelier(case, [each.installation], best)[1]
+            for each in judged[: SEARCH.tried]
+            if each.odds > 0 and _likelier(case, each.installation, best)
         ]
         if not likely:
             break
-        stands, *same = _judge(case, likely)
+        stands, *same = _judge(case, [Installation(), *likely])
         simplest, *reason = _simplest(stands, same, case)
         best = simplest.installation
         reasons[len(best.faults) - 1] = reason
@@ -327,7 +325,7 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
         log = case.log.take(rows)
         part = torque_fit(case.robot, log, smooth(log), dead)
         if part:
-            stands, judged = _judge(part, [installation])
+            stands, judged = _judge(part, [Installation(), installation])
             allowed = stands.squares + SEARCH.fits * float(part.rows.sum())
             if judged.squares > allowed:
                 return False
@@ -335,40 +333,30 @@ def _throughout(case: TorqueFit, installation: Installation) -> bool:
 
 
 def _likelier(
-    case: TorqueFit, installations: Sequence[Installation], other: Installation
-) -> tuple[_Judged, list[_Judged]]:
-    """The log as it stands, and installations that are likelier than another.
-
-    They also leave half the squares of the other, or fit.
-    """
-    others = [other] if other.faults else []
-    stands, *judged = _judge(case, [*others, *installations])
-    theirs = judged.pop(0) if others else stands
-    fits = SEARCH.fits * float(case.rows.sum())
-    allowed = max(SEARCH.halved * theirs.squares, fits)
-    likelier = [
-        each
-        for each in judged
-        if each.odds > theirs.odds and each.squares <= allowed
-    ]
-    return stands, likelier
+    case: TorqueFit, installation: Installation, other: Installation
+) -> _Judged | None:
+    """An installation, if it is likelier than another, and leaves half its squares, or fits."""
+    theirs, mine = _judge(case, [other, installation])
+    allowed = max(
+        SEARCH.halved * theirs.squares, SEARCH.fits * float(case.rows.sum())
+    )
+    likelier = mine.odds > theirs.odds and mine.squares <= allowed
+    return mine if likelier else None
 
 
 def _judge(case: TorqueFit, installations: Sequence[Installation]) -> list[_Judged]:
-    """The log as it stands, with the squares that it leaves, and each installation."""
-    fits = [installation.fit(case) for installation in installations]
-    before, evidence = _evidence(case, fits)
-    pairs = zip(installations, evidence, strict=True)
-    judged = [
-        _Judged(each, gain - each.price, squares) for each, (gain, squares) in pairs
+    """Each installation by the evidence of the torque and its price."""
+    evidence = _evidence(case, [each.fit(case) for each in installations])
+    return [
+        _Judged(each, gain - each.price, squares)
+        for each, (gain, squares) in zip(installations, evidence, strict=True)
     ]
-    return [_Judged(Installation(), 0.0, before), *judged]
 
 
 def _evidence(
     case: TorqueFit, fits: Sequence[TorqueFit]
-) -> tuple[float, list[tuple[float, float]]]:
-    """Squares that a log as it stands leaves; of other fits twice the log evidence, and squares.
+) -> list[tuple[float, float]]:
+    """Twice the log evidence of fits against that of the log as it stands, and their squares.
 
     As it stands any one of the links may be another body: that needs no other installation. Errors
     of the model count as noise.
@@ -377,16 +365,19 @@ def _evidence(
     noise = case.power
     for fit in fits:
         noise = np.minimum(noise, fit.power[np.argsort(fit.data.recorded)])
-    as_it_stands = [case.surprise(noise, case.rows, link) for link in range(nv)]
-    before = min(surprise for _, surprise in as_it_stands)
-    most = min(squares for squares, _ in as_it_stands)
+    links = [case.surprise(noise, case.rows, link) for link in range(nv)]
+    squares, surprises = zip(*links, strict=True)
     rows = float(case.rows.sum())
     evidence = []
     for fit in fits:
+        if fit is case:
+            evidence.append((0.0, min(squares)))
+            continue
         order = fit.data.recorded
-        squares, surprise = fit.surprise(noise[order], case.rows[order], nv - 1)
-        evidence.append(((before - surprise) / max(1.0, squares / rows), squares))
-    return most, evidence
+        left, surprise = fit.surprise(noise[order], case.rows[order], nv - 1)
+        gain = (min(surprises) - surprise) / max(1.0, left / rows)
+        evidence.append((gain, left))
+    return evidence
 
 
 def _simplest(
@@ -428,7 +419,7 @@ def _simplest(
     told = {kind[:2] for kind in kinds}
     others_kinds = [*itertools.chain(*alike)]
     rivals = [x[:2] for x in others_kinds if x[:2] not in told]
-    evidence = {"gain": best.odds, "alike": rivals}
+    evidence: dict[str, Any] = {"alike": rivals}
     # which column of a joint has the sign
     if any(x[:2] in told and x not in kinds for x in others_kinds):
         evidence[OPEN] = True
@@ -443,27 +434,20 @@ def _kinds(faults: Sequence[Fault]) -> tuple[Any, ...]:
 def pose_faults(robot: Robot, log: Log) -> Iterator[Fault]:
     """Joints of an arm at rest whose torque is that of nominal bodies by a factor none can make.
 
-    Beyond what comes by chance of so many poses (Fisher 1915), as friction at rest is no such
-    multiple.
+    Beyond what comes by chance of so many poses, as friction at rest is no such multiple.
     """
     if log.unit != "N·m" or not is_described(robot):
         return
     still = np.zeros_like(log.q)
-    given = rigid_body_torque(robot, Motion(log.t, log.q, still, still))
-    model, read = (x - x.mean(axis=0) for x in (given, log.tau))
-    size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
-    along = (model * read).sum(axis=0)
-    likeness = along / np.maximum(size * np.linalg.norm(read, axis=0), 1e-300)
-    left = np.maximum(1 - likeness**2, 1e-300)
-    freedom = len(log) - 2
-    t = np.abs(likeness) * np.sqrt(freedom / left)
-    chance = 2 * scipy.special.stdtr(freedom, -t)
-    clear = (chance < ALARM / log.nv) & (left < SEARCH.halved)
-    for j in np.flatnonzero(clear):
-        factor = float(along[j] / size[j] ** 2)
+    model = rigid_body_torque(robot, Motion(log.t, log.q, still, still))
+    for j in np.flatnonzero(np.ptp(model, axis=0) > 0):
+        line = scipy.stats.linregress(model[:, j], log.tau[:, j])
+        if line.pvalue >= ALARM / log.nv or 1 - line.rvalue**2 >= SEARCH.halved:
+            continue
+        factor = float(line.slope)
         joints = log.names([j])
         times = f"tau of {joints[0]} at rest is {factor:.3g} times that of the nominal bodies"
-        evidence = {"channel": "tau", "factor": factor}
+        evidence = {"channel": "tau"}
         if factor < 0:
             detail = f"{times}: q or tau counts the other way than the robot's"
             yield Fault("wrong_sign", joints, detail, evidence)
@@ -486,8 +470,8 @@ def support(
     case = torque_fit(robot, log, smooth(log), joints_without_torque(others))
     if case is None:
         return 0.0
-    _, likely = _likelier(case, [Installation(tuple(faults))], Installation())
-    return likely[0].odds if likely else -np.inf
+    likely = _likelier(case, Installation(tuple(faults)), Installation())
+    return likely.odds if likely else -np.inf
 
 
 def swapped(robot: Robot, recordings: Sequence[Recording]) -> list[tuple[int, int]]:
@@ -526,7 +510,7 @@ def _with_torque_of(robot: Robot, log: Log, other: Log) -> float:
     change = _unlikeness(robot, moved) - _unlikeness(robot, case.data)
     if change > np.log(SEARCH.halved):
         return -np.inf
-    _, [(gain, _)] = _evidence(case, [replace(case, data=moved)])
+    [(gain, _)] = _evidence(case, [replace(case, data=moved)])
     return gain
 
 
@@ -627,7 +611,7 @@ def _orders(fit: TorqueFit) -> Iterator[Installation]:
                 "wrong_order",
                 log.names(wrong),
                 f"{what} are in another order: {words}",
-                {"order": names, "channels": channels},
+                {},
                 f"puts the {what} of {len(wrong)} joints in the order of the robot",
                 tuple(Remedy("order", channel, order) for channel in channels),
             )
@@ -679,7 +663,7 @@ def _couplings(fit: TorqueFit) -> Iterator[Installation]:
             (joint, other),
             f"q of {joint} is logged with that of {other} {'added' if added else 'taken off'}"
             + ", and torque is that of these axes" * torque,
-            {"channel": "q", "factor": sign, "torque": torque},
+            {"channel": "q"},
             f"{'takes' if added else 'adds'} q of {other} {'off' if added else 'to'} that of "
             f"{joint}",
             tuple(remedies),
@@ -758,7 +742,7 @@ def _in_degrees(fit: TorqueFit) -> Iterator[Installation]:
                 "wrong_unit",
                 log.names(joints),
                 f"q is in degrees: it reaches {largest[widest]:.4g} at {log.joints[widest]}",
-                {"channel": "q", "largest": largest},
+                {"channel": "q"},
                 "multiplies q and dq, which agrees with it, by π/180",
                 tuple(remedies),
             ),
@@ -807,8 +791,7 @@ def inertias_beyond_size(robot: Robot) -> Iterator[Fault]:
         "kg·mm² or g·mm²) and kg in the robot's file"
     )
     joints = tuple(robot.joints[robot.links.index(link)] for link in links[wide])
-    evidence = {"channel": "inertia", "radius": float(radius.max()), "reach": reach}
-    yield Fault("wrong_unit", joints, detail, evidence)
+    yield Fault("wrong_unit", joints, detail, {"channel": "inertia"})
 
 
 def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
@@ -829,10 +812,10 @@ def positions_beyond_limits(fit: TorqueFit) -> Iterator[Fault]:
         f"{largest:.4g}, its limits are {low[worst]:.4g} and {high[worst]:.4g}: motor positions, "
         "counts or another unit"
     )
-    yield Fault("wrong_unit", names, detail, {"channel": "q", "largest": largest})
+    yield Fault("wrong_unit", names, detail, {"channel": "q"})
 
 
-def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
+def _torque_beyond_limits(case: TorqueFit, registers: bool) -> Iterator[Fault]:
     """Torques far beyond what drives can do, in the unit that brings them nearest.
 
     It has a name where bodies near the nominal ones have that torque then, and q is no register.
@@ -855,13 +838,12 @@ def _torque_beyond_limits(case: TorqueFit) -> Iterator[Fault]:
     clear = std < SEARCH.clear_scale
     off = np.abs(np.log(gains[clear] / factor))
     likely = clear.any() and np.median(off) < np.log(SEARCH.least_scale)
-    registers = len(beyond_limits(case.robot, case.data.motion.q)[0]) > 0
     detail = f"tau is {typical:.3g} times the torque limit (median over joints)"
     fault = Fault(
         "wrong_unit",
         log.joints,
         f"{detail}: another unit",
-        {"channel": "tau", "factor": typical},
+        {"channel": "tau"},
     )
     if likely and not registers:
         every = tuple(range(log.nv))
@@ -907,9 +889,7 @@ def _scales(fit: TorqueFit) -> Iterator[Installation]:
         f"tau of {', '.join(names)} is {what}: another unit, currents or per cent, or inertias of "
         "the model in another unit"
     )
-    fault = Fault(
-        "wrong_unit", unscaled, detail, {"channel": "tau", "factor": gains}
-    )
+    fault = Fault("wrong_unit", unscaled, detail, {"channel": "tau"})
     factors = 1 if one else len(names)
     yield _one(fit, fault, more=2 * factors * float(np.log(SEARCH.scales)))
 
@@ -1044,7 +1024,7 @@ def _mounting(
             "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
             "gravity: [0, 0, 0], or record the torque of the drives"
         )
-        evidence = {"gravity": np.zeros(3), "angle": 0.0}
+        evidence = {"gravity": np.zeros(3)}
         yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
         return
     near = _mounted(fit, range(fit.robot.nv), tried[int(np.argmin(squares))])
@@ -1072,7 +1052,7 @@ def _mounted(
         f"the arm is mounted otherwise than its model says: gravity points along ({vector}) m/s² "
         f"in the base frame, {angle:.0f}° from the given direction; give robot.yaml that gravity"
     )
-    evidence = {"gravity": gravity, "angle": angle} | _known(std)
+    evidence = {"gravity": gravity} | _known(std)
     return Fault("wrong_mounting", fit.log.names(joints), detail, evidence)
 
 
@@ -1104,10 +1084,9 @@ def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
             squares = partial(_at_zero, left, flipped)
             free = _least(squares, np.arange(-np.pi, np.pi, SEARCH.step))
             right = SEARCH.right * round(free / SEARCH.right)
-            offsets = np.array([0.0, right, free])
             negated = (*counted, *("tau",) * (flipped is not None))
-            pairs = zip(squares(offsets).tolist(), offsets.tolist(), strict=True)
-            tried += [(value, negated, offset) for value, offset in pairs]
+            for offset in (0.0, right, free):
+                tried.append((float(squares(np.array(offset))), negated, offset))
     tried.sort(key=lambda each: len({*each[1]} - {"dq"}))
     simplest = list[tuple[tuple[str, ...], float]]()
     for some in (tried, [each for each in tried if "tau" not in each[1]]):

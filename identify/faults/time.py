@@ -2,8 +2,7 @@
 
 A row is *late* where its stamp puts it between two others that are as far apart as if it were
 missing there, and where no position then jumps: sorting restores the log. A short run of stamps
-that fit nowhere is left out. A clock *starts anew* where time goes back and runs on at the same
-rate for long enough: the log is cut there. Anything else has several meanings; nothing is done.
+that fit nowhere is left out. Anything else has several meanings; nothing is done.
 
 Over windows, ∫ q̇ dt must be Δq. The slope b of one against the other is 1; it is −1 where a sign is
 flipped, 180/π or 30/π where the velocity is in degrees or revolutions per minute, and c for all
@@ -12,9 +11,8 @@ joints at once where the time runs c times too fast. No model is needed to see t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -31,7 +29,6 @@ from excitant.identify.faults.fault import (
     tail_bound,
 )
 from excitant.identify.preprocessing import longest_step
-from excitant.identify.recording import MINIMUM_DURATION
 from excitant.robots.motion import Array
 
 _NONE: Rows = np.zeros(0, np.intp)
@@ -71,32 +68,23 @@ class Repairable:
     "Ratio of changes over one row to those over two, beyond which two motions take turns."
     lost: float = 0.01
     "Share of the rows that may be left out."
-    rate: float = 0.05
-    "Relative difference of the rate of a clock that started anew."
-    brief: float = 0.1
-    "Share of the rows that may be in parts shorter than `MINIMUM_DURATION`."
-    rows_per_start: int = 50
-    "Rows: a clock that starts anew more often does something else."
-    pause: float = 10.0
-    "Pause between parts, in the longest step that is no gap."
 
 
 REPAIRABLE = Repairable()
 
 
-def stamp_faults(log: Log) -> tuple[list[Fault], Rows | None]:
-    """Stamps that are no numbers, repeat or go back, and rows where the clock starts anew.
-
-    None for those where no repair brings the rows into the order of time.
-    """
-    order = _order_of(log)
+def stamp_faults(log: Log) -> tuple[list[Fault], bool]:
+    """Stamps that are no numbers, repeat or go back; and whether a repair makes time rise."""
     faults = []
     timed = np.flatnonzero(np.isfinite(log.t))
     if len(rows := np.flatnonzero(~np.isfinite(log.t))):
         detail = f"{len(rows)} of {len(log)} time stamps are no numbers, first in row {rows[0]}"
         faults.append(dropped(log.joints, rows, detail, channel="t"))
-    faults += [*_repeated(log, timed, order.again), *_backward(log, timed, order)]
-    return faults, None if order.unclear else order.starts
+    again = _logged_again(log, timed)
+    settled = _settled(log, np.setdiff1d(timed, again))
+    faults += _repeated(log, timed, again)
+    faults += _backward(log, timed, settled)
+    return faults, settled is not None
 
 
 def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
@@ -122,8 +110,7 @@ def gap_faults(log: Log, starts: Array) -> Iterator[Fault]:
         f"longest, {steps[k] * log.step:.4g} s after t = {log.t[k]:.4g} s, is {steps[k]:.3g} times "
         f"the median step of {log.step:.4g} s"
     )
-    evidence = {"gaps": len(at), "missing": missing, "rows": at}
-    evidence["longest"] = float(steps[k])
+    evidence = {"gaps": len(at), "rows": at}
     yield Fault("dropped_samples", log.joints, detail, evidence)
 
 
@@ -161,10 +148,7 @@ def repeated_rows(log: Log) -> Iterator[Fault]:
     if frozen:
         spans = (f"{log.t[i]:.4g} to {log.t[k]:.4g} s" for i, k in frozen)
         detail += f"; frozen from t = {', '.join(spans)}"
-    longest = max([*lengths, *(end - start for start, end in frozen)]) + 1
-    yield dropped(
-        log.joints, rows, detail, "duplicate_samples", longest=int(longest)
-    )
+    yield dropped(log.joints, rows, detail, "duplicate_samples")
 
 
 def _held_torque(log: Log, repeats: Mask) -> Iterator[tuple[int, int]]:
@@ -223,8 +207,7 @@ def hidden_gaps(log: Log) -> Iterator[Fault]:
         f"{missing} rows are missing though the stamps run on; first after t = {log.t[k]:.4g} s, "
         f"where q moves {1 + m[k]:.2f} times as far as its speed allows"
     )
-    evidence = {"rows": rows, "missing": missing, "ratio": 1 + m[rows]}
-    yield Fault("dropped_samples", log.joints, detail, evidence)
+    yield Fault("dropped_samples", log.joints, detail, {"rows": rows})
 
 
 def _median_around(x: Array) -> Array:
@@ -237,53 +220,25 @@ def _median_around(x: Array) -> Array:
     return medians
 
 
-class _Order(NamedTuple):
-    """How rows come into the order of time.
-
-    Attributes:
-        again: Rows that repeat an earlier one, not the row before, with its stamp and values.
-        late: Rows that belong between earlier ones, where sorting puts them.
-        lost: Rows whose stamps fit nowhere.
-        starts: Rows at which the clock starts anew.
-        shifts: What is added to time from each of these on [s].
-        unclear: Why nothing can be done; empty where the above makes time rise.
-    """
-
-    again: Rows = _NONE
-    late: Rows = _NONE
-    lost: Rows = _NONE
-    starts: Rows = _NONE
-    shifts: tuple[float, ...] = ()
-    unclear: str = ""
-
-
-def _order_of(log: Log) -> _Order:
-    t = log.t
-    rows = np.flatnonzero(np.isfinite(t))
-    rows = rows[np.diff(t[rows], prepend=-np.inf) != 0]
-    if (np.diff(t[rows]) > 0).all():
-        return _Order()
+def _logged_again(log: Log, timed: Rows) -> Rows:
+    """Rows that repeat an earlier one, not the row before, with its stamp and values."""
+    rows = timed[np.diff(log.t[timed], prepend=-np.inf) != 0]
+    if (np.diff(log.t[rows]) > 0).all():
+        return _NONE
     import pandas as pd
 
-    values = pd.DataFrame(
-        np.column_stack([t, *(x for _, x in log.channels())])[rows]
-    )
-    again = rows[values.duplicated()]
-    rows = np.setdiff1d(rows, again)
-    if len(rows) < 2:
-        return _Order(again)
-    step = float(np.median(np.abs(np.diff(t[rows]))))
-    settled = _settled(log, rows, step)
-    return (
-        _cut(log, rows, again, step) if settled is None else _Order(again, *settled)
-    )
+    channels = [x for _, x in log.channels()]
+    values = pd.DataFrame(np.column_stack([log.t, *channels])[rows])
+    return rows[values.duplicated()]
 
 
-def _settled(log: Log, rows: Rows, step: float) -> tuple[Rows, Rows] | None:
+def _settled(log: Log, rows: Rows) -> tuple[Rows, Rows] | None:
     """Of some rows those that sorting puts right, and few to leave out; None when that fails."""
+    rows = rows[np.diff(log.t[rows], prepend=-np.inf) != 0]
     t = log.t[rows]
     if (np.diff(t) > 0).all():
         return _NONE, _NONE
+    step = float(np.median(np.abs(np.diff(t))))
     moved = np.abs(t - _smoothed(t)) > REPAIRABLE.stray * step
     near = t[~moved]
     behind = near < np.maximum.accumulate(near)
@@ -332,56 +287,6 @@ def _unfit(t: Array, q: Array, order: Rows, moved: Mask, step: float) -> Mask:
     return unfit
 
 
-def _cut(log: Log, rows: Rows, again: Rows, step: float) -> _Order:
-    """The order of a log whose clock starts anew, if that is what it did."""
-    t = log.t
-    starts = _starts(t, rows, step)
-    if not len(starts):
-        return _Order(again, unclear="its rows fit nowhere else")
-    often = f"it does so {len(starts)} times, mostly within {MINIMUM_DURATION:g} s"
-    if len(starts) * REPAIRABLE.rows_per_start >= len(rows):
-        return _Order(again, unclear=often)
-    late = []
-    lost = []
-    shifts = [0.0]
-    end = -np.inf
-    brief = 0
-    pause = REPAIRABLE.pause * longest_step(step)
-    for part in np.split(rows, np.searchsorted(rows, starts)):
-        settled = _settled(log, part, step)
-        if settled is None:
-            why = f"from row {part[0]} on its rows fit nowhere else"
-            return _Order(again, unclear=why)
-        late.append(settled[0])
-        lost.append(settled[1])
-        stamps = np.sort(t[np.setdiff1d(part, settled[1])])
-        long = len(stamps) > REPAIRABLE.run
-        rate = float(np.median(np.diff(stamps))) if long else step
-        if abs(rate / step - 1) > REPAIRABLE.rate:
-            why = f"from row {part[0]} on it takes other steps, {rate:.4g} s"
-            return _Order(again, unclear=why)
-        first, last = stamps[[0, -1]].tolist()
-        brief += len(part) if last - first < MINIMUM_DURATION else 0
-        shifts.append(max(shifts[-1], end + pause - first))
-        end = last + shifts[-1]
-    if brief > REPAIRABLE.brief * len(rows):
-        return _Order(again, unclear=often)
-    added = tuple(np.diff(shifts)[1:].tolist())
-    return _Order(again, np.concatenate(late), np.concatenate(lost), starts, added)
-
-
-def _starts(t: Array, rows: Rows, step: float) -> Rows:
-    """Rows at which the clock starts anew: where time falls most near each fall of its median."""
-    clear = rows[np.abs(t[rows] - _smoothed(t[rows])) <= REPAIRABLE.stray * step]
-    falls = np.flatnonzero(np.diff(_smoothed(t[clear])) < 0) + 1
-    if not len(falls):
-        return _NONE
-    reach = np.arange(-2 * REPAIRABLE.run, 2 * REPAIRABLE.run + 1)
-    near = np.clip(falls[:, None] + reach, 1, len(clear) - 1)
-    drops = np.diff(t[clear])[near - 1]
-    return np.unique(clear[near[np.arange(len(falls)), drops.argmin(axis=1)]])
-
-
 def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     """Rows with the stamp of an earlier row: the one before, or any that has all its values."""
     still = np.flatnonzero(np.diff(log.t[timed]) == 0)
@@ -391,90 +296,53 @@ def _repeated(log: Log, timed: Rows, again: Rows) -> Iterator[Fault]:
     if not len(rows):
         return
     equal = [(x[beside] == x[before]).all(axis=1) for _, x in log.channels()]
-    identical = int(np.all(equal, axis=0).sum())
-    n = len(log)
-    beside_only = len(rows) - len(again)
-    parts = []
-    if beside_only:
-        share = f"{100 * beside_only / n:.2f} %"
-        parts.append(
-            f"{beside_only} of {n} rows ({share}) repeat the time of the row before, {identical} "
-            "of them all its values too"
-        )
-    if len(again):
-        parts.append(
-            f"{len(again)} of {n} rows repeat time and values of earlier ones"
-        )
-    detail = f"{'; '.join(parts)}; {log.first(rows)}"
-    identical += len(again)
-    fault = dropped(
-        log.joints, rows, detail, "duplicate_samples", identical=identical
+    identical = int(np.all(equal, axis=0).sum()) + len(again)
+    share = f"{100 * len(rows) / len(log):.2f} %"
+    detail = (
+        f"{len(rows)} of {len(log)} rows ({share}) repeat the time of an earlier one, {identical} "
+        f"of them all its values too; {log.first(rows)}"
     )
+    fault = dropped(log.joints, rows, detail, "duplicate_samples")
     done = f"keeps the first of each and leaves {len(rows)} rows out"
     yield replace(fault, repair=done)
 
 
-def _backward(log: Log, timed: Rows, order: _Order) -> Iterator[Fault]:
-    """Faults of rows that are earlier than one before them, from how they come into order."""
+def _backward(
+    log: Log, timed: Rows, settled: tuple[Rows, Rows] | None
+) -> Iterator[Fault]:
+    """Rows that are earlier than one before them, sorted or left out as `_settled`."""
     rows = timed[1:][np.diff(log.t[timed]) < 0]
     if not len(rows):
         return
-
-    def fault(
-        rows: Rows,
-        detail: str,
-        done: str | None = None,
-        remedies: Sequence[Remedy] = (),
-        **evidence: Any,
-    ) -> Fault:
-        evidence = {"rows": rows, "count": len(rows), "channel": "t", **evidence}
-        return Fault(
-            "corrupt_rows", log.joints, detail, evidence, done, tuple(remedies)
-        )
-
-    def fall(row: int) -> str:
-        return (
-            f"first from {log.t[timed[timed < row][-1]]:.6g} to {log.t[row]:.6g} s"
-        )
-
     first = int(rows[0])
-    n = len(log)
-    if order.unclear:
+    before = log.t[timed[timed < first][-1]]
+    where = f"first from {before:.6g} to {log.t[first]:.6g} s in row {first}"
+    if settled is None:
         detail = (
-            f"time goes back in {len(rows)} of {n} rows, {fall(first)} in row {first}; "
-            f"{order.unclear}, so that sorting or cutting would be a guess: cut the file by hand "
-            f"in row {first}, or correct its time"
+            f"time goes back in {len(rows)} of {len(log)} rows, {where}, and no order fits all "
+            f"rows: cut the file by hand in row {first}, or correct its time"
         )
-        yield fault(rows, detail, unclear=order.unclear)
+        evidence = {"rows": rows, "channel": "t", "unclear": True}
+        yield Fault("corrupt_rows", log.joints, detail, evidence)
         return
-    starts = order.starts
-    if len(starts):
-        detail = (
-            f"the clock starts anew in {_listed(starts)}, {fall(int(starts[0]))}, and runs "
-            f"on at the same rate, as in recordings written one after the other"
-        )
-        done = (
-            f"cuts the recording into {len(starts) + 1} parts at {_listed(starts)}"
-        )
-        remedies = [
-            Remedy("shift", "t", rows=starts[k : k + 1], factor=shift)
-            for k, shift in enumerate(order.shifts)
-        ]
-        yield fault(starts, detail, done, remedies, shifts=order.shifts)
-    moved = np.union1d(order.late, order.lost)
+    late, lost = settled
+    moved = np.union1d(late, lost)
     if not len(moved):
         return
     words = []
     remedies = []
-    if len(order.late):
-        words.append(f"sorts {_listed(order.late)} by time, where they fit")
-        remedies.append(Remedy("sort", "t", rows=order.late))
-    if len(order.lost):
-        words.append(f"leaves {_listed(order.lost)} out")
-        remedies.append(Remedy("drop", rows=order.lost))
-    where = f"{fall(first)} in row {first}"
-    detail = f"time goes back: {len(moved)} of {n} rows are out of order, {where}"
-    yield fault(moved, detail, " and ".join(words), remedies, late=len(order.late))
+    if len(late):
+        words.append(f"sorts {_listed(late)} by time, where they fit")
+        remedies.append(Remedy("sort", "t", rows=late))
+    if len(lost):
+        words.append(f"leaves {_listed(lost)} out")
+        remedies.append(Remedy("drop", rows=lost))
+    detail = (
+        f"time goes back: {len(moved)} of {len(log)} rows are out of order, {where}"
+    )
+    evidence = {"rows": moved, "channel": "t"}
+    done = " and ".join(words)
+    yield Fault("corrupt_rows", log.joints, detail, evidence, done, tuple(remedies))
 
 
 def _listed(rows: Rows) -> str:
@@ -498,11 +366,11 @@ def velocity_faults(log: Log) -> list[Fault]:
         first, last = log.t[[0, -1]]
         detail = f"every time step is exactly 1, so t counts samples ({first:g} to {last:g})"
         if shared is None or not of_clock:
-            return [Fault("wrong_sample_rate", log.joints, detail, {"step": 1.0})]
+            return [Fault("wrong_sample_rate", log.joints, detail, {})]
         detail += (
             f"; q and dq agree at a step of {1 / shared:.4g} s ({shared:.4g} Hz)"
         )
-        return [slow_clock(log.joints, shared, detail, step=1.0)]
+        return [slow_clock(log.joints, shared, detail)]
     if wrong and (change := _rate_change(log)) is not None:
         return [change]
     if shared is None or not of_clock or _unit_slope(shared) is not None:
@@ -515,11 +383,7 @@ def velocity_faults(log: Log) -> list[Fault]:
         f"{len(follows)} moving joints; the median step is {log.step:.4g} s, "
         f"{log.step / factor:.4g} s would fit"
     )
-    return [
-        slow_clock(
-            log.joints, factor, detail, factor=shared, slopes=b, errors=error
-        )
-    ]
+    return [slow_clock(log.joints, factor, detail)]
 
 
 def _shared_slope(slopes: Array) -> float | None:
@@ -607,39 +471,13 @@ def _unit_slope(slope: float) -> float | None:
     return next(near, None)
 
 
-def slow_clock(
-    joints: tuple[str, ...], factor: float, detail: str, /, **evidence: object
-) -> Fault:
+def slow_clock(joints: tuple[str, ...], factor: float, detail: str) -> Fault:
     """The fault of a clock that runs so many times too slow."""
     done = f"divides the time by {factor:.5g}"
     remedy = Remedy("scale", "t", factor=1 / factor)
-    evidence = {"factor": factor, **evidence}
-    return Fault("wrong_sample_rate", joints, detail, evidence, done, (remedy,))
-
-
-def with_one_clock(
-    faults: Sequence[Sequence[Fault]],
-) -> list[tuple[Fault, ...]]:
-    """Faults of each recording; those that count samples take the steps that some of them show."""
-    known = [
-        fault.evidence["factor"]
-        for some in faults
-        for fault in some
-        if "step" in fault.evidence and fault.remedies
-    ]
-    if not known or max(known) > (1 + _MARGIN) * min(known):
-        return [tuple(some) for some in faults]
-    factor = float(np.median(known))
-    others = f"; a step is {1 / factor:.4g} s in others that count them"
-    return [
-        tuple(
-            slow_clock(fault.joints, factor, fault.detail + others, step=1.0)
-            if "step" in fault.evidence and not fault.remedies
-            else fault
-            for fault in some
-        )
-        for some in faults
-    ]
+    return Fault(
+        "wrong_sample_rate", joints, detail, {"factor": factor}, done, (remedy,)
+    )
 
 
 def _joint_fault(log: Log, j: int, slope: float, error: float) -> Fault:
@@ -667,5 +505,4 @@ def _joint_fault(log: Log, j: int, slope: float, error: float) -> Fault:
         what += ", and its sign is flipped" if slope < 0 else ""
     remedy = Remedy("scale", channel, (j,), factor=factor)
     detail = f"∫dq dt of {joint} is {slope:.4g} ± {error:.2g} times the change of its q{what}"
-    evidence = {"channel": channel, "slope": slope, "error": error}
-    return Fault(fault, (joint,), detail, evidence, done, (remedy,))
+    return Fault(fault, (joint,), detail, {"channel": channel}, done, (remedy,))

@@ -332,8 +332,10 @@ class TorqueFit:
         return lambda *mixture: factors(*mixture)[..., -1, -1] ** 2
 
     def _std(self, other: int) -> Array:
-        """Std of what is not known, u = p − 1 + k: errors of bodies, those of gains."""
-        return np.append(link_std(self.robot, other), self.loose)
+        """Std of what is not known, u = p − 1 + k: bodies in `BODY_STD`, and gains."""
+        std = np.ones((self.robot.nv, 10))
+        std[other] = TOOL if other == self.robot.nv - 1 else ANOTHER_BODY
+        return np.append(std, self.loose)
 
     def _factors(
         self, moments: _Moments, weight: Array, other: int
@@ -416,13 +418,6 @@ def torque_fit(
     alive = [j for j in range(robot.nv) if log.joints[j] not in dead and moved[j]]
     fit = TorqueFit(robot, log, data, alive) if alive else None
     return fit if fit and len(fit.tau) >= _ROWS else None
-
-
-def link_std(robot: Robot, other: int) -> Array:
-    """Std of each coordinate of the bodies in those of `BODY_STD`; one link is another body."""
-    std = np.ones((robot.nv, 10))
-    std[other] = TOOL if other == robot.nv - 1 else ANOTHER_BODY
-    return std.ravel()
 
 
 def _solve(A: Array, b: Array) -> Array:

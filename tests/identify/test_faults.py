@@ -12,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import refusal, refused, slow
-from mistakes import PLANTS, Mistake, edited, recorded, run_of, scaled, with_rows
+from mistakes import PLANTS, Mistake, edited, recorded, scaled, with_rows
 
 import excitant as ex
 from excitant.exceptions import BadRecording, FaultWarning
-from excitant.identify import ColumnMap, Recording, identify_robot, load_dataset, raw_recording
+from excitant.identify import ColumnMap, Recording, load_dataset, raw_recording
 from excitant.identify.dataset import read_checked
 from excitant.identify.faults import FAULTS, Log, find_copies, find_faults, proven, repair
 from excitant.identify.faults.installation import in_joint_frames
@@ -222,14 +222,6 @@ def test_friction_at_a_reversal_is_no_outlier(clean: Log, at: int, later: int, o
     assert found == outliers
 
 
-def test_logs_that_count_samples_have_one_clock(read: Read) -> None:
-    """That of one joint alone does not tell its step, that of both does."""
-    both = [run_of(PLANAR, (3, 0, k)).moved(lambda j, k=k: j >= k) for k in range(2)]
-    checked = read(*(replace(log, t=np.arange(N)) for log in both), repaired=True)
-    for recording in checked.recordings:
-        assert np.median(np.diff(recording.t)) == pytest.approx(0.008, rel=0.03)
-
-
 def test_nothing_at_all_is_no_traceback(clean: Log) -> None:
     few = [clean.take(np.arange(rows)) for rows in (0, 1, 2, 10, 60)]
     for log in (*few, scaled(clean, "q", 0.0), scaled(clean, "tau", np.nan)):
@@ -318,38 +310,11 @@ def one_after_the_other(one: Log, other: Log, later: float = 0.0) -> Log:
     return replace(one, t=np.concatenate([one.t, other.t + later]), **parts)
 
 
-@pytest.mark.parametrize("later", [0.0, 0.003, -5.0, -20.0])
-def test_a_clock_that_starts_anew_is_a_cut(clean: Log, read: Read, later: float) -> None:
-    """Two runs in one file are the two runs, and are identified as such."""
-    second = run("planar_2r", 1)
-    both = one_after_the_other(clean, second, later)
-    both = both.take(np.r_[0:40, 41, 40, 42 : N + 60, N + 61, N + 60, N + 62 : 2 * N])
-    checked = read(both, repaired=True)
-    overlap = later > -clean.t[-1]  # else sorting puts the second run before the first
-    assert any(f"2 parts at row {N}" in note for note in checked.notes) == overlap
-    assert ("dropped_samples" in {entry["fault"] for entry in checked.entries()}) == (not overlap)
-    (repaired,) = checked.recordings
-    runs = (clean, second) if overlap else (second, clean)
-    np.testing.assert_array_equal(repaired.q, np.concatenate([run.q for run in runs]))
-    if later == 0.003:
-        apart, together = (
-            identify_robot(PLANAR, recordings, validate=[run("planar_2r", 2)])
-            for recordings in ([clean, second], [repaired])
-        )
-        assert len(together.data.train) == 2
-        std = np.sqrt(np.diag(apart.least_squares.covariance))
-        difference = np.abs(together.least_squares.beta - apart.least_squares.beta)
-        assert (difference < 1e-5 * std).all()  # rounding of later stamps, in speeds most of all
-
-
-def test_another_motion_is_not_sorted_into_a_gap(clean: Log) -> None:
-    """Stamps alone would let it pass: they fill the gap, but positions would jump at its ends."""
+def of_another_motion(log: Log) -> Log:
+    """Rows of another one fill a gap by their stamps, but positions jump at its ends."""
     rows = np.arange(300, 600)
-    other = replace(run("planar_2r", 1).take(rows), t=clean.t[rows])
-    log = one_after_the_other(clean.take(np.delete(np.arange(N), rows)), other)
-    repaired, (note, *_) = mended(log)
-    assert "cuts the recording into 2 parts at row 701" in note
-    np.testing.assert_array_equal(repaired.q, log.q)
+    other = replace(run("planar_2r", 1).take(rows), t=log.t[rows])
+    return one_after_the_other(log.take(np.delete(np.arange(N), rows)), other)
 
 
 def interleaved(log: Log) -> Log:
@@ -360,6 +325,8 @@ def interleaved(log: Log) -> Log:
 NOISE = np.random.default_rng(0).normal(size=N)
 UNCLEAR: dict[str, Callable[[Log], Log]] = {
     "interleaved": interleaved,
+    "another motion": of_another_motion,
+    "another run": lambda log: one_after_the_other(log, run("planar_2r", 1), 0.003),
     "wrapped clock": lambda log: replace(log, t=np.mod(log.t, 1.0)),
     "another rate": lambda log: one_after_the_other(log, replace(log, t=2 * log.t, q=-log.q)),
     "shaken": lambda log: replace(log, t=log.t + 0.5 * log.step * NOISE),
