@@ -37,7 +37,7 @@ def dense_motion(trajectory: Trajectory) -> Motion:
 
 _TIMED = (
     "the time limit ended the search, so that how far it came depends on the machine; a number of "
-    "starts without a time limit gives the same motion everywhere"
+    "starts without a time limit gives the same motion each time"
 )
 
 
