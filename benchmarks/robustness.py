@@ -373,6 +373,8 @@ KILLED = {  # the command, and what makes an old run and a new one of it
     "diagnose": (f"diagnose {_RUNS} --no-experiments", "--cutoff 8", "--cutoff 9"),
     "rehearse": (f"rehearse {_MOVE}", "--seed 1", "--seed 2"),
     "report": ("report", "model set/model", "set/model model"),
+    "go": (f"go {_RUNS}", "--cutoff 8", "--cutoff 9"),
+    "show": ("show planar_2r", "trajectory.json", "trajectory.csv"),
     "demo": ("demo --robot planar_2r", "--seed 1", "--seed 2"),
 }
 
