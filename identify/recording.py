@@ -59,8 +59,6 @@ class Recording(Shown):
     columns: tuple[str, ...] = ()
     # where they were read from a file
     read: Columns | None = None
-    # of time as logged, whole and remaining seconds
-    start: tuple[float, float] = (0.0, 0.0)
     # by row and column
     unreadable: Mapping[tuple[int, str], str] = field(default_factory=dict)
     drive: DriveGains | None = None

@@ -212,8 +212,7 @@ def _pieces(
             notes = (f"time: {columns.t[0]} holds {what}",) if unit else ()
             columns = replace(columns, t_unit=unit, notes=(*columns.notes, *notes))
         timed = True
-        raw = _in_si_units(table, frame, columns, origin)
-        origin = raw.start
+        raw, origin = _in_si_units(table, frame, columns, origin)
         yield raw
 
 
@@ -240,8 +239,11 @@ def _in_si_units(
     frame: cells.Frame,
     columns: Columns,
     origin: tuple[float, float] | None,
-) -> Recording:
-    """Some rows of a log, in SI units; of cells that are no numbers the text is kept."""
+) -> tuple[Recording, tuple[float, float]]:
+    """Some rows of a log in SI units, with the text of cells that are no numbers; and what became 0.
+
+    ``origin``, in whole and remaining seconds, becomes 0; the first time when None.
+    """
     unreadable: dict[tuple[int, str], str] = {}
 
     def note_unreadable(column: str, values: Array) -> None:
@@ -271,7 +273,7 @@ def _in_si_units(
     with np.errstate(invalid="ignore", over="ignore"):
         t = (whole - origin[0]) + (rest - origin[1])
     others = {name: x for name, x in frame.items() if name not in columns.names}
-    return Recording(
+    recording = Recording(
         name=Path(table.file).stem,
         file=table.file,
         t=t,
@@ -287,6 +289,6 @@ def _in_si_units(
         },
         columns=(time, *columns.q.columns, *columns.tau.columns),
         read=columns,
-        start=origin,
         unreadable=unreadable,
     )
+    return recording, origin
