@@ -85,22 +85,24 @@ class Dataset:
     mapping: ColumnMap = field(default_factory=ColumnMap)  # of columns and drives
     bag: Path | None = None  # that described the robot, and is its recording
 
-    def recordings(
-        self, names: Sequence[str], *, without: Sequence[str] = ()
-    ) -> list[Recording]:
-        """Recordings by name; all of the folder that are not held out when none is named.
+    def recordings(self, names: Sequence[str]) -> list[Recording]:
+        """Recordings by name; all of the folder when none is named.
 
         Raises:
-            BadInput: Nothing to read, or a recording both named and held out (``without``).
+            BadInput: Nothing to read.
             BadRecording: A recording that cannot be used.
         """
-        paths = self.paths(names, without=without)
+        paths = self.paths(names)
         return read_recordings(paths, self.robot, mapping=self.mapping)
 
     def paths(
         self, names: Sequence[str], *, without: Sequence[str] = ()
     ) -> list[Path]:
-        """Files of recordings; see `recordings`."""
+        """Files of recordings by name; all that are not held out (``without``) when none is named.
+
+        Raises:
+            BadInput: Nothing to read, or a recording both named and held out.
+        """
         holdout = {self._path(name).resolve() for name in without}
         for name in names:
             if self._path(name).resolve() in holdout:

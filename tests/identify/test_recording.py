@@ -381,4 +381,4 @@ def test_real_data_sets_read_and_what_is_held_out_is_never_fitted(data_folder: P
     names = {path.stem for path in known.paths([], without=["exc_52p2.parquet"])}
     assert names & {"exc_52p2", "exc_13p5"} == {"exc_13p5"}
     with pytest.raises(BadInput, match="exc_52p2 is to be fitted and held out"):
-        known.recordings(["exc_52p2"], without=["exc_52p2.parquet"])
+        known.paths(["exc_52p2"], without=["exc_52p2.parquet"])
