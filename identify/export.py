@@ -80,8 +80,7 @@ def model_files(
     formats: Sequence[str] = USUAL,
     gains: Array | None = None,
     *,
-    urdf: bool = True,
-    refitted: Mapping[str, Robot] | None = None,
+    exported: Sequence[ExportedFile] | None = None,
     known: Mask | None = None,
 ) -> dict[str, str]:
     """A robot as files; URDF and YAML always, and its base parameters with covariance where known.
@@ -91,9 +90,9 @@ def model_files(
     ``_ros2_control.yaml`` with parameters of controllers. Gains, shape (nv,) [N·m/A], are given
     where torque was measured as current; where one is not ``known``, shape (nv,), only the YAML
     holds it, and friction, offset and rotor inertia of its joint, which predict the current
-    together. ``refitted`` is what some formats hold instead of the robot's own parameters. Without
-    ``urdf``, or where that is refitted, the description that the YAML refers to is named
-    ``.links``, and says that it is no model by itself.
+    together. ``exported`` says what formats hold, and which are refused; all hold the robot's own
+    parameters when None. Where the URDF is refitted or refused, the description that the YAML
+    refers to is named ``.links``, and says that it is no model by itself.
 
     Raises:
         UnknownName: A format that is not one of `FORMATS`.
@@ -102,7 +101,9 @@ def model_files(
     UnknownName.refuse("format", formats, FORMATS)
     arm = folded(model)
     told = told_in_torque(arm, known)
-    own = refitted or {}
+    accepted = [file for file in exported or () if not file.refused]
+    own = {file.file_format: file.arm for file in accepted if file.refitted}
+    urdf = exported is None or any(x.file_format == "urdf" for x in accepted)
 
     def held(file_format: str) -> Robot:
         return own.get(file_format) or held_by(told, file_format)
@@ -621,19 +622,17 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
         estimate.data.train,
         [asked or "urdf"],
     )
-    poor = [file for file in exported if file.refused]
-    if asked is None:
-        exported = tuple(file for file in exported if not file.refused)
-    elif poor:
-        warnings.warn(f"{path.name}: {_shortcoming(poor)}", stacklevel=2)
+    if asked:
+        if poor := [file for file in exported if file.refused]:
+            warnings.warn(f"{path.name}: {_shortcoming(poor)}", stacklevel=2)
+        exported = _accepted(exported)
     files = model_files(
         estimate.model,
         path.stem,
         complete,
         [asked] if asked else [],
         gains,
-        urdf=asked is not None or any(file.file_format for file in exported),
-        refitted=_refitted(exported),
+        exported=exported,
         known=known,
     )
     if unknown := _unknown(estimate.model, known):
@@ -729,18 +728,9 @@ def published(
     wanted = ("urdf", *formats)
     exported = exported_files(model, kind, yaml_name, judged, fitted, wanted)
     if force:
-        exported = tuple(replace(file, refused="") for file in exported)
-    refused = {file.file for file in exported if file.refused}
-    urdf = f"{kind}.urdf" in {file.file for file in exported} - refused
+        exported = _accepted(exported)
     files = model_files(
-        model,
-        kind,
-        yaml_name,
-        formats,
-        gains,
-        urdf=urdf,
-        refitted=_refitted(exported),
-        known=known,
+        model, kind, yaml_name, formats, gains, exported=exported, known=known
     )
     notes = [f"published because it was forced: {reasons}"] if against else []
     if worse and not against:
@@ -752,11 +742,10 @@ def published(
         if formats == ():
             held = f"are not written; {yaml_name} predicts currents"
         notes.append(f"{unknown}: files of other formats {held}")
-    if refused:
-        notes.append(
-            _unwritten([file for file in exported if file.refused], yaml_name)
-        )
-    written = {name: text for name, text in files.items() if name not in refused}
+    if refused := [file for file in exported if file.refused]:
+        notes.append(_unwritten(refused, yaml_name))
+    unwritten = {file.file for file in refused}
+    written = {name: text for name, text in files.items() if name not in unwritten}
     return Publication(written, True, "; ".join(notes), exported)
 
 
@@ -820,9 +809,9 @@ def _judged(file: ExportedFile, judged: HoldOut) -> ExportedFile:
     return replace(file, accuracy=reduced.accuracy, refused=why)
 
 
-def _refitted(exported: Sequence[ExportedFile]) -> dict[str, Robot]:
-    """What files hold that are refitted, by format."""
-    return {file.file_format: file.arm for file in exported if file.refitted}
+def _accepted(exported: Sequence[ExportedFile]) -> tuple[ExportedFile, ...]:
+    """The files, none of them refused."""
+    return tuple(replace(file, refused="") for file in exported)
 
 
 def _unwritten(files: Sequence[ExportedFile], complete: str) -> str:

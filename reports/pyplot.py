@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from excitant.reports.figure import (
     COLOURS,
@@ -21,7 +18,6 @@ from excitant.reports.figure import (
     Rule,
     Span,
 )
-from excitant.reports.values import power_of_ten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Drawn
@@ -141,7 +137,6 @@ def _draw_axes(axes: Axes, ax: Drawn) -> None:
             scale.set_major_locator(
                 MaxNLocator(count, steps=[1, 2, 2.5, 5, 10], integer=axis.whole)
             )
-            scale.set_major_formatter(tick)
         if axis.label:
             getattr(ax, f"set_{along}label")(axis.label)
     ax.set_xlim(*axes.ends("x"))
@@ -197,15 +192,3 @@ def _handle(key: Key) -> Any:
         "ring": {"ls": "", "marker": "o", "mfc": "none"},
     }
     return Line2D([], [], color=colour, label=key.label, **looks[key.mark])
-
-
-def tick(value: float, _position: float | None = None) -> str:
-    """A tick's number with a true minus sign, and powers of ten of what is large or small."""
-    if abs(value) < np.finfo(float).eps:
-        return "0"
-    if 1e-3 <= abs(value) < 1e5:
-        return f"{value:.6g}".replace("-", "−")
-    exponent = math.floor(math.log10(abs(value)) + 1e-9)
-    return f"{value / 10.0**exponent:.3g}×{power_of_ten(exponent)}".replace(
-        "-", "−"
-    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from os.path import isdir
@@ -110,7 +110,7 @@ def recording_from_table(
 
 
 def read_chunks(
-    paths: str | Path | Sequence[str | Path],
+    path: str | Path,
     robot: Robot | int,
     rows: int = 100_000,
     *,
@@ -122,30 +122,26 @@ def read_chunks(
     after the last piece.
 
     Args:
-        paths: A log, or the files it was split into, in order; ``t`` counts from its first sample.
+        path: The log; ``t`` counts from its first sample.
         robot: The arm, or its number of joints.
         rows: Most rows of a piece.
         mapping: What the user says about the columns.
     """
     if rows < 1:
         raise BadInput(f"rows is {rows}; a piece must hold at least one row")
-    files = [paths] if isinstance(paths, str | Path) else list(paths)
-    origin = None
+    first_row = 0
     end = -np.inf
     extremes = np.zeros((0, 0))
-    for file in files:
-        first_row = 0
-        for raw in _pieces(_open_log(file, mapping), robot, mapping, rows, origin):
-            refuse_bad_rows(raw, first_row, end)
-            tau = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
-            extremes = np.array([tau.min(axis=0), tau.max(axis=0)])
-            origin = raw.start
-            end = float(raw.t[-1])
-            first_row += len(raw)
-            yield with_finite_speeds(raw)
+    for raw in _pieces(_open_log(path, mapping), robot, mapping, rows):
+        refuse_bad_rows(raw, first_row, end)
+        tau = np.concatenate([extremes, raw.tau]) if len(extremes) else raw.tau
+        extremes = np.array([tau.min(axis=0), tau.max(axis=0)])
+        end = float(raw.t[-1])
+        first_row += len(raw)
+        yield with_finite_speeds(raw)
     if end < MINIMUM_DURATION:
         why = f"too short: {max(end, 0.0):.3g} s, at least {MINIMUM_DURATION:g} s are needed"
-        raise BadRecording(files[0] if files else "", why, column="t")
+        raise BadRecording(path, why, column="t")
     refuse_constant_torque(extremes, raw)
 
 
@@ -192,12 +188,12 @@ def _pieces(
     robot: Robot | int,
     mapping: ColumnMap | None,
     rows: int | None = None,
-    origin: tuple[float, float] | None = None,
 ) -> Iterator[Recording]:
     """A log in pieces of at most so many rows, or whole with its other columns; nothing refused.
 
-    ``origin`` is the time that becomes 0, that of the first row when None.
+    Its first time becomes 0.
     """
+    origin: tuple[float, float] | None = None
     table, columns = resolve(table, robot, mapping or ColumnMap())
     narrow = columns.names if rows is not None or table.joined else None
     timed = columns.t_unit is not None or len(columns.t) > 1

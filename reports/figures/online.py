@@ -23,9 +23,8 @@ from excitant.reports.figure import (
 from excitant.reports.values import Series
 from excitant.results import Identify, Payload
 from excitant.robots.motion import Array
-from excitant.robots.parameters import STANDARD
 
-_SHOWN = 6  # parameters drawn of links, and as many of joints, of the many that were estimated
+_SHOWN = 12  # parameters drawn of the many that were estimated
 _BAND = 2.0  # standard deviations
 _LEGEND = (
     Key("line", FITTED, "estimate"),
@@ -91,9 +90,7 @@ def _most_informed(value: Array, std: Array, names: Sequence[str]) -> list[int]:
     best: dict[str, int] = {}
     for k in order[finite[order]]:
         best.setdefault(names[k].rpartition(".")[0], int(k))
-    inertial = [k for k in best.values() if names[k].rpartition(".")[2] in STANDARD]
-    others = [k for k in best.values() if k not in inertial]
-    return [*sorted(inertial[:_SHOWN]), *sorted(others[:_SHOWN])]
+    return sorted([*best.values()][:_SHOWN])
 
 
 def _estimate_panel(

@@ -152,16 +152,6 @@ def test_pieces_put_together_are_the_whole(suffix, rows, table, save):
         np.testing.assert_array_equal(together, getattr(whole, name))
 
 
-def test_files_of_one_log_go_on(table: pd.DataFrame, save: Call) -> None:
-    one, other = (save(x, f"{len(x)}.csv") for x in (table[:90], table[90:]))
-    parts = list(read_chunks([one, other], 2, 50))
-    np.testing.assert_allclose(np.concatenate([p.t for p in parts]), table.t, atol=1e-12)
-    np.testing.assert_array_equal(np.concatenate([p.q for p in parts]), table[["q1", "q2"]])
-    wrong = read_chunks([other, one], 2, 50)
-    error = refusal("time goes back", list, wrong, error=BadRecording)
-    assert (error.file, error.row) == (str(one), 0)
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_a_bad_row_is_counted_from_the_start(suffix: str, table: pd.DataFrame, save: Call) -> None:
     for row, column, value, why in (
