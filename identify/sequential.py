@@ -2,7 +2,7 @@
 
 Row τ_i contains no parameter of links before i (Property 4), so the row of the last joint alone
 identifies the last link, the row before it the link before, with the outer one known, and so on.
-What the recordings do not show stays at the given robot, and the motion that would is named.
+What the recordings do not show stays at the given robot.
 
 Base parameters are counted from the given robot in units of its uncertainty, β = β₀ + L y with
 y ~ N(0, 1). The stages so far know c = Dᵀ y, D orthonormal, with covariance P. Rows of joint i,
@@ -24,9 +24,8 @@ row: the residual itself holds errors of outer values too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -45,16 +44,15 @@ from excitant.identify.least_squares import (
     score_covariances,
     student_width,
 )
-from excitant.identify.preprocessing import Mask, moving, stilled
+from excitant.identify.preprocessing import moving, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
 from excitant.identify.recording import Recordings, recordings_of
 from excitant.identify.rows import Data, FitRows, effects_of, fit_rows, split
 from excitant.robots.base_parameters import base_parameters, expression, last_rows
 from excitant.robots.effects import Effect
-from excitant.robots.motion import Array, Motion, freeze
+from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 from excitant.robots.threads import on_one_thread
-from excitant.robots.torque import observation_columns
 
 SURER_THAN_PRIOR = 2.0  # times, from which on the recordings decide a direction
 PREFERENCE = 100.0
@@ -62,9 +60,6 @@ PREFERENCE = 100.0
 NEGLIGIBLE_COEFFICIENT = 1e-6  # in units of the parameters' scale
 ROUNDING = 1e-8  # of the clearest direction: what rounding and interpolation leave
 NEGLIGIBLE_STDS = 0.05  # of a combination: terms that matter less are not written
-TRIED_STATES = 40  # of a motion that is tried, beyond the parameters sought
-VISIBLE = 1e-6  # of the largest singular value
-MOST_JOINTS_FOR_PAIRS = 10  # up to which pairs of them are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +185,6 @@ def _led_combinations(
 class LinkRows(FitRows):
     """Rows of recordings; a joint still in all of a segment is held exactly."""
 
-    # instants at which joints move, per segment at its full rate, (n, nv)
-    moves: tuple[Mask, ...]
     # joint, the last whose row holds each base parameter, shape (r,)
     last: npt.NDArray[np.intp]
     scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
@@ -205,25 +198,18 @@ class LinkRows(FitRows):
         names = (s.name for s, used in zip(train, parts, strict=True) if used.any())
         return tuple(dict.fromkeys(names))
 
-    def pose(self, joint: int) -> Array:
-        """Mean pose of the arm while a joint moves, shape (nv,)."""
-        q = np.concatenate([s.motion.q for s in self.data.train])
-        moves = np.concatenate(self.moves)[:, joint]
-        return q[moves if moves.any() else ~moves].mean(axis=0)
-
 
 def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows:
     """Rows of the training segments, see `LinkRows`."""
-    moves = tuple(moving(robot, data.train))
     train = tuple(
-        stilled(s, np.asarray(m.any(axis=0)))
-        for s, m in zip(data.train, moves, strict=True)
+        stilled(s, np.asarray(moves.any(axis=0)))
+        for s, moves in zip(data.train, moving(robot, data.train), strict=True)
     )
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, replace(data, train=train))
     scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
     last = last_rows(robot, effects, base)
-    return LinkRows(**vars(rows), moves=moves, last=last, scale=scale)
+    return LinkRows(**vars(rows), last=last, scale=scale)
 
 
 @dataclass(frozen=True)
@@ -247,7 +233,6 @@ class Stage:
     determined: tuple[Determined, ...]  # what the row adds to the links further out
     # base parameters of the link that no recording shows
     missing: tuple[str, ...] = ()
-    needed: tuple[str, ...] = ()  # the motion that would show them, as sentences
 
     def result(self, robot: Robot) -> dict[str, Any]:
         """Entry of result.json."""
@@ -335,7 +320,16 @@ def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
         count = int(counted.sum())
         recordings = rows.recordings(j)
         stages.append(Stage(j, count, noise, inflation, recordings, determined))
-    return cascade, tuple(_completed(rows, F, leading, stage) for stage in stages)
+    missing = [k for k in range(len(base)) if k not in leading]
+    return cascade, tuple(
+        replace(
+            stage,
+            missing=tuple(
+                base.expressions[k] for k in missing if rows.last[k] == stage.joint
+            ),
+        )
+        for stage in stages
+    )
 
 
 def _determined(
@@ -353,73 +347,17 @@ def _determined(
     return tuple(entries)
 
 
-def _completed(
-    rows: LinkRows, F: Array, leading: Sequence[int], stage: Stage
-) -> Stage:
-    own = np.flatnonzero(rows.last == stage.joint)
-    missing = [k for k in own if k not in leading]
-    if not missing:
-        return stage
-    shown = F[[k in own for k in leading]][:, own]
-    sentence = _needed_motion(rows, stage.joint, own, shown)
-    if any(k not in leading for k in np.flatnonzero(rows.last > stage.joint)):
-        sentence += "; then complete the links further out"
-    expressions = tuple(rows.base.expressions[k] for k in missing)
-    return replace(stage, missing=expressions, needed=(sentence,))
-
-
-def _needed_motion(
-    rows: LinkRows, joint: int, own: npt.NDArray[np.intp], shown: Array
-) -> str:
-    """The smallest change of the recordings that shows a joint's own m parameters; shown (k, m)."""
-    robot = rows.robot
-    scale = rows.scale[own]
-    columns = [rows.base.columns[k] for k in own]
-    count = len(own) + TRIED_STATES
-    name = robot.joints[joint]
-    pose = rows.pose(joint)
-    for moved, turned in _changes(robot.nv, joint):
-        q, dq, ddq = robot.random_motion(np.random.default_rng(0), count)
-        still = np.ones(robot.nv, bool)
-        still[[joint, *moved]] = False
-        dq[:, still] = ddq[:, still] = 0.0
-        still[list(turned)] = False
-        q[:, still] = pose[still]
-        motion = Motion(np.arange(float(count)), q, dq, ddq)
-        W = observation_columns(robot, rows.effects, motion)[:, joint, columns]
-        parts = [
-            A / max(float(np.linalg.norm(A)), 1e-300)
-            for A in (W * scale, shown * scale)
-        ]
-        s = np.linalg.svd(np.vstack(parts), compute_uv=False)
-        if len(s) == len(own) and s[-1] > VISIBLE * s[0]:
-            listed = " and ".join(robot.joints[k] for k in (*moved, *turned))
-            if turned:
-                return f"move {name} alone at several positions of {listed}"
-            if moved:
-                return f"move {name} together with {listed}"
-            return f"move {name} alone, farther or faster than here"
-    return f"move {name} together with all joints before it, at several positions of those after it"
-
-
-def _changes(
-    nv: int, joint: int
-) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """Joints that move too and those at several positions."""
-    yield (), ()
-    others = [k for k in range(nv) if k != joint]
-    for size in (1, 2) if nv <= MOST_JOINTS_FOR_PAIRS else (1,):
-        yield from (((), chosen) for chosen in combinations(others, size))
-        yield from ((chosen, ()) for chosen in combinations(others, size))
-    yield tuple(range(joint)), ()
-
-
 def _notes(
     rows: LinkRows, stages: Sequence[Stage], prior: Array
 ) -> tuple[str, ...]:
     count = sum(len(stage.determined) for stage in stages)
     r = len(rows.base)
-    rest = "" if count == r else "; the rest stays at the given robot"
+    rest = ""
+    if count < r:
+        rest = (
+            "; the rest stays at the given robot: `excitant design --link-by-link` makes the "
+            "motions that show it"
+        )
     notes = notes_on(rows, prior)
     determined = f"link by link, these recordings determine {count} of {r} base combinations{rest}"
     return (notes[0], determined, *notes[1:])

@@ -534,9 +534,6 @@ def _stage(stage: Stage) -> p.Blocks:
             "What the joint's own torque adds to what the links further out have shown; "
             f"{len(missing) or 'no'} combinations of this link keep the given value.",
         ),
-        p.notes(
-            [f"To identify the rest, {need}." for need in stage.needed], p.FAIR
-        ),
     ]
 
 

@@ -717,8 +717,6 @@ class Stage(Record):
     "What the equation determined."
     missing: list[str]
     "What it leaves open."
-    needed: list[str]
-    "Motions that would show it."
 
 
 class LinkByLink(Record):

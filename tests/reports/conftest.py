@@ -242,7 +242,7 @@ def identify_run() -> Run:
     payload["shortcomings"] = ["centre of mass along z is known to ±10 mm only"]
     payload["notes"] = ["torque was recorded as current: a gain wrong by 1 % makes mass wrong"]
     seen = {"determined": [{"expression": "l2.Izz", "value": 1.0, "std": 0.1}]}
-    left = {"missing": ["l2.m"], "needed": ["turn the base"]}
+    left = {"missing": ["l2.m"]}
     used = {"recordings": ["r"], "rows": 100}
     stages = [{"link": "l2", "joint": "j2", **used, **seen, **left}, {"link": "l1", "joint": "j1"}]
     by_link = {"determined": 1, "base_parameters": 2, "stages": stages}
