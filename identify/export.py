@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,9 +106,6 @@ def model_files(
     own = {file.file_format: file.arm for file in accepted if file.refitted}
     urdf = exported is None or any(x.file_format == "urdf" for x in accepted)
 
-    def held(file_format: str) -> Robot:
-        return own.get(file_format) or held_by(told, file_format)
-
     def remark(file_format: str) -> str:
         return comment(told, file_format, yaml_name, own.get(file_format))
 
@@ -129,13 +127,15 @@ def model_files(
     # the same with or without bodies folded into links
     if model.estimate is not None:
         files[table] = model.estimate.csv()
-    if "mjcf" in formats:
-        files[f"{stem}.xml"] = _mjcf(held("mjcf"), remark("mjcf"), gains)
-    if "sdf" in formats:
-        files[f"{stem}.sdf"] = _sdf(held("sdf"), remark("sdf"))
-    if "ros2_control" in formats:
-        text = _ros2_control(held("ros2_control"), remark("ros2_control"))
-        files[f"{stem}_ros2_control.yaml"] = text
+    writers: dict[str, Callable[[Robot, str], str]] = {
+        "mjcf": partial(_mjcf, gains=gains),
+        "sdf": _sdf,
+        "ros2_control": _ros2_control,
+    }
+    for name, write in writers.items():
+        if name in formats:
+            arm_there = own.get(name) or held_by(told, name)
+            files[f"{stem}{_ENDS[name]}"] = write(arm_there, remark(name))
     return files
 
 
