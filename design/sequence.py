@@ -106,12 +106,9 @@ class LinkByLinkDesign:
                 "joint": self.robot.joints[joint],
                 "file": f"{_stem(joint)}.csv",
                 "moves": list(self.robot.joints[: joint + 1]),
-                "determines": list(design.base.expressions),
                 **{key: one[key] for key in _OWN},
             }
-            for (joint, design), one in zip(
-                self.motions.items(), single, strict=True
-            )
+            for joint, one in zip(self.motions, single, strict=True)
         ]
         return {
             "verb": "design",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -72,7 +72,6 @@ from excitant.robots.base_parameters import (
 from excitant.robots.effects import Effect, plain
 from excitant.robots.motion import Array, Motion, read_only
 from excitant.robots.parameters import BaseEstimate, is_covariance, violations
-from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot
 from excitant.robots.shown import Shown, Table, data_frame, share
 from excitant.robots.threads import on_one_thread
@@ -84,8 +83,6 @@ if TYPE_CHECKING:
 
 BIASED = ("wls", "irls")
 """Estimators that noise of the motion biases."""
-LARGEST_RATE_ERROR = 0.01
-"""Standard errors by which columns at a lower rate may move a base parameter."""
 TORQUE_ROUNDS = 2
 """Fits until the torque that columns hold is that of the identified arm."""
 
@@ -363,58 +360,38 @@ def identify_robot(
         return _of_poses(robot, recordings, validate, prior, known)
     data = split(recordings, validate, cutoff_hz, harmonics_hz)
 
-    def fitted_to(data: Data) -> tuple[Estimate, float]:
-        problem = robot, effects, base_parameters(robot, effects), data
-        rows, turns = (
-            turned_rows(*problem, spoiled) if gradual else (fit_rows(*problem), ())
-        )
-        rows = with_own_torque(rows, prior, known)
-        notes = (*notes_on(rows, prior), *turning_notes(turns, robot))
-        shapes = refined_shapes(rows, prior, known)
-        if shapes is not None:
-            rows = shapes.rows(rows) if shapes.better else rows
-            notes += (shapes.sentence,)
-        fit, name, remarks = estimated(
-            rows, fitted(recordings, validate), estimator
-        )
-        R, z = rows.regression.factor(fit.weight)
-        if name in BIASED:
-            fit = _with_bias(rows, fit)
-        if name != "wls":
-            z = R[:, rows.base.columns] @ fit.beta
-        physical = fit_physical(
-            R, z, prior, rows.open_prior, knowledge=known, links=robot.links
-        )
-        if shapes is not None and shapes.better:
-            fit, physical = widened(fit, physical, rows.base, shapes.spread)
-        if turns:
-            spread = turning_spread(rows, fit, physical.covariance)
-            fit, physical = widened(fit, physical, rows.base, spread)
-        estimate = replace(
-            judged(robot, rows, fit, physical, (*notes, *remarks)),
-            estimator=ESTIMATORS[name],
-            knowledge=known,
-            shapes=shapes,
-            repeats=repeats_of(rows.reduced, fit, data.train),
-            reversals=turns,
-        )
-        return estimate, _moved_by_rate(rows, fit, physical.x)
-
-    estimate, moved = fitted_to(data)
-    if moved > LARGEST_RATE_ERROR:
-        estimate, _ = fitted_to(data.whole)
-        return estimate
-    return replace(estimate, notes=(*estimate.notes, *_of_rates(data, moved)))
-
-
-def _of_rates(data: Data, moved: float) -> Iterator[str]:
-    """What evaluating smooth columns at a lower rate changes, by `_moved_by_rate`."""
-    rates = {f"{s.thin.rate_hz:.4g}" for s in data.train if s.thin is not s}
-    if rates:
-        yield (
-            f"smooth columns are evaluated at {' and '.join(sorted(rates))} Hz, which moves no "
-            f"base parameter by more than {max(moved, 1e-4):.1g} of its standard error"
-        )
+    problem = robot, effects, base_parameters(robot, effects), data
+    rows, turns = (
+        turned_rows(*problem, spoiled) if gradual else (fit_rows(*problem), ())
+    )
+    rows = with_own_torque(rows, prior, known)
+    notes = (*notes_on(rows, prior), *turning_notes(turns, robot))
+    shapes = refined_shapes(rows, prior, known)
+    if shapes is not None:
+        rows = shapes.rows(rows) if shapes.better else rows
+        notes += (shapes.sentence,)
+    fit, name, remarks = estimated(rows, fitted(recordings, validate), estimator)
+    R, z = rows.regression.factor(fit.weight)
+    if name in BIASED:
+        fit = _with_bias(rows, fit)
+    if name != "wls":
+        z = R[:, rows.base.columns] @ fit.beta
+    physical = fit_physical(
+        R, z, prior, rows.open_prior, knowledge=known, links=robot.links
+    )
+    if shapes is not None and shapes.better:
+        fit, physical = widened(fit, physical, rows.base, shapes.spread)
+    if turns:
+        spread = turning_spread(rows, fit, physical.covariance)
+        fit, physical = widened(fit, physical, rows.base, spread)
+    return replace(
+        judged(robot, rows, fit, physical, (*notes, *remarks)),
+        estimator=ESTIMATORS[name],
+        knowledge=known,
+        shapes=shapes,
+        repeats=repeats_of(rows.reduced, fit, data.train),
+        reversals=turns,
+    )
 
 
 def _of_poses(
@@ -458,26 +435,6 @@ def _with_bias(rows: FitRows, fit: LeastSquares) -> LeastSquares:
     R, _ = rows.reduced.factor(weight)
     bias = np.linalg.solve(R.T @ R, score)
     return replace(fit, covariance=fit.covariance + np.outer(bias, bias))
-
-
-def _moved_by_rate(rows: FitRows, fit: LeastSquares, x: Array) -> float:
-    """Largest change of a base parameter by columns at a lower rate, in standard errors.
-
-    The columns lack what separates the torque of the identified bodies at every sample from that
-    at the lower rate; x as in `PhysicalFit`.
-    """
-    if all(s.thin is s for s in rows.data.train):
-        return 0.0
-    bodies = partial(
-        rigid_body_torque, identified_robot(rows.robot, rows.effects, x)
-    )
-    lacking = [s.rows(bodies) - s.thin.rows(bodies) for s in rows.data.train]
-    G = rows.reduced.with_torque(np.concatenate(lacking)).gram(fit.weight**2)
-    change = np.abs(np.linalg.lstsq(G[:-1, :-1], G[:-1, -1], rcond=None)[0])
-    std = np.sqrt(np.diag(fit.covariance))
-    return float(
-        np.max(change / np.maximum(std, np.finfo(float).tiny), initial=0.0)
-    )
 
 
 def judged(

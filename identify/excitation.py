@@ -10,7 +10,6 @@ to know a parameter better from the window than from the prior.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -40,16 +39,6 @@ _ENOUGH = 1.0  # the window knows as much as the prior
 _VISIBLE = (
     10.0  # level of a reference motion that makes a direction worth asking for
 )
-_LISTED = 6  # weak directions that are spelt out
-
-
-@dataclass(frozen=True)
-class WeakDirection:
-    """A combination of base parameters that a window does not show."""
-
-    parameters: tuple[str, ...]  # its leading base parameters, largest share first
-    level: float  # information of the window relative to the prior
-    joints: tuple[str, ...]  # whose livelier motion would show it best
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +48,8 @@ class WindowExcitation:
     start: float
     end: float
     levels: Array  # of each visible direction, ascending, shape (v,)
-    # those below level 1, the weakest first, at most six
-    weak: tuple[WeakDirection, ...] = ()
+    # at most three base parameters that lead the weakest direction below level 1
+    weakest: tuple[str, ...] = ()
     # whose motion is missing, that which would help most first
     joints: tuple[str, ...] = ()
     # of all combinations, those better known from the window than from the prior
@@ -97,7 +86,7 @@ class WindowExcitation:
                 f"not persistently exciting over {length}: {self.count} become better known than "
                 f"they were; of the {len(self.levels)} that a motion can show, {self.missing} are "
                 f"missing (level {self.level:.2g}), first of all "
-                f"{self.weak[0].parameters[0]}{self.advice}"
+                f"{self.weakest[0]}{self.advice}"
             )
         rest = self.combinations - self.shown
         others = (
@@ -111,15 +100,11 @@ class WindowExcitation:
     def result(self) -> dict[str, Any]:
         """Its entry in ``result.json``."""
         return {
-            "persistent": self.enough,
             "level": self.level,
-            "window_s": self.end - self.start,
-            "combinations": self.combinations,
             "shown": self.shown,
             "visible": len(self.levels),
             "missing": self.missing,
             "joints": self.joints,
-            "weak": [vars(direction) for direction in self.weak],
             "sentence": self.summary,
         }
 
@@ -178,22 +163,13 @@ class ExcitationJudge:
         )
         if window.enough:
             return window
-        robot = self.robot
         weak = V[:, : window.missing]
-        helpers = list[tuple[str, ...]]()
-        for help_of in self._levels_if_livelier(motion, weak).T:  # of each joint
-            order = np.argsort(-help_of)
-            best = (j for j in order if help_of[j] >= 0.5 * help_of.max())
-            helpers.append(tuple(robot.joints[j] for j in best))
-        weakest = zip(weak.T, window.levels.tolist(), helpers, strict=False)
-        directions = tuple(
-            WeakDirection(self._leading(v), *rest) for v, *rest in weakest
-        )
-        count = Counter(name for names in helpers for name in names)
-        joints = sorted(
-            filter(count.get, robot.joints), key=lambda name: -count[name]
-        )
-        return replace(window, weak=directions[:_LISTED], joints=tuple(joints))
+        levels_if_livelier = self._levels_if_livelier(motion, weak)
+        helps = levels_if_livelier >= 0.5 * levels_if_livelier.max(axis=0)
+        count = helps.sum(axis=1)
+        order = np.argsort(-count, kind="stable")
+        joints = tuple(self.robot.joints[j] for j in order if count[j])
+        return replace(window, weakest=self._leading(weak[:, 0]), joints=joints)
 
     def _levels_if_livelier(self, motion: Motion, V: Array) -> Array:
         """Level of each weak direction if one joint moved as in the reference, (nv, weak)."""

@@ -74,7 +74,6 @@ FEWEST_SAMPLES = 5  # without a gap, of a part that is used
 RANDOM_STATES = 100  # that show which columns act on which joint
 MONITOR_WINDOW_S = 8.0  # of motion that the monitor judges
 PERIOD = 0.5  # between two looks of the monitor [s]
-SAVED_LOOKS = 100  # in result.json, at most
 REFERENCE_S = (
     10.0  # of reference motion, over which the uncertainty of torque is taken
 )
@@ -575,9 +574,6 @@ class OnlineIdentification:
 
     def result(self) -> dict[str, Any]:
         """Machine-readable result: that of `identify`, and the way there under ``online``."""
-        looks = list(self.looks[:: -(-len(self.looks) // SAVED_LOOKS)])
-        last = self.looks[-1]
-        looks += [last] if looks[-1] is not last else []
         return self.estimate.result() | {
             "estimator": "recursive least squares in square-root information form, on line; "
             "then physically consistent semidefinite fit",
@@ -587,13 +583,11 @@ class OnlineIdentification:
                 "messages": [
                     {"t": float(t), "text": text} for t, text in self.messages
                 ],
-                "converged": last.converged,
+                "converged": self.looks[-1].converged,
                 "history": {
-                    "t": [look.estimate.t for look in looks],
-                    "value": [look.estimate.beta.tolist() for look in looks],
-                    "std": [look.estimate.std.tolist() for look in looks],
+                    "t": [look.estimate.t for look in self.looks],
                     "excitation_level": [
-                        x.excitation and x.excitation.level for x in looks
+                        x.excitation and x.excitation.level for x in self.looks
                     ],
                 },
             },

@@ -119,7 +119,6 @@ class Turning(NamedTuple):
             "speed": found.speed,
             "std": found.std or None,
             "unit": found.shape_unit(robot, found.search.shapes[0]),
-            "error_less": self.less,
         }
 
     @property

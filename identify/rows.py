@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -78,13 +78,6 @@ class Data:
     cutoff_why: str = ""
     drive: DriveGains | None = None
     poses: Poses | None = None
-
-    @property
-    def whole(self) -> Data:
-        """The data with smooth columns at every sample, too."""
-        return replace(
-            self, train=tuple(replace(s, whole=True) for s in self.train)
-        )
 
     @property
     def sensors(self) -> SensorNoise | None:

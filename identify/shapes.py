@@ -121,7 +121,6 @@ class Shapes:
         """As an entry of result.json."""
         return {
             "refined": self.better,
-            "objective": {"given": self.before, "refined": self.after},
             "effects": [dict(vars(shape)) for shape in self.refined],
         }
 

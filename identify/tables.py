@@ -180,7 +180,6 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         **(drive if estimate.drive is None else estimate.drive.result()),
         "joints": _joints(estimate, covered),
         "links": [body.entry() for body in bodies],
-        "prior_sigma": _body_std(estimate).tolist(),
         "parameters": _parameters(estimate),
         "base_parameters": _base_parameters(estimate),
         **({} if repeats is None else {"repeats": repeats.entry()}),
@@ -188,7 +187,6 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "physical": {
             "consistent": not broken,
             "violations": broken,
-            "kkt": vars(estimate.physical.kkt),
         },
         "knowledge": estimate.knowledge.entry(),
         "notes": [

@@ -256,7 +256,6 @@ def _link(body: Body) -> dict[str, Any]:
         "principal_moments": np.linalg.eigvalsh(body.inertia).tolist(),
         "radius_of_gyration": float(np.sqrt(max(spread, 0.0))),
         "size": body.size,
-        "solids": len(body.shapes),
     }
 
 

@@ -604,7 +604,7 @@ def poor_excitation(robot: Robot, log: Log, data: Smooth | None) -> Iterator[Fau
     lacking = tuple(j for j in log.joints if j in window.joints)
     resting = log.names(np.flatnonzero(still))
     names = lacking or resting or log.joints
-    weakest = ", ".join(window.weak[0].parameters) if window.weak else "all"
+    weakest = ", ".join(window.weakest) or "all"
     detail = (
         f"{missing} of {visible} directions of the parameters that such an arm can show "
         f"in this time get less than {least:g} of the information that the given model already "

@@ -164,38 +164,19 @@ class Pair(Record):
     "Lower bound for any motion within the limits, with --bound."
 
 
-class Weak(Record):
-    """Base parameters that hardly show."""
-
-    parameters: list[str]
-    "Their names."
-    level: float
-    "Excitation level."
-    joints: list[str]
-    "Joints that would have to move."
-
-
 class Persistency(Record):
     """Persistency of excitation over a motion."""
 
-    persistent: bool
-    "Whether it shows all combinations that a motion can show."
     level: Number
     "Least excitation level."
-    window_s: float
-    "Length of the motion [s]."
-    combinations: int
-    "Number of base parameters."
     shown: int
-    "Number of them that it shows."
+    "Number of base parameters that it shows."
     visible: int
     "Number of them that a motion can show."
     missing: int
     "Number of these that it does not show."
     joints: list[str]
     "Joints whose motion is lacking."
-    weak: list[Weak]
-    "What shows least."
     sentence: str
     "The above in words."
 
@@ -388,8 +369,6 @@ class DesignStage(Record):
     "File of the motion."
     moves: list[str]
     "Joints that move."
-    determines: list[str]
-    "Base parameters that it makes visible."
     duration: float
     "Length [s]."
     periods: int
@@ -631,17 +610,6 @@ class Repeat(Record):
     "By how many standard errors its estimates are off, rms; about 1 by noise."
 
 
-class Residuals(Record):
-    """Karush-Kuhn-Tucker residuals of the semidefinite fit."""
-
-    stationarity: Number
-    "Of the gradient, relative."
-    complementarity: Number
-    "Of multipliers and constraints."
-    primal: Number
-    "Violation of constraints."
-
-
 class Physical(Record):
     """Physical consistency of the identified bodies."""
 
@@ -649,8 +617,6 @@ class Physical(Record):
     "Whether every link has positive mass and a possible inertia."
     violations: list[str]
     "What is not."
-    kkt: Residuals
-    "Optimality of the fit."
 
 
 class RefinedShape(Record):
@@ -677,8 +643,6 @@ class Shapes(Record):
 
     refined: bool
     "Whether they were changed."
-    objective: dict[str, Number]
-    "Objective before (``given``) and after (``refined``)."
     effects: list[RefinedShape]
     "Shape parameters."
 
@@ -694,8 +658,6 @@ class Reversal(Record):
     "Standard deviation of v; null where it is not determined to half of v."
     unit: str
     "Unit of the speed."
-    error_less: Number
-    "By how much the rms error on rows left out is less than with friction that turns at once."
 
 
 class Stage(Record):
@@ -744,10 +706,6 @@ class History(Record):
 
     t: list[float]
     "Instants [s]."
-    value: list[list[Number]]
-    "Estimates."
-    std: list[list[Number]]
-    "Standard deviations."
     excitation_level: list[Number]
     "Excitation level of the last window."
 
@@ -907,8 +865,6 @@ class Identify(Modelled, tag_field="verb", tag="identify"):
     "Errors by joint."
     links: list[Body]
     "Masses and centres of mass."
-    prior_sigma: list[Number]
-    "Width of the prior of each link's body, relative."
     parameters: list[Parameter]
     "All parameters; from poses those that gravity and offsets have."
     base_parameters: list[BaseParameter]
@@ -1281,8 +1237,6 @@ class RobotLink(Record):
     "Largest radius of gyration [m]."
     size: Number
     "Extent of its shapes [m]."
-    solids: int
-    "Number of its shapes."
 
 
 class ModelWarning(Record):

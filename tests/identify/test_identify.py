@@ -218,7 +218,7 @@ def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recor
     true, body = float(ur10.phi[10 * link]), body_changes(found)[link]
     assert abs(body.mass - true) < min(4 * mass_std(found, link), 0.15 * true)
     assert [bool(each.moved) for each in body_changes(found)] == [k == link for k in range(ur10.nv)]
-    sigma = found.result()["prior_sigma"]
+    sigma = np.asarray(found.physical.prior.sigma)
     assert sigma[link] > 5 * max(np.delete(sigma, link))
     told = next(note for note in found.result()["notes"] if "data contradict the given" in note)
     assert [name in told for name in ur10.links] == [k == link for k in range(ur10.nv)]
