@@ -236,7 +236,7 @@ def _in_si_units(
     columns: Columns,
     origin: tuple[float, float] | None,
 ) -> tuple[Recording, tuple[float, float]]:
-    """Some rows of a log in SI units, with the text of cells that are no numbers; and what became 0.
+    """Some rows of a log in SI units, with the text of cells that are no numbers, and its origin.
 
     ``origin``, in whole and remaining seconds, becomes 0; the first time when None.
     """

@@ -71,7 +71,7 @@ def test_link_by_link_says_what_each_link_shows_and_what_is_missing(make):
     text = " ".join(summary(page_of(make["identify"]()[0], {})).split())
     for said in ("1 of 2 (1 + 0, from the last link inward)", "[Link l2]",
                  "Torque of j2: 100 rows of r.", "determined 1.00 0.10 l2.Izz",
-                 "not shown - - l2.m", "To identify the rest, turn the base.",
+                 "not shown - - l2.m",
                  "[Link l1] j1 does not move."):  # fmt: skip
         assert said in text, said
 
