@@ -31,7 +31,7 @@ from excitant.robots.effects import Effect, separating_experiment
 
 if TYPE_CHECKING:
     from excitant.analysis.diagnosis import Diagnosis
-    from excitant.design import FourierTrajectory
+    from excitant.design import Trajectory
 
 Entry = dict[str, Any]
 Pairing = tuple[str, tuple[str, ...], str, tuple[str, ...]]
@@ -55,7 +55,7 @@ class Plan:
 
     experiments: Mapping[Pairing, Advice] = field(default_factory=dict)
     # in the order of their files separate-1, …
-    motions: tuple[FourierTrajectory, ...] = ()
+    motions: tuple[Trajectory, ...] = ()
 
     def of(self, found: Effect, rival: Effect) -> Advice:
         """Experiment for a pair; the general action where no motion was looked for."""

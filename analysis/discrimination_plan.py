@@ -24,8 +24,7 @@ from excitant.design.constraints import (
 from excitant.design.feasible import random_trajectory, torque_use
 from excitant.design.trajectory import (
     FourierSeries,
-    FourierTrajectory,
-    from_coefficients,
+    Trajectory,
 )
 from excitant.exceptions import Infeasible
 from excitant.identify.least_squares import autocorrelation_time
@@ -60,7 +59,7 @@ CHECKED_POSES = 60  # for clearance, before it is certified
 class Discriminating:
     """A motion and the separations that it achieves."""
 
-    trajectory: FourierTrajectory  # within all limits
+    trajectory: Trajectory  # within all limits
     separations: tuple[Separation, ...]  # one per pair of the contest
 
     @property
@@ -153,12 +152,12 @@ class _Search:
                 break
         return pool
 
-    def information(self, trajectory: FourierTrajectory) -> Array:
+    def information(self, trajectory: Trajectory) -> Array:
         t, bases = self.instants
         motion = Motion(t, *(basis @ trajectory.coefficients for basis in bases))
         return self.contest.information(motion)
 
-    def judged(self, trajectory: FourierTrajectory) -> Discriminating:
+    def judged(self, trajectory: Trajectory) -> Discriminating:
         separations = self.contest.separations(self.information(trajectory))
         return Discriminating(trajectory, tuple(separations))
 
@@ -201,17 +200,16 @@ class _Search:
                 )
         return steps[0]
 
-    def _shrunk(self, trajectory: FourierTrajectory) -> FourierTrajectory | None:
-        shrunk = within_limits(self.robot, trajectory, self.scene, CLEARANCE)
-        return shrunk if isinstance(shrunk, FourierTrajectory) else None
+    def _shrunk(self, trajectory: Trajectory) -> Trajectory | None:
+        return within_limits(self.robot, trajectory, self.scene, CLEARANCE)
 
-    def _clear(self, trajectory: FourierTrajectory) -> bool:
+    def _clear(self, trajectory: Trajectory) -> bool:
         if self.scene is None:
             return True
         poses = trajectory(np.linspace(0.0, trajectory.period, CHECKED_POSES))
         return bool(self.scene.distances(poses).min() > CLEARANCE)
 
-    def _random(self, harmonics: int) -> FourierTrajectory | None:
+    def _random(self, harmonics: int) -> Trajectory | None:
         series = self.series
         try:
             drawn = random_trajectory(
@@ -219,12 +217,7 @@ class _Search:
             )
         except Infeasible:
             return None
-        X = np.zeros((series.size, self.robot.nv))
-        X[0] = drawn.offset
-        first = 1 + series.harmonics
-        X[1 : 1 + harmonics] = drawn.cosine
-        X[first : first + harmonics] = drawn.sine
-        return from_coefficients(X, series.period)
+        return series.trajectory(series.nearest(drawn))
 
     @property
     def _interest(self) -> set[int]:
@@ -237,7 +230,7 @@ class _Search:
                     }
         return joints or set(range(self.robot.nv))
 
-    def _sweep(self) -> FourierTrajectory | None:
+    def _sweep(self) -> Trajectory | None:
         """Joints of interest reverse within a swelling envelope; the others rest or oscillate."""
         series = self.series
         middle, half = position_range(self.robot.limits)
@@ -256,9 +249,7 @@ class _Search:
                 return fitted
         return None
 
-    def _changed(
-        self, trajectory: FourierTrajectory, step: float
-    ) -> FourierTrajectory | None:
+    def _changed(self, trajectory: Trajectory, step: float) -> Trajectory | None:
         series = self.series
         rng = self.rng
         X = trajectory.coefficients.copy()
@@ -281,7 +272,7 @@ class _Search:
 
     def _fitted(
         self, X: Array, pose: Array, share: Array | None = None
-    ) -> FourierTrajectory | None:
+    ) -> Trajectory | None:
         """A movement about a pose, made as large as a share of the limits, or to keep them."""
         t, bases = self.samples
         middle, half = position_range(self.robot.limits)
@@ -299,7 +290,7 @@ class _Search:
                 self.robot, Motion(t, *(basis @ whole for basis in bases[:3]))
             )
             if use.max() <= TORQUE_SHARE:
-                fitted = from_coefficients(whole, self.series.period)
+                fitted = self.series.trajectory(whole)
                 return fitted if self._clear(fitted) else None
             X = X * 0.7
         return None
@@ -489,7 +480,7 @@ def _experiment(
     return Advice(sentence, deviations, runs, file)
 
 
-def described(trajectory: FourierTrajectory, robot: Robot) -> str:
+def described(trajectory: Trajectory, robot: Robot) -> str:
     """A motion in a few words: which joints move, how fast, and how often they reverse."""
     motion = trajectory.motion(100.0)
     speed = np.abs(motion.dq).max(axis=0)

@@ -160,7 +160,7 @@ def _drawn(file: Path, settings: Settings, job: int) -> Found:
         states = States(motion.q[:-1], motion.dq[:-1], motion.ddq[:-1])
         reached = float(np.linalg.cond(observation(model, states)[:, columns]))
         if reached < least:
-            least, best = reached, design.from_coefficients(series.coefficients, period, periods)
+            least, best = reached, design.Trajectory(series.coefficients, period, periods)
         runs += 1
     return least, best, runs
 

@@ -27,17 +27,14 @@ from .result import Design, TrajectoryCheck
 from .sequence import LinkByLinkDesign, design_link_by_link
 from .timing import approach
 from .trajectory import (
-    FourierTrajectory,
     HermiteTrajectory,
     Trajectory,
-    from_coefficients,
 )
 
 __all__ = [
     "Bound",
     "Clearance",
     "Design",
-    "FourierTrajectory",
     "HermiteTrajectory",
     "Information",
     "LimitReport",
@@ -56,7 +53,6 @@ __all__ = [
     "design_link_by_link",
     "design_trajectory",
     "estimated_effects",
-    "from_coefficients",
     "information",
     "load_trajectory",
     "lower_bound",

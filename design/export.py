@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import yaml
 
-from excitant.design.trajectory import COEFFICIENTS, FourierTrajectory
+from excitant.design.trajectory import Trajectory
 from excitant.exceptions import BadInput, UnknownName
 from excitant.files import read_text
 from excitant.robots.motion import Motion
@@ -47,7 +47,7 @@ def _columns(nv: int) -> list[str]:
 
 
 def trajectory_csv(
-    trajectory: FourierTrajectory, rate_hz: float = 100.0, repetitions: int = 1
+    trajectory: Trajectory, rate_hz: float = 100.0, repetitions: int = 1
 ) -> str:
     """All periods at a control rate [Hz], once or more, as a table with first and last sample."""
     return motion_csv(trajectory.motion(rate_hz, repetitions))
@@ -64,7 +64,7 @@ class _Record(msgspec.Struct, frozen=True):
     joints: Any = None
 
 
-def trajectory_json(trajectory: FourierTrajectory, robot: Robot) -> str:
+def trajectory_json(trajectory: Trajectory, robot: Robot) -> str:
     """The exact coefficients, with the names of the joints."""
     content: dict[str, Any] = {
         "format": "fourier",
@@ -74,12 +74,17 @@ def trajectory_json(trajectory: FourierTrajectory, robot: Robot) -> str:
         "periods": trajectory.periods,
         "harmonics": trajectory.harmonics,
     }
-    for name in COEFFICIENTS:
-        content[name] = getattr(trajectory, name).tolist()
+    cosine, sine = np.split(trajectory.coefficients[1:], 2)
+    for name, values in (
+        ("offset", trajectory.offset),
+        ("cosine", cosine),
+        ("sine", sine),
+    ):
+        content[name] = values.tolist()
     return json.dumps(content, indent=1) + "\n"
 
 
-def load_trajectory(path: str | Path, robot: Robot) -> FourierTrajectory | Motion:
+def load_trajectory(path: str | Path, robot: Robot) -> Trajectory | Motion:
     """Trajectory from a ``.json`` file of coefficients or a table of samples (CSV).
 
     Raises:
@@ -100,7 +105,7 @@ def load_trajectory(path: str | Path, robot: Robot) -> FourierTrajectory | Motio
     return _from_csv(text, path, robot)
 
 
-def _from_json(path: Path, robot: Robot) -> FourierTrajectory:
+def _from_json(path: Path, robot: Robot) -> Trajectory:
     content = read_yaml(path, dict[str, Any], "coefficients of a trajectory")
     record = convert(content, _Record, path)
     joints = record.joints
@@ -114,13 +119,15 @@ def _from_json(path: Path, robot: Robot) -> FourierTrajectory:
             f"{robot.name} ({', '.join(robot.joints)})"
         )
     try:
-        trajectory = FourierTrajectory(
-            np.array(record.offset),
-            np.array(record.cosine),
-            np.array(record.sine),
-            record.period,
-            record.periods,
-        )
+        offset = np.array(record.offset)
+        cosine = np.array(record.cosine)
+        sine = np.array(record.sine)
+        if cosine.shape != sine.shape or cosine.shape[1:] != offset.shape:
+            raise ValueError(
+                f"shapes differ: offset {offset.shape}, cosine {cosine.shape}, sine {sine.shape}"
+            )
+        coefficients = np.vstack([offset, cosine, sine])
+        trajectory = Trajectory(coefficients, record.period, record.periods)
     except ValueError as error:
         raise BadInput(f"trajectory {path}: {error}") from None
     if trajectory.nv != robot.nv:
@@ -169,17 +176,11 @@ def _csv_fault(lines: Sequence[list[str]], robot: Robot) -> str | None:
     for name in _columns(nv):
         for k, cell in enumerate(row[header.index(name)] for row in rows):
             try:
-                value = float(cell)
-                beyond = (
-                    "is more than an arm does"
-                    if np.isfinite(value)
-                    else "is not finite"
-                )
-                why = None if abs(value) <= _LARGEST else f"{value:g} {beyond}"
+                size = abs(float(cell))
             except ValueError:
-                why = f"'{cell}' is not a number"
-            if why:
-                return f"row {k}, column '{name}': {why}"
+                size = np.nan
+            if not size <= _LARGEST:
+                return f"row {k}, column '{name}': '{cell}' is not a number up to {_LARGEST:g}"
     return None
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from excitant.design.constraints import kinematic_limits, pose_use, position_range
-from excitant.design.trajectory import FourierSeries, FourierTrajectory
+from excitant.design.trajectory import FourierSeries, Trajectory
 from excitant.exceptions import Infeasible
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
@@ -42,7 +42,7 @@ START = StartSettings()
 
 def random_trajectory(
     robot: Robot, rng: np.random.Generator, duration: float, harmonics: int
-) -> FourierTrajectory:
+) -> Trajectory:
     """A random Fourier series at rest at both ends and within all limits of the robot.
 
     The duration is its period [s]; harmonics are at least 2.
@@ -60,16 +60,16 @@ def random_start(
     series: FourierSeries,
     scene: Scene | None = None,
     required: float = 0.0,
-) -> FourierTrajectory:
+) -> Trajectory:
     """A random trajectory of a series, as `random_trajectory`; bodies of a scene apart [m]."""
     t = series.instants(START.samples)
 
-    def uses(trajectory: FourierTrajectory) -> Array:
+    def uses(trajectory: Trajectory) -> Array:
         """Of each torque limit, and of the clearance."""
         apart = pose_use(scene, required, trajectory(t)).max()
         return np.append(torque_use(robot, trajectory.at(t)), apart)
 
-    drawn: list[tuple[float, int, FourierTrajectory]] = []
+    drawn: list[tuple[float, int, Trajectory]] = []
     for k in range(START.draws):
         trajectory = _draw(robot, rng, series)
         drawn.append((float(uses(trajectory).max()), k, trajectory))
@@ -116,7 +116,7 @@ def torque_use(robot: Robot, motion: Motion) -> Array:
 
 def _draw(
     robot: Robot, rng: np.random.Generator, series: FourierSeries
-) -> FourierTrajectory:
+) -> Trajectory:
     """Random waves, scaled joint by joint into the kinematic limits."""
     middle, half = position_range(robot.limits, np.pi)
     bound = kinematic_limits(robot.limits)[1]

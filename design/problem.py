@@ -12,7 +12,7 @@ import numpy.typing as npt
 from excitant.design.constraints import kinematic_limits
 from excitant.design.criterion import Information
 from excitant.design.feasible import random_start
-from excitant.design.trajectory import FourierSeries, FourierTrajectory
+from excitant.design.trajectory import FourierSeries, Trajectory
 from excitant.robots.geometry import Scene
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
@@ -107,15 +107,15 @@ class DesignProblem:
         """Basis functions of z for q, q̇, q̈ (and more) at given instants, each (n, c − 2)."""
         return [self.basis(t, order) for order in range(orders)]
 
-    def trajectory(self, z: Array) -> FourierTrajectory:
+    def trajectory(self, z: Array) -> Trajectory:
         """The trajectory of these unknowns."""
         return self.series.trajectory(self.series.rest @ z)
 
-    def random(self, rng: np.random.Generator) -> FourierTrajectory:
+    def random(self, rng: np.random.Generator) -> Trajectory:
         """A random trajectory within all limits, clearance included."""
         return random_start(self.robot, rng, self.series, self.scene, self.required)
 
-    def unknowns(self, trajectory: FourierTrajectory) -> Array:
+    def unknowns(self, trajectory: Trajectory) -> Array:
         """The unknowns of a trajectory at rest, or of the nearest that the series holds."""
         z: Array = self.series.rest.T @ self.series.nearest(trajectory)
         return z

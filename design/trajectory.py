@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from excitant.robots.motion import Array, Motion, freeze, read_only
+from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.shown import Shown, Table
 
-COEFFICIENTS = ("offset", "cosine", "sine")
 _REST = 1e-9  # of the largest coefficient at the highest frequency
 
 
@@ -60,9 +59,11 @@ class FourierSeries:
         """The same functions within another number of periods of the same duration."""
         return replace(self, period=self.duration / periods, periods=periods)
 
-    def trajectory(self, coefficients: npt.ArrayLike) -> FourierTrajectory:
+    def trajectory(self, coefficients: npt.ArrayLike) -> Trajectory:
         """The motion with these coefficients, shape (c, nv)."""
-        return from_coefficients(coefficients, self.period, self.periods)
+        return Trajectory(
+            np.asarray(coefficients, float), self.period, self.periods
+        )
 
     def constant(self, pose: Array) -> Array:
         """Coefficients of standing still, shape (c, nv)."""
@@ -147,44 +148,39 @@ class _Curve(ABC):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FourierTrajectory(_Curve, Shown):
+class Trajectory(_Curve, Shown):
     """Periodic joint motion as a finite Fourier series (Swevers et al. 1997, eq. 4).
 
     q(t) = offset + Σ_h cosine_h cos(hωt) + sine_h sin(hωt), with ω = 2π / period; known at every
     instant with its derivatives.
 
     Attributes:
-        offset: Mean position per joint, shape (nv,) [rad or m].
-        cosine: Coefficients, shape (harmonics, nv) [rad or m].
-        sine: Coefficients, shape (harmonics, nv) [rad or m].
+        coefficients: Offset, cosines and sines, shape (1 + 2 H, nv) [rad or m].
         period: Duration of one period [s].
         periods: Number of periods that the motion has.
     """
 
-    offset: Array
-    cosine: Array
-    sine: Array
+    coefficients: Array
     period: float
     periods: int = 1
 
     def __post_init__(self) -> None:
-        freeze(self, "offset", "cosine", "sine")
-        shapes = {name: getattr(self, name).shape for name in COEFFICIENTS}
-        offset, cosine, sine = shapes.values()
-        if len(offset) != 1 or cosine != sine or cosine[1:] != offset:
-            stated = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-            raise ValueError(f"shapes differ: {stated}")
+        freeze(self, "coefficients")
+        if self.coefficients.ndim != 2 or len(self.coefficients) % 2 == 0:
+            raise ValueError(
+                f"coefficients of shape {self.coefficients.shape}, expected (1 + 2 H, nv)"
+            )
         _ = self.series  # which refuses what is no period
 
     @cached_property
     def series(self) -> FourierSeries:
         """The functions that the motion is a combination of."""
-        return FourierSeries(float(self.period), len(self.cosine), self.periods)
+        return FourierSeries(float(self.period), self.harmonics, self.periods)
 
-    @cached_property
-    def coefficients(self) -> Array:
-        """Of each function of the series, shape (1 + 2 harmonics, nv) [rad or m]."""
-        return read_only(np.vstack([self.offset, self.cosine, self.sine]))
+    @property
+    def offset(self) -> Array:
+        """Mean position per joint, shape (nv,) [rad or m]."""
+        return self.coefficients[0]
 
     @property
     def duration(self) -> float:
@@ -198,12 +194,12 @@ class FourierTrajectory(_Curve, Shown):
     @property
     def nv(self) -> int:
         """Number of joints."""
-        return len(self.offset)
+        return int(self.coefficients.shape[1])
 
     @property
     def harmonics(self) -> int:
         """Number of harmonics."""
-        return len(self.cosine)
+        return len(self.coefficients) // 2
 
     @property
     def at_rest(self) -> bool:
@@ -229,7 +225,7 @@ class FourierTrajectory(_Curve, Shown):
         k = np.append(np.tile(np.arange(n), repetitions), n)
         return Motion(t, once.q[k], once.dq[k], once.ddq[k])
 
-    def slowed(self, speed: float) -> FourierTrajectory:
+    def slowed(self, speed: float) -> Trajectory:
         """The same path at a share of the speed."""
         return replace(self, period=self.period / speed)
 
@@ -259,19 +255,6 @@ class FourierTrajectory(_Curve, Shown):
         columns = [np.arange(1, self.nv + 1), low, high, *tops]
         heads = ("joint", "from", "to", "top speed", "top acceleration")
         return heads, zip(*(c.tolist() for c in columns), strict=True)
-
-
-Trajectory = FourierTrajectory
-"""What is designed: so far, every trajectory is a Fourier series."""
-
-
-def from_coefficients(
-    coefficients: npt.ArrayLike, period: float, periods: int = 1
-) -> FourierTrajectory:
-    """Trajectory from stacked offset, cosine and sine coefficients, shape (1 + 2 H, nv)."""
-    X = np.asarray(coefficients, float)
-    cosine, sine = np.split(X[1:], 2)
-    return FourierTrajectory(X[0], cosine, sine, period, periods)
 
 
 def _root_angles(x: Array, order: int) -> Array:

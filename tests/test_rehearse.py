@@ -11,7 +11,7 @@ import pytest
 
 import excitant as ex
 from excitant.analysis import rehearsal
-from excitant.design import FourierTrajectory, from_coefficients, trajectory_csv, trajectory_json
+from excitant.design import Trajectory, trajectory_csv, trajectory_json
 from excitant.robots import Robot
 from excitant.robots.effects import standard_effects
 
@@ -19,15 +19,15 @@ Command = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
-def motion(planar: Robot) -> FourierTrajectory:
+def motion(planar: Robot) -> Trajectory:
     options = {"duration": 10.0, "harmonics": 4, "starts": 1, "jobs": 1, "seed": 1}
     return ex.design_trajectory(planar, **options).trajectory
 
 
-def tried(robot: Robot, motion: FourierTrajectory, *amplitudes: float) -> rehearsal.Rehearsal:
+def tried(robot: Robot, motion: Trajectory, *amplitudes: float) -> rehearsal.Rehearsal:
     """The motion with less amplitude of each joint."""
     coefficients = np.vstack([motion.coefficients[:1], motion.coefficients[1:] * amplitudes])
-    weak = from_coefficients(coefficients, motion.period)
+    weak = Trajectory(coefficients, motion.period)
     return rehearsal.rehearse(robot, weak, weak.period, np.random.default_rng(0))
 
 
@@ -66,7 +66,7 @@ def test_a_good_motion_passes(planar, motion, tmp_path, excitant, suffix):
 
 
 @pytest.mark.slow
-def test_a_feeble_motion_fails_and_names_the_joint(planar: Robot, motion: FourierTrajectory):
+def test_a_feeble_motion_fails_and_names_the_joint(planar: Robot, motion: Trajectory):
     """What the other joint shows is recovered all the same."""
     feeble = tried(planar, motion, 1.0, 0.004)
     assert not feeble.passed
@@ -82,7 +82,7 @@ def test_a_feeble_motion_fails_and_names_the_joint(planar: Robot, motion: Fourie
 
 
 @pytest.mark.slow
-def test_a_joint_that_stands_is_named(planar: Robot, motion: FourierTrajectory) -> None:
+def test_a_joint_that_stands_is_named(planar: Robot, motion: Trajectory) -> None:
     found = tried(planar, motion, 0.0, 1.0)
     [item] = [x for x in found.items if not x.passed]
     assert (item.name, item.joint) == ("identification", "joint1")
@@ -91,7 +91,7 @@ def test_a_joint_that_stands_is_named(planar: Robot, motion: FourierTrajectory) 
 
 
 @pytest.mark.slow
-def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: FourierTrajectory) -> None:
+def test_limits_are_judged_on_what_the_arm_does(planar: Robot, motion: Trajectory) -> None:
     """Torque with friction is what is compared, and more than the limit is seen as more."""
     tight = planar.with_limits(replace(planar.limits, torque=np.array([1e3, 0.5])))
     rng = np.random.default_rng(0)
@@ -127,7 +127,7 @@ def test_the_arm_has_what_is_said_to_be_planted(planar: Robot) -> None:
 @pytest.mark.parametrize(("size", "period"), [(0.2, 5.0), (0.0, 1.0)])
 def test_a_moving_start_and_a_short_motion_are_refused_in_one_line(size, period, here, excitant):
     waves = size * np.random.default_rng(0).uniform(-1, 1, (7, 2))
-    (here / "motion.csv").write_text(trajectory_csv(from_coefficients(waves, period)), "utf-8")
+    (here / "motion.csv").write_text(trajectory_csv(Trajectory(waves, period)), "utf-8")
     status, out, err = excitant("rehearse planar_2r motion.csv -o out")
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert ("starts at rest" if size else "too short") in err

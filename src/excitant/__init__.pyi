@@ -28,7 +28,7 @@ from .api import (
     simulate,
     virtual_arm,
 )
-from .design import Design, FourierTrajectory, Search
+from .design import Design, Search, Trajectory
 from .exceptions import ExcitantError
 from .identify import Estimate, Recording, load_dataset
 from .reports import plot
@@ -44,13 +44,13 @@ __all__ = [
     "Estimate",
     "Examination",
     "ExcitantError",
-    "FourierTrajectory",
     "Identifiability",
     "Recording",
     "Rehearsal",
     "Robot",
     "Search",
     "Surroundings",
+    "Trajectory",
     "__version__",
     "analyze",
     "as_recordings",

@@ -33,13 +33,12 @@ if TYPE_CHECKING:
     )
     from excitant.design import (
         Design,
-        FourierTrajectory,
         HermiteTrajectory,
         LinkByLinkDesign,
+        Trajectory,
         TrajectoryCheck,
     )
     from excitant.design.optimal import Progress
-    from excitant.design.trajectory import Trajectory
     from excitant.identify import (
         Checked,
         ColumnMap,
@@ -253,7 +252,7 @@ def load_trajectory(path: str | Path, robot: RobotLike) -> Trajectory | Motion:
 
 def random_trajectory(
     robot: RobotLike, rng: np.random.Generator, duration: float, harmonics: int
-) -> FourierTrajectory:
+) -> Trajectory:
     """A random motion within all limits; see `excitant.design.random_trajectory`."""
     return design.random_trajectory(as_robot(robot), rng, duration, harmonics)
 

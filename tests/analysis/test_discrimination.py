@@ -15,7 +15,7 @@ from excitant.analysis.diagnosis_result import key
 from excitant.analysis.discrimination import Contest, Pair, Separation, along, needed
 from excitant.analysis.discrimination_plan import described, discriminating_motions, plan
 from excitant.analysis.thresholds import DISCRIMINATION, EVIDENCE
-from excitant.design import FourierTrajectory, check
+from excitant.design import Trajectory, check
 from excitant.robots import Motion, Robot
 from excitant.robots import effects as kinds
 from excitant.robots.effects import EFFECTS, Effect, separating_experiment
@@ -209,7 +209,7 @@ def test_without_a_plan_actions_stand(undecided: Diagnosis) -> None:
 def test_a_motion_is_described_by_what_moves(ur10: Robot) -> None:
     sine = np.zeros((3, ur10.nv))
     sine[:, 4] = (0.05, 0.05, -0.05)
-    motion = FourierTrajectory(np.zeros(ur10.nv), np.zeros_like(sine), sine, 20.0)
+    motion = Trajectory(np.vstack([np.zeros((4, ur10.nv)), sine]), 20.0)
     assert re.search("wrist_2_joint reverses.*the other joints held", described(motion, ur10))
 
 

@@ -12,7 +12,7 @@ import yaml
 from marks import refused, slow
 from urdf_arms import urdf_of
 
-from excitant.design import build_design, clearance, design_trajectory, from_coefficients
+from excitant.design import Trajectory, build_design, clearance, design_trajectory
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, load_robot
 from excitant.robots.geometry import Obstacle, Scene, base_plane, floor, scene, unchecked
@@ -42,7 +42,7 @@ def cells() -> dict[str, Scene | None]:
 def test_no_instant_is_nearer_than_certified(cells: dict[str, Scene], seed: int) -> None:
     rng, cell = np.random.default_rng(seed), cells["six joints"]
     nodes = np.vstack([rng.uniform(-2, 2, 6), 0.3 * rng.normal(size=(6, 6))])
-    trajectory = from_coefficients(nodes, 8)
+    trajectory = Trajectory(nodes, 8)
     found = clearance(cell, trajectory)
     dense = cell.distances(trajectory(np.linspace(0, 8, 4001)))
     assert found.certified <= dense.min() <= found.distance + 1e-3

@@ -3,7 +3,7 @@ import pytest
 from limit_use import limit_shares, limited
 from marks import refused, slow
 
-from excitant.design import check, from_coefficients, random_trajectory
+from excitant.design import Trajectory, check, random_trajectory
 from excitant.design.constraints import KINEMATIC
 from excitant.exceptions import BadInput, Infeasible
 from excitant.robots import Robot, torque
@@ -52,7 +52,7 @@ def test_flags_a_planted_violation(ur10: Robot, quantity: str, sampled: bool) ->
 
 
 def test_sees_what_happens_between_samples(planar: Robot) -> None:
-    trajectory = from_coefficients([[0, 0], [0, 0], [0, 0], [0, 0], [0.5, 0]], 2.0)
+    trajectory = Trajectory([[0, 0], [0, 0], [0, 0], [0, 0], [0.5, 0]], 2.0)
     coarse = trajectory.at(np.arange(9) / 4 + 1 / 16)
     assert np.abs(coarse.q).max() < 0.48
     worst = check(limited(planar, **UNLIMITED | {"position": [-0.49, 0.49]}), coarse).worst

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from excitant.design import HermiteTrajectory, Trajectory, from_coefficients
+from excitant.design import HermiteTrajectory, Trajectory
 from excitant.design.trajectory import FourierSeries
 
 SEEDS, ORDERS, PERIODS = st.integers(0, 10**6), st.integers(0, 3), st.floats(0.5, 60.0)
@@ -67,7 +67,7 @@ def test_extrema_bound_dense_samples_tightly(
 def test_extrema_of_a_standstill_and_of_missing_harmonics() -> None:
     X = np.zeros((7, 2))
     X[0], X[4, 1] = [0.3, -1.0], 0.7
-    low, high = from_coefficients(X, 4.0).extrema()
+    low, high = Trajectory(X, 4.0).extrema()
     np.testing.assert_allclose(low, [0.3, -1.7], atol=1e-12)
     np.testing.assert_allclose(high, [0.3, -0.3], atol=1e-12)
 

@@ -16,8 +16,7 @@ from marks import slow
 from PIL import Image
 
 from excitant.cli import main
-from excitant.design import check, clearance, from_coefficients, trajectory_json
-from excitant.design.trajectory import FourierTrajectory
+from excitant.design import Trajectory, check, clearance, trajectory_json
 from excitant.robots import Robot, builtin_robots, load_robot
 from excitant.robots.geometry import floor, scene
 from excitant.robots.obstacles_file import load_obstacles
@@ -43,12 +42,12 @@ def arm_of(name: str, folder: Path) -> str:
 
 
 @cache
-def motion_of(robot: Robot) -> FourierTrajectory:
+def motion_of(robot: Robot) -> Trajectory:
     """A motion of 4 s around the middle of the ranges."""
     low, high = np.clip(robot.limits.position, -1.5, 1.5).T
     size = 0.3 * (high - low) / 2
     waves = np.random.default_rng(2).uniform(-1, 1, (4, robot.nv))
-    return from_coefficients(np.vstack([(low + high) / 2, size * waves]), 4.0)
+    return Trajectory(np.vstack([(low + high) / 2, size * waves]), 4.0)
 
 
 class Shown:
