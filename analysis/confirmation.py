@@ -21,7 +21,7 @@ from excitant.analysis.evidence import (
 from excitant.analysis.residuals import motion_noise, noise_floor
 from excitant.analysis.selection import Rival, is_plain_friction, underlies
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
-from excitant.identify.accuracy import Series, series
+from excitant.identify.accuracy import series
 from excitant.identify.attenuation import (
     NOISE_UNSURE,
     attenuation,
@@ -173,21 +173,23 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class Holdout:
-    """The hold-out by which every model is judged; torques of shape (n, nv) [torque unit]."""
+class Holdout(HoldOut):
+    """The hold-out of a diagnosis, on which the nominal model predicts itself.
 
-    observed: Observed  # its rows, of the nominal robot in the set-up found
-    gains: Array  # torque per reading, shape (nv,)
-    series: Series  # measured torque, and the rows at which each joint moves
-    simulated: Array  # torque of the nominal model
-    mounted: Array  # of the nominal model in the set-up found
-    floor: Array  # noise of each joint's filtered torque, measured and modelled, shape (nv,)
-    drive: DriveGains | None = None  # if torque was recorded as current
+    Attributes:
+        observed: Its rows, of the nominal robot in the set-up found.
+        mounted: Torque of the nominal model in the set-up found, shape (n, nv) [torque unit].
+        floor: Noise of each joint's filtered torque, measured and modelled, shape (nv,).
+    """
+
+    observed: Observed
+    mounted: Array
+    floor: Array
 
     @property
     def error(self) -> Array:
         """Error of the nominal model."""
-        return self.series.measured - self.simulated
+        return self.series.measured - self.nominal
 
     def worse(
         self,
@@ -207,17 +209,6 @@ class Holdout:
         other = (((measured - than) * weight) ** 2).sum()
         return bool(error > (1 + share) * other)
 
-    def judging(self, predicted: Array) -> HoldOut:
-        """It with the torque of a model at its rows, shape (n, nv), as a file is judged."""
-        return HoldOut(
-            self.observed.segments,
-            self.series,
-            self.gains,
-            predicted,
-            self.simulated,
-            self.drive,
-        )
-
     def rms_like(self, error: Array, joints: Sequence[int], lead: int) -> float:
         """Rms of an error over the joints that turn or slide as a leading one does."""
         revolute = self.observed.robot.revolute
@@ -229,18 +220,21 @@ def holdout_of(
     robot: Robot,
     segments: tuple[Segment, ...],
     gains: Array,
-    nominal: Robot | None = None,
-    drive: DriveGains | None = None,
+    nominal: Robot,
+    drive: DriveGains | None,
 ) -> Holdout:
     """The hold-out of a robot as it is set up, and as it is described; gains are (nv,)."""
     rows = observed(robot, segments)
     floor = np.array([noise_floor(segments, j) for j in range(robot.nv)])
     floor = np.hypot(floor, motion_noise(robot, segments) / gains)
-    mounted = simulated = rows.torque() / gains
-    if nominal is not None and nominal is not robot:
-        simulated = predicted_torque(nominal, segments) / gains
+    mounted = rows.torque() / gains
+    given = mounted
+    if nominal is not robot:
+        given = predicted_torque(nominal, segments) / gains
     measured = series(segments)
-    return Holdout(rows, gains, measured, simulated, mounted, floor, drive)
+    return Holdout(
+        segments, measured, gains, given, given, drive, rows, mounted, floor
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -463,36 +457,30 @@ def _effects(
 
 
 def _cancelled(fit: Extension, needed: Set[Key] = frozenset()) -> Candidate | None:
-    """The least cause that another effect of one of its joints mostly cancels, or None.
+    """The least cause that another mostly cancels, or None.
 
     Their sum is known, not what each of them is. Plain friction stays, the finer goes; what is
     needed stays.
     """
-    torques = {}
-    for each in (single for e in fit.model.effects for single in e.singles()):
-        if each.role == "torque":
-            own = np.array([fit.values[p.name] for p in each.parameters(fit.model)])
-            torques[each.name, each.joints] = fit.observed.columns(each) @ own
-
-    def cancelled(cause: Candidate) -> bool:
-        own = None if cause.key in needed else torques.get(cause.key)
-        return own is not None and any(
-            {*cause.effect.joints} & {*joints} and cancel(own, torque)
-            for (name, joints), torque in torques.items()
-            if (name, joints) != cause.key
-        )
-
     pairs = zip(fit.chosen, fit.findings, strict=True)
     found = [
-        (is_plain_friction(c.effect), f.margin, c) for c, f in pairs if cancelled(c)
+        (is_plain_friction(c.effect), f.margin, c)
+        for c, f in pairs
+        if c.key not in needed
+        and c.effect.role == "torque"
+        and any(cancelling(f, g) for g in fit.findings if g is not f)
     ]
     return min(found, key=lambda each: each[:2])[2] if found else None
 
 
-def cancel(one: Array, other: Array) -> bool:
-    """Whether two torques, (n, nv), together are much less than either."""
-    both = ((one + other) ** 2).sum()
-    least = min((one**2).sum(), (other**2).sum())
+def cancelling(one: Finding, other: Finding) -> bool:
+    """Whether two causes together make much less torque than either; bodies may well do so."""
+    if not {*one.effect.joints} & {*other.effect.joints}:
+        return False
+    if "torque" not in (one.effect.role, other.effect.role):
+        return False
+    both = ((one.torque + other.torque) ** 2).sum()
+    least = min((one.torque**2).sum(), (other.torque**2).sum())
     return bool(both < VERDICT.cancelling * least)
 
 

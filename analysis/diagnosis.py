@@ -126,7 +126,7 @@ class Diagnosis(Shown):
     @cached_property
     def simulation(self) -> Accuracy:
         """Accuracy of the nominal model on the hold-out."""
-        return self.holdout.series.accuracy(self.holdout.simulated)
+        return self.holdout.series.accuracy(self.holdout.nominal)
 
     @cached_property
     def extended(self) -> Accuracy:
@@ -175,7 +175,7 @@ class Diagnosis(Shown):
         arrays = {
             "t": self.holdout.series.t,
             "measured": self.holdout.series.measured,
-            "simulated": self.holdout.simulated,
+            "simulated": self.holdout.nominal,
             "extended": self.extension.predicted,
         }
         for k, item in enumerate(self.ordered):
@@ -280,7 +280,7 @@ def diagnose(
         tuple(findings),
         tuple(corrected),
         nominal_residuals=residuals(
-            joints, data.validate, holdout.error, holdout.error, holdout.simulated
+            joints, data.validate, holdout.error, holdout.error, holdout.nominal
         ),
         residuals=left,
         notes=tuple(notes),
@@ -318,7 +318,7 @@ def _coarse_sentence(share: Array, joints: Sequence[str]) -> str:
 
 def _impossible(mounted: SetUp, fit: Extension, holdout: Holdout) -> str:
     """What is physically impossible in the data or in the best model, with all causes; or empty."""
-    judged = holdout.judging(fit.predicted)
+    judged = replace(holdout, predicted=fit.predicted)
     against = [
         each.why for each in objections(fit.model, judged) if not each.relative
     ]

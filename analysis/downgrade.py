@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from excitant.analysis.confirmation import Finding, cancel
+from excitant.analysis.confirmation import Finding, cancelling
 from excitant.analysis.residuals import Residual
 from excitant.analysis.selection import is_plain_friction
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, VERDICT
@@ -95,7 +95,7 @@ def _below_residual(finding: Finding, residuals: Sequence[Residual]) -> str:
 def _confused(finding: Finding, other: Finding) -> str:
     """Reason if the torque of one cause may belong to the other."""
     name = plain(other.effect.name)
-    if _cancelling(finding, other):
+    if cancelling(finding, other):
         return f"it and {name} mostly cancel"
     effect = finding.effect
     if not {*effect.joints} <= {*other.effect.joints}:
@@ -111,12 +111,3 @@ def _confused(finding: Finding, other: Finding) -> str:
         if effect.curve == other.effect.curve == "position":
             return f"it shares the position curve of the joint with {name}"
     return ""
-
-
-def _cancelling(one: Finding, other: Finding) -> bool:
-    """Whether two causes together make much less torque than either; bodies may well do so."""
-    if not {*one.effect.joints} & {*other.effect.joints}:
-        return False
-    if "torque" not in (one.effect.role, other.effect.role):
-        return False
-    return cancel(one.torque, other.torque)

@@ -86,7 +86,7 @@ def _abscissa(
         "position": (f"joint position [{own_unit}]", q[:, j]),
         "torque": (
             f"torque of the given model [{unit}]",
-            diagnosis.holdout.simulated[:, j],
+            diagnosis.holdout.nominal[:, j],
         ),
         "torque rate": (f"rate of torque [{unit}/s]", np.gradient(torque, t)),
         "load": (

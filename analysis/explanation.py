@@ -43,7 +43,7 @@ def lacking_friction(diagnosis: Diagnosis) -> frozenset[str]:
     robot = diagnosis.robot
     holdout = diagnosis.holdout
     rms = holdout.series.rms
-    nominal = np.zeros_like(holdout.simulated)
+    nominal = np.zeros_like(holdout.nominal)
     for effect in robot.effects:
         if effect.family == "friction":
             nominal += holdout.observed.columns(effect) @ np.array(effect.values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from excitant.analysis.diagnosis import Diagnosis
@@ -35,7 +36,7 @@ def extended_publication(
         diagnosis.extension.model,
         "extended",
         "extended.yaml",
-        diagnosis.holdout.judging(diagnosis.extension.predicted),
+        replace(diagnosis.holdout, predicted=diagnosis.extension.predicted),
         diagnosis.train.segments,
         force=force,
         faults=proven(faults),

@@ -713,7 +713,7 @@ def published(
     against = [Objection(fault, correct) for fault in faults]
     against += objections(model, judged)
     worse = worse_joints(
-        model.joints, judged.rows, judged.predicted, judged.nominal
+        model.joints, judged.series, judged.predicted, judged.nominal
     )
     reasons = "; ".join(objection.why for objection in against)
     if len(against) == 1 and worse and judged.got_worse:

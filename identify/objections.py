@@ -33,7 +33,7 @@ class HoldOut:
 
     Attributes:
         segments: The hold-out.
-        rows: Its rows, with the measured torque.
+        series: Its rows, with the measured torque.
         gains: Torque per reading, shape (nv,) [N·m per reading].
         predicted: Torque of the model at its rows, shape (n, nv) [torque unit].
         nominal: Torque of the model as given, shape (n, nv) [torque unit].
@@ -41,26 +41,26 @@ class HoldOut:
     """
 
     segments: Sequence[Segment]
-    rows: Series
+    series: Series
     gains: Array
     predicted: Array
     nominal: Array
-    drive: DriveGains | None = None
+    drive: DriveGains | None
 
     @cached_property
     def accuracy(self) -> Accuracy:
         """Of the model."""
-        return self.rows.accuracy(self.predicted)
+        return self.series.accuracy(self.predicted)
 
     @cached_property
     def nominal_accuracy(self) -> Accuracy:
         """Of the model as given."""
-        return self.rows.accuracy(self.nominal)
+        return self.series.accuracy(self.nominal)
 
     @cached_property
     def losses(self) -> Array:
         """How much worse the model is than the one as given, row by row; see `Series.losses`."""
-        return self.rows.losses(self.predicted, self.nominal)
+        return self.series.losses(self.predicted, self.nominal)
 
     @cached_property
     def got_worse(self) -> str:
@@ -97,7 +97,7 @@ def objections(model: Robot, judged: HoldOut) -> list[Objection]:
         against.append(Objection(why, _COLUMNS))
     elif missed := _missed(model.joints, judged):
         against.append(Objection(f"it misses {'; '.join(missed)}", _COLUMNS))
-    if not judged.rows.judged.any():
+    if not judged.series.judged.any():
         why = "no joint moves in the hold-out, or its torque is noise: nothing judges the model"
         against.append(
             Objection(why, "name a recording with motion for --validate")
@@ -118,7 +118,7 @@ def useless_joints(joints: Sequence[str], judged: HoldOut) -> list[str]:
     r2 = judged.accuracy.r2
     return [
         f"{joints[j]} (r² = {r2[j]:.3g})"
-        for j in np.flatnonzero(judged.rows.judged).tolist()
+        for j in np.flatnonzero(judged.series.judged).tolist()
         if r2[j] < 0
     ]
 
@@ -127,7 +127,7 @@ def _missed(joints: Sequence[str], judged: HoldOut) -> list[str]:
     nrmse = judged.accuracy.nrmse
     return [
         f"{100 * nrmse[j]:.0f} % of the torque of {joints[j]}"
-        for j in np.flatnonzero(judged.rows.judged).tolist()
+        for j in np.flatnonzero(judged.series.judged).tolist()
         if nrmse[j] > MISSED
     ]
 

@@ -26,7 +26,7 @@ from excitant.identify.preprocessing import away_from_rest
 from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot, torque
-from excitant.robots.effects import EFFECTS, RotorInertia, TorqueGain, effect_values
+from excitant.robots.effects import EFFECTS, RotorInertia, TorqueGain
 from excitant.robots.virtual_arm import HiddenEffect, industrial_sensors
 
 PAN, LIFT, ELBOW = "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"
@@ -342,14 +342,12 @@ def test_coarse_positions_make_no_inertia_small(coarse: float, off: Pair, monkey
 
 
 def test_of_effects_that_cancel_the_finer_is_not_published() -> None:
-    robot, seen = load_robot("planar_2r"), SimpleNamespace(columns=lambda _: SWING[:, :, None])
     plain, finer = (EFFECTS[kind](("joint1",)) for kind in ("viscous_friction", CURVE))
     chosen = [SimpleNamespace(effect=e, key=(e.name, e.joints)) for e in (plain, finer)]
-    rest = {"chosen": chosen, "findings": [SimpleNamespace(margin=x) for x in (0.1, 0.9)]}
     for size, gone in ((-0.7, chosen[1]), (-0.2, None), (0.7, None)):
-        model = robot.with_effects([plain.with_values([1.0]), finer.with_values([size])])
-        fit = SimpleNamespace(model=model, observed=seen, values=effect_values(model), **rest)
-        assert _cancelled(fit) is gone
+        sizes = ((plain, 0.1, 1.0), (finer, 0.9, size))
+        found = [Finding(effect=e, margin=x, torque=y * SWING) for e, x, y in sizes]
+        assert _cancelled(SimpleNamespace(chosen=chosen, findings=found)) is gone
 
 
 @pytest.mark.parametrize(
@@ -362,7 +360,7 @@ def test_friction_of_other_joints_turns_only_where_it_predicts(
     """Squared errors at rest and in motion, of two equal halves, over those of a jump."""
     moves = np.arange(100)[:, None] < [50, 50]
     rows = SimpleNamespace(measured=SWING + SWING[:, ::-1], moves=moves)
-    holdout = Holdout(*[None] * 2, rows, *[None] * 3)
+    holdout = Holdout(None, rows, *[None] * 7)
     plain: Any = {"model": planar.with_effects([]), "chosen": (), "findings": ()}
     jumps, turned = (
         SimpleNamespace(predicted=rows.measured - 0.1 * np.sqrt(error), **plain)

@@ -25,7 +25,7 @@ def estimate(planar: Robot, exact: Exact) -> Estimate:
 
 def with_error(judged: HoldOut, joint: int, share: float) -> HoldOut:
     """The hold-out with an error of some share of a joint's variation, without mean."""
-    rows = judged.rows
+    rows = judged.series
     wave = np.sin(7.1 * rows.t)
     wave = (wave - wave.mean()) / wave.std()
     predicted = np.array(rows.measured)
@@ -51,8 +51,8 @@ def test_friction_beyond_the_effort_limit_forbids_it_and_so_does_no_judgement(es
     assert model.joints[0] not in strained.why
     assert objections(model.with_limits(replace(weak, torque=np.zeros(2))), judged) == []
     judged = with_error(hold_out(estimate), 0, 0.1)
-    still = replace(judged.rows, moves=np.zeros_like(judged.rows.moves))
-    [unjudged] = objections(estimate.model, replace(judged, rows=still))
+    still = replace(judged.series, moves=np.zeros_like(judged.series.moves))
+    [unjudged] = objections(estimate.model, replace(judged, series=still))
     assert "nothing judges the model" in unjudged.why
 
 
