@@ -220,16 +220,15 @@ def _refined(fit: _LeftOut, found: Turning, robot: Robot, data: Data) -> Turning
         )
         column = _column(effect, robot, data)
         slope = (_column(ahead, robot, data) - column) / REVERSALS.difference
-        (force, change), std = fit.coefficients(np.column_stack([column, slope]))
-        found = found._replace(
-            effect=effect, column=column, std=std[1] / max(force, 1e-300)
-        )
+        columns = np.column_stack([column, slope])
+        force, change = fit.coefficients(columns)
         if not force > 0:
             break
         log_ratio = float(
             np.clip(log_ratio + change / force, -REVERSALS.step, REVERSALS.step)
         )
-    return found
+    std = fit.std(columns)[1] / max(force, 1e-300)
+    return found._replace(effect=effect, column=column, std=std)
 
 
 def _column(effect: Effect, robot: Robot, data: Data) -> Array:
@@ -257,20 +256,20 @@ class _LeftOut:
         self.basis = unit @ (Vt[: len(s)][shown].T / s[shown])
         self.blocks = np.array_split(np.arange(len(tau)), BLOCKS)
 
-    def coefficients(self, columns: Array) -> tuple[Array, Array]:
-        """Those of columns, shape (n, k), in place of its own in the fit to all rows.
-
-        With their standard deviations, both of shape (k,).
-        """
+    def coefficients(self, columns: Array) -> Array:
+        """Those of columns, shape (n, k), in place of its own in the fit to all rows, (k,)."""
         beyond = self._beyond(columns)[self.used]
         tau = self._beyond(self.tau)[self.used]
         x = np.linalg.lstsq(beyond, tau, rcond=REVERSALS.rank)[0]
-        e = tau - beyond @ x
+        return np.asarray(x, float)
+
+    def std(self, columns: Array) -> Array:
+        """Their standard deviations, shape (k,)."""
+        beyond = self._beyond(columns)[self.used]
+        e = self._beyond(self.tau)[self.used] - beyond @ self.coefficients(columns)
         variance = (e**2).mean() * autocorrelation_time(e)
         G = np.linalg.pinv(beyond.T @ beyond, rcond=REVERSALS.rank, hermitian=True)
-        return np.asarray(x, float), np.asarray(
-            np.sqrt(variance * np.diag(G)), float
-        )
+        return np.asarray(np.sqrt(variance * np.diag(G)), float)
 
     def errors(self, column: Array) -> Array:
         """Errors with this column, shape (n,), in place of its own."""
