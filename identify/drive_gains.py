@@ -360,15 +360,6 @@ def without_effects(F: Array, *values: Array) -> tuple[Array, ...]:
     return tuple(x - Q @ (Q.T @ x) for x in values)
 
 
-def without_own_effects(F: Array, *values: Array) -> tuple[Array, ...]:
-    """The same of all joints at once: values (n, nv), effect columns F, shape (n, nv, e)."""
-    joints = [
-        without_effects(F[:, j], *(x[:, j] for x in values))
-        for j in range(F.shape[1])
-    ]
-    return tuple(np.stack(x, axis=1) for x in zip(*joints, strict=True))
-
-
 @dataclass(frozen=True)
 class KnownPayload:
     """A body on the last link, as weighed and measured."""

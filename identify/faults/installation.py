@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
-from excitant.identify.drive_gains import BODY_STD, without_own_effects
+from excitant.identify.drive_gains import BODY_STD, without_effects
 from excitant.identify.faults.fault import (
     ALARM,
     FAULTS,
@@ -564,7 +564,11 @@ def _unlikeness(robot: Robot, data: Smooth) -> float:
 
 def _misfits(model: Array, data: Smooth) -> Array:
     """The same of each joint for a torque of the bodies, shape (N, nv); (nv,)."""
-    wanted, measured = without_own_effects(data.effects, model, data.tau)
+    effects = data.effects.swapaxes(0, 1)
+    joints = zip(effects, model.T, data.tau.T, strict=True)
+    wanted, measured = np.array(
+        [without_effects(*each) for each in joints]
+    ).transpose(1, 2, 0)
     along = np.maximum((wanted * measured).sum(axis=0), 0.0)
     factor = along / np.maximum((wanted**2).sum(axis=0), 1e-300)
     squares = ((measured - factor * wanted) ** 2).sum(axis=0)
