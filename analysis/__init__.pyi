@@ -5,10 +5,11 @@ from .discrimination_plan import plan
 from .effect_choice import choose_effects, described
 from .examination import Examination, examine
 from .fleet import Examined, Fleet, Value, compare_arms
-from .identifiability import Identifiability, analyze, default_noise
+from .identifiability import Identifiability, analyze
 from .publication import extended_publication
 from .rehearsal import Rehearsal, rehearse
 from .shown import identify_shown
+from .uncertainty import default_noise
 
 __all__ = [
     "Diagnosis",

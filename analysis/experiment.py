@@ -19,9 +19,7 @@ from excitant.analysis.uncertainty import (
 )
 from excitant.exceptions import BadRobot
 from excitant.identify.prior import (
-    PRIOR_SIGMA,
     BodyPrior,
-    EffectPrior,
     linear_influence,
     prior_parameters,
 )
@@ -38,48 +36,29 @@ if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """Prior of all parameters x, as x = mean + L w with w of unit variance."""
+def prior_root(bodies: Array, effects: Array) -> Array:
+    """L of the covariance L Lᵀ of all parameters before any data, shape (p, p).
 
-    mean: Array  # shape (p,)
-    L: Array  # blocks of ten by ten for each link and a diagonal for effects, shape (p, p)
-    links: int  # number of links
-
-    def posterior_std(self, R: Array) -> Array:
-        """Standard deviation of each parameter after data, constraints ignored, shape (p,)."""
-        _, s, Vt = np.linalg.svd(R @ self.L)
-        s = np.pad(s, (0, len(Vt) - len(s)))
-        return np.asarray(
-            np.linalg.norm(self.L @ Vt.T / np.sqrt(1 + s**2), axis=1), float
-        )
-
-    def influence(self, R: Array, x: Array) -> Array:
-        """How far each parameter x follows the prior in linear theory, 0 to 1, shape (p,)."""
-        return linear_influence(R, self.L, x, self.links)
-
-    def at_limit(self, x: Array) -> tuple[int, ...]:
-        """Links of x, shape (p,), at the limit of physical consistency: almost flat or thin."""
-        end = 10 * self.links
-        bodies, given = (
-            pseudo_inertia(y[:end].reshape(-1, 10)) for y in (x, self.mean)
-        )
-        smallest = [
-            scipy.linalg.eigvalsh(body, own)[0]
-            for body, own in zip(bodies, given, strict=True)
-        ]
-        flat = (k for k, least in enumerate(smallest) if least < RESOLUTION.flat)
-        return tuple(flat)
-
-
-def prior_of(
-    phi: Array, effects: EffectPrior, sigma: float | Array = PRIOR_SIGMA
-) -> Prior:
-    """The prior of `fit_physical`, of consistent standard parameters, shape (links, 10)."""
-    _, J = BodyPrior(phi, sigma).quadratic(phi.ravel())
+    The prior is that of `fit_physical`, of consistent bodies, shape (links, 10), and standard
+    deviations of effect coefficients.
+    """
+    _, J = BodyPrior(bodies).quadratic(bodies.ravel())
     root = np.linalg.inv(np.linalg.qr(J, mode="r"))
-    L = scipy.linalg.block_diag(root, np.diag(effects.std))
-    return Prior(np.concatenate([phi.ravel(), effects.mean]), L, len(phi))
+    return scipy.linalg.block_diag(root, np.diag(effects))
+
+
+def posterior_std(R: Array, L: Array) -> Array:
+    """Standard deviation of each parameter after data, constraints ignored, shape (p,)."""
+    _, s, Vt = np.linalg.svd(R @ L)
+    s = np.pad(s, (0, len(Vt) - len(s)))
+    return np.asarray(np.linalg.norm(L @ Vt.T / np.sqrt(1 + s**2), axis=1), float)
+
+
+def flat_links(phi: Array, given: Array) -> tuple[int, ...]:
+    """Links at the limit of physical consistency, almost flat or thin; both (links, 10)."""
+    pairs = zip(pseudo_inertia(phi), pseudo_inertia(given), strict=True)
+    smallest = [scipy.linalg.eigvalsh(body, own)[0] for body, own in pairs]
+    return tuple(k for k, least in enumerate(smallest) if least < RESOLUTION.flat)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +70,9 @@ class Experiment:
     x: Array  # values of all parameters, zero where unknown, shape (p,)
     known: tuple[bool, ...]  # which of them are known
     beta: Array  # values of the base parameters, shape (r,)
-    prior: Prior | None  # knowledge without data; None where a link has no mass
+    bodies: (
+        Array | None
+    )  # the prior's, shape (nv, 10); None where a link has no mass
     # standard deviation of each parameter as told, prior included, shape (p,)
     std: Array | None
     # how far each parameter follows the prior, 0 to 1, shape (p,)
@@ -127,17 +108,17 @@ def planned_experiment(
     values = known_values(robot, effects)
     x = np.array([value or 0.0 for value in values])
     notes: list[str] = []
-    prior = None
+    bodies = None
+    std = None
     influence = None
     try:
         size = implausible_size(
             W[:, :, 10 * robot.nv :], torque(robot, motion)[:, rows]
         )
-        nothing = EffectPrior(
-            np.zeros_like(size), size, np.full_like(size, -np.inf)
-        )
-        prior = prior_of(prior_parameters(robot), nothing)
-        influence = prior.influence(information.R, x)
+        bodies = prior_parameters(robot)
+        L = prior_root(bodies, size)
+        std = posterior_std(information.R, L)
+        influence = linear_influence(information.R, L, x, robot.nv)
     except BadRobot as error:
         notes.append(f"the prior is left out: {error.why}")
     how = (
@@ -151,8 +132,8 @@ def planned_experiment(
         x=x,
         known=tuple(value is not None for value in values),
         beta=base.regrouping @ x,
-        prior=prior,
-        std=None if prior is None else prior.posterior_std(information.R),
+        bodies=bodies,
+        std=std,
         influence=influence,
         motion=motion,
         q=motion.q,
@@ -173,14 +154,10 @@ def recorded_experiment(
     information = motion_information(
         base, rows.W, sigma, fit.covariance if complete else None
     )
-    prior = prior_of(
-        estimate.physical.prior.bodies,
-        rows.open_prior,
-        estimate.physical.prior.sigma,
-    )
     x = estimate.physical.x
+    bodies = estimate.physical.prior.bodies
     notes = []
-    if flat := prior.at_limit(x):
+    if flat := flat_links(x[: bodies.size].reshape(-1, 10), bodies):
         names = ", ".join(robot.links[k] for k in flat)
         notes.append(
             f"at the limit of physical consistency: {names}; the data alone would go beyond"
@@ -197,10 +174,10 @@ def recorded_experiment(
         x=x,
         known=(True,) * len(base.names),
         beta=fit.beta if complete else base.regrouping @ x,
-        prior=prior,
+        bodies=bodies,
         std=estimate.std,
         told=units_of(estimate.given, effects, estimate.drive),
-        influence=prior.influence(information.R, x),
+        influence=estimate.physical.influence,
         motion=max((s.motion for s in estimate.data.train), key=len),
         q=np.concatenate([s.motion.q[s.keep] for s in estimate.data.train]),
         basis="from the residual of the recording, with its autocorrelation",

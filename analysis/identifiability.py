@@ -15,11 +15,11 @@ from excitant.analysis.experiment import (
     recorded_experiment,
 )
 from excitant.analysis.structure import Structure, structure
-from excitant.analysis.thresholds import RESOLUTION
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
     Practical,
     candidate_experiments,
+    default_noise,
     experiments_needed,
     known_values,
     practical,
@@ -362,13 +362,6 @@ def _contained(robot: Robot, structural: Structure) -> str:
     )
 
 
-def default_noise(robot: Robot) -> Array:
-    """Torque noise (nv,): 1 % of the limit, or 1 N·m where there is none."""
-    limits = robot.limits.torque
-    stated = np.isfinite(limits) & (limits > 0)
-    return np.where(stated, RESOLUTION.torque_noise * limits, 1.0)
-
-
 def _practical(
     robot: Robot,
     effects: Sequence[Effect],
@@ -456,10 +449,9 @@ def _entries(
         columns |= judged
         if experiment.told:
             units = tuple(unit for _, unit in experiment.told)
-        if experiment.prior is not None:
-            links = 10 * experiment.prior.links
-            bodies = experiment.prior.mean[:links].tolist()
-            columns["prior"] = [*bodies, *nominal[links:]]
+        if experiment.bodies is not None:
+            bodies = experiment.bodies.ravel().tolist()
+            columns["prior"] = [*bodies, *nominal[len(bodies) :]]
     needed = experiments_needed(R, np.eye(len(units)), size, further)
     expressions = np.array(base.expressions, object)
     return tuple(

@@ -43,27 +43,31 @@ _NEVER = "never by joint torques"
 APART = f"{_NEVER} or base forces: weigh or swing the link apart from the arm"
 
 
-def torque_noise(robot: Robot, noise: Sequence[float] | None = None) -> Array:
-    """Standard deviation of each joint's torque noise, 1 % of its limit by default, (nv,) [N·m]."""
-    if noise is not None:
-        sigma = np.asarray(noise, float)
-        if (
-            sigma.shape != (robot.nv,)
-            or not (np.isfinite(sigma) & (sigma > 0)).all()
-        ):
+def default_noise(robot: Robot) -> Array:
+    """Torque noise (nv,): 1 % of the limit, or 1 N·m where there is none."""
+    limits = robot.limits.torque
+    stated = np.isfinite(limits) & (limits > 0)
+    return np.where(stated, RESOLUTION.torque_noise * limits, 1.0)
+
+
+def torque_noise(robot: Robot, noise: Sequence[float] | None) -> Array:
+    """Standard deviation of each joint's torque noise, the default by its limit, (nv,) [N·m]."""
+    if noise is None:
+        unlimited = np.isinf(robot.limits.torque)
+        if unlimited.any():
+            joint = robot.joints[int(np.argmax(unlimited))]
             raise BadInput(
-                f"noise {', '.join(f'{s:g}' for s in sigma)}: give one positive number [N·m] for "
-                f"each of the {robot.nv} joints of {robot.name}"
+                f"{robot.source}: joint {joint} has no torque limit to scale noise by; "
+                "give the noise of each joint (--noise) or a limit"
             )
-        return sigma
-    sigma = RESOLUTION.torque_noise * robot.limits.torque
-    if not np.isfinite(sigma).all():
-        joint = robot.joints[int(np.argmin(np.isfinite(sigma)))]
+        return default_noise(robot)
+    sigma = np.asarray(noise, float)
+    if sigma.shape != (robot.nv,) or not (np.isfinite(sigma) & (sigma > 0)).all():
         raise BadInput(
-            f"{robot.source}: joint {joint} has no torque limit to scale noise by; "
-            "give the noise of each joint (--noise) or a limit"
+            f"noise {', '.join(f'{s:g}' for s in sigma)}: give one positive number [N·m] for "
+            f"each of the {robot.nv} joints of {robot.name}"
         )
-    return np.asarray(sigma, float)
+    return sigma
 
 
 def triangle(W: Array, sigma: Array) -> Array:

@@ -12,13 +12,12 @@ from arms import TrueArm
 from planted import Runs, motion_of, stacked
 
 from excitant.analysis import identify_shown, uncertainty
-from excitant.analysis.experiment import prior_of
+from excitant.analysis.experiment import flat_links
 from excitant.analysis.identifiability import Identifiability, ParameterIdentifiability, analyze
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot
 from excitant.identify.excitation import ROWS_PER_SECOND, persistency
 from excitant.identify.prior import base_prior, prior_parameters, reference_motion
-from excitant.identify.rows import fit_rows
 from excitant.reports.run import as_saved
 from excitant.results import record_of
 from excitant.robots import Motion, Robot, load_robot
@@ -287,9 +286,7 @@ def judged(planar: Robot, runs: Runs) -> Judged:
     """A recording of the planar arm: what was identified, and what it shows."""
     recording, held = runs(planar, 0)
     estimate = identify_robot(planar, [recording], validate=[held])
-    rows = fit_rows(planar, estimate.model.effects, estimate.base, estimate.data)
-    prior = prior_of(prior_parameters(planar), rows.open_prior)
-    return Judged(estimate=estimate, prior=prior, found=analyze(planar, estimate=estimate))
+    return Judged(estimate=estimate, found=analyze(planar, estimate=estimate))
 
 
 def test_a_recording_gives_its_uncertainty_and_the_prior_decides_what_is_null(judged: Judged):
@@ -304,14 +301,14 @@ def test_a_recording_gives_its_uncertainty_and_the_prior_decides_what_is_null(ju
         assert entry(judged.found, name).decided_by == "data"
 
 
-def test_bodies_at_their_limit_are_named(judged: Judged) -> None:
-    prior = judged.prior
-    root = np.linalg.cholesky(pseudo_inertia(prior.mean[10:20]))
-    assert prior.at_limit(prior.mean) == ()
+def test_bodies_at_their_limit_are_named(planar: Robot) -> None:
+    given = prior_parameters(planar)
+    root = np.linalg.cholesky(pseudo_inertia(given[1]))
+    assert flat_links(given, given) == ()
     for thickness, named in ((1e-4, (1,)), (0.01, ())):  # beside the prior, in one direction
-        x = prior.mean.copy()
-        x[10:20] = from_pseudo_inertia(root @ np.diag([1.0, thickness, 1.0, 1.0]) @ root.T)
-        assert prior.at_limit(x) == named
+        phi = given.copy()
+        phi[1] = from_pseudo_inertia(root @ np.diag([1.0, thickness, 1.0, 1.0]) @ root.T)
+        assert flat_links(phi, given) == named
 
 
 def test_a_recording_that_rests_a_joint_is_judged_as_far_as_it_goes(planar: Robot) -> None:
