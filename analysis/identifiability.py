@@ -450,8 +450,8 @@ def _entries(
         if experiment.told:
             units = tuple(unit for _, unit in experiment.told)
         if experiment.bodies is not None:
-            bodies = experiment.bodies.ravel().tolist()
-            columns["prior"] = [*bodies, *nominal[len(bodies) :]]
+            links = experiment.bodies.ravel().tolist()
+            columns["prior"] = [*links, *nominal[len(links) :]]
     needed = experiments_needed(R, np.eye(len(units)), size, further)
     expressions = np.array(base.expressions, object)
     return tuple(

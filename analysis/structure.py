@@ -6,9 +6,9 @@ off a right angle) it depends on the tolerance, and the result says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -29,9 +29,6 @@ from excitant.robots.base_parameters import (
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze
 from excitant.robots.robot import Robot
-
-Held = Mapping[str, float] | Literal["any"]
-"""Positions of joints that do not move [rad or m], or ``"any"``: at rest in many positions."""
 
 MARGIN = 1e3  # factor on the tolerance that must not change a category
 HALF_DECADES = 6  # to there
@@ -92,19 +89,17 @@ def structure(
     *,
     moving: Sequence[str] | None = None,
     measured: Sequence[str] | None = None,
-    held: Held | None = None,
+    anywhere: bool = False,
     frames: Array | None = None,
 ) -> Structure:
     """Structural identifiability of an arm's parameters; gravity and locked joints count.
 
-    All joints move and are measured if None; ``held`` has the others' positions, 0 by default.
-    Parameters are about the joint frames, or about frames in these, shape (nv, 4, 4).
+    All joints move and are measured if None; the others are held at zero, or rest ``anywhere``, in
+    many positions. Parameters are about the joint frames, or about frames in these, (nv, 4, 4).
     """
-    positions = held if isinstance(held, Mapping) else {}
-    UnknownName.refuse(
-        "joint", (*(moving or ()), *(measured or ()), *positions), robot.joints
-    )
-    motion = _circumstantial(robot, moving, {} if held is None else held)
+    named = (*(moving or ()), *(measured or ()))
+    UnknownName.refuse("joint", named, robot.joints)
+    motion = _circumstantial(robot, moving, anywhere)
     rows = None if measured is None else np.isin(robot.joints, measured)
     observation = observe(robot, effects, motion, rows, frames)
     base = regroup(observation)
@@ -119,7 +114,7 @@ def structure(
         base,
         category,
         margin,
-        _circumstances(robot, moving, measured, held),
+        _circumstances(robot, moving, measured, anywhere),
         close,
         flips_at,
         singular_values,
@@ -154,7 +149,7 @@ def _members(vector: Array, names: Sequence[str]) -> str:
 
 
 def _circumstantial(
-    robot: Robot, moving: Sequence[str] | None, held: Held
+    robot: Robot, moving: Sequence[str] | None, anywhere: bool
 ) -> Motion:
     motion = structural_motion(robot, np.random.default_rng(0))
     if moving is None:
@@ -162,10 +157,8 @@ def _circumstantial(
     still = ~np.isin(robot.joints, moving)
     q, dq, ddq = (np.array(x) for x in (motion.q, motion.dq, motion.ddq))
     dq[:, still] = ddq[:, still] = 0.0
-    if isinstance(held, Mapping):
-        q[:, still] = np.array([held.get(name, 0.0) for name in robot.joints])[
-            still
-        ]
+    if not anywhere:
+        q[:, still] = 0.0
     return replace(motion, q=q, dq=dq, ddq=ddq)
 
 
@@ -195,21 +188,18 @@ def _circumstances(
     robot: Robot,
     moving: Sequence[str] | None,
     measured: Sequence[str] | None,
-    held: Held | None,
+    anywhere: bool,
 ) -> tuple[str, ...]:
     circumstances = ["the base is fixed", _gravity_sentence(robot.gravity)]
     if robot.locked:
-        circumstances.append(f"{_joints(_positions(dict(robot.locked)))} locked")
+        locked = [f"{name} at {value:.4g}" for name, value in robot.locked]
+        circumstances.append(f"{_joints(locked)} locked")
     still = [
         name for name in robot.joints if moving is not None and name not in moving
     ]
-    if still and held == "any":
-        circumstances.append(f"{_joints(still)} at rest in many positions")
-    elif still:
-        at = held if isinstance(held, Mapping) else {}
-        circumstances.append(
-            f"{_joints(_positions({name: at.get(name, 0.0) for name in still}))} held"
-        )
+    if still:
+        where = "at rest in many positions" if anywhere else "held at 0"
+        circumstances.append(f"{_joints(still)} {where}")
     missing = [
         name
         for name in robot.joints
@@ -218,10 +208,6 @@ def _circumstances(
     if missing:
         circumstances.append(f"torque of {_joints(missing)} not measured")
     return tuple(circumstances)
-
-
-def _positions(positions: Mapping[str, float]) -> list[str]:
-    return [f"{name} at {value:.4g}" for name, value in positions.items()]
 
 
 def _joints(words: Sequence[str]) -> str:

@@ -19,7 +19,6 @@ import numpy as np
 import pinocchio as pin
 import scipy.linalg
 
-from excitant.analysis.structure import Held
 from excitant.robots.base_parameters import LENGTH_POWERS, arm_length
 from excitant.robots.motion import Array
 from excitant.robots.parameters import PSEUDO_INERTIA_BASIS as BASIS
@@ -57,10 +56,9 @@ def _span(vectors: Array) -> Array:
 
 
 def parameter_nullspace(
-    robot: Robot, *, moving: Sequence[str] | None = None, held: Held | None = None
+    robot: Robot, *, moving: Sequence[str] | None = None, anywhere: bool = False
 ) -> NullSpace:
-    """By recursion from base to tip: joints that move, and positions of the others, else 0."""
-    at = {} if held is None or held == "any" else dict(held)
+    """By recursion from base to tip: joints that move; the others rest at 0 or ``anywhere``."""
     length, model, blocks, shown = arm_length(robot), robot.model, [], []
     slide = np.append(robot.gravity, np.zeros(3)) / (np.linalg.norm(robot.gravity) or 1.0)
     attained = {-1: (slide[:, None], _energy(slide, slide)[:, None])}  # velocities, energies
@@ -68,14 +66,12 @@ def parameter_nullspace(
         axis, place = model.joints[i + 1].createData().S, model.jointPlacements[i + 1]
         axis = np.array(axis).reshape(6)
         moves = moving is None or name in moving
-        if not moves and held != "any":
-            place = place * pin.exp6(at.get(name, 0.0) * axis)
         place = pin.SE3(place.rotation, place.translation / length)
         parent = model.parents[i + 1] - 1
         V, K = attained[parent]
         move = moved_parameters(np.eye(10), place.homogeneous)
         V, K, U = place.toActionMatrixInverse() @ V, move @ K, np.eye(10)
-        if moves or held == "any":
+        if moves or anywhere:
             V, K, conditions = _step(axis, bool(robot.revolute[i]), moves, V, K)
             U = scipy.linalg.null_space(conditions.T, rcond=0.5) if conditions.size else U
         attained[i] = V, K
