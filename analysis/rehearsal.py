@@ -7,9 +7,10 @@ recovered. Then it changes, and the diagnosis of the identified model must name 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -24,6 +25,7 @@ from excitant.identify.estimate import Estimate, identify_robot
 from excitant.identify.reading.logs import recording_from_table
 from excitant.identify.recording import Recording
 from excitant.names import listed
+from excitant.results import Requirement
 from excitant.robots.effects import EFFECTS, Effect, plain, standard_effects
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
 from excitant.robots.motion import Array, Motion, read_only
@@ -71,23 +73,22 @@ _HOPELESS = 5.0  # uncertainty beyond which a longer record alone will not do
 _UNLIMITED = 3.0  # rad/s, where there is no limit on speed
 
 
-@dataclass(frozen=True)
-class Item:
-    """One requirement, with the true value and its estimate where it is about one value."""
-
-    name: str
-    joint: str  # the joint concerned; empty when none
-    passed: bool
-    detail: str  # the figures, in words
-    advice: str = ""  # what to change; empty when met
-    planted: float | None = None
-    recovered: float | None = None
-    std: float | None = None
-    unit: str = ""
-
-
-def _item(name: str, joint: str, passed: bool, detail: str, advice: str) -> Item:
-    return Item(name, joint, bool(passed), detail, "" if passed else advice)
+def _item(
+    name: str,
+    joint: str,
+    passed: bool,
+    detail: str,
+    advice: str,
+    *,
+    planted: float | None = None,
+    recovered: float | None = None,
+    std: float | None = None,
+    unit: str = "",
+) -> Requirement:
+    """A requirement, with advice where it is not met, and values where it is about one."""
+    said = "" if passed else advice
+    values = (planted, recovered, std, unit)
+    return Requirement(name, joint, bool(passed), detail, said, *values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,7 @@ class Situation:
         return f"record {times}, or design a motion with more harmonics"
 
 
-def limit_items(situation: Situation) -> list[Item]:
+def limit_items(situation: Situation) -> list[Requirement]:
     """Limits compared with the motion of the arm, friction and tracking errors included."""
     limits = situation.robot.limits
     run = situation.run
@@ -150,7 +151,7 @@ def limit_items(situation: Situation) -> list[Item]:
     return items
 
 
-def clearance_item(scene: Scene, path: Path, required: float) -> Item:
+def clearance_item(scene: Scene, path: Path, required: float) -> Requirement:
     """Distance between bodies over the continuous motion, as `check` has it."""
     near = clearance_along(scene, path)
     distance_mm = 1000 * near.distance / near.scale
@@ -167,7 +168,7 @@ def clearance_item(scene: Scene, path: Path, required: float) -> Item:
 
 def _recovered(
     situation: Situation, estimates: Sequence[Estimate], x: Array
-) -> list[Item]:
+) -> list[Requirement]:
     beta = estimates[0].base.regrouping @ x
     std = [_std(e) for e in estimates]
     errors = np.array([e.least_squares.beta for e in estimates]) - beta
@@ -189,7 +190,9 @@ def _std(estimate: Estimate) -> Array:
     return np.asarray(np.sqrt(np.diag(estimate.least_squares.covariance)), float)
 
 
-def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Item]:
+def _friction(
+    situation: Situation, estimate: Estimate, beta: Array
+) -> list[Requirement]:
     robot = situation.robot
     items = []
     std = _std(estimate)
@@ -206,14 +209,18 @@ def _friction(situation: Situation, estimate: Estimate, beta: Array) -> list[Ite
             unit = parameter.unit
             advice = situation.faster(joint, lack)
             detail = f"planted {true:.4g}, recovered {value:.4g} ± {s:.2g} {unit}"
-            item = _item(plain(effect.name), joint, lack <= 1, detail, advice)
+            values = {"planted": true, "recovered": value, "std": s, "unit": unit}
             items.append(
-                replace(item, planted=true, recovered=value, std=s, unit=unit)
+                _item(
+                    plain(effect.name), joint, lack <= 1, detail, advice, **values
+                )
             )
     return items
 
 
-def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
+def _prediction(
+    situation: Situation, estimate: Estimate, beta: Array
+) -> Requirement:
     robot = situation.robot
     rms = estimate.validate.rms
     floor = estimate.holdout.accuracy(estimate.holdout_columns @ beta).rms
@@ -232,7 +239,9 @@ def _prediction(situation: Situation, estimate: Estimate, beta: Array) -> Item:
     )
 
 
-def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Item:
+def _other_motions(
+    situation: Situation, estimate: Estimate, beta: Array
+) -> Requirement:
     """Error at states within half the limits, which the motion need not have visited."""
     robot = situation.robot
     base = estimate.base
@@ -256,7 +265,7 @@ def _other_motions(situation: Situation, estimate: Estimate, beta: Array) -> Ite
     return _item("torque at other motions", robot.joints[j], passed, detail, advice)
 
 
-def _undetermined(situation: Situation, error: RankDeficient) -> Item:
+def _undetermined(situation: Situation, error: RankDeficient) -> Requirement:
     names = listed(error.names, _LISTED)
     weakest = min(situation.use, key=situation.use.__getitem__)
     detail = (
@@ -269,7 +278,7 @@ def _undetermined(situation: Situation, error: RankDeficient) -> Item:
 
 def _named(
     situation: Situation, diagnosis: Diagnosis, change: HiddenEffect
-) -> Item:
+) -> Requirement:
     """The change of the arm is named, on its joint, before anything else."""
     # a payload and other added inertia may explain the data equally well; that is no failure
     planted = f"planted {plain(change.effect)} on {change.joint}"
@@ -287,16 +296,16 @@ def _named(
         r for r in lead.rivals if not (mass and r.candidate.effect.family == "body")
     ]
     passed = right and not lead.downgrade and not others
-    item = _item("diagnosis", change.joint, passed, f"{planted}, {named}", advice)
-    if not right or lead.effect.values is None:
-        return item
-    return replace(
-        item,
-        planted=change.parameters[0][1],
-        recovered=float(lead.effect.values[0] - lead.nominal[0]),
-        std=float(lead.std[0]),
-        unit=lead.effect.parameters(diagnosis.robot)[0].unit,
-    )
+    values = dict[str, Any]()
+    if right and lead.effect.values is not None:
+        values = {
+            "planted": change.parameters[0][1],
+            "recovered": float(lead.effect.values[0] - lead.nominal[0]),
+            "std": float(lead.std[0]),
+            "unit": lead.effect.parameters(diagnosis.robot)[0].unit,
+        }
+    detail = f"{planted}, {named}"
+    return _item("diagnosis", change.joint, passed, detail, advice, **values)
 
 
 def _cause(cause: Finding | Candidate) -> str:
@@ -323,7 +332,7 @@ class Rehearsal(Shown):
     arm: VirtualArm
     change: HiddenEffect
     run: Run
-    items: tuple[Item, ...]
+    items: tuple[Requirement, ...]
     estimate: Estimate | None = None
     diagnosis: Diagnosis | None = None
 
@@ -342,7 +351,7 @@ class Rehearsal(Shown):
             "duration": self.duration,
             "passed": self.passed,
             "headline": self.headline,
-            "items": [asdict(item) for item in self.items],
+            "items": msgspec.to_builtins(self.items),
             "advice": list(dict.fromkeys(item.advice for item in failed)),
             "effect": self.change.entry(),
             "limit_values": {

@@ -323,6 +323,16 @@ def reference_motion(robot: Robot, duration: float, rate_hz: float) -> Motion:
     return Motion(t, (low + high) / 2 + scale * q, scale * dq, scale * ddq)
 
 
+def follows(ratio: Array, reach: Array) -> Array:
+    """Largest ratio of the kinds that reach a material part of an entry, at most 1, shape (p,).
+
+    Ratios compare the move of an entry with that of its prior; NaN where a kind leaves it. Reach
+    is the share of its uncertainty that a kind reaches. Both have shape (kinds, p).
+    """
+    counted = np.where((reach >= _MATERIAL) & np.isfinite(ratio), ratio, 0.0)
+    return np.clip(counted.max(axis=0), 0.0, 1.0)
+
+
 def decided_by(influence: Array, category: Sequence[str]) -> tuple[str, ...]:
     """Who decided entries that follow the prior by 0 to 1: data, prior, or both together, (p,).
 
@@ -380,8 +390,7 @@ def linear_influence(R: Array, L: Array, x: Array, links: int) -> Array:
     weak_sizes = np.linalg.norm(directions[:, weak], axis=1)
     weakly = _share(np.linalg.norm(moves[:, weak], axis=1), weak_sizes)
     ratio = np.array([np.ones(len(x)), weakly, total])
-    largest = np.where(reach >= _MATERIAL, ratio, 0.0).max(axis=0)
-    return np.where(sizes > 0, np.minimum(largest, 1.0), 1.0)
+    return np.where(sizes > 0, follows(ratio, reach), 1.0)
 
 
 def _share(part: Array, whole: Array) -> Array:
