@@ -209,12 +209,18 @@ def _friction(
             unit = parameter.unit
             advice = situation.faster(joint, lack)
             detail = f"planted {true:.4g}, recovered {value:.4g} ± {s:.2g} {unit}"
-            values = {"planted": true, "recovered": value, "std": s, "unit": unit}
-            items.append(
-                _item(
-                    plain(effect.name), joint, lack <= 1, detail, advice, **values
-                )
+            item = _item(
+                plain(effect.name),
+                joint,
+                lack <= 1,
+                detail,
+                advice,
+                planted=true,
+                recovered=value,
+                std=s,
+                unit=unit,
             )
+            items.append(item)
     return items
 
 
