@@ -87,7 +87,8 @@ def load_problem(
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         model, duration = str(content["model"]), float(content["duration"])
-        harmonics = harmonics or int(content["harmonics"])
+        given = content.get("harmonics") or duration * content["max_frequency_hz"]
+        harmonics = harmonics or int(given + 1e-9)
         rate_hz = float(content.get("evaluate_hz", 100.0))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(f"problem {path}: {type(error).__name__} {error}") from None
