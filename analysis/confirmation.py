@@ -87,8 +87,8 @@ class Finding:
         nominal: The value that the nominal model has for each coefficient.
         covariance: Of its k coefficients by the fit if it is the cause, shape (k, k).
         by_gains: Their errors by one standard deviation of the drive gains, shape (k,).
-        explained: Share that it removes of the squared error on the hold-out: the nominal model's,
-            or that of the model without it where this is larger.
+        explained: Share of the nominal model's squared error on the hold-out that it removes;
+            beyond one where other causes depend on it.
         joint: Index of the joint where it is largest relative to what remains.
         rms_before: Error on the hold-out without it, all others kept, of its joints that turn or
             slide as that one does [torque unit].
@@ -619,8 +619,7 @@ def finding_of(
     error = rows.measured - fit.predicted
     without = error + torque
     weight = rows.moves * holdout.gains / fit.evidence.sigma
-    # causes may make up for one another: the error without one may be the larger
-    power = max(float(((e * weight) ** 2).sum()) for e in (holdout.error, without))
+    power = float(((holdout.error * weight) ** 2).sum())
     joints = effect.affected(robot)
     fall = ((without**2 - error**2) * weight**2)[:, joints]
     scale = holdout_scale(

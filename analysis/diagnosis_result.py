@@ -181,7 +181,8 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
             for f in group
             for s in sizes(f, diagnosis)
         ],
-        "explained": explained,
+        # causes may make up for one another
+        "explained": min(explained, 1.0),
         "holdout": {"rms_before": before, "rms_after": after},
         "unit": diagnosis.unit(group[0].joint),
         "verdict": "named" if named else "undecided",

@@ -28,8 +28,8 @@ class Item:
 
 
 def explained_by(group: Sequence[Finding]) -> float:
-    """Share of the squared error that a group removes, all of it at most."""
-    return min(1.0, sum(finding.explained for finding in group))
+    """Share of the nominal model's squared error that a group removes."""
+    return sum(finding.explained for finding in group)
 
 
 def is_slight(group: Sequence[Finding]) -> bool:

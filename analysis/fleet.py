@@ -81,6 +81,7 @@ class Fleet:
     deviations: tuple[Deviation, ...]
     differences: tuple[Difference, ...]
     drifts: tuple[Drift, ...]
+    remarks: tuple[str, ...] = ()
 
     def result(self) -> dict[str, Any]:
         """Entries of ``result.json``."""
@@ -94,7 +95,7 @@ class Fleet:
             "deviations": msgspec.to_builtins(self.deviations),
             "differences": msgspec.to_builtins(self.differences),
             "drifts": msgspec.to_builtins(self.drifts),
-            "notes": list(_notes(done)),
+            "notes": [*self.remarks, *_notes(done)],
         }
 
     def series(self) -> dict[str, Array]:

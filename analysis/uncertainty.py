@@ -256,7 +256,7 @@ def candidate_experiments(
         )
     if len(rests) > 1:
         experiments[
-            f"moving {' and '.join(robot.joints[j] for j in rests)} together"
+            f"moving {', '.join(robot.joints[j] for j in rests)} together"
         ] = factor(robot)
     elif not rests:
         experiments["a wider and faster motion of all joints"] = factor(robot)

@@ -614,7 +614,7 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
     complete = f"{path.stem}.yaml"
     known = None if estimate.drive is None else estimate.drive.known
     asked = formats.get(path.suffix)
-    exported = exported_files(
+    judged = exported_files(
         estimate.model,
         path.stem,
         complete,
@@ -622,10 +622,12 @@ def save_model(estimate: Estimate, path: str | Path) -> list[Path]:
         estimate.data.train,
         [asked or "urdf"],
     )
+    exported: Sequence[ExportedFile] | None = judged
     if asked:
-        if poor := [file for file in exported if file.refused]:
+        if poor := [file for file in judged if file.refused]:
             warnings.warn(f"{path.name}: {_shortcoming(poor)}", stacklevel=2)
-        exported = _accepted(exported)
+        # where no drive gain is known, the YAML alone is judged
+        exported = _accepted(judged) if len(judged) > 1 else None
     files = model_files(
         estimate.model,
         path.stem,

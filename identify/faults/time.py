@@ -1,4 +1,4 @@
-"""Time: stamps that repeat, go back or start anew, samples missing or there twice, clocks.
+"""Time: stamps that repeat or go back, samples missing or there twice, clocks.
 
 A row is *late* where its stamp puts it between two others that are as far apart as if it were
 missing there, and where no position then jumps: sorting restores the log. A short run of stamps
@@ -366,7 +366,9 @@ def velocity_faults(log: Log) -> list[Fault]:
         first, last = log.t[[0, -1]]
         detail = f"every time step is exactly 1, so t counts samples ({first:g} to {last:g})"
         if shared is None or not of_clock:
-            return [Fault("wrong_sample_rate", log.joints, detail, {})]
+            return [
+                Fault("wrong_sample_rate", log.joints, detail, {"counts": True})
+            ]
         detail += (
             f"; q and dq agree at a step of {1 / shared:.4g} s ({shared:.4g} Hz)"
         )

@@ -303,8 +303,7 @@ def _sentence(finding: Finding, unit: str) -> str:
         )
     share = finding.explained
     if share is not None:
-        error += f" That is {v.percent(share)} of the squared error that the given model leaves"
-        error += ": other findings depend on it." if share > 1 else "."
+        error += f" That is {v.percent(share)} of the squared error that the given model leaves."
     sentence = f"{finding.sentence}. {error}"
     if finding.doubt:
         return f"{sentence} It is not decided: {finding.doubt}."

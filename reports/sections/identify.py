@@ -218,6 +218,8 @@ def _remedy(fault: Fault) -> str:
         return "nothing to repair: the stamps are right"
     if "open" in fault.evidence:
         return "not repaired; state in --map which it is"
+    if "counts" in fault.evidence:
+        return "not repaired; state in --map the rate"
     if fault.evidence.get("channel") == "inertia":
         return "not repaired; correct that file"
     known = "state it in --map" if fault.fault == "wrong_unit" else "record again"

@@ -7,7 +7,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from os.path import isdir, isfile
@@ -23,7 +23,7 @@ from excitant.exceptions import (
     line_of,
 )
 from excitant.files import write_file
-from excitant.names import in_folder, one_line, printable
+from excitant.names import in_folder, listed, one_line, printable
 from excitant.options import Run
 from excitant.processes import connect, processors, unordered
 from excitant.progress import Advance, progress_bar
@@ -97,7 +97,7 @@ def compare_fleet(
         progress: Called with the share done and the data set done last.
 
     Raises:
-        BadInput: No data set, or two of one name.
+        BadInput: No data set, or one that is given twice.
     """
     root = Path(output)
     sets = [
@@ -106,12 +106,29 @@ def compare_fleet(
     ]
     with connect(cluster) if cluster else nullcontext() as client:
         _examine_all(sets, jobs or processors(), client, progress)
-    first = dict[str, str]()
+    originals, copies = _originals(sets)
+    arms = ex.analysis.compare_arms([_examined(data_set) for data_set in originals])
+    if copies:
+        arms = replace(arms, remarks=(f"counted once: {listed(copies, _SHOWN)}",))
+    return arms
+
+
+def _originals(sets: Sequence[_DataSet]) -> tuple[list[_DataSet], list[str]]:
+    """Data sets, of those with the same files one, and of which the others are copies."""
+    names = dict[str, str]()
+    for data_set in sorted(
+        sets, key=lambda each: bool(_noted(each.out).get("failed"))
+    ):
+        names.setdefault(_noted(data_set.out).get("input", ""), data_set.name)
+    originals = []
+    copies = []
     for data_set in sets:
-        first.setdefault(_noted(data_set.out).get("input", ""), data_set.name)
-    return ex.analysis.compare_arms(
-        [_examined(data_set, first) for data_set in sets]
-    )
+        original = names[_noted(data_set.out).get("input", "")]
+        if original == data_set.name:
+            originals.append(data_set)
+        else:
+            copies.append(f"{data_set.name} has the files of {original}")
+    return originals, copies
 
 
 def _data_sets(folders: Sequence[str | Path], root: Path) -> dict[str, str]:
@@ -238,17 +255,12 @@ def _noted(out: str) -> dict[str, str]:
     return stamp if isinstance(stamp, dict) else {}
 
 
-def _examined(data_set: _DataSet, first: Mapping[str, str]) -> Examined:
-    """What a data set came to; of those of the same files ``first`` names the one that counts."""
+def _examined(data_set: _DataSet) -> Examined:
+    """What a data set came to."""
     name, folder, out = data_set
-    noted = _noted(out)
     examined = ex.analysis.Examined(
-        name, name, None, failed=noted.get("failed", "")
+        name, name, None, failed=_noted(out).get("failed", "")
     )
-    original = first[noted.get("input", "")]
-    if original != name:
-        why = f"its files are those of {original}, which is counted instead"
-        examined = replace(examined, failed=why)
     try:
         arm, day = ex.identify.origin(Path(folder), name)
         examined = replace(examined, arm=arm, day=day)

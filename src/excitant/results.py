@@ -1087,7 +1087,7 @@ class Part(Record, kw_only=True):
     parameters: list[FoundParameter]
     "Coefficients."
     explained: Number
-    "Share that it removes of the squared error: the nominal model's, or without it if larger."
+    "Share of the nominal model's squared error that it removes, at most all of it."
     holdout: RmsChange
     "Error on the hold-out without it and with it."
     unit: str

@@ -13,7 +13,7 @@ from plant_recordings import PENDULUM
 
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset, model_files
-from excitant.identify.export import publication
+from excitant.identify.export import publication, save_model
 from excitant.identify.tables import body_changes
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.parameters import from_pseudo_inertia, violations
@@ -149,13 +149,15 @@ def test_what_rests_on_drive_gains_carries_their_uncertainty(ur10, nominal):
     np.testing.assert_allclose(10 * widths[0], widths[1], rtol=0.1)
 
 
-def test_what_nothing_fixes_is_told_in_amperes(ur10: Robot, nominal: list[Recording]) -> None:
+def test_what_nothing_fixes_is_told_in_amperes(ur10, nominal, tmp_path) -> None:
     """Placeholders fix no scale: friction is what it is per ampere, and the model still fits."""
     like_the_arm = np.diag([0.02, 0.02, 0.02, 1.0])
     blank = ur10.with_parameters(np.tile(from_pseudo_inertia(like_the_arm), ur10.nv))
     torque, current = identified(ur10, nominal), identified(blank, in_amperes(nominal, 10.0))
     assert not current.drive.known.any()
     assert not [n for n in publication(current).files if n.endswith((".urdf", ".xml", ".sdf"))]
+    with pytest.warns(UserWarning, match="not determined"):
+        assert save_model(current, tmp_path / "asked.urdf") == [tmp_path / "asked.urdf"]
     ours, theirs = by_name(current), by_name(torque)
     units = {"Fv": "A·s/rad", "Fc": "A", "offset": "A", "Ia": "A·s²/rad"}
     for joint, (name, unit) in product(ur10.joints[:5], units.items()):
