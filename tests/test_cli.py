@@ -173,7 +173,7 @@ def test_an_extended_model_of_no_use_is_not_published(here: Path, excitant: Any)
     one.to_csv("mixed.csv", index=False)
     words = "diagnose planar_2r mixed.csv --no-experiments -o out"
     ran = excitant(words)
-    assert (ran.status, ran.err) == (0, "")
+    assert (ran.status, ran.err) == (1, "")
     assert "the extended model is not published: it predicts the hold-out worse" in ran.out
     result = json.loads((here / "out" / "result.json").read_text(encoding="utf-8"))
     assert (result["published"], result["extended"]["files"]) == (False, [])
