@@ -35,11 +35,9 @@ from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import dense
 from excitant.identify.rows import identified_robot, predicted_torque
 from excitant.robots.effects import (
-    CoulombFriction,
     Effect,
-    GradualReversal,
+    amended,
     merged,
-    turned,
 )
 from excitant.robots.effects.body import GivenInertias
 from excitant.robots.motion import Array
@@ -431,29 +429,19 @@ class Extender:
 def _effects(
     robot: Robot,
     chosen: Sequence[Candidate],
-    hidden: Sequence[GradualReversal] = (),
+    hidden: Sequence[Effect] = (),
 ) -> list[Effect]:
     present = {p.name for e in robot.effects for p in e.parameters(robot)}
     bodies = [c.effect for c in chosen if c.effect.role == "body"]
     causes = [c.effect for c in chosen if c.effect.role == "torque"]
-    reversals = [e for e in causes if isinstance(e, GradualReversal)]
+    amends = [e for e in causes if e.physics.amends]
     added = [
         e
         for e in causes
-        if not isinstance(e, GradualReversal)
+        if not e.physics.amends
         and not {p.name for p in e.parameters(robot)} <= present
     ]
-    effects = [*bodies, *robot.effects, *merged(added)]
-    rubbing = {
-        j for e in effects if isinstance(e, CoulombFriction) for j in e.joints
-    }
-    finer = {
-        j for e in effects if e.words.abscissa == "reversal" for j in e.joints
-    } | {j for e in reversals for j in e.joints}
-    for reversal in hidden:
-        if {*reversal.joints} <= rubbing - finer:
-            reversals.append(reversal)
-    return turned(effects, reversals)
+    return amended([*bodies, *robot.effects, *merged(added)], amends, hidden)
 
 
 def _cancelled(fit: Extension, needed: Set[Key] = frozenset()) -> Candidate | None:
@@ -536,7 +524,7 @@ def _refitted(
     robot: Robot, fit: Extension, holdout: Holdout, effect: Effect
 ) -> Finding:
     """The change of an effect's values, or of a link, from the nominal ones."""
-    if isinstance(effect, GradualReversal):
+    if effect.physics.amends:
         force = fit.values[effect.parameters(robot)[0].name]
         torque = fit.observed.columns(effect) @ np.array([force]) / holdout.gains
         law, none = effect.with_values(()), np.zeros((0, 0))

@@ -12,6 +12,7 @@ from excitant.robots.effects.friction import (
     StribeckFriction,
     ThermalFrictionDrift,
     ViscousFriction,
+    amended,
     turned,
 )
 
@@ -127,6 +128,7 @@ __all__ = [
     "ViscousFriction",
     "Words",
     "alternatives",
+    "amended",
     "effect_entries",
     "effect_values",
     "effects_from_entries",

@@ -94,11 +94,13 @@ class Physics:
             ``bodies``, all other ``torque``, or that of the given model (``given torque``).
         smooth: Whether its torque is as smooth as the motion and never jumps.
         dry: Whether it holds a joint at rest, by any torque up to that of motion.
+        amends: Whether it is by what another effect's law is wrong: a model holds the other.
     """
 
     depends_on: Literal["motion", "bodies", "torque", "given torque"] = "bodies"
     smooth: bool = False
     dry: bool = False
+    amends: bool = False
 
     @property
     def on_model(self) -> bool:

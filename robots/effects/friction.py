@@ -339,7 +339,7 @@ class GradualReversal(_Friction, JointEffect):
 
     name = "gradual_reversal"
     terms = (Parameter("Fc", "N·m", 0.0),)
-    physics = Physics("motion")
+    physics = Physics("motion", amends=True)
     search = Search(shapes=(Shape("speed", "rad/s"),), feasible=_is_dry)
     words = Words(
         "velocity",
@@ -382,6 +382,27 @@ def turned(
             law = laws.pop((joint,), own)
             found.append(replace(law, values=own.values))
     return [*found, *laws.values()]
+
+
+def amended(
+    effects: Sequence[Effect], amends: Sequence[Effect], hidden: Sequence[Effect]
+) -> list[Effect]:
+    """Effects of a model with the laws that some causes amend.
+
+    ``hidden`` ones, no causes, hold at joints with Coulomb friction and no finer law of reversals.
+    """
+    rubbing = {
+        j for e in effects if isinstance(e, CoulombFriction) for j in e.joints
+    }
+    finer = {
+        j
+        for e in (*effects, *amends)
+        if e.physics.amends or e.words.abscissa == "reversal"
+        for j in e.joints
+    }
+    fitting = (e for e in hidden if {*e.joints} <= rubbing - finer)
+    laws = (e for e in (*amends, *fitting) if isinstance(e, GradualReversal))
+    return turned(effects, laws)
 
 
 @dataclass(frozen=True, eq=False)
