@@ -386,7 +386,7 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
     verb = verb or str(rng.choice([*KILLED]))
     line, old, new = KILLED[verb]
     out = folder / "out"
-    into = "-o out/run.csv" if verb == "simulate" else "-o out"
+    into = {"simulate": "-o out/run.csv", "show": "-o out/run.html"}.get(verb, "-o out")
     begun = time.monotonic()
     status, err, _ = ended(f"{line} {old} {into}", folder)
     took = time.monotonic() - begun
@@ -399,7 +399,7 @@ def kills(rng: Rng, folder: Path, corpus: Path, verb: str = "") -> Case:
     how = signal.Signals(rng.choice([signal.SIGKILL, signal.SIGINT, signal.SIGTERM]))
     after = float(rng.uniform(0, 1.05 * took))
     status, err, orphans = ended(f"{line} {new} {into}", folder, how, after)
-    amid, whole = contents(out), verb == "simulate" or not half_written(out)
+    amid, whole = contents(out), into != "-o out" or not half_written(out)
     status_again, err_again, _ = ended(f"{line} {new} {into}", folder)
     again = contents(out)
     left = [path.name for path in folder.glob(".excitant-*")]

@@ -6,7 +6,7 @@ import gc
 import io
 import sys
 
-from excitant.interrupts import listen
+from excitant.interrupts import ignore, listen
 
 # objects between two collections: a command makes many that stay, few cycles
 COLLECTION_THRESHOLD = 1_000_000
@@ -23,6 +23,7 @@ def run() -> None:
         from excitant.cli import main
 
         status = main()
+        ignore()
     except KeyboardInterrupt:  # while modules are imported
         print("excitant: interrupted; nothing was written", file=sys.stderr)
         status = 130

@@ -35,6 +35,12 @@ def _interrupt(number: int, _: object) -> NoReturn:
     raise Interrupted
 
 
+def ignore() -> None:
+    """Let none of the signals change how a command ends that is over."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def check() -> None:
     """Raise `Interrupted` after a signal that was not heard."""
     if _arrived.is_set():
