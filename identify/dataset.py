@@ -37,6 +37,7 @@ from excitant.identify.reading.mapping import (
     drive_of,
     load_column_map,
 )
+from excitant.identify.reading.tables import parquet_file
 from excitant.identify.recording import Recording
 from excitant.robots.chains import RobotSpec
 from excitant.robots.files import parse_xml, within
@@ -332,16 +333,13 @@ def read_checked(
 
 def _samples(path: Path) -> int:
     """Number of samples of a Parquet file, about that of a text file, else 0; 0 if unreadable."""
-    import pyarrow.parquet
+    import pyarrow
 
     suffix = suffix_of(path)
     try:
         size = size_of(path)
         if suffix in (".parquet", ".pq"):
-            with (
-                path.open("rb") as opened,
-                pyarrow.parquet.ParquetFile(opened) as file,
-            ):
+            with parquet_file(path) as file:
                 return int(file.metadata.num_rows)
         if suffix in TEXTS:
             with path.open("rb") as file:

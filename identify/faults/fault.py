@@ -184,9 +184,8 @@ class Fault:
     fault: str  # one of `FAULTS`
     joints: tuple[str, ...]  # all of them when it concerns whole rows or the time
     detail: str  # the evidence in one sentence, with numbers
-    evidence: Mapping[
-        str, Any
-    ]  # what repairs and pages read: channel, rows, factor, ...
+    # what repairs and pages read: channel, rows, factor, ...
+    evidence: Mapping[str, Any]
     repair: str | None = None
     remedies: tuple[Remedy, ...] = ()
     map: str | None = None  # the same as a column map, where one can state it

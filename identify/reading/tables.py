@@ -8,6 +8,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
@@ -116,25 +117,33 @@ def _table(
     return Table(file, names, frames, notes=notes)
 
 
+@contextmanager
+def parquet_file(path: Path, **options: Any) -> Iterator[Any]:
+    """A Parquet file, opened here since PyArrow opens no path that is not UTF-8."""
+    import pyarrow.parquet
+
+    with (
+        path.open("rb") as opened,
+        pyarrow.parquet.ParquetFile(opened, **options) as file,
+    ):
+        yield file
+
+
 def parquet_table(path: Path) -> Table:
     """The log in a Parquet file."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     def frames(rows: int | None, columns: Sequence[str] | None) -> Iterator[Frame]:
         # a name that is there twice cannot be asked for
         some = columns if len({*names}) == len(names) else None
         wanted = None if some is None else [name for name in names if name in some]
         try:
-            with (
-                path.open("rb") as opened,
-                pq.ParquetFile(
-                    opened,
-                    pre_buffer=False,
-                    buffer_size=_BUFFER,
-                    page_checksum_verification=True,
-                ) as file,
-            ):
+            with parquet_file(
+                path,
+                pre_buffer=False,
+                buffer_size=_BUFFER,
+                page_checksum_verification=True,
+            ) as file:
                 if rows is None:
                     kept = len(names) if wanted is None else len(wanted)
                     refuse_size(8 * file.metadata.num_rows * kept)
@@ -164,8 +173,7 @@ def parquet_table(path: Path) -> Table:
         )
         return np.from_dlpack(whole)  # to_numpy would import pandas
 
-    # opened here: PyArrow opens no path that is not UTF-8
-    with path.open("rb") as opened, pq.ParquetFile(opened) as file:
+    with parquet_file(path) as file:
         schema = file.schema_arrow
         names = tuple(schema.names)
         lists = any(map(pa.types.is_list, schema.types))

@@ -7,7 +7,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from os.path import isdir, isfile
@@ -106,29 +106,28 @@ def compare_fleet(
     ]
     with connect(cluster) if cluster else nullcontext() as client:
         _examine_all(sets, jobs or processors(), client, progress)
-    originals, copies = _originals(sets)
-    arms = ex.analysis.compare_arms([_examined(data_set) for data_set in originals])
+    noted = {data_set.name: _noted(data_set.out) for data_set in sets}
+    copies = _copies(noted)
+    arms = ex.analysis.compare_arms(
+        [
+            _examined(data_set, noted[data_set.name].get("failed", ""))
+            for data_set in sets
+            if data_set.name not in copies
+        ]
+    )
     if copies:
-        arms = replace(arms, remarks=(f"counted once: {listed(copies, _SHOWN)}",))
+        told = [f"{name} has the files of {own}" for name, own in copies.items()]
+        arms = replace(arms, remarks=(f"counted once: {listed(told, _SHOWN)}",))
     return arms
 
 
-def _originals(sets: Sequence[_DataSet]) -> tuple[list[_DataSet], list[str]]:
-    """Data sets, of those with the same files one, and of which the others are copies."""
-    names = dict[str, str]()
-    for data_set in sorted(
-        sets, key=lambda each: bool(_noted(each.out).get("failed"))
-    ):
-        names.setdefault(_noted(data_set.out).get("input", ""), data_set.name)
-    originals = []
-    copies = []
-    for data_set in sets:
-        original = names[_noted(data_set.out).get("input", "")]
-        if original == data_set.name:
-            originals.append(data_set)
-        else:
-            copies.append(f"{data_set.name} has the files of {original}")
-    return originals, copies
+def _copies(noted: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """Data sets with the files of another, which counts instead, one with a model if there is."""
+    first = dict[str, str]()
+    for name in sorted(noted, key=lambda name: bool(noted[name].get("failed"))):
+        first.setdefault(noted[name].get("input", ""), name)
+    own = {name: first[entry.get("input", "")] for name, entry in noted.items()}
+    return {name: other for name, other in own.items() if other != name}
 
 
 def _data_sets(folders: Sequence[str | Path], root: Path) -> dict[str, str]:
@@ -255,12 +254,10 @@ def _noted(out: str) -> dict[str, str]:
     return stamp if isinstance(stamp, dict) else {}
 
 
-def _examined(data_set: _DataSet) -> Examined:
-    """What a data set came to."""
+def _examined(data_set: _DataSet, failed: str) -> Examined:
+    """What a data set came to; why there is no model, where that is noted."""
     name, folder, out = data_set
-    examined = ex.analysis.Examined(
-        name, name, None, failed=_noted(out).get("failed", "")
-    )
+    examined = ex.analysis.Examined(name, name, None, failed=failed)
     try:
         arm, day = ex.identify.origin(Path(folder), name)
         examined = replace(examined, arm=arm, day=day)
