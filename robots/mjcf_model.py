@@ -79,16 +79,16 @@ def described(
     _check_numbers(model)
     writer = _Writer(spec, model, places)
     writer.notes += angles.notes
+    writer.read_equalities()
     writer.write()
-    lock, loops = writer.constraints()
     return msgspec.json.encode(
         {
             "urdf": urdf_text(writer.robot),
             "gravity": model.opt.gravity.tolist(),
             "armature": writer.armature,
             "springs": writer.springs,
-            "lock": lock,
-            "loops": loops,
+            "lock": writer.lock,
+            "loops": writer.loops,
             "notes": writer.notes,
         }
     )
@@ -193,6 +193,9 @@ class _Writer:
     places: Mapping[str, str]
     armature: dict[str, float] = field(default_factory=dict)
     springs: dict[str, tuple[float, float]] = field(default_factory=dict)
+    lock: dict[str, float] = field(default_factory=dict)
+    loops: list[tuple[str, str]] = field(default_factory=list)
+    mimics: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -206,7 +209,47 @@ class _Writer:
             k = j - model.body_jntadr[b] + 1
             unnamed = f"{self.bodies[b]}_joint{k if k > 1 else ''}"
             self.joints.append(model.jnt(j).name or unnamed)
-        self.followers = dict(self._followers())
+
+    def read_equalities(self) -> None:
+        """Find which joints follow others or are held, and which bodies are tied together."""
+        model = self.model
+        kinds = mujoco.mjtEq
+        others = 0
+        for e in np.flatnonzero(model.eq_active0):
+            kind = kinds(model.eq_type[e])
+            one = int(model.eq_obj1id[e])
+            other = int(model.eq_obj2id[e])
+            if kind == kinds.mjEQ_JOINT:
+                self._follow(one, other, model.eq_data[e, :5].tolist())
+            elif kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+                if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
+                    one, other = model.site_bodyid[[one, other]]
+                self.loops.append((self.bodies[one], self.bodies[other]))
+            else:
+                others += 1
+        if others:
+            self.notes.append(
+                f"{others} equalities of tendons or flexible bodies are left out"
+            )
+
+    def _follow(self, j: int, master: int, polynomial: list[float]) -> None:
+        """Hold a joint, or let it follow one; MuJoCo measures from reference positions."""
+        offset, slope, *curve = polynomial
+        name = self.joints[j]
+        rest = float(self.model.jnt(j).qpos0[0]) + offset
+        if master < 0:
+            self.lock[name] = rest
+            return
+        leader = self.joints[master]
+        if any(curve):
+            self.notes.append(
+                f"joint {name} follows {leader} on a curve, taken as a line"
+            )
+        self.mimics[name] = {
+            "joint": leader,
+            "multiplier": repr(slope),
+            "offset": repr(rest - slope * float(self.model.jnt(master).qpos0[0])),
+        }
 
     def write(self) -> None:
         """Write all bodies, the world first; parents come before what they carry."""
@@ -302,14 +345,8 @@ class _Writer:
             self.notes.append(
                 f"joint {name}: higher powers of stiffness and damping are left out"
             )
-        if name in self.followers:
-            master, offset, slope = self.followers[name]
-            numbers = {
-                "joint": master,
-                "multiplier": repr(slope),
-                "offset": repr(offset),
-            }
-            SubElement(element, "mimic", numbers)
+        if name in self.mimics:
+            SubElement(element, "mimic", self.mimics[name])
 
     def _actuation(self, j: int) -> tuple[float, float, float]:
         """Torque limit for both directions (0 for none), rotor inertia and damping of drives."""
@@ -340,54 +377,6 @@ class _Writer:
         own = _range(model.jnt_actfrcrange[j], model.jnt_actfrclimited[j])
         limit = float(min(-max(low, own[0]), min(high, own[1])))
         return limit if np.isfinite(limit) and limit > 0 else 0.0, armature, damping
-
-    def _equalities(self, *kinds: str) -> list[Any]:
-        model = self.model
-        wanted = [getattr(mujoco.mjtEq, f"mjEQ_{kind}") for kind in kinds]
-        here = np.isin(model.eq_type, wanted) & (model.eq_active0 != 0)
-        return [model.eq(e) for e in np.flatnonzero(here)]
-
-    def _followers(self) -> Iterator[tuple[str, tuple[str, float, float]]]:
-        """Joint each follows, offset and multiplier; MuJoCo measures from reference positions."""
-        for equality in self._equalities("JOINT"):
-            j = int(equality.obj1id[0])
-            master = int(equality.obj2id[0])
-            if master < 0:
-                continue
-            rest, other = (float(self.model.jnt(i).qpos0[0]) for i in (j, master))
-            offset, slope, *curve = equality.data[:5].tolist()
-            if any(curve):
-                self.notes.append(
-                    f"joint {self.joints[j]} follows {self.joints[master]} on a curve, taken as a "
-                    "line"
-                )
-            yield (
-                self.joints[j],
-                (self.joints[master], rest + offset - slope * other, slope),
-            )
-
-    def constraints(self) -> tuple[dict[str, float], tuple[tuple[str, str], ...]]:
-        """Joints that are held and where, and pairs of links that are tied together."""
-        model = self.model
-        held = {}
-        ties = []
-        for equality in self._equalities("JOINT"):
-            if equality.obj2id[0] < 0:
-                j = int(equality.obj1id[0])
-                rest = model.jnt(j).qpos0[0]
-                held[self.joints[j]] = float(rest + equality.data[0])
-        for equality in self._equalities("CONNECT", "WELD"):
-            one = int(equality.obj1id[0])
-            other = int(equality.obj2id[0])
-            if model.eq_objtype[equality.id] == mujoco.mjtObj.mjOBJ_SITE:
-                one, other = model.site_bodyid[[one, other]]
-            ties.append((self.bodies[one], self.bodies[other]))
-        others = len(self._equalities("TENDON", "FLEX"))
-        if others:
-            self.notes.append(
-                f"{others} equalities of tendons or flexible bodies are left out"
-            )
-        return held, tuple(ties)
 
     def _collisions(self, geom: Any, frame: pin.SE3) -> Iterator[Element]:
         """``<collision>`` elements of a geom; planes and fields have none.
