@@ -8,11 +8,12 @@ unit of its last printed digit (3.1415 is π cut off), and no further than 2 mra
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from itertools import permutations
+import warnings
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from excitant.names import listed
 from excitant.robots.motion import Array
@@ -24,6 +25,7 @@ _UNSEEN = (
 )
 _SHOWN = 4
 _TURNS = 1e3  # beyond which no number is an angle
+_ORDERS: tuple[Any, ...] = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 _RPY = re.compile(r"""(?<=\srpy=)(["'])([^"']*)\1""")
 
 
@@ -79,36 +81,17 @@ class Angles:
         """A quaternion of turns by multiples of 15°, where rounding explains the rest."""
         if not 0 < np.abs(wxyz).max() < _TURNS:
             return wxyz
-        words = [repr(float(value)) for value in wxyz]
-        unit = min(map(_unit, words))
-        length = float(np.linalg.norm(wxyz))
-        given = np.asarray(wxyz, float) / length
-        R = pin.Quaternion(*given).matrix()
-        turn = pin.log3(R)
-        angle = _angle(R)
-        for exact in (_turns(R, axes) for axes in permutations(range(3))):
-            off = _angle(R.T @ exact)
-            if 0 < off <= min(4 * unit, _FURTHEST) and not np.allclose(
-                exact, np.eye(3)
-            ):
-                break
-        else:  # perhaps the digits are those of an angle that was rounded before
-            words = [f"{angle:.{digits}f}" for digits in (2, 3, 4)]
-            near = (
-                w for w in words if abs(float(w) - angle) <= min(4 * unit, 1e-5)
-            )
-            meant = next(
-                (a for a in map(Angles().meant, near) if a is not None), None
-            )
-            if meant is None:
-                return wxyz
-            exact = pin.exp3(turn * meant / angle)
-            off = abs(meant - angle)
-        if off > _UNSEEN:
+        given = Rotation.from_quat(wxyz, scalar_first=True)
+        unit = min(_unit(repr(float(value))) for value in wxyz)
+        meant = (*_turns(given, 4 * unit), *_about_axis(given, 4 * unit))
+        if not meant:
+            return wxyz
+        exact = meant[0]
+        if (given.inv() * exact).magnitude() > _UNSEEN:
             words = [f"{value:g}" for value in wxyz]
-            self.changed[f"({', '.join(words)})"] = float(np.degrees(_angle(exact)))
-        x, y, z, w = pin.Quaternion(exact).coeffs()
-        return np.array([w, x, y, z])
+            angle = float(np.degrees(exact.magnitude()))
+            self.changed[f"({', '.join(words)})"] = angle
+        return exact.as_quat(scalar_first=True)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -122,27 +105,29 @@ class Angles:
         )
 
 
-def _angle(R: Array) -> float:
-    """Angle of a rotation [rad]."""
-    return float(np.linalg.norm(pin.log3(R)))
-
-
 def _unit(text: str) -> float:
     """Unit of the last printed digit."""
     mantissa, _, exponent = text.lower().partition("e")
     return float(10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])))
 
 
-def _turns(R: Array, axes: tuple[int, ...]) -> Array:
-    """Rotation about three different axes in turn by the nearest multiples of 15°."""
-    i, j, k = axes
-    sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    angles = (
-        np.arctan2(-sign * R[j, k], R[k, k]),
-        np.arcsin(np.clip(sign * R[i, k], -1, 1)),
-        np.arctan2(-sign * R[i, j], R[i, i]),
-    )
-    exact: Array = np.eye(3)
-    for axis, angle in zip(axes, angles, strict=True):
-        exact = exact @ pin.exp3(STEP * round(angle / STEP) * np.eye(3)[axis])
-    return exact
+def _turns(given: Rotation, near: float) -> Iterator[Rotation]:
+    """Rotations about three axes in turn by multiples of 15°, as near as the digits say [rad]."""
+    for axes in _ORDERS:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of turns with no one way
+            angles = given.as_euler(axes)
+        exact = Rotation.from_euler(axes, STEP * np.round(angles / STEP))
+        off = (given.inv() * exact).magnitude()
+        if 0 < off <= min(near, _FURTHEST) and exact.magnitude() > 0:
+            yield exact
+
+
+def _about_axis(given: Rotation, near: float) -> Iterator[Rotation]:
+    """A rotation by what its angle stands for, if its digits are of an angle rounded before."""
+    turn = given.as_rotvec()
+    angle = float(given.magnitude())
+    for word in (f"{angle:.{digits}f}" for digits in (2, 3, 4)):
+        meant = Angles().meant(word)
+        if meant is not None and abs(float(word) - angle) <= min(near, 1e-5):
+            yield Rotation.from_rotvec(turn * meant / angle)

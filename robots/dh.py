@@ -119,20 +119,24 @@ class DHChain:
             q: Joint positions, shape (n, nv) [rad or m].
         """
         q = np.asarray(q, float)
-        about_z, about_x = np.zeros((2, *q.shape, 4, 4))
-        theta = self.theta + q * self.revolute
-        d = self.d + q * ~self.revolute
-        for T, angle, (j, k), axis, shift in (
-            (about_z, theta, (0, 1), 2, d),
-            (about_x, self.alpha, (1, 2), 0, self.a),
-        ):
-            T[..., j, j] = T[..., k, k] = np.cos(angle)
-            T[..., k, j], T[..., j, k] = np.sin(angle), -np.sin(angle)
-            T[..., axis, axis] = T[..., 3, 3] = 1.0
-            T[..., axis, 3] = shift
+        about_z = _screw(
+            2, self.theta + q * self.revolute, self.d + q * ~self.revolute
+        )
+        about_x = _screw(0, self.alpha + 0 * q, self.a + 0 * q)
         if self.convention == "standard":
             return about_z @ about_x
         return about_x @ about_z
+
+
+def _screw(axis: int, angle: Array, shift: Array) -> Array:
+    """Turns about x (0) or z (2) and shifts along it, shape (..., 4, 4)."""
+    T = np.zeros((*angle.shape, 4, 4)) + np.eye(4)
+    j, k = {0: (1, 2), 2: (0, 1)}[axis]
+    T[..., j, j] = T[..., k, k] = np.cos(angle)
+    T[..., k, j] = np.sin(angle)
+    T[..., j, k] = -np.sin(angle)
+    T[..., axis, 3] = shift
+    return T
 
 
 def joint_frames(chain: DHChain) -> Array:
@@ -207,14 +211,11 @@ def _collision(shape: CylinderRecord, frame: pin.SE3) -> Element:
     """A cylinder along z turned onto the line between both ends, or a sphere."""
     start, end = (frame.act(np.array(x)) for x in (shape.start, shape.end))
     length = float(np.linalg.norm(end - start))
-    centre = (start + end) / 2
+    turn = pin.Quaternion.FromTwoVectors(np.eye(3)[2], end - start).matrix()
+    place = pin.SE3(turn, (start + end) / 2)
     radius = repr(float(shape.radius))
     if length == 0:
-        return collision(pin.SE3(np.eye(3), centre), "sphere", radius=radius)
-    z = (end - start) / length
-    y = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-    y = y / np.linalg.norm(y)
-    place = pin.SE3(np.column_stack([np.cross(y, z), y, z]), centre)
+        return collision(place, "sphere", radius=radius)
     return collision(place, "cylinder", radius=radius, length=repr(length))
 
 

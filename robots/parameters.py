@@ -12,7 +12,6 @@ and a body of positive mass density exists for the parameters exactly when P ≻
 
 from __future__ import annotations
 
-import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
@@ -167,7 +166,6 @@ def nearest_consistent(phi: npt.ArrayLike) -> Array:
     return from_pseudo_inertia(P)
 
 
-_HEAD = ("parameter", "value")
 _AGAIN = "write the model again, or leave its entry 'estimate' out"
 _ROUNDING = 1e-8  # of a correlation
 
@@ -194,43 +192,31 @@ class BaseEstimate:
 
     def csv(self) -> str:
         """A line for each: name, value and its row of the covariance, every digit kept."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([*_HEAD, *self.names])
-        for name, value, row in zip(
-            self.names, self.value, self.covariance, strict=True
-        ):
-            writer.writerow([name, *(repr(float(x)) for x in (value, *row))])
-        return text.getvalue()
+        import pandas as pd
+
+        numbers = np.column_stack([self.value, self.covariance])
+        rows = pd.Index(self.names, name="parameter")
+        text: str = pd.DataFrame(numbers, rows, ["value", *self.names]).to_csv()
+        return text
 
 
 def base_estimate_from_csv(text: str, path: Path) -> BaseEstimate:
     """The table that `BaseEstimate.csv` writes; `BadRobot` where a text holds none."""
+    import pandas as pd
+
+    why = "not a table 'parameter,value,...' of base parameters with a column for each"
     try:
-        head, *rows = list(csv.reader(io.StringIO(text))) or [[]]
-    except csv.Error as error:
-        raise BadRobot(path, f"not CSV ({error}); {_AGAIN}") from None
-    names = tuple(head[2:])
-    if tuple(head[:2]) != _HEAD or not names or len(rows) != len(names):
-        why = f"not a table 'parameter,value,...' of base parameters and as many lines; {_AGAIN}"
-        raise BadRobot(path, why)
-    numbers = np.zeros((len(names), 1 + len(names)))
-    for line, (name, row) in enumerate(zip(names, rows, strict=True), start=2):
-        try:
-            numbers[line - 2] = [float(word) for word in row[1:]]
-        except ValueError:
-            why = f"line {line} does not hold {1 + len(names)} numbers"
-            raise BadRobot(path, f"{why}; {_AGAIN}") from None
-        if row[0] != name:
-            raise BadRobot(
-                path, f"line {line} is of '{row[0]}', not of '{name}'; {_AGAIN}"
-            )
-    value = numbers[:, 0]
-    covariance = numbers[:, 1:]
-    if not np.isfinite(value).all() or not is_covariance(covariance):
+        table = pd.read_csv(io.StringIO(text), index_col="parameter", dtype=str)
+        numbers = table.to_numpy(float)
+    except ValueError as error:
+        raise BadRobot(path, f"{why} ({error}); {_AGAIN}") from None
+    names = tuple(map(str, table.index))
+    if not names or list(table.columns) != ["value", *names]:
+        raise BadRobot(path, f"{why}; {_AGAIN}")
+    if not np.isfinite(numbers).all() or not is_covariance(numbers[:, 1:]):
         why = "its values are not finite, or its covariance not symmetric and positive definite"
         raise BadRobot(path, f"{why}; {_AGAIN}")
-    return BaseEstimate(names, value, covariance)
+    return BaseEstimate(names, numbers[:, 0], numbers[:, 1:])
 
 
 def is_covariance(matrix: Array) -> bool:

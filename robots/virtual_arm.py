@@ -382,10 +382,9 @@ def separable_rotors(robot: Robot) -> list[str]:
     Y = np.array(
         [pin.computeJointTorqueRegressor(robot.model, data, *x) for x in states]
     )
-    basis = np.linalg.svd(Y.reshape(-1, 10 * robot.nv), full_matrices=False)
-    span = basis.U[:, basis.S / basis.S[0] > 1e-10]
+    Y = Y.reshape(-1, 10 * robot.nv)
     columns = np.einsum("ij,kj->kij", np.eye(robot.nv), motion[2])
     columns = columns.reshape(-1, robot.nv)
-    rest = columns - span @ (span.T @ columns)
+    rest = columns - Y @ np.linalg.lstsq(Y, columns, rcond=1e-10)[0]
     share = np.linalg.norm(rest, axis=0) / np.linalg.norm(columns, axis=0)
     return [joint for joint, s in zip(robot.joints, share, strict=True) if s > 1e-3]
