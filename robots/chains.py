@@ -110,7 +110,7 @@ class Tree:
 
 
 def tree(root: Element, source: str) -> Tree:
-    """The tree of a URDF whose joints all name a known parent and child."""
+    """The tree of a URDF that was checked: its joints name known links, its numbers are some."""
     joints = {}
     for element in root.findall("joint"):
         name = str(element.get("name"))
@@ -120,15 +120,9 @@ def tree(root: Element, source: str) -> Tree:
         )
         follows = None
         if mimic is not None:
-            try:
-                numbers = (
-                    float(mimic.get("multiplier", "1")),
-                    float(mimic.get("offset", "0")),
-                )
-            except ValueError:
-                why = f"joint '{name}': its mimic numbers are no numbers"
-                raise BadRobot(source, why) from None
-            follows = (str(mimic.get("joint")), *numbers)
+            multiplier = float(mimic.get("multiplier", "1"))
+            offset = float(mimic.get("offset", "0"))
+            follows = (str(mimic.get("joint")), multiplier, offset)
         joints[name] = TreeJoint(
             name, str(element.get("type")), parent, child, follows
         )

@@ -211,11 +211,14 @@ def _collision(shape: CylinderRecord, frame: pin.SE3) -> Element:
     """A cylinder along z turned onto the line between both ends, or a sphere."""
     start, end = (frame.act(np.array(x)) for x in (shape.start, shape.end))
     length = float(np.linalg.norm(end - start))
-    turn = pin.Quaternion.FromTwoVectors(np.eye(3)[2], end - start).matrix()
-    place = pin.SE3(turn, (start + end) / 2)
+    centre = (start + end) / 2
     radius = repr(float(shape.radius))
     if length == 0:
-        return collision(place, "sphere", radius=radius)
+        return collision(pin.SE3(np.eye(3), centre), "sphere", radius=radius)
+    z = (end - start) / length
+    y = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    y = y / np.linalg.norm(y)
+    place = pin.SE3(np.column_stack([np.cross(y, z), y, z]), centre)
     return collision(place, "cylinder", radius=radius, length=repr(length))
 
 

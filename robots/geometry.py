@@ -332,14 +332,12 @@ def base_plane(robot: Robot) -> float | None:
         return None
     lowest = min(float(_corners(body)[:, 2].min()) for body in fixed)
     height = 0.0 if abs(lowest) < _BASE else lowest
-    geometry = robot.format.solids(robot, "collision").copy()
-    [(name, plane, here)] = floor(height).bodies()
-    last = geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, here, plane))
-    pairs = [pair for pair in _pairs(robot, geometry, set()) if last in pair]
-    above = _paired(robot, geometry, pairs, (), np.ones(len(pairs)))
-    distance = above.distances(
-        robot.random_motion(np.random.default_rng(0), _POSES)[0]
-    )
+    ground = scene(robot, [floor(height)], 0.0)
+    if ground is None:
+        return height
+    poses = robot.random_motion(np.random.default_rng(0), _POSES)[0]
+    above = [_FLOOR in pair for pair in ground.pairs]
+    distance = ground.distances(poses)[:, above]
     return height if (distance > 0).all(axis=1).mean() >= _STANDS else None
 
 

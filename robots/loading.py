@@ -32,7 +32,7 @@ from excitant.robots.mjcf import Description, description_from_mjcf
 from excitant.robots.parameters import base_estimate_from_csv
 from excitant.robots.robot import Robot
 from excitant.robots.schema import PlaceRecord, RobotRecord, read_yaml
-from excitant.robots.urdf import number, robot_from_urdf
+from excitant.robots.urdf import robot_from_urdf
 from excitant.robots.urdf_model import with_held
 from excitant.robots.urdf_writer import (
     child_attribute,
@@ -255,7 +255,7 @@ def _effects(robot: Robot, description: Description) -> Iterator[Effect]:
         values = {}
         for name in robot.joints:
             text = child_attribute(stated[name], "dynamics", key, "0")
-            if value := number(text, key, stated[name], robot.source):
+            if value := float(text):
                 values[name] = value
         if values:
             yield kind(tuple(values), tuple(values.values()))

@@ -26,6 +26,7 @@ from excitant.robots.urdf_writer import (
     LIMIT_KEYS,
     UNLIMITED,
     child_attribute,
+    stated_joints,
 )
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -84,7 +85,9 @@ def robot_from_urdf(
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
     restore_link_names(model)
-    limits, soft = _softened(_limits(model), model, root, source)
+    stated = stated_joints(root)
+    joints = [stated[joint] for joint in list(model.names)[1:]]
+    limits, soft = _softened(_limits(model), joints)
     model.gravity.linear = weight
     moving = [named.joints[joint] for joint in list(model.names)[1:]]
     return Robot(
@@ -230,26 +233,24 @@ def number(text: str, key: str, owner: Element, source: str) -> float:
 
 
 def _softened(
-    limits: Limits, model: pin.Model, root: Element, source: str
+    limits: Limits, joints: Sequence[Element]
 ) -> tuple[Limits, list[str]]:
     """Limits within the soft ones of safety controllers, which brake a joint there, and a note."""
     position = np.array(limits.position)
-    names = list(model.names)[1:]
-    soft = list[str]()
-    for joint in root.findall("joint"):
-        safety = joint.find("safety_controller")
-        name = joint.get("name", "")
-        if safety is None or name not in names:
-            continue
+    soft = []
+    for row, joint in zip(position, joints, strict=True):
         low, high = (
-            number(safety.get(key, "0"), key, joint, source)
-            for key in ("soft_lower_limit", "soft_upper_limit")
+            float(
+                child_attribute(
+                    joint, "safety_controller", f"soft_{end}_limit", "0"
+                )
+            )
+            for end in ("lower", "upper")
         )
-        j = names.index(name)
-        inner = max(low, position[j, 0]), min(high, position[j, 1])
-        if inner[0] < inner[1] and inner != tuple(position[j]):
-            position[j] = inner
-            soft.append(name)
+        inner = np.clip([low, high], *row)
+        if inner[0] < inner[1] and (inner != row).any():
+            row[:] = inner
+            soft.append(joint.attrib["name"])
     if not soft:
         return limits, []
     note = f"position limits are the soft ones of the safety_controller: {', '.join(soft)}"

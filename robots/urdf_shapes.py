@@ -80,7 +80,8 @@ class UrdfFormat:
         """Number of shapes, of those whose mesh is not there, and is where it may not be read."""
         root = fromstring(robot.description)
         stated = len(root.findall(f"link/{kind}"))
-        return (stated, *_find_meshes(root, robot, kind))
+        _, missing, outside = _take_meshes(root, robot, kind)
+        return stated, missing, outside
 
 
 URDF = UrdfFormat()
@@ -131,8 +132,7 @@ def _shape(element: Element) -> Shape | None:
 def _solids(robot: Robot, kind: str) -> Any:
     """Collision or visual shapes, but for meshes that are not there; never edited."""
     root = fromstring(robot.description)
-    _find_meshes(root, robot, kind)
-    meshes = _take_meshes(root, kind)
+    meshes, _, _ = _take_meshes(root, robot, kind)
     shapes = dict(zip(meshes, hulls([*meshes.values()], robot.source), strict=True))
     model = build_model(root, robot.source)
     locked, reference = held_pose(model, dict(robot.locked))
@@ -147,45 +147,38 @@ def _solids(robot: Robot, kind: str) -> Any:
     return geometry
 
 
-def _take_meshes(root: Element, kind: str) -> dict[str, Mesh]:
-    """Put a sphere in place of each mesh; the meshes, by what Pinocchio calls the shapes."""
-    meshes: dict[str, Mesh] = {}
-    for link in root.findall("link"):
-        for k, element in enumerate(link.findall(kind)):
-            geometry = element.find("geometry")
-            mesh = element.find("geometry/mesh")
-            if geometry is None or mesh is None:
-                continue
-            x, y, z = floats(mesh.get("scale", "1 1 1")).tolist()
-            file = Path(mesh.attrib["filename"])
-            meshes[f"{link.attrib['name']}_{k}"] = (file, (x, y, z))
-            geometry[:] = [Element("sphere", radius="1")]
-    return meshes
-
-
-def _find_meshes(root: Element, robot: Robot, kind: str) -> tuple[int, int]:
-    """Name mesh files by their full paths; remove shapes whose mesh is not there.
+def _take_meshes(
+    root: Element, robot: Robot, kind: str
+) -> tuple[dict[str, Mesh], int, int]:
+    """Put a sphere in place of each mesh, and remove shapes whose mesh is not there.
 
     Returns:
-        The number of those, and of them those that lie where the description may not reach.
+        The meshes, by what Pinocchio calls the shapes; the number of those that are not there, and
+        of them those that lie where the description may not reach.
     """
+    meshes: dict[str, Mesh] = {}
     missing = outside = 0
     for link in root.findall("link"):
+        k = 0  # of the shapes that remain
         for element in link.findall(kind):
-            mesh = element.find("geometry/mesh")
-            if mesh is None:
-                continue
-            try:
-                path = _mesh_file(str(mesh.get("filename")), robot)
-            except BadRobot:
+            if (mesh := element.find("geometry/mesh")) is not None:
                 path = None
-                outside += 1
-            if path is None:
-                missing += 1
-                link.remove(element)
-            else:
-                mesh.set("filename", str(path))
-    return missing, outside
+                try:
+                    path = _mesh_file(str(mesh.get("filename")), robot)
+                except BadRobot:
+                    outside += 1
+                if path is None:
+                    missing += 1
+                    link.remove(element)
+                    continue
+                x, y, z = floats(mesh.get("scale", "1 1 1")).tolist()
+                meshes[f"{link.attrib['name']}_{k}"] = (path, (x, y, z))
+                element[:] = [_BALL, *element.findall("origin")]
+            k += 1
+    return meshes, missing, outside
+
+
+_BALL = fromstring('<geometry><sphere radius="1"/></geometry>')
 
 
 def _mesh_file(name: str, robot: Robot) -> Path | None:
