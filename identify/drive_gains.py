@@ -24,19 +24,10 @@ autocorrelation time.
 A gain is *known* whose standard deviation the currents have halved, from that by which gains
 scatter anyway, and where the largest current makes no torque far beyond the limit of the joint.
 
-Payload: without it (a) and with it (b), the torque of joint j is k_j i_j, so that
-
-    [ I_a  −W_a   0    0  ] [k; β; π; s] ≈ 0,
-    [ I_b  −W_b  −V   −g  ]
-
-I the diagonal currents, W the columns of the base parameters β of links and effects, V those of
-what is not known of the payload and g the torque of what is known: its solution up to a factor is
-total least squares over all joints, and the factor follows from s = 1 (Gautier and Briot 2014,
-"Global identification of joint drive gains and dynamic parameters of robots"). Only the currents
-have errors here, as many in each column as its joint has rows; so the exact columns are eliminated
-and k solves the generalised eigenproblem of Van Huffel and Vandewalle (1991). Rows are weighted by
-1 / (k_j σ_j), which makes it maximum likelihood. A gain whose joint's current its own friction and
-rotor could explain is not shown; it is taken to be that of the other joints, give or take a half.
+Payload: in recordings without it and with it, base parameters and what is not known of the payload
+take the place of the errors y, of which nothing is known, and g is the torque of what is known of
+the payload. The scale then follows from the payload alone (Gautier and Briot 2014, "Global
+identification of joint drive gains and dynamic parameters of robots").
 """
 
 from __future__ import annotations
@@ -54,15 +45,12 @@ from excitant.exceptions import BadInput
 from excitant.identify.least_squares import (
     autocorrelation_time,
     believed,
-    factorised,
-    with_covariance,
 )
 from excitant.identify.preprocessing import Mask
 from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import Index, Regression, dense, triangle
+from excitant.identify.regression import Index, Regression, triangle
 from excitant.identify.signals import live
-from excitant.robots.base_parameters import independent_columns
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 
@@ -79,9 +67,7 @@ CONVERGED = 1e-7  # step that ends them
 BODY_STD = 0.3  # relative std assumed for given bodies, at least
 PLACEHOLDER_STD = 3.0  # the same where all links weigh the same
 LARGEST_SCALE_STD = 0.2  # of the common scale, above which a payload is refused
-PAYLOAD_ROUNDS = 30  # of re-weighting with a known payload, at most
-SETTLED = 1e-8  # change of gains and noise that ends them
-DEPENDENT = 1e-7  # part of a unit column that is outside the others
+OPEN_STD = 1e6  # rms torque [N·m] of a base parameter of which nothing is known
 _IN_AMPERES = (
     ("(N·m)", "A"),
     ("N·m", "A"),
@@ -89,7 +75,6 @@ _IN_AMPERES = (
     ("kg", "A·s²/m"),
     ("N", "A"),
 )
-SHOWN_RATIO = 4.0  # of a current's residual to the least one: its gain is shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,14 +84,12 @@ class DriveGains:
     Attributes:
         gains: Shape (nv,) [N·m/A].
         covariance: Of their logarithms, shape (nv, nv).
-        scale_std: Relative standard deviation of their common scale.
         possible: Gains with which the largest currents make what the joints can bear, (nv,).
         payload: Whether they follow from a known payload.
     """
 
     gains: Array
     covariance: Array
-    scale_std: float
     possible: Array | float = np.inf
     payload: bool = False
 
@@ -117,6 +100,11 @@ class DriveGains:
     def std(self) -> Array:
         """Standard deviations of the gains, shape (nv,) [N·m/A]."""
         return self.gains * np.sqrt(np.diag(self.covariance))
+
+    @property
+    def scale_std(self) -> float:
+        """Relative standard deviation of their common scale."""
+        return float(np.linalg.inv(self.covariance).sum() ** -0.5)
 
     @property
     def known(self) -> Mask:
@@ -232,10 +220,30 @@ def current_gains(
         Y = W[rows, j, :links]
         own = np.column_stack([Y @ errors, current[rows, j]])
         joints.append(without_effects(W[rows, j, links:], own)[0])
+    log_gains, covariance = _solved(joints, owner, least)
+    largest = np.array([np.abs(x).max(initial=0.0) for x in current.T])
+    limits = np.where(robot.limits.torque > 0, robot.limits.torque, np.inf)
+    return DriveGains(
+        np.exp(log_gains),
+        covariance,
+        possible=OVERLOAD * limits / np.maximum(largest, 1e-300),
+    )
+
+
+def _solved(
+    joints: Sequence[Array], owner: Index, least: float
+) -> tuple[Array, Array]:
+    """Logarithms of gains, shape (nv,), and their covariance.
+
+    Args:
+        joints: Rows [A_j, g_j, i_j] of each joint, with A_j for errors of one.
+        owner: The body, or group, that each error is of.
+        least: Least standard deviation of the errors of each.
+    """
     triangles = [triangle(rows) for rows in joints]
-    std = np.full(nv, least)
+    std = np.full(owner.max() + 1, least)
     noise = believed(np.array([_noise(rows[:, -1]) for rows in joints]))
-    log_gains = np.full(nv, _common(triangles, noise))
+    log_gains = np.full(len(joints), _common(triangles, noise))
     for _ in range(NOISE_ROUNDS):
         reduced = _Reduced(triangles, noise, std[owner])
         log_gains = reduced.solved(log_gains)
@@ -249,15 +257,7 @@ def current_gains(
         squares = np.bincount(owner, (std[owner] * y) ** 2)
         ratio = squares / np.maximum(np.bincount(owner, seen), 1e-12)
         std = np.sqrt(np.maximum(ratio, least**2))
-    covariance = reduced.covariance(log_gains)
-    largest = np.array([np.abs(x).max(initial=0.0) for x in current.T])
-    limits = np.where(robot.limits.torque > 0, robot.limits.torque, np.inf)
-    return DriveGains(
-        np.exp(log_gains),
-        covariance,
-        float(np.linalg.inv(covariance).sum() ** -0.5),
-        possible=OVERLOAD * limits / np.maximum(largest, 1e-300),
-    )
+    return log_gains, reduced.covariance(log_gains)
 
 
 def _noise(residual: Array) -> float:
@@ -395,116 +395,22 @@ def payload_gains(
     Raises:
         BadInput: The payload does not show in the currents, or hardly.
     """
-    hardly = (
-        f"payload: {payload.mass:g} kg hardly show in these currents; use a heavier payload, say "
-        "where its centre of mass is, or move it through more poses and longer"
-    )
+    own = payload.columns(body)
+    empty = np.pad(free.W, ((0, 0), (0, 0), (0, own.shape[1])))
+    carrying = np.concatenate([loaded.W, loaded.W @ own], axis=2)
+    columns = np.concatenate([empty, carrying])
+    size = np.sqrt((columns[:, :, :-1] ** 2).mean(axis=(0, 1)))
+    columns[:, :, :-1] /= np.where(size > 0, size, 1.0)
     current = np.concatenate([free.tau, loaded.tau])
-    exact = _exact_columns(free.W, loaded.W, payload.columns(body), hardly)
-    k, theta, shown = _solved(exact, current)
-    if (k <= 0).any():
-        raise BadInput(f"{hardly}: the gains found are not positive")
-    log_cov = _covariance(exact, current, k, theta, shown)
-    mean = shown / shown.sum()
+    rows = np.dstack([columns, current]).transpose(1, 0, 2)
+    log_gains, covariance = _solved([*rows], np.zeros(len(size), int), OPEN_STD)
     # all that is known of the payload, and with it every gain, grows in proportion to its mass
     weighed = np.log1p(payload.mass_std / payload.mass) ** 2
-    scale = float(np.sqrt(mean @ log_cov @ mean + weighed))
-    if scale > LARGEST_SCALE_STD:
+    drive = DriveGains(np.exp(log_gains), covariance + weighed, payload=True)
+    if drive.scale_std > LARGEST_SCALE_STD:
         raise BadInput(
-            f"{hardly}: they fix the common scale of the drive gains to ±{100 * scale:.0f} % only"
+            f"payload: {payload.mass:g} kg hardly show in these currents: they fix the common "
+            f"scale of the drive gains to ±{100 * drive.scale_std:.0f} % only; use a heavier "
+            "payload, say where its centre of mass is, or move it through more poses and longer"
         )
-    return DriveGains(k, log_cov + weighed, scale, payload=True)
-
-
-def _exact_columns(free: Array, loaded: Array, own: Array, hardly: str) -> Array:
-    """Columns without errors, those of the payload that others explain left out, (n, nv, e)."""
-    r, added = own.shape
-    empty = np.pad(free, ((0, 0), (0, 0), (0, added)))
-    exact = np.concatenate([empty, np.concatenate([loaded, loaded @ own], axis=2)])
-    flat = exact.reshape(-1, r + added)
-    norms = np.linalg.norm(flat, axis=0)
-    R = triangle(flat / np.where(norms > 0, norms, 1.0))
-    independent, _ = independent_columns(R, DEPENDENT)
-    if r + added - 1 not in independent:
-        raise BadInput(f"{hardly}: no torque of it differs from the arm's own")
-    if not set(range(r)) <= set(independent):
-        raise BadInput(
-            "payload: the recordings do not determine all base parameters of the arm; move all "
-            "joints in the recordings without payload"
-        )
-    return exact[:, :, list(independent)]
-
-
-def _solved(exact: Array, current: Array) -> tuple[Array, Array, Mask]:
-    """Gains, shape (nv,), coefficients of the exact columns, the known one 1, and what is shown."""
-    n, nv = current.shape
-    triangles = [
-        triangle(np.column_stack([X, i]))
-        for X, i in zip(exact.transpose(1, 0, 2), current.T, strict=True)
-    ]
-    k = np.ones(nv)
-    sigma = np.maximum(current.std(axis=0), 1e-12)
-    for _ in range(PAYLOAD_ROUNDS):
-        weight = 1 / (k * sigma)
-        gains, theta, shown = _eliminated(
-            triangles, weight, n * (weight * sigma) ** 2
-        )
-        rest = [
-            np.linalg.norm(gains[j] * T[:, -1] - T[:, :-1] @ theta)
-            for j, T in enumerate(triangles)
-        ]
-        ahead = np.maximum(np.array(rest) / np.sqrt(n) / np.abs(gains), 1e-12)
-        change = (
-            np.abs(gains / k / np.mean(gains / k) - 1).max()
-            + np.abs(ahead / sigma - 1).max()
-        )
-        k = np.abs(gains)
-        sigma = ahead
-        if change < SETTLED:
-            break
-    return gains / theta[-1], theta / theta[-1], shown
-
-
-def _eliminated(
-    triangles: Sequence[Array], weight: Array, noise: Array
-) -> tuple[Array, Array, Mask]:
-    """Gains and coefficients, of norm one, and which are shown; noise of the columns, squared."""
-    rows = [w * T for w, T in zip(weight, triangles, strict=True)]
-    X = np.vstack([T[:, :-1] for T in rows])
-    currents = scipy.linalg.block_diag(*(T[:, -1:] for T in rows))
-    norms = np.linalg.norm(X, axis=0)
-    Q, R = np.linalg.qr(X / norms)
-    remaining = currents - Q @ (Q.T @ currents)
-    # a gain is shown whose current alone leaves more than noise beside the exact columns
-    scaled = remaining / np.sqrt(noise)
-    best = float(np.linalg.svd(scaled, compute_uv=False)[-1] ** 2)
-    shown = (scaled**2).sum(axis=0) > SHOWN_RATIO * max(best, 1e-300)
-    if not shown.any():
-        shown[:] = True
-    tie = np.eye(len(weight))[:, shown]
-    tie[~shown] = 1 / shown.sum()
-    _, _, Vt = np.linalg.svd(remaining @ tie / np.sqrt(noise[shown]))
-    k = tie @ (Vt[-1] / np.sqrt(noise[shown]))
-    theta = scipy.linalg.solve_triangular(R, Q.T @ (currents @ k)) / norms
-    sign = 1.0 if k.sum() >= 0 else -1.0
-    return sign * k, sign * theta, shown
-
-
-def _covariance(
-    exact: Array, current: Array, k: Array, theta: Array, shown: Mask
-) -> Array:
-    """Covariance of the logarithms of the gains, to first order in coloured noise, (nv, nv)."""
-    torque = exact @ theta
-    per_gain = np.einsum("nj,jk->njk", -torque / k, np.eye(len(k)))
-    columns = np.concatenate(
-        [per_gain[:, :, shown], exact[:, :, :-1] / k[:, None]], axis=2
-    )
-    residual = current - torque / k
-    sigma = np.maximum(residual.std(axis=0), 1e-12)
-    names = tuple(f"column {c}" for c in range(columns.shape[2]))
-    factor = factorised(dense(columns, residual, names), sigma)
-    fit = with_covariance(factor, np.zeros(columns.shape[2]), residual, sigma)
-    covariance = GAIN_STD**2 * np.eye(len(k))
-    count = int(shown.sum())
-    covariance[np.ix_(shown, shown)] = fit.covariance[:count, :count]
-    return covariance
+    return drive

@@ -1,6 +1,7 @@
 """Recordings with a payload tell what it is (2 %, 3 mm), or, where it is known, the drive gains."""
 
 import functools
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,13 @@ from worlds_plant import perturbed
 from excitant.design import random_trajectory
 from excitant.exceptions import BadInput
 from excitant.identify import PayloadEstimate, PayloadEstimator, Recording, identify_payload
-from excitant.identify.drive_gains import DriveGains, KnownPayload, current_gains, payload_gains
+from excitant.identify.drive_gains import (
+    GAIN_STD,
+    DriveGains,
+    KnownPayload,
+    current_gains,
+    payload_gains,
+)
 from excitant.identify.estimate import identify_robot
 from excitant.identify.export import save_model
 from excitant.identify.information import gaussian, information_of
@@ -273,11 +280,11 @@ def test_gains_are_exact_without_noise_and_one_that_does_not_show_is_said() -> N
         np.testing.assert_allclose(found.gains, b.gains, rtol=1e-5)
         assert all(found.known)
     on_axis = pin.Inertia(MASS, np.array([0.0, 0.0, 0.1]), BODY.inertia)
-    found = b.found(KnownPayload(MASS), 8, b.with_payload(on_axis))
+    found = b.found(KnownPayload(MASS), 8, b.with_payload(on_axis), 0.2)
     assert found.known.tolist() == [True] * 5 + [False]
-    assert (np.abs(found.gains - b.gains)[:5] < 3.5 * found.std[:5]).all()
-    assert found.std[5] == pytest.approx(0.5 * found.gains[5], rel=0.01)
-    assert "the gain of wrist_3_joint (±50 %) is not determined" in found.sentence(b.robot.joints)
+    assert (np.abs(found.gains - b.gains) < 3.5 * found.std).all()
+    assert found.std[5] < GAIN_STD * np.sqrt(6 / 5) * found.gains[5]  # as the other five scatter
+    assert re.search(r"gain of wrist_3_joint \(±.. %\) is not det", found.sentence(b.robot.joints))
 
 
 @pytest.mark.parametrize("payload", PAYLOADS)
