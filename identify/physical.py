@@ -31,7 +31,6 @@ from excitant.identify.prior import (
 )
 from excitant.identify.regression import triangle
 from excitant.identify.semidefinite import (
-    KktResiduals,
     Program,
     Restriction,
     contradiction,
@@ -80,7 +79,6 @@ class PhysicalFit:
     Attributes:
         x: Standard parameters followed by effect coefficients, shape (p,).
         covariance: Posterior covariance, inequalities ignored, shape (p, p).
-        kkt: Residuals of the optimality conditions.
         note: That floating point ended before the optimum, as a sentence; else empty.
         R: Factor of the whitened columns, shape (rows, p).
         root: L of the prior covariance L Lᵀ at the solution, shape (p, k); k < p with equalities.
@@ -89,7 +87,6 @@ class PhysicalFit:
 
     x: Array
     covariance: Array
-    kkt: KktResiduals
     R: Array
     root: Array
     prior: BodyPrior
@@ -155,7 +152,6 @@ def fit_physical(
     return PhysicalFit(
         x=scale @ solution.y,
         covariance=covariance,
-        kkt=solution.kkt(program),
         R=R,
         root=root,
         prior=prior,

@@ -51,8 +51,6 @@ class PathSettings:
         precise: Error of a settled solution, in posterior standard deviations, or
         near: as a share of the way from the start.
         border: Share of the way to a vanishing body or slack that a step leaves.
-        rounding: Singular value of the forces of restrictions, relative to the largest, below which
-            they are dependent.
     """
 
     margins: tuple[float, ...] = (1e-2, 1e-4, 1e-6)
@@ -64,7 +62,6 @@ class PathSettings:
     precise: float = 1e-2
     near: float = 1e-4
     border: float = 1e-9
-    rounding: float = 1e-10
 
 
 PATH = PathSettings()
@@ -136,50 +133,22 @@ class Program:
         deviation = self.C @ y - self.d
         return np.vstack([rows, self.C]), np.concatenate([residual, deviation])
 
-    def gradient(self, y: Array) -> Array:
-        """Gradient of the objective, shape (p,)."""
-        J, residual = self.prior(y)
-        return 2 * (self.A.T @ (self.A @ y - self.z) + J.T @ residual)
-
-
-@dataclass(frozen=True)
-class KktResiduals:
-    """Gradient of the Lagrangian and multipliers times slacks, relative; violation, absolute."""
-
-    stationarity: float
-    complementarity: float
-    primal: float
-
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Minimiser y, shape (p,), with one array of multipliers per restriction.
+    """Minimiser y, shape (p,).
 
     The error is the distance to the minimum in posterior standard deviations; it is settled where
     this is nothing beside what the data leave unexplained, or beside the way from the start.
     """
 
     y: Array
-    multipliers: tuple[Array, ...]
     error: float
     settled: bool
 
-    def kkt(self, program: Program) -> KktResiduals:
-        """Residuals of the optimality conditions."""
-        gradient = program.gradient(self.y)
-        slackness = 0.0
-        primal = 0.0
-        for r, force in zip(program.restrictions, self.multipliers, strict=True):
-            gradient = gradient - r.G.T @ force
-            slackness += abs(float(force @ r.slack(self.y)))
-            primal = max(primal, r.violation(self.y))
-        size = float(np.linalg.norm(2 * program.A.T @ program.z)) + 1.0
-        stationarity = float(np.linalg.norm(gradient))
-        return KktResiduals(stationarity / size, slackness / size, primal)
-
 
 def solve(program: Program, centre: Array) -> Solution:
-    """Minimiser and multipliers, on the way from the given bodies or close by; centre is (p,).
+    """Minimiser, on the way from the given bodies or close by; centre is (p,).
 
     Where floating point ends before the path does, its last point that Newton's method reached is
     the answer: inside all restrictions, with an error that is known.
@@ -201,7 +170,6 @@ def solve(program: Program, centre: Array) -> Solution:
         onward = (y - solution) * PATH.fall
         guess = y + onward if np.isfinite(error) and path.inside(y + onward) else y
         solution = y
-        least = barrier
         error = float(decrement + np.sqrt(path.logarithms * barrier))
         if barrier <= PATH.least:
             break
@@ -209,9 +177,7 @@ def solve(program: Program, centre: Array) -> Solution:
     unexplained = np.sqrt(max(1.0, path.squares(solution) / len(solution)))
     way = float(np.linalg.norm(path.U @ (solution - start)))
     settled = error <= max(PATH.precise * unexplained, PATH.near * way)
-    return Solution(
-        solution, path.multipliers(solution, least), error, bool(settled)
-    )
+    return Solution(solution, error, bool(settled))
 
 
 class _CentralPath:
@@ -255,22 +221,6 @@ class _CentralPath:
                 break
         exact = _equal(y, self.program.restrictions)
         return exact if self.inside(exact) else y, decrement
-
-    def multipliers(self, y: Array, barrier: float) -> tuple[Array, ...]:
-        """Forces of the restrictions: along the slopes of the logarithms, in equilibrium."""
-        restrictions = self.program.restrictions
-        if not restrictions:
-            return ()
-        lengths = [len(r.h) for r in restrictions]
-        exact = np.repeat([r.cone == "zero" for r in restrictions], lengths)
-        slack = np.concatenate([r.slack(y) for r in restrictions])
-        push = np.divide(barrier, slack, out=np.ones_like(slack), where=~exact)
-        forces = np.vstack([r.G for r in restrictions]).T * push
-        # one on the central path: a small slack is known to rounding only
-        sizes = np.where(exact, 0.0, 1.0)
-        missing = self.program.gradient(y) - forces @ sizes
-        sizes += np.linalg.lstsq(forces, missing, rcond=PATH.rounding)[0]
-        return tuple(np.split(push * sizes, np.cumsum(lengths)[:-1]))
 
     def inside(self, y: Array) -> bool:
         """Whether every body and every slack is positive."""
