@@ -46,7 +46,7 @@ from excitant.identify.regression import (
     triangle,
 )
 from excitant.identify.rows import FitRows, identified_robot
-from excitant.identify.signals import detrended, low_pass
+from excitant.identify.signals import detrended, low_pass, power_density
 from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.simulation import Controller, Diverged, simulate
@@ -116,7 +116,6 @@ class Simulation:
         shares: Ways from the nominal arm to an estimate, the first of which moves is simulated.
         mass_moves: Change of masses over that of other parameters where β leaves a choice.
         caution: Factor of the noise, lest the largest of many frequencies pass for motion.
-        noise_band: Frequencies over half the rate at which positions show noise of encoders only.
     """
 
     rounds: int = 15
@@ -127,7 +126,6 @@ class Simulation:
     shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
     mass_moves: float = 1e-3
     caution: float = 2.0
-    noise_band: tuple[float, float] = (0.5, 0.9)
 
 
 SIMULATION = Simulation()
@@ -140,8 +138,8 @@ def estimated(
 
     Without a name, weighted least squares, or what the fitted rows call for in its place: `irls`
     where gross errors of torque spoil it, else `iv` where noise of the motion does.
-    `iv` and `oe` look again at the recordings behind these rows, in order. Weighted least squares
-    takes the place of `iv` where half of the samples, as of a coarse encoder, show too little.
+    `iv` looks again at the recordings behind these rows, in order. Weighted least squares takes
+    its place where half of the samples, as of a coarse encoder, show too little.
 
     Raises:
         RankDeficient: Motion that leaves base parameters undetermined.
@@ -161,7 +159,7 @@ def estimated(
     if name == "irls":
         return irls(problem), name, (note,)
     if name == "oe":
-        loop = closed_loop(rows, recordings)
+        loop = closed_loop(rows)
         simulated = output_error(loop.problem, loop.simulated)
         return simulated.fit, name, (note, simulated.sentence(loop.bandwidth_hz))
     even, odd = half_regressions(rows, recordings)
@@ -503,8 +501,8 @@ class ClosedLoop(NamedTuple):
     bandwidth_hz: Array
 
 
-def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
-    """The regression of a fit with the simulated loop of each segment of its recordings.
+def closed_loop(rows: FitRows) -> ClosedLoop:
+    """The regression of a fit with the simulated loop of each of its segments.
 
     A recording holds neither the commanded motion nor the controller, so measured positions are
     the reference, passed up to 2.5 times the frequency where noise drowns the acceleration. The
@@ -512,8 +510,7 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
     from the truth may be those of no arm, of which no motion comes: the model simulated is then
     one between the given arm and the estimate.
     """
-    pairs = _with_recordings(rows.data.train, recordings)
-    loops = [_reference(segment, recording) for segment, recording in pairs]
+    loops = [_reference(segment) for segment in rows.data.train]
     segments = [segment for segment, _, _ in loops]
     commands = [command for _, command, _ in loops]
     used = certain_rows(rows.effects, rows.robot.joints, segments)
@@ -543,34 +540,13 @@ def closed_loop(rows: FitRows, recordings: Sequence[Recording]) -> ClosedLoop:
     return ClosedLoop(regression(commands), simulated, bandwidth_hz)
 
 
-def _with_recordings(
-    segments: Sequence[Segment], recordings: Sequence[Recording]
-) -> list[tuple[Segment, Recording]]:
-    """Every segment with the recording that it is a part of, both in order."""
-    pairs = []
-    remaining = list(segments)
-    for recording in recordings:
-        end = -np.inf
-        while remaining:
-            t = remaining[0].motion.t
-            if remaining[0].name != recording.name or t[0] <= end:
-                break
-            end = float(t[-1])
-            pairs.append((remaining.pop(0), recording))
-    return pairs
-
-
-def _reference(
-    segment: Segment, recording: Recording
-) -> tuple[Segment, Motion, Array]:
+def _reference(segment: Segment) -> tuple[Segment, Motion, Array]:
     """Rows away from the edges of the filter, positions up to the bandwidth, and it, (nv,)."""
     rate = segment.rate_hz
     t = segment.motion.t
-    part = (recording.t >= t[0] - 1e-9) & (recording.t <= t[-1] + 1e-6 + 1 / rate)
-    samples = recording.t[part], recording.q[part]
-    q = scipy.interpolate.make_interp_spline(*samples, k=3)(t)
+    q = segment.motion.q
     widest = SIMULATION.highest * rate
-    wider = SIMULATION.wider * _motion_bandwidth(q, rate)
+    wider = SIMULATION.wider * _motion_bandwidth(segment)
     width = np.clip(wider, 4 * rate / len(q), widest)
     pairs = zip(q.T, width.tolist(), strict=True)
     smooth = np.column_stack([low_pass(channel, hz, rate) for channel, hz in pairs])
@@ -584,19 +560,17 @@ def _reference(
     return replace(segment, keep=inner), motion, width
 
 
-def _motion_bandwidth(q: Array, rate_hz: float) -> Array:
+def _motion_bandwidth(segment: Segment) -> Array:
     """Frequency up to which passing positions makes the best acceleration, shape (nv,) [Hz].
 
     The expected squared error of acceleration, Σ_{f > f_b} (2πf)⁴ (P − N) + Σ_{f ≤ f_b} (2πf)⁴ N
-    (signal lost, noise kept), is smallest where Σ_{f ≤ f_b} f⁴ (2N − P) is. Noise N of encoders is
-    taken from the upper part of the spectrum P, its median there being ln 2 of its mean.
+    (signal lost, noise kept), is smallest where Σ_{f ≤ f_b} f⁴ (2N − P) is, P the power density of
+    positions and N that of their white noise.
     """
-    window = scipy.signal.windows.blackmanharris(len(q))
-    spectrum = np.fft.rfft(window[:, None] * detrended(q), axis=0)
-    f = np.fft.rfftfreq(len(q), 1 / rate_hz)
-    power = np.abs(spectrum) ** 2
-    low, high = np.array(SIMULATION.noise_band) * rate_hz / 2
-    noise = np.median(power[(f >= low) & (f <= high)], axis=0) / np.log(2)
+    assert segment.sensors is not None  # of a recording
+    q = detrended(segment.motion.q)
+    f, power = power_density(q, segment.rate_hz, len(q))
+    noise = 2 * segment.sensors.position**2 / segment.rate_hz
     balance = f[:, None] ** 4 * (2 * SIMULATION.caution * noise - power)
     return f[np.argmin(np.cumsum(balance, axis=0), axis=0)]
 

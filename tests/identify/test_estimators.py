@@ -293,7 +293,7 @@ def test_noisy_encoders_bias_least_squares_not_it(planar: Robot) -> None:
     for seed in range(count):
         recording = recorded(KNOWN, MOTION, seed, encoder=5e-4)
         rows = rows_of(planar, recording, cutoff_hz=25.0)
-        loop = closed_loop(rows, [recording])
+        loop = closed_loop(rows)
         fit = output_error(loop.problem, loop.simulated).fit
         errors.append(fit.beta - KNOWN.beta)
         held.append(np.abs(errors[-1]) < Z95 * fit.std)
@@ -305,7 +305,7 @@ def test_noisy_encoders_bias_least_squares_not_it(planar: Robot) -> None:
 def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) -> None:
     recording = recorded(KNOWN, MOTION[:625], 0, encoder=1e-3)
     rows = rows_of(planar, recording, cutoff_hz=25.0)
-    loop = closed_loop(rows, [recording])
+    loop = closed_loop(rows)
     found = output_error(loop.problem, loop.simulated)
     size = np.sqrt((rows.reduced.W**2).mean(axis=(0, 1)))
     fits = (found.fit, weighted_least_squares(rows.reduced))
@@ -318,7 +318,7 @@ def test_one_draw_is_better_than_least_squares_of_a_bad_filter(planar: Robot) ->
 
 def test_parameters_of_no_arm_still_give_a_motion(planar: Robot) -> None:
     """Inertia below zero: what is simulated lies between the given arm and these parameters."""
-    loop = closed_loop(rows_of(planar, NOISY), [NOISY])
+    loop = closed_loop(rows_of(planar, NOISY))
     W = loop.simulated(-3 * KNOWN.beta).W
     assert np.isfinite(W).all()
     sizes = (np.sqrt((X**2).mean(axis=(0, 1))) for X in (W, loop.problem.W))
