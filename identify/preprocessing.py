@@ -35,7 +35,6 @@ from excitant.identify.signals import (
 )
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, read_only
-from excitant.robots.robot import Robot
 
 CUTOFF_HZ = 10.0  # above the motions of arms, below their structural resonances
 POSITION_RATIO = 2.0  # positions keep what the torque filter will judge
@@ -80,19 +79,19 @@ class Rest:
         speed_share: At rest a joint is slower than this share of its top speed,
         duration_s: for so long; a reversal without a rest is quicker.
         reach: Reach of a rest in filtered torque, in periods of the filter's cut-off.
-        moving_share: A moving joint is faster than this share of its top speed,
-        creep_share: than this share of its velocity limit (controllers let held joints creep),
-        free_speed: which is this where there is none [rad/s],
-        travel: and travels farther than this over a segment [rad or m].
+        travel: A joint that moves travels farther than this over a segment [rad or m].
+        moving_share: Between poses it is faster than this share of its velocity limit,
+        free_speed: which is this where there is none [rad/s].
+        creep_share: A joint that is held creeps no faster than this share of that speed.
     """
 
     speed_share: float = 0.015
     duration_s: float = 0.04
     reach: float = 0.5
-    moving_share: float = 0.02
-    creep_share: float = 2e-3
-    free_speed: float = 3.0
     travel: float = 1e-2
+    moving_share: float = 0.02
+    free_speed: float = 3.0
+    creep_share: float = 2e-3
 
 
 REST = Rest()
@@ -373,26 +372,6 @@ def dry_joints(effects: Sequence[Effect], joints: Sequence[str]) -> Mask:
     return np.array([joint in dry for joint in joints])
 
 
-def moving(robot: Robot, segments: Sequence[Segment]) -> list[Mask]:
-    """Instants at which each joint moves, one mask of shape (n, nv) per segment (`Rest`).
-
-    Within half a period of the filter's cut-off the joint exceeds its least speed.
-    """
-    limit = robot.limits.velocity
-    limit = np.where(limit < 1e3, limit, REST.free_speed)
-    slow = np.maximum(
-        REST.moving_share * top_speed(segments), REST.creep_share * limit
-    )
-    masks = []
-    for segment in segments:
-        width = 2 * round(segment.rate_hz / (2 * segment.cutoff_hz)) + 1
-        speed = np.abs(segment.motion.dq)
-        near = scipy.ndimage.maximum_filter1d(speed, width, axis=0)
-        travels = np.ptp(segment.motion.q, axis=0) > REST.travel
-        masks.append((near > np.maximum(slow, segment.least_speed)) & travels)
-    return masks
-
-
 def top_speed(segments: Sequence[Segment]) -> Array:
     """Highest speed of each joint, shape (nv,) [rad/s or m/s]."""
     return np.max([np.abs(s.motion.dq).max(axis=0) for s in segments], axis=0)
@@ -405,7 +384,6 @@ def away_from_rest(
 
     A joint rests while slow relative to its top speed, here or, if given, elsewhere, or so slow
     that its sensors show no direction (`SensorNoise.least_speed`); reversals without a rest count.
-    `moving` marks where a joint takes part in a motion.
     """
     fastest = np.maximum(fastest, top_speed(segments))
     masks = []

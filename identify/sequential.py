@@ -44,7 +44,7 @@ from excitant.identify.least_squares import (
     score_covariances,
     student_width,
 )
-from excitant.identify.preprocessing import moving, stilled
+from excitant.identify.preprocessing import REST, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
 from excitant.identify.recording import Recordings, recordings_of
 from excitant.identify.rows import Data, FitRows, effects_of, fit_rows, split
@@ -202,8 +202,7 @@ class LinkRows(FitRows):
 def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows:
     """Rows of the training segments, see `LinkRows`."""
     train = tuple(
-        stilled(s, np.asarray(moves.any(axis=0)))
-        for s, moves in zip(data.train, moving(robot, data.train), strict=True)
+        stilled(s, np.ptp(s.motion.q, axis=0) > REST.travel) for s in data.train
     )
     base = base_parameters(robot, effects)
     rows = fit_rows(robot, effects, base, replace(data, train=train))
