@@ -10,7 +10,7 @@ to know a parameter better from the window than from the prior.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -129,76 +129,80 @@ class WindowExcitation:
         return f"; move {', '.join(self.joints)}" if self.joints else ""
 
 
-@dataclass(frozen=True, eq=False)
-class ExcitationJudge:
-    """Judges windows of motions of one arm; made by `excitation_judge`."""
+def excitation(
+    robot: Robot,
+    effects: tuple[Effect, ...],
+    base: BaseParameters,
+    prior: BasePrior,
+    motion: Motion,
+    W: Array,
+    sigma: Array | None = None,
+) -> WindowExcitation:
+    """Excitation in a window by evenly spread states.
 
-    robot: Robot
-    effects: tuple[Effect, ...]
-    base: BaseParameters
-    sigma: Array  # noise of an independent row, shape (nv,) [torque unit]
-    basis: Array  # directions, columns of L V, shape (r, r)
-    hidden: int  # the first of them, which no motion shows above the noise; others are visible
-    reference: Motion  # as long as the window
+    Args:
+        robot: The arm.
+        effects: Effects that are estimated.
+        base: Base parameters of links and effects.
+        prior: What is known of them beforehand.
+        motion: The states, n of them, from the start of the window to its end.
+        W: Columns of the base parameters there, shape (n, nv, r).
+        sigma: Noise of an independent row, shape (nv,) [torque unit]; see `persistency`.
+    """
+    length = float(motion.t[-1] - motion.t[0])
+    rate_hz = ROWS_PER_SECOND if length > 2 else 40 / length
+    reference = reference_motion(robot, length, rate_hz)
+    if sigma is None:
+        sigma = _NOISE_SHARE * needed_torque(robot, reference)
+    L = square_root(prior.covariance)
+    to_compare = observation_columns(robot, effects, reference)[:, :, base.columns]
+    whole = _information(reference, to_compare / sigma[:, None] @ L)
+    levels, V = scipy.linalg.eigh(whole)
+    # so that squares are levels; the first directions no motion shows above the noise
+    basis = L @ V
+    visible = basis[:, levels >= _VISIBLE]
+    J = _information(motion, W / sigma[:, None] @ basis)
+    hidden = len(base) - visible.shape[1]
+    levels, V = np.linalg.eigh(J[hidden:, hidden:])
+    window = WindowExcitation(
+        float(motion.t[0]),
+        float(motion.t[-1]),
+        np.maximum(levels, 0),
+        shown=int((np.linalg.eigvalsh(J) >= _ENOUGH).sum()),
+        combinations=len(base),
+    )
+    if window.enough:
+        return window
+    weak = visible @ V[:, : window.missing]
+    helped = []
+    for livelier in _livelier(motion, reference):
+        columns = observation_columns(robot, effects, livelier)[:, :, base.columns]
+        seen = columns / sigma[:, None] @ weak
+        helped.append(_share(livelier) * (seen**2).sum(axis=(0, 1)))
+    helps = np.array(helped) >= 0.5 * np.max(helped, axis=0)
+    count = helps.sum(axis=1)
+    order = np.argsort(-count, kind="stable")
+    joints = tuple(robot.joints[j] for j in order if count[j])
+    # base parameters that make nine tenths of the weakest, in units of prior spread
+    spread = np.linalg.norm(visible, axis=1)
+    share = (weak[:, 0] / np.where(spread > 0, spread, 1.0)) ** 2
+    leading = np.argsort(-share)
+    most = int(np.searchsorted(np.cumsum(share[leading]), 0.9 * share.sum())) + 1
+    names = [base.names[base.columns[k]] for k in leading[: min(most, 3)]]
+    return replace(window, weakest=tuple(names), joints=joints)
 
-    def whitened(self, W: Array) -> Array:
-        """Rows of base parameters, (n, nv, r), in directions, so that squares are levels."""
-        return W / self.sigma[:, None] @ self.basis
 
-    def rows(self, motion: Motion) -> Array:
-        """Whitened rows of a motion."""
-        W = observation_columns(self.robot, self.effects, motion)
-        return self.whitened(W[:, :, self.base.columns])
-
-    def judge(self, motion: Motion, rows: Array) -> WindowExcitation:
-        """Evenly spread states of one window and their whitened rows, (n, nv, r)."""
-        J = _information(motion, rows)
-        levels, V = np.linalg.eigh(J[self.hidden :, self.hidden :])
-        window = WindowExcitation(
-            float(motion.t[0]),
-            float(motion.t[-1]),
-            np.maximum(levels, 0),
-            shown=int((np.linalg.eigvalsh(J) >= _ENOUGH).sum()),
-            combinations=len(self.base),
-        )
-        if window.enough:
-            return window
-        weak = V[:, : window.missing]
-        levels_if_livelier = self._levels_if_livelier(motion, weak)
-        helps = levels_if_livelier >= 0.5 * levels_if_livelier.max(axis=0)
-        count = helps.sum(axis=1)
-        order = np.argsort(-count, kind="stable")
-        joints = tuple(self.robot.joints[j] for j in order if count[j])
-        return replace(window, weakest=self._leading(weak[:, 0]), joints=joints)
-
-    def _levels_if_livelier(self, motion: Motion, V: Array) -> Array:
-        """Level of each weak direction if one joint moved as in the reference, (nv, weak)."""
-        n = min(len(motion), len(self.reference))
-        thin, reference = (
-            each[np.linspace(0, len(each) - 1, n).astype(int)]
-            for each in (motion, self.reference)
-        )
-        levels = np.empty((self.robot.nv, V.shape[1]))
-        for j in range(self.robot.nv):
-            parts = [np.array(x) for x in (thin.q, thin.dq, thin.ddq)]
-            for own, values in zip(
-                parts, (reference.q, reference.dq, reference.ddq), strict=True
-            ):
-                own[:, j] = values[:, j]
-            seen = self.rows(Motion(reference.t, *parts))[:, :, self.hidden :] @ V
-            levels[j] = _share(reference) * (seen**2).sum(axis=(0, 1))
-        return levels
-
-    def _leading(self, v: Array) -> tuple[str, ...]:
-        """Base parameters that make nine tenths of a direction, in units of prior spread."""
-        visible = self.basis[:, self.hidden :]
-        spread = np.linalg.norm(visible, axis=1)
-        share = (visible @ v / np.where(spread > 0, spread, 1.0)) ** 2
-        order = np.argsort(-share)
-        count = int(np.searchsorted(np.cumsum(share[order]), 0.9 * share.sum())) + 1
-        return tuple(
-            self.base.names[self.base.columns[k]] for k in order[: min(count, 3)]
-        )
+def _livelier(motion: Motion, reference: Motion) -> Iterator[Motion]:
+    """The motion with one joint after the other moving as in the reference."""
+    n = min(len(motion), len(reference))
+    thin, other = (
+        each[np.linspace(0, len(each) - 1, n).astype(int)]
+        for each in (motion, reference)
+    )
+    for j in range(motion.nv):
+        own = np.arange(motion.nv) == j
+        pairs = ((thin.q, other.q), (thin.dq, other.dq), (thin.ddq, other.ddq))
+        yield Motion(other.t, *(np.where(own, y, x) for x, y in pairs))
 
 
 def _share(motion: Motion) -> float:
@@ -209,27 +213,6 @@ def _share(motion: Motion) -> float:
 
 def _information(motion: Motion, rows: Array) -> Array:
     return _share(motion) * np.tensordot(rows, rows, ((0, 1), (0, 1)))
-
-
-def excitation_judge(
-    robot: Robot,
-    effects: tuple[Effect, ...],
-    *,
-    window: float,
-    sigma: Array | None,
-    base: BaseParameters,
-    prior: BasePrior,
-) -> ExcitationJudge:
-    """Prepare to judge windows of one length [s]; sigma as in `persistency`."""
-    reference = reference_motion(
-        robot, window, ROWS_PER_SECOND if window > 2 else 40 / window
-    )
-    if sigma is None:
-        sigma = _NOISE_SHARE * needed_torque(robot, reference)
-    L = square_root(prior.covariance)
-    judge = ExcitationJudge(robot, effects, base, sigma, L, 0, reference)
-    levels, V = scipy.linalg.eigh(_information(reference, judge.rows(reference)))
-    return replace(judge, basis=L @ V, hidden=int((levels < _VISIBLE).sum()))
 
 
 def persistency(
@@ -258,7 +241,5 @@ def persistency(
     prior = base_prior(robot, effects, base)
     step = int((len(motion) - 1) / (duration * 2 * ROWS_PER_SECOND))
     thin = motion[:: max(1, step)]
-    judge = excitation_judge(
-        robot, effects, window=duration, sigma=sigma, base=base, prior=prior
-    )
-    return judge.judge(thin, judge.rows(thin))
+    W = observation_columns(robot, effects, thin)[:, :, base.columns]
+    return excitation(robot, effects, base, prior, thin, W, sigma)

@@ -31,7 +31,7 @@ from excitant.identify.estimate import Estimate, estimate_by
 from excitant.identify.excitation import (
     ROWS_PER_SECOND,
     WindowExcitation,
-    excitation_judge,
+    excitation,
 )
 from excitant.identify.information import (
     TOGETHER,
@@ -521,17 +521,17 @@ class Monitor:
         """Look now, and say what has changed; refuses before the first row."""
         estimate = self.estimator.estimate()
         uncertainty = self._uncertainty(estimate.covariance)
-        excitation = self._excitation(estimate)
-        look = Look(estimate, excitation, uncertainty)
+        window = self._excitation(estimate)
+        look = Look(estimate, window, uncertainty)
         if look.converged != self._converged:
             self._converged = look.converged
             text = "no longer converged"
             if look.converged:
                 text = "converged: the estimate is surer of the torque than a row of data"
             self.messages.append((estimate.t, text))
-        if excitation is not None and excitation.enough != self._enough:
-            self._enough = excitation.enough
-            self.messages.append((estimate.t, excitation.sentence))
+        if window is not None and window.enough != self._enough:
+            self._enough = window.enough
+            self.messages.append((estimate.t, window.sentence))
         return look
 
     def _uncertainty(self, P: Array) -> Array:
@@ -547,19 +547,11 @@ class Monitor:
             return None
         independent = estimate.inflation * ROWS_PER_SECOND * e.row_period
         sigma = estimate.sigma * np.sqrt(np.maximum(independent, 1e-12))
-        judge = excitation_judge(
-            e.robot,
-            e.effects,
-            window=self.window,
-            sigma=sigma,
-            base=e.base,
-            prior=self.prior,
-        )
-        late = slice(
-            int(np.searchsorted(rows.motion.t, estimate.t - self.window)), None
-        )
-        W = judge.whitened(rows.W[late] * rows.used[late, :, None])
-        return judge.judge(rows.motion[late], W)
+        first = int(np.searchsorted(rows.motion.t, estimate.t - self.window))
+        late = slice(first, None)
+        W = rows.W[late] * rows.used[late, :, None]
+        motion = rows.motion[late]
+        return excitation(e.robot, e.effects, e.base, self.prior, motion, W, sigma)
 
 
 @dataclass(frozen=True, eq=False)
