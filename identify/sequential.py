@@ -29,7 +29,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from excitant.identify.estimate import (
@@ -48,7 +47,12 @@ from excitant.identify.preprocessing import REST, stilled
 from excitant.identify.prior import BasePrior, base_prior, prior_parameters
 from excitant.identify.recording import Recordings, recordings_of
 from excitant.identify.rows import Data, FitRows, effects_of, fit_rows, split
-from excitant.robots.base_parameters import base_parameters, expression, last_rows
+from excitant.robots.base_parameters import (
+    BaseParameters,
+    base_parameters,
+    expression,
+    last_rows,
+)
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
@@ -181,34 +185,22 @@ def _led_combinations(
     return np.vstack([F, new * scale[added, None] / scale]), led + added
 
 
-@dataclass(frozen=True, eq=False)
-class LinkRows(FitRows):
-    """Rows of recordings; a joint still in all of a segment is held exactly."""
-
-    # joint, the last whose row holds each base parameter, shape (r,)
-    last: npt.NDArray[np.intp]
-    scale: Array  # uncertainty of the given robot's base parameters, shape (r,)
-
-    def recordings(self, joint: int) -> tuple[str, ...]:
-        """Recordings in which rows of a joint count."""
-        train = self.data.train
-        parts = np.split(
-            self.used[:, joint], np.cumsum([len(s.t) for s in train])[:-1]
-        )
-        names = (s.name for s, used in zip(train, parts, strict=True) if used.any())
-        return tuple(dict.fromkeys(names))
-
-
-def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> LinkRows:
-    """Rows of the training segments, see `LinkRows`."""
+def link_rows(robot: Robot, effects: tuple[Effect, ...], data: Data) -> FitRows:
+    """Rows of the training segments; a joint still in all of a segment is held exactly."""
     train = tuple(
         stilled(s, np.ptp(s.motion.q, axis=0) > REST.travel) for s in data.train
     )
     base = base_parameters(robot, effects)
-    rows = fit_rows(robot, effects, base, replace(data, train=train))
-    scale = np.sqrt(np.diag(base_prior(robot, effects, base).covariance))
-    last = last_rows(robot, effects, base)
-    return LinkRows(**vars(rows), last=last, scale=scale)
+    return fit_rows(robot, effects, base, replace(data, train=train))
+
+
+def _recordings(rows: FitRows, joint: int) -> tuple[str, ...]:
+    """Recordings in which rows of a joint count."""
+    train = rows.data.train
+    ends = np.cumsum([len(s.t) for s in train])[:-1]
+    parts = np.split(rows.used[:, joint], ends)
+    names = (s.name for s, used in zip(train, parts, strict=True) if used.any())
+    return tuple(dict.fromkeys(names))
 
 
 @dataclass(frozen=True)
@@ -298,33 +290,38 @@ def identify_link_by_link(
     return LinkByLink(estimate, cascade, stages)
 
 
-def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
+def run_stages(rows: FitRows) -> tuple[Cascade, tuple[Stage, ...]]:
     """Estimate of the base parameters after all stages, and the stages, last joint first."""
-    W = rows.W[:, :, rows.base.columns]
-    tau = rows.tau
     base = rows.base
-    cascade = beginning(base_prior(rows.robot, rows.effects, base))
+    prior = base_prior(rows.robot, rows.effects, base)
+    scale = np.sqrt(np.diag(prior.covariance))
+    # joint, the last whose row holds each base parameter
+    last = last_rows(rows.robot, rows.effects, base)
+    W = rows.W[:, :, base.columns]
+    cascade = beginning(prior)
     F = np.zeros((0, len(base)))
     leading = list[int]()
     stages = []
     for j in reversed(range(rows.robot.nv)):
         before = len(leading)
         counted = rows.used[:, j]
-        cascade, noise, inflation = further(cascade, W[counted, j], tau[counted, j])
-        own = np.flatnonzero(rows.last == j).tolist()
-        F, leading = _led_combinations(
-            F, leading, cascade.functionals[before:], rows.scale, own
+        cascade, noise, inflation = further(
+            cascade, W[counted, j], rows.tau[counted, j]
         )
-        determined = _determined(rows, cascade, F[before:], leading[before:])
+        own = np.flatnonzero(last == j).tolist()
+        F, leading = _led_combinations(
+            F, leading, cascade.functionals[before:], scale, own
+        )
+        determined = _determined(base, cascade, F[before:], leading[before:], scale)
         count = int(counted.sum())
-        recordings = rows.recordings(j)
+        recordings = _recordings(rows, j)
         stages.append(Stage(j, count, noise, inflation, recordings, determined))
-    missing = [k for k in range(len(base)) if k not in leading]
+    missing = np.setdiff1d(np.arange(len(base)), leading)
     return cascade, tuple(
         replace(
             stage,
             missing=tuple(
-                base.expressions[k] for k in missing if rows.last[k] == stage.joint
+                base.expressions[k] for k in missing if last[k] == stage.joint
             ),
         )
         for stage in stages
@@ -332,23 +329,20 @@ def run_stages(rows: LinkRows) -> tuple[Cascade, tuple[Stage, ...]]:
 
 
 def _determined(
-    rows: LinkRows, known: Cascade, F: Array, leading: Sequence[int]
+    base: BaseParameters, known: Cascade, F: Array, leading: list[int], scale: Array
 ) -> tuple[Determined, ...]:
-    base = rows.base
     J = F @ known.L @ known.D
     entries = []
     spread = np.sqrt(np.diag(J @ known.P @ J.T))
     for row, lead, value, s in zip(F, leading, F @ known.beta, spread, strict=True):
-        terms = np.where(np.abs(row) * rows.scale > NEGLIGIBLE_STDS * s, row, 0.0)
+        terms = np.where(np.abs(row) * scale > NEGLIGIBLE_STDS * s, row, 0.0)
         terms[lead] = 1.0
         text = expression(terms @ base.regrouping, base.names, base.columns[lead])
         entries.append(Determined(text, float(value), float(s)))
     return tuple(entries)
 
 
-def _notes(
-    rows: LinkRows, stages: Sequence[Stage], prior: Array
-) -> tuple[str, ...]:
+def _notes(rows: FitRows, stages: Sequence[Stage], prior: Array) -> tuple[str, ...]:
     count = sum(len(stage.determined) for stage in stages)
     r = len(rows.base)
     rest = ""
