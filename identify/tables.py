@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,103 +29,52 @@ _DECIDED_BY = {  # from the surest to the least sure
 }
 
 
-@dataclass(frozen=True, eq=False)
-class BodyChange:
-    """Mass and centre of mass of a link, nominal and identified, in the frame of its joint.
+def body_changes(estimate: Estimate) -> list[dict[str, Any]]:
+    """Mass and centre of mass of each link, given and identified, as ``result.json`` has them.
 
-    Attributes:
-        link: Name of the link.
-        nominal_mass: Mass of the prior [kg].
-        mass: Identified mass [kg].
-        mass_by: Who decided it: data, prior or both.
-        nominal_centre: Centre of mass of the prior, shape (3,) [m].
-        centre: Identified centre of mass, shape (3,) [m].
-        centre_by: Who decided it, by the least sure of its coordinates.
-        length: From the joint to the next one or to the nominal centre of mass, or the radius of
-            gyration, whichever is longest [m].
-        shown: What torque shows of a mass that the data do not decide alone, and how far that is
-            off, in words; else empty.
-        known: Whether a drive gain is known, where currents were recorded: else nothing is told of
-            what moved.
+    ``moved`` says in words what differs by half of the given mass or of the link's length; None
+    where nothing does, or where currents were recorded and no drive gain is known.
     """
-
-    link: str
-    nominal_mass: float
-    mass: float
-    mass_by: str
-    nominal_centre: Array
-    centre: Array
-    centre_by: str
-    length: float
-    shown: str
-    known: bool
-
-    @property
-    def shift(self) -> float:
-        """How far the centre of mass moved [m]."""
-        return float(np.linalg.norm(self.centre - self.nominal_centre))
-
-    @property
-    def moved(self) -> str:
-        """What moved by half of the nominal mass or of the link's length; empty if nothing."""
-        if not self.known:
-            return ""
-        changes = []
-        if abs(self.mass - self.nominal_mass) >= LARGE_CHANGE * self.nominal_mass:
-            changes.append(
-                f"mass {self.nominal_mass:.3g} → {self.mass:.3g} kg "
-                f"({_DECIDED_BY[self.mass_by]}{self.shown})"
-            )
-        if self.shift >= max(LARGE_CHANGE * self.length, SMALLEST_SHIFT):
-            changes.append(
-                f"centre of mass by {1e3 * self.shift:.3g} mm "
-                f"({_DECIDED_BY[self.centre_by]})"
-            )
-        return f"{self.link}: {' and '.join(changes)}" if changes else ""
-
-    def entry(self) -> dict[str, Any]:
-        """Its entry in ``result.json``."""
-        return {
-            "link": self.link,
-            "mass": {
-                "given": self.nominal_mass,
-                "value": self.mass,
-                "decided_by": self.mass_by,
-            },
-            "centre": {
-                "given": self.nominal_centre.tolist(),
-                "value": self.centre.tolist(),
-                "shift": self.shift,
-                "decided_by": self.centre_by,
-            },
-            "moved": self.moved or None,
-        }
-
-
-def body_changes(estimate: Estimate) -> tuple[BodyChange, ...]:
-    """Masses and centres of mass of the links, nominal and identified."""
     who = decided_by(estimate.physical.influence, categories(estimate.base))
     drive = estimate.drive
+    known = drive is None or bool(drive.known.any())
     bodies = estimate.physical.prior.bodies
     lengths = link_lengths(estimate.given, bodies)
-    changes = []
+    entries = []
     for k, link in enumerate(estimate.given.links):
         phi = estimate.phi[10 * k : 10 * k + 4]
-        body = inertia(bodies[k])
-        change = BodyChange(
-            link,
-            nominal_mass=body.mass,
-            mass=float(phi[0]),
-            mass_by=who[10 * k],
-            nominal_centre=np.array(body.lever),
-            centre=phi[1:] / phi[0],
-            centre_by=max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index),
-            length=float(lengths[k]),
-            shown="" if who[10 * k] == "data" else _shown_with(estimate, k),
-            known=drive is None or bool(drive.known.any()),
-        )
-        changes.append(change)
-    return tuple(changes)
+        mass = float(phi[0])
+        centre = phi[1:] / mass
+        given = inertia(bodies[k])
+        shift = float(np.linalg.norm(centre - given.lever))
+        mass_by = who[10 * k]
+        # by the least sure of its coordinates
+        centre_by = max(who[10 * k + 1 : 10 * k + 4], key=[*_DECIDED_BY].index)
+        changes = []
+        if abs(mass - given.mass) >= LARGE_CHANGE * given.mass:
+            shown = "" if mass_by == "data" else _shown_with(estimate, k)
+            changes.append(
+                f"mass {given.mass:.3g} → {mass:.3g} kg ({_DECIDED_BY[mass_by]}{shown})"
+            )
+        if shift >= max(LARGE_CHANGE * float(lengths[k]), SMALLEST_SHIFT):
+            changes.append(
+                f"centre of mass by {1e3 * shift:.3g} mm ({_DECIDED_BY[centre_by]})"
+            )
+        entry = {
+            "link": link,
+            "mass": {"given": given.mass, "value": mass, "decided_by": mass_by},
+            "centre": {
+                "given": given.lever.tolist(),
+                "value": centre.tolist(),
+                "shift": shift,
+                "decided_by": centre_by,
+            },
+            "moved": f"{link}: {' and '.join(changes)}"
+            if changes and known
+            else None,
+        }
+        entries.append(entry)
+    return entries
 
 
 def _shown_with(estimate: Estimate, k: int) -> str:
@@ -179,7 +127,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "holdout": estimate.data.holdout,
         **(drive if estimate.drive is None else estimate.drive.result()),
         "joints": _joints(estimate, covered),
-        "links": [body.entry() for body in bodies],
+        "links": bodies,
         "parameters": _parameters(estimate),
         "base_parameters": _base_parameters(estimate),
         **({} if repeats is None else {"repeats": repeats.entry()}),
@@ -316,7 +264,7 @@ def _body_std(estimate: Estimate) -> Array:
     return np.broadcast_to(sigma, (estimate.given.nv,))
 
 
-def _moved(estimate: Estimate, bodies: Sequence[BodyChange]) -> list[str]:
+def _moved(estimate: Estimate, bodies: Sequence[dict[str, Any]]) -> list[str]:
     """Sentences on how far the nominal bodies agree with the data, and which moved by half."""
     std = _body_std(estimate)
     links = estimate.given.links
@@ -332,7 +280,7 @@ def _moved(estimate: Estimate, bodies: Sequence[BodyChange]) -> list[str]:
         sentences.append(
             f"the data contradict the given values of {listed}, for which as much is allowed{tool}"
         )
-    if moved := "; ".join(body.moved for body in bodies if body.moved):
+    if moved := "; ".join(body["moved"] for body in bodies if body["moved"]):
         sentences.append(f"moved by half or more against the given model: {moved}")
     return sentences
 

@@ -14,7 +14,6 @@ from plant_recordings import PENDULUM
 from excitant.exceptions import RankDeficient
 from excitant.identify import Estimate, Recording, identify_robot, load_dataset, model_files
 from excitant.identify.export import publication, save_model
-from excitant.identify.tables import body_changes
 from excitant.robots import Motion, Robot, load_robot, torque
 from excitant.robots.parameters import from_pseudo_inertia, violations
 
@@ -101,7 +100,7 @@ def test_a_tool_is_told_with_the_sum_in_which_torque_shows_it(ur10: Robot, runs:
     place, phi = np.array([0.06, 0.04, 0.03, 1.0]), np.array(ur10.phi)
     phi[50:] += from_pseudo_inertia(2.0 * (np.outer(place, place) + np.diag([1e-3] * 3 + [0])))
     found = identified(ur10, runs(ur10.with_parameters(phi), 1))
-    assert "as +2 ± " in body_changes(found)[-1].moved
+    assert "as +2 ± " in found.result()["links"][-1]["moved"]
     assert any("tool, with a first moment of" in note for note in found.result()["notes"])
 
 
@@ -178,17 +177,19 @@ def test_a_body_that_moves_by_half_is_named_without_a_false_uncertainty(ur10, no
     """Torque shows its mass only together with others': it has no ± of its own."""
     link, light = 2, ur10.with_parameters(ur10.phi / 3)
     found = identified(light, nominal)
-    body, result = body_changes(found)[link], found.result()
-    assert abs(body.mass - 3 * body.nominal_mass) < 3 * mass_std(found, link)
-    assert body.moved.startswith(f"forearm_link: mass {body.nominal_mass:.3g} → {body.mass:.3g} kg")
-    assert [entry["moved"] for entry in result["links"]][link] == body.moved
-    way = body.centre - body.nominal_centre
-    assert result["links"][link]["centre"]["shift"] == pytest.approx(np.linalg.norm(way))
+    result = found.result()
+    body = result["links"][link]
+    mass, centre = body["mass"], body["centre"]
+    assert abs(mass["value"] - 3 * mass["given"]) < 3 * mass_std(found, link)
+    said = f"forearm_link: mass {mass['given']:.3g} → {mass['value']:.3g} kg"
+    assert body["moved"].startswith(said)
+    way = np.subtract(centre["value"], centre["given"])
+    assert centre["shift"] == pytest.approx(np.linalg.norm(way))
     for p in result["parameters"]:
         assert (p["std"] is None) == (p["category"] != "unique")
         assert p["category"] == "unique" or p["decided_by"] != "data"
-    assert any("moved by half" in note and body.moved in note for note in result["notes"])
-    assert not body_changes(identified(ur10, nominal))[link].moved
+    assert any("moved by half" in note and body["moved"] in note for note in result["notes"])
+    assert not identified(ur10, nominal).result()["links"][link]["moved"]
 
 
 @pytest.mark.slow
@@ -216,9 +217,9 @@ def test_one_link_that_is_wrong_spoils_no_other(ur10: Robot, nominal: list[Recor
     link, phi = 2, np.array(ur10.phi)
     phi[10 * link : 10 * link + 10] *= 3
     found = identified(ur10.with_parameters(phi), nominal)
-    true, body = float(ur10.phi[10 * link]), body_changes(found)[link]
-    assert abs(body.mass - true) < min(4 * mass_std(found, link), 0.15 * true)
-    assert [bool(each.moved) for each in body_changes(found)] == [k == link for k in range(ur10.nv)]
+    true, bodies = float(ur10.phi[10 * link]), found.result()["links"]
+    assert abs(bodies[link]["mass"]["value"] - true) < min(4 * mass_std(found, link), 0.15 * true)
+    assert [bool(each["moved"]) for each in bodies] == [k == link for k in range(ur10.nv)]
     sigma = np.asarray(found.physical.prior.sigma)
     assert sigma[link] > 5 * max(np.delete(sigma, link))
     told = next(note for note in found.result()["notes"] if "data contradict the given" in note)
