@@ -14,13 +14,7 @@ from known_arms import HARMONICS, Z95, Call, recorded, rows_of, smooth_motion, w
 from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify import Recording, Regression, identify_robot
 from excitant.identify.attenuation import every_second, without_noise
-from excitant.identify.estimators import (
-    ESTIMATORS,
-    closed_loop,
-    irls,
-    iv,
-    output_error,
-)
+from excitant.identify.estimators import ESTIMATORS, closed_loop, irls, iv, output_error
 from excitant.identify.least_squares import (
     LeastSquares,
     autocorrelation_time,

@@ -9,13 +9,7 @@ import scipy.linalg
 import scipy.sparse
 from marks import slow
 
-from excitant.identify.knowledge import (
-    Box,
-    Knowledge,
-    LinkKnowledge,
-    Quantity,
-    known_rows,
-)
+from excitant.identify.knowledge import Box, Knowledge, LinkKnowledge, Quantity, known_rows
 from excitant.identify.physical import PhysicalFit, agreement, fit_physical
 from excitant.identify.prior import BodyPrior, EffectPrior, link_coordinates, link_weights
 from excitant.robots.motion import Array
@@ -26,10 +20,7 @@ FEASIBLE = 1e-12  # least eigenvalue of a pseudo-inertia relative to its norm
 KNOWN = 1e-11  # violation of what is known, which would buy something, in units of given bodies
 ROUNDING = 1e-15  # of the largest eigenvalue
 BETTER = 1e-6  # of the objective: no feasible point is better by more
-_CONE = {
-    "nonnegative": clarabel.NonnegativeConeT,
-    "zero": clarabel.ZeroConeT,
-}
+_CONE = {"nonnegative": clarabel.NonnegativeConeT, "zero": clarabel.ZeroConeT}
 UPPER = np.triu_indices(4)
 PLACE = {(i, j): n for n, (i, j) in enumerate(zip(*UPPER, strict=True))}
 
