@@ -27,7 +27,6 @@ from excitant.identify.nearness import impossible_values
 from excitant.identify.physical import PhysicalFit, fit_physical
 from excitant.identify.poses import (
     SHOWN,
-    fit_poses,
     kept,
     pose_rows,
     pose_segment,
@@ -404,7 +403,7 @@ def _of_poses(
     """The estimate from poses of an arm at rest; see `excitant.identify.poses`."""
     rows = pose_rows(robot, recordings, validate)
     unexplained = scatter(rows)
-    fit = fit_poses(rows)
+    fit = weighted_least_squares(rows.reduced)
     R, z = rows.regression.factor(fit.weight)
     physical = fit_physical(
         R, z, prior, rows.open_prior, knowledge=known, links=robot.links

@@ -15,13 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from excitant.exceptions import BadRecording
-from excitant.identify.least_squares import (
-    NOISE,
-    LeastSquares,
-    believed,
-    factorised,
-    student_width,
-)
+from excitant.identify.least_squares import NOISE
 from excitant.identify.preprocessing import REST, Segment
 from excitant.identify.recording import LEAST_RATE_HZ, Recording
 from excitant.identify.regression import regression_of
@@ -111,34 +105,6 @@ def kept(robot: Robot) -> tuple[Effect, ...]:
     """Effects of the given arm of which rest shows nothing."""
     shown = {effect.name for effect in at_rest(robot)}
     return tuple(effect for effect in robot.effects if effect.name not in shown)
-
-
-def fit_poses(rows: FitRows) -> LeastSquares:
-    """Weighted least squares whose noise has no colour, for poses come in any order.
-
-    The noise of a joint is its squares over the rows that its columns leave, and the covariance is
-    widened by Student's t for these (Satterthwaite 1946).
-
-    Raises:
-        RankDeficient: Poses that do not show some columns.
-    """
-    problem = rows.reduced
-    sigma = believed(problem.tau.std(axis=0))
-    for _ in range(NOISE.rounds):
-        factor = factorised(problem, sigma)
-        beta = factor.solve()
-        root = factor.inverse / factor.norms[:, None]
-        acting = zip(problem.index, problem.triangles, sigma, strict=True)
-        shares = [T[:, :-1] @ root[index] / s for index, T, s in acting]
-        freedom = len(problem) - np.array([(B**2).sum() for B in shares])
-        squares = (problem.residual(beta) ** 2).sum(axis=0)
-        sigma = believed(np.sqrt(squares / freedom))
-    parts = np.array([((B @ root.T) ** 2).sum(axis=0) for B in shares])
-    width = student_width(
-        parts.sum(axis=0) ** 2 / (parts**2 / freedom[:, None]).sum(axis=0)
-    )
-    covariance = root @ root.T * np.outer(width, width)
-    return LeastSquares(beta, covariance, sigma, np.ones_like(sigma))
 
 
 def scatter(rows: FitRows) -> Array:
