@@ -155,17 +155,30 @@ class Regression:
 
     def with_columns(self, more: Array, names: Sequence[str]) -> Regression:
         """The problem with further columns, shape (n, nv, k)."""
-        index = []
-        wider = []
-        if self.used is not None:
-            more = more * self.used[:, :, None]
-        for j, values in enumerate(self.columns):
-            acting = np.flatnonzero(live(more[:, j]))
-            index.append(np.concatenate([self.index[j], self.p + acting]))
-            both = np.hstack([values, more[:, j, acting]])
-            wider.append(frozen(np.asfortranarray(both)))
-        names = (*self.names, *names)
-        return replace(self, names=names, index=tuple(index), columns=tuple(wider))
+        return self.with_parts([ActingColumns(np.arange(self.nv), more)], names)
+
+    def with_parts(
+        self, parts: Sequence[ActingColumns], names: Sequence[str]
+    ) -> Regression:
+        """The problem with further columns, in parts; zero at rows that do not count."""
+        index = [[own] for own in self.index]
+        columns = [[own.T] for own in self.columns]
+        start = self.p
+        for part in parts:
+            of_joints = part.values.transpose(1, 2, 0)
+            for j, values in zip(part.joints, of_joints, strict=True):
+                acts = live(values.T)
+                index[j].append(start + np.flatnonzero(acts))
+                used = True if self.used is None else self.used[:, j]
+                columns[j].append(values[acts] * used)
+            start += part.values.shape[-1]
+        wider = tuple(frozen(np.concatenate(rows).T) for rows in columns)
+        return replace(
+            self,
+            names=(*self.names, *names),
+            index=tuple(map(np.concatenate, index)),
+            columns=wider,
+        )
 
     def with_column(self, column: int, joint: int, values: Array) -> Regression:
         """The problem with other values, shape (n,), of a column on a joint on which it acts."""
@@ -280,28 +293,14 @@ def dense(
             f"regression: columns of shape {' + '.join(map(str, shapes))} with "
             f"torque of shape {tau.shape} and {len(names)} names; give (n, nv, p), (n, nv) and p"
         )
-    index: list[list[Index]] = [[np.zeros(0, np.intp)] for _ in range(nv)]
-    rows: list[list[Array]] = [[np.zeros((0, n))] for _ in range(nv)]
-    start = 0
-    for part in parts:
-        of_joints = part.values.transpose(1, 2, 0)
-        for j, values in zip(part.joints, of_joints, strict=True):
-            acts = live(values.T)
-            index[j].append(start + np.flatnonzero(acts))
-            rows[j].append(values if acts.all() else values[acts])
-        start += part.values.shape[-1]
-    columns = [np.concatenate(blocks) for blocks in rows]
-    if used is not None:
-        tau = tau * used
-        for values, counts in zip(columns, used.T, strict=True):
-            values *= counts
-    return Regression(
-        names=tuple(names),
-        index=tuple(map(np.concatenate, index)),
-        columns=tuple(frozen(values.T) for values in columns),
-        tau=tau,
+    empty = Regression(
+        names=(),
+        index=(np.zeros(0, np.intp),) * nv,
+        columns=(np.zeros((n, 0)),) * nv,
+        tau=tau if used is None else tau * used,
         used=used,
     )
+    return empty.with_parts(parts, names)
 
 
 def regression_of(
