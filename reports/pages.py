@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import attrgetter
 from pathlib import PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -33,8 +35,6 @@ from excitant.results import (
     Analyze,
     Compare,
     ComparedFigure,
-    ComparedSection,
-    ComparedTable,
     Demo,
     Fleet,
     Go,
@@ -178,7 +178,7 @@ def compare(*runs: SavedRun) -> dict[str, Any]:
             for run, name, page in zip(runs, names, pages, strict=True)
         ],
         "remarks": remarks,
-        "sections": _compared(pages),
+        "figures": _compared(pages),
     }
 
 
@@ -213,41 +213,46 @@ def _same_rows(series: Sequence[Series]) -> bool:
     return True
 
 
+class _Place(NamedTuple):
+    """Where a figure stands on the pages of the runs."""
+
+    section: str
+    part: str
+    of: str
+    name: str
+    figure: str
+
+
 def _compared(pages: Sequence[Page]) -> list[dict[str, Any]]:
+    """The figures of all runs; without words that all of them share."""
     walked = [_figures(page) for page in pages]
-    sections: dict[str, dict[tuple[str, str], list[dict[str, Any]]]] = {}
-    for key in dict.fromkeys(key for figures in walked for key in figures):
-        title, part, of, name, heading = key
-        tables = sections.setdefault(title, {})
-        cells = [figures.get(key, (Cell(NONE), None)) for figures in walked]
+    places = dict.fromkeys(place for figures in walked for place in figures)
+    rows = []
+    for place in sorted(places, key=_order(places)):
+        cells = [figures.get(place, (Cell(NONE), None)) for figures in walked]
         written = [cell.text for cell, _ in cells]
         values = [cell.value for cell, _ in cells]
-        shared = len(set(written)) == 1
-        if shared and all(value is None for value in values):
-            continue  # words that all runs share
+        if len(set(written)) == 1 and all(value is None for value in values):
+            continue
         first, *others = [(cell.value, std) for cell, std in cells]
-        row = {
-            "name": name,
-            "figure": heading,
-            "written": written,
-            "values": values,
-            "deviations": [deviations(*first, *other) for other in others],
-        }
-        tables.setdefault((part, of), []).append(row)
-    return [
-        {
-            "title": title,
-            "tables": [
-                {"part": p, "of": o, "rows": r} for (p, o), r in found.items()
-            ],
-        }
-        for title, found in sections.items()
-    ]
+        row = place._asdict() | {"written": written, "values": values}
+        row["deviations"] = [deviations(*first, *other) for other in others]
+        rows.append(row)
+    return rows
 
 
-def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
-    """Cells by section, part, kind of row, row and column, with the std beside them."""
-    figures: dict[tuple[str, ...], tuple[Cell, float | None]] = {}
+def _order(places: Iterable[_Place]) -> Callable[[_Place], list[int]]:
+    """Sort key that keeps tables, parts and sections together, as the first run has them."""
+    ranks: dict[tuple[str, ...], int] = {}
+    for place in places:
+        for depth in (1, 2, 3):
+            ranks.setdefault(place[:depth], len(ranks))
+    return lambda place: [ranks[place[:depth]] for depth in (1, 2, 3)]
+
+
+def _figures(page: Page) -> dict[_Place, tuple[Cell, float | None]]:
+    """Cells by their places, with the std beside them; None where it is not judged."""
+    figures: dict[_Place, tuple[Cell, float | None]] = {}
     for title, part, table in page.tables():
         heads = table.heads
         names = [
@@ -260,21 +265,17 @@ def _figures(page: Page) -> dict[tuple[str, ...], tuple[Cell, float | None]]:
         for row in table.rows:
             name = ", ".join(row[k].text for k in names if row[k].text != NONE)
             prior = any(cell.text in ("prior", "expectation") for cell in row)
+            beside = [*zip(heads[1:], row[1:], strict=True), ("", Cell(NONE))]
             for k, (head, cell) in enumerate(zip(heads, row, strict=True)):
                 if k in names or _STD in head:
                     continue
-                std = (
-                    row[k + 1]
-                    if k + 1 < len(row) and _STD in heads[k + 1]
-                    else Cell(NONE)
-                )
-                both = (
-                    f"{cell.text} ± {std.text}" if std.text != NONE else cell.text
-                )
-                found = replace(cell, text=both), None if prior else std.value
-                figures.setdefault(
-                    (title, part, heads[names[0]], name, head), found
-                )
+                place = _Place(title, part, heads[names[0]], name, head)
+                following, std = beside[k]
+                if _STD not in following or std.text == NONE:
+                    figures.setdefault(place, (cell, None))
+                    continue
+                both = replace(cell, text=f"{cell.text} ± {std.text}")
+                figures.setdefault(place, (both, None if prior else std.value))
     return figures
 
 
@@ -294,17 +295,10 @@ def _comparison_page(result: Compare) -> Page:
         f"{letter}: {run.name}. {' '.join(run.leads)}"
         for letter, run in zip(letters, runs, strict=True)
     ]
-    sections = []
-    for section in result.sections:
-        parts: dict[str, p.Blocks] = {}
-        for table in section.tables:
-            parts.setdefault(table.part, []).append(_table(table, letters))
-        order = list(parts.items())
-        count = _count(section)
-        brief = ((section.title, count),)
-        sections.append(
-            p.section(section.title, count, order[:1], brief, order[1:])
-        )
+    sections = [
+        _compared_section(title, list(rows), letters)
+        for title, rows in groupby(result.figures, attrgetter("section"))
+    ]
     blocks = (
         p.notes(legend),
         p.sentences(result.remarks, p.POOR),
@@ -320,8 +314,24 @@ def _comparison_page(result: Compare) -> Page:
     )
 
 
-def _count(section: ComparedSection) -> str:
-    rows = [row for table in section.tables for row in table.rows]
+def _compared_section(
+    title: str, rows: Sequence[ComparedFigure], letters: Sequence[str]
+) -> Section:
+    parts: p.Parts = [
+        (
+            part,
+            [
+                _table(of, list(group), letters)
+                for of, group in groupby(inside, attrgetter("of"))
+            ],
+        )
+        for part, inside in groupby(rows, attrgetter("part"))
+    ]
+    count = _count(rows)
+    return p.section(title, count, parts[:1], ((title, count),), parts[1:])
+
+
+def _count(rows: Sequence[ComparedFigure]) -> str:
     differ = sum(len(set(row.written)) > 1 for row in rows)
     apart = [x for row in rows for x in row.deviations if x is not None]
     sentence = f"{differ} of {len(rows)} figures differ."
@@ -334,9 +344,9 @@ def _count(section: ComparedSection) -> str:
     return sentence
 
 
-def _table(table: ComparedTable, letters: Sequence[str]) -> p.Table | None:
-    rows = table.rows
-
+def _table(
+    of: str, rows: Sequence[ComparedFigure], letters: Sequence[str]
+) -> p.Table | None:
     def column(k: int, letter: str) -> p.Column:
         def cell(row: ComparedFigure) -> Cell:
             far = k > 0 and (row.deviations[k - 1] or 0.0) > _APART
@@ -349,7 +359,7 @@ def _table(table: ComparedTable, letters: Sequence[str]) -> p.Table | None:
     return p.table(
         rows,
         [
-            (f"name:{table.of}", "name"),
+            (f"name:{of}", "name"),
             ("name:Quantity", "figure") if some else None,
             *(column(k, letter) for k, letter in enumerate(letters)),
         ],

@@ -1540,6 +1540,12 @@ class ComparedRun(Record):
 class ComparedFigure(Record):
     """A figure of all runs."""
 
+    section: str
+    "Section of the page."
+    part: str
+    "Part of it."
+    of: str
+    "What the rows of its table are."
     name: str
     "Row."
     figure: str
@@ -1552,26 +1558,6 @@ class ComparedFigure(Record):
     "Differences to the first run in their standard deviations; null of what is no estimate."
 
 
-class ComparedTable(Record):
-    """A table of all runs."""
-
-    part: str
-    "Part of the page."
-    of: str
-    "What its rows are."
-    rows: list[ComparedFigure]
-    "Figures."
-
-
-class ComparedSection(Record):
-    """A section of all runs."""
-
-    title: str
-    "Title."
-    tables: list[ComparedTable]
-    "Tables."
-
-
 class Compare(Run, tag_field="verb", tag="compare"):
     """``excitant report A B ...``: runs side by side."""
 
@@ -1581,7 +1567,7 @@ class Compare(Run, tag_field="verb", tag="compare"):
     "Runs, A first."
     remarks: list[str]
     "What makes them hard to compare."
-    sections: list[ComparedSection]
+    figures: list[ComparedFigure]
     "Figures."
 
 

@@ -34,7 +34,7 @@ def worse(result, _series):
 
 
 def rows(result):
-    return [row for s in result["sections"] for t in s["tables"] for row in t["rows"]]
+    return result["figures"]
 
 
 COMPARED = ("robots", "design", "check", "rehearse", "identify", "analyze", "diagnose", "fleet")
