@@ -7,7 +7,7 @@ colour-blind can tell apart, and lighter ones on dark ground.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -236,15 +236,29 @@ class Timeline:
         return Axis(label, float(self.t[0]), float(self.t[-1]))
 
 
-def thin(x: Array, y: Array, bins: int) -> tuple[Array, Array]:
-    """A curve (n,) with fewer points that looks the same: each bin's least and greatest value."""
-    if len(y) <= 2 * bins:
-        return x, y
-    low = np.nan_to_num(y, nan=np.inf)
-    high = np.nan_to_num(y, nan=-np.inf)
-    keep = [0, len(y) - 1]
-    for first, last in pairwise(np.linspace(0, len(y), bins + 1).astype(int)):
-        keep.append(first + int(low[first:last].argmin()))
-        keep.append(first + int(high[first:last].argmax()))
+def thinned(mark: Mark, bins: int) -> Mark:
+    """A curve or band with fewer points that looks the same, any other mark as it is.
+
+    Of each bin the least and the greatest value is kept; a band has half as many bins.
+    """
+    match mark:
+        case Line():
+            names = ["y"]
+        case Band():
+            names = ["low", "high"]
+            bins = bins // 2
+        case _:
+            return mark
+    if len(mark.x) <= 2 * bins:
+        return mark
+    keep = [0, len(mark.x) - 1]
+    for values in (getattr(mark, name) for name in names):
+        low = np.nan_to_num(values, nan=np.inf)
+        high = np.nan_to_num(values, nan=-np.inf)
+        for first, last in pairwise(np.linspace(0, len(low), bins + 1).astype(int)):
+            keep.append(first + int(low[first:last].argmin()))
+            keep.append(first + int(high[first:last].argmax()))
     rows = np.unique(keep)
-    return x[rows], y[rows]
+    return replace(
+        mark, **{name: getattr(mark, name)[rows] for name in ("x", *names)}
+    )

@@ -20,9 +20,8 @@
     return `${+(x / 10 ** k).toPrecision(3)}×${power(k)}`.replace("-", "−");
   };
 
-  /* arrays are numbers, or 16-bit steps in base64, of which the least is for a gap */
+  /* arrays are 16-bit steps in base64, of which the least is for a gap */
   const decoded = (array) => {
-    if (Array.isArray(array)) return array;
     const bytes = Uint8Array.from(atob(array.k), (sign) => sign.charCodeAt(0));
     const value = (k) => (k === -32768 ? null : array.low + array.step * (k + 32767));
     return Array.from(new Int16Array(bytes.buffer), value);

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from excitant.reports.charts import packed
-from excitant.reports.figure import Axes, Axis, Band, Figure, Line, Panel, Points, Timeline, thin
+from excitant.reports.figure import Axes, Axis, Band, Figure, Line, Panel, Points, Timeline, thinned
 from excitant.reports.values import condition, number, percent, sentence, shorten, value_and_std
 
 
@@ -15,7 +15,8 @@ from excitant.reports.values import condition, number, percent, sentence, shorte
 def test_thinned_curve_keeps_ends_and_extremes(n):
     rng = np.random.default_rng(n)
     x, y = np.arange(n, dtype=float), rng.normal(size=n)
-    short_x, short_y = thin(x, y, 200)
+    short = thinned(Line(x, y, "fitted"), 200)
+    short_x, short_y = short.x, short.y
     assert len(short_y) <= min(n, 402)
     assert (np.diff(short_x) > 0).all()
     found = (short_x[0], short_x[-1], short_y.min(), short_y.max())
@@ -26,9 +27,9 @@ def test_thinned_curve_keeps_ends_and_extremes(n):
 def test_gap_stays_a_gap():
     y = np.sin(np.arange(9000.0))
     y[3000:6000] = np.nan
-    x, short = thin(np.arange(9000.0), y, 200)
-    assert np.isnan(short[(x > 3100) & (x < 5900)]).all()
-    assert np.isfinite(short[(x < 3000) | (x >= 6000)]).all()
+    curve = thinned(Line(np.arange(9000.0), y, "fitted"), 200)
+    assert np.isnan(curve.y[(curve.x > 3100) & (curve.x < 5900)]).all()
+    assert np.isfinite(curve.y[(curve.x < 3000) | (curve.x >= 6000)]).all()
 
 
 def test_time_of_joined_recordings_grows_and_since_the_epoch_starts_at_zero():
@@ -44,8 +45,6 @@ def test_time_of_joined_recordings_grows_and_since_the_epoch_starts_at_zero():
 
 def unpacked(array):
     """Numbers as the page's script reads them."""
-    if isinstance(array, list):
-        return np.array(array, float)
     k = np.frombuffer(b64decode(array["k"]), "<i2").astype(float)
     return np.where(k == -32768, np.nan, array["low"] + array["step"] * (k + 32767))
 
