@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-
 import numpy as np
 
 from excitant.reports import values as v
@@ -45,24 +42,24 @@ def estimates_figure(result: Identify, series: Series) -> Figure | None:
     if value is None or std is None:
         return None
     units = {row.name: row.unit for row in result.parameters}
-    names = [_first_parameter(row.expression, units) for row in rows]
+    known = np.isfinite(value + std).all(axis=0)
+    kept = np.where(known, std[-1] / std[0], np.inf)
+    names = [row.expression.split()[0].rpartition("·")[2] for row in rows]
+    best: dict[str, int] = {}
+    for k in np.argsort(kept, kind="stable")[: known.sum()]:
+        best.setdefault(names[k].rpartition(".")[0], k)
     panels = [
         _estimate_panel(
             t, value[:, k], std[:, k], names[k], units.get(names[k], "")
         )
-        for k in _most_informed(value, std, names)
+        for k in [*best.values()][:_SHOWN]
     ]
     caption = (
-        f"Estimates of the {len(panels)} base parameters (of {len(names)}) whose uncertainty fell "
+        f"Estimates of the {len(panels)} base parameters (of {len(rows)}) whose uncertainty fell "
         "most, at most one of each link or joint, named by the first parameter of their "
         "combination: the band should close around a level line."
     )
     return figure(panels, caption, _LEGEND)
-
-
-def _first_parameter(expression: str, names: dict[str, str]) -> str:
-    parts = re.split(r"[ ·−+()]+", expression)
-    return next((part for part in parts if part in names), expression)
 
 
 def payload_figure(payload: Payload) -> Figure | None:
@@ -80,17 +77,6 @@ def payload_figure(payload: Payload) -> Figure | None:
         panels.append(_estimate_panel(t, centre[:, k], std[:, k], name, "m"))
     caption = "The payload as it was known at each instant; the band holds it 95 times out of 100."
     return figure(panels, caption, _LEGEND)
-
-
-def _most_informed(value: Array, std: Array, names: Sequence[str]) -> list[int]:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = np.log(std[0] / std[-1])
-    order = np.argsort(-np.where(np.isfinite(gain), gain, -np.inf), kind="stable")
-    finite = np.asarray(np.isfinite(value + std).all(axis=0))
-    best: dict[str, int] = {}
-    for k in order[finite[order]]:
-        best.setdefault(names[k].rpartition(".")[0], int(k))
-    return sorted([*best.values()][:_SHOWN])
 
 
 def _estimate_panel(
