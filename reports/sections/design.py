@@ -22,7 +22,6 @@ from excitant.results import (
     Determined,
     HalfSpace,
     Motion,
-    Number,
     Pair,
     Persistency,
     Rehearse,
@@ -361,25 +360,7 @@ def _limits(result: Motion) -> p.Blocks:
         ],
         "The worst point of the continuous motion, also between samples: 100 % is the limit.",
     )
-    certified = result.certified or {}
-
-    def of_joint(quantity: str) -> p.Column:
-        def ratio(k: int) -> Number:
-            row = certified[quantity][k]
-            return row.ratio if row else None
-
-        return f"number:{v.plain(quantity).capitalize()}", ratio, share_of_limit
-
-    quantities = [quantity for quantity, rows in certified.items() if any(rows)]
-    names = result.joints
-    by_joint = p.table(
-        range(len(names)) if quantities else [],
-        [("name:Joint", lambda k: names[k]), *map(of_joint, quantities)],
-        "Certified share of every joint's limit: a limit used to 100 % bounds what the motion can "
-        "show; a dash means no limit.",
-        f"Share of the limits joint by joint ({len(names)})",
-    )
-    return [worst, by_joint]
+    return [worst]
 
 
 def _weakest(result: Design) -> p.Table | None:

@@ -23,7 +23,11 @@ from excitant.results import DataSet, Deviation, Difference, Drift, Fleet
 
 _DRAWN = 6  # changes that are drawn
 _MONTHS = 12.0
-_TOLD = 3  # differences that are told in words
+_TOLD = 3  # differences that the terminal shows
+_ODD = (
+    "The most certain first. Of the siblings: mean and standard deviation from arm to arm. A "
+    "fleet of sound arms has any entry here, or what changes, in at most 5 % of cases."
+)
 
 
 def fleet_section(result: Fleet, series: Series) -> p.Section:
@@ -58,7 +62,7 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
                 "Arms that differ",
                 [
                     p.notes([_differs(row) for row in odd], brief="differs"),
-                    _odd(odd),
+                    p.notes([_ODD] * bool(odd)),
                 ],
             ),
             (
@@ -68,7 +72,7 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
                         [_apart(row) for row in result.differences[:_TOLD]],
                         brief="not the same",
                     ),
-                    _differences(result.differences),
+                    p.notes([_apart(row) for row in result.differences[_TOLD:]]),
                 ],
             ),
             (
@@ -76,7 +80,6 @@ def fleet_section(result: Fleet, series: Series) -> p.Section:
                 [
                     p.notes([_changes(row) for row in drifts], brief="changes"),
                     _figure(drifts, series),
-                    _drifts(drifts),
                 ],
             ),
             ("Without a model", [_failed(failed)]),
@@ -124,23 +127,6 @@ def _apart(row: Difference) -> str:
     )
 
 
-def _differences(rows: list[Difference]) -> p.Table | None:
-    return p.table(
-        rows,
-        [
-            ("expression:Parameter", "parameter"),
-            ("number:Lower", "low_value"),
-            ("name:Of", "low"),
-            ("number:Higher", "high_value"),
-            ("name:Of", "high"),
-            ("number:Difference", lambda r: _interval(r.difference, r.std)),
-            ("name:Unit", "unit"),
-            ("number:Arms", "count", v.whole),
-        ],
-        "The clearest first. Sound arms of one type may differ as much.",
-    )
-
-
 def _monthly(row: Drift) -> tuple[float, float]:
     """Slope a month, and its standard deviation."""
     return row.per_year / _MONTHS, row.std / _MONTHS
@@ -152,48 +138,6 @@ def _changes(row: Drift) -> str:
     return (
         f"{row.arm}: {row.parameter} {way} by {_interval(abs(slope), std).text} {row.unit} a "
         f"month, from {v.number(row.before)} on {row.first} to {v.number(row.after)} on {row.last}"
-    )
-
-
-def _odd(odd: list[Deviation]) -> p.Table | None:
-    return p.table(
-        odd,
-        [
-            ("name:Arm", "arm"),
-            ("expression:Parameter", "parameter"),
-            ("number:It has", lambda r: _interval(r.value, r.std)),
-            (
-                "number:Its siblings",
-                lambda r: (
-                    f"{_interval(r.siblings, r.spread).text} ({r.count} arms)"
-                ),
-            ),
-            (
-                "number:Difference",
-                lambda r: _interval(r.difference, r.difference_std),
-            ),
-            ("name:Unit", "unit"),
-        ],
-        "The most certain first. Of the siblings: mean and standard deviation from arm to arm. A "
-        "fleet of sound arms has any entry here, or what changes, in at most 5 % of cases.",
-    )
-
-
-def _drifts(drifts: list[Drift]) -> p.Table | None:
-    return p.table(
-        drifts,
-        [
-            ("name:Arm", "arm"),
-            ("expression:Parameter", "parameter"),
-            ("number:A month", lambda r: _interval(*_monthly(r))),
-            ("name:Unit", "unit"),
-            ("number:From", "before"),
-            ("name:On", "first", str),
-            ("number:To", "after"),
-            ("name:By", "last", str),
-            ("number:Data sets", "count", v.whole),
-        ],
-        "Slope of a line through all dates, and its ends.",
     )
 
 
