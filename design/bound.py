@@ -32,32 +32,18 @@ class PricingSettings:
     "Random motions whose states the mixture begins with."
     seed_states: int = 40
     "States of each of them."
-    seed_harmonics: int = 5
-    "Their harmonics, where the motion has no band."
-    seed_period: float = 10.0
-    "Their period [s], where the motion has no band."
-    starts: int = 120
-    "Starts of the ascent, from states of large weight and from random ones each."
+    starts: int = 160
+    "Starts of the ascent, from states found before and from random ones each."
     steps: int = 8
     "Steps of every ascent."
-    polished: int = 80
-    "Best points of the ascent that are polished."
-    polish_steps: int = 24
-    "Further steps of these."
     final_starts: int = 300
-    "Starts of the last search for a violation."
-    final_steps: int = 16
+    "The same of the last search for a violation."
+    final_steps: int = 20
     "Steps of that search."
     final_rounds: int = 5
     "Times that it is repeated, at most, until it finds nothing worse."
     final_time: float = 0.1
     "Share of the time limit that is kept for it."
-    loose_rounds: int = 6
-    "First rounds, with `loose_gap` and without polishing."
-    loose_gap: float = 1e-2
-    "Relative gap at which the master problem stops in these rounds."
-    gap: float = 1e-3
-    "The same in later rounds."
     spare_states: int = 80
     "States kept beyond twice those with weight."
     added: float = 0.02
@@ -66,8 +52,6 @@ class PricingSettings:
     "Share of the largest weight above which a state has weight."
     closed: float = 2e-3
     "Relative distance of bound and ceiling at which the search ends."
-    largest_multiplier: float = 0.1
-    "Largest multiplier of an equality row, in units of the typical tr M; 0.03 occurs."
 
 
 PRICING = PricingSettings()
@@ -77,16 +61,14 @@ PRICING = PricingSettings()
 class InteriorPoint:
     """Settings of the primal-dual interior-point method of the master problem."""
 
+    gap: float = 1e-3
+    "Relative gap at which it stops."
+    softness: float = 1e-2
+    "Σ w a over its multiplier y: 0.03 occurs, so that Σ w a is 1e-5 of Σ w at most."
     step: float = 0.95
     "Share of the way to the boundary of the cone."
     iterations: int = 60
     "Largest number of iterations."
-    slack: float = 10.0
-    "Multiple of the identity at which the dual slacks begin."
-    residual_weight: float = 1e2
-    "Weight of the residuals beside the duality gap."
-    patience: int = 5
-    "Iterations without progress after which it stops."
 
 
 SOLVER = InteriorPoint()
@@ -111,14 +93,14 @@ def lower_bound(
     robot: Robot,
     *,
     period: float = 10.0,
-    harmonics: int | None = 5,
+    harmonics: int = 5,
     columns: str = "inertial",
     seed: int = 0,
     time_limit: float = 60.0,
     progress: BoundProgress | None = None,
     pool: Sequence[Motion] = (),
 ) -> Bound:
-    """Numerical lower bound on cond₂(W) of every motion within the limits of a robot.
+    """Numerical lower bound on cond₂(W) of every Fourier series within the limits of a robot.
 
     cond² is at least the smallest κ with I ⪯ Σ w_k M(x_k) ⪯ κ I, w ≥ 0 over the feasible states
     x = (q, q̇, q̈). Those of finite Fourier series obey Bernstein's and Szegő's inequalities too,
@@ -129,7 +111,7 @@ def lower_bound(
     Args:
         robot: The arm; its limits on position, velocity, acceleration and torque count.
         period: Period of the motion [s].
-        harmonics: Of its Fourier series; None for any motion whatever.
+        harmonics: Of its Fourier series.
         columns: ``"inertial"`` or ``"friction"``.
         seed: Seed of all randomness.
         time_limit: Time after which the bound so far is returned [s].
@@ -144,32 +126,78 @@ def lower_bound(
     began = time.time()
     if not (np.isfinite(period) and period > 0):
         raise BadInput(f"period {period} s is not a positive number")
-    if harmonics is not None and harmonics < 2:
+    if harmonics < 2:
         raise BadInput(
             f"{harmonics} harmonics cannot be at rest at both ends; use at least 2"
         )
     if not time_limit > 0:
         raise BadInput(f"time limit {time_limit} s is not positive")
-    top = np.inf if harmonics is None else 2 * np.pi * harmonics / period
-    problem = relaxation(robot, columns, top, stationary=harmonics is not None)
+    problem = relaxation(robot, columns, 2 * np.pi * harmonics / period)
     rng = np.random.default_rng(seed)
-    states = _seeds(robot, rng, period, harmonics, pool)
-    kind = "any motion"
-    if harmonics is not None:
-        kind += f" of period {period:g} s with {harmonics} harmonics"
-    search = _Search(problem, rng, states)
-    search.run(began, time_limit, progress)
-    multipliers = search.certify()
+    found = _seeds(robot, rng, period, harmonics, pool)
+    states = found
+    bound = 0.0
+    longest = 0.0
+    while True:
+        started = time.time()
+        weights, multipliers = mixture_of(problem, states)
+        found = found[np.argsort(-problem.price(multipliers, found))]
+        worse, price = problem.worst(
+            multipliers, found, rng, PRICING.starts, PRICING.steps
+        )
+        violation = float(price.max(initial=0.0))
+        ceiling = float(np.sqrt(multipliers.value))
+        if ceiling > bound * np.sqrt(1 + violation):
+            bound = ceiling / float(np.sqrt(1 + violation))
+            best = multipliers
+            least = violation
+        worse = worse[price > PRICING.added * violation]
+        support = int((weights > PRICING.support * weights.max()).sum())
+        order = np.argsort(-problem.price(multipliers, states))
+        kept = states[order[: 2 * support + PRICING.spare_states]]
+        states = _together([kept, worse])
+        found = _together([found, worse])
+        now = time.time()
+        if progress is not None:
+            progress(now - began, bound, ceiling)
+        longest = max(longest, now - started)
+        late = now + longest > began + (1 - PRICING.final_time) * time_limit
+        if late or bound > (1 - PRICING.closed) * ceiling:
+            break
+    multipliers = best.repaired(
+        _largest_violation(problem, best, least, found, rng)
+    )
     return Bound(
         value=max(1.0, float(np.sqrt(multipliers.value))),
-        without_repair=max(1.0, float(np.sqrt(search.best.value))),
+        without_repair=max(1.0, float(np.sqrt(best.value))),
         relaxation=problem,
         multipliers=multipliers,
-        assumptions=f"Holds for {kind} of {robot.name} within its position, velocity, acceleration "
-        f"and torque limits, for the unscaled {columns} base columns; numerical, not a proof: "
-        "states that would violate it are searched for by ascent from many starts, not "
-        "exhaustively.",
+        assumptions=f"Holds for any motion of period {period:g} s with {harmonics} harmonics of "
+        f"{robot.name} within its position, velocity, acceleration and torque limits, for the "
+        f"unscaled {columns} base columns; numerical, not a proof: states that would violate it "
+        "are searched for by ascent from many starts, not exhaustively.",
     )
+
+
+def _largest_violation(
+    problem: Relaxation,
+    multipliers: Multipliers,
+    violation: float,
+    found: Motion,
+    rng: np.random.Generator,
+) -> float:
+    """The violation of multipliers that a longer search finds."""
+    for _ in range(PRICING.final_rounds):
+        found = found[np.argsort(-problem.price(multipliers, found))]
+        worse, price = problem.worst(
+            multipliers, found, rng, PRICING.final_starts, PRICING.final_steps
+        )
+        worst = float(price.max(initial=0.0))
+        if worst <= violation:
+            break
+        violation = worst
+        found = _together([found, worse])
+    return violation
 
 
 def bound_of(
@@ -193,104 +221,13 @@ def bound_of(
     )
 
 
-class _Search:
-    """Column generation with the best multipliers so far."""
-
-    def __init__(
-        self, problem: Relaxation, rng: np.random.Generator, states: Motion
-    ) -> None:
-        self.problem = problem
-        self.rng = rng
-        self.states = states
-        self.rounds = 0
-        self.archive = states
-        self.best: Multipliers
-        self.weights: Array
-        self.bound = 0.0
-        self.violation = np.inf
-
-    def run(
-        self, began: float, time_limit: float, progress: BoundProgress | None
-    ) -> None:
-        longest = 0.0
-        while True:
-            started = time.time()
-            ceiling = self.round()
-            now = time.time()
-            if progress is not None:
-                progress(now - began, self.bound, ceiling)
-            longest = max(longest, now - started)
-            late = now + longest > began + (1 - PRICING.final_time) * time_limit
-            if late or self.bound > (1 - PRICING.closed) * ceiling:
-                return
-
-    def round(self) -> float:
-        early = self.rounds < PRICING.loose_rounds
-        tolerance, polish = (
-            (PRICING.loose_gap, 0) if early else (PRICING.gap, PRICING.polish_steps)
-        )
-        self.weights, multipliers = mixture_of(self.problem, self.states, tolerance)
-        starts = self.starts(multipliers, PRICING.starts)
-        states, price = self.problem.worst(
-            multipliers, starts, PRICING.steps, PRICING.polished, polish
-        )
-        violation = float(price.max(initial=0.0))
-        bound = float(np.sqrt(multipliers.value / (1 + violation)))
-        if bound > self.bound:
-            self.best = multipliers
-            self.bound = bound
-            self.violation = violation
-        ceiling = float(np.sqrt(multipliers.value))
-        self.rounds += 1
-        self.exchange(multipliers, states[price > PRICING.added * violation])
-        return ceiling
-
-    def exchange(self, multipliers: Multipliers, states: Motion) -> None:
-        self.archive = _together([self.archive, states])
-        w = self.weights
-        room = 2 * int((w > PRICING.support * w.max()).sum()) + PRICING.spare_states
-        if len(w) > room:
-            order = np.argsort(-self.problem.price(multipliers, self.states))[:room]
-            self.states = self.states[np.sort(order)]
-        self.states = _together([self.states, states])
-
-    def starts(self, multipliers: Multipliers, n: int) -> Array:
-        """Points of the cube: the best-priced n of all ever found, and n random ones."""
-        price = self.problem.price(multipliers, self.archive)
-        near = self.problem.space.cube(self.archive[np.argsort(-price)[:n]])
-        known = near[: len(near) // 2]
-        return np.concatenate(
-            [near, self.problem.promising(multipliers, known, self.rng, n)]
-        )
-
-    def certify(self) -> Multipliers:
-        """The best multipliers, repaired by the violation that a longer search finds."""
-        for _ in range(PRICING.final_rounds):
-            starts = self.starts(self.best, PRICING.final_starts)
-            states, price = self.problem.worst(
-                self.best,
-                starts,
-                PRICING.final_steps,
-                PRICING.polished,
-                PRICING.polish_steps,
-            )
-            worst = float(price.max(initial=0.0))
-            if worst <= self.violation:
-                break
-            self.violation, self.archive = worst, _together([self.archive, states])
-        return self.best.repaired(self.violation)
-
-
 def _seeds(
     robot: Robot,
     rng: np.random.Generator,
     period: float,
-    harmonics: int | None,
+    harmonics: int,
     pool: Sequence[Motion],
 ) -> Motion:
-    if harmonics is None:
-        period = PRICING.seed_period
-        harmonics = PRICING.seed_harmonics
     t = (np.arange(PRICING.seed_states) + 0.5) / PRICING.seed_states * period
     motions = [
         random_trajectory(robot, rng, period, harmonics).at(t)
@@ -315,183 +252,136 @@ def _together(motions: Sequence[Motion]) -> Motion:
     )
 
 
-def mixture_of(
-    problem: Relaxation, states: Motion, tolerance: float
-) -> tuple[Array, Multipliers]:
+def mixture_of(problem: Relaxation, states: Motion) -> tuple[Array, Multipliers]:
     """Weights of the best mixture of states, shape (n,), and its multipliers."""
     M = problem.matrices(states)
     size = np.trace(M, axis1=1, axis2=2) + 1e-9 * problem.unit
     rows = problem.tests.rates(states) * (problem.unit / size)[:, None]
-    M = M / size[:, None, None]
-    weights, mixture = best_mixture(
-        M, rows, bound=PRICING.largest_multiplier, tolerance=tolerance
-    )
+    weights, mixture = best_mixture(M / size[:, None, None], rows)
     return weights / size, replace(mixture, y=mixture.y * problem.unit)
 
 
 def best_mixture(
-    M: Array, rows: Array, *, bound: float = 10.0, tolerance: float = 1e-6
+    M: Array,
+    rows: Array,
+    *,
+    softness: float = SOLVER.softness,
+    tolerance: float = SOLVER.gap,
 ) -> tuple[Array, Multipliers]:
-    """Minimise κ over weights w ≥ 0 of states.
+    """Minimise κ + |Σ w_k a_k|² / 2 softness over w ≥ 0 with I ⪯ Σ w_k M_k ⪯ κ I.
 
-        I ⪯ Σ w_k M_k ⪯ κ I,   Σ w_k a_k = 0 (softly)
-
-    M has the shape (n, r, r), the rows a (n, m), the weights (n,). The dual maximises tr P over
-    P, Q ⪰ 0, tr Q = 1, |y| ≤ bound with ⟨P − Q, M_k⟩ + y·a_k ≤ 0. Primal-dual interior-point
-    method, HKM direction with Mehrotra's corrector (Helmberg, Rendl, Vanderbei, Wolkowicz 1996):
-    its linear system has a row for every state, that of a general conic solver one for every
-    entry of M, which is 50 times slower. Stopped at the tolerance of the relative gap.
+    M has the shape (n, r, r), the rows a (n, m), the weights (n,). The dual maximises
+    tr P − softness |y|² / 2 over P, Q ⪰ 0, tr Q = 1 with ⟨P − Q, M_k⟩ + y·a_k ≤ 0. Primal-dual
+    interior-point method, HKM direction with Mehrotra's corrector (Helmberg, Rendl, Vanderbei,
+    Wolkowicz 1996): its linear system has a row for every state, that of a general conic solver
+    one for every entry of M, which is 50 times slower. Stopped at the tolerance of the relative
+    gap. The weights keep both inequalities all the time, P, Q and y come to keep theirs.
     """
-    n, m = rows.shape
-    programme = _Programme(M, rows, bound)
-    point = best = programme.start()
-    least = np.inf
-    stalled = 0
+    n, r, _ = M.shape
+    one = np.eye(r)
+    low, *_, high = np.linalg.eigvalsh(M.sum(axis=0))
+    point = _Point(
+        np.stack([one, one]) / r,
+        np.ones(n),
+        np.zeros(rows.shape[1]),
+        np.full(n, 2.0 / low),
+        4.0 * high / low,
+    )
     for _ in range(SOLVER.iterations):
-        residual, merit = programme.residual(point)
-        if merit < least:
-            best = point
-            least = merit
-            stalled = 0
-        else:
-            stalled += 1
-        if merit < tolerance or stalled == SOLVER.patience:
+        total = np.tensordot(point.w, M, axes=1)
+        S = np.stack([total - one, point.kappa * one - total])
+        lack = point.slack + rows @ point.y - _against(M, point.X)
+        away = point.w @ rows + softness * point.y
+        gap = point.product(S) / max(1.0, float(np.trace(point.X[0])))
+        if max(gap, np.abs(lack).max(), np.abs(away).max(initial=0.0)) < tolerance:
             break
         try:
-            point = point.moved(programme.newton(point, residual))
+            point = _newton_step(M, rows, softness, point, S)
         except np.linalg.LinAlgError:  # as near to the boundary as numbers go
             break
-    P, Q = best.X / np.trace(best.X[1])
-    y = (best.x[n : n + m] - best.x[n + m : n + 2 * m]) / np.trace(best.X[1])
-    return np.maximum(best.v[:n], 0.0), Multipliers(P, Q, y)
+    size = np.trace(point.X[1])
+    P, Q = point.X / size
+    return point.w, Multipliers(P, Q, point.y / size)
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Primal X = (P, Q) and x, dual slacks S and s, dual variables v; or a direction of them."""
+    """P and Q in X, slack of the dual's inequalities, y, weights, κ; or a direction of them."""
 
     X: Array
-    x: Array
-    S: Array
-    s: Array
-    v: Array
+    slack: Array
+    y: Array
+    w: Array
+    kappa: float
 
-    def mu(self) -> float:
-        order = len(self.x) + 2 * len(self.X[0])
-        return float(np.vdot(self.X, self.S) + self.x @ self.s) / order
-
-    def moved(self, d: _Point) -> _Point:
-        """As far along a direction as it stays inside the cone, primal and dual apart."""
-        primal = min(
-            1.0, SOLVER.step * min(_reach(self.X, d.X), _reach_line(self.x, d.x))
-        )
-        dual = min(
-            1.0, SOLVER.step * min(_reach(self.S, d.S), _reach_line(self.s, d.s))
-        )
-        X = self.X + primal * d.X
-        x = self.x + primal * d.x
+    def moved(self, d: _Point, step: float) -> _Point:
         return _Point(
-            X, x, self.S + dual * d.S, self.s + dual * d.s, self.v + dual * d.v
+            self.X + step * d.X,
+            self.slack + step * d.slack,
+            self.y + step * d.y,
+            self.w + step * d.w,
+            self.kappa + step * d.kappa,
         )
 
+    def product(self, S: Array) -> float:
+        """Complementarity, with S = Σ w M − I and κ I − Σ w M, shape (2, r, r)."""
+        return float(np.vdot(self.X, S) + self.slack @ self.w)
 
-class _Programme:
-    """min ⟨C, X⟩ over A X + L x = b, X ⪰ 0 with X = (P, Q) and x = (s, y⁺, y⁻, u) ≥ 0.
 
-    Equation k: ⟨M_k, Q − P⟩ − a_k·(y⁺ − y⁻) − s_k = 0; equation n: tr Q = 1; the
-    others: y⁺ + y⁻ + u = bound. The dual variables v are the weights, −κ and the prices paid.
-    """
+def _newton_step(
+    M: Array, rows: Array, softness: float, point: _Point, S: Array
+) -> _Point:
+    """The next point: predictor, then corrector, with one factorisation."""
+    X = point.X
+    slack = point.slack
+    w = point.w
+    n = len(w)
+    inverse = np.asarray(np.linalg.inv(S), float)
+    H = np.zeros((n + 1, n + 1))
+    H[:n, :n] = rows @ rows.T / softness + np.diag(slack / w)
+    for left, right in zip(_root(inverse), _root(X), strict=True):
+        F = (left.T @ M @ right).reshape(n, -1)
+        H[:n, :n] += F @ F.T
+    trace = (left.T @ right).ravel()  # of Q and κ I, the second block
+    H[n, :n] = -F @ trace
+    H[:n, n] = -F @ trace
+    H[n, n] = trace @ trace
+    H[np.diag_indices_from(H)] *= 1 + 1e-13
+    factor = scipy.linalg.cho_factor(H, lower=True, check_finite=False)
 
-    def __init__(self, M: Array, rows: Array, bound: float) -> None:
-        n, m = rows.shape
-        self.M = M
-        self.n = n
-        self.flat = M.reshape(n, -1)
-        self.L = np.zeros((n + 1 + m, n + 3 * m))
-        self.L[:n, :n] = -np.eye(n)
-        self.L[:n, n : n + 2 * m] = np.hstack([-rows, rows])
-        self.L[n + 1 :, n:] = np.tile(np.eye(m), 3)
-        self.b = np.concatenate([np.zeros(n), [1.0], np.full(m, bound)])
-        self.C = np.stack([-np.eye(M.shape[1]), np.zeros(M.shape[1:])])
+    def direction(
+        mu: float, second: Array | float, second_line: Array | float
+    ) -> tuple[_Point, Array]:
+        """The direction to a complementarity of mu, and the change of S."""
+        T = _symmetric(mu * inverse - second)
+        t = mu / w - second_line
+        right = t - w @ rows @ rows.T / softness - _against(M, T)
+        right = np.append(right, np.trace(T[1]) - 1)
+        v = scipy.linalg.cho_solve(factor, right, check_finite=False)
+        v += scipy.linalg.cho_solve(factor, right - H @ v, check_finite=False)
+        total = np.tensordot(v[:n], M, axes=1)
+        dS = np.stack([total, v[n] * np.eye(len(total)) - total])
+        dX = T - _symmetric(X @ dS @ inverse) - X
+        dy = -(w + v[:n]) @ rows / softness - point.y
+        return _Point(dX, t - slack * v[:n] / w - slack, dy, v[:n], float(v[n])), dS
 
-    def start(self) -> _Point:
-        r = self.M.shape[1]
-        x = np.ones(self.L.shape[1])
-        x[self.n :] = self.b[-1] / 3
-        one = np.stack([np.eye(r)] * 2)
-        return _Point(
-            one / r,
-            x,
-            SOLVER.slack * one,
-            np.full(len(x), SOLVER.slack),
-            np.zeros(len(self.b)),
-        )
+    def step(d: _Point, dS: Array) -> float:
+        matrices = min(_reach(X, d.X), _reach(S, dS))
+        lines = min(_reach_line(slack, d.slack), _reach_line(w, d.w))
+        return min(1.0, SOLVER.step * min(matrices, lines))
 
-    def forward(self, X: Array, x: Array) -> Array:
-        out: Array = self.L @ x
-        out[: self.n] += self.flat @ (X[1] - X[0]).ravel()
-        out[self.n] += np.trace(X[1])
-        return out
+    first, dS = direction(0.0, 0.0, 0.0)
+    length = step(first, dS)
+    before = point.product(S)
+    after = point.moved(first, length).product(S + length * dS)
+    mu = before / (n + 2 * len(M[0])) * min(1.0, max(after / before, 0.0)) ** 3
+    last, dS = direction(mu, first.X @ dS @ inverse, first.slack * first.w / w)
+    return point.moved(last, step(last, dS))
 
-    def adjoint(self, v: Array) -> tuple[Array, Array]:
-        """Aᵀ v and Lᵀ v."""
-        total = (v[: self.n] @ self.flat).reshape(self.M.shape[1:])
-        return np.stack(
-            [-total, total + v[self.n] * np.eye(len(total))]
-        ), self.L.T @ v
 
-    def residual(self, point: _Point) -> tuple[tuple[Array, Array], float]:
-        """Dual residuals of X and of x, and the distance from optimality."""
-        back, rest = self.adjoint(point.v)
-        dual = self.C - point.S - back
-        line = -point.s - rest
-        primal = self.b - self.forward(point.X, point.x)
-        size = max(float(np.abs(part).max()) for part in (primal, line, dual))
-        product = float(np.vdot(point.X, point.S) + point.x @ point.s)
-        gap = product / max(1.0, abs(float(np.vdot(point.X, self.C))))
-        return (dual, line), max(gap, SOLVER.residual_weight * size)
-
-    def schur(self, X: Array, inverse: Array, ratio: Array) -> Array:
-        """A (X ⊗ S⁻¹) Aᵀ + L diag(ratio) Lᵀ, shape (equations, equations)."""
-        H: Array = (self.L * ratio) @ self.L.T
-        n = self.n
-        for left, right in zip(_root(inverse), _root(X), strict=True):
-            F = (left.T @ self.M @ right).reshape(n, -1)
-            H[:n, :n] += F @ F.T
-        trace = (left.T @ right).ravel()  # of Q, the second block
-        H[n, :n] += F @ trace
-        H[:n, n] += F @ trace
-        H[n, n] += trace @ trace
-        H[np.diag_indices_from(H)] *= 1 + 1e-13
-        return H
-
-    def newton(self, point: _Point, residual: tuple[Array, Array]) -> _Point:
-        """Predictor, then corrector, with one factorisation."""
-        dual, line = residual
-        inverse: Array = np.asarray(np.linalg.inv(point.S), float)
-        H = self.schur(point.X, inverse, point.x / point.s)
-        factor = scipy.linalg.cho_factor(H, lower=True, check_finite=False)
-
-        def direction(
-            target: float, second: Array | float, second_line: Array | float
-        ) -> _Point:
-            T = target * inverse - point.X @ dual @ inverse - second
-            t = target / point.s - point.x * line / point.s - second_line
-            right = self.b - self.forward(_symmetric(T), t)
-            v = scipy.linalg.cho_solve(factor, right, check_finite=False)
-            v += scipy.linalg.cho_solve(factor, right - H @ v, check_finite=False)
-            back, rest = self.adjoint(v)
-            X = _symmetric(T + point.X @ back @ inverse) - point.X
-            x = t + point.x * rest / point.s - point.x
-            return _Point(X, x, dual - back, line - rest, v)
-
-        first = direction(0.0, 0.0, 0.0)
-        mu = point.mu()
-        after = point.moved(first).mu()
-        target = mu * min(1.0, max(after / mu, 0.0)) ** 3
-        return direction(
-            target, first.X @ first.S @ inverse, first.x * first.s / point.s
-        )
+def _against(M: Array, X: Array) -> Array:
+    """⟨M_k, Q − P⟩ of every state, shape (n,)."""
+    return np.asarray(np.tensordot(M, X[1] - X[0], axes=2))
 
 
 def _reach(A: Array, D: Array) -> float:

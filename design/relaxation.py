@@ -14,8 +14,6 @@ from excitant.robots.motion import Array, Motion
 from excitant.robots.robot import Robot
 from excitant.robots.torque import torque
 
-_ONE, _SIN, _COS, _X, _XX = range(5)  # factors of test functions
-
 
 @dataclass(frozen=True)
 class StateSampling:
@@ -23,8 +21,6 @@ class StateSampling:
 
     difference: float = 1e-6
     "Step of finite differences in the cube of states."
-    poses: int = 500
-    "Random poses at which the acceleration that torque allows is evaluated."
     stretchings: int = 25
     "Factors by which time is stretched until torque holds."
     states: int = 1000
@@ -53,8 +49,7 @@ class StateSpace:
         b = min(speed, Ω √(half² − (q − middle)²)),   c = min(acceleration, Ω √(speed² − q̇²)).
 
     For a finite Fourier series with harmonics up to Ω = Hω these are the inequalities of
-    Bernstein and Szegő; for any other motion Ω = ∞. A joint without position limits
-    is not bounded and turns by half = π.
+    Bernstein and Szegő. A joint without position limits is not bounded and turns by half = π.
     """
 
     robot: Robot
@@ -131,14 +126,9 @@ def state_space(robot: Robot, top: float) -> StateSpace:
     half = np.where(bounded, half, np.pi)
     speed = np.minimum(limits.velocity, np.where(bounded, top * half, np.inf))
     acceleration = np.minimum(limits.acceleration, top * speed)
-    if np.isinf(acceleration).any() and np.isfinite(speed).all():
-        acceleration = np.minimum(
-            acceleration, _torque_reach(robot, middle, half, speed)
-        )
     for lacking, why in (
         (~bounded & ~robot.revolute, "slides without position limits"),
         (np.isinf(speed), "has no velocity limit"),
-        (np.isinf(acceleration), "has neither an acceleration nor torque limits"),
     ):
         for j in np.flatnonzero(lacking)[:1]:
             raise BadInput(
@@ -146,24 +136,6 @@ def state_space(robot: Robot, top: float) -> StateSpace:
                 "states it can pass are unlimited; give the limit"
             )
     return StateSpace(robot, middle, half, bounded, speed, acceleration, top)
-
-
-def _torque_reach(robot: Robot, middle: Array, half: Array, speed: Array) -> Array:
-    """Twice the largest acceleration that torque limits leave at random states, shape (nv,)."""
-    rng = np.random.default_rng(0)
-    q = middle + half * rng.uniform(-1, 1, (SAMPLING.poses, robot.nv))
-    dq = speed * rng.uniform(-1, 1, q.shape)
-    units = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.nv))
-    at_rest, *moving = (
-        torque(robot, numbered(q, dq, a)) for a in (np.zeros_like(q), *units)
-    )
-    inverse = np.linalg.inv(np.stack([tau - at_rest for tau in moving], axis=2))
-    with np.errstate(invalid="ignore"):
-        reach = np.einsum(
-            "nij,nj->ni", np.abs(inverse), robot.limits.torque + np.abs(at_rest)
-        )
-    most: Array = 2 * reach.max(axis=0)
-    return np.where(np.isnan(most), np.inf, most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,21 +147,30 @@ class TestFunctions:
     reverse count alike.
     """
 
-    # j, kind of f, and i of each function, shape (m, 3)
-    table: npt.NDArray[np.intp]
-    scale: Array  # that divides them
+    # joints j that turn and that slide, of those on whose position the torque depends
+    turning: npt.NDArray[np.intp]
+    sliding: npt.NDArray[np.intp]
+    scale: Array | float = 1.0  # that divides them
 
     def rates(self, motion: Motion) -> Array:
         """dφ/dt at n states, shape (n, m)."""
-        j, kind, i = self.table.T
-        x = motion.q[:, j]
-        sin = np.sin(x)
-        cos = np.cos(x)
-        one = np.ones_like(x)
-        f = np.choose(kind, [one, sin, cos, x, x * x])
-        df = np.choose(kind, [0 * one, cos, -sin, one, 2 * x])
-        rates: Array = df * motion.dq[:, j] * motion.dq[:, i] + f * motion.ddq[:, i]
-        return rates / self.scale
+        angle = motion.q[:, self.turning]
+        x = motion.q[:, self.sliding]
+        one = np.ones((len(motion), 1))
+        sin = np.sin(angle)
+        cos = np.cos(angle)
+        f = np.hstack([one, sin, cos, x, x * x])
+        slope = np.hstack([0 * one, cos, -sin, np.ones_like(x), 2 * x])
+        j = np.concatenate(
+            [[0], self.turning, self.turning, self.sliding, self.sliding]
+        )
+        df = slope * motion.dq[:, j]
+        rates = (
+            df[:, :, None] * motion.dq[:, None]
+            + f[:, :, None] * motion.ddq[:, None]
+        )
+        scaled: Array = rates.reshape(len(motion), -1) / self.scale
+        return scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +215,7 @@ class Relaxation:
     information: Information  # what is to be made visible
     space: StateSpace  # the feasible states
     odd: npt.NDArray[np.bool_]  # whether each base column is odd in q̇, shape (r,)
-    tests: TestFunctions  # test functions, scaled; none of them for any motion whatever
+    tests: TestFunctions  # test functions, scaled
     unit: float  # typical tr M of a state
 
     def matrices(self, motion: Motion) -> Array:
@@ -259,53 +240,46 @@ class Relaxation:
     def worst(
         self,
         multipliers: Multipliers,
-        starts: Array,
+        known: Motion,
+        rng: np.random.Generator,
+        n: int,
         steps: int,
-        kept: int,
-        polish: int,
     ) -> tuple[Motion, Array]:
-        """States of highest price and their prices, highest first, by ascent from starts (n, 3 nv).
+        """States of highest price and their prices, by some steps of ascent from 2 n starts.
 
-        The best are polished. Torque above its limit is penalised on the way, and time stretched
-        in the end until it holds.
+        Half of them are the first of the states ``known``, the best first, the others random.
+        Torque above its limit is penalised on the way, and time stretched in the end until it
+        holds.
         """
-        u, merit = self._ascend(multipliers, starts, steps)
-        order = np.argsort(-merit)
-        polished = self._ascend(multipliers, u[order[:kept]], polish)[0]
-        u = np.concatenate([polished, u[order[kept:]]])
+        near = self.space.cube(known[:n])
+        u = np.concatenate(
+            [near, self._promising(multipliers, near[: n // 2], rng, n)]
+        )
+        u = self._ascend(multipliers, u, steps)
         motion = self.space.slowed(self.space.motion(u))
-        price = self.price(multipliers, motion)
-        order = np.argsort(-price)
-        return motion[order], price[order]
+        return motion, self.price(multipliers, motion)
 
-    def _ascend(
-        self, multipliers: Multipliers, u: Array, steps: int
-    ) -> tuple[Array, Array]:
-        """Projected gradient ascent: points and merits. Of several steps the best is taken."""
+    def _ascend(self, multipliers: Multipliers, u: Array, steps: int) -> Array:
+        """Points of higher merit by projected gradients, each the best of some lengths."""
         value = self._merit(multipliers, u)
         reach = np.full(len(u), 0.3)
         for _ in range(steps):
             d = self._slope(multipliers, u, value)
             d = np.where((np.abs(u) >= 1) & (d * u > 0), 0.0, d)
             d /= np.maximum(np.abs(d).max(axis=1, keepdims=True), 1e-300)
-            best = u.copy()
-            top = value.copy()
+            here = u
             used = 0.2 * reach
             for factor in SAMPLING.steps:
-                there = np.clip(u + (factor * reach)[:, None] * d, -1, 1)
+                there = np.clip(here + (factor * reach)[:, None] * d, -1, 1)
                 merit = self._merit(multipliers, there)
-                up = merit > top
-                best[up], top[up], used[up] = (
-                    there[up],
-                    merit[up],
-                    factor * reach[up],
-                )
-            u = best
-            value = top
+                up = merit > value
+                u = np.where(up[:, None], there, u)
+                value = np.where(up, merit, value)
+                used = np.where(up, factor * reach, used)
             reach = np.clip(used, 1e-5, 2.0)
-        return u, value
+        return u
 
-    def promising(
+    def _promising(
         self,
         multipliers: Multipliers,
         known: Array,
@@ -347,10 +321,8 @@ def _form(Y: Array, F: Array) -> Array:
     return np.asarray(np.einsum("nij,nij->n", Y @ F, Y))
 
 
-def relaxation(
-    robot: Robot, columns: str, top: float, *, stationary: bool
-) -> Relaxation:
-    """The relaxation up to ``top`` [rad/s]; ``stationary`` says whether E[dφ/dt] = 0 holds."""
+def relaxation(robot: Robot, columns: str, top: float) -> Relaxation:
+    """The relaxation of motions without angular frequencies above ``top`` [rad/s]."""
     visible = information(robot, columns)
     space = state_space(robot, top)
     rng = np.random.default_rng(0)
@@ -358,25 +330,15 @@ def relaxation(
     Y = visible.observation(motion)
     back = visible.observation(numbered(motion.q, -motion.dq, motion.ddq))
     odd = np.abs(Y + back).max(axis=(0, 1)) < np.abs(Y - back).max(axis=(0, 1))
-    factors = [(0, _ONE)]
+    felt = np.zeros(robot.nv, bool)  # not a first joint along gravity
     for j, unit in enumerate(np.eye(robot.nv)):
         moved = visible.observation(
             numbered(motion.q + unit, motion.dq, motion.ddq)
         )
-        # not a first joint along gravity
-        if np.abs(moved - Y).max() > SAMPLING.same * np.abs(Y).max():
-            factors += [
-                (j, kind)
-                for kind in ((_SIN, _COS) if robot.revolute[j] else (_X, _XX))
-            ]
-    table = (
-        [(*factor, i) for factor in factors for i in range(robot.nv)]
-        if stationary
-        else []
-    )
-    tests = TestFunctions(
-        np.reshape(np.array(table, np.intp), (-1, 3)), np.ones(len(table))
-    )
+        felt[j] = np.abs(moved - Y).max() > SAMPLING.same * np.abs(Y).max()
+    turning = np.flatnonzero(felt & robot.revolute)
+    sliding = np.flatnonzero(felt & ~robot.revolute)
+    tests = TestFunctions(turning, sliding)
     tests = replace(tests, scale=np.sqrt((tests.rates(motion) ** 2).mean(axis=0)))
     return Relaxation(
         visible, space, odd, tests, float((Y**2).sum(axis=(1, 2)).mean())
