@@ -65,12 +65,8 @@ class Timing:
     "Linearisations of friction in the squared speed, at most."
     settled: float = 5e-4
     "Relative change of the duration below which they end."
-    blur: float = 2.0
-    "Samples over which a jump of acceleration is spread."
-    tightenings: int = 6
-    "Attempts to hold the limits between samples by lower limits."
-    slowings: int = 15
-    "Further attempts by a lower speed."
+    slowings: int = 46
+    "Attempts to hold the limits between samples by a lower speed."
 
 
 TIMING = Timing()
@@ -78,7 +74,7 @@ TIMING = Timing()
 
 Edge = Callable[[Array, Array], bool]
 Branch = list[Array]  # poses from the root of a tree to one of its nodes
-Dynamics = tuple[Array, Array, Array, Array]  # a, b, smallest and largest c
+Dynamics = tuple[Array, Array, Array]  # a, b and c
 
 
 def approach(
@@ -369,30 +365,14 @@ def _shortened(waypoints: Array, free: Edge, rng: np.random.Generator) -> Array:
 def timed(robot: Robot, path: Path, rate_hz: float, name: str = "timing") -> Motion:
     """The fastest motion along a path from rest to rest, all limits held between samples too.
 
-    Where the samples [Hz] exceed a limit, the speed is computed again under a limit lower by the
-    excess; where that leaves no solution, the motion is slowed down as a whole.
+    Where the samples [Hz] exceed a limit, the motion is slowed down as a whole.
     """
-    tightened = robot
-    blur = TIMING.blur / rate_hz
-    first = profile = time_optimal(robot, path, blur=blur, name=name)
-    for _ in range(TIMING.tightenings):
-        motion = profile.motion(path, rate_hz)
+    profile = time_optimal(robot, path, name=name)
+    for factor in (1.0, *(1 + 1e-3 * 1.25 ** np.arange(TIMING.slowings))):
+        motion = replace(profile, speed=profile.speed / factor).motion(
+            path, rate_hz
+        )
         uses = check(robot, motion).uses[1:4]  # of speed, acceleration and torque
-        if all(use.ratio <= 1 for use in uses):
-            return motion
-        lower: dict[str, Any] = {
-            use.quantity: getattr(tightened.limits, use.quantity)
-            / np.where(use.ratios > 1, use.ratios + 1e-4, 1.0)
-            for use in uses
-        }
-        tightened = tightened.with_limits(replace(tightened.limits, **lower))
-        try:
-            profile = time_optimal(tightened, path, blur=blur, name=name)
-        except Infeasible:
-            break
-    for factor in 1 + 1e-3 * 2.0 ** np.arange(TIMING.slowings):
-        motion = replace(first, speed=first.speed / factor).motion(path, rate_hz)
-        uses = check(robot, motion).uses[1:4]
         if all(use.ratio <= 1 for use in uses):
             return motion
     worst = max(uses, key=lambda use: use.ratio)
@@ -454,14 +434,11 @@ class Profile:
         return Motion(t, path(s), dq * ds, dq * dds + path(s, 2) * ds**2)
 
 
-def time_optimal(
-    robot: Robot, path: Path, *, blur: float = 0.0, name: str = "timing"
-) -> Profile:
+def time_optimal(robot: Robot, path: Path, *, name: str = "timing") -> Profile:
     """Fastest speed along a path from rest to rest, by TOPP-RA (Pham and Pham 2018).
 
     Friction that depends on the speed is linearised in its square at the result before, until
-    the duration settles. Dry friction is taken at its worst over ``blur`` [s] before and after,
-    for it jumps where a joint turns back while the acceleration takes time.
+    the duration settles.
     """
     s = np.linspace(
         0.0, 1.0, max(TIMING.stages, TIMING.stages_per_piece * path.pieces) + 1
@@ -479,7 +456,7 @@ def time_optimal(
     profile = None
     for _ in range(TIMING.passes):
         speed = None if profile is None else profile.speed
-        dynamics = _dynamics(robot, path, s, speed, blur)
+        dynamics = _dynamics(robot, path, s, speed)
         faster = _topp(
             path, s, limits.velocity, (acceleration, limits.torque), dynamics, unit
         )
@@ -499,10 +476,8 @@ def time_optimal(
     return profile
 
 
-def _dynamics(
-    robot: Robot, path: Path, s: Array, speed: Array | None, blur: float
-) -> Dynamics:
-    """a, b, smallest and largest c of τ = a s̈ + b ṡ² + c, each (n, nv) (Bobrow et al. 1985)."""
+def _dynamics(robot: Robot, path: Path, s: Array, speed: Array | None) -> Dynamics:
+    """a, b and c of τ = a s̈ + b ṡ² + c, each (n, nv) (Bobrow et al. 1985)."""
     q = path(s)
     dq = path(s, 1)
     ddq = path(s, 2)
@@ -516,24 +491,13 @@ def _dynamics(
     b = (tau(dq, ddq) + tau(-dq, ddq)) / 2 - rest
     c = static_torque(robot, q, dq)
     if speed is None or not robot.effects:
-        return a, b, c, c
+        return a, b, c
     v = speed[:, None]
     friction = tau(v * dq, v**2 * ddq) - b * v**2 - c
     b = b + np.divide(
         friction, v**2, out=np.zeros_like(b), where=v > 1e-6 * speed.max()
     )
-    reach = np.ceil(blur * speed / (s[1] - s[0])).astype(int)
-    return a, b, -_largest_around(-c, reach), _largest_around(c, reach)
-
-
-def _largest_around(values: Array, reach: npt.NDArray[np.int_]) -> Array:
-    rows = np.arange(len(values))
-    largest = values.copy()
-    for shift in range(1, min(int(reach.max()), len(values)) + 1):
-        for neighbour in (rows - shift, rows + shift):
-            near = np.where(reach >= shift, np.clip(neighbour, 0, rows[-1]), rows)
-            largest = np.maximum(largest, values[near])
-    return largest
+    return a, b, c
 
 
 def _topp(
@@ -548,8 +512,7 @@ def _topp(
     from toppra.algorithm import TOPPRA
     from toppra.constraint import JointVelocityConstraint
 
-    zero = np.zeros((len(s), path.dof))
-    kinematics = (path(s, 1), path(s, 2), zero, zero)
+    kinematics = (path(s, 1), path(s, 2), np.zeros((len(s), path.dof)))
     limits = [
         JointVelocityConstraint(np.minimum(velocity * unit, TIMING.unlimited_speed))
     ]
@@ -573,10 +536,10 @@ def _linear_constraint(dynamics: Dynamics, bound: Array, unit: float) -> Any:
     from toppra.constraint.linear_constraint import canlinear_colloc_to_interpolate
 
     bounded = np.isfinite(bound)
-    a, b, low, high = ((part / bound)[:, bounded] for part in dynamics)
+    a, b, c = ((part / bound)[:, bounded] for part in dynamics)
     a = np.hstack([a, -a]) / unit**2
     b = np.hstack([b, -b]) / unit**2
-    c = np.hstack([high, -low])
+    c = np.hstack([c, -c])
     F = np.eye(a.shape[1])
     g = np.ones(a.shape[1])
     constraint = LinearConstraint()
