@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from excitant.design.search import (
     best_solutions,
     search,
 )
-from excitant.design.trajectory import FourierSeries
+from excitant.design.trajectory import FourierSeries, Trajectory
 from excitant.exceptions import BadInput, BadRobot, UnknownName
 from excitant.processes import connect, processors
 from excitant.robots.geometry import CLEARANCE, Scene, usual_scene
@@ -52,18 +52,6 @@ SceneOption = Scene | tuple[()] | None
 """What to keep clear of; None: the arm's bodies and its floor; an empty tuple: nothing."""
 
 
-def motion_options(search: Search) -> dict[str, Any]:
-    """Options of `build_design`."""
-    names = ("duration", "periods", "harmonics", "criterion", "columns")
-    return {name: getattr(search, name) for name in names}
-
-
-def free_counts(search: Search) -> dict[str, bool]:
-    """What is searched for beside the coefficients."""
-    names = ("periods", "harmonics")
-    return {name: getattr(search, name) == "search" for name in names}
-
-
 @contextmanager
 def effort_of(search: Search, starts: int = STARTS) -> Iterator[Effort]:
     """Budget: the default starts, or as many as fit into the time limit."""
@@ -83,35 +71,32 @@ def effort_of(search: Search, starts: int = STARTS) -> Iterator[Effort]:
 def build_design(
     robot: Robot,
     *,
-    duration: float = 10.0,
-    periods: int | Literal["search"] = "search",
-    harmonics: int | Literal["search"] = 5,
-    criterion: str = "condition",
-    columns: str = "friction",
     noise: npt.ArrayLike | None = None,
     after: Sequence[Motion] = (),
     scene: SceneOption = None,
     clearance: float = CLEARANCE,
+    **options: Any,
 ) -> DesignProblem:
     """State the problem that `design_trajectory` solves, as its search begins."""
+    asked = Search(**options)
     if not robot.phi[::10].any():
         why = "no link has a mass, so no torque is known; add <inertial> elements"
         raise BadRobot(robot.source or robot.name, why)
-    if criterion not in CRITERIA:
-        raise UnknownName("criterion", criterion, CRITERIA)
+    if asked.criterion not in CRITERIA:
+        raise UnknownName("criterion", asked.criterion, CRITERIA)
     if not np.isfinite(clearance) or clearance < 0:
         raise BadInput(f"clearance {clearance} m is not a distance")
     begun = _series(
-        duration,
-        1 if periods == "search" else periods,
-        FEWEST_HARMONICS if harmonics == "search" else harmonics,
+        asked.duration,
+        1 if asked.periods == "search" else asked.periods,
+        FEWEST_HARMONICS if asked.harmonics == "search" else asked.harmonics,
     )
     seen = information(
-        robot, columns, noise=noise, earlier=after, duration=duration
+        robot, asked.columns, noise=noise, earlier=after, duration=asked.duration
     )
     around = usual_scene(robot, clearance) if scene is None else scene or None
     return DesignProblem(
-        seen, criterion, begun, around, clearance + CLEARANCE_MARGIN
+        seen, asked.criterion, begun, around, clearance + CLEARANCE_MARGIN
     )
 
 
@@ -171,37 +156,29 @@ def design_trajectory(
             after=after,
             scene=scene,
             clearance=clearance,
-            **motion_options(asked),
+            **options,
         )
         # refuses what no motion keeps
         initial = first.random(np.random.default_rng([asked.seed, 0]))
         if progress is not None:
             effort = replace(effort, report=_teller(effort.starts, progress))
-        problem, searches = search(
-            first, effort, **free_counts(asked), top_hz=asked.max_frequency
-        )
+        problem, searches = search(first, effort, asked)
     if problem.period != first.period:
         few = replace(problem.series, harmonics=first.series.harmonics)
         begun = replace(problem, series=few)
         initial = begun.random(np.random.default_rng([asked.seed, 0]))
-    candidates = [initial]
-    for z in best_solutions(searches, CANDIDATES):
-        kept = within_limits(used, problem.trajectory(z), first.scene, clearance)
-        if kept is not None:
-            candidates.append(kept)
-    chosen = min(
-        candidates,
-        key=lambda x: objective(
-            problem.information.matrix(dense_motion(x)), asked.criterion
-        ),
-    )
+    candidates = [
+        initial,
+        *map(problem.trajectory, best_solutions(searches, CANDIDATES)),
+    ]
+    chosen = best_within_limits(used, candidates, problem, clearance)
     wall_s = time.time() - began
     seen = replace(problem.information, robot=robot)
     return Design(
         seen,
         asked.criterion,
         initial,
-        chosen,
+        chosen or initial,
         first.scene,
         asked.use,
         searches,
@@ -209,25 +186,41 @@ def design_trajectory(
     )
 
 
+def best_within_limits(
+    robot: Robot,
+    motions: Sequence[Trajectory],
+    problem: DesignProblem,
+    clearance: float,
+) -> Trajectory | None:
+    """The best of motions by the exact criterion, each shrunk into all limits; None without any."""
+    shrunk = (
+        within_limits(robot, motion, problem.scene, clearance) for motion in motions
+    )
+    return min(
+        (motion for motion in shrunk if motion is not None),
+        key=lambda x: objective(
+            problem.information.matrix(dense_motion(x)), problem.criterion
+        ),
+        default=None,
+    )
+
+
 def _teller(total: int | None, progress: Progress) -> Report:
     """Turns the states of the searches into what a progress callback wants."""
     told = np.inf  # criterion of the search
-    exact = np.inf  # and exactly
     condition = np.inf
     ratio = np.inf
     done = 0
 
     def tell(problem: DesignProblem, states: Sequence[SearchState]) -> None:
-        nonlocal told, exact, condition, ratio, done
+        nonlocal told, condition, ratio, done
         state = min(states, key=lambda s: s.best_value)
         if state.best is not None and state.best_value < told:
             told = state.best_value
             trajectory = problem.trajectory(state.best)
             M = problem.information.matrix(dense_motion(trajectory))
-            if (value := objective(M, problem.criterion)) < exact:
-                exact = value
-                condition = condition_number(M)
-                ratio = check(problem.robot, trajectory).worst.ratio
+            condition = condition_number(M)
+            ratio = check(problem.robot, trajectory).worst.ratio
         # periods are tried anew
         done = max(done, sum(state.ended for state in states))
         progress(done, total, condition, ratio)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ import numpy as np
 from excitant import interrupts
 from excitant.design.constraints import within_limits
 from excitant.design.criterion import condition_number, objective
+from excitant.design.options import Search
 from excitant.design.peaks import worst_use
 from excitant.design.problem import DesignProblem
 from excitant.design.step import PENALTY, local_model, solve_step
@@ -261,27 +260,21 @@ class Effort:
 
 
 def search(
-    problem: DesignProblem,
-    effort: Effort,
-    *,
-    periods: bool,
-    harmonics: bool,
-    top_hz: float,
+    problem: DesignProblem, effort: Effort, asked: Search
 ) -> tuple[DesignProblem, Searches]:
     """All searches for a problem, and the problem with the periods and harmonics chosen.
 
     It comes with one period if the number of periods is to be chosen, and with the fewest harmonics
-    if theirs is; neither goes beyond ``top_hz``.
+    if theirs is; neither goes beyond the highest frequency.
     """
-    first = (
-        _most_telling(problem, effort, top_hz)
-        if periods
-        else _MultiStart(problem, effort)
-    )
-    if not harmonics:
+    if asked.periods == "search":
+        first = _most_telling(problem, effort, asked.max_frequency)
+    else:
+        first = _MultiStart(problem, effort)
+    if asked.harmonics != "search":
         return first.problem, first.run()
     first.go_on(effort.share(effort.starts, SERIES_CHOICE.first_time))
-    return _grow(first.problem, first.run(), effort, periods, top_hz)
+    return _grow(first.problem, first.run(), effort, asked)
 
 
 def _most_telling(
@@ -325,8 +318,7 @@ def _grow(
     problem: DesignProblem,
     searches: Searches,
     effort: Effort,
-    periods: bool,
-    top_hz: float,
+    asked: Search,
 ) -> tuple[DesignProblem, Searches]:
     """Searches with harmonics added while κ falls, each from the best solutions before."""
     gain = np.inf
@@ -336,7 +328,7 @@ def _grow(
         and not _interrupted(searches)
     ):
         gain = 0.0
-        for series in _larger(problem.series, periods, top_hz):
+        for series in _larger(problem.series, asked):
             larger = replace(problem, series=series)
             seeds = _seeds(larger, problem, searches)
             starts = effort.starts and len(seeds)
@@ -354,14 +346,13 @@ def _grow(
     return problem, searches
 
 
-def _larger(
-    series: FourierSeries, periods: bool, top_hz: float
-) -> Iterator[FourierSeries]:
+def _larger(series: FourierSeries, asked: Search) -> Iterator[FourierSeries]:
     """More harmonics: to a higher frequency, and to the same in longer and so fewer periods."""
-    harmonics = min(2 * series.harmonics, _most_harmonics(series, top_hz))
+    most = _most_harmonics(series, asked.max_frequency)
+    harmonics = min(2 * series.harmonics, most)
     if harmonics > series.harmonics:
         yield replace(series, harmonics=harmonics)
-    if periods and series.periods > 1:
+    if asked.periods == "search" and series.periods > 1:
         times = 2 if series.periods % 2 == 0 else 3
         finer = replace(series, harmonics=times * series.harmonics)
         yield finer.split(series.periods // times)
@@ -546,18 +537,15 @@ class _MultiStart:
 def _results(
     problem: DesignProblem, tasks: Sequence[Task], effort: Effort
 ) -> Iterable[SearchState]:
-    packed = pickle.dumps(problem)
-    each = [(packed, task, effort.seed, effort.deadline) for task in tasks]
+    each = [(problem, task, effort.seed, effort.deadline) for task in tasks]
     return unordered(_perform, each, effort.jobs, effort.client)
 
 
-_unpacked = lru_cache(maxsize=1)(pickle.loads)
-
-
 @on_one_thread
-def _perform(packed: bytes, task: Task, seed: int, deadline: float) -> SearchState:
-    """The state of a search after its task, on one thread; the problem is packed once for all."""
-    problem: DesignProblem = _unpacked(packed)
+def _perform(
+    problem: DesignProblem, task: Task, seed: int, deadline: float
+) -> SearchState:
+    """The state of a search after its task, on one thread."""
     if not task.state.history:
         if task.state.index >= RESTARTS.fewest_starts and time.time() > deadline:
             # a pose takes long in a big scene

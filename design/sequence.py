@@ -15,20 +15,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from excitant.design.constraints import check, position_range, within_limits
-from excitant.design.criterion import Information, objective
+from excitant.design.constraints import check, position_range
+from excitant.design.criterion import Information
 from excitant.design.export import trajectory_csv, trajectory_json
 from excitant.design.optimal import (
     CANDIDATES,
     SceneOption,
+    best_within_limits,
     build_design,
     effort_of,
-    free_counts,
-    motion_options,
 )
 from excitant.design.options import Search
 from excitant.design.problem import DesignProblem
-from excitant.design.result import Design, dense_motion
+from excitant.design.result import Design
 from excitant.design.search import Report, SearchState, best_solutions, search
 from excitant.design.trajectory import Trajectory
 from excitant.exceptions import Infeasible
@@ -184,7 +183,7 @@ def design_link_by_link(
     asked = Search(**options)
     began = time.time()
     held = robot.with_limits(robot.limits.used(asked.use))
-    common = motion_options(asked) | {"clearance": clearance}
+    common = options | {"clearance": clearance}
     motions: dict[int, Design] = {}
     with effort_of(asked, _STARTS) as effort:
         whole = build_design(robot, scene=scene, **common)
@@ -199,27 +198,27 @@ def design_link_by_link(
                 tell = _teller(progress, robot.links[joint], k, len(joints))
                 part = replace(part, report=tell)
             problem = _problem(held, joint, pose, around, common)
-            problem, searches = search(
-                problem, part, **free_counts(asked), top_hz=asked.max_frequency
-            )
-            initial = problem.random(np.random.default_rng([asked.seed, 0]))
+            problem, searches = search(problem, part, asked)
             drawn = [
-                initial,
+                problem.random(np.random.default_rng([asked.seed, 0])),
                 *map(problem.trajectory, best_solutions(searches, CANDIDATES)),
             ]
-            kept = _keeping(
-                held, [_whole(x, pose) for x in drawn], around, clearance
-            )
+            entire = [_whole(x, pose) for x in drawn]
             seen = _of_link(goal, joint, last == joint)
-            values = [
-                objective(seen.matrix(dense_motion(motion)), asked.criterion)
-                for motion in kept
-            ]
-            chosen = kept[int(np.argmin(values))]
+            aim = replace(whole, information=seen)
+            chosen = best_within_limits(held, entire, aim, clearance)
+            if chosen is None:
+                worst = check(held, entire[0]).worst
+                raise Infeasible(
+                    "link-by-link design",
+                    f"{worst.joint} reaches {100 * worst.ratio:.3g} % of its {worst.quantity} "
+                    "limit, or bodies come too close, while the outer joints are held; relax "
+                    "limits or clearance",
+                )
             motions[joint] = Design(
                 seen,
                 asked.criterion,
-                kept[0],
+                entire[0],
                 chosen,
                 around,
                 asked.use,
@@ -264,24 +263,6 @@ def _of_link(
     return Information(
         robot, information.columns, part, np.eye(robot.nv)[joint], blank
     )
-
-
-def _keeping(
-    robot: Robot,
-    motions: Sequence[Trajectory],
-    scene: Scene | None,
-    clearance: float,
-) -> list[Trajectory]:
-    shrunk = (within_limits(robot, motion, scene, clearance) for motion in motions)
-    kept = [motion for motion in shrunk if motion is not None]
-    if not kept:
-        worst = check(robot, motions[0]).worst
-        raise Infeasible(
-            "link-by-link design",
-            f"{worst.joint} reaches {100 * worst.ratio:.3g} % of its {worst.quantity} limit, or "
-            "bodies come too close, while the outer joints are held; relax limits or clearance",
-        )
-    return kept
 
 
 def _teller(progress: Progress, link: str, stage: int, stages: int) -> Report:
