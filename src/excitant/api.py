@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     )
     from excitant.design.optimal import Progress
     from excitant.identify import (
-        Checked,
         ColumnMap,
         Estimate,
         Knowledge,
@@ -669,23 +668,8 @@ def go(
         arm, holdout, repaired=repair, known=checked.of_the_arm
     )
     notes = (*parked.notes, *checked.notes, *held.notes)
-    return examined(
-        arm, checked, held, cutoff=cutoff, progress=progress, notes=notes
-    )
-
-
-def examined(
-    robot: Robot,
-    checked: Checked,
-    held: Checked,
-    *,
-    cutoff: float | None,
-    progress: Told,
-    notes: Sequence[str],
-) -> Examination:
-    """`go` of recordings to fit and to judge on, whose faults are known."""
     return analysis.examine(
-        robot,
+        arm,
         checked.recordings,
         validate=held.recordings,
         cutoff_hz=cutoff,

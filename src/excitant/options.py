@@ -188,8 +188,6 @@ class Readings:
 
     Attributes:
         robot: The robot, with the joints held that stand in what is fitted.
-        checked: Recordings to fit, with their faults.
-        held: Recordings to judge on, likewise.
         fit: Recordings to fit.
         holdout: Recordings to judge on; empty when none is named.
         notes: Remarks on joints that stand, and on repairs, as sentences.
@@ -202,8 +200,6 @@ class Readings:
             dataset.robot, dataset.robot
         )
         self.robot = self._parked.robot
-        self.checked = checked
-        self.held = held
         self.fit = list(checked.recordings)
         self.holdout = list(held.recordings)
         self.notes = [*self._parked.notes, *checked.notes, *held.notes]

@@ -250,11 +250,12 @@ def go(
     dataset = part.dataset(robot, data.map)
     read = data.read(dataset, recordings)
     with progress_bar("go") as advance, read.blamed():
-        examined = ex.api.examined(
+        examined = ex.analysis.examine(
             read.robot,
-            read.checked,
-            read.held,
-            cutoff=data.cutoff,
+            read.fit,
+            validate=read.holdout,
+            cutoff_hz=data.cutoff,
+            faults=read.entries["faults"],
             notes=read.notes,
             progress=advance,
         )
