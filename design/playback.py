@@ -24,7 +24,6 @@ from excitant.robots.robot import Robot
 
 _FRAMES_HZ = 50.0  # rate
 _FRAMES = 5000  # and no more frames than that
-_APART = 1e-3  # s: frames nearer to a moment that must be shown give way to it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,11 +66,8 @@ class Playback:
         marks = [use.times[use.ratios >= TOUCHED] for use in self.limits.uses]
         if self.clearance is not None:
             marks.append(np.array([self.clearance.time]))
-        kept = np.unique(np.concatenate(marks))
         t = np.linspace(start, end, max(count, 2))
-        beside = np.abs(t[:, None] - kept).min(axis=1, initial=np.inf) < _APART
-        beside[[0, -1]] = False
-        return path.at(np.union1d(t[~beside], kept))
+        return path.at(np.union1d(t, np.concatenate(marks)))
 
     def result(self) -> dict[str, Any]:
         """Entries of ``result.json`` on the arm, its limits, and what it is to keep clear of."""

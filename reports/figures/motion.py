@@ -24,7 +24,6 @@ from excitant.reports.figure import (
     Line,
     Mark,
     Panel,
-    Points,
     Rule,
     Span,
     Timeline,
@@ -58,9 +57,8 @@ _BELOW = 28  # px of the time axis
 _NEAR = 0.15  # share of a limit from which on the limit is drawn in
 
 _CERTIFIED = (
-    "Every joint's motion in its own units. The shaded band bounds the continuous motion, which "
-    "touches it at the marked instant; a limit holds where the band ends inside the dashed lines "
-    "(a limit far outside is only written)."
+    "Every joint's motion in its own units. The shaded band bounds the continuous motion: a limit "
+    "holds where it ends inside the dashed lines (a limit far outside is only written)."
 )
 _SAMPLED = (
     "Every joint's motion in its own units, and the largest share of each limit over the samples "
@@ -124,7 +122,6 @@ def motion_figure(
     if limits.certified:
         caption = _CERTIFIED
         legend.append(Key("box", BAND, "certified envelope"))
-        legend.append(Key("ring", MEASURED, "where it is touched"))
     return figure(panels, caption, legend)
 
 
@@ -154,7 +151,7 @@ def _panel(
         if row.name in curves:
             y = curves[row.name]
             curve = Line(timeline.t, timeline.broken(y), row.colour, row.name)
-            context, remark = _context(timeline, t, y, row, limits, k)
+            context, remark = _context(y, row, limits, k)
             marks = [*context, curve]
             remarks.append(f"{row.name} {remark}")
         last = row is rows[-1]
@@ -167,8 +164,6 @@ def _panel(
 
 
 def _context(
-    timeline: Timeline,
-    t: Array,
     y: Array,
     quantity: _Quantity,
     limits: Limits,
@@ -188,13 +183,6 @@ def _context(
         marks.append(Span(low, high, quantity.colour))
         lowest = min(lowest, low)
         highest = max(highest, high)
-        near = int(np.abs(t - envelope.t).argmin())
-        touched = low if abs(y[near] - low) < abs(y[near] - high) else high
-        at = np.array([envelope.t + timeline.t[0] - t[0]])
-        edge = np.array([touched])
-        marks.append(
-            Points(at, edge, quantity.colour, "envelope touched", 5.5, "ring")
-        )
     if ends is None:
         return marks, "no limit" if ratio is None else _of_limit(ratio)
     lower, upper = ends
