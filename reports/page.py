@@ -77,17 +77,6 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Matrix:
-    """Categories by row and column, e.g. parameters by link; legend: category and its meaning."""
-
-    corner: str
-    columns: Sequence[str]
-    rows: Sequence[tuple[str, Sequence[str]]]
-    caption: str
-    legend: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
 class Fact:
     """One figure of merit in words, and the number by which runs are compared, if it is one.
 
@@ -154,7 +143,7 @@ class Folded:
     closed: bool = False
 
 
-Block = Table | Figure | Matrix | Player | Facts | Notes | Folded
+Block = Table | Figure | Player | Facts | Notes | Folded
 Blocks = list["Block | tuple[str, Blocks] | None"]
 """What stands in a part; a title with blocks is a part within it."""
 Parts = list[tuple[str, Blocks]]

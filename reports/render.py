@@ -19,7 +19,6 @@ from excitant.reports.page import (
     Block,
     Facts,
     Folded,
-    Matrix,
     Notes,
     Page,
     Player,
@@ -223,16 +222,6 @@ def _block(block: Block) -> list[str]:
         case Player():
             return [
                 f"    {moment.t:.4g} s  {moment.words}" for moment in block.moments
-            ]
-        case Matrix():
-            return [
-                f"    {name:<{_LABEL}}   "
-                + ", ".join(
-                    f"{c} {k}"
-                    for c, k in zip(block.columns, kinds, strict=True)
-                    if k
-                )
-                for name, kinds in block.rows
             ]
         case Folded():
             return [

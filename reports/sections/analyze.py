@@ -26,11 +26,6 @@ _CATEGORY = {
     "combined": ("in\u00a0combination", p.FAIR),
     "unidentifiable": ("not\u00a0at\u00a0all", p.POOR),
 }
-_LEGEND = (
-    ("unique", "identifiable by itself"),
-    ("combined", "only in combination"),
-    ("none", "not identifiable"),
-)
 
 
 def analyze_section(result: Analyze, series: Series) -> p.Section:
@@ -50,7 +45,7 @@ def analyze_section(result: Analyze, series: Series) -> p.Section:
                 ],
             ),
             ("Data faults", [fault_table(result.faults)]),
-            ("Parameters by link", [_matrix(links)]),
+            ("Parameters by link", [_by_link(links)]),
             ("Singular values", [_singular(result)]),
             ("With the given motion", _motion(result, series)),
         ],
@@ -158,23 +153,28 @@ def _basis(result: Analyze) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
-def _matrix(links: list[LinkIdentifiability]) -> p.Matrix | None:
+def _by_link(links: list[LinkIdentifiability]) -> p.Table | None:
+    """The categories of each link's ten parameters."""
     shared = {n for k in links for row in k.combined for n in row.members}
 
-    def shown_as(link: LinkIdentifiability, symbol: str) -> str:
-        names = {f"{link.link}.{symbol}", symbol}
-        if names & set(link.unique):
-            return "unique"
-        if names & set(link.unidentifiable):
-            return "none"
-        return "combined" if names & shared else ""
+    def column(symbol: str) -> p.Column:
+        def category(link: LinkIdentifiability) -> p.Cell:
+            names = {f"{link.link}.{symbol}", symbol}
+            if names & set(link.unique):
+                return p.Cell("alone", p.GOOD)
+            if names & set(link.unidentifiable):
+                return p.Cell("no", p.POOR)
+            return p.Cell("sums", p.FAIR) if names & shared else p.Cell("")
 
-    rows = [(link.link, [shown_as(link, s) for s in STANDARD]) for link in links]
-    caption = (
-        "Each link's ten parameters: mass m [kg], first moment mc [kg·m], inertia I [kg·m²] about "
-        "the joint frame; links near the base show few of theirs because they move little."
+        return f"text:{symbol}", category
+
+    return p.table(
+        links,
+        [("name:Link", "link"), *map(column, STANDARD)],
+        "Each link's ten parameters, identifiable alone, only in sums (combinations), or not: mass "
+        "m [kg], first moment mc [kg·m], inertia I [kg·m²] about the joint frame; links near the "
+        "base show few of theirs because they move little.",
     )
-    return p.Matrix("Link", STANDARD, rows, caption, _LEGEND) if links else None
 
 
 def _singular(result: Analyze) -> p.Table | None:
