@@ -21,7 +21,7 @@ from excitant.design.constraints import (
     position_range,
     within_limits,
 )
-from excitant.design.feasible import random_trajectory, torque_use
+from excitant.design.feasible import torque_use
 from excitant.design.trajectory import (
     FourierSeries,
     Trajectory,
@@ -41,11 +41,8 @@ from excitant.robots.threads import on_one_thread
 
 DURATION_S = 20.0  # of a motion
 MOST_MOTIONS = 3
-SCREENED = 48  # motions that are judged
-REFINEMENTS = 48  # at most
-SCREENING_SHARE = 0.5  # of the time limit
+DRAWN = 96  # motions that are judged
 TOP_HZ = 2.5  # fastest reversals
-WAVE_HARMONICS = (3, 5, 10, 20)  # of random motions
 HELD_PROBABILITY = 0.5  # of a joint of no interest
 SMALLEST_SHARE = 0.01  # of the limits: smallest movement of a joint of interest
 SHRINKS = 6
@@ -78,19 +75,20 @@ def discriminating_motions(
 ) -> tuple[list[Discriminating], Array]:
     """Motions that separate rivals, and the largest Δ found for each pair, shape (pairs,).
 
-    The best motion is improved by random changes until its smallest Δ is ample; pairs that it
-    leaves open get another. Bodies of a scene must keep their clearance. A time limit [s] ends the
-    search earlier, where depends on the machine.
+    The best of the motions drawn is taken; pairs that it leaves open get another. Bodies of a
+    scene must keep their clearance. A time limit [s] ends the search earlier, where depends on
+    the machine.
     """
     deadline = time.monotonic() + time_limit
-    series = FourierSeries(
-        DURATION_S, max(*WAVE_HARMONICS, round(TOP_HZ * DURATION_S))
+    recorded = [segment.motion for segment in contest.recorded]
+    search = _Search(
+        contest,
+        _within_recording(contest.robot, recorded),
+        FourierSeries(DURATION_S, round(TOP_HZ * DURATION_S)),
+        scene,
+        rng,
     )
-    robot = _within_recording(
-        contest.robot, [segment.motion for segment in contest.recorded]
-    )
-    search = _Search(contest, robot, series, scene, rng)
-    pool = search.screened(time.monotonic() + SCREENING_SHARE * time_limit)
+    pool = search.pool(deadline)
     highest = np.max(
         [np.zeros(len(contest.pairs)), *(m.deltas for m in pool)], axis=0
     )
@@ -98,18 +96,9 @@ def discriminating_motions(
     motions = list[Discriminating]()
     while open_.any() and len(motions) < MOST_MOTIONS:
         best = search.best(pool, open_)
-        served = (
-            open_ & (best.deltas > DISCRIMINATION.hopeless)
-            if best is not None
-            else open_ & False
-        )
-        if best is None or not served.any():
+        if best is None or best.deltas[open_].max() <= DISCRIMINATION.hopeless:
             break
-        shares = MOST_MOTIONS - len(motions) if (open_ & ~served).any() else 1
-        left = max(deadline - time.monotonic(), 0.0)
-        best = search.improved(best, served, time.monotonic() + left / shares)
-        counted = contest.counted(search.information(best.trajectory))
-        motions.append(replace(best, separations=tuple(counted)))
+        motions.append(best)
         open_ &= (best.deltas < needed()) & (
             highest > DISCRIMINATION.much_better * best.deltas
         )
@@ -137,90 +126,43 @@ class _Search:
         t = np.linspace(0.0, self.series.period, 8 * self.series.harmonics + 1)
         return t, [self.series.basis(t, order) for order in range(4)]
 
-    def screened(self, until: float) -> list[Discriminating]:
-        """Motions of all kinds in turn, judged; those that cannot meet the limits are left out."""
+    def pool(self, until: float) -> list[Discriminating]:
+        """Motions of both kinds, judged; those that cannot meet the limits are left out."""
         pool: list[Discriminating] = []
-        for k in range(SCREENED):
-            drawn = (
-                self._sweep()
-                if k % 4
-                else self._random(WAVE_HARMONICS[k // 4 % len(WAVE_HARMONICS)])
-            )
+        for k in range(DRAWN):
+            # every fourth has all joints oscillate
+            drawn = self._drawn(self._interest if k % 4 else frozenset())
             if drawn is not None:
-                pool.append(self.judged(drawn))
+                information = self._information(drawn)
+                separations = self.contest.separations(information)
+                pool.append(Discriminating(drawn, tuple(separations)))
             if pool and time.monotonic() > until:
                 break
         return pool
 
-    def information(self, trajectory: Trajectory) -> Array:
+    def best(
+        self, pool: list[Discriminating], open_: Array
+    ) -> Discriminating | None:
+        """The motion that best separates the open pairs within the limits, out of a pool."""
+        while pool:
+            motion = max(pool, key=lambda m: _worth(m.deltas[open_]))
+            pool.remove(motion)
+            feasible = within_limits(
+                self.robot, motion.trajectory, self.scene, CLEARANCE
+            )
+            if feasible is not None:
+                counted = self.contest.counted(self._information(feasible))
+                return Discriminating(feasible, tuple(counted))
+        return None
+
+    def _information(self, trajectory: Trajectory) -> Array:
         t, bases = self.instants
         motion = Motion(t, *(basis @ trajectory.coefficients for basis in bases))
         return self.contest.information(motion)
 
-    def judged(self, trajectory: Trajectory) -> Discriminating:
-        separations = self.contest.separations(self.information(trajectory))
-        return Discriminating(trajectory, tuple(separations))
-
-    def best(
-        self, pool: list[Discriminating], open_: Array
-    ) -> Discriminating | None:
-        """The motion of a pool that best separates the open pairs within the limits."""
-        for motion in sorted(pool, key=lambda m: -_worth(m.deltas[open_])):
-            if (
-                self._clear(motion.trajectory)
-                and self._shrunk(motion.trajectory) is not None
-            ):
-                return motion
-        return None
-
-    def improved(
-        self, motion: Discriminating, served: Array, until: float
-    ) -> Discriminating:
-        """A motion whose smallest Δ among the pairs it serves is larger, by random changes."""
-        step = 0.5
-        steps = [motion]
-        for _ in range(REFINEMENTS):
-            least = motion.deltas[served].min()
-            if least > DISCRIMINATION.plenty * needed() or time.monotonic() > until:
-                break
-            changed = self._changed(motion.trajectory, step)
-            other = None if changed is None else self.judged(changed)
-            if other is not None and other.deltas[served].min() > least:
-                motion = other
-                step = min(1.5 * step, 1.0)
-                steps.append(motion)
-            else:
-                step = max(0.85 * step, 0.05)
-        for motion in reversed(steps):
-            if (feasible := self._shrunk(motion.trajectory)) is not None:
-                return (
-                    motion
-                    if feasible is motion.trajectory
-                    else self.judged(feasible)
-                )
-        return steps[0]
-
-    def _shrunk(self, trajectory: Trajectory) -> Trajectory | None:
-        return within_limits(self.robot, trajectory, self.scene, CLEARANCE)
-
-    def _clear(self, trajectory: Trajectory) -> bool:
-        if self.scene is None:
-            return True
-        poses = trajectory(np.linspace(0.0, trajectory.period, CHECKED_POSES))
-        return bool(self.scene.distances(poses).min() > CLEARANCE)
-
-    def _random(self, harmonics: int) -> Trajectory | None:
-        series = self.series
-        try:
-            drawn = random_trajectory(
-                self.robot, self.rng, series.period, harmonics
-            )
-        except Infeasible:
-            return None
-        return series.trajectory(series.nearest(drawn))
-
-    @property
-    def _interest(self) -> set[int]:
+    @cached_property
+    def _interest(self) -> frozenset[int]:
+        """Joints of the causes that do not act on all, or all joints."""
         joints: set[int] = set()
         for pair in self.contest.pairs:
             for effect in (pair.found, pair.rival):
@@ -228,52 +170,33 @@ class _Search:
                     joints |= {
                         self.robot.joint_index(joint) for joint in effect.joints
                     }
-        return joints or set(range(self.robot.nv))
+        return frozenset(joints or range(self.robot.nv))
 
-    def _sweep(self) -> Trajectory | None:
-        """Joints of interest reverse within a swelling envelope; the others rest or oscillate."""
+    def _drawn(self, interest: frozenset[int]) -> Trajectory | None:
+        """Joints of interest reverse within a swelling envelope; the others rest or oscillate.
+
+        All joints oscillate where none is of interest.
+        """
         series = self.series
+        rng = self.rng
         middle, half = position_range(self.robot.limits)
         for _ in range(DRAWS):
             X = np.zeros((series.size, self.robot.nv))
             share = np.zeros(self.robot.nv)
             for j in range(self.robot.nv):
-                if j in self._interest:
-                    X[:, j] = _envelope(series, self.rng)
-                    share[j] = np.exp(self.rng.uniform(np.log(SMALLEST_SHARE), 0.0))
-                elif self.rng.uniform() > HELD_PROBABILITY:
-                    X[:, j] = _wave(series, self.rng)
-                    share[j] = self.rng.uniform(0.3, 1.0)
-            pose = middle + self.rng.uniform(-0.8, 0.8, self.robot.nv) * half
+                if j in interest:
+                    X[:, j] = _envelope(series, rng)
+                    share[j] = np.exp(rng.uniform(np.log(SMALLEST_SHARE), 0.0))
+                elif not interest or rng.uniform() > HELD_PROBABILITY:
+                    X[:, j] = _wave(series, rng)
+                    share[j] = rng.uniform(0.3, 1.0)
+            pose = middle + rng.uniform(-0.8, 0.8, self.robot.nv) * half
             if (fitted := self._fitted(X, pose, share)) is not None:
                 return fitted
         return None
 
-    def _changed(self, trajectory: Trajectory, step: float) -> Trajectory | None:
-        series = self.series
-        rng = self.rng
-        X = trajectory.coefficients.copy()
-        half = position_range(self.robot.limits)[1]
-        pose = X[0] + step * 0.3 * half * rng.normal(size=self.robot.nv) * (
-            rng.uniform() < 0.5
-        )
-        X[0] = 0.0
-        for j in range(self.robot.nv):
-            if rng.uniform() < 0.5:
-                X[:, j] *= np.exp(step * rng.normal())
-            if rng.uniform() < 0.3:
-                fresh = (
-                    _envelope(series, rng)
-                    if rng.uniform() < 0.5
-                    else _wave(series, rng)
-                )
-                X[:, j] += step * rng.uniform() * np.linalg.norm(X[:, j]) * fresh
-        return self._fitted(X, pose)
-
-    def _fitted(
-        self, X: Array, pose: Array, share: Array | None = None
-    ) -> Trajectory | None:
-        """A movement about a pose, made as large as a share of the limits, or to keep them."""
+    def _fitted(self, X: Array, pose: Array, share: Array) -> Trajectory | None:
+        """A movement about a pose, made as large as a share of the limits."""
         t, bases = self.samples
         middle, half = position_range(self.robot.limits)
         bound = kinematic_limits(self.robot.limits)[1].copy()
@@ -282,8 +205,7 @@ class _Search:
         reach = np.array([np.abs(basis @ X).max(axis=0) for basis in bases])
         with np.errstate(divide="ignore", invalid="ignore"):
             room = np.where(reach > 0, bound / reach, np.inf).min(axis=0)
-        room = np.where(np.isfinite(room), SAMPLED_SHARE * room, 0.0)
-        X = X * (np.minimum(room, 1.0) if share is None else share * room)
+        X = X * share * np.where(np.isfinite(room), SAMPLED_SHARE * room, 0.0)
         for _ in range(SHRINKS):
             whole = X + self.series.constant(pose)
             use = torque_use(
@@ -295,10 +217,14 @@ class _Search:
             X = X * 0.7
         return None
 
+    def _clear(self, trajectory: Trajectory) -> bool:
+        if self.scene is None:
+            return True
+        poses = trajectory(np.linspace(0.0, trajectory.period, CHECKED_POSES))
+        return bool(self.scene.distances(poses).min() > CLEARANCE)
+
 
 def _worth(deltas: Array) -> float:
-    if not len(deltas):
-        return -np.inf
     return float(
         np.log(np.clip(deltas, 0.1, DISCRIMINATION.plenty * needed())).sum()
     )
