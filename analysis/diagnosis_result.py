@@ -13,6 +13,7 @@ from excitant.analysis.evidence_figure import curve_of
 from excitant.analysis.explanation import (
     Item,
     at_rest,
+    coefficients,
     explained_by,
     placeholders,
     sentence,
@@ -26,7 +27,6 @@ from excitant.analysis.residuals import Residual
 from excitant.analysis.selection import Rival
 from excitant.analysis.thresholds import VERDICT
 from excitant.identify.accuracy import Accuracy
-from excitant.identify.rows import told
 from excitant.robots.effects import Effect, separating_experiment
 
 if TYPE_CHECKING:
@@ -212,28 +212,18 @@ def _rival(effect: Effect, rival: Rival, plan: Plan) -> Entry:
 
 def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
     effect = finding.effect
-    robot = diagnosis.robot
-    drive = diagnosis.drive
     named = finding.verdict == "named"
-    rows = zip(
-        effect.parameters(robot) if effect.values else (),
-        effect.values or (),
-        finding.nominal,
-        finding.std.tolist(),
-        np.sqrt(np.diag(finding.covariance)).tolist(),
-        strict=True,
-    )
-    for p, value, nominal, std, std_by_fit in rows:
-        factor, unit = told(p, robot, drive)
-        # amperes do not depend on the gain
-        known = std if factor == 1 else factor * std_by_fit
+    value, nominal, covariance, units = coefficients(finding, diagnosis)
+    names = [p.name for p in effect.parameters(diagnosis.robot)][: len(value)]
+    for k, name in enumerate(names):
+        # torque shows a link only together with others; an undecided cause may be absent
+        known = named and effect.role != "link"
         yield {
-            "name": p.name,
-            "value": factor * value,
-            "given": factor * nominal,
-            "unit": unit,
-            # torque shows a link only together with others; an undecided cause may be absent
-            "std": known if named and effect.role != "link" else None,
+            "name": name,
+            "value": float(value[k]),
+            "given": float(nominal[k]),
+            "unit": units[k],
+            "std": float(np.sqrt(covariance[k, k])) if known else None,
         }
     for s in effect.search.shapes:
         if s.positive and not s.trial:
@@ -241,7 +231,7 @@ def _parameters(finding: Finding, diagnosis: Diagnosis) -> Iterator[Entry]:
                 "name": f"{effect.joints[0]}.{s.name}",
                 "value": getattr(effect, s.name),
                 "std": vars(effect).get("std") or None if named else None,
-                "unit": effect.shape_unit(robot, s),
+                "unit": effect.shape_unit(diagnosis.robot, s),
             }
 
 

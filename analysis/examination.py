@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from excitant.analysis.diagnosis import Diagnosis, diagnose
-from excitant.analysis.explanation import main_cause, percent
+from excitant.analysis.explanation import percent, placeholders
 from excitant.analysis.identifiability import Identifiability, analyze
 from excitant.analysis.publication import extended_publication
 from excitant.identify.accuracy import Accuracy
@@ -111,7 +111,6 @@ class Examination(Shown):
                 "The recordings are wrong, and so is what they say of any model."
             ]
         given, identified, extended = map(self._misses, self.accuracies.values())
-        cause = main_cause(self.diagnosis, self.results["diagnose"]["findings"])
         advice = (
             "Keep the given model: no other is better"
             if self.use
@@ -134,9 +133,26 @@ class Examination(Shown):
         return [
             f"Of the torque, the given model misses {given}, the identified one {identified}, the "
             f"extended one {extended}.",
-            f"Main cause: {cause}.",
+            f"Main cause: {self._cause}.",
             f"{advice}.",
         ]
+
+    @property
+    def _cause(self) -> str:
+        """The main finding with its verdict in brackets."""
+        if note := placeholders(self.diagnosis):
+            return note.partition(":")[0]
+        findings = self.results["diagnose"]["findings"]
+        if not findings:
+            return "none stands out; values are off within their tolerance"
+        lead = findings[0]
+        if lead["verdict"] == "unknown":
+            return "none that is known"
+        alike = [
+            f": {plain(rival['effect'])} at {', '.join(rival['joints'])} would look the same"
+            for rival in lead["rivals"]
+        ]
+        return f"{lead['sentence']} ({lead['verdict']}{''.join(alike[:1])})"
 
     def _misses(self, accuracy: Accuracy) -> str:
         """The error of a model in words, with that of a joint which stands out."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from excitant.analysis.residuals import Residual
 from excitant.analysis.thresholds import EVIDENCE, VERDICT
 from excitant.identify.rows import told
 from excitant.robots.effects import Size, plain, standard_effects
+from excitant.robots.motion import Array
 
 if TYPE_CHECKING:
     from excitant.analysis.confirmation import Finding
@@ -188,50 +189,15 @@ def headline(diagnosis: Diagnosis) -> str:
         return unexplained(items[0].residuals, diagnosis)
     further = len(items) - 1
     more = f" {further} more finding{'s' * (further > 1)} below." if further else ""
-    if note := placeholders(diagnosis):
-        apart = _apart_from("inertias", diagnosis.groups, diagnosis)
-        return (
-            f"{note.partition('. ')[0]}. With {_everything(diagnosis)}{apart}{more}"
-        )
-    if _mostly_missing_friction(diagnosis):
-        return _no_friction(diagnosis)
     before, after = diagnosis.before_and_after(lead)
-    gain = (
-        f"hold-out error {before:.2g} → {after:.2g} {diagnosis.unit(lead[0].joint)}"
+    unit = diagnosis.unit(lead[0].joint)
+    cause = (
+        f"{sentence(lead, diagnosis)}; hold-out error {before:.2g} → {after:.2g} {unit}."
+        f"{_reservation(lead, diagnosis)}{more}"
     )
-    return (
-        f"{sentence(lead, diagnosis)}; {gain}.{_reservation(lead, diagnosis)}{more}"
-    )
-
-
-def main_cause(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
-    """The main finding in a few words, with its verdict in brackets.
-
-    ``findings`` are the entries of its result.
-    """
-    items = diagnosis.ordered
-    if not items:
-        return "none stands out; values are off within their tolerance"
-    lead = items[0].findings
-    if not lead:
-        return "none that is known"
-    if note := placeholders(diagnosis).partition(", which")[0]:
-        return f"{note[0].lower()}{note[1:]}, as placeholders do"
-    entry = findings[0]
-    cause = sentence(lead, diagnosis)
-    joints = entry["joints"]
-    if len(lead) > 1:
-        where = (
-            "all joints" if len(joints) == diagnosis.robot.nv else ", ".join(joints)
-        )
-        cause = f"{plain(entry['effect'])} missing or wrong at {where}"
-    rivals = entry["rivals"]
-    alike = ""
-    if rivals:
-        first = f"{plain(rivals[0]['effect'])} at {', '.join(rivals[0]['joints'])}"
-        others = " or more" if len(rivals) > 1 else ""
-        alike = f": {first}{others} would look the same"
-    return f"{cause} ({entry['verdict']}{alike})"
+    if note := placeholders(diagnosis):
+        return f"{note.partition(':')[0]}. Besides inertias: {cause}"
+    return cause
 
 
 def percent(share: float) -> str:
@@ -281,23 +247,38 @@ def sentence(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     return text
 
 
-def sizes(finding: Finding, diagnosis: Diagnosis) -> tuple[Size, ...]:
-    """How large a cause is, in amperes where nothing fixes the gains of the drives."""
+class Coefficients(NamedTuple):
+    """Coefficients of a cause, in amperes where nothing fixes the gains of the drives."""
+
+    value: Array  # shape (k,)
+    nominal: Array  # shape (k,)
+    covariance: Array  # shape (k, k)
+    units: list[str]
+
+
+def coefficients(finding: Finding, diagnosis: Diagnosis) -> Coefficients:
+    """The coefficients of a cause; none of a fault of the data, or of another law."""
     robot = diagnosis.robot
-    effect = finding.effect
-    parameters = effect.parameters(robot)
-    if not effect.values:  # a fault of the data, or another law
-        return ()
+    values = np.array(finding.effect.values or ())
+    parameters = finding.effect.parameters(robot)[: len(values)]
     scales = [told(p, robot, diagnosis.drive) for p in parameters]
     factors = np.array([factor for factor, _ in scales])
+    # amperes do not depend on the gain
     by_gains = np.where(factors == 1, finding.by_gains, 0.0)
     covariance = finding.covariance + np.outer(by_gains, by_gains)
-    found = effect.sizes(
-        factors * np.array(effect.values),
-        factors * np.array(finding.nominal),
+    return Coefficients(
+        factors * values,
+        factors * finding.nominal,
         np.outer(factors, factors) * covariance,
         [unit for _, unit in scales],
     )
+
+
+def sizes(finding: Finding, diagnosis: Diagnosis) -> tuple[Size, ...]:
+    """How large a cause is."""
+    if not finding.effect.values:
+        return ()
+    found = finding.effect.sizes(*coefficients(finding, diagnosis))
     if finding.verdict == "named":
         return found
     return tuple(replace(size, std=np.nan) for size in found)
@@ -337,53 +318,3 @@ def _reservation(group: Sequence[Finding], diagnosis: Diagnosis) -> str:
     some = "all of them" if count == len(group) else f"{count} of them"
     names = " or ".join(plain(name) for name in sorted(rivals)[:2])
     return f" At {some}, {names} would look the same."
-
-
-def _mostly_missing_friction(diagnosis: Diagnosis) -> bool:
-    if not diagnosis.no_friction:
-        return False
-    shares = {f: max(f.explained, 0.0) for f in diagnosis.findings}
-    friction = sum(x for f, x in shares.items() if f.effect.family == "friction")
-    return friction > 0.5 * sum(shares.values())
-
-
-def _everything(diagnosis: Diagnosis) -> str:
-    before = percent(float(np.median(diagnosis.simulation.nrmse)))
-    after = percent(float(np.median(diagnosis.extended.nrmse)))
-    return (
-        f"all causes found, the hold-out error falls from {before} to {after} % of the torque's "
-        "variation (median over joints)."
-    )
-
-
-def _no_friction(diagnosis: Diagnosis) -> str:
-    robot = diagnosis.robot
-    groups = diagnosis.groups
-    friction = [
-        f for group in groups for f in group if f.effect.family == "friction"
-    ]
-    joints = {joint for f in friction for joint in f.effect.joints}
-    kinds = list(dict.fromkeys(plain(f.effect.name) for f in friction))
-    named = ", ".join(kinds[:3]) + (" and more" if len(kinds) > 3 else "")
-    where = "all" if len(joints) == robot.nv else f"{len(joints)} of {robot.nv}"
-    some = any(e.family == "friction" for e in robot.effects)
-    others = [
-        g for g in groups if g[0].effect.family != "friction" and g[0].explained > 0
-    ]
-    return (
-        f"The given model has {'little' if some else 'no'} friction, and {where} joints have it "
-        f"({named}); with {_everything(diagnosis)}"
-        f"{_apart_from('friction', others, diagnosis)}"
-    )
-
-
-def _apart_from(
-    cause: str, groups: Sequence[Sequence[Finding]], diagnosis: Diagnosis
-) -> str:
-    if not groups:
-        return ""
-    words = sentence(groups[0], diagnosis)
-    if words.startswith(("A ", "The ")):
-        words = words[0].lower() + words[1:]
-    verdict = "" if all(f.verdict == "named" for f in groups[0]) else " (undecided)"
-    return f" Besides {cause}: {words}{verdict}."
