@@ -23,10 +23,14 @@ from excitant.analysis.confirmation import (
     off_bodies,
     unextended,
 )
-from excitant.analysis.diagnosis_result import Plan, findings_of, result_of
+from excitant.analysis.diagnosis_result import (
+    Plan,
+    curve_of,
+    findings_of,
+    result_of,
+)
 from excitant.analysis.downgrade import reason_to_downgrade
 from excitant.analysis.evidence import Key
-from excitant.analysis.evidence_figure import curve_of
 from excitant.analysis.explanation import (
     Item,
     grouped,

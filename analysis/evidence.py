@@ -120,24 +120,20 @@ class Evidence:
         """Coordinates of all columns with a set of causes, zero where inactive, shape (p,)."""
         active = self.active(chosen)
         coordinates = np.zeros(len(self.moment))
-        root = self._root(active), True
-        coordinates[active] = scipy.linalg.cho_solve(root, self.moment[active])
+        coordinates[active] = self._solved(active, self.moment[active])
         return coordinates
 
     def covariance(self, chosen: Sequence[Candidate]) -> Array:
         """Covariance of these coordinates, shape (p, p)."""
         active = self.active(chosen)
         covariance = np.zeros_like(self.gram)
-        root = self._root(active), True
-        inverse = scipy.linalg.cho_solve(root, np.eye(len(active)))
+        inverse = self._solved(active, np.eye(len(active)))
         covariance[np.ix_(active, active)] = inverse
         return covariance
 
     def cost(self, chosen: Sequence[Candidate]) -> float:
         """J of a set of candidates."""
-        active = self.active(chosen)
-        half = self._halved(active, self.moment[active])
-        return self.power - float(half @ half)
+        return self.power - float(self.moment @ self.coordinates(chosen))
 
     def residual(self, chosen: Sequence[Candidate]) -> Array:
         """Residual after a set of causes, shape (n, nv) [N·m]."""
@@ -146,8 +142,10 @@ class Evidence:
     def additions(self, chosen: Sequence[Candidate]) -> Array:
         """Fall of J by adding each of the candidates to a set, shape (candidates,)."""
         active = self.active(chosen)
-        half = self._halved(
-            active, np.column_stack([self.gram[active], self.moment[active]])
+        half = scipy.linalg.solve_triangular(
+            _root(self.information[np.ix_(active, active)]),
+            self.products[active],
+            lower=True,
         )
         half, projected = half[:, :-1], half[:, -1]
         rest = self.moment - half.T @ projected
@@ -209,9 +207,7 @@ class Evidence:
         """
         active = self.active(chosen)
         at = np.arange(candidate.columns.start, candidate.columns.stop)
-        B = scipy.linalg.cho_solve(
-            (self._root(active), True), self.gram[np.ix_(active, at)]
-        )
+        B = self._solved(active, self.gram[np.ix_(active, at)])
         coordinates = np.zeros((len(self.moment), len(at)))
         coordinates[at] = np.eye(len(at))
         coordinates[active] = -B
@@ -233,7 +229,7 @@ class Evidence:
         """Largest |cos| between two candidates' columns, the nuisance projected out."""
         columns = np.r_[one.columns, other.columns]
         cross = self.gram[: self.nuisance, columns]
-        solved = scipy.linalg.cho_solve((self._nuisance_root, True), cross)
+        solved = self._solved(self.active(()), cross)
         G = self.gram[np.ix_(columns, columns)] - cross.T @ solved
         k = one.size
         whiten = [_inverse_root(block) for block in (G[:k, :k], G[k:, k:])]
@@ -270,7 +266,7 @@ class Evidence:
             return 0.0, 0
         cross = np.concatenate(crosses, axis=1)
         right = np.column_stack([cross, self.moment[active]])
-        solved = scipy.linalg.cho_solve((self._root(active), True), right)
+        solved = self._solved(active, right)
         remaining = np.concatenate(moments) - cross.T @ solved[:, -1]
         G = scipy.linalg.block_diag(*grams) - cross.T @ solved[:, :-1]
         fall = float(remaining @ np.linalg.lstsq(G, remaining, rcond=1e-9)[0])
@@ -292,18 +288,9 @@ class Evidence:
             [np.arange(s.start, s.stop, dtype=np.intp) for s in columns]
         )
 
-    def _root(self, active: Index) -> Array:
-        """L of L Lᵀ, the information of active columns."""
-        return _root(self.information[np.ix_(active, active)])
-
-    @cached_property
-    def _nuisance_root(self) -> Array:
-        return self._root(self.active(()))
-
-    def _halved(self, active: Index, right: Array) -> Array:
-        """L⁻¹ times a right-hand side, L Lᵀ the information of active columns."""
-        half, _ = scipy.linalg.lapack.dtrtrs(self._root(active), right, lower=1)
-        return np.asarray(half, float)
+    def _solved(self, active: Index, right: Array) -> Array:
+        """Solution of the normal equations of active columns for a right-hand side."""
+        return _solved(self.information[np.ix_(active, active)], right)
 
 
 def _root(A: Array) -> Array:
@@ -312,6 +299,11 @@ def _root(A: Array) -> Array:
     scaled = unit[:, None] * A * unit
     scaled[np.diag_indices_from(scaled)] += _ROUNDING
     return np.asarray(np.linalg.cholesky(scaled) / unit[:, None], float)
+
+
+def _solved(A: Array, right: Array) -> Array:
+    """A⁻¹ times a right-hand side, A as of `_root`."""
+    return np.asarray(scipy.linalg.cho_solve((_root(A), True), right), float)
 
 
 def _inverse_root(G: Array) -> Array:
@@ -347,14 +339,11 @@ def cross_validation(
         used = place[evidence.active(subset)]
         squares = np.empty((len(blocks), problem.nv))
         for fold, total in zip(folds, others, strict=True):
-            root = _root(
-                total[np.ix_(used, used)]
-                + np.diag(evidence.precision[active[used]])
+            A = total[np.ix_(used, used)] + np.diag(
+                evidence.precision[active[used]]
             )
             coefficients = np.zeros(problem.p + 1)
-            coefficients[used] = -scipy.linalg.cho_solve(
-                (root, True), total[used, -1]
-            )
+            coefficients[used] = -_solved(A, total[used, -1])
             coefficients[-1] = 1.0
             for j, weight in enumerate(evidence.weight):
                 of_joint = coefficients[np.append(problem.index[j], problem.p)]
@@ -411,8 +400,8 @@ def reweighed(evidence: Evidence, chosen: Sequence[Candidate]) -> Evidence:
     for _ in range(_NOISE_ITERATIONS):
         # of these columns alone, which is quick
         products = problem.gram(evidence.weight, active)
-        root = _root(products[:-1, :-1] + loose), True
-        coordinates[active] = scipy.linalg.cho_solve(root, products[:-1, -1])
+        A = products[:-1, :-1] + loose
+        coordinates[active] = _solved(A, products[:-1, -1])
         sigma, inflation = _noise(problem.residual(coordinates), evidence.counted)
         evidence = replace(evidence, sigma=sigma, inflation=inflation)
     return evidence
@@ -483,8 +472,9 @@ def _typical_deviation(evidence: Evidence, part: Index, robot: Robot) -> float:
     H = evidence.gram[np.ix_(part, part)]
     m = evidence.moment[part]
     if len(others):
-        root = _root(A[np.ix_(others, others)]), True
-        cross = scipy.linalg.cho_solve(root, evidence.gram[np.ix_(others, part)])
+        cross = _solved(
+            A[np.ix_(others, others)], evidence.gram[np.ix_(others, part)]
+        )
         H = H - evidence.gram[np.ix_(part, others)] @ cross
         m = m - cross.T @ evidence.moment[others]
     unit = 1 / np.sqrt(evidence.precision[part])

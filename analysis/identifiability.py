@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
+import msgspec
 import numpy as np
 
-from excitant.analysis.dh_frames import distal_frames
-from excitant.analysis.experiment import (
-    Experiment,
-    planned_experiment,
-    recorded_experiment,
-)
-from excitant.analysis.structure import Structure, structure
+from excitant.analysis.structure import Structure, distal_frames, structure
 from excitant.analysis.uncertainty import (
     NOT_SHOWN,
-    Practical,
+    Experiment,
     candidate_experiments,
     default_noise,
     experiments_needed,
     known_values,
+    planned_experiment,
     practical,
+    recorded_experiment,
+    relative,
     resolution,
     verdict,
 )
@@ -30,6 +28,7 @@ from excitant.exceptions import BadInput, UnknownName
 from excitant.identify.excitation import WindowExcitation, persistency
 from excitant.identify.prior import decided_by
 from excitant.names import listed
+from excitant.results import Category, ParameterIdentifiability, Practical
 from excitant.robots.base_parameters import BaseParameters
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion, freeze, read_only
@@ -44,65 +43,6 @@ if TYPE_CHECKING:
     from excitant.identify.estimate import Estimate
 
 LISTED = 8  # parameters listed in a sentence
-
-
-@dataclass(frozen=True)
-class ParameterIdentifiability:
-    """One standard parameter or effect coefficient; results of a motion are None without one."""
-
-    name: str
-    owner: str  # link or joint it belongs to
-    unit: str
-    category: str  # unique, combined or unidentifiable
-    expressions: tuple[str, ...]  # base parameters that it is part of
-    margin: float  # factor on the tolerance of all rank decisions that changes its category
-    needed: str  # experiment that would show it by itself; empty where it is shown
-    value: float | None = (
-        None  # estimate, or the value of the model as given, if known
-    )
-    prior: float | None = None  # value before any data
-    std: float | None = None  # standard deviation of what torque shows alone
-    # from the data alone; inf where they do not show it by itself
-    std_data: float | None = None
-    influence: float | None = None  # how far it follows the prior, 0 to 1
-    decided_by: str = ""  # data, both or prior
-    verdict: str = ""  # in a word, how well the motion determines it by itself
-
-    @property
-    def rel_std(self) -> float | None:
-        """Standard deviation relative to the value; None when either is not known or zero."""
-        return (
-            self.std / abs(self.value)
-            if self.value and self.std is not None
-            else None
-        )
-
-    @property
-    def prior_dominated(self) -> bool:
-        """Whether the prior decides it: it is unidentifiable, or follows the prior."""
-        return self.category == "unidentifiable" or self.decided_by == "prior"
-
-    def result(self) -> dict[str, Any]:
-        """Its entry in ``result.json``."""
-        same = (
-            "name",
-            "unit",
-            "category",
-            "value",
-            "std",
-            "rel_std",
-            "std_data",
-            "prior",
-        )
-        return {
-            key: getattr(self, key) for key in (*same, "prior_dominated", "margin")
-        } | {
-            "verdict": self.verdict or None,
-            "prior_influence": self.influence,
-            "decided_by": self.decided_by or None,
-            "expression": "; ".join(self.expressions) or None,
-            "needed": self.needed or None,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,17 +66,14 @@ class PracticalIdentifiability:
 
     def result(self) -> dict[str, Any]:
         """Everything as plain values."""
-        practical = [p.result() for p in self.practical]
-        lost = [row for row in practical if row["verdict"] == NOT_SHOWN]
+        lost = [p for p in self.practical if p.verdict == NOT_SHOWN]
         return {
             "condition_number": self.condition_number,
-            "practical": practical,
+            "practical": msgspec.to_builtins(self.practical),
             "basis": self.basis,
             "noise": self.noise,
             "resting_joints": self.resting,
-            "not_shown": [
-                {key: row[key] for key in ("name", "needed")} for row in lost
-            ],
+            "not_shown": [{"name": p.name, "needed": p.needed} for p in lost],
             "persistency": self.persistency and self.persistency.result(),
         }
 
@@ -198,7 +135,8 @@ class Identifiability(Shown):
 
     def _link(self, link: str, joint: str) -> dict[str, Any]:
         base = self.base
-        own = [k for k, e in enumerate(self.entries) if e.owner in (link, joint)]
+        owners = [e.name.rpartition(".")[0] for e in self.entries]
+        own = [k for k, owner in enumerate(owners) if owner in (link, joint)]
         entries = [self.entries[k] for k in own]
         return {
             "link": link,
@@ -215,7 +153,7 @@ class Identifiability(Shown):
                 for row, text in zip(base.regrouping, base.expressions, strict=True)
                 if np.count_nonzero(row) > 1 and row[own].any()
             ],
-            "parameters": [e.result() for e in entries],
+            "parameters": msgspec.to_builtins(entries),
         }
 
     def series(self) -> dict[str, Array]:
@@ -236,7 +174,7 @@ class Identifiability(Shown):
         UnknownName.refuse("table", [of], ("parameters", "base_parameters"))
         rows = self.entries if of == "parameters" else self.practical
         return data_frame(
-            [row.result() for row in rows], "name", ("value", "std", "verdict")
+            msgspec.to_builtins(rows), "name", ("value", "std", "verdict")
         )
 
     def _lines(self) -> list[str]:
@@ -261,7 +199,7 @@ class Identifiability(Shown):
         if self.motion is None:
             rows = zip(self.base.names, self.structure.category, strict=True)
             return ("parameter", "identifiable"), list(rows)
-        shown = [(p.expression, p.value, p.std, p.verdict) for p in self.practical]
+        shown = [(p.name, p.value, p.std, p.verdict) for p in self.practical]
         return ("base parameter", "value", "std", "shown by the motion"), shown
 
 
@@ -402,7 +340,8 @@ def _notes(
     lost: dict[str, list[str]] = {}
     for k, parameter in zip(base.columns, under.practical, strict=True):
         if parameter.verdict == NOT_SHOWN:
-            lost.setdefault(parameter.needed, []).append(base.names[k])
+            needed = parameter.needed or ""
+            lost.setdefault(needed, []).append(base.names[k])
     for what, names in lost.items():
         notes.append(
             f"this motion does not show {listed(names, LISTED)} "
@@ -439,7 +378,7 @@ def _entries(
     if structural.frames is not None:
         to_joints = np.linalg.inv(structural.frames)
         bodies = moved_parameters(robot.phi.reshape(-1, 10), to_joints)
-        nominal[: 10 * robot.nv] = bodies.ravel()
+        nominal[: 10 * robot.nv] = bodies.ravel().tolist()
     R = base.regrouping
     size = np.zeros(len(units))
     columns: dict[str, Sequence[Any]] = {"value": nominal, "prior": nominal}
@@ -454,19 +393,24 @@ def _entries(
             columns["prior"] = [*links, *nominal[len(links) :]]
     needed = experiments_needed(R, np.eye(len(units)), size, further)
     expressions = np.array(base.expressions, object)
-    return tuple(
-        ParameterIdentifiability(
-            name=name,
-            owner=name.rpartition(".")[0],
-            unit=units[k],
-            category=structural.category[k],
-            expressions=tuple(expressions[base.regrouping[:, k] != 0]),
+    entries = []
+    for k, name in enumerate(base.names):
+        category = cast(Category, structural.category[k])
+        known = {key: values[k] for key, values in columns.items()}
+        entry = ParameterIdentifiability(
+            name,
+            units[k],
+            category,
+            **known,
+            rel_std=relative(known.get("std"), known["value"]),
+            prior_dominated=category == "unidentifiable"
+            or known.get("decided_by") == "prior",
             margin=float(structural.margin[k]),
-            needed=needed[k],
-            **{key: values[k] for key, values in columns.items()},
+            expression="; ".join(expressions[base.regrouping[:, k] != 0]) or None,
+            needed=needed[k] or None,
         )
-        for k, name in enumerate(base.names)
-    )
+        entries.append(entry)
+    return tuple(entries)
 
 
 def _judged(
@@ -494,6 +438,6 @@ def _judged(
             None if np.isnan(std) else std for std in experiment.std.tolist()
         ]
     if experiment.influence is not None:
-        columns["influence"] = experiment.influence.tolist()
+        columns["prior_influence"] = experiment.influence.tolist()
         columns["decided_by"] = decided_by(experiment.influence, category)
     return size, columns

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from excitant.analysis.experiment import cleaned
-from excitant.analysis.uncertainty import shown_base, without_rounding
+from excitant.analysis.uncertainty import cleaned, shown_base, without_rounding
 from excitant.identify.estimate import Estimate, judged
 from excitant.identify.knowledge import Knowledge
 from excitant.identify.least_squares import weighted_least_squares

@@ -1,4 +1,4 @@
-"""Uncertainty of an arm's parameters by one motion, and further experiments that reduce it.
+"""Uncertainty of an arm's parameters by one motion, planned or recorded, and what reduces it.
 
 With the torque noise σ of each joint, the whitened columns W/σ of all parameters x have a
 triangular factor R, and ‖R δ‖ is the torque that a change δ makes, in standard deviations of the
@@ -9,16 +9,26 @@ noise: null directions are not seen, and (RᵀR)⁻¹ is the covariance of what 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+import scipy
 
 from excitant.analysis.thresholds import RESOLUTION
-from excitant.exceptions import BadInput
-from excitant.identify.prior import reference_motion, silent_columns
+from excitant.exceptions import BadInput, BadRobot
+from excitant.identify.prior import (
+    BodyPrior,
+    linear_influence,
+    prior_parameters,
+    reference_motion,
+    silent_columns,
+)
+from excitant.identify.regression import dense
+from excitant.identify.rows import FitRows, fit_rows, implausible_size, units_of
+from excitant.results import Practical
 from excitant.robots.base_parameters import (
     BaseParameters,
     Observation,
@@ -26,8 +36,12 @@ from excitant.robots.base_parameters import (
 )
 from excitant.robots.effects import Effect
 from excitant.robots.motion import Array, Motion
+from excitant.robots.parameters import pseudo_inertia
 from excitant.robots.robot import Robot
-from excitant.robots.torque import effect_values, observation_columns
+from excitant.robots.torque import effect_values, observation_columns, torque
+
+if TYPE_CHECKING:
+    from excitant.identify.estimate import Estimate
 
 Mask = npt.NDArray[np.bool_]
 
@@ -158,41 +172,15 @@ def motion_information(
     return MotionInformation(R, columns, covariance, signal, condition)
 
 
-@dataclass(frozen=True)
-class Practical:
-    """Uncertainty of one base parameter by a motion."""
-
-    expression: str
-    value: float
-    std: float  # of its estimate; inf when the motion does not show it
-    negligible: bool
-    needed: str  # experiment that would show it; empty where the motion does
-
-    @property
-    def rel_std(self) -> float | None:
-        """Standard deviation relative to the value; None when the value is zero or not shown."""
-        return (
-            self.std / abs(self.value)
-            if self.value and np.isfinite(self.std)
-            else None
-        )
-
-    @property
-    def verdict(self) -> str:
-        """``well`` (to 10 %), ``roughly`` (to 30 %), ``negligible``, ``hardly``, ``not_shown``."""
-        return verdict(self.std, self.value, self.negligible)
-
-    def result(self) -> dict[str, Any]:
-        """Its entry in ``result.json``."""
-        figures = {
-            key: getattr(self, key)
-            for key in ("value", "std", "rel_std", "verdict")
-        }
-        return {"name": self.expression, **figures, "needed": self.needed or None}
+def relative(std: float | None, value: float | None) -> float | None:
+    """Standard deviation relative to a value; None where either is not known, or the value zero."""
+    if std is None or not np.isfinite(std) or not value:
+        return None
+    return std / abs(value)
 
 
 def verdict(std: float, value: float, negligible: bool) -> str:
-    """In a word, how well something of this value is determined."""
+    """``well`` (to 10 %), ``roughly`` (to 30 %), ``negligible``, ``hardly`` or ``not_shown``."""
     if not np.isfinite(std):
         return NOT_SHOWN
     if value and std <= RESOLUTION.roughly * abs(value):
@@ -222,8 +210,18 @@ def practical(
     std = seen.std(np.eye(len(base)))
     negligible, size = resolution(values, std, seen.signal[list(base.columns)])
     needed = experiments_needed(seen.R, base.regrouping, size, candidates)
-    columns = (values.tolist(), std.tolist(), negligible.tolist(), needed)
-    return tuple(map(Practical, base.expressions, *columns))
+    rows = zip(base.expressions, values.tolist(), std.tolist(), strict=True)
+    return tuple(
+        Practical(
+            name,
+            x,
+            s,
+            relative(s, x),
+            verdict(s, x, bool(negligible[k])),
+            needed[k] or None,
+        )
+        for k, (name, x, s) in enumerate(rows)
+    )
 
 
 def candidate_experiments(
@@ -366,3 +364,164 @@ def known_values(robot: Robot, effects: Sequence[Effect]) -> list[float | None]:
         *robot.phi.tolist(),
         *(values.get(p.name) for e in effects for p in e.parameters(robot)),
     ]
+
+
+def prior_root(bodies: Array, effects: Array) -> Array:
+    """L of the covariance L Lᵀ of all parameters before any data, shape (p, p).
+
+    The prior is that of `fit_physical`, of consistent bodies, shape (links, 10), and standard
+    deviations of effect coefficients.
+    """
+    _, J = BodyPrior(bodies).quadratic(bodies.ravel())
+    root = np.linalg.inv(np.linalg.qr(J, mode="r"))
+    return scipy.linalg.block_diag(root, np.diag(effects))
+
+
+def posterior_std(R: Array, L: Array) -> Array:
+    """Standard deviation of each parameter after data, constraints ignored, shape (p,)."""
+    _, s, Vt = np.linalg.svd(R @ L)
+    s = np.pad(s, (0, len(Vt) - len(s)))
+    return np.asarray(np.linalg.norm(L @ Vt.T / np.sqrt(1 + s**2), axis=1), float)
+
+
+def flat_links(phi: Array, given: Array) -> tuple[int, ...]:
+    """Links at the limit of physical consistency, almost flat or thin; both (links, 10)."""
+    pairs = zip(pseudo_inertia(phi), pseudo_inertia(given), strict=True)
+    smallest = [scipy.linalg.eigvalsh(body, own)[0] for body, own in pairs]
+    return tuple(k for k, least in enumerate(smallest) if least < RESOLUTION.flat)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A motion with its noise, and what is known of the p parameters."""
+
+    sigma: Array  # noise of the measured joints' torque, per independent row, shape (rows,) [N·m]
+    information: MotionInformation
+    x: Array  # values of all parameters, zero where unknown, shape (p,)
+    known: tuple[bool, ...]  # which of them are known
+    beta: Array  # values of the base parameters, shape (r,)
+    bodies: (
+        Array | None
+    )  # the prior's, shape (nv, 10); None where a link has no mass
+    # standard deviation of each parameter as told, prior included, shape (p,)
+    std: Array | None
+    # how far each parameter follows the prior, 0 to 1, shape (p,)
+    influence: Array | None
+    motion: Motion  # or the longest stretch of a recording
+    q: Array  # positions at all rows, shape (n, nv) [rad or m]
+    basis: str  # where the standard deviations come from, as a sentence
+    notes: Sequence[str] = ()
+    # factor and unit of each parameter, if not its own
+    told: Sequence[tuple[float, str]] = ()
+
+    @property
+    def resting(self) -> tuple[int, ...]:
+        """Joints that do not move."""
+        return tuple(
+            int(j)
+            for j in np.flatnonzero(np.ptp(self.q, axis=0) < RESOLUTION.rests)
+        )
+
+
+def planned_experiment(
+    robot: Robot,
+    base: BaseParameters,
+    effects: Sequence[Effect],
+    motion: Motion,
+    noise: Sequence[float] | None,
+    rows: list[int],
+) -> Experiment:
+    """A motion to judge before it is run, torque measured at the joints of ``rows``."""
+    sigma = torque_noise(robot, noise)[rows]
+    W = observation_columns(robot, effects, motion)[:, rows]
+    information = motion_information(base, W, sigma)
+    values = known_values(robot, effects)
+    x = np.array([value or 0.0 for value in values])
+    notes: list[str] = []
+    bodies = None
+    std = None
+    influence = None
+    try:
+        size = implausible_size(
+            W[:, :, 10 * robot.nv :], torque(robot, motion)[:, rows]
+        )
+        bodies = prior_parameters(robot)
+        L = prior_root(bodies, size)
+        std = posterior_std(information.R, L)
+        influence = linear_influence(information.R, L, x, robot.nv)
+    except BadRobot as error:
+        notes.append(f"the prior is left out: {error.why}")
+    how = (
+        "as given"
+        if noise is not None
+        else f"of {100 * RESOLUTION.torque_noise:g} % of each limit"
+    )
+    return Experiment(
+        sigma=sigma,
+        information=information,
+        x=x,
+        known=tuple(value is not None for value in values),
+        beta=base.regrouping @ x,
+        bodies=bodies,
+        std=std,
+        influence=influence,
+        motion=motion,
+        q=motion.q,
+        basis=f"for torque noise {how}, independent at each of {len(motion)} instants",
+        notes=notes,
+    )
+
+
+def recorded_experiment(
+    robot: Robot, base: BaseParameters, estimate: Estimate
+) -> Experiment:
+    """Experiment of an estimate."""
+    fit = estimate.least_squares
+    effects = estimate.model.effects
+    rows = cleaned(fit_rows(robot, effects, estimate.base, estimate.data))
+    sigma = fit.sigma * np.sqrt(fit.inflation)
+    complete = estimate.base.columns == base.columns
+    information = motion_information(
+        base, rows.W, sigma, fit.covariance if complete else None
+    )
+    x = estimate.physical.x
+    bodies = estimate.physical.prior.bodies
+    notes = []
+    if flat := flat_links(x[: bodies.size].reshape(-1, 10), bodies):
+        names = ", ".join(robot.links[k] for k in flat)
+        notes.append(
+            f"at the limit of physical consistency: {names}; the data alone would go beyond"
+        )
+    if estimate.data.unit == "A":
+        notes.append(
+            "torque was recorded as current: all values share one scale that currents do not "
+            "show; recordings with a known payload would determine it (identify "
+            "--payload-recording)"
+        )
+    return Experiment(
+        sigma=sigma,
+        information=information,
+        x=x,
+        known=(True,) * len(base.names),
+        beta=fit.beta if complete else base.regrouping @ x,
+        bodies=bodies,
+        std=estimate.std,
+        told=units_of(estimate.given, effects, estimate.drive),
+        influence=estimate.physical.influence,
+        motion=max((s.motion for s in estimate.data.train), key=len),
+        q=np.concatenate([s.motion.q[s.keep] for s in estimate.data.train]),
+        basis="from the residual of the recording, with its autocorrelation",
+        notes=notes,
+    )
+
+
+def cleaned(rows: FitRows) -> FitRows:
+    """The rows with columns that are rounding alone set to zero."""
+    regression = rows.regression
+    clean = dense(
+        without_rounding(regression.W),
+        regression.tau,
+        regression.names,
+        regression.used,
+    )
+    return replace(rows, regression=clean)

@@ -12,14 +12,14 @@ from arms import TrueArm
 from planted import Runs, motion_of, stacked
 
 from excitant.analysis import identify_shown, uncertainty
-from excitant.analysis.experiment import flat_links
-from excitant.analysis.identifiability import Identifiability, ParameterIdentifiability, analyze
+from excitant.analysis.identifiability import Identifiability, analyze
+from excitant.analysis.uncertainty import flat_links
 from excitant.exceptions import BadInput, UnknownName
 from excitant.identify import Recording, identify_robot
 from excitant.identify.excitation import ROWS_PER_SECOND, persistency
 from excitant.identify.prior import base_prior, prior_parameters, reference_motion
 from excitant.reports.run import as_saved
-from excitant.results import record_of
+from excitant.results import ParameterIdentifiability, record_of
 from excitant.robots import Motion, Robot, load_robot
 from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import standard_effects
@@ -72,7 +72,7 @@ def test_a_motion_of_all_joints_is_exciting_and_verdicts_follow_the_uncertainty(
     for p in under().practical:
         unsure = p.rel_std is None or p.rel_std > 0.3
         good = "roughly" if unsure or p.rel_std > 0.1 else "well"
-        assert p.verdict == (("negligible" if p.negligible else "hardly") if unsure else good)
+        assert p.verdict in (("negligible", "hardly") if unsure else (good,))
     found = under().motion.persistency
     assert found.level >= 1
     assert (found.enough, found.missing, found.joints) == (True, 0, ())
@@ -137,7 +137,7 @@ def test_the_result_is_its_record_link_by_link(ur10: Robot) -> None:
     for link in result["links"]:
         seen |= {*link["unique"], *link["unidentifiable"]}
         seen |= {name for c in link["combined"] for name in c["members"]}
-        keys = {"value", "std", "prior", "prior_influence", "expression", "needed"}
+        keys = {"value", "prior", "prior_influence", "margin"}
         assert [keys <= set(p) for p in link["parameters"]] == [True] * 10
     assert len(seen) == 60
 
@@ -196,21 +196,21 @@ def test_gravity_in_the_plane_shows_first_moments_and_tilting_brings_it(planar: 
     assert (len(upright.base), len(level.base)) == (6, 4)  # level: along the axes of both joints
     assert entry(level, "link1.mcz").needed.startswith("the base tilted by 90°")
     needed = [entry(level, name).needed for name in ("link1.m", "link2.mcx")]
-    assert needed == [uncertainty.APART, ""]
+    assert needed == [uncertainty.APART, None]
     shown = entry(upright, "link1.mcz")
-    assert (shown.category, shown.needed) == ("unique", "")
+    assert (shown.category, shown.needed) == ("unique", None)
     assert entry(upright, "link2.Iyz").needed.startswith("never by joint torques; by a force")
     falling = analyze(planar.with_gravity([0, 0, 0]))
-    assert not any("tilted" in e.needed for e in falling.entries)
+    assert not any("tilted" in (e.needed or "") for e in falling.entries)
     assert "sensor under the base" in entry(falling, "link1.mcz").needed
 
 
 def test_a_joint_that_rests_is_named_and_moving_it_helps(ur10: Robot) -> None:
     found, moves = under(2), "moving elbow_joint, which rests"
-    lost = {p.expression for p in found.practical if p.verdict == "not_shown"}
+    lost = {p.name for p in found.practical if p.verdict == "not_shown"}
     assert {"elbow_joint.Fv", "elbow_joint.Fc", "elbow_joint.Ia"} <= lost
     assert found.motion.resting == ("elbow_joint",)
-    assert {p.expression for p in found.practical if p.needed == moves} == lost
+    assert {p.name for p in found.practical if p.needed == moves} == lost
     assert any("does not show" in note and "elbow_joint" in note for note in found.notes)
     motion = stacked(motion_of(ur10, resting=[2]), motion_of(ur10, 1))
     cured = analyze(ur10, effects=found.effects, motion=motion)
@@ -224,17 +224,17 @@ def test_joints_that_do_not_move_are_what_is_missing(planar: Robot) -> None:
     assert alone.category != "unique"
     assert alone.needed == "moving joint2, which rests"
     both = analyze(planar, moving=["joint1", "joint2"], measured=["joint1"])
-    assert entry(both, "link2.mcx").needed == ""
+    assert entry(both, "link2.mcx").needed is None
 
 
 def test_more_of_the_same_is_proposed_where_it_is_enough(ur10: Robot) -> None:
     motion, effects = motion_of(ur10)[np.arange(0, 500, 20)], standard_effects(ur10.joints)
     found = analyze(ur10, effects=effects, motion=motion)
-    asked = [e for e in found.entries if e.needed.startswith("about")]
+    asked = [e for e in found.entries if (e.needed or "").startswith("about")]
     assert asked
     times = max(int(e.needed.split()[1]) for e in asked)
     longer = analyze(ur10, effects=effects, motion=stacked(*[motion] * times))
-    assert [entry(longer, before.name).needed for before in asked] == [""] * len(asked)
+    assert [entry(longer, before.name).needed for before in asked] == [None] * len(asked)
 
 
 def test_the_base_feels_what_newton_and_euler_say(ur10: Robot) -> None:
@@ -295,9 +295,9 @@ def test_a_recording_gives_its_uncertainty_and_the_prior_decides_what_is_null(ju
     assert "residual" in judged.found.motion.basis
     for e in judged.found.entries:
         if e.category == "unidentifiable":
-            assert (e.influence, e.prior_dominated) == (pytest.approx(1.0, abs=1e-6), True)
+            assert (e.prior_influence, e.prior_dominated) == (pytest.approx(1.0, abs=1e-6), True)
     for name in ("link2.mcx", "joint1.Fv", "joint2.Fc"):
-        assert entry(judged.found, name).influence < 0.05
+        assert entry(judged.found, name).prior_influence < 0.05
         assert entry(judged.found, name).decided_by == "data"
 
 
@@ -319,10 +319,10 @@ def test_a_recording_that_rests_a_joint_is_judged_as_far_as_it_goes(planar: Robo
     estimate = identify_shown(planar, [recording])
     found = analyze(planar, estimate=estimate)
     assert len(estimate.base) < len(found.base)
-    hidden = [p.expression for p in found.practical if p.verdict == "not_shown"]
+    hidden = [p.name for p in found.practical if p.verdict == "not_shown"]
     rests, moves = entry(found, "joint2.Fv"), entry(found, "joint1.Fv")
     assert rests.name in hidden
     assert rests.needed == "moving joint2, which rests"
-    assert moves.influence < 0.05 < 0.5 < rests.influence  # it cannot follow below zero
+    assert moves.prior_influence < 0.05 < 0.5 < rests.prior_influence  # it cannot follow below zero
     assert moves.verdict in ("negligible", "well")
     assert found.result()["resting_joints"] == ("joint2",)

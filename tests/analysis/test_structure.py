@@ -18,8 +18,7 @@ from second_opinion import parameter_nullspace
 from urdf_arms import urdf_of
 
 from excitant.analysis import analyze
-from excitant.analysis.dh_frames import distal_frames
-from excitant.analysis.structure import MARGIN, Structure, structure
+from excitant.analysis.structure import MARGIN, Structure, distal_frames, structure
 from excitant.exceptions import BadInput
 from excitant.identify.prior import reference_motion
 from excitant.robots import DHChain, Robot, builtin_robots, load_robot, robot_from_dh
