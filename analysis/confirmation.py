@@ -185,6 +185,11 @@ class Holdout(HoldOut):
     floor: Array
 
     @property
+    def robot(self) -> Robot:
+        """The nominal robot in the set-up found."""
+        return self.observed.robot
+
+    @property
     def error(self) -> Array:
         """Error of the nominal model."""
         return self.series.measured - self.nominal
@@ -209,7 +214,7 @@ class Holdout(HoldOut):
 
     def rms_like(self, error: Array, joints: Sequence[int], lead: int) -> float:
         """Rms of an error over the joints that turn or slide as a leading one does."""
-        revolute = self.observed.robot.revolute
+        revolute = self.robot.revolute
         alike = [j for j in joints if revolute[j] == revolute[lead]]
         return float(np.sqrt((self.series.rms(error)[alike] ** 2).mean()))
 
@@ -328,7 +333,7 @@ class Extender:
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
-        robot = self.holdout.observed.robot
+        robot = self.holdout.robot
         evidence = self.evidence
         hidden = self.train.reversals if self.turns else ()
         effects = _effects(robot, chosen, hidden)
@@ -368,9 +373,7 @@ class Extender:
             rows.torque() / self.holdout.gains,
             extender=self,
         )
-        return replace(
-            extension, findings=_findings(robot, extension, self.holdout)
-        )
+        return replace(extension, findings=_findings(extension, self.holdout))
 
     def by(self, model: Robot, keep: Set[Effect]) -> Extender:
         """The same with columns of another model, but for those of some effects that are kept."""
@@ -389,7 +392,7 @@ class Extender:
 
     def _body_prior(self, chosen: Sequence[Candidate]) -> BodyPrior:
         """Prior of every link, and of a payload if there is one."""
-        robot = self.holdout.observed.robot
+        robot = self.holdout.robot
         sigma = EVIDENCE.tolerance * widened(robot, self.evidence.tolerance[0])
         for c in chosen:
             if c.effect.role == "link":
@@ -406,7 +409,7 @@ class Extender:
     def _effect_prior(
         self, effects: Sequence[Effect], chosen: Sequence[Candidate], columns: Array
     ) -> EffectPrior:
-        robot = self.holdout.observed.robot
+        robot = self.holdout.robot
         scalar = [e for e in effects if e.role != "body"]
         parameters = [p for e in scalar for p in e.parameters(robot)]
         mean = np.array(
@@ -481,7 +484,7 @@ def confirmed(extender: Extender, chosen: Sequence[Candidate]) -> Extension:
     fit = extender(chosen)
     needed = set[Candidate]()
     refuted = set[Key]()
-    while (worst := _weakest(holdout.observed.robot, fit, needed)) is not None:
+    while (worst := _weakest(holdout.robot, fit, needed)) is not None:
         if fit.findings[fit.chosen.index(worst)].refuted:
             refuted.add(worst.key)
         fewer = extender([c for c in fit.chosen if c is not worst])
@@ -507,12 +510,10 @@ def _weakest(
     return None
 
 
-def _findings(
-    robot: Robot, fit: Extension, holdout: Holdout
-) -> tuple[Finding, ...]:
+def _findings(fit: Extension, holdout: Holdout) -> tuple[Finding, ...]:
     findings = []
     for candidate in fit.chosen:
-        finding = _refitted(robot, fit, holdout, candidate.effect)
+        finding = _refitted(fit, holdout, candidate.effect)
         if finding.effect.role == "torque" and finding.is_nominal:
             margin = min(finding.margin, -CONFIRMATION.floor)
             finding = replace(finding, margin=margin)
@@ -520,25 +521,22 @@ def _findings(
     return tuple(findings)
 
 
-def _refitted(
-    robot: Robot, fit: Extension, holdout: Holdout, effect: Effect
-) -> Finding:
-    """The change of an effect's values, or of a link, from the nominal ones."""
+def _refitted(fit: Extension, holdout: Holdout, effect: Effect) -> Finding:
+    """The change of an effect's values, or of links, from the nominal ones."""
+    robot = holdout.robot
     if effect.physics.amends:
         force = fit.values[effect.parameters(robot)[0].name]
         torque = fit.observed.columns(effect) @ np.array([force]) / holdout.gains
         law, none = effect.with_values(()), np.zeros((0, 0))
-        return finding_of(robot, fit, holdout, law, torque, (), none)
+        return finding_of(fit, holdout, law, torque, (), none)
     values, nominal, covariance = _coefficients(robot, fit, effect)
     torque = fit.observed.columns(effect) @ (values - nominal) / holdout.gains
     changed = effect.with_values(values.tolist())
-    return finding_of(
-        robot, fit, holdout, changed, torque, nominal.tolist(), covariance
-    )
+    return finding_of(fit, holdout, changed, torque, nominal.tolist(), covariance)
 
 
 def kept_effects(
-    robot: Robot, fit: Extension, holdout: Holdout
+    fit: Extension, holdout: Holdout
 ) -> tuple[list[Finding], list[Finding]]:
     """The nominal effects that are no causes, joint by joint, with the values of the data.
 
@@ -548,10 +546,12 @@ def kept_effects(
     chosen = {candidate.key for candidate in fit.chosen}
     noticed = list[Finding]()
     others = list[Finding]()
-    singles = (single for effect in robot.effects for single in effect.singles())
+    singles = (
+        single for effect in holdout.robot.effects for single in effect.singles()
+    )
     for effect in singles if fit.names else ():
         if effect.role == "torque" and (effect.name, effect.joints) not in chosen:
-            finding = _refitted(robot, fit, holdout, effect)
+            finding = _refitted(fit, holdout, effect)
             clear = finding.significant and finding.share > least
             (noticed if clear else others).append(finding)
     return noticed, others
@@ -565,36 +565,30 @@ def _noticed(tolerance: float) -> float:
     return 2 * EVIDENCE.tolerance / max(tolerance, 1.0)
 
 
-def off_bodies(robot: Robot, fit: Extension, holdout: Holdout) -> Finding | None:
+def off_bodies(fit: Extension, holdout: Holdout) -> Finding | None:
     """The links whose nominal inertias the data contradict, as one finding, or None."""
+    robot = holdout.robot
     if are_placeholders(robot) or not fit.names:
         return None
     changed = {
-        row
+        joint
         for c in fit.chosen
         if c.effect.role != "torque"
-        for row in c.effect.rows(robot)
+        for joint in c.effect.joints
     }
-    change = fit.model.phi - robot.phi
 
-    def of(rows: Sequence[int]) -> Finding:
-        at = np.concatenate([np.arange(10 * k, 10 * k + 10) for k in rows])
-        joints = tuple(robot.joints[k] for k in rows)
-        effect = GivenInertias(joints).with_values(change[at])
-        torque = fit.observed.links[:, :, at] @ change[at] / holdout.gains
-        nominal = (0.0,) * len(at)
-        covariance = fit.covariance_of([robot.parameter_names[k] for k in at])
-        return finding_of(robot, fit, holdout, effect, torque, nominal, covariance)
+    def of(*joints: str) -> Finding:
+        return _refitted(fit, holdout, GivenInertias(joints))
 
-    rows = [k for k in range(robot.nv) if k not in changed and of([k]).significant]
-    if not rows:
+    others = (joint for joint in robot.joints if joint not in changed)
+    off = [joint for joint in others if of(joint).significant]
+    if not off:
         return None
-    finding = of(rows)
+    finding = of(*off)
     return finding if finding.share > _noticed(fit.evidence.tolerance[0]) else None
 
 
 def finding_of(
-    robot: Robot,
     fit: Extension,
     holdout: Holdout,
     effect: Effect,
@@ -603,6 +597,7 @@ def finding_of(
     covariance: Array,
 ) -> Finding:
     """A cause with its gain on the hold-out, where it makes a torque (n, nv) [torque unit]."""
+    robot = holdout.robot
     rows = holdout.series
     error = rows.measured - fit.predicted
     without = error + torque
@@ -667,10 +662,11 @@ def _coefficients(
 ) -> tuple[Array, Array, Array]:
     """Values of the extended and the nominal model, (k,), and the covariance of the former."""
     if effect.role == "link":
-        j = robot.joint_index(effect.joints[0])
-        part = slice(10 * j, 10 * j + 10)
-        change = fit.model.phi[part] - robot.phi[part]
-        return change, np.zeros(10), fit.covariance_of(robot.parameter_names[part])
+        links = [np.arange(10 * k, 10 * k + 10) for k in effect.rows(robot)]
+        at = np.concatenate(links)
+        change = fit.model.phi[at] - robot.phi[at]
+        names = [robot.parameter_names[k] for k in at]
+        return change, np.zeros(len(at)), fit.covariance_of(names)
     nominal = effect_values(robot)
     names = [p.name for p in effect.parameters(robot)]
     value = np.array([fit.values[name] for name in names])

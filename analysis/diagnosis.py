@@ -259,7 +259,7 @@ def diagnose(
     error = holdout.series.measured - fit.predicted
     joints = nominal.joints
     left = residuals(joints, data.validate, error, holdout.error, fit.predicted)
-    causes, corrected = _causes(mounted.robot, fit, holdout, drive)
+    causes, corrected = _causes(fit, holdout, drive)
     coarse = _coarse_sentence(share, joints) if halves else ""
     of_set_up = [
         _of_set_up(mounted, effect, fit, holdout) for effect in mounted.effects
@@ -369,23 +369,24 @@ def _extended(
 
 
 def _causes(
-    robot: Robot, fit: Extension, holdout: Holdout, drive: DriveGains | None
+    fit: Extension, holdout: Holdout, drive: DriveGains | None
 ) -> tuple[list[Finding], list[Finding]]:
     """Significant changes of the nominal model, each with its rivals, and corrected values.
 
     These are within the tolerance of nominal values, yet further off than comes by chance.
     """
+    robot = holdout.robot
     causes = []
     for finding, candidate in zip(fit.findings, fit.chosen, strict=True):
         if finding.significant:
             alike = rivals(fit.evidence, robot, fit.chosen, candidate)
             causes.append(replace(finding, rivals=tuple(alike)))
-    if (bodies := off_bodies(robot, fit, holdout)) is not None:
+    if (bodies := off_bodies(fit, holdout)) is not None:
         if drive is not None and not drive.known.any():
             why = "masses rest on the drive gains, of which none is determined"
             bodies = replace(bodies, downgrade=why)
         causes.append(bodies)
-    noticed, others = kept_effects(robot, fit, holdout)
+    noticed, others = kept_effects(fit, holdout)
 
     def with_gains(findings: Sequence[Finding]) -> list[Finding]:
         return [
@@ -448,9 +449,7 @@ def _of_set_up(
     nominal = (0.0,) * len(effect.values or ())
     covariance = np.diag(np.square(mounted.std_of(effect)))
     torque = fit.predicted - tau
-    return finding_of(
-        mounted.robot, fit, holdout, effect, torque, nominal, covariance
-    )
+    return finding_of(fit, holdout, effect, torque, nominal, covariance)
 
 
 def _of_faults(
@@ -465,7 +464,7 @@ def _of_faults(
     torque[:both] = error[:both] - repaired[:both]
     for fault in mounted.faults:
         none = np.zeros((0, 0))
-        finding = finding_of(mounted.robot, fit, holdout, fault, torque, (), none)
+        finding = finding_of(fit, holdout, fault, torque, (), none)
         # the nominal model's own error is that on the repaired data
         ratio = finding.rms_after / max(finding.rms_before, 1e-300)
         yield replace(finding, explained=float(1 - ratio**2))

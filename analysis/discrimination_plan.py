@@ -407,24 +407,9 @@ def _experiment(
 
 
 def described(trajectory: Trajectory, robot: Robot) -> str:
-    """A motion in a few words: which joints move, how fast, and how often they reverse."""
-    motion = trajectory.motion(100.0)
-    speed = np.abs(motion.dq).max(axis=0)
-    moving = np.flatnonzero(speed > 1e-3)
-    duration = f"{trajectory.period:g} s"
-    if not 0 < len(moving) <= 2 < robot.nv:
-        held = [joint for j, joint in enumerate(robot.joints) if j not in moving]
-        which = (
-            f"{', '.join(held)} held, the others move"
-            if held
-            else "all joints move"
-        )
-        return f"{duration}, {which}"
-    parts = [duration]
-    for j in moving:
-        turns = int((np.diff(np.sign(motion.dq[1:-1, j])) != 0).sum())
-        unit = "rad/s" if robot.revolute[j] else "m/s"
-        often = "once" if turns == 1 else f"{turns} times"
-        joint = robot.joints[j]
-        parts.append(f"{joint} reverses {often} at up to {speed[j]:.2g} {unit}")
-    return ", ".join([*parts, "the other joints held"])
+    """A motion in a few words: its duration, and which joints move."""
+    speed = np.abs(trajectory.motion(100.0).dq).max(axis=0)
+    moving = [robot.joints[j] for j in np.flatnonzero(speed > 1e-3)]
+    which = "all joints" if len(moving) == robot.nv else ", ".join(moving)
+    verb = "moves" if len(moving) == 1 else "move"
+    return f"{trajectory.period:g} s, {which} {verb}"
