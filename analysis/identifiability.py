@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-import msgspec
 import numpy as np
+from msgspec.structs import asdict
 
 from excitant.analysis.structure import Structure, distal_frames, structure
 from excitant.analysis.uncertainty import (
@@ -69,7 +69,7 @@ class PracticalIdentifiability:
         lost = [p for p in self.practical if p.verdict == NOT_SHOWN]
         return {
             "condition_number": self.condition_number,
-            "practical": msgspec.to_builtins(self.practical),
+            "practical": [asdict(p) for p in self.practical],
             "basis": self.basis,
             "noise": self.noise,
             "resting_joints": self.resting,
@@ -153,7 +153,7 @@ class Identifiability(Shown):
                 for row, text in zip(base.regrouping, base.expressions, strict=True)
                 if np.count_nonzero(row) > 1 and row[own].any()
             ],
-            "parameters": msgspec.to_builtins(entries),
+            "parameters": [asdict(e) for e in entries],
         }
 
     def series(self) -> dict[str, Array]:
@@ -174,7 +174,7 @@ class Identifiability(Shown):
         UnknownName.refuse("table", [of], ("parameters", "base_parameters"))
         rows = self.entries if of == "parameters" else self.practical
         return data_frame(
-            msgspec.to_builtins(rows), "name", ("value", "std", "verdict")
+            [asdict(row) for row in rows], "name", ("value", "std", "verdict")
         )
 
     def _lines(self) -> list[str]:

@@ -74,11 +74,21 @@ _UNLIMITED = 3.0  # rad/s, where there is no limit on speed
 
 
 def _item(
-    name: str, joint: str, passed: bool, detail: str, advice: str, **values: Any
+    name: str,
+    joint: str,
+    passed: bool,
+    detail: str,
+    advice: str,
+    *,
+    planted: float | None = None,
+    recovered: float | None = None,
+    std: float | None = None,
+    unit: str = "",
 ) -> Requirement:
     """A requirement, with advice where it is not met, and values where it is about one."""
     said = "" if passed else advice
-    return Requirement(name, joint, bool(passed), detail, said, **values)
+    values = (planted, recovered, std, unit)
+    return Requirement(name, joint, bool(passed), detail, said, *values)
 
 
 @dataclass(frozen=True, eq=False)

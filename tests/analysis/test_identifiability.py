@@ -137,7 +137,7 @@ def test_the_result_is_its_record_link_by_link(ur10: Robot) -> None:
     for link in result["links"]:
         seen |= {*link["unique"], *link["unidentifiable"]}
         seen |= {name for c in link["combined"] for name in c["members"]}
-        keys = {"value", "prior", "prior_influence", "margin"}
+        keys = {"value", "std", "prior", "prior_influence", "expression", "needed"}
         assert [keys <= set(p) for p in link["parameters"]] == [True] * 10
     assert len(seen) == 60
 
