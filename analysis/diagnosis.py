@@ -40,7 +40,14 @@ from excitant.analysis.explanation import (
     ordered,
 )
 from excitant.analysis.residuals import Residual, residuals
-from excitant.analysis.selection import frictionless, idle, rivals, select
+from excitant.analysis.selection import (
+    Rival,
+    frictionless,
+    idle,
+    in_deviations,
+    rivals,
+    select,
+)
 from excitant.analysis.set_up import SetUp, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
 from excitant.exceptions import BadInput
@@ -380,6 +387,7 @@ def _causes(
     for finding, candidate in zip(fit.findings, fit.chosen, strict=True):
         if finding.significant:
             alike = rivals(fit.evidence, robot, fit.chosen, candidate)
+            alike = [r for r in alike if not _refuted(r, finding, fit, holdout)]
             causes.append(replace(finding, rivals=tuple(alike)))
     if (bodies := off_bodies(fit, holdout)) is not None:
         if drive is not None and not drive.known.any():
@@ -398,6 +406,31 @@ def _causes(
         [f for f in with_gains([*causes, *noticed]) if not f.is_no_change],
         [f for f in with_gains(others) if not f.by_chance(level)],
     )
+
+
+def _refuted(
+    rival: Rival, finding: Finding, fit: Extension, holdout: Holdout
+) -> bool:
+    """Whether a rival, all else fitted again, predicts the hold-out worse (Vuong 1989).
+
+    That is beyond chance, and by a noticeable part of what the cause explains there: causes of the
+    same torque differ by their priors alone, however surely.
+    """
+    if fit.extender is None:
+        return False
+    measured = holdout.series.measured
+    weight = holdout.series.moves * holdout.gains / fit.evidence.sigma
+
+    def squares(predicted: Array) -> Array:
+        return np.asarray((((measured - predicted) * weight) ** 2).sum(axis=1))
+
+    least = squares(fit.predicted)
+    explained = (squares(fit.predicted - finding.torque) - least).sum()
+    more = squares(fit.extender(rival.instead).predicted) - least
+    if more.sum() <= CONFIRMATION.floor * explained:
+        return False
+    blocks = [part.sum() for part in np.array_split(more, CONFIRMATION.blocks)]
+    return bool(in_deviations(np.array(blocks)) >= rival.tie)
 
 
 def _as_identified(robot: Robot, data: Data) -> tuple[FitRows, tuple[Turning, ...]]:

@@ -289,10 +289,17 @@ class Rival:
     """Another cause that the data cannot distinguish from the one found."""
 
     candidate: Candidate
+    instead: tuple[Candidate, ...]  # all causes, with it in place of the one found
     deviations: (
         float  # standard errors by which the one found explains the data better
     )
     cosine: float  # largest |cos| between both signatures
+
+    @property
+    def tie(self) -> float:
+        """Such deviations from which on it explains less than the one found."""
+        alike = self.cosine > SELECTION.alike
+        return SELECTION.tie_alike if alike else SELECTION.tie
 
 
 def rivals(
@@ -331,13 +338,13 @@ def rivals(
             continue
         deviations = float(in_deviations(evidence.block_errors(instead) - errors))
         cosine = evidence.cosine(cause, other)
-        alike = cosine > SELECTION.alike
-        if deviations >= (SELECTION.tie_alike if alike else SELECTION.tie):
+        rival = Rival(other, tuple(instead), deviations, cosine)
+        if deviations >= rival.tie:
             continue
         if other.key in best and deviations >= best[other.key].deviations:
             continue
         if _plausible(evidence, robot, instead, other):
-            best[other.key] = Rival(other, deviations, cosine)
+            best[other.key] = rival
     return sorted(best.values(), key=lambda rival: rival.deviations)
 
 

@@ -81,7 +81,7 @@ class SetUp:
             _effect_of(name, joints, self.robot.joints) for name, joints in alike
         )
         return tuple(
-            Rival(Candidate(effect, slice(0, 0), none), 0.0, 1.0)
+            Rival(Candidate(effect, slice(0, 0), none), (), 0.0, 1.0)
             for effect in effects
         )
 
