@@ -19,6 +19,7 @@ from excitant.identify.accuracy import (
     series,
 )
 from excitant.identify.attenuation import attenuation
+from excitant.identify.differences import Difference, differences
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
@@ -110,6 +111,7 @@ class Estimate(Shown):
         shapes: Shapes of effects, refined where that fits better; None where there are none.
         repeats: Whether the recordings agree; None of a single one.
         reversals: Dry friction that turns over a range of speeds, as the data show.
+        differences: What single recordings, those held out among them, have otherwise.
     """
 
     given: Robot
@@ -127,6 +129,7 @@ class Estimate(Shown):
     shapes: Shapes | None = None
     repeats: Repeats | None = None
     reversals: tuple[Turning, ...] = ()
+    differences: tuple[Difference, ...] = ()
 
     @property
     def gains(self) -> Array:
@@ -383,13 +386,15 @@ def identify_robot(
     if turns:
         spread = turning_spread(rows, fit, physical.covariance)
         fit, physical = widened(fit, physical, rows.base, spread)
+    estimate = judged(robot, rows, fit, physical, (*notes, *remarks))
     return replace(
-        judged(robot, rows, fit, physical, (*notes, *remarks)),
+        estimate,
         estimator=ESTIMATORS[name],
         knowledge=known,
         shapes=shapes,
         repeats=repeats_of(rows.reduced, fit, data.train),
         reversals=turns,
+        differences=tuple(differences(estimate.model, rows, fit)),
     )
 
 

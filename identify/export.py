@@ -677,8 +677,17 @@ def publication(
         formats=formats,
         gains=estimate.gains if estimate.data.unit == "A" else None,
         force=force,
-        faults=faults,
+        faults=(*faults, *_unsure_zeros(estimate)),
     )
+
+
+def _unsure_zeros(estimate: Estimate) -> list[str]:
+    """Zero positions in which recordings differ, a sentence each: which is right nothing says."""
+    return [
+        difference.sentence(estimate.given)
+        for difference in estimate.differences
+        if difference.effect.name == "encoder_offset" and not difference.rivals
+    ]
 
 
 def hold_out(estimate: Estimate) -> HoldOut:

@@ -79,11 +79,11 @@ def repeats_of(
     problem: Regression, fit: LeastSquares, segments: Sequence[Segment]
 ) -> Repeats | None:
     """Whether the recordings behind the rows of a fit agree; None of a single one."""
-    parts = dict(_parts(problem, segments))
+    parts = {name: problem.at(rows) for name, rows in recordings_in(segments)}
     names = tuple(parts)
     if len(names) < 2:
         return None
-    weight = _noise_within(parts.values(), fit)
+    weight = noise_within(parts.values(), fit)
     information = {}
     scores = {}
     for name, part in parts.items():
@@ -118,18 +118,16 @@ def repeats_of(
     )
 
 
-def _parts(
-    problem: Regression, segments: Sequence[Segment]
-) -> Iterator[tuple[str, Regression]]:
+def recordings_in(segments: Sequence[Segment]) -> Iterator[tuple[str, slice]]:
     """The rows of each recording, whose segments follow each other, by its name."""
     end = 0
     for name, own in groupby(segments, lambda s: s.name):
         begin = end
-        end += sum(len(s.motion.t[s.keep]) for s in own)
-        yield name, problem.at(slice(begin, end))
+        end += sum(len(s.t) for s in own)
+        yield name, slice(begin, end)
 
 
-def _noise_within(parts: Iterable[Regression], fit: LeastSquares) -> Array:
+def noise_within(parts: Iterable[Regression], fit: LeastSquares) -> Array:
     """Weights of joints' rows by the noise of recordings that show all parameters alone, (nv,).
 
     That around the estimate of all holds what recordings differ by, too; it counts where there is

@@ -132,6 +132,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
         "base_parameters": _base_parameters(estimate),
         **({} if repeats is None else {"repeats": repeats.entry()}),
         "reversals": [each.entry(robot) for each in estimate.reversals],
+        "differences": [each.entry(robot) for each in estimate.differences],
         "physical": {
             "consistent": not broken,
             "violations": broken,
@@ -144,6 +145,7 @@ def result_of(estimate: Estimate) -> dict[str, Any]:
                 if repeats is None
                 else [repeats.sentence(estimate.least_squares.std)]
             ),
+            *(each.sentence(robot) for each in estimate.differences),
             *_moved(estimate, bodies),
             *([estimate.knowledge.sentence] if estimate.knowledge.sentence else []),
             *_lacking(estimate),

@@ -854,6 +854,23 @@ class Modelled(Imported, kw_only=True):
     "Errors of each model file."
 
 
+class RecordingDifference(Record):
+    """What one recording has otherwise than those that are fitted beside it."""
+
+    recording: str
+    "Its name."
+    effect: str
+    "What differs, by the name of an effect."
+    joints: list[str]
+    "Where."
+    sizes: list[Quantity]
+    "By how much."
+    left: float
+    "Part of the squared error beyond the usual that is left with that."
+    rivals: list[tuple[str, list[str]]] = []
+    "Effects and joints that would do as well."
+
+
 class Identify(Modelled, tag_field="verb", tag="identify"):
     """``excitant identify``: a physically consistent model from recordings."""
 
@@ -877,6 +894,8 @@ class Identify(Modelled, tag_field="verb", tag="identify"):
     "Whether several recordings agree."
     reversals: list[Reversal] = []
     "Joints whose dry friction turns over a range of speeds."
+    differences: list[RecordingDifference] = []
+    "What single recordings have otherwise."
     shapes: Shapes | None = None
     "Shapes of effects that were refined."
     link_by_link: LinkByLink | None = None
