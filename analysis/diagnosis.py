@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -50,20 +51,24 @@ from excitant.analysis.selection import (
 )
 from excitant.analysis.set_up import SetUp, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
-from excitant.exceptions import BadInput
+from excitant.exceptions import BadInput, RankDeficient
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.attenuation import coarseness, half_segments
 from excitant.identify.drive_gains import DriveGains
+from excitant.identify.least_squares import weighted_least_squares
 from excitant.identify.objections import objections
+from excitant.identify.physical import fit_physical
 from excitant.identify.preprocessing import Segment
 from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording, Recordings, recordings_of
+from excitant.identify.repeats import LEAVES, Difference, differences
 from excitant.identify.reversals import Turning, turned_rows, turning_notes
 from excitant.identify.rows import (
     Data,
     FitRows,
     fitted,
     gains_of,
+    identified_robot,
     predicted_torque,
     split,
 )
@@ -109,6 +114,7 @@ class Diagnosis(Shown):
         notes: Remarks to the user, as sentences.
         drive: Drive gains, if torque was recorded as current.
         set_up: Mounting, zero positions and repairs of the data, if not the nominal ones.
+        differences: What single recordings have otherwise, which was taken off.
     """
 
     robot: Robot
@@ -123,6 +129,7 @@ class Diagnosis(Shown):
     notes: tuple[str, ...]
     drive: DriveGains | None = None
     set_up: SetUp | None = None
+    differences: tuple[Difference, ...] = ()
 
     @property
     def undetermined(self) -> str:
@@ -133,6 +140,11 @@ class Diagnosis(Shown):
     def error(self) -> Array:
         """Error of the extended model at the rows of the hold-out, (n, nv) [torque unit]."""
         return self.holdout.series.measured - self.extension.predicted
+
+    @property
+    def squares(self) -> float:
+        """Squares of that over those of the torque, summed over joints in motion."""
+        return float(np.nansum(self.extended.nrmse**2))
 
     @cached_property
     def simulation(self) -> Accuracy:
@@ -147,7 +159,8 @@ class Diagnosis(Shown):
     @cached_property
     def headline(self) -> str:
         """The main finding in a sentence, its reservation, and the number of further findings."""
-        return headline(self)
+        told = [f"{each.sentence(self.robot)}." for each in self.differences]
+        return " ".join([*told, headline(self)])
 
     @cached_property
     def no_friction(self) -> frozenset[str]:
@@ -241,15 +254,79 @@ def diagnose(
         BadRecording: Recordings that cannot be used.
         BadRobot: Links without mass.
     """
-    nominal = robot
-    recordings = recordings_of(recordings, nominal)
-    validate = recordings_of(validate, nominal)
-    prior = prior_parameters(nominal)
-    mounted, repaired = set_up(nominal, [*recordings, *validate])
+    recordings = recordings_of(recordings, robot)
+    validate = recordings_of(validate, robot)
+    mounted, repaired = set_up(robot, [*recordings, *validate])
     count = len(recordings)
     data = split(repaired[:count], repaired[count:], cutoff_hz)
-    measured = series(data.train).measured
+    raw = (
+        split(recordings, validate, data.cutoff_hz).validate
+        if mounted.faults
+        else ()
+    )
+    logs = fitted(repaired[:count], repaired[count:])
     rows, turnings = _as_identified(mounted.robot, data)
+    diagnosis = _of_data(mounted, data, rows, turnings, logs, raw)
+    with suppress(RankDeficient):
+        model, found = _differing(rows)
+        if found:
+            alike = _without(data, found, model, rows.gains)
+            rows, turnings = _as_identified(mounted.robot, alike)
+            again = _of_data(mounted, alike, rows, turnings, logs, raw)
+            if again.squares < LEAVES * diagnosis.squares:
+                diagnosis = replace(again, differences=tuple(found))
+    return diagnosis
+
+
+def _differing(rows: FitRows) -> tuple[Robot, list[Difference]]:
+    """The arm as identified, and what recordings have otherwise than it."""
+    robot = rows.robot
+    fit = weighted_least_squares(rows.reduced)
+    R, z = rows.regression.factor(fit.weight)
+    physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior)
+    model = identified_robot(robot, rows.effects, physical.x)
+    return model, differences(model, rows, fit)
+
+
+def _without(
+    data: Data, found: Sequence[Difference], model: Robot, gains: Array
+) -> Data:
+    """Data as they would be without differences between recordings."""
+
+    def alike(segment: Segment) -> Segment:
+        for each in found:
+            segment = each.without(model, gains, segment)
+        return segment
+
+    return replace(
+        data,
+        train=tuple(map(alike, data.train)),
+        validate=tuple(map(alike, data.validate)),
+    )
+
+
+def _of_data(
+    mounted: SetUp,
+    data: Data,
+    rows: FitRows,
+    turnings: Sequence[Turning],
+    logs: Sequence[Recording],
+    raw: Sequence[Segment],
+) -> Diagnosis:
+    """The diagnosis of an arm as it is set up.
+
+    Args:
+        mounted: The arm.
+        data: Fitted and held-out data.
+        rows: Its identification.
+        turnings: Friction that turns over a range of speeds there.
+        logs: Recordings of the fit.
+        raw: The hold-out without repairs; empty where there are none.
+    """
+    nominal = mounted.given
+    joints = nominal.joints
+    prior = prior_parameters(nominal)
+    measured = series(data.train).measured
     reversals = [each.reversal for each in turnings]
     train = observed(mounted.robot, data.train, reversals)
     drive = rows.drive
@@ -260,22 +337,19 @@ def diagnose(
     tau = measured * gains
     holdout = holdout_of(mounted.robot, data.validate, gains, nominal, drive)
     share = coarseness(data.train)
-    logs = fitted(repaired[:count], repaired[count:])
     halves = _halves(mounted.robot, logs, data, share)
     fit = _extended(mounted, train, halves, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
-    joints = nominal.joints
     left = residuals(joints, data.validate, error, holdout.error, fit.predicted)
     causes, corrected = _causes(fit, holdout, drive)
-    coarse = _coarse_sentence(share, joints) if halves else ""
     of_set_up = [
         _of_set_up(mounted, effect, fit, holdout) for effect in mounted.effects
     ]
-    if mounted.faults:
-        raw = split(recordings, validate, data.cutoff_hz).validate
+    if raw:
         of_set_up = [*_of_faults(mounted, raw, fit, holdout), *of_set_up]
     findings = [_judged_set_up(mounted, finding) for finding in of_set_up]
     findings += _judged(mounted, fit, holdout, causes, left)
+    coarse = _coarse_sentence(share, joints) if halves else ""
     notes = [data.holdout, *mounted.checked.notes, *[coarse] * bool(coarse)]
     turned = {e.joints for e in fit.model.effects if turning_speed(e)}
     told = [each for each in turnings if each.effect.joints in turned]

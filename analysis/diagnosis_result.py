@@ -94,6 +94,9 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
         "holdout": diagnosis.data.holdout,
         "simulation": {"joints": _joints(diagnosis, diagnosis.simulation)},
         "faults": [],
+        "differences": [
+            each.entry(diagnosis.robot) for each in diagnosis.differences
+        ],
         "findings": [
             entry | {"figure": _figure(diagnosis, item)}
             for item, entry in zip(

@@ -19,7 +19,6 @@ from excitant.identify.accuracy import (
     series,
 )
 from excitant.identify.attenuation import attenuation
-from excitant.identify.differences import Difference, differences
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.estimators import ESTIMATORS, estimated, spoiled
 from excitant.identify.knowledge import Knowledge
@@ -42,7 +41,12 @@ from excitant.identify.recording import (
     shows_poses,
 )
 from excitant.identify.regression import regression_of
-from excitant.identify.repeats import Repeats, repeats_of
+from excitant.identify.repeats import (
+    Difference,
+    Repeats,
+    differences,
+    repeats_of,
+)
 from excitant.identify.reversals import (
     Turning,
     turned_rows,

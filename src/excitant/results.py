@@ -831,6 +831,23 @@ class Imported(Run, kw_only=True, rename={"imported": "import"}):
     "What was assumed in reading each recording."
 
 
+class RecordingDifference(Record):
+    """What one recording has otherwise than those that are fitted beside it."""
+
+    recording: str
+    "Its name."
+    effect: str
+    "What differs, by the name of an effect."
+    joints: list[str]
+    "Where."
+    sizes: list[Quantity]
+    "By how much."
+    left: float
+    "Part of the squared error beyond the usual that is left with that."
+    rivals: list[tuple[str, list[str]]] = []
+    "Effects and joints that would do as well."
+
+
 class Modelled(Imported, kw_only=True):
     """What the records of verbs that make a model have."""
 
@@ -852,23 +869,8 @@ class Modelled(Imported, kw_only=True):
     "Why not."
     exported: list[ExportedFile] = []
     "Errors of each model file."
-
-
-class RecordingDifference(Record):
-    """What one recording has otherwise than those that are fitted beside it."""
-
-    recording: str
-    "Its name."
-    effect: str
-    "What differs, by the name of an effect."
-    joints: list[str]
-    "Where."
-    sizes: list[Quantity]
-    "By how much."
-    left: float
-    "Part of the squared error beyond the usual that is left with that."
-    rivals: list[tuple[str, list[str]]] = []
-    "Effects and joints that would do as well."
+    differences: list[RecordingDifference] = []
+    "What single recordings have otherwise; a diagnosis takes it off."
 
 
 class Identify(Modelled, tag_field="verb", tag="identify"):
@@ -894,8 +896,6 @@ class Identify(Modelled, tag_field="verb", tag="identify"):
     "Whether several recordings agree."
     reversals: list[Reversal] = []
     "Joints whose dry friction turns over a range of speeds."
-    differences: list[RecordingDifference] = []
-    "What single recordings have otherwise."
     shapes: Shapes | None = None
     "Shapes of effects that were refined."
     link_by_link: LinkByLink | None = None

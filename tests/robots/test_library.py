@@ -48,7 +48,7 @@ def test_every_arm_is_complete(builtin: Robot) -> None:
 
 
 def test_every_arm_has_bodies_that_keep_apart_in_most_poses(builtin: Robot) -> None:
-    shaped = {body.link for body in builtin.format.bodies(builtin) if body.solid}
+    shaped = {body.link for body in builtin.format.bodies(builtin) if body.shapes}
     assert len(shaped & set(builtin.links)) >= builtin.nv - 1
     found = scene(builtin)
     if found is None:
