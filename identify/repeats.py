@@ -41,8 +41,9 @@ from excitant.robots.robot import Robot
 
 FALSE_ALARM = 0.01  # of recordings of one arm, called different
 RANK = 1e-9  # eigenvalue over the largest, up to which a recording shows nothing
+MODEL_ERROR = 0.005  # of a torque's rms: errors of any model, which count as noise
 DISAGREES = 2.0
-"""Squares per row of a recording over those of the fit, from which on it disagrees."""
+"""Squares per row of a recording over those of the others, from which on it disagrees."""
 LEAVES = 0.5
 """Part of the squares beyond the usual that a difference leaves at most."""
 SURE = 0.001
@@ -53,7 +54,7 @@ OF_JOINTS = (
     "coulomb_friction",
     "viscous_friction",
 )
-"""What may differ at one joint."""
+"""What may differ at one joint, beside its zero position."""
 ANGLES = (
     0.0,
     np.pi / 2,
@@ -182,18 +183,23 @@ class Difference:
     """What one recording has otherwise than those that are fitted beside it.
 
     Attributes:
-        recording: Its name.
+        segments: The recording.
         effect: The cause, with the values that it has more.
         covariance: Of these.
         left: Part of the squares that it leaves.
         rivals: Causes that would do as well.
     """
 
-    recording: str
+    segments: tuple[Segment, ...]
     effect: Effect
     covariance: Array
     left: float
     rivals: tuple[Effect, ...]
+
+    @property
+    def recording(self) -> str:
+        """Its name."""
+        return self.segments[0].name
 
     def sizes(self, robot: Robot) -> tuple[Size, ...]:
         """By how much."""
@@ -228,7 +234,7 @@ class Difference:
 
     def without(self, model: Robot, gains: Array, segment: Segment) -> Segment:
         """A segment as it would be without; gains (nv,) are torque per reading."""
-        if segment.name != self.recording:
+        if not any(segment is own for own in self.segments):
             return segment
         if _is_zero(self.effect):
             return _read(model, self.effect, segment)
@@ -301,22 +307,21 @@ class _Fit:
     def count(self, problem: Regression) -> float:
         """Rows that count as independent."""
         rows = [len(values) for values in problem.counted(problem.tau)]
-        return float(np.sum(rows / self.fit.inflation))
+        return max(1.0, float(np.sum(rows / self.fit.inflation)))
 
     def cases(
         self, segments: Sequence[Segment], beside: Sequence[Array]
     ) -> Iterator[_Case]:
         """All that may differ in a recording, of which these are the segments."""
         model = self.model
-        effects = [
-            EFFECTS["payload"](model.joints[-1:]),
-            EFFECTS["gravity_direction"](model.joints),
-            *(
-                EFFECTS[name]((joint,))
-                for name in OF_JOINTS
-                for joint in model.joints
-            ),
-        ]
+        drive = self.rows.drive
+        certain = np.ones(model.nv, bool) if drive is None else drive.known
+        effects: list[Effect] = [EFFECTS["gravity_direction"](model.joints)]
+        if certain.all():
+            effects.append(EFFECTS["payload"](model.joints[-1:]))
+        # of other joints no torque is known
+        for joint in np.array(model.joints)[certain].tolist():
+            effects += [EFFECTS[name]((joint,)) for name in OF_JOINTS]
         wide = self.problem(effects, segments)
         base = range(len(self.fit.beta))
         end = len(base)
@@ -354,44 +359,43 @@ def differences(model: Robot, rows: FitRows, fit: LeastSquares) -> list[Differen
         fit: The base parameters by that.
     """
     data = rows.data
-    trained = {name: rows.reduced.at(at) for name, at in recordings_in(data.train)}
-    known = _Fit(model, rows, fit, noise_within(trained.values(), fit))
-    alone = {name: known.rows_of(part) for name, part in trained.items()}
-    usual = np.median(
-        [
-            _squares(alone[name], _solution(alone[name])) / known.count(part)
-            for name, part in trained.items()
-        ]
-    )
-    held = known.problem((), data.validate)
-    unseen = {name: held.at(at) for name, at in recordings_in(data.validate)}
+    parts = {name: rows.reduced.at(at) for name, at in recordings_in(data.train)}
+    noise = 1 / noise_within(parts.values(), fit)
+    size = np.sqrt((rows.tau**2).mean(axis=0))
+    known = _Fit(model, rows, fit, 1 / np.hypot(noise, MODEL_ERROR * size))
+    alone = {name: known.rows_of(part) for name, part in parts.items()}
+    misfits = [
+        _squares(own, _solution(own)) / known.count(parts[name])
+        for name, own in alone.items()
+    ]
+    usual = max(1.0, float(np.median(misfits)))
     found = list[Difference]()
 
-    def disagreement(name: str, part: Regression) -> float:
+    def disagreement(own: Array, count: float) -> float:
         """Squares by what others show, over those of a recording where nothing differs."""
-        beside = [
-            rows for other, rows in alone.items() if trained[other] is not part
-        ]
-        own = known.rows_of(part)
-        left = _left(beside, own, own) if beside else 0.0
-        return left / float(usual * known.count(part))
+        beside = [other for other in alone.values() if other is not own]
+        return _left(beside, own, own) / (usual * count) if beside else 0.0
 
     def look(name: str, part: Regression, segments: Sequence[Segment]) -> None:
-        expected = float(usual * known.count(part))
-        alike = [s for s in segments if s.name == name]
+        alike = tuple(s for s in segments if s.name == name)
+        expected = usual * known.count(part)
         found.extend(_difference(known, alike, [*alone.values()], part, expected))
 
-    # the one that disagrees most first, which others are not judged by
-    while trained:
-        off = {name: disagreement(name, part) for name, part in trained.items()}
+    # the one that disagrees most first; the others, which are most, are not judged by it
+    while 2 * len(alone) > len(parts):
+        off = {
+            name: disagreement(own, known.count(parts[name]))
+            for name, own in alone.items()
+        }
         worst = max(off, key=lambda name: off[name])
         if off[worst] < DISAGREES:
             break
-        part = trained.pop(worst)
         del alone[worst]
-        look(worst, part, data.train)
-    for name, part in unseen.items():
-        if disagreement(name, part) > DISAGREES:
+        look(worst, parts[worst], data.train)
+    held = known.problem((), data.validate)
+    for name, at in recordings_in(data.validate):
+        part = held.at(at)
+        if disagreement(known.rows_of(part), known.count(part)) > DISAGREES:
             look(name, part, data.validate)
     return found
 
@@ -420,7 +424,7 @@ def _left(beside: Sequence[Array], shown: Array, judged: Array) -> float:
 
 def _difference(
     known: _Fit,
-    segments: Sequence[Segment],
+    segments: tuple[Segment, ...],
     beside: Sequence[Array],
     part: Regression,
     expected: float,
@@ -468,7 +472,7 @@ def _difference(
     alike = order - order[best] < dispersion * scipy.special.chdtri(1, SURE)
     effects = [c.effect for c, same in zip(cases, alike, strict=True) if same]
     yield Difference(
-        recording=segments[0].name,
+        segments=segments,
         effect=case.effect.with_values(case.start + _solution(both)[r:]),
         covariance=np.asarray(dispersion * inverse[r:, r:], float),
         left=left / without,
