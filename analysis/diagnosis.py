@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -51,7 +50,7 @@ from excitant.analysis.selection import (
 )
 from excitant.analysis.set_up import SetUp, set_up
 from excitant.analysis.thresholds import CONFIRMATION, EVIDENCE, SEARCH, VERDICT
-from excitant.exceptions import BadInput, RankDeficient
+from excitant.exceptions import BadInput, Infeasible, RankDeficient
 from excitant.identify.accuracy import Accuracy, series
 from excitant.identify.attenuation import coarseness, half_segments
 from excitant.identify.drive_gains import DriveGains
@@ -159,7 +158,10 @@ class Diagnosis(Shown):
     @cached_property
     def headline(self) -> str:
         """The main finding in a sentence, its reservation, and the number of further findings."""
-        told = [f"{each.sentence(self.robot)}." for each in self.differences]
+        told = [
+            f"{each.recording} differs in {each.where(self.robot)}, which is taken off."
+            for each in self.differences
+        ]
         return " ".join([*told, headline(self)])
 
     @cached_property
@@ -267,23 +269,28 @@ def diagnose(
     logs = fitted(repaired[:count], repaired[count:])
     rows, turnings = _as_identified(mounted.robot, data)
     diagnosis = _of_data(mounted, data, rows, turnings, logs, raw)
-    with suppress(RankDeficient):
-        model, found = _differing(rows)
-        if found:
-            alike = _without(data, found, model, rows.gains)
-            rows, turnings = _as_identified(mounted.robot, alike)
-            again = _of_data(mounted, alike, rows, turnings, logs, raw)
-            if again.squares < LEAVES * diagnosis.squares:
-                diagnosis = replace(again, differences=tuple(found))
-    return diagnosis
+    model, found = _differing(rows)
+    # what a repair does is judged on the data as they are
+    if not found or raw:
+        return diagnosis
+    alike = _without(data, found, model, rows.gains)
+    rows, turnings = _as_identified(mounted.robot, alike)
+    again = _of_data(mounted, alike, rows, turnings, logs, raw)
+    if again.squares >= LEAVES * diagnosis.squares:
+        return diagnosis
+    return replace(again, differences=tuple(found))
 
 
 def _differing(rows: FitRows) -> tuple[Robot, list[Difference]]:
-    """The arm as identified, and what recordings have otherwise than it."""
+    """The arm as identified, and what recordings have otherwise; nothing where it cannot be."""
     robot = rows.robot
-    fit = weighted_least_squares(rows.reduced)
-    R, z = rows.regression.factor(fit.weight)
-    physical = fit_physical(R, z, prior_parameters(robot), rows.open_prior)
+    prior = prior_parameters(robot)
+    try:
+        fit = weighted_least_squares(rows.reduced)
+        R, z = rows.regression.factor(fit.weight)
+        physical = fit_physical(R, z, prior, rows.open_prior)
+    except (RankDeficient, Infeasible):
+        return robot, []
     model = identified_robot(robot, rows.effects, physical.x)
     return model, differences(model, rows, fit)
 

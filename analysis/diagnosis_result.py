@@ -78,6 +78,7 @@ def result_of(diagnosis: Diagnosis, plan: Plan) -> Entry:
     """All contents, with a plan's experiments or else general actions."""
     drive = diagnosis.drive
     notes = [
+        *(each.sentence(diagnosis.robot) for each in diagnosis.differences),
         *diagnosis.notes,
         placeholders(diagnosis),
         at_rest(diagnosis),

@@ -96,8 +96,11 @@ def discriminating_motions(
     motions = list[Discriminating]()
     while open_.any() and len(motions) < MOST_MOTIONS:
         best = search.best(pool, open_)
-        if best is None or best.deltas[open_].max() <= DISCRIMINATION.hopeless:
+        if best is None:
             break
+        # slowed down to the limits, another may show more
+        if best.deltas[open_].max() <= DISCRIMINATION.hopeless:
+            continue
         motions.append(best)
         open_ &= (best.deltas < needed()) & (
             highest > DISCRIMINATION.much_better * best.deltas

@@ -10,6 +10,7 @@ from excitant.analysis.diagnosis import Diagnosis
 from excitant.identify.estimate import Estimate
 from excitant.identify.export import Publication, publication, published
 from excitant.identify.faults import proven
+from excitant.identify.repeats import unsure_zeros
 
 
 def publication_of(noun: object, *, force: bool = False) -> Publication | None:
@@ -39,5 +40,8 @@ def extended_publication(
         replace(diagnosis.holdout, predicted=diagnosis.extension.predicted),
         diagnosis.train.segments,
         force=force,
-        faults=proven(faults),
+        faults=[
+            *proven(faults),
+            *unsure_zeros(diagnosis.robot, diagnosis.differences),
+        ],
     )

@@ -33,6 +33,7 @@ from excitant.identify.objections import (
 )
 from excitant.identify.preprocessing import Mask, Segment
 from excitant.identify.refit import Refit
+from excitant.identify.repeats import unsure_zeros
 from excitant.identify.rows import predicted_torque
 from excitant.robots.effects import (
     Effect,
@@ -677,17 +678,8 @@ def publication(
         formats=formats,
         gains=estimate.gains if estimate.data.unit == "A" else None,
         force=force,
-        faults=(*faults, *_unsure_zeros(estimate)),
+        faults=(*faults, *unsure_zeros(estimate.given, estimate.differences)),
     )
-
-
-def _unsure_zeros(estimate: Estimate) -> list[str]:
-    """Zero positions in which recordings differ, a sentence each: which is right nothing says."""
-    return [
-        difference.sentence(estimate.given)
-        for difference in estimate.differences
-        if difference.effect.name == "encoder_offset" and not difference.rivals
-    ]
 
 
 def hold_out(estimate: Estimate) -> HoldOut:

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -32,7 +33,7 @@ import scipy
 
 from excitant.exceptions import RankDeficient
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
-from excitant.identify.preprocessing import Segment, certain_rows
+from excitant.identify.preprocessing import Mask, Segment, certain_rows
 from excitant.identify.regression import Regression, regression_of, triangle
 from excitant.identify.rows import FitRows
 from excitant.robots.effects import EFFECTS, Effect, Size, plain
@@ -61,6 +62,8 @@ ANGLES = (
     -np.pi / 2,
     np.pi,
 )  # around which a zero position is sought
+SHOWN = 2.0  # standard deviations of a size that is told
+CHUNK = 4096  # samples whose columns are held at once
 STEPS = 3  # Gauss-Newton steps of an angle: columns are its first derivatives
 
 
@@ -206,8 +209,9 @@ class Difference:
         values = np.array(self.effect.coefficients)
         units = [p.unit for p in self.effect.parameters(robot)]
         sizes = self.effect.sizes(values, 0 * values, self.covariance, units)
-        # a payload is told by its mass
-        return sizes[:1] if self.effect.role == "body" else sizes
+        shown = tuple(s for s in sizes if abs(s.value) > SHOWN * s.std)
+        # a payload is told by its mass, where torque shows it
+        return shown[:1] if self.effect.role == "body" else shown or sizes
 
     def entry(self, robot: Robot) -> dict[str, Any]:
         """Its entry in ``result.json``."""
@@ -225,12 +229,19 @@ class Difference:
 
     def sentence(self, robot: Robot) -> str:
         """What differs, in words."""
-        causes = " or ".join(_place(e, robot) for e in (self.effect, *self.rivals))
-        size = ", ".join(map(str, self.sizes(robot)))
+        sizes = self.sizes(robot)
+        several = len(sizes) > 1
+        size = ", ".join(f"{s.name} {s}" if several else str(s) for s in sizes)
+        others = "".join(f" or {_place(e, robot)}" for e in self.rivals)
         return (
-            f"{self.recording} differs from what is fitted beside it in {causes}, by {size}: with "
-            f"that, {100 * self.left:.2g} % of its squared error is left"
+            f"{self.recording} differs from what is fitted beside it in "
+            f"{self.where(robot)} by {size}{others}: with that, {100 * self.left:.2g} % of its "
+            "squared error is left"
         )
+
+    def where(self, robot: Robot) -> str:
+        """What differs, and at which joint."""
+        return _place(self.effect, robot)
 
     def without(self, model: Robot, gains: Array, segment: Segment) -> Segment:
         """A segment as it would be without; gains (nv,) are torque per reading."""
@@ -238,12 +249,27 @@ class Difference:
             return segment
         if _is_zero(self.effect):
             return _read(model, self.effect, segment)
-        torque = self.effect.torque(model, segment.motion) / gains
+        motion = segment.motion
+        torque = np.concatenate(
+            [
+                self.effect.torque(model, motion[start : start + CHUNK])
+                for start in range(0, len(motion), CHUNK)
+            ]
+        )
         return replace(
             segment,
-            tau=segment.tau - segment.filtered(torque),
-            tau_raw=segment.tau_raw - torque,
+            tau=segment.tau - segment.filtered(torque / gains),
+            tau_raw=segment.tau_raw - torque / gains,
         )
+
+
+def unsure_zeros(robot: Robot, differences: Sequence[Difference]) -> list[str]:
+    """Zero positions in which recordings differ, a sentence each: which is right nothing says."""
+    return [
+        f"{each.sentence(robot)}; say which zero position is right, or leave that recording out"
+        for each in differences
+        if {e.name for e in (each.effect, *each.rivals)} == {"encoder_offset"}
+    ]
 
 
 def _place(effect: Effect, robot: Robot) -> str:
@@ -265,11 +291,14 @@ def _read(model: Robot, effect: Effect, segment: Segment) -> Segment:
 
 
 class _Case(NamedTuple):
-    """A cause from where its value is sought, and rows with its columns after those of the base."""
+    """A cause from where its value is sought, and columns of the base and its own.
+
+    They are the triangles of all rows of a recording, of its first half and of its second.
+    """
 
     effect: Effect
     start: Array
-    problem: Regression
+    rows: tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,16 +318,38 @@ class _Fit:
     weight: Array
 
     def problem(
-        self, effects: Sequence[Effect], segments: Sequence[Segment]
+        self,
+        effects: Sequence[Effect],
+        segments: Sequence[Segment],
+        used: Mask | None = None,
     ) -> Regression:
         """Base parameters and effects at the rows of segments that count, torque in N·m."""
         rows = self.rows
         both = regression_of(self.model, (*rows.effects, *effects), segments)
         more = sum(len(effect.parameters(self.model)) for effect in effects)
         columns = (*rows.base.columns, *range(both.p - more, both.p))
-        used = certain_rows(rows.effects, self.model.joints, segments)
+        if used is None:
+            used = certain_rows(rows.effects, self.model.joints, segments)
         torque = both.tau * rows.gains
         return both.select(columns).with_torque(torque).counting(used)
+
+    def parts(self, problem: Regression) -> tuple[Array, Array, Array]:
+        """All rows, those of the first half and those of the second, as `rows_of`."""
+        middle = len(problem) // 2
+        return (
+            self.rows_of(problem),
+            self.rows_of(problem.at(slice(None, middle))),
+            self.rows_of(problem.at(slice(middle, None))),
+        )
+
+    def tells(self, effect: Effect) -> bool:
+        """Whether its size rests on no drive gain that is not known."""
+        drive = self.rows.drive
+        if drive is None or drive.known.all():
+            return True
+        if effect.jointwise:
+            return bool(drive.known[effect.rows(self.model)].all())
+        return effect.role != "body"
 
     def rows_of(self, problem: Regression) -> Array:
         """Columns and torque as a triangle, rows weighted as they count as independent."""
@@ -310,44 +361,53 @@ class _Fit:
         return max(1.0, float(np.sum(rows / self.fit.inflation)))
 
     def cases(
-        self, segments: Sequence[Segment], beside: Sequence[Array]
+        self,
+        segments: Sequence[Segment],
+        used: Mask | None,
+        beside: Sequence[Array],
     ) -> Iterator[_Case]:
-        """All that may differ in a recording, of which these are the segments."""
+        """All that may differ in a recording, of which these are the segments and rows."""
         model = self.model
-        drive = self.rows.drive
-        certain = np.ones(model.nv, bool) if drive is None else drive.known
-        effects: list[Effect] = [EFFECTS["gravity_direction"](model.joints)]
-        if certain.all():
-            effects.append(EFFECTS["payload"](model.joints[-1:]))
-        # of other joints no torque is known
-        for joint in np.array(model.joints)[certain].tolist():
-            effects += [EFFECTS[name]((joint,)) for name in OF_JOINTS]
-        wide = self.problem(effects, segments)
-        base = range(len(self.fit.beta))
-        end = len(base)
+        effects: list[Effect] = [
+            EFFECTS["payload"](model.joints[-1:]),
+            EFFECTS["gravity_direction"](model.joints),
+        ]
+        if model.nv > 1:
+            effects.append(EFFECTS["torque_gain"](model.joints))
+        for name in OF_JOINTS:
+            effects += [EFFECTS[name]((joint,)) for joint in model.joints]
+        whole, first, last = self.parts(self.problem(effects, segments, used))
+        end = len(self.fit.beta)
+        base = range(end)
         for effect in effects:
             size = len(effect.parameters(model))
-            own = wide.select([*base, *range(end, end + size)])
-            yield _Case(effect, np.zeros(size), own)
+            at = [*base, *range(end, end + size), -1]
+            rows = whole[:, at], first[:, at], last[:, at]
+            yield _Case(effect, np.zeros(size), rows)
             end += size
         for joint in np.array(model.joints)[model.revolute].tolist():
-            around = [self.turned((joint,), angle, segments) for angle in ANGLES]
-            turned = [self.rows_of(case.problem) for case in around]
-            case = around[int(np.argmin([_left(beside, R, R) for R in turned]))]
+            turned = partial(self.turned, (joint,), segments, used)
+            around = [turned(angle) for angle in ANGLES]
+            left = [_left(beside, case.rows[0], case.rows[0]) for case in around]
+            case = around[int(np.argmin(left))]
             for _ in range(STEPS):
-                both = _together(beside, self.rows_of(case.problem))
-                angle = float(case.start[0] + _solution(both)[-1])
-                case = self.turned((joint,), angle, segments)
+                x = _solution(_together(beside, case.rows[0]))
+                case = turned(float(case.start[0] + x[-1]))
             yield case
 
     def turned(
-        self, joints: tuple[str, ...], angle: float, segments: Sequence[Segment]
+        self,
+        joints: tuple[str, ...],
+        segments: Sequence[Segment],
+        used: Mask | None,
+        angle: float,
     ) -> _Case:
         """A zero position that is sought around an angle."""
         effect = EFFECTS["encoder_offset"](joints)
         valued = effect.with_values(angle)
         read = [_read(self.model, valued, segment) for segment in segments]
-        return _Case(effect, np.array([angle]), self.problem([effect], read))
+        rows = self.parts(self.problem([effect], read, used))
+        return _Case(effect, np.array([angle]), rows)
 
 
 def differences(model: Robot, rows: FitRows, fit: LeastSquares) -> list[Difference]:
@@ -382,7 +442,7 @@ def differences(model: Robot, rows: FitRows, fit: LeastSquares) -> list[Differen
         found.extend(_difference(known, alike, [*alone.values()], part, expected))
 
     # the one that disagrees most first; the others, which are most, are not judged by it
-    while 2 * len(alone) > len(parts):
+    while len(alone) > 2 and 2 * len(alone) > len(parts):
         off = {
             name: disagreement(own, known.count(parts[name]))
             for name, own in alone.items()
@@ -438,36 +498,28 @@ def _difference(
         part: Its own, of base parameters alone.
         expected: Squares of such a recording where nothing differs.
     """
-    whole = known.rows_of(part)
-    r = whole.shape[1] - 1
+    base = known.parts(part)
+    r = part.p
     count = known.count(part)
-    cases = [*known.cases(segments, beside)]
-    rows = [known.rows_of(case.problem) for case in cases]
-    squares = np.array([_left(beside, own, own) for own in rows])
+    cases = [*known.cases(segments, part.used, beside)]
+    squares = np.array([_left(beside, c.rows[0], c.rows[0]) for c in cases])
     dispersion = max(1.0, float(squares.min()) / count)
     # Schwarz's criterion
     prices = [dispersion * np.log(count) * len(case.start) for case in cases]
     order = squares + prices
     best = int(np.argmin(order))
     case = cases[best]
-    own = known.rows_of(case.problem)
-    left = _left(beside, own, own)
-    without = _left(beside, whole, whole)
-    middle = len(part) // 2
-    first = slice(None, middle)
-    last = slice(middle, None)
 
-    def halved(shown: slice, judged: slice) -> bool:
+    def explains(shown: int, judged: int, expected: float) -> bool:
         before, after = (
-            _left(beside, *(known.rows_of(x.at(at)) for at in (shown, judged)))
-            for x in (part, case.problem)
+            _left(beside, rows[shown], rows[judged]) for rows in (base, case.rows)
         )
-        return after - expected / 2 <= LEAVES * (before - expected / 2)
+        return after - expected <= LEAVES * (before - expected)
 
-    explained = left - expected <= LEAVES * (without - expected)
-    if not (explained and halved(first, last) and halved(last, first)):
+    halves = explains(1, 2, expected / 2) and explains(2, 1, expected / 2)
+    if not (explains(0, 0, expected) and halves and known.tells(case.effect)):
         return
-    both = _together(beside, own)
+    both = _together(beside, case.rows[0])
     inverse = np.linalg.pinv(both[:, :-1].T @ both[:, :-1])
     alike = order - order[best] < dispersion * scipy.special.chdtri(1, SURE)
     effects = [c.effect for c, same in zip(cases, alike, strict=True) if same]
@@ -475,6 +527,6 @@ def _difference(
         segments=segments,
         effect=case.effect.with_values(case.start + _solution(both)[r:]),
         covariance=np.asarray(dispersion * inverse[r:, r:], float),
-        left=left / without,
-        rivals=tuple(e for e in dict.fromkeys(effects) if e != case.effect),
+        left=float(squares[best]) / _left(beside, base[0], base[0]),
+        rivals=tuple(e for e in effects if e != case.effect),
     )

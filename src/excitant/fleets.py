@@ -8,7 +8,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext, redirect_stderr, redirect_stdout, suppress
+from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from os.path import isdir, isfile
 from pathlib import Path
@@ -179,22 +179,24 @@ def _examine_all(
     sets: Sequence[_DataSet], jobs: int, client: Any, advance: Advance
 ) -> None:
     """Examine data sets side by side; one that ends its process twice is left to itself."""
-    left = {data_set.name: data_set for data_set in sets}
-
-    def examine(*batch: _DataSet, apart: bool = False) -> None:
-        tasks = [tuple(data_set) for data_set in batch]
-        for name in unordered(_examine, tasks, jobs, client, apart=apart):
-            del left[name]
-            advance(1 - len(left) / len(sets), name)
-
+    left = {data_set.name for data_set in sets}
     try:
-        with suppress(WorkerDied):
-            examine(*sets)
-        for data_set in [*left.values()]:
-            try:
-                examine(data_set, apart=True)
-            except WorkerDied:
-                _note(data_set.out, _stamp(data_set.folder), _DIED)
+        for apart, alone in ((False, False), (True, False), (True, True)):
+            for batch in [[data_set] for data_set in sets] if alone else [sets]:
+                tasks = [
+                    tuple(data_set) for data_set in batch if data_set.name in left
+                ]
+                try:
+                    for name in unordered(
+                        _examine, tasks, jobs, client, apart=apart
+                    ):
+                        left.remove(name)
+                        advance(1 - len(left) / len(sets), name)
+                except WorkerDied:
+                    if alone:
+                        _note(batch[0].out, _stamp(batch[0].folder), _DIED)
+            if not left:
+                return
     except KeyboardInterrupt:
         done = f"{len(sets) - len(left)} of {len(sets)} data sets are done and kept"
         raise KeyboardInterrupt(

@@ -843,7 +843,7 @@ class RecordingDifference(Record):
     sizes: list[Quantity]
     "By how much."
     left: float
-    "Part of the squared error beyond the usual that is left with that."
+    "Part of the squared error that is left with that."
     rivals: list[tuple[str, list[str]]] = []
     "Effects and joints that would do as well."
 
