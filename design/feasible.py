@@ -27,6 +27,8 @@ class StartSettings:
     "Motions that are drawn, of which the first feasible one is taken."
     shrinks: int = 40
     "Attempts to shrink a motion until it is feasible."
+    widenings: int = 4
+    "Shares tried for each joint between all of its motion and what all joints may."
     samples: int = 32
     "Samples per harmonic at which torque and clearance are judged."
     harmonics: int = 10
@@ -77,10 +79,20 @@ def random_start(
     X0 = series.constant(_standstill(robot, rng, scene, required))
     way = best.coefficients - X0
     for share in 0.7 ** np.arange(1, START.shrinks):
-        trajectory = series.trajectory(X0 + share * way)
-        *use, apart = uses(trajectory)
-        if max(*use, apart) <= START.torque_share:
-            return trajectory
+        *use, apart = uses(series.trajectory(X0 + share * way))
+        if max(*use, apart) > START.torque_share:
+            continue
+        shares = np.full(robot.nv, share)
+        for j in rng.permutation(robot.nv):  # what one joint must not, another may
+            for more in share ** np.linspace(0, 1, START.widenings, endpoint=False):
+                wider = np.where(np.arange(robot.nv) == j, more, shares)
+                if (
+                    uses(series.trajectory(X0 + wider * way)).max()
+                    <= START.torque_share
+                ):
+                    shares = wider
+                    break
+        return series.trajectory(X0 + shares * way)
     if max(use) <= START.torque_share:
         raise Infeasible(
             f"trajectory of {robot.name}",
