@@ -29,7 +29,7 @@ from excitant.identify.attenuation import (
 )
 from excitant.identify.drive_gains import DriveGains
 from excitant.identify.objections import HoldOut
-from excitant.identify.physical import agreement, fit_physical
+from excitant.identify.physical import PhysicalFit, agreement, fit_physical
 from excitant.identify.preprocessing import Segment, away_from_rest
 from excitant.identify.prior import BodyPrior, EffectPrior
 from excitant.identify.regression import dense
@@ -310,6 +310,16 @@ def unextended(evidence: Evidence, holdout: Holdout) -> Extension:
     return Extension(evidence, (), observed.robot, (), none, observed, mounted)
 
 
+class _Fitted(NamedTuple):
+    """Effects and names of a model, its whitened columns without and with noise, and the fit."""
+
+    effects: list[Effect]
+    names: tuple[str, ...]
+    R: Array
+    noisy: Array
+    fit: PhysicalFit
+
+
 @dataclass(frozen=True, eq=False)
 class Extender:
     """Fits the nominal robot with added causes: these are free, all else keeps its tolerance."""
@@ -334,13 +344,45 @@ class Extender:
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
         robot = self.holdout.robot
-        evidence = self.evidence
+        effects, names, R, noisy, fit = self._fitted(chosen)
+        model = identified_robot(robot, effects, fit.x)
+        score = NOISE_UNSURE * (R.T @ ((noisy - R) @ fit.x))
+        if self.last and not self.halves:
+            segments = self.train.segments
+            used = away_from_rest(segments)
+            weight = np.sqrt(self.evidence.weight)
+            columns = range(len(names))
+            score = attenuation(
+                robot, effects, segments, used, weight, columns, fit.x
+            )
+        bias = fit.covariance @ score
+        rows = self.holdout.observed.by(model)
+        extension = Extension(
+            self.evidence,
+            tuple(chosen),
+            model,
+            names,
+            fit.covariance + np.outer(bias, bias),
+            rows,
+            rows.torque() / self.holdout.gains,
+            extender=self,
+        )
+        return replace(extension, findings=_findings(extension, self.holdout))
+
+    def predicted(self, chosen: Sequence[Candidate]) -> Array:
+        """Torque of that model at the rows of the hold-out, shape (n, nv) [torque unit]."""
+        effects, *_, fit = self._fitted(chosen)
+        model = identified_robot(self.holdout.robot, effects, fit.x)
+        return self.holdout.observed.by(model).torque() / self.holdout.gains
+
+    def _fitted(self, chosen: Sequence[Candidate]) -> _Fitted:
+        robot = self.holdout.robot
         hidden = self.train.reversals if self.turns else ()
         effects = _effects(robot, chosen, hidden)
         W, noise = self._columns(effects)
         names = column_names(robot, effects)
         used = away_from_rest(self.train.segments)
-        weight = np.sqrt(evidence.weight)
+        weight = np.sqrt(self.evidence.weight)
         R, z = dense(W, self.tau, names, used).factor(weight)
         noisy = R
         if noise is not None:
@@ -351,29 +393,7 @@ class Extender:
             own = np.maximum(bodies.sigma, agreement(R, z, bodies.bodies))
             bodies = replace(bodies, sigma=own)
         scalar = self._effect_prior(effects, chosen, W[:, :, bodies.bodies.size :])
-        fit = fit_physical(R, z, bodies, scalar)
-        model = identified_robot(robot, effects, fit.x)
-        covariance = fit.covariance
-        score = NOISE_UNSURE * (R.T @ ((noisy - R) @ fit.x))
-        if self.last and noise is None:
-            segments = self.train.segments
-            columns = range(len(names))
-            score = attenuation(
-                robot, effects, segments, used, weight, columns, fit.x
-            )
-        bias = covariance @ score
-        rows = self.holdout.observed.by(model)
-        extension = Extension(
-            evidence,
-            tuple(chosen),
-            model,
-            names,
-            covariance + np.outer(bias, bias),
-            rows,
-            rows.torque() / self.holdout.gains,
-            extender=self,
-        )
-        return replace(extension, findings=_findings(extension, self.holdout))
+        return _Fitted(effects, names, R, noisy, fit_physical(R, z, bodies, scalar))
 
     def by(self, model: Robot, keep: Set[Effect]) -> Extender:
         """The same with columns of another model, but for those of some effects that are kept."""

@@ -468,7 +468,9 @@ def _causes(
     for finding, candidate in zip(fit.findings, fit.chosen, strict=True):
         if finding.significant:
             alike = rivals(fit.evidence, robot, fit.chosen, candidate)
-            alike = [r for r in alike if not _refuted(r, finding, fit, holdout)]
+            # one that is left is enough: the cause is undecided
+            while alike and _refuted(alike[0], finding, fit, holdout):
+                alike.pop(0)
             causes.append(replace(finding, rivals=tuple(alike)))
     if (bodies := off_bodies(fit, holdout)) is not None:
         if drive is not None and not drive.known.any():
@@ -507,7 +509,7 @@ def _refuted(
 
     least = squares(fit.predicted)
     explained = (squares(fit.predicted - finding.torque) - least).sum()
-    more = squares(fit.extender(rival.instead).predicted) - least
+    more = squares(fit.extender.predicted(rival.instead)) - least
     if more.sum() <= CONFIRMATION.floor * explained:
         return False
     blocks = [part.sum() for part in np.array_split(more, CONFIRMATION.blocks)]
