@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -29,6 +28,7 @@ BACKLASH_GAPS = np.geomspace(3e-4, 0.1, 12).tolist()  # rad
 MASSLESS = 1e-9  # of the largest inertia that a joint moves: rounding
 RIPPLE_CANDIDATES = 3  # orders at each joint, the best of all
 MOST_ORDERS = 600
+ORDERS_AT_ONCE = 30  # which fit into the processor's cache
 SLOW_RIPPLE = 3.0  # periods per turn, below which a ripple is as smooth as a spring
 DEPENDENT = 1e-8  # determinant of two unit columns of which nothing is left
 SLOWEST_MEDIAN = 1e-3  # rad/s
@@ -138,22 +138,32 @@ def _orders(facts: JointFacts) -> Array:
     return first + step * np.arange(float(count))
 
 
-def _gains(orders: Array, q: Array, e: Array, beside: Array) -> list[float]:
-    """Fall of ‖e‖² by a cosine and a sine of each order.
+def _gains(orders: Array, q: Array, e: Array, beside: Array) -> Array:
+    """Fall of ‖e‖² by a cosine and a sine of each of evenly spaced orders, shape (orders,).
 
     Beside orthonormal columns, (n, k), that are free; none where these leave nothing of the two.
     """
-    gains = []
-    for order in orders:
-        waves = np.column_stack([np.cos(order * q), np.sin(order * q)])
-        waves -= beside @ (beside.T @ waves)
-        squares = waves.T @ waves
-        along = waves.T @ e
-        fall = 0.0
-        if np.linalg.det(squares) > DEPENDENT * len(q) ** 2:
-            fall = float(along @ np.linalg.solve(squares, along))
-        gains.append(fall)
-    return gains
+    columns = np.column_stack([beside, e - beside @ (beside.T @ e)])
+    waves = np.exp(1j * np.outer(q, (orders - orders[0])[:ORDERS_AT_ONCE]))
+    n = len(q)
+    m = len(orders)
+    squares = np.empty(m, complex)
+    along = np.empty((columns.shape[1], m), complex)
+    for k in range(0, m, ORDERS_AT_ONCE):
+        part = slice(k, k + ORDERS_AT_ONCE)
+        # e^{i N q}
+        z = np.exp(1j * orders[k] * q)[:, None] * waves[:, : len(orders[part])]
+        along[:, part] = (columns.T @ z.view(float)).view(complex)
+        squares[part] = np.einsum("no,no->o", z, z)
+    known = along[:-1]
+    own = along[-1]
+    # with what is left of them, c and s: Σ c² + s², Σ (c + i s)², and four times their determinant
+    power = n - (np.abs(known) ** 2).sum(axis=0)
+    square = squares - (known**2).sum(axis=0)
+    determinant = power**2 - np.abs(square) ** 2
+    least = 4 * DEPENDENT * n**2
+    fall = 2 * (power * np.abs(own) ** 2 - (square.conj() * own**2).real)
+    return np.where(determinant > least, fall / np.maximum(determinant, least), 0.0)
 
 
 def _best_orders(ripple: TorqueRipple, facts: JointFacts) -> list[Effect]:
@@ -167,7 +177,7 @@ def _best_orders(ripple: TorqueRipple, facts: JointFacts) -> list[Effect]:
     gains = _gains(orders, q, facts.unexplained, basis)
     apart = 3 * _step(facts)
     best: list[float] = []
-    for order in orders[np.argsort(gains)[::-1]].tolist():
+    for order in orders[np.argsort(-gains)].tolist():
         if len(best) == RIPPLE_CANDIDATES:
             break
         if all(abs(order - other) > apart for other in best):
@@ -347,16 +357,27 @@ def play(t: Array, acceleration: Array, gap: float) -> Array:
     ``acceleration`` is what the motor would have to give the link to take it along.
     """
     half = gap / 2
-    lag = half * float(np.sign(acceleration[0]) or 1.0)
-    speed = 0.0
-    lags = []
+    n = len(t)
+    lags = np.empty(n)
+    pulls = (np.flatnonzero(acceleration < 0), np.flatnonzero(acceleration > 0))
     steps = np.diff(t, prepend=t[0]).tolist()
-    for gives, step in zip(acceleration.tolist(), steps, strict=True):
-        if speed or gives * lag < 0:  # it flies, or leaves this end of the gap
-            speed += gives * step
-            lag += speed * step
-        if abs(lag) >= half:
-            speed = 0.0
-            lag = math.copysign(half, lag)
-        lags.append(lag)
-    return np.array(lags)
+    gives = acceleration.tolist()
+    lag = half * float(np.sign(acceleration[0]) or 1.0)
+    k = 0
+    while k < n:
+        # instants that pull the link away from this end of the gap
+        leaves = pulls[lag < 0]
+        at = int(np.searchsorted(leaves, max(k, 1)))
+        free = int(leaves[at]) if at < len(leaves) else n
+        lags[k:free] = lag
+        k = free
+        speed = 0.0
+        while k < n:  # it flies
+            speed += gives[k] * steps[k]
+            lag += speed * steps[k]
+            landed = abs(lag) >= half
+            lags[k] = lag = half * float(np.sign(lag)) if landed else lag
+            k += 1
+            if landed:
+                break
+    return lags

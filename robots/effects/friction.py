@@ -429,13 +429,24 @@ class Bristles:
 
 
 def bristles(q: Array, distance: float) -> Array:
-    """Dahl's state z along a motion, from z = 0, shape (n,)."""
+    """Dahl's state z along a motion, from z = 0, shape (n,).
+
+    In each run of one direction z decays towards it: only runs are gone through one by one.
+    """
     steps = np.diff(q)
-    kept = np.exp(-np.abs(steps) / distance)
+    moves = np.flatnonzero(steps)
+    way = np.append(0.0, np.cumsum(np.abs(steps))) / distance
+    first = moves[np.flatnonzero(np.diff(np.sign(steps[moves]), prepend=0.0))]
+    signs = np.append(0.0, np.sign(steps[first]))
+    starts = np.append(0.0, way[first])
+    kept = np.exp(-np.diff(starts)).tolist()
+    # at the start of each run, the first of which is before any motion
     states = [0.0]
-    for sign, keeps in zip(np.sign(steps).tolist(), kept.tolist(), strict=True):
+    for sign, keeps in zip(signs[:-1].tolist(), kept, strict=True):
         states.append(sign + (states[-1] - sign) * keeps)
-    return np.array(states)
+    run = np.append(0, np.searchsorted(first, np.arange(len(steps)), "right"))
+    fading = np.exp(starts[run] - way)
+    return signs[run] + (np.array(states)[run] - signs[run]) * fading
 
 
 @registered
