@@ -269,9 +269,11 @@ def diagnose(
     logs = fitted(repaired[:count], repaired[count:])
     rows, turnings = _as_identified(mounted.robot, data)
     diagnosis = _of_data(mounted, data, rows, turnings, logs, raw)
-    model, found = _differing(rows)
     # what a repair does is judged on the data as they are
-    if not found or raw:
+    if raw:
+        return diagnosis
+    model, found = _differing(rows)
+    if not found:
         return diagnosis
     alike = _without(data, found, model, rows.gains)
     rows, turnings = _as_identified(mounted.robot, alike)

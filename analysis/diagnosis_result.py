@@ -181,16 +181,7 @@ def _cause(diagnosis: Diagnosis, group: Sequence[Finding], plan: Plan) -> Entry:
         ),
         "sentence": sentence(group, diagnosis),
         "parameters": [p for f in group for p in _parameters(f, diagnosis)],
-        "sizes": [
-            {
-                "name": s.name,
-                "value": s.value,
-                "std": s.std if np.isfinite(s.std) else None,
-                "unit": s.unit,
-            }
-            for f in group
-            for s in sizes(f, diagnosis)
-        ],
+        "sizes": [s.entry() for f in group for s in sizes(f, diagnosis)],
         # causes may make up for one another
         "explained": min(explained, 1.0),
         "holdout": {"rms_before": before, "rms_after": after},

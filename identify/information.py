@@ -39,6 +39,11 @@ class Information:
         """The same rows weighted, each row times a number."""
         return Information(weight * self.R, weight * self.z, weight**2 * self.rest)
 
+    def of(self, columns: Sequence[int]) -> Information:
+        """The same rows about some of the parameters, the others zero."""
+        part = information_of(self.R[:, list(columns)], self.z)
+        return Information(part.R, part.z, part.rest + self.rest)
+
     def solve(self) -> Array:
         """The x of least squares, shape (p,); of smallest norm where R is singular."""
         d = np.abs(np.diag(self.R))

@@ -32,11 +32,12 @@ import numpy as np
 import scipy
 
 from excitant.exceptions import RankDeficient
+from excitant.identify.information import Information, combined, information_of
 from excitant.identify.least_squares import LeastSquares, weighted_least_squares
 from excitant.identify.preprocessing import Mask, Segment, certain_rows
-from excitant.identify.regression import Regression, regression_of, triangle
+from excitant.identify.regression import Regression, regression_of
 from excitant.identify.rows import FitRows
-from excitant.robots.effects import EFFECTS, Effect, Size, plain
+from excitant.robots.effects import EFFECTS, Effect, Size
 from excitant.robots.motion import Array, freeze
 from excitant.robots.robot import Robot
 
@@ -219,10 +220,7 @@ class Difference:
             "recording": self.recording,
             "effect": self.effect.name,
             "joints": list(self.effect.joints),
-            "sizes": [
-                {"name": s.name, "value": s.value, "std": s.std, "unit": s.unit}
-                for s in self.sizes(robot)
-            ],
+            "sizes": [size.entry() for size in self.sizes(robot)],
             "left": self.left,
             "rivals": [[e.name, list(e.joints)] for e in self.rivals],
         }
@@ -274,7 +272,7 @@ def unsure_zeros(robot: Robot, differences: Sequence[Difference]) -> list[str]:
 
 def _place(effect: Effect, robot: Robot) -> str:
     where = "" if effect.is_common(robot) else f" of {', '.join(effect.joints)}"
-    return f"the {plain(effect.name)}{where}"
+    return f"the {effect.label}{where}"
 
 
 def _is_zero(effect: Effect) -> bool:
@@ -290,15 +288,16 @@ def _read(model: Robot, effect: Effect, segment: Segment) -> Segment:
     return replace(segment, motion=motion)
 
 
-class _Case(NamedTuple):
-    """A cause from where its value is sought, and columns of the base and its own.
+_Parts = tuple[Information, Information, Information]
+"""What a recording says, what its first half does, and its second."""
 
-    They are the triangles of all rows of a recording, of its first half and of its second.
-    """
+
+class _Case(NamedTuple):
+    """A cause from where its value is sought, and what rows say of the base and of it."""
 
     effect: Effect
     start: Array
-    rows: tuple[Array, Array, Array]
+    rows: _Parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,7 +332,7 @@ class _Fit:
         torque = both.tau * rows.gains
         return both.select(columns).with_torque(torque).counting(used)
 
-    def parts(self, problem: Regression) -> tuple[Array, Array, Array]:
+    def parts(self, problem: Regression) -> _Parts:
         """All rows, those of the first half and those of the second, as `rows_of`."""
         middle = len(problem) // 2
         return (
@@ -351,9 +350,9 @@ class _Fit:
             return bool(drive.known[effect.rows(self.model)].all())
         return effect.role != "body"
 
-    def rows_of(self, problem: Regression) -> Array:
-        """Columns and torque as a triangle, rows weighted as they count as independent."""
-        return triangle(problem.stacked(self.weight))
+    def rows_of(self, problem: Regression) -> Information:
+        """What a recording says, rows weighted as they count as independent."""
+        return information_of(*problem.factor(self.weight))
 
     def count(self, problem: Regression) -> float:
         """Rows that count as independent."""
@@ -364,7 +363,7 @@ class _Fit:
         self,
         segments: Sequence[Segment],
         used: Mask | None,
-        beside: Sequence[Array],
+        beside: Sequence[Information],
     ) -> Iterator[_Case]:
         """All that may differ in a recording, of which these are the segments and rows."""
         model = self.model
@@ -381,8 +380,8 @@ class _Fit:
         base = range(end)
         for effect in effects:
             size = len(effect.parameters(model))
-            at = [*base, *range(end, end + size), -1]
-            rows = whole[:, at], first[:, at], last[:, at]
+            at = [*base, *range(end, end + size)]
+            rows = whole.of(at), first.of(at), last.of(at)
             yield _Case(effect, np.zeros(size), rows)
             end += size
         for joint in np.array(model.joints)[model.revolute].tolist():
@@ -391,7 +390,7 @@ class _Fit:
             left = [_left(beside, case.rows[0], case.rows[0]) for case in around]
             case = around[int(np.argmin(left))]
             for _ in range(STEPS):
-                x = _solution(_together(beside, case.rows[0]))
+                x = _together(beside, case.rows[0]).solve()
                 case = turned(float(case.start[0] + x[-1]))
             yield case
 
@@ -425,13 +424,13 @@ def differences(model: Robot, rows: FitRows, fit: LeastSquares) -> list[Differen
     known = _Fit(model, rows, fit, 1 / np.hypot(noise, MODEL_ERROR * size))
     alone = {name: known.rows_of(part) for name, part in parts.items()}
     misfits = [
-        _squares(own, _solution(own)) / known.count(parts[name])
+        own.squares(own.solve()) / known.count(parts[name])
         for name, own in alone.items()
     ]
     usual = max(1.0, float(np.median(misfits)))
     found = list[Difference]()
 
-    def disagreement(own: Array, count: float) -> float:
+    def disagreement(own: Information, count: float) -> float:
         """Squares by what others show, over those of a recording where nothing differs."""
         beside = [other for other in alone.values() if other is not own]
         return _left(beside, own, own) / (usual * count) if beside else 0.0
@@ -460,32 +459,29 @@ def differences(model: Robot, rows: FitRows, fit: LeastSquares) -> list[Differen
     return found
 
 
-def _solution(rows: Array) -> Array:
-    """Parameters of least squares."""
-    x = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
-    return np.asarray(x, float)
+def _together(beside: Sequence[Information], own: Information) -> Information:
+    """What recordings say together; those beside have the first of the parameters."""
+    more = len(own.z) - len(beside[0].z)
+    wide = [
+        Information(
+            np.pad(i.R, ((0, more), (0, more))), np.pad(i.z, (0, more)), i.rest
+        )
+        for i in beside
+    ]
+    return combined([*wide, own])
 
 
-def _squares(rows: Array, x: Array) -> float:
-    return float(np.sum((rows[:, :-1] @ x - rows[:, -1]) ** 2))
-
-
-def _together(beside: Sequence[Array], own: Array) -> Array:
-    """Rows of recordings over each other; those beside have fewer columns, the first ones."""
-    more = own.shape[1] - beside[0].shape[1]
-    wide = [np.insert(R, [R.shape[1] - 1] * more, 0.0, axis=1) for R in beside]
-    return np.vstack([*wide, own])
-
-
-def _left(beside: Sequence[Array], shown: Array, judged: Array) -> float:
+def _left(
+    beside: Sequence[Information], shown: Information, judged: Information
+) -> float:
     """Squares of some rows by the parameters that others show."""
-    return _squares(judged, _solution(_together(beside, shown)))
+    return judged.squares(_together(beside, shown).solve())
 
 
 def _difference(
     known: _Fit,
     segments: tuple[Segment, ...],
-    beside: Sequence[Array],
+    beside: Sequence[Information],
     part: Regression,
     expected: float,
 ) -> Iterator[Difference]:
@@ -520,12 +516,12 @@ def _difference(
     if not (explains(0, 0, expected) and halves and known.tells(case.effect)):
         return
     both = _together(beside, case.rows[0])
-    inverse = np.linalg.pinv(both[:, :-1].T @ both[:, :-1])
+    inverse = np.linalg.pinv(both.R.T @ both.R)
     alike = order - order[best] < dispersion * scipy.special.chdtri(1, SURE)
     effects = [c.effect for c, same in zip(cases, alike, strict=True) if same]
     yield Difference(
         segments=segments,
-        effect=case.effect.with_values(case.start + _solution(both)[r:]),
+        effect=case.effect.with_values(case.start + both.solve()[r:]),
         covariance=np.asarray(dispersion * inverse[r:, r:], float),
         left=float(squares[best]) / _left(beside, base[0], base[0]),
         rivals=tuple(e for e in effects if e != case.effect),

@@ -132,6 +132,15 @@ class Size:
         text = f"{self.value:.3g}{self.spread()}"
         return text if self.unit == "1" else f"{text} {self.unit}"
 
+    def entry(self) -> dict[str, Any]:
+        """Its entry in ``result.json``."""
+        return {
+            "name": self.name,
+            "value": self.value,
+            "std": self.std if np.isfinite(self.std) else None,
+            "unit": self.unit,
+        }
+
     def spread(self, factor: float = 1.0) -> str:
         """`` ± `` and its standard deviation in another unit; empty where that is not known."""
         return f" ± {factor * self.std:.2g}" if np.isfinite(self.std) else ""
