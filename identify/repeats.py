@@ -391,7 +391,9 @@ class _Fit:
             case = around[int(np.argmin(left))]
             for _ in range(STEPS):
                 x = _together(beside, case.rows[0]).solve()
-                case = turned(float(case.start[0] + x[-1]))
+                angle = case.start[0] + x[-1]
+                # within half a turn
+                case = turned(float(np.angle(np.exp(1j * angle))))
             yield case
 
     def turned(

@@ -12,7 +12,7 @@ BODY |= dict.fromkeys(("mcy", "mcz", "Ixy", "Ixz", "Iyz"), 0.0)
 PLANTED = {
     "payload": (hidden("payload", "joint2", **BODY), 1.5),
     "coulomb_friction": (hidden("coulomb_friction", "joint1", Fc=3.0), 3.0),
-    "encoder_offset": (hidden("encoder_offset", "joint2", offset=1.5), 1.5),
+    "encoder_offset": (hidden("encoder_offset", "joint2", offset=2.8), 2.8),
 }
 
 
