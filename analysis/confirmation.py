@@ -267,24 +267,20 @@ class Extension:
         """
         if self.extender is None:
             return self
-        extender = replace(self.extender, last=True)
+        worse = self.extender.holdout.worse
+        extender = self.extender.by_data(self.chosen)
         fit = extender(self.chosen)
-        if extender.holdout.worse(
-            fit.predicted, self.predicted, CONFIRMATION.floor
-        ):
+        if worse(fit.predicted, self.predicted, CONFIRMATION.floor):
             extender, fit = self.extender, self
-        worse = extender.holdout.worse
         turning = replace(extender, turns=True)
-        turns = turning(self.chosen) if extender.train.reversals else fit
+        turns = turning.again(self.chosen) if extender.train.reversals else fit
         better = worse(fit.predicted, turns.predicted, at_rest=True)
         if better and not worse(turns.predicted, fit.predicted, SEARCH.gain):
             extender, fit = turning, turns
         needed = set[Key]()
         while (cause := _cancelled(fit, needed)) is not None:
-            without = extender([c for c in fit.chosen if c is not cause])
-            if extender.holdout.worse(
-                without.predicted, fit.predicted, CONFIRMATION.floor
-            ):
+            without = extender.again([c for c in fit.chosen if c is not cause])
+            if worse(without.predicted, fit.predicted, CONFIRMATION.floor):
                 needed.add(cause.key)
             else:
                 fit = without
@@ -310,14 +306,14 @@ def unextended(evidence: Evidence, holdout: Holdout) -> Extension:
     return Extension(evidence, (), observed.robot, (), none, observed, mounted)
 
 
-class _Fitted(NamedTuple):
-    """Effects and names of a model, its whitened columns without and with noise, and the fit."""
+class _Rows(NamedTuple):
+    """Rows to fit a model to."""
 
-    effects: list[Effect]
-    names: tuple[str, ...]
-    R: Array
-    noisy: Array
-    fit: PhysicalFit
+    effects: list[Effect]  # of the model
+    W: Array  # columns of bodies and effects, (n, nv, p)
+    R: Array  # the same whitened, without the noise of positions where it can be told
+    noisy: Array  # the same with that noise
+    z: Array  # whitened torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,46 +332,59 @@ class Extender:
     )
     # the columns as even and as odd samples show them, where positions are coarse
     halves: tuple[Observed, ...] = ()
-    # whether bodies are as uncertain as the data say, and the bias by noise of the motion counts
-    last: bool = False
+    # how uncertain the data say that each link is, (nv,): the bias by noise of the motion counts
+    link_std: Array | None = None
     # whether friction of all joints turns as identify has it, cause or not
     turns: bool = False
 
     def __call__(self, chosen: Sequence[Candidate]) -> Extension:
         """The extended model with a set of causes."""
         robot = self.holdout.robot
-        effects, names, R, noisy, fit = self._fitted(chosen)
-        model = identified_robot(robot, effects, fit.x)
-        score = NOISE_UNSURE * (R.T @ ((noisy - R) @ fit.x))
-        if self.last and not self.halves:
+        rows = self._rows(chosen)
+        fit = self._fit(chosen, rows)
+        model = identified_robot(robot, rows.effects, fit.x)
+        score = NOISE_UNSURE * (rows.R.T @ ((rows.noisy - rows.R) @ fit.x))
+        if self.link_std is not None and not self.halves:
             segments = self.train.segments
             used = away_from_rest(segments)
             weight = np.sqrt(self.evidence.weight)
-            columns = range(len(names))
+            columns = range(len(fit.x))
             score = attenuation(
-                robot, effects, segments, used, weight, columns, fit.x
+                robot, rows.effects, segments, used, weight, columns, fit.x
             )
         bias = fit.covariance @ score
-        rows = self.holdout.observed.by(model)
+        observed = self.holdout.observed.by(model)
         extension = Extension(
             self.evidence,
             tuple(chosen),
             model,
-            names,
+            column_names(robot, rows.effects),
             fit.covariance + np.outer(bias, bias),
-            rows,
-            rows.torque() / self.holdout.gains,
+            observed,
+            observed.torque() / self.holdout.gains,
             extender=self,
         )
         return replace(extension, findings=_findings(extension, self.holdout))
 
     def predicted(self, chosen: Sequence[Candidate]) -> Array:
         """Torque of that model at the rows of the hold-out, shape (n, nv) [torque unit]."""
-        effects, *_, fit = self._fitted(chosen)
-        model = identified_robot(self.holdout.robot, effects, fit.x)
+        rows = self._rows(chosen)
+        x = self._fit(chosen, rows).x
+        model = identified_robot(self.holdout.robot, rows.effects, x)
         return self.holdout.observed.by(model).torque() / self.holdout.gains
 
-    def _fitted(self, chosen: Sequence[Candidate]) -> _Fitted:
+    def again(self, chosen: Sequence[Candidate]) -> Extension:
+        """The extended model with other causes, beside which links are as uncertain anew."""
+        extender = self if self.link_std is None else self.by_data(chosen)
+        return extender(chosen)
+
+    def by_data(self, chosen: Sequence[Candidate]) -> Extender:
+        """The same with links as uncertain as the data say, beside a set of causes."""
+        rows = self._rows(chosen)
+        std = agreement(rows.R, rows.z, self._body_prior(chosen).bodies)
+        return replace(self, link_std=std[: len(self.prior)])
+
+    def _rows(self, chosen: Sequence[Candidate]) -> _Rows:
         robot = self.holdout.robot
         hidden = self.train.reversals if self.turns else ()
         effects = _effects(robot, chosen, hidden)
@@ -388,12 +397,13 @@ class Extender:
         if noise is not None:
             errors = dense(noise, self.tau, names, used).gram(weight**2)
             R = without_noise(R, errors[:-1, :-1])
+        return _Rows(effects, W, R, noisy, z)
+
+    def _fit(self, chosen: Sequence[Candidate], rows: _Rows) -> PhysicalFit:
         bodies = self._body_prior(chosen)
-        if self.last:
-            own = np.maximum(bodies.sigma, agreement(R, z, bodies.bodies))
-            bodies = replace(bodies, sigma=own)
-        scalar = self._effect_prior(effects, chosen, W[:, :, bodies.bodies.size :])
-        return _Fitted(effects, names, R, noisy, fit_physical(R, z, bodies, scalar))
+        columns = rows.W[:, :, bodies.bodies.size :]
+        scalar = self._effect_prior(rows.effects, chosen, columns)
+        return fit_physical(rows.R, rows.z, bodies, scalar)
 
     def by(self, model: Robot, keep: Set[Effect]) -> Extender:
         """The same with columns of another model, but for those of some effects that are kept."""
@@ -414,6 +424,8 @@ class Extender:
         """Prior of every link, and of a payload if there is one."""
         robot = self.holdout.robot
         sigma = EVIDENCE.tolerance * widened(robot, self.evidence.tolerance[0])
+        if self.link_std is not None:
+            sigma = np.maximum(sigma, self.link_std)
         for c in chosen:
             if c.effect.role == "link":
                 rows = c.effect.rows(robot)
