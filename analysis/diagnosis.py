@@ -42,6 +42,7 @@ from excitant.analysis.explanation import (
 from excitant.analysis.residuals import Residual, residuals
 from excitant.analysis.selection import (
     Rival,
+    completed,
     frictionless,
     idle,
     in_deviations,
@@ -452,6 +453,12 @@ def _extended(
         again = _iterated(first, changes | fit.refuted)
         if holdout.worse(fit.predicted, again.predicted, CONFIRMATION.floor):
             fit = again
+    assert fit.extender is not None
+    more = completed(fit.evidence, mounted.robot, fit.chosen)
+    if len(more) > len(fit.chosen):
+        complete = confirmed(fit.extender, more)
+        if holdout.worse(fit.predicted, complete.predicted):
+            fit = complete
     fit = fit.settled()
     if holdout.worse(fit.predicted, holdout.mounted):
         fit = unextended(fit.evidence, holdout)
@@ -618,13 +625,10 @@ def _iterated(first: Extender, excluded: frozenset[Key]) -> Extension:
             extender = replace(extender, evidence=evidence)
         evidence, chosen = select(extender.evidence, robot, excluded)
         fit = confirmed(replace(extender, evidence=evidence), chosen)
-        before = best
-        if before is not None:
-            if holdout.worse(fit.predicted, before.predicted, CONFIRMATION.floor):
+        if best is not None:
+            if holdout.worse(fit.predicted, best.predicted, SEARCH.gain):
                 break
-            same = {c.key for c in before.chosen} == {c.key for c in fit.chosen}
-            better = holdout.worse(before.predicted, fit.predicted, SEARCH.gain)
-            if same and not better:
+            if not holdout.worse(best.predicted, fit.predicted, SEARCH.gain):
                 return fit
         best = fit
         if not any(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -50,6 +50,18 @@ def select(
             evidence = weighed
             chosen = instead
     return evidence, chosen
+
+
+def completed(
+    evidence: Evidence, robot: Robot, chosen: Sequence[Candidate]
+) -> list[Candidate]:
+    """Causes with the standard effects that are significant among standard effects.
+
+    Every joint has these, so that fewer tests share the level (Genovese et al. 2006).
+    """
+    standard = tuple(c for c in evidence.candidates if c.effect.search.standard)
+    among = replace(evidence, candidates=standard)
+    return _grown(among, robot, list(chosen), standard)[1]
 
 
 def _grown(

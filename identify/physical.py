@@ -149,8 +149,12 @@ def fit_physical(
     )
     solution = solve(program, centre)
     covariance, root = _uncertainty(program, solution.y, scale)
+    x = scale @ solution.y
+    scalar = slice(prior.bodies.size, None)
+    on_bound = x[scalar] - effects.lower < _ROUNDING * np.diag(scale)[scalar]
+    x[scalar] = np.where(on_bound, effects.lower, x[scalar])
     return PhysicalFit(
-        x=scale @ solution.y,
+        x=x,
         covariance=covariance,
         R=R,
         root=root,
