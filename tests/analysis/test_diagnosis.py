@@ -367,6 +367,7 @@ def test_friction_of_other_joints_turns_only_where_it_predicts(
         for error in (1.0, np.where(moves, moving, resting))
     )
     monkeypatch.setattr(Extender, "__call__", lambda it, _: turned if it.turns else jumps)
+    monkeypatch.setattr(Extender, "by_data", lambda it, _: it)
     train = SimpleNamespace(reversals=["one"])
     extender = Extender(None, train, None, holdout, None)
     fit = SimpleNamespace(**vars(jumps), extender=extender)
