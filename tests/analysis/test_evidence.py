@@ -10,8 +10,10 @@ import scipy.stats
 
 from excitant.analysis.effect_choice import _predictive
 from excitant.analysis.evidence import Candidate, Evidence, cross_validation, reweighed, weigh
+from excitant.analysis.selection import completed
 from excitant.analysis.thresholds import EVIDENCE
 from excitant.identify.regression import dense
+from excitant.robots import Robot
 from excitant.robots.effects import StribeckFriction, TorqueOffset
 
 N, NV, NUISANCE = 1200, 2, 6
@@ -141,6 +143,13 @@ def test_threshold_asks_more_of_more_coefficients_shapes_and_fewer_blocks() -> N
     assert shared.threshold(one, 5) < shared.threshold(one, 1) < e.threshold(one, 5)
     # with blocks without end, F is χ² over its degrees of freedom
     assert e.threshold(ten) > scipy.stats.chi2.isf(EVIDENCE.false_alarm / len(e.candidates), 10)
+
+
+def test_standard_effects_need_less_evidence_when_tested_among_themselves(planar: Robot) -> None:
+    faint = (evidence(3, planted=size) for size in np.linspace(0.0, 0.1, 101))
+    e = next(e for e in faint if completed(e, planar, []))
+    assert completed(e, planar, []) == [e.candidates[2]]
+    assert not called_for(e)
 
 
 def test_a_cause_that_matters_does_not_stay_in_the_noise() -> None:
