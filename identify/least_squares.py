@@ -187,14 +187,15 @@ def with_covariance(
     rows = []
     plain = []  # tr(A⁻¹ A_j), noise included
     for j, index in enumerate(problem.index):
+        whitening = inverse[index] / norms[index, None]
+        R = problem.triangles[j][:, :-1] @ whitening
+        V = np.linalg.svd(R, full_matrices=False)[2].T
         W = problem.columns[j][problem.rows(j)] / factor.weight[j]
-        rows.append(JointRows(index, W / norms[index]))
-        R = problem.triangles[j][:, :-1] / norms[index]
-        share = np.sum((R @ inverse[index]) ** 2)
-        plain.append(share * (sigma[j] / factor.weight[j] ** 2) ** 2)
+        rows.append(JointRows(W @ (whitening @ V), V))
+        plain.append(np.sum(R**2) * (sigma[j] / factor.weight[j] ** 2) ** 2)
     residuals = problem.counted(scaled / size)
-    scores, freedom = score_covariances(rows, residuals, inverse @ inverse.T)
-    inner = size**2 * (inverse.T @ scores @ inverse)
+    scores, freedom = score_covariances(rows, residuals)
+    inner = size**2 * scores
     root = inverse / norms[:, None]
     parts = root @ inner @ root.T
     # Student's t of the sum of all joints' variances (Satterthwaite 1946)
@@ -219,70 +220,74 @@ def student_width(freedom: Array | float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointRows:
-    """Rows of one joint: which columns are not silent there, and these, shape (n, u)."""
+    """Rows X Vᵀ of one joint j in coordinates of the parameters in which A = Σ_j W_jᵀ W_j is one.
 
-    used: npt.NDArray[np.intp]
-    W: Array
+    Attributes:
+        X: Shape (n, u).
+        V: Orthonormal columns, shape (r, u).
+    """
+
+    X: Array
+    V: Array
 
     @property
     def size(self) -> int:
         """Length of transforms, padded with zeros."""
-        return int(scipy.fft.next_fast_len(2 * len(self.W), True))
+        return int(scipy.fft.next_fast_len(2 * len(self.X), True))
 
     @cached_property
     def spectrum(self) -> npt.NDArray[np.complex128]:
-        """Fourier transform of the columns, shape (u, size / 2 + 1)."""
-        return self._transform(np.ascontiguousarray(self.W.T))
+        """Fourier transform of X, shape (u, size / 2 + 1)."""
+        return self._transform(np.ascontiguousarray(self.X.T))
 
     def _transform(self, values: Array) -> npt.NDArray[np.complex128]:
         return scipy.fft.rfft(values, self.size)
 
-    def coloured(self, gamma: Array) -> Array:
-        """W_jᵀ Γ_j, shape (u, n), Γ_j that of the autoregression behind γ."""
+    def coloured(self, gamma: Array, exponent: float = 1.0) -> Array:
+        """Xᵀ Γ_j to a power, shape (u, size), Γ_j that of the autoregression behind γ."""
         if gamma[0] <= 0:  # a residual that is nothing but rounding
-            return self.W.T
-        n = len(self.W)
-        a, variance = autoregression(gamma, n)
+            return self.X.T
+        a, variance = autoregression(gamma, len(self.X))
         power = variance / np.abs(self._transform(a)) ** 2
-        return scipy.fft.irfft(power * self.spectrum, self.size)[:, :n]
+        return scipy.fft.irfft(power**exponent * self.spectrum, self.size)
 
-    def taken(self, G: Array, inverse: Array, both: Array, lags: int) -> Array:
-        """Autocovariance that the fit took, with G = W_jᵀ Γ_j, A⁻¹ and A⁻¹ Ω A⁻¹, (lags + 1,)."""
-        if not len(self.W):
+    def score(self, gamma: Array) -> Array:
+        """W_jᵀ Γ_j W_j, of squares, which are positive semidefinite, shape (r, r)."""
+        half = self.coloured(gamma, 0.5)
+        return self.V @ (half @ half.T) @ self.V.T
+
+    def taken(self, gamma: Array, total: Array, lags: int) -> Array:
+        """Autocovariance that the fit took of γ, Ω being the total, (r, r); shape (lags + 1,)."""
+        n = len(self.X)
+        if not n:
             return np.zeros(lags + 1)
-        block = np.ix_(self.used, self.used)
-        H = inverse[block] @ G - both[block] @ self.W.T / 2
+        H = self.coloured(gamma)[:, :n] - self.V.T @ total @ self.V @ self.X.T / 2
         product = np.einsum("uf,uf->f", self.spectrum.conj(), self._transform(H))
         cross = scipy.fft.irfft(2 * product.real, self.size)
-        return cross[: lags + 1] / len(self.W)
+        return cross[: lags + 1] / n
 
 
 def score_covariances(
-    rows: Sequence[JointRows], residuals: Sequence[Array], inverse: Array
+    rows: Sequence[JointRows], residuals: Sequence[Array]
 ) -> tuple[Array, Array]:
     """W_jᵀ Γ_j W_j of each joint, whose sum is Ω, (nv, r, r), and degrees of freedom, (nv,).
 
-    Rows and residuals of least squares, each (n_j,), are divided by the noise of their joint; the
-    inverse is A⁻¹, (r, r). Rows that follow after a pause are taken to follow at once.
+    Residuals of least squares, each (n_j,), are divided by the noise of their joint as its rows
+    are. Rows that follow after a pause are taken to follow at once.
     """
     counts = [len(e) for e in residuals]
     lags = [min(n // 4, int(10 * np.log10(max(n, 1)))) for n in counts]
     observed = [autocovariance(e, k) for e, k in zip(residuals, lags, strict=True)]
     gammas = observed
     for remaining in range(NOISE.returned, -1, -1):
-        parts = [
-            joint.coloured(gamma) for joint, gamma in zip(rows, gammas, strict=True)
-        ]
-        scores = np.zeros((len(rows), *inverse.shape))
-        for score, joint, G in zip(scores, rows, parts, strict=True):
-            S = G @ joint.W
-            score[np.ix_(joint.used, joint.used)] = (S + S.T) / 2
+        pairs = zip(rows, gammas, strict=True)
+        scores = np.array([joint.score(gamma) for joint, gamma in pairs])
         if remaining:
-            both = inverse @ scores.sum(axis=0) @ inverse
-            joints = zip(observed, rows, parts, lags, strict=True)
+            total = scores.sum(axis=0)
+            joints = zip(observed, rows, gammas, lags, strict=True)
             gammas = [
-                gamma + joint.taken(G, inverse, both, k)
-                for gamma, joint, G, k in joints
+                first + joint.taken(gamma, total, k)
+                for first, joint, gamma, k in joints
             ]
     pairs = zip(gammas, counts, strict=True)
     return scores, np.array([_degrees_of_freedom(gamma, n) for gamma, n in pairs])

@@ -158,7 +158,7 @@ def _noise(every: Array, U: Array, target: Array) -> tuple[Array, float, float]:
         float(np.linalg.norm(residual)) / np.sqrt(max(n - m, n / 10)), floor
     )
     scores, freedom = score_covariances(
-        [JointRows(np.arange(m), every)], [residual / sigma], np.eye(m)
+        [JointRows(every, np.eye(m))], [residual / sigma]
     )
     T = every.T @ U
     covariance = sigma**2 * student_width(freedom[0]) ** 2 * (T.T @ scores[0] @ T)

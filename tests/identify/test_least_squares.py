@@ -130,26 +130,32 @@ def test_what_a_motion_does_not_show_is_named_whatever_the_noise() -> None:
     assert error.names == ("d", "e")
 
 
+def test_the_covariance_of_columns_that_nearly_depend_is_that_of_independent_ones() -> None:
+    """β_a and β_b of a and a + 1e-8 v: β_b is 1e8 times as unsure as the coefficient of v."""
+    apart = np.random.default_rng(4).standard_normal((N, NV, 2))
+    nearly = np.stack([apart[..., 0], apart[..., 0] + 1e-8 * apart[..., 1]], axis=2)
+    fit, expected = (weighted_least_squares(dense(x, TAU, ("a", "b"))) for x in (nearly, apart))
+    np.testing.assert_allclose(fit.std[1], 1e8 * expected.std[1], rtol=1e-6)
+    np.testing.assert_allclose(fit.std[0], fit.std[1], rtol=1e-6)
+
+
 def test_uncorrected_residuals_would_be_too_sure() -> None:
     """Over many draws the corrected scores are right on average; those of residuals are not."""
     rng, draws, n = np.random.default_rng(0), 60, 400
     t = np.linspace(0, 1, n)[:, None, None]
     W = np.sin(2 * np.pi * rng.uniform(0, 6, (2, 5)) * t + rng.uniform(0, 6.28, (2, 5)))
-    W[:, 1, 0] = 0.0  # a column silent at a joint
-    used = [np.flatnonzero(W[:, j].any(axis=0)) for j in range(2)]
-    joints = [JointRows(own, W[:, j, own]) for j, own in enumerate(used)]
-    gamma, flat = scipy.linalg.toeplitz(0.9 ** np.arange(n)), W.reshape(-1, 5)
-    root, inverse = np.linalg.cholesky(gamma), np.linalg.inv(flat.T @ flat)
-    true = np.array([np.trace(inverse @ (W[:, j].T @ gamma @ W[:, j])) for j in range(2)])
+    flat = np.linalg.qr(W.reshape(-1, 5))[0]
+    joints = [JointRows(Q, np.eye(5)) for Q in flat.reshape(n, 2, 5).swapaxes(0, 1)]
+    gamma = scipy.linalg.toeplitz(0.9 ** np.arange(n))
+    root = np.linalg.cholesky(gamma)
+    true = np.array([np.trace(joint.X.T @ gamma @ joint.X) for joint in joints])
     found, plain = np.zeros(2), np.zeros(2)
     for _ in range(draws):
         noise = (root @ rng.standard_normal((400, 2))).ravel()
-        residual = (noise - flat @ (inverse @ (flat.T @ noise))).reshape(400, 2)
-        scores, _ = score_covariances(joints, list(residual.T), inverse)
-        found += np.einsum("rs,jsr->j", inverse, scores) / draws
-        for j, gamma_j in enumerate(autocovariance(residual, 26).T):
-            part = inverse[np.ix_(used[j], used[j])]
-            plain[j] += np.trace(part @ joints[j].coloured(gamma_j) @ joints[j].W) / draws
+        residual = (noise - flat @ (flat.T @ noise)).reshape(400, 2)
+        found += np.trace(score_covariances(joints, list(residual.T))[0], axis1=1, axis2=2) / draws
+        gammas = autocovariance(residual, 26).T
+        plain += [np.trace(x.score(g)) / draws for x, g in zip(joints, gammas, strict=True)]
     assert (found > 1.05 * plain).all()
     assert found / true == pytest.approx(1.0, abs=0.2)  # √(4 (1 + ρ) / ((1 − ρ) N draws)) = 6 %
 
