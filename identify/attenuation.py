@@ -23,6 +23,7 @@ from excitant.identify.preprocessing import (
     prepare,
     uninterrupted,
 )
+from excitant.identify.prior import silent_columns
 from excitant.identify.recording import Recording
 from excitant.identify.regression import DEPENDENT
 from excitant.identify.rows import Data, states
@@ -118,8 +119,8 @@ def without_noise(R: Array, errors: Array) -> Array:
         R: Whitened columns or their QR factor, shape (m, p).
         errors: EᵀE of their errors, whitened alike, shape (p, p).
     """
-    size = np.linalg.norm(R, axis=0)
-    size[size == 0] = 1.0
+    norms = np.linalg.norm(R, axis=0)
+    size = np.where(silent_columns(R), norms.max(), norms)
     inverse = np.linalg.pinv(R / size, rcond=DEPENDENT) / size[:, None]
     return R - inverse.T @ errors
 

@@ -47,7 +47,12 @@ from excitant.identify.least_squares import (
     believed,
 )
 from excitant.identify.preprocessing import Mask
-from excitant.identify.prior import link_coordinates, link_weights, prior_parameters
+from excitant.identify.prior import (
+    largest_uncertainty,
+    link_coordinates,
+    link_weights,
+    prior_parameters,
+)
 from excitant.identify.recording import Recording
 from excitant.identify.regression import Index, Regression, triangle
 from excitant.identify.signals import live
@@ -220,7 +225,10 @@ def current_gains(
         Y = W[rows, j, :links]
         own = np.column_stack([Y @ errors, current[rows, j]])
         joints.append(without_effects(W[rows, j, links:], own)[0])
-    log_gains, covariance = _solved(joints, owner, least)
+    # the last link may carry a tool, which a σ that began small would leave to the gains
+    first = np.full(nv, least)
+    first[-1] = largest_uncertainty(bodies)[-1]
+    log_gains, covariance = _solved(joints, owner, first, least)
     largest = np.array([np.abs(x).max(initial=0.0) for x in current.T])
     limits = np.where(robot.limits.torque > 0, robot.limits.torque, np.inf)
     return DriveGains(
@@ -231,17 +239,18 @@ def current_gains(
 
 
 def _solved(
-    joints: Sequence[Array], owner: Index, least: float
+    joints: Sequence[Array], owner: Index, first: Array, least: float
 ) -> tuple[Array, Array]:
     """Logarithms of gains, shape (nv,), and their covariance.
 
     Args:
         joints: Rows [A_j, g_j, i_j] of each joint, with A_j for errors of one.
         owner: The body, or group, that each error is of.
+        first: Standard deviation of the errors of each, to begin with.
         least: Least standard deviation of the errors of each.
     """
     triangles = [triangle(rows) for rows in joints]
-    std = np.full(owner.max() + 1, least)
+    std = first
     noise = believed(np.array([_noise(rows[:, -1]) for rows in joints]))
     log_gains = np.full(len(joints), _common(triangles, noise))
     for _ in range(NOISE_ROUNDS):
@@ -403,7 +412,8 @@ def payload_gains(
     columns[:, :, :-1] /= np.where(size > 0, size, 1.0)
     current = np.concatenate([free.tau, loaded.tau])
     rows = np.dstack([columns, current]).transpose(1, 0, 2)
-    log_gains, covariance = _solved([*rows], np.zeros(len(size), int), OPEN_STD)
+    owner = np.zeros(len(size), int)
+    log_gains, covariance = _solved([*rows], owner, np.array([OPEN_STD]), OPEN_STD)
     # all that is known of the payload, and with it every gain, grows in proportion to its mass
     weighed = np.log1p(payload.mass_std / payload.mass) ** 2
     drive = DriveGains(np.exp(log_gains), covariance + weighed, payload=True)

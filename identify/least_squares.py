@@ -180,23 +180,20 @@ def with_covariance(
     The error, shape (n, nv), is ε_j as the residual shows it; sigma is reported as noise, (nv,).
     """
     problem = factor.problem
-    inverse = factor.inverse
-    norms = factor.norms
+    root = factor.inverse / factor.norms[:, None]
     scaled = error / factor.weight
     size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
     rows = []
     plain = []  # tr(A⁻¹ A_j), noise included
     for j, index in enumerate(problem.index):
-        whitening = inverse[index] / norms[index, None]
-        R = problem.triangles[j][:, :-1] @ whitening
+        R = problem.triangles[j][:, :-1] @ root[index]
         V = np.linalg.svd(R, full_matrices=False)[2].T
         W = problem.columns[j][problem.rows(j)] / factor.weight[j]
-        rows.append(JointRows(W @ (whitening @ V), V))
+        rows.append(JointRows(W @ (root[index] @ V), V))
         plain.append(np.sum(R**2) * (sigma[j] / factor.weight[j] ** 2) ** 2)
     residuals = problem.counted(scaled / size)
     scores, freedom = score_covariances(rows, residuals)
     inner = size**2 * scores
-    root = inverse / norms[:, None]
     parts = root @ inner @ root.T
     # Student's t of the sum of all joints' variances (Satterthwaite 1946)
     variances = np.diagonal(parts, axis1=1, axis2=2)
@@ -280,8 +277,9 @@ def score_covariances(
     observed = [autocovariance(e, k) for e, k in zip(residuals, lags, strict=True)]
     gammas = observed
     for remaining in range(NOISE.returned, -1, -1):
-        pairs = zip(rows, gammas, strict=True)
-        scores = np.array([joint.score(gamma) for joint, gamma in pairs])
+        scores = np.array(
+            [joint.score(g) for joint, g in zip(rows, gammas, strict=True)]
+        )
         if remaining:
             total = scores.sum(axis=0)
             joints = zip(observed, rows, gammas, lags, strict=True)

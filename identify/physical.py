@@ -25,6 +25,7 @@ from excitant.identify.knowledge import Knowledge, known_rows
 from excitant.identify.prior import (
     BodyPrior,
     EffectPrior,
+    largest_uncertainty,
     linear_influence,
     link_coordinates,
     link_weights,
@@ -55,15 +56,12 @@ class Agreement:
 
     Attributes:
         least: Least σ: no description is right to better than that.
-        largest: Largest σ; ±100 kg for 10 kg is as good as none. A lighter link than the mean may
-            be off by as much as that one, for it may carry a tool.
         grid: Values of σ tried, evenly spread by logarithm.
         alternations: Rounds between the σ of links that have their own and that of the others.
         false_alarm: Probability that a link has its own σ by chance, among all links.
     """
 
     least: float = 0.05
-    largest: float = 10.0
     grid: int = 40
     alternations: int = 3
     false_alarm: float = 0.05
@@ -210,9 +208,7 @@ def agreement(R: Array, z: Array, prior: Array) -> Array:
     """
     links = len(prior)
     blocks, residual = _deviations(R, z, prior)
-
-    lightness = prior[:, 0].mean() / prior[:, 0]
-    largest = AGREEMENT.largest * np.maximum(1.0, lightness)
+    largest = largest_uncertainty(prior)
 
     def most_likely(
         block: Array, others: Array, largest: float

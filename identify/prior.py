@@ -50,6 +50,7 @@ from excitant.robots.torque import effect_values, observation_columns, torque
 PRIOR_SIGMA = (
     1.0  # relative std of nominal bodies; decides only what the data leave open
 )
+LARGEST_SIGMA = 10.0  # ±100 kg for 10 kg is as good as no nominal body
 UPPER = np.triu_indices(4)  # of Q: its coordinates
 NORMS = np.where(UPPER[0] == UPPER[1], 1.0, np.sqrt(2.0))  # Σ (norm · y)² = ‖Q‖_F²
 SYMMETRIC = np.zeros((10, 4, 4))  # Q = Σ_k y_k · SYMMETRIC[k]
@@ -114,6 +115,14 @@ def prior_parameters(robot: Robot) -> Array:
     phi[mass == 0] = from_pseudo_inertia(least * ball)
     phi *= np.maximum(1.0, least / phi[:, 0])[:, None]
     return np.array([nearest_consistent(body) for body in phi])
+
+
+def largest_uncertainty(bodies: Array) -> Array:
+    """Largest relative uncertainty of each given body, (links, 10), shape (links,).
+
+    A lighter link than the mean may be off by as much as that one, for it may carry a tool.
+    """
+    return LARGEST_SIGMA * np.maximum(1.0, bodies[:, 0].mean() / bodies[:, 0])
 
 
 def link_weights(links: int, sigma: float | Array) -> Array:
