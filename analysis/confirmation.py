@@ -115,10 +115,15 @@ class Finding:
     downgrade: str = ""
 
     @property
+    def total(self) -> Array:
+        """Covariance of its coefficients with their errors by the gains, shape (k, k)."""
+        by_gains = np.outer(self.by_gains, self.by_gains)
+        return np.asarray(self.covariance + by_gains, float)
+
+    @property
     def std(self) -> Array:
         """Standard deviation of each coefficient, shape (k,)."""
-        std: Array = np.hypot(np.sqrt(np.diag(self.covariance)), self.by_gains)
-        return std
+        return np.sqrt(np.diag(self.total))
 
     @property
     def significant(self) -> bool:
@@ -129,9 +134,8 @@ class Finding:
     def is_open(self) -> bool:
         """Whether it may as well be smaller as larger than given, to two standard deviations."""
         values = np.array(self.effect.values or ())
-        covariance = self.covariance + np.outer(self.by_gains, self.by_gains)
         units = [""] * len(values)
-        sizes = self.effect.sizes(values, np.array(self.nominal), covariance, units)
+        sizes = self.effect.sizes(values, np.array(self.nominal), self.total, units)
         threshold = CONFIRMATION.deviations
         return any(abs(s.value - s.given) < threshold * s.std for s in sizes[:1])
 
@@ -145,10 +149,9 @@ class Finding:
     def by_chance(self, level: float) -> bool:
         """Whether values as far from the nominal ones come by chance that often, or more (χ²)."""
         change = np.array(self.effect.values or ()) - self.nominal
-        covariance = self.covariance + np.outer(self.by_gains, self.by_gains)
-        if not covariance.any():
+        if not self.total.any():
             return False
-        distance = float(change @ scipy.linalg.pinvh(covariance) @ change)
+        distance = float(change @ scipy.linalg.pinvh(self.total) @ change)
         return distance < float(scipy.special.chdtri(len(change), level))
 
     @property
@@ -296,6 +299,29 @@ class Extension:
         at = [self.names.index(name) for name in names]
         block: Array = self.covariance[np.ix_(at, at)]
         return block
+
+    def _places(self, finding: Finding) -> list[int]:
+        """Places of a finding's coefficients among the parameters, none of bodies."""
+        names = [p.name for p in finding.effect.parameters(self.model)]
+        places = [self.names.index(name) for name in names if name in self.names]
+        return places[: len(finding.covariance)]
+
+    def unsure_of(self, finding: Finding, causes: Sequence[Finding]) -> Finding:
+        """A finding with what it would change by without causes that may be absent, as error.
+
+        Without a cause whose coefficients x_u are off the nominal ones by d, all parameters x are
+        off by C_xu C_uu⁻¹ d.
+        """
+        own = self._places(finding)
+        covariance = np.array(finding.covariance)
+        for cause in causes:
+            at = self._places(cause)
+            if cause.effect is not finding.effect and own and at:
+                change = np.subtract(cause.effect.values or (), cause.nominal)
+                inverse = scipy.linalg.pinvh(self.covariance[np.ix_(at, at)])
+                shift = self.covariance[np.ix_(own, at)] @ inverse @ change
+                covariance += np.outer(shift, shift)
+        return replace(finding, covariance=covariance)
 
 
 def unextended(evidence: Evidence, holdout: Holdout) -> Extension:

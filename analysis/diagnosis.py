@@ -351,14 +351,19 @@ def _of_data(
     fit = _extended(mounted, train, halves, tau, prior, holdout, drive)
     error = holdout.series.measured - fit.predicted
     left = residuals(joints, data.validate, error, holdout.error, fit.predicted)
-    causes, corrected = _causes(fit, holdout, drive)
+    causes, others = _causes(fit, holdout, drive)
     of_set_up = [
         _of_set_up(mounted, effect, fit, holdout) for effect in mounted.effects
     ]
     if raw:
         of_set_up = [*_of_faults(mounted, raw, fit, holdout), *of_set_up]
     findings = [_judged_set_up(mounted, finding) for finding in of_set_up]
-    findings += _judged(mounted, fit, holdout, causes, left)
+    causes = _judged(mounted, fit, holdout, causes, left)
+    findings += causes
+    absent = [f for f in causes if f.downgrade]
+    others = [fit.unsure_of(f, absent) for f in others]
+    level = VERDICT.chance / max(len(others), 1)
+    corrected = [f for f in others if not f.by_chance(level)]
     coarse = _coarse_sentence(share, joints) if halves else ""
     notes = [data.holdout, *mounted.checked.notes, *[coarse] * bool(coarse)]
     turned = {e.joints for e in fit.model.effects if turning_speed(e)}
@@ -390,16 +395,25 @@ def _judged(
     holdout: Holdout,
     causes: Sequence[Finding],
     left: Sequence[Residual],
-) -> Iterator[Finding]:
-    """The causes by their gain, with the reason why one is not decided."""
+) -> list[Finding]:
+    """The causes by their gain, with the reason why one is not decided.
+
+    Values are then as unsure as by the absence of those, which may leave others undecided.
+    """
     body_std = EVIDENCE.tolerance * max(1.0, fit.evidence.tolerance[0])
     standing = _impossible(mounted, fit, holdout)
-    for finding in sorted(causes, key=lambda f: -f.explained):
-        reason = finding.downgrade or standing
-        reason = reason or reason_to_downgrade(
-            mounted.robot, finding, causes, left, body_std
+    ordered = sorted(causes, key=lambda f: -f.explained)
+
+    def reason(finding: Finding) -> str:
+        return (
+            finding.downgrade
+            or standing
+            or reason_to_downgrade(mounted.robot, finding, ordered, left, body_std)
         )
-        yield replace(finding, downgrade=reason)
+
+    absent = [f for f in ordered if reason(f)]
+    ordered = [fit.unsure_of(f, absent) for f in ordered]
+    return [replace(f, downgrade=reason(f)) for f in ordered]
 
 
 def _coarse_sentence(share: Array, joints: Sequence[str]) -> str:
@@ -468,10 +482,7 @@ def _extended(
 def _causes(
     fit: Extension, holdout: Holdout, drive: DriveGains | None
 ) -> tuple[list[Finding], list[Finding]]:
-    """Significant changes of the nominal model, each with its rivals, and corrected values.
-
-    These are within the tolerance of nominal values, yet further off than comes by chance.
-    """
+    """Significant changes of the nominal model, each with its rivals, and other values of it."""
     robot = holdout.robot
     causes = []
     for finding, candidate in zip(fit.findings, fit.chosen, strict=True):
@@ -493,11 +504,8 @@ def _causes(
             replace(f, by_gains=errors_by_gains(f, robot, drive)) for f in findings
         ]
 
-    level = VERDICT.chance / max(len(others), 1)
-    return (
-        [f for f in with_gains([*causes, *noticed]) if not f.is_no_change],
-        [f for f in with_gains(others) if not f.by_chance(level)],
-    )
+    changes = [f for f in with_gains([*causes, *noticed]) if not f.is_no_change]
+    return changes, with_gains(others)
 
 
 def _refuted(

@@ -413,11 +413,9 @@ def _of_poses(
     rows = pose_rows(robot, recordings, validate)
     unexplained = scatter(rows)
     fit = weighted_least_squares(rows.reduced)
-    R, z = rows.regression.factor(fit.weight)
-    physical = fit_physical(
-        R, z, prior, rows.open_prior, knowledge=known, links=robot.links
-    )
-    estimate = judged(robot, rows, fit, physical, notes_on(rows, prior))
+    whitened = rows.regression.factor(fit.weight)
+    notes = notes_on(rows, prior)
+    estimate = estimate_by(robot, rows, fit, whitened, notes, known)
     return replace(
         estimate,
         # base parameters of gravity are no prior of a motion's
@@ -461,20 +459,20 @@ def judged(
     """
     drive = rows.drive
     widened = fit.covariance
-    base_std = np.sqrt(np.diag(widened))
+    unknown = np.zeros(len(widened), bool)
     if drive is not None:
         pull = rows.by_gain(fit.weight)
         R, _ = rows.reduced.factor(fit.weight)
         J = read_only(np.linalg.solve(R.T @ R, pull[list(rows.base.columns)]))
         widened = widened + J @ drive.covariance @ J.T
         unknown = _rests_on_unknown(fit.covariance, J, drive)
-        base_std = np.where(unknown, np.nan, np.sqrt(np.diag(widened)))
         # what is told in amperes rests on no gain
         units = units_of(robot, rows.effects, drive)
         in_torque = [factor == 1 for factor, _ in units]
         J = physical.covariance @ pull * np.array(in_torque)[:, None]
         wider = physical.covariance + J @ drive.covariance @ J.T
         physical = replace(physical, covariance=wider)
+    base_std = np.where(unknown, np.nan, np.sqrt(np.diag(widened)))
     model = identified_robot(robot, rows.effects, physical.x)
     if is_covariance(widened):
         model = replace(
@@ -532,13 +530,14 @@ def estimate_by(
     fit: LeastSquares,
     whitened: tuple[Array, Array],
     notes: tuple[str, ...],
+    knowledge: Knowledge | None = None,
 ) -> Estimate:
     """The estimate with bodies fitted to whitened rows R x ≈ z of all parameters."""
     physical = fit_physical(
         *whitened,
         prior_parameters(robot),
         rows.open_prior,
-        Knowledge().of(robot),
+        knowledge or Knowledge().of(robot),
         robot.links,
     )
     return judged(robot, rows, fit, physical, notes)

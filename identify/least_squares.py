@@ -182,19 +182,16 @@ def with_covariance(
     problem = factor.problem
     root = factor.inverse / factor.norms[:, None]
     scaled = error / factor.weight
-    size = max(float(np.sqrt((scaled**2).mean())), SMALLEST)  # far from underflow
     rows = []
     plain = []  # tr(A⁻¹ A_j), noise included
     for j, index in enumerate(problem.index):
-        R = problem.triangles[j][:, :-1] @ root[index]
+        R = problem.triangles[j][:, :-1] @ root[index] / factor.weight[j]
         V = np.linalg.svd(R, full_matrices=False)[2].T
         W = problem.columns[j][problem.rows(j)] / factor.weight[j]
         rows.append(JointRows(W @ (root[index] @ V), V))
-        plain.append(np.sum(R**2) * (sigma[j] / factor.weight[j] ** 2) ** 2)
-    residuals = problem.counted(scaled / size)
-    scores, freedom = score_covariances(rows, residuals)
-    inner = size**2 * scores
-    parts = root @ inner @ root.T
+        plain.append(np.sum(R**2) * (sigma[j] / factor.weight[j]) ** 2)
+    scores, freedom = score_covariances(rows, problem.counted(scaled))
+    parts = root @ scores @ root.T
     # Student's t of the sum of all joints' variances (Satterthwaite 1946)
     variances = np.diagonal(parts, axis1=1, axis2=2)
     squares = variances.sum(axis=0) ** 2
@@ -203,7 +200,7 @@ def with_covariance(
     nu = np.divide(squares, spread, out=endless, where=spread > 0)
     width = student_width(nu)
     covariance = parts.sum(axis=0) * np.outer(width, width)
-    effect = np.trace(inner, axis1=1, axis2=2)
+    effect = np.trace(scores, axis1=1, axis2=2)
     seen = np.array(plain) > 0
     inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=seen)
     return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
