@@ -294,17 +294,10 @@ class Extension:
         """Coefficients of the model's own effects by name."""
         return effect_values(self.model)
 
-    def covariance_of(self, names: Sequence[str]) -> Array:
-        """Covariance of some of the parameters, shape (k, k)."""
-        at = [self.names.index(name) for name in names]
-        block: Array = self.covariance[np.ix_(at, at)]
-        return block
-
-    def _places(self, finding: Finding) -> list[int]:
-        """Places of a finding's coefficients among the parameters, none of bodies."""
-        names = [p.name for p in finding.effect.parameters(self.model)]
-        places = [self.names.index(name) for name in names if name in self.names]
-        return places[: len(finding.covariance)]
+    def places(self, effect: Effect) -> list[int]:
+        """Places of an effect's coefficients among the parameters, none of those of links."""
+        names = [p.name for p in effect.parameters(self.model)]
+        return [self.names.index(name) for name in names if name in self.names]
 
     def unsure_of(self, finding: Finding, causes: Sequence[Finding]) -> Finding:
         """A finding with what it would change by without causes that may be absent, as error.
@@ -312,10 +305,10 @@ class Extension:
         Without a cause whose coefficients x_u are off the nominal ones by d, all parameters x are
         off by C_xu C_uu⁻¹ d.
         """
-        own = self._places(finding)
+        own = self.places(finding.effect)[: len(finding.covariance)]
         covariance = np.array(finding.covariance)
         for cause in causes:
-            at = self._places(cause)
+            at = self.places(cause.effect)[: len(cause.covariance)]
             if cause.effect is not finding.effect and own and at:
                 change = np.subtract(cause.effect.values or (), cause.nominal)
                 inverse = scipy.linalg.pinvh(self.covariance[np.ix_(at, at)])
@@ -723,13 +716,13 @@ def _coefficients(
         links = [np.arange(10 * k, 10 * k + 10) for k in effect.rows(robot)]
         at = np.concatenate(links)
         change = fit.model.phi[at] - robot.phi[at]
-        names = [robot.parameter_names[k] for k in at]
-        return change, np.zeros(len(at)), fit.covariance_of(names)
+        return change, np.zeros(len(at)), fit.covariance[np.ix_(at, at)]
     nominal = effect_values(robot)
     names = [p.name for p in effect.parameters(robot)]
     value = np.array([fit.values[name] for name in names])
     before = np.array([nominal.get(name, 0.0) for name in names])
-    return value, before, fit.covariance_of(names)
+    places = fit.places(effect)
+    return value, before, fit.covariance[np.ix_(places, places)]
 
 
 def errors_by_gains(

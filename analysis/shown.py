@@ -5,19 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from excitant.analysis.uncertainty import cleaned, shown_base, without_rounding
-from excitant.identify.estimate import Estimate, judged
-from excitant.identify.knowledge import Knowledge
+from excitant.analysis.uncertainty import cleaned, shown_base
+from excitant.identify.estimate import Estimate, estimate_by
 from excitant.identify.least_squares import weighted_least_squares
-from excitant.identify.physical import fit_physical
-from excitant.identify.preprocessing import certain_rows
-from excitant.identify.prior import prior_parameters
 from excitant.identify.recording import Recording
-from excitant.identify.regression import regression_of
 from excitant.identify.rows import effects_of, fit_rows, split
+from excitant.robots.base_parameters import base_parameters
 from excitant.robots.effects import Effect
 from excitant.robots.robot import Robot
-from excitant.robots.torque import column_names
 
 
 def identify_shown(
@@ -39,17 +34,11 @@ def identify_shown(
         BadRecording: Recordings that cannot be used.
         BadRobot: A link of negative mass.
     """
-    prior = prior_parameters(robot)
     effects = effects_of(robot, effects)
     data = split(recordings, validate, cutoff_hz)
-    used = certain_rows(effects, robot.joints, data.train)
-    W = without_rounding(regression_of(robot, effects, data.train).counting(used).W)
-    rows = cleaned(
-        fit_rows(robot, effects, shown_base(column_names(robot, effects), W), data)
-    )
+    rows = fit_rows(robot, effects, base_parameters(robot, effects), data)
+    rows = cleaned(rows)
+    rows = replace(rows, base=shown_base(rows.regression.names, rows.W))
     fit = weighted_least_squares(rows.reduced)
-    R, z = rows.regression.factor(fit.weight)
-    knowledge = Knowledge().of(robot)
-    physical = fit_physical(R, z, prior, rows.open_prior, knowledge, robot.links)
-    estimate = judged(robot, rows, fit, physical, (data.holdout,))
-    return replace(estimate, knowledge=knowledge)
+    whitened = rows.regression.factor(fit.weight)
+    return estimate_by(robot, rows, fit, whitened, (data.holdout,))

@@ -101,12 +101,6 @@ def deviations(R: Array, A: Array) -> Array:
     return np.asarray(np.where(hidden, np.inf, std), float)
 
 
-def without_rounding(W: Array) -> Array:
-    """Columns, shape (n, rows, p), with those that are zero but for rounding set to zero."""
-    silent = silent_columns(np.sqrt((W**2).sum(axis=0)))
-    return np.asarray(np.where(silent, 0.0, W), float)
-
-
 def _unit_columns(R: Array) -> tuple[Array, Array]:
     """Lengths of the columns, and the columns scaled to length one, or to zero where negligible."""
     norms = np.linalg.norm(R, axis=0)
@@ -518,10 +512,7 @@ def recorded_experiment(
 def cleaned(rows: FitRows) -> FitRows:
     """The rows with columns that are rounding alone set to zero."""
     regression = rows.regression
-    clean = dense(
-        without_rounding(regression.W),
-        regression.tau,
-        regression.names,
-        regression.used,
-    )
+    rounding = silent_columns(np.linalg.norm(regression.W, axis=0))
+    W = np.where(rounding, 0.0, regression.W)
+    clean = dense(W, regression.tau, regression.names, regression.used)
     return replace(rows, regression=clean)

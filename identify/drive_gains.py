@@ -137,17 +137,11 @@ class DriveGains:
                 times = OVERLOAD * self.gains[j] / possible[j]
                 why = f"its torque would be {times:.2g} times the joint's limit"
             reasons.append(f"{joints[j]} ({why})")
-        if not self.known.any():
-            return (
-                "torque was recorded as current, and no drive gain is determined: "
-                f"{', '.join(reasons)}; friction, offset and rotor inertia are told in amperes, "
-                f"and masses and inertias hold up to a common factor; {self._remedy}"
-            )
-        several = len(reasons) > 1
+        common = ", and masses and inertias hold up to a common factor"
         return (
-            f"torque was recorded as current, and the gain{'s' * several} of {', '.join(reasons)} "
-            f"{'are' if several else 'is'} not determined: friction, offset and rotor inertia "
-            f"there are told in amperes; {self._remedy}"
+            f"torque was recorded as current; not determined: the gain of {', '.join(reasons)}; "
+            "friction, offset and rotor inertia there are told in amperes"
+            f"{common * (not self.known.any())}; {self._remedy}"
         )
 
     def sentence(self, joints: Sequence[str]) -> str:

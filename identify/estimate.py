@@ -420,7 +420,6 @@ def _of_poses(
         estimate,
         # base parameters of gravity are no prior of a motion's
         model=replace(estimate.model, estimate=None),
-        knowledge=known,
         data=replace(rows.data, poses=Poses(SHOWN * unexplained, kept(robot))),
     )
 
@@ -533,14 +532,10 @@ def estimate_by(
     knowledge: Knowledge | None = None,
 ) -> Estimate:
     """The estimate with bodies fitted to whitened rows R x ≈ z of all parameters."""
-    physical = fit_physical(
-        *whitened,
-        prior_parameters(robot),
-        rows.open_prior,
-        knowledge or Knowledge().of(robot),
-        robot.links,
-    )
-    return judged(robot, rows, fit, physical, notes)
+    known = knowledge or Knowledge().of(robot)
+    prior = prior_parameters(robot)
+    physical = fit_physical(*whitened, prior, rows.open_prior, known, robot.links)
+    return replace(judged(robot, rows, fit, physical, notes), knowledge=known)
 
 
 def notes_on(rows: FitRows, prior: Array) -> tuple[str, ...]:

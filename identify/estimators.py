@@ -65,7 +65,9 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 FALSE_ALARM = 0.01  # of the test whether errors follow the motion
 SHIFTS = 199  # of errors against the motion: FALSE_ALARM is two ranks of them and the own one
 GOLDEN = (np.sqrt(5) - 1) / 2
-NORMAL_MEDIAN = 0.6744897501960817  # median magnitude of a standard normal variable
+NORMAL_MEDIAN = float(
+    scipy.special.ndtri(0.75)
+)  # median magnitude, standard normal
 
 
 @dataclass(frozen=True)

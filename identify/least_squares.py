@@ -183,13 +183,10 @@ def with_covariance(
     root = factor.inverse / factor.norms[:, None]
     scaled = error / factor.weight
     rows = []
-    plain = []  # tr(A⁻¹ A_j), noise included
     for j, index in enumerate(problem.index):
-        R = problem.triangles[j][:, :-1] @ root[index] / factor.weight[j]
-        V = np.linalg.svd(R, full_matrices=False)[2].T
+        V = np.linalg.qr(root[index].T)[0]
         W = problem.columns[j][problem.rows(j)] / factor.weight[j]
         rows.append(JointRows(W @ (root[index] @ V), V))
-        plain.append(np.sum(R**2) * (sigma[j] / factor.weight[j]) ** 2)
     scores, freedom = score_covariances(rows, problem.counted(scaled))
     parts = root @ scores @ root.T
     # Student's t of the sum of all joints' variances (Satterthwaite 1946)
@@ -200,9 +197,10 @@ def with_covariance(
     nu = np.divide(squares, spread, out=endless, where=spread > 0)
     width = student_width(nu)
     covariance = parts.sum(axis=0) * np.outer(width, width)
-    effect = np.trace(scores, axis1=1, axis2=2)
-    seen = np.array(plain) > 0
-    inflation = np.divide(effect, plain, out=np.ones(len(sigma)), where=seen)
+    seen = np.array([(joint.X**2).sum() for joint in rows])  # tr(A⁻¹ A_j)
+    white = seen * (sigma / factor.weight) ** 2
+    coloured = np.trace(scores, axis1=1, axis2=2)
+    inflation = np.divide(coloured, white, out=np.ones_like(white), where=white > 0)
     return LeastSquares(beta, covariance, sigma, np.maximum(inflation, 1.0))
 
 
