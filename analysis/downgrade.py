@@ -28,10 +28,9 @@ def reason_to_downgrade(
     effect = finding.effect
     if finding.by_chance(VERDICT.chance):
         return "its values are the given ones within their uncertainty"
-    single = effect.role != "torque" or len(effect.values or ()) == 1
-    if single and len(effect.joints) == 1 and finding.is_open:
-        size = "size" if effect.role == "torque" else "mass"
-        return f"the sign of its {size} is not known to two standard deviations"
+    body = effect.role != "torque" and len(effect.joints) == 1
+    if body and finding.is_open:
+        return "the sign of its mass is not known to two standard deviations"
     if _like_wrong_masses(robot, finding, findings, body_std):
         return "given masses that are all off by one factor would look the same"
     if finding.share < CONFIRMATION.ideal:

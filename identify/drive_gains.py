@@ -137,7 +137,7 @@ class DriveGains:
                 times = OVERLOAD * self.gains[j] / possible[j]
                 why = f"its torque would be {times:.2g} times the joint's limit"
             reasons.append(f"{joints[j]} ({why})")
-        common = ", and masses and inertias hold up to a common factor"
+        common = "; masses and inertias hold up to a common factor"
         return (
             f"torque was recorded as current; not determined: the gain of {', '.join(reasons)}; "
             "friction, offset and rotor inertia there are told in amperes"

@@ -65,9 +65,6 @@ ESTIMATORS: Mapping[str, str] = MappingProxyType(
 FALSE_ALARM = 0.01  # of the test whether errors follow the motion
 SHIFTS = 199  # of errors against the motion: FALSE_ALARM is two ranks of them and the own one
 GOLDEN = (np.sqrt(5) - 1) / 2
-NORMAL_MEDIAN = float(
-    scipy.special.ndtri(0.75)
-)  # median magnitude, standard normal
 
 
 @dataclass(frozen=True)
@@ -324,8 +321,9 @@ def _scale(residuals: Sequence[Array], r: int) -> Array:
     rows = sum(map(len, residuals))
     freedom = np.sqrt(rows / max(rows - r, 1))
     medians = np.array([np.median(np.abs(e)) for e in residuals])
+    standard = scipy.special.ndtri(0.75)  # that of normal noise of variance one
     least = 1e-9 * noise_of(residuals, r)  # most rows fit exactly
-    return believed(np.maximum(medians / NORMAL_MEDIAN * freedom, least))
+    return believed(np.maximum(medians / standard * freedom, least))
 
 
 def _settled(

@@ -272,9 +272,7 @@ def score_covariances(
     observed = [autocovariance(e, k) for e, k in zip(residuals, lags, strict=True)]
     gammas = observed
     for remaining in range(NOISE.returned, -1, -1):
-        scores = np.array(
-            [joint.score(g) for joint, g in zip(rows, gammas, strict=True)]
-        )
+        scores = np.array([*map(JointRows.score, rows, gammas)])
         if remaining:
             total = scores.sum(axis=0)
             joints = zip(observed, rows, gammas, lags, strict=True)
@@ -282,8 +280,8 @@ def score_covariances(
                 first + joint.taken(gamma, total, k)
                 for first, joint, gamma, k in joints
             ]
-    pairs = zip(gammas, counts, strict=True)
-    return scores, np.array([_degrees_of_freedom(gamma, n) for gamma, n in pairs])
+    freedom = list(map(_degrees_of_freedom, gammas, counts))
+    return scores, np.array(freedom)
 
 
 def _degrees_of_freedom(gamma: Array, n: int) -> float:

@@ -395,10 +395,15 @@ def test_an_undecided_size_has_no_deviation(coulomb: Diagnosis) -> None:
         assert [value["std"] is not None for value in values] == [known, known]
         assert ("±" in entry["sentence"]) == known
     change = np.array(lead.effect.values) - lead.nominal
-    for deviations in (1.9, 2.1):
-        assert replace(lead, covariance=(change / deviations)[:, None] ** 2).is_open == (
-            deviations < 2
-        )
+    near, far = (replace(lead, covariance=(change / k)[:, None] ** 2) for k in (1.9, 2.1))
+    assert [near.is_open, far.is_open] == [True, False]
+    # what it adds is an error of the others
+    fit, effect = coulomb.extension, EFFECTS["viscous_friction"](lead.effect.joints)
+    undecided = replace(lead, effect=effect.with_values((1.0,)))
+    [own], [other] = fit.places(lead.effect), fit.places(effect)
+    shift = fit.covariance[own, other] / fit.covariance[other, other] * (1.0 - lead.nominal[0])
+    found = fit.unsure_of(lead, [lead, undecided])
+    assert found.std[0] == pytest.approx(np.hypot(lead.std[0], shift), rel=1e-9)
 
 
 @pytest.mark.parametrize(

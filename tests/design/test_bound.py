@@ -63,8 +63,7 @@ def assert_certificate_holds(bound: Bound, n: int = 10_000) -> None:
     assert np.trace(bound.multipliers.Q) == pytest.approx(1.0, abs=1e-9)
     assert bound.value == pytest.approx(max(1.0, np.sqrt(bound.multipliers.value)), rel=1e-9)
     assert bound.value <= bound.without_repair * (1 + 1e-9)
-    rng = np.random.default_rng(12345)
-    u = rng.uniform(-1, 1, (n, 3 * problem.space.robot.nv))
+    u = np.random.default_rng(12345).uniform(-1, 1, (n, 3 * problem.space.robot.nv))
     u[::2] = np.sign(u[::2]) * np.abs(u[::2]) ** 0.2
     motion = problem.space.slowed(problem.space.motion(u))
     assert len(motion) > n / 2
@@ -90,8 +89,7 @@ def test_mixture_agrees_with_a_general_solver(seed: int) -> None:
 def test_pendulum_has_the_bound_known_in_closed_form(pendulum: Robot) -> None:
     """Y = (g sin q, g cos q, q̈): tr of the first two is g², the third at most a²."""
     g, a = 9.81, 2.0
-    robot = limited(pendulum, acceleration=a)
-    bound = lower_bound(robot, harmonics=50, time_limit=20.0)
+    bound = lower_bound(limited(pendulum, acceleration=a), harmonics=50, time_limit=20.0)
     assert bound.value == pytest.approx(g / np.sqrt(2) / a, rel=5e-3)
     assert bound.value <= g / np.sqrt(2) / a * (1 + 1e-9)
     assert_certificate_holds(bound)

@@ -222,8 +222,7 @@ def test_noise_weights_equations(planar: Robot) -> None:
 @pytest.mark.slow
 def test_what_next_makes_up_for_what_a_recording_lacks(planar: Robot) -> None:
     """After a motion of joint 2 alone, a design that knows of it does better in the sum."""
-    rng = np.random.default_rng(1)
-    once = random_trajectory(planar, rng, 5.0, 4).sample(500)
+    once = random_trajectory(planar, np.random.default_rng(1), 5.0, 4).sample(500)
     alone = replace(once, **{name: getattr(once, name) * [0, 1] for name in ("q", "dq", "ddq")})
     options = {"duration": 5.0, "harmonics": 3, "columns": "inertial", "starts": 4, "jobs": 1}
     knowing = design_trajectory(planar, after=[alone] * 10, **options)

@@ -265,8 +265,7 @@ def test_the_default_identifies_as_by_hand(planar: Robot) -> None:
 def test_instruments_need_no_noise_but_a_rate_for_every_second_sample(planar: Robot, exact: Call):
     """At a rate at which interpolation between every second sample leaves no error."""
     recording = exact(planar, np.arange(0, 10, 1 / 512))
-    found = identify_robot(planar, [recording], estimator="iv")
-    fit = found.least_squares
+    fit = identify_robot(planar, [recording], estimator="iv").least_squares
     known = identify_robot(planar, [recording], estimator="wls").least_squares
     assert (np.abs(fit.beta - known.beta) <= 1e-2 * known.std).all()
     np.testing.assert_allclose(fit.covariance, known.covariance, rtol=1e-2)

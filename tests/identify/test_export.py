@@ -490,8 +490,7 @@ def test_a_file_makes_up_for_what_its_format_lacks(planar, exact, tmp_path):
 
 
 def test_currents_are_published_with_their_gains(estimate: Estimate) -> None:
-    gains = np.array([12.0, 7.0])
-    drive = DriveGains(gains, np.zeros((2, 2)))
+    drive = DriveGains(np.array([12.0, 7.0]), np.zeros((2, 2)))
     read = replace(estimate, drive=drive, data=replace(estimate.data, unit="A"))
     currents = judged(read, estimate.predicted, estimate.predicted_given)
     files = publication(currents, formats=["mjcf"]).files

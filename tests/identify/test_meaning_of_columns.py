@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_arms import Call
-from marks import slow
+from marks import refused, slow
 from mistakes import MADE, READ, coupled, geared, run_of, scaled, shifted, with_rows
 
 from excitant.analysis.set_up import set_up
@@ -185,8 +185,7 @@ def test_inertias_in_another_unit_are_told(logged: tuple[Robot, Recording], unit
     assert bool(found) == (unit > 30)
     for fault in found:
         assert proven([fault.entry() | ENTRY])
-        with pytest.raises(BadRobot, match=": another unit;"):
-            set_up(given, [run])
+        refused(": another unit;", set_up, given, [run], error=BadRobot)
 
 
 @pytest.mark.slow

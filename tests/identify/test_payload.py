@@ -327,8 +327,7 @@ def test_gains_by_given_masses_are_within_their_deviations(monkeypatch) -> None:
 
 @pytest.mark.parametrize(("mass", "std"), [(0.0, 0.0), (np.nan, 0.0), (1.0, -1.0)])
 def test_payloads_that_cannot_be(mass: float, std: float) -> None:
-    with pytest.raises(BadInput, match="mass above 0 kg and a standard deviation that is not neg"):
-        KnownPayload(mass, std)
+    refused("mass above 0 kg and a standard deviation", KnownPayload, mass, std, error=BadInput)
 
 
 def test_recordings_of_currents_become_torques(tmp_path: Path, excitant: Call) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy
 from known_arms import Call, smooth_motion
-from marks import refusal
+from marks import refusal, refused
 from numpy.polynomial import Polynomial
 
 from excitant.exceptions import BadInput, BadRecording
@@ -180,8 +180,7 @@ def test_gain_and_noise_gain_are_those_announced(shape: tuple[int, int]) -> None
         response = np.linalg.norm(derivative(polynomial, impulse, order))
         assert polynomial.noise_gain(RATE, order) == pytest.approx(response, rel=1e-6)
     assert polynomial.delay(RATE) == polynomial.half_width / RATE
-    with pytest.raises(BadInput, match="degree 5 through 5 samples"):
-        LocalPolynomial(2, 5)
+    refused("degree 5 through 5 samples", LocalPolynomial, 2, 5, error=BadInput)
 
 
 def test_polynomials_are_exact_up_to_their_degree() -> None:
@@ -232,8 +231,7 @@ def test_positions_pass_another_filter_where_one_is_named() -> None:
 @pytest.mark.parametrize("rate", [100.0, 125.0, 250.0, 1000.0])
 def test_a_thin_segment_has_the_same_rows_and_nearly_the_same_columns(rate: float) -> None:
     t = np.arange(0, 20, 1 / rate)
-    motion = smooth_motion(PLANAR, t)
-    [segment] = prepared(t, motion.q)
+    [segment] = prepared(t, smooth_motion(PLANAR, t).q)
     thin = segment.thin
     assert thin.rate_hz >= min(rate, 8 * CUTOFF) * (1 - 1e-9)
     np.testing.assert_allclose(thin.t, segment.t, rtol=0, atol=1e-9)

@@ -79,8 +79,7 @@ def test_long_curves_and_bands_lose_points_but_no_edge():
 
 
 def test_axes_end_beyond_their_marks_and_logarithmic_ones_stay_positive():
-    values = np.array([0.0, np.nan, 1e-3, 10.0])
-    points = Points(np.arange(4.0), values, "fitted")
+    points = Points(np.arange(4.0), np.array([0.0, np.nan, 1e-3, 10.0]), "fitted")
     linear, empty = Axes((points,), Axis("", 0.0), Axis()), Axes((), Axis(), Axis())
     assert linear.ends("x")[0] == 0
     low, high = linear.ends("y")

@@ -88,8 +88,7 @@ def test_known_reach_and_weight() -> None:
         assert abs(places[2][0]) + abs(places[3][0]) == pytest.approx(length)
     iiwa = tool("iiwa14", np.zeros(7))
     assert iiwa == pytest.approx([0, 0, 0.36 + 0.42 + 0.4 + 0.126], abs=1e-9)  # to its flange
-    gen3 = tool("gen3", np.zeros(7))
-    assert gen3[2] == pytest.approx(1.1873, abs=1e-3)
+    assert tool("gen3", np.zeros(7))[2] == pytest.approx(1.1873, abs=1e-3)
     upright = np.array([0, -np.pi / 2, np.pi / 2, 0, 0, 0])
     tx40 = tool("tx40", upright)
     assert tx40[2] == pytest.approx(0.32 + 0.225 + 0.225 + 0.065)

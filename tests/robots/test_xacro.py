@@ -56,8 +56,7 @@ def test_a_package_is_found_where_it_is_said_to_be(arm: Path, to: str, given: st
     if parts.name != "parts":
         (parts / "package.xml").write_text("<package><name>parts</name></package>")
     assert load_robot(arm, packages=[around / given]).nv == 2
-    with pytest.raises(BadRobot, match=r"no package 'parts'.*--package /path/to/parts"):
-        load_robot(arm)
+    refused(r"no package 'parts'.*--package /path/to/parts", load_robot, arm, error=BadRobot)
 
 
 def test_robot_yaml_over_a_xacro(arm: Path) -> None:
