@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from excitant.exceptions import BadInput, UnknownName
-from excitant.robots.limits import LIMIT_NAMES, Limits
+from excitant.robots.limits import LEAST, LIMIT_NAMES, Limits
 from excitant.robots.motion import Array
 from excitant.robots.robot import Robot
 from excitant.robots.schema import LimitsRecord, convert, read_yaml
+from excitant.robots.urdf_writer import UNLIMITED
 
 _ROS = ("position", "velocity", "acceleration", "effort", "jerk")
 
@@ -112,9 +113,13 @@ def _limit(robot: Robot, name: str, value: Any, source: str) -> Array:
             f"{source}: {name} limits: expected one {'pair of numbers' if ranges else 'number'}, "
             f"or one for each of the {robot.nv} joints of {robot.name}"
         ) from None
-    good = limit[:, 0] < limit[:, 1] if ranges else limit > 0
+    good = limit[:, 0] < limit[:, 1] if ranges else limit >= LEAST
     if not good.all():
         joint = robot.joints[int(np.argmin(good))]
-        rule = "lower must be below upper" if ranges else "must be positive"
+        rule = (
+            "lower must be below upper"
+            if ranges
+            else f"must be positive, {LEAST:g} at least"
+        )
         raise BadInput(f"{source}: {name} limit of joint {joint}: {rule}")
-    return limit
+    return np.where(np.abs(limit) >= UNLIMITED, np.copysign(np.inf, limit), limit)

@@ -17,7 +17,7 @@ from excitant.files import real_path
 from excitant.robots.angles import Angles
 from excitant.robots.chains import RobotSpec, held_joints, tree
 from excitant.robots.files import parse_xml
-from excitant.robots.limits import Limits
+from excitant.robots.limits import LEAST, Limits
 from excitant.robots.robot import Robot
 from excitant.robots.urdf_model import build_model, held_pose, restore_link_names
 from excitant.robots.urdf_shapes import URDF
@@ -61,7 +61,7 @@ def robot_from_urdf(
     root = parse_xml(text, source)
     _check(root, source)
     weight = np.array(gravity, float)
-    if not (np.abs(weight) < _LARGEST).all():
+    if not (np.abs(weight) < UNLIMITED).all():
         raise BadRobot(
             source, f"gravity {weight.tolist()} is none; give it in m/s²"
         )
@@ -84,6 +84,9 @@ def robot_from_urdf(
             ) from None
     if model.nv == 0:
         raise BadRobot(source, "it has no moving joints; name a URDF of an arm")
+    if model.nv > _MOVING:
+        why = f"it has {model.nv} moving joints, more than {_MOVING}"
+        raise BadRobot(source, f"{why}; choose some with --joints or --tip")
     restore_link_names(model)
     stated = stated_joints(root)
     joints = [stated[joint] for joint in list(model.names)[1:]]
@@ -187,8 +190,7 @@ def _refuse_without_limits(root: Element, source: str) -> None:
 
 _LIMITED = ("revolute", "prismatic")
 _STATED = ("effort", "velocity")  # attributes of a limit that URDF requires
-_LARGEST = 1e9  # kg, m, rad, kg·m² of anything that is part of an arm
-_LEAST_MASS = 1e-12  # kg: a cube of steel of 5 µm
+_MOVING = 50  # joints: work grows with their third power; humanoids have 30
 _MOST = 1000  # links or joints
 _VECTORS = ("xyz", "rpy", "size", "scale")
 _NUMBERS = {
@@ -221,10 +223,10 @@ def number(text: str, key: str, owner: Element, source: str) -> float:
     except ValueError:
         value = np.nan
     why = "" if np.isfinite(value) else "not a number"
-    if abs(value) > _LARGEST and key not in LIMIT_KEYS:
+    if abs(value) > UNLIMITED and key not in LIMIT_KEYS:
         why = "beyond any arm's size"
-    if key == "value" and 0 < abs(value) < _LEAST_MASS:
-        why = "too little for a body, and not 0, which means no mass"
+    if key in ("value", *_STATED) and 0 < abs(value) < LEAST:
+        why = "too little for a body or a limit, and not 0, which means none"
     if why:
         raise BadRobot(
             source, f"{owner.tag} '{owner.get('name')}': {key}=\"{text}\" is {why}"

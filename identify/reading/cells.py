@@ -48,9 +48,20 @@ def cells(series: pd.Series) -> Cells:
 
 
 def as_numbers(values: Cells) -> Array:
-    """Numbers of a column; NaN for text, dates, truth values and where there is nothing."""
+    """Numbers of a column; NaN for text, dates, truth values and where there is nothing.
+
+    No sensor gives what single precision cannot hold: a number beyond it is NaN, one below it 0.
+    """
     if values.dtype.kind in "bcmM":
         return np.full(len(values), np.nan)
+    numbers = _as_floats(values)
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        single = numbers.astype(np.float32)
+    numbers = np.where(np.isfinite(single), numbers, np.nan)
+    return np.where(single == 0, 0.0, numbers)
+
+
+def _as_floats(values: Cells) -> Array:
     if isinstance(values, np.ndarray):
         return np.asarray(values, float)
     import pandas as pd

@@ -27,7 +27,7 @@ _SEPARATORS = ("\t", ";", "|", ",", " ")
 _LONGEST = 1 << 20  # characters of a line
 _HEAD = 1 << 18  # bytes that show how the file is written
 _POINT = re.compile(
-    r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE
+    r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|nan", re.ASCII | re.IGNORECASE
 )
 _NUMBER = rf"(?:{_POINT.pattern})"
 _VECTOR = re.compile(

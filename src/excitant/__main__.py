@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import io
+import os
 import sys
 
 from excitant.interrupts import ignore, listen
@@ -16,6 +17,11 @@ def run() -> None:
     """Run a command and exit with its status; Ctrl-C and SIGTERM end it with 130."""
     try:
         listen()
+        for name in ("stdin", "stdout", "stderr"):
+            if (
+                getattr(sys, name) is None
+            ):  # it was closed: no file may take its number
+                setattr(sys, name, open(os.devnull, "r+"))  # noqa: SIM115
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="replace")  # where ° has no code

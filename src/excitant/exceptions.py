@@ -139,6 +139,8 @@ def line_of(error: BaseException) -> str:
         return "; ".join([str(error), *getattr(error, "__notes__", ())])
     if isinstance(error, OSError):
         return one_line(f"{error.filename or 'file'}: {error.strerror or error}")
+    if isinstance(error, MemoryError):
+        return "the memory of this machine does not suffice; free some, or give less data at once"
     name = str(getattr(error, "name", "")).partition(".")[0]
     if isinstance(error, ModuleNotFoundError) and name in EXTRAS:
         return f"this needs {name}: pip install 'excitant[{EXTRAS[name]}]'"

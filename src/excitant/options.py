@@ -270,9 +270,7 @@ class Run:
             if self.json:
                 print_json(ex.reports.as_saved(result, {})[0])
             else:
-                told = ex.reports.brief(
-                    page, terminal=bool(sys.stdout and sys.stdout.isatty())
-                )
+                told = ex.reports.brief(page, terminal=sys.stdout.isatty())
                 print(
                     *(one_line(line) for line in first if line),
                     told,
