@@ -385,30 +385,30 @@ class _Fit:
             yield _Case(effect, np.zeros(size), rows)
             end += size
         for joint in np.array(model.joints)[model.revolute].tolist():
-            turned = partial(self.turned, (joint,), segments, used)
-            around = [turned(angle) for angle in ANGLES]
-            left = [_left(beside, case.rows[0], case.rows[0]) for case in around]
-            case = around[int(np.argmin(left))]
+            effect = EFFECTS["encoder_offset"]((joint,))
+            turned = partial(self.turned, effect, segments, used)
+            around = [self.rows_of(turned(angle)) for angle in ANGLES]
+            best = int(np.argmin([_left(beside, own, own) for own in around]))
+            angle = ANGLES[best]
+            own = around[best]
             for _ in range(STEPS):
-                x = _together(beside, case.rows[0]).solve()
-                angle = case.start[0] + x[-1]
-                # within half a turn
-                case = turned(float(np.angle(np.exp(1j * angle))))
-            yield case
+                angle += _together(beside, own).solve()[-1]
+                angle = float(np.angle(np.exp(1j * angle)))  # within half a turn
+                problem = turned(angle)
+                own = self.rows_of(problem)
+            yield _Case(effect, np.array([angle]), self.parts(problem))
 
     def turned(
         self,
-        joints: tuple[str, ...],
+        effect: Effect,
         segments: Sequence[Segment],
         used: Mask | None,
         angle: float,
-    ) -> _Case:
-        """A zero position that is sought around an angle."""
-        effect = EFFECTS["encoder_offset"](joints)
+    ) -> Regression:
+        """Base parameters and a zero position, which is sought around an angle."""
         valued = effect.with_values(angle)
         read = [_read(self.model, valued, segment) for segment in segments]
-        rows = self.parts(self.problem([effect], read, used))
-        return _Case(effect, np.array([angle]), rows)
+        return self.problem([effect], read, used)
 
 
 def differences(model: Robot, rows: FitRows, fit: LeastSquares) -> list[Difference]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from os import stat
 from pathlib import Path
@@ -88,15 +89,23 @@ def corners(files: Iterable[tuple[str, Sequence[float]]]) -> Iterator[bytes]:
     for file, scale in files:
         if not np.all(scale):
             raise ValueError(f"{file}: scale {tuple(scale)} leaves nothing of it")
-        try:
-            mesh = loader.load(file, np.array(scale))
-        except (ValueError, RuntimeError):
-            raise ValueError(f"{file} cannot be read; convert it to STL") from None
-        points = _solid(np.array(mesh.vertices()), file)
-        hull = coal.Convex.convexHull(_vectors(points), True, "Qt")
+        with _read(file):
+            vertices = np.array(loader.load(file, np.array(scale)).vertices())
+        points = _solid(vertices, file)
+        with _read(file):
+            hull = coal.Convex.convexHull(_vectors(points), True, "Qt")
         faces = [hull.polygons(k) for k in range(hull.num_polygons)]
         triangles = [[face[k] for k in range(3)] for face in faces]
         yield msgspec.json.encode((hull.points().tolist(), triangles)) + b"\n"
+
+
+@contextmanager
+def _read(file: str) -> Iterator[None]:
+    """Say of what coal refuses which file it is."""
+    try:
+        yield
+    except (ValueError, RuntimeError):
+        raise ValueError(f"{file} cannot be read; convert it to STL") from None
 
 
 def _solid(points: Array, file: str) -> Array:

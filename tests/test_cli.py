@@ -385,6 +385,17 @@ def test_a_failure_is_owned_in_one_line(refused: Any, monkeypatch: Any) -> None:
             main(words.split())
 
 
+def test_too_little_memory_is_no_bug(refused: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr("excitant.identify_robot", mock.Mock(side_effect=MemoryError()))
+    assert "memory of this machine does not suffice" in refused(f"{ONE} -o out", status=1)
+
+
+def test_closed_streams_are_as_if_nobody_looked(here: Path) -> None:
+    words = f"{sys.executable} -m excitant {ONE} -o out 0<&- 1>&- 2>&-"
+    assert subprocess.run(words, shell=True).returncode in (0, 1)
+    assert (here / "out" / "report.html").exists()
+
+
 def test_as_a_process_in_a_pipe(here: Path) -> None:
     command = [sys.executable, "-m", "excitant"]
     shown = subprocess.run(

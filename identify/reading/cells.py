@@ -50,15 +50,14 @@ def cells(series: pd.Series) -> Cells:
 def as_numbers(values: Cells) -> Array:
     """Numbers of a column; NaN for text, dates, truth values and where there is nothing.
 
-    No sensor gives what single precision cannot hold: a number beyond it is NaN, one below it 0.
+    What single precision cannot hold, no sensor gives: a number beyond it is infinite, below it 0.
     """
     if values.dtype.kind in "bcmM":
         return np.full(len(values), np.nan)
     numbers = _as_floats(values)
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         single = numbers.astype(np.float32)
-    numbers = np.where(np.isfinite(single), numbers, np.nan)
-    return np.where(single == 0, 0.0, numbers)
+    return np.where(np.isfinite(single) & (single != 0), numbers, single)
 
 
 def _as_floats(values: Cells) -> Array:

@@ -18,12 +18,10 @@ def run() -> None:
     try:
         listen()
         for name in ("stdin", "stdout", "stderr"):
-            if (
-                getattr(sys, name) is None
-            ):  # it was closed: no file may take its number
+            stream = getattr(sys, name)
+            if stream is None:  # it was closed: no file may take its number
                 setattr(sys, name, open(os.devnull, "r+"))  # noqa: SIM115
-        for stream in (sys.stdout, sys.stderr):
-            if isinstance(stream, io.TextIOWrapper):
+            elif isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="replace")  # where ° has no code
         gc.set_threshold(COLLECTION_THRESHOLD)
         from excitant.cli import main

@@ -263,6 +263,21 @@ def test_what_is_no_number_is_refused(kind: str, load: Call) -> None:
     assert (refusal.value.row, refusal.value.column) == (0, column)
 
 
+@pytest.mark.parametrize("column", ["q1", "tau1"])
+def test_numbers_that_no_sensor_gives_are_refused(column: str, load: Call) -> None:
+    """What single precision cannot hold: beyond it no number, below it no signal."""
+    with pytest.raises(BadRecording, match=r"e\+298' is not a finite number in single"):
+        load(EXACT.assign(**{column: 1e298 * (1.0 + T)}), suffix=".csv")
+    assert not load(EXACT.assign(q1=1e-320 * T), suffix=".csv").q[:, 0].any()
+
+
+def test_a_line_of_digits_is_refused_at_once(tmp_path: Path) -> None:
+    """Time to read it grows with its length, not with the square of it: 1e4 s else."""
+    (tmp_path / "log.csv").write_text("1" * 1_000_000)
+    with pytest.raises(BadRecording, match="no row of numbers"):
+        load_recording(tmp_path / "log.csv", ARM)
+
+
 def read_as(q: np.ndarray, dq: np.ndarray, tau: np.ndarray, *names: str) -> pd.DataFrame:
     """The log with these values, its last columns under other names."""
     log = pd.DataFrame(np.column_stack([T, q, dq, tau]), columns=EXACT.columns)

@@ -173,6 +173,7 @@ OVER = "model: gantry.urdf\n"
 REFUSED = [  # a file, what is written in place of a part of it or at its start, what is said
     ("gantry.urdf", 'mass value="1.5"', 'mass value="nan"', "box"),
     ("gantry.urdf", 'mass value="1.5"', 'mass value="1e-320"', "is too little for a body"),
+    ("gantry.urdf", 'velocity="', 'velocity="1e-300" was="', "is too little for .* a limit"),
     ("gantry.urdf", 'ixx="0.003"', 'ixx="small"', "box"),
     ("gantry.urdf", 'upper="1.5"', 'upper="inf"', "slide"),
     ("gantry.urdf", 'child link="box"', 'child link="bux"', "weld"),
@@ -268,7 +269,7 @@ BAD_LIMITS = {
     "torque: [1, two]\n": r"torque\[1\]",
     "velocity: {no_joint: 1}\n": "velocity limits: unknown joint",
     "position: [.nan, 1]\n": "position",
-    "velocity: 0\n": "must be positive",
+    **dict.fromkeys(("velocity: 0\n", "jerk: 1e-300\n"), "must be positive"),
     "acceleration: .nan\n": "acceleration",
     "velocity: [1, 2\n": "not valid YAML .line 2: ",
     "joint_limits: {wrist: {has_velocity_limits: true, max_velocity: 1.5}}\n": "joint 'wrist'",
@@ -279,6 +280,21 @@ BAD_LIMITS = {
     **dict.fromkeys(("- 1\n- 2\n", ""), "expected entries"),
     **dict.fromkeys(("limits: [1, 2]\n", "limits:\n"), "limits: expected entries"),
 }
+
+
+def test_a_range_beyond_reason_is_none(planar, tmp_path):
+    limits = limits_of(tmp_path, "position: [[-1.0e+300, 1.0e+300], [0, 1]]\n", planar)
+    assert limits.position.tolist() == [[-np.inf, np.inf], [0, 1]]
+
+
+def test_more_joints_than_can_be_examined_are_refused(tmp_path):
+    body = '<body name="b{0}"><joint name="j{0}"/><geom size=".1"/></body>'
+    bodies = "".join(body.format(k) for k in range(60))
+    path = tmp_path / "many.xml"
+    path.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    assert "60 moving joints, more than 50" in refused(
+        "choose some with --joints", load_robot, path
+    )
 
 
 @pytest.mark.parametrize("text", BAD_LIMITS)
