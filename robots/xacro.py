@@ -425,8 +425,6 @@ class _Reading:
         words = rest.split()
         if name == "eval":
             return str(self._evaluated(rest, self._names_of_arguments()))
-        if name == "cwd":
-            return os.getcwd()
         if name == "optenv" and words:
             return self.environment(words[0], " ".join(words[1:]))
         if name in self.commands and len(words) == 1:

@@ -190,12 +190,7 @@ def _put_aside(target: Path) -> Iterator[Path]:
                 if full and prefix not in str(error.filename)
                 else None
             )
-            advice = (
-                "free some space"
-                if error.errno in (errno.ENOSPC, errno.EDQUOT)
-                else ""
-            )
-            advice = f"{advice} or choose another folder".removeprefix(" or ")
+            advice = "free some space or " * full + "choose another folder"
             raise BadInput(
                 f"{what or target}: cannot be written: {why}; {advice}"
             ) from error
