@@ -206,7 +206,7 @@ def refuse_bad_rows(
         column = raw.columns[k]
         text = raw.unreadable.get((row, column), f"{values[row, k]:g}")
         rows = int(bad.any(axis=1).sum())
-        why = f"value '{text}' is not a finite number in single precision ({rows} such rows)"
+        why = f"value '{text}' is not a finite number ({rows} such rows)"
         refuse(row, column, f"{why}; remove or repair them")
     steps = np.diff(raw.t, prepend=before)
     time = raw.columns[0]
