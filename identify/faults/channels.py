@@ -295,8 +295,9 @@ def _turns(x: Array) -> _Code | None:
 def _unsigned(x: Array) -> _Code | None:
     """Negative values logged unsigned: with a sign bit, or in two's complement of twice that bit.
 
-    Where their sign changes all of them jump by more than half the bit, decoded ones by less than
-    half as much. A logger that interpolates leaves rows on the way of a jump.
+    Where their sign changes all of them jump by more than half the bit, of decoded ones a quarter
+    by no more than others change: friction at a reversal makes torque jump at every change of its
+    sign in few motions. A logger that interpolates leaves rows on the way of a jump.
     """
     # a map may turn the sign of all
     way = -1.0 if x.max() <= 0 else 1.0
@@ -321,8 +322,9 @@ def _unsigned(x: Array) -> _Code | None:
     between = passing[(x[passing] > low) & (x[passing] < high)]
     for action, size in (("signed", 2 * bit), ("sign_bit", bit)):
         code = _Code(action, float(size), between)
-        decoded = np.abs(np.diff(code.decode(kept))[at])
-        if np.median(decoded) < np.median(jumps) / 2:
+        change = np.abs(np.diff(code.decode(kept)))
+        usual = np.quantile(np.delete(change, at), 0.99)
+        if np.quantile(change[at], 0.25) <= usual:
             return code._replace(size=way * code.size)
     return None
 

@@ -81,6 +81,9 @@ def test_torque_logged_unsigned_is_decoded(logged, code, size):
     assert [f.joints[0] for f in faults] == [robot.joints[j] for j in negative]
     ranges = [f.evidence["range"] for f in faults]
     np.testing.assert_allclose(ranges, size * step[negative])
+    # what friction makes jump to and fro is no register
+    jumping = 14 + np.add.outer(10 * np.sign(np.sin(run.t)), np.zeros(robot.nv)) + 0.01 * run.tau
+    assert not [*channels.wrapped_counters(replace(log, tau=jumping))]
     for repaired in (True, False):
         entries = [f.entry() | {"recording": "log", "repaired": repaired} for f in faults]
         assert len(proven(entries)) == (0 if repaired else len(faults))
