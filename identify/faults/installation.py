@@ -14,16 +14,15 @@ URDF at the link's own joint.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 import scipy
 
-from excitant.identify.drive_gains import BODY_STD, without_effects
+from excitant.identify.drive_gains import BODY_STD
 from excitant.identify.faults.fault import (
     ALARM,
     FAULTS,
@@ -40,7 +39,6 @@ from excitant.identify.faults.fault import (
 from excitant.identify.faults.time import RATES, clock_confirmed, slow_clock
 from excitant.identify.faults.torque_fit import (
     MODEL_ERROR,
-    Smooth,
     TorqueFit,
     is_described,
     smooth,
@@ -50,7 +48,7 @@ from excitant.identify.reading.units import sizes_of
 from excitant.identify.recording import Recording
 from excitant.robots.effects.sensing import LONGEST_DELAY
 from excitant.robots.motion import Array, Motion
-from excitant.robots.regressor import regressor, rigid_body_torque
+from excitant.robots.regressor import rigid_body_torque
 from excitant.robots.robot import Robot, spans
 
 
@@ -83,7 +81,7 @@ class Search:
     "Angles of their differences [rad], in which squares are parabolic to 1e-4."
     least_noise: float = 0.01
     "Noise that is assumed then at least, in parts of the torque's rms."
-    step: float = np.pi / 18
+    step: float = np.pi / 6
     "Step of the first grid of zero positions [rad]."
     right: float = np.pi / 2
     "Zero positions are multiples of it [rad], unless another is better beyond chance."
@@ -102,8 +100,6 @@ class Search:
 
 
 SEARCH = Search()
-_ANGLES = np.linspace(0, 2 * np.pi, 5, endpoint=False)
-"""Zero offsets [rad] that determine a trigonometric polynomial of degree 2."""
 _SERVOS = (360.0, 300.0, 270.0, 180.0)
 """Ranges [°] that the positions of servos count through."""
 _FACTORS = np.geomspace(1e-3, 1e3, 49)
@@ -227,38 +223,34 @@ def _polished(case: TorqueFit, installation: Installation) -> Installation:
     angles, which no other was better than beyond chance, stay such.
     """
     faults = installation.faults
-    ways = [_ways(case, fault) for fault in faults]
-    ends = np.cumsum([way.shape[1] for way in ways])
-    if not ends[-1]:
+    each = [_ways(case, fault) for fault in faults]
+    ways = scipy.linalg.block_diag(*each)
+    ends = np.cumsum([len(some) for some in each])
+    if not ways.any():
         return installation
     start = installation.fit(case)
     noise = np.clip(start.power / start.size, SEARCH.least_noise**2, MODEL_ERROR**2)
     weight = start.weight(0.0, start.rows) * MODEL_ERROR**2 / noise[start.joints]
 
-    def moved(x: Array) -> Installation:
-        steps = zip(faults, ways, np.split(x, ends[:-1]), strict=True)
+    def moved(change: Array, std: Array | None = None) -> Installation:
+        steps = np.split(change, ends[:-1])
+        stds = [None] * len(faults) if std is None else np.split(std, ends[:-1])
+        parts = zip(faults, steps, stds, strict=True)
         return replace(
-            installation,
-            faults=tuple(
-                _moved(case, fault, way @ step) for fault, way, step in steps
-            ),
+            installation, faults=tuple(_moved(case, *part) for part in parts)
         )
 
     def squares(x: Array) -> float:
-        return moved(x).fit(case).squares(weight)
+        return moved(ways @ x).fit(case).squares(weight)
 
-    x, least, covariance = _newton(squares, int(ends[-1]))
+    x, least, covariance = _newton(squares, ways.shape[1])
     if not np.isfinite(covariance).all():
         return installation
     covariance = covariance * max(1.0, least / float(start.rows.sum()))
-    known = []
-    for k, fault in enumerate(faults):
-        own = slice(ends[k] - ways[k].shape[1], ends[k])
-        fixed = fault.fault == "wrong_zero" and _is_right(fault)
-        step = ways[k] @ (0 * x[own] if fixed else x[own])
-        spread = ways[k] @ covariance[own, own] @ ways[k].T
-        known.append(_moved(case, fault, step, np.sqrt(np.diag(spread))))
-    return replace(installation, faults=tuple(known))
+    std = np.sqrt(np.diag(ways @ covariance @ ways.T))
+    right = [f.fault == "wrong_zero" and _is_right(f) for f in faults]
+    fixed = np.repeat(right, [len(some) for some in each])
+    return moved(np.where(fixed, 0.0, ways @ x), std)
 
 
 def _newton(
@@ -275,10 +267,8 @@ def _newton(
     for _ in range(SEARCH.polished):
         ahead = np.array([squares(x + move) for move in moves])
         behind = np.array([squares(x - move) for move in moves])
-        curvature = np.diag(ahead + behind - 2 * least)
-        for i, k in itertools.combinations(range(size), 2):
-            both = squares(x + moves[i] + moves[k])
-            curvature[i, k] = curvature[k, i] = both - ahead[i] - ahead[k] + least
+        both = np.array([[squares(x + a + b) for a in moves] for b in moves])
+        curvature = both - np.add.outer(ahead, ahead) + least
         if np.linalg.eigvalsh(curvature).min() <= 0:
             break
         covariance = 2 * SEARCH.turn**2 * np.linalg.inv(curvature)
@@ -303,7 +293,8 @@ def _ways(case: TorqueFit, fault: Fault) -> Array:
         return np.asarray(np.linalg.norm(gravity) * turned[:, : 2 * gravity.any()])
     if fault.fault == "time_delay":
         return np.array([[1 / (case.data.rate * SEARCH.turn)]])
-    return np.ones((1, int(fault.fault == "wrong_zero")))
+    values = int(fault.fault == "wrong_zero")
+    return np.ones((values, values))
 
 
 def _moved(
@@ -507,10 +498,11 @@ def _with_torque_of(robot: Robot, log: Log, other: Log) -> float:
     moved = smooth(replace(log, tau=other.tau))
     if case is None or moved is None:
         return -np.inf
-    change = _unlikeness(robot, moved) - _unlikeness(robot, case.data)
+    exchanged = replace(case, data=moved)
+    change = _unlikeness(exchanged) - _unlikeness(case)
     if change > np.log(SEARCH.halved):
         return -np.inf
-    [(gain, _)] = _evidence(case, [replace(case, data=moved)])
+    [(gain, _)] = _evidence(case, [exchanged])
     return gain
 
 
@@ -519,9 +511,9 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     if next(positions_beyond_limits(fit), None):
         # a gear ratio may look like degrees, but suits the torque at another factor
         for installation in _in_degrees(fit):
-            if _is_best_factor(fit, installation.remedies[0]):
+            if _is_best_factor(fit, installation.faults[0]):
                 yield installation
-        for installation in _nearest(fit, [*_orders(fit)]):
+        for installation in _nearest(fit, _orders(fit)):
             if not next(positions_beyond_limits(installation.fit(fit)), None):
                 yield installation
         return
@@ -529,9 +521,8 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     squares, _ = fit.surprise(0 * fit.power, rows, fit.robot.nv - 1)
     if squares < SEARCH.fits * float(rows.sum()):
         return
-    pulled = _pulled(fit)
     yield from _in_degrees(fit)
-    yield from _clock(fit, pulled)
+    yield from _clock(fit)
     yield from _delays(fit)
     signs = [*_signs(fit)]
     if not is_described(fit.robot):
@@ -540,13 +531,13 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     yield from _nearest(fit, [*signs, *_orders(fit), *_couplings(fit)])
     yield from _from_zero(fit)
     if squares > float(rows.sum()):
-        yield from _nearest(fit, [*_two_zeros(fit)])
+        yield from _nearest(fit, _two_zeros(fit))
     yield from _frames(fit)
     yield from _scales(fit)
-    yield from _mounting(fit, pulled)
-    for j in fit.joints:
-        if fit.robot.revolute[j]:
-            yield from _zeros(fit, j)
+    yield from _mounting(fit)
+    turning = [j for j in fit.joints if fit.robot.revolute[j]]
+    zeros = [move for j in turning for move in _zeros(fit, j)]
+    yield from _nearest(fit, zeros)
 
 
 def _one(fit: TorqueFit, *faults: Fault, more: float = 0.0) -> Installation:
@@ -554,40 +545,56 @@ def _one(fit: TorqueFit, *faults: Fault, more: float = 0.0) -> Installation:
     return Installation(faults, len(faults) * odds_against(fit.robot) + more)
 
 
-def _unlikeness(robot: Robot, data: Smooth) -> float:
-    """Mean log of the share of each torque that the nominal bodies and own effects leave.
+def _unlikeness(fit: TorqueFit, faults: Sequence[Fault] = ()) -> float:
+    """Mean log of the share of each torque that nominal bodies and own effects leave, with faults.
 
-    The bodies' torque counts up to a factor of each joint.
+    The bodies' torque counts up to a factor of each joint: one that other bodies may make, where
+    torque was recorded.
     """
-    return float(_misfits(rigid_body_torque(robot, data.motion), data).mean())
+    installation = Installation(tuple(faults))
+    data = fit.data.remedied(installation.remedies)
+    model = rigid_body_torque(installation.robot(fit.robot), data.motion)
+    torques = np.stack([model, data.tau], axis=2).swapaxes(0, 1)
+    Q = np.linalg.qr(data.effects.swapaxes(0, 1))[0]
+    torques = torques - Q @ (Q.swapaxes(1, 2) @ torques)
+    wanted, measured = np.moveaxis(torques, 2, 0)
+    size = np.maximum((wanted**2).sum(axis=1), 1e-300)
+    factor = (wanted * measured).sum(axis=1) / size
+    most = np.full(fit.robot.nv, np.inf)
+    if is_described(fit.robot) and fit.log.unit == "N·m":
+        most[:] = SEARCH.least_scale
+        most[[*fit.unscaled]] = np.inf
+    factor = np.clip(factor, 1 / most, most)
+    left = ((measured - factor[:, None] * wanted) ** 2).sum(axis=1)
+    share = left / np.maximum((data.tau**2).sum(axis=0), 1e-300)
+    return float(np.log(np.maximum(share, MODEL_ERROR**2)).mean())
 
 
-def _misfits(model: Array, data: Smooth) -> Array:
-    """The same of each joint for a torque of the bodies, shape (N, nv); (nv,)."""
-    effects = data.effects.swapaxes(0, 1)
-    joints = zip(effects, model.T, data.tau.T, strict=True)
-    wanted, measured = np.array(
-        [without_effects(*each) for each in joints]
-    ).transpose(1, 2, 0)
-    along = np.maximum((wanted * measured).sum(axis=0), 0.0)
-    factor = along / np.maximum((wanted**2).sum(axis=0), 1e-300)
-    squares = ((measured - factor * wanted) ** 2).sum(axis=0)
-    whole = np.maximum((data.tau**2).sum(axis=0), 1e-300)
-    return np.asarray(np.log(np.maximum(squares / whole, MODEL_ERROR**2)), float)
+def _best(
+    fit: TorqueFit, told: Callable[[Array], Sequence[Fault]], starts: Array
+) -> Array:
+    """Values (d,) with whose faults the torque is least unlike, from the best of starts, (m, d)."""
+
+    def unlikeness(values: Array) -> float:
+        return _unlikeness(fit, told(values))
+
+    near = min(starts, key=unlikeness)
+    found = scipy.optimize.minimize(
+        unlikeness, near, method="Powell", tol=SEARCH.turn
+    )
+    return np.asarray(found.x, float)
 
 
 def _nearest(
-    fit: TorqueFit, tried: Sequence[Installation]
+    fit: TorqueFit, tried: Iterable[Installation]
 ) -> Iterator[Installation]:
     """The few of many that suit the nominal bodies best, and better than as it stands."""
-    unlikeness = [
-        _unlikeness(each.robot(fit.robot), fit.data.remedied(each.remedies))
-        for each in tried
-    ]
-    as_it_stands = _unlikeness(fit.robot, fit.data)
-    for k in np.argsort(unlikeness, kind="stable")[: SEARCH.tried]:
-        if unlikeness[k] < as_it_stands:
-            yield tried[int(k)]
+    as_it_stands = _unlikeness(fit)
+    unlikeness = [(_unlikeness(fit, each.faults), each) for each in tried]
+    unlikeness.sort(key=lambda pair: pair[0])
+    for value, installation in unlikeness[: SEARCH.tried]:
+        if value < as_it_stands:
+            yield installation
 
 
 def _orders(fit: TorqueFit) -> Iterator[Installation]:
@@ -753,16 +760,16 @@ def _in_degrees(fit: TorqueFit) -> Iterator[Installation]:
         )
 
 
-def _is_best_factor(fit: TorqueFit, remedy: Remedy) -> bool:
+def _is_best_factor(fit: TorqueFit, fault: Fault) -> bool:
     """Whether no other factor of these positions suits the nominal bodies better."""
 
-    def unlikeness(factor: float) -> float:
-        data = fit.data.remedied([replace(remedy, factor=factor)])
-        return _unlikeness(fit.robot, data)
+    def scaled(factor: float) -> list[Fault]:
+        remedies = tuple(replace(r, factor=factor) for r in fault.remedies)
+        return [replace(fault, remedies=remedies)]
 
-    least = min(map(unlikeness, _FACTORS[_FACTORS <= 1]))
+    least = min(_unlikeness(fit, scaled(x)) for x in _FACTORS[_FACTORS <= 1])
     # of a logarithm: a twentieth of an error
-    return unlikeness(remedy.factor) < least + 0.1
+    return _unlikeness(fit, [fault]) < least + 0.1
 
 
 def beyond_limits(robot: Robot, q: Array) -> tuple[Rows, Array]:
@@ -919,42 +926,27 @@ def in_joint_frames(robot: Robot) -> Array:
     return np.concatenate(moved)
 
 
-def _pulled(fit: TorqueFit) -> Callable[[Array, Array], Array]:
-    """Squares at squared rates, shape (...), and gravity, (..., 3): what motion adds, and pulls."""
-    robot = fit.robot
-    motion = fit.data.motion
-    still = np.zeros_like(motion.q)
-    rest = replace(motion, dq=still, ddq=still)
-    parts = [regressor(robot.with_gravity(np.zeros(3)), motion)]
-    parts += [regressor(robot.with_gravity(axis), rest) for axis in np.eye(3)]
-    left = fit.family(parts, fit.weight(0.0, fit.rows))
-    return lambda rates, gravity: left(np.insert(gravity, 0, rates, axis=-1))
-
-
-def _clock(
-    fit: TorqueFit, pulled: Callable[[Array, Array], Array]
-) -> Iterator[Installation]:
-    """The factor of the time that suits the torque best: what motion adds goes with its square."""
-    if clock_confirmed(fit.log):
-        return
-
-    def squares(logarithm: Array) -> Array:
-        gravity = np.tile(fit.robot.gravity, (len(logarithm), 1))
-        return pulled(np.exp(2 * logarithm), gravity)
-
-    factor = float(np.exp(_least(squares, np.log(_FACTORS))))
-    if abs(factor - 1) < SEARCH.clock:
-        return
-    close = [rate for rate in RATES if abs(factor / rate - 1) < SEARCH.clock / 2]
-    # an odd factor may stand for anything that the model lacks
-    odd = 0.0 if close else 2 * float(np.log(SEARCH.scales))
-    exact = close[0] if close else factor
+def _clock(fit: TorqueFit) -> Iterator[Installation]:
+    """The factor of the time that suits the torque best, and factors that are so for a reason."""
     log = fit.log
-    detail = (
-        f"the time runs {factor:.3g} times too {'slow' if factor > 1 else 'fast'} for the torque: "
-        f"the median step is {log.step:.4g} s, {log.step / exact:.4g} s would fit"
-    )
-    yield _one(fit, slow_clock(log.joints, exact, detail), more=odd)
+    if clock_confirmed(log):
+        return
+
+    def told(logarithm: Array) -> list[Fault]:
+        factor = float(np.exp(logarithm[0]))
+        detail = (
+            f"the time runs {factor:.3g} times too {'slow' if factor > 1 else 'fast'} for the "
+            f"torque: the median step is {log.step:.4g} s, {log.step / factor:.4g} s would fit"
+        )
+        return [slow_clock(log.joints, factor, detail)]
+
+    for rate in RATES:
+        yield _one(fit, *told(np.log([rate])))
+    best = _best(fit, told, np.log(_FACTORS[:, None]))
+    if np.abs(best) >= SEARCH.clock:
+        # an odd factor may stand for anything that the model lacks
+        odd = 2 * float(np.log(SEARCH.scales))
+        yield _one(fit, *told(best), more=odd)
 
 
 def _delays(fit: TorqueFit) -> Iterator[Installation]:
@@ -962,30 +954,17 @@ def _delays(fit: TorqueFit) -> Iterator[Installation]:
 
     Sought at nominal bodies, refined with bodies near them.
     """
-    robot = fit.robot
-    data = fit.data
-    model = rigid_body_torque(robot, data.motion)
-    step = 1 / data.rate
-    rows = int(min(SEARCH.latest, fit.log.duration / 10) * data.rate)
+    step = 1 / fit.data.rate
+    rows = int(min(SEARCH.latest, fit.log.duration / 10) / step)
     lags = step * np.arange(-rows, rows + 1)
-    every = tuple(range(robot.nv))
-
-    def advanced(joints: tuple[int, ...], delay: float) -> Smooth:
-        return data.remedied([Remedy("advance", "tau", joints, factor=delay)])
-
-    misfits = np.array(
-        [_misfits(model, advanced(every, lag)) for lag in lags.tolist()]
-    )
-    fall = misfits[rows] - misfits.min(axis=0)
-    latest = max(fit.joints, key=lambda j: fall[j])
-    for joints in dict.fromkeys((every, (latest,))):
-        near = float(lags[np.argmin(misfits[:, joints].mean(axis=1))])
-        if abs(near) <= LONGEST_DELAY - step:
-            continue
-        choices = 2 * float(np.log(len(lags)))
-        late = _polished(
-            fit, _one(fit, _late(fit, joints, np.array([near])), more=choices)
-        )
+    long = lags[np.abs(lags) > LONGEST_DELAY - step]
+    some = [range(fit.robot.nv), *([j] for j in fit.joints)]
+    tried = [
+        _one(fit, _late(fit, joints, lag), more=2 * float(np.log(len(lags))))
+        for joints, lag in itertools.product(some, long[:, None])
+    ]
+    for nearest in itertools.islice(_nearest(fit, tried), 1):
+        late = _polished(fit, nearest)
         evidence = late.faults[0].evidence
         std = float(evidence.get("std", np.inf))
         if abs(evidence["delay"]) > LONGEST_DELAY + 2 * std:
@@ -1011,36 +990,22 @@ def _late(
     )
 
 
-def _mounting(
-    fit: TorqueFit, pulled: Callable[[Array, Array], Array]
-) -> Iterator[Installation]:
+def _mounting(fit: TorqueFit) -> Iterator[Installation]:
     """The arm under the direction of gravity that suits its torque best, or under none."""
-    given = fit.robot.gravity
-    size = float(np.linalg.norm(given))
-    if size == 0:
+    if not fit.robot.gravity.any():
         return
+    detail = (
+        "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
+        "gravity: [0, 0, 0], or record the torque of the drives"
+    )
+    evidence = {"gravity": np.zeros(3)}
+    yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
     axes = np.array([x for x in itertools.product((-1, 0, 1), repeat=3) if any(x)])
-    directions = size * axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    tried = np.vstack([given, directions])
-    squares = pulled(np.ones(len(tried)), tried)
-    if float(pulled(np.ones(()), np.zeros(3))) < squares.min():
-        detail = (
-            "the torque has no gravity: it was taken off, or gravity is balanced; give robot.yaml "
-            "gravity: [0, 0, 0], or record the torque of the drives"
-        )
-        evidence = {"gravity": np.zeros(3)}
-        yield _one(fit, Fault("wrong_mounting", fit.log.joints, detail, evidence))
-        return
-    near = _mounted(fit, range(fit.robot.nv), tried[int(np.argmin(squares))])
-    ways = _ways(fit, near)
 
-    def turned(x: Array) -> Fault:
-        return _moved(fit, near, ways @ x)
+    def told(gravity: Array) -> list[Fault]:
+        return [_mounted(fit, range(fit.robot.nv), gravity)]
 
-    def squares_of(x: Array) -> float:
-        return float(pulled(np.ones(()), turned(x).evidence["gravity"]))
-
-    yield _one(fit, turned(_newton(squares_of, ways.shape[1])[0]))
+    yield _one(fit, *told(_best(fit, told, axes)))
 
 
 def _mounted(
@@ -1069,54 +1034,16 @@ _OF_VALUES: dict[str, tuple[str, Callable[..., Fault]]] = {
 
 
 def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
-    """One joint at another zero position, counting or measuring torque the other way.
+    """One joint at another zero position, counting or measuring torque the other way."""
+    for channels in ((), ("q", "dq"), ("tau",), ("q", "dq", "tau")):
+        signs = [_sign(fit.log, j, channels)] * bool(channels)
 
-    The simplest, and that which measures torque as it is recorded; none where that is as it stands.
-    The simplest is the first of those than which none leaves fewer squares beyond chance: other
-    angles come before other signs, and a multiple of 90° before any other angle.
-    """
-    motion = fit.data.motion
-    axis = np.eye(fit.robot.nv)[j]
-    tried = list[tuple[float, tuple[str, ...], float]]()
-    for sign, counted in ((1.0, ()), (-1.0, ("q", "dq"))):
-        way = 1 + (sign - 1) * axis
-        q, dq, ddq = (x * way for x in (motion.q, motion.dq, motion.ddq))
-        moved = [Motion(motion.t, q + angle * axis, dq, ddq) for angle in _ANGLES]
-        parts = [regressor(fit.robot, each) for each in moved]
-        left = fit.family(parts, fit.weight(0.0, fit.rows))
-        for flipped in (None, fit.joints.index(j)):
-            squares = partial(_at_zero, left, flipped)
-            free = _least(squares, np.arange(-np.pi, np.pi, SEARCH.step))
-            right = SEARCH.right * round(free / SEARCH.right)
-            negated = (*counted, *("tau",) * (flipped is not None))
-            for offset in (0.0, right, free):
-                tried.append((float(squares(np.array(offset))), negated, offset))
-    tried.sort(key=lambda each: len({*each[1]} - {"dq"}))
-    simplest = list[tuple[tuple[str, ...], float]]()
-    for some in (tried, [each for each in tried if "tau" not in each[1]]):
-        least = min(value for value, *_ in some)
-        dispersion = max(1.0, least / float(fit.rows.sum()))
-        chance = float(scipy.special.chdtri(1, ALARM)) * dispersion
-        simplest += [each[1:] for each in some if each[0] < least + chance][:1]
-    for negated, offset in dict.fromkeys(simplest):
-        faults = [_sign(fit.log, j, negated)] * bool(negated)
-        faults += [_zero(fit, [j], np.array([offset]))] * bool(offset)
-        if faults:
-            yield _one(fit, *faults)
+        def told(offset: Array) -> list[Fault]:
+            return [*signs, _zero(fit, [j], offset)]  # noqa: B023
 
-
-def _at_zero(
-    left: Callable[..., Array], flipped: int | None, offsets: Array
-) -> Array:
-    """Squares of a family of `_ANGLES` at zero offsets of a joint."""
-    x = np.subtract.outer(offsets, _ANGLES)
-    return left((1 + 2 * np.cos(x) + 2 * np.cos(2 * x)) / 5, flipped)
-
-
-def _least(squares: Callable[[Array], Array], grid: Array) -> float:
-    """Where squares are least, on ever finer grids around the best place of the one before."""
-    for _ in range(3):
-        near = grid[int(np.argmin(squares(grid)))]
-        step = grid[1] - grid[0]
-        grid = near + step * np.linspace(-1, 1, 21)
-    return float(near)
+        grid = np.arange(-np.pi, np.pi, SEARCH.step)
+        free = _best(fit, told, grid[:, None])
+        right = SEARCH.right * np.round(free / SEARCH.right)
+        yield _one(fit, *told(free), more=2 * float(np.log(SEARCH.scales)))
+        if right.any():
+            yield _one(fit, *told(right))

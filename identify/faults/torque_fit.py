@@ -6,15 +6,11 @@
 dry friction, rotor inertia and offset. g_j is 1 where torque was recorded, else the gain that suits
 the nominal bodies best, to what their errors leave open. Filters are set in parts of the motion's
 own bandwidth, so that they mean the same whatever the unit of time.
-
-Torque is linear in gravity and in the square of the rate, and a trigonometric polynomial of degree
-2 in the zero position of a joint: the columns of any such installation are mixtures of a few parts,
-and small matrices judge all of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -161,8 +157,9 @@ class TorqueFit:
 
     @cached_property
     def X(self) -> Array:
-        """Filtered columns of the links, shape (n, nv, 10 nv)."""
-        return self.data.filtered(regressor(self.robot, self.data.motion))
+        """Filtered columns of the links in `nominal_bodies`, shape (n, nv, 10 nv + 1)."""
+        columns = regressor(self.robot, self.data.motion)
+        return self.data.filtered(columns @ nominal_bodies(self.robot))
 
     @cached_property
     def size(self) -> Array:
@@ -170,28 +167,12 @@ class TorqueFit:
         return np.maximum((self.tau**2).mean(axis=0), 1e-300)
 
     @cached_property
-    def columns(self) -> list[tuple[Array, Array]]:
-        """Columns (1, n, p) of each joint in `nominal_bodies`, and its torque, without effects."""
-        return self._without_effects([self.X])
-
-    def _without_effects(self, parts: Sequence[Array]) -> list[tuple[Array, Array]]:
-        """The same for m parts of filtered columns of the links, shape (m, n, p)."""
-        basis = nominal_bodies(self.robot)
-        joints = []
-        for j in self.joints:
-            # no joint's torque depends on the links before it
-            acting = basis[10 * j :]
-            own = [X[:, j, 10 * j :] @ acting for X in parts]
-            *rest, y = without_effects(self.F[:, j], *own, self.tau[:, j])
-            joints.append((np.array(rest), y))
-        return joints
-
-    @cached_property
     def gains(self) -> tuple[Array, Array]:
         """Readings per torque of the nominal bodies, and their relative std, shape (k,) each."""
         gains = []
         stds = []
-        for (columns,), y in self.columns:
+        for j in self.joints:
+            columns, y = without_effects(self.F[:, j], self.X[:, j], self.tau[:, j])
             nominal = columns[:, -1]
             along = max(float(nominal @ nominal), len(y) * 1e-24)
             gain = float(nominal @ y) / along
@@ -212,25 +193,52 @@ class TorqueFit:
         return np.where(unknown, self.gains[1], 0.0)
 
     @cached_property
+    def unknown(self) -> list[Array]:
+        """Columns of each joint of what is not known, and its error at nominal values, (n, u + 1).
+
+        Unknown are u = 10 nv + k: bodies, and the gains of the joints.
+        """
+        gains = np.where(self.loose > 0, self.gains[0], 1.0)
+        joints = []
+        for j, gain, own in zip(
+            self.joints, gains, np.eye(len(gains)), strict=True
+        ):
+            columns = gain * self.X[:, j]
+            nominal = columns[:, -1]
+            by_gain = np.outer(nominal, own)
+            error = nominal - self.tau[:, j]
+            joints.append(np.column_stack([columns[:, :-1], by_gain, error]))
+        return joints
+
+    @cached_property
+    def free(self) -> list[Array]:
+        """The same without what each joint's own effects explain."""
+        pairs = zip(self.joints, self.unknown, strict=True)
+        return [without_effects(self.F[:, j], own)[0] for j, own in pairs]
+
+    @cached_property
+    def grams(self) -> Array:
+        """Products of these columns at each joint, shape (k, u + 1, u + 1)."""
+        return np.array([columns.T @ columns for columns in self.free])
+
+    @cached_property
     def unexplained(self) -> Array:
         """Torque that no bodies explain that are the same for all joints, shape (n, k)."""
-        per = np.where(self.loose > 0, self.gains[0], 1.0)
-        columns = [
-            g * C[:, :-1] for g, ((C,), _) in zip(per, self.columns, strict=True)
-        ]
-        torque = [y for _, y in self.columns]
-        grams = np.array([C.T @ C for C in columns])
-        products = np.array([C.T @ y for C, y in zip(columns, torque, strict=True)])
+        bodies = slice(10 * self.robot.nv)
+        grams = self.grams[:, bodies, bodies]
+        products = self.grams[:, bodies, -1]
         least = 1e-10 * self.size[self.joints]
 
-        def error(bodies: Sequence[Array]) -> Array:
-            known = zip(columns, torque, bodies, strict=True)
-            return np.stack([y - C @ z for C, y, z in known], axis=1)
+        def error(z: Sequence[Array]) -> Array:
+            known = zip(self.free, z, strict=True)
+            return np.stack(
+                [own[:, bodies] @ x - own[:, -1] for own, x in known], 1
+            )
 
         alone = error(list(map(_solve, grams, products)))
         weight = 1 / np.maximum((alone**2).mean(axis=0), least)
         z = _solve(np.tensordot(weight, grams, 1), weight @ products)
-        return error([z] * len(torque))
+        return error([z] * len(grams))
 
     @cached_property
     def power(self) -> Array:
@@ -255,27 +263,20 @@ class TorqueFit:
         return np.asarray((rows / len(self.tau) / noise)[self.joints], float)
 
     @cached_property
-    def _moments(self) -> _Moments:
-        return _moments(self.columns)
+    def _friction(self) -> tuple[Array, Array]:
+        """Power of each joint's friction in its columns `unknown`, shape (k, u + 1).
 
-    @cached_property
-    def _friction(self) -> tuple[Array, Array, Array]:
-        """Power of each joint's friction without bodies, (k,), its variance per that of the noise.
-
-        Also what of it the columns of the bodies explain, (k, p).
+        Also its variance per that of the noise, (k,).
         """
-        basis = nominal_bodies(self.robot)
         power = []
         variance = []
-        reach = []
-        for j in self.joints:
+        for j, columns in zip(self.joints, self.unknown, strict=True):
             F = self.F[:, j]
             braking = np.append(F[:, 0] @ F[:, :2], np.zeros(2))
             x = _solve(F.T @ F, braking)
-            power.append(F @ x @ self.tau[:, j])
+            power.append(F @ x @ columns)
             variance.append(braking @ x)
-            reach.append(F @ x @ self.X[:, j] @ basis)
-        return np.array(power), np.array(variance), np.array(reach)
+        return np.array(power), np.array(variance)
 
     def surprise(
         self, noise: Array, rows: Array, other: int
@@ -291,17 +292,14 @@ class TorqueFit:
             other: Link that may be another body.
         """
         weight = self.weight(noise, rows)
-        L = self._factors(self._moments, weight, other)(np.ones(1))
+        L = self._factor(weight, other)
         root = L[:-1, :-1]
         occam = 2 * float(np.log(np.diag(root)).sum())
         # power of the friction, of which errors of bodies and of gains take a part
-        power, variance, reach = self._friction
-        gain = np.where(self.loose > 0, self.gains[0], 1.0)
-        reach = gain[:, None] * reach
-        by_unknown = np.hstack([reach[:, :-1], np.diag(reach[:, -1])])
-        by_unknown *= self._std(other)
-        solved = scipy.linalg.solve_triangular(root, by_unknown.T, lower=True)
-        power = power - reach[:, -1] + L[-1, :-1] @ solved
+        friction, variance = self._friction
+        reach = friction[:, :-1] * self._std(other)
+        solved = scipy.linalg.solve_triangular(root, reach.T, lower=True)
+        power = L[-1, :-1] @ solved - friction[:, -1]
         variance = variance / weight + (solved**2).sum(axis=0)
         # dry friction of a joint that stands could be anything
         moving = self.log.moving[:, self.joints].any(axis=0)
@@ -314,98 +312,25 @@ class TorqueFit:
 
     def squares(self, weight: Array) -> float:
         """Squares that bodies near the nominal ones leave, friction of any sign."""
-        factor = self._factors(self._moments, weight, self.robot.nv - 1)(np.ones(1))
-        return float(factor[-1, -1] ** 2)
-
-    def family(self, parts: Sequence[Array], weight: Array) -> Callable[..., Array]:
-        """Squares that bodies near the nominal ones leave, as a function of a mixture of parts.
-
-        ``squares(mixtures, flipped)``: of mixtures (..., m) of the parts, the torque of one of the
-        joints negated where that is given, shape (...).
-
-        Args:
-            parts: Columns of the links, shape (N, nv, 10 nv) each.
-            weight: Weight of each joint's squares; see `weight`.
-        """
-        columns = self._without_effects([self.data.filtered(X) for X in parts])
-        factors = self._factors(_moments(columns), weight, self.robot.nv - 1)
-        return lambda *mixture: factors(*mixture)[..., -1, -1] ** 2
+        return float(self._factor(weight, self.robot.nv - 1)[-1, -1] ** 2)
 
     def _std(self, other: int) -> Array:
-        """Std of what is not known, u = p − 1 + k: bodies in `BODY_STD`, and gains."""
+        """Std of what is not known: bodies in `BODY_STD`, and gains, shape (u,)."""
         std = np.ones((self.robot.nv, 10))
         std[other] = TOOL if other == self.robot.nv - 1 else ANOTHER_BODY
         return np.append(std, self.loose)
 
-    def _factors(
-        self, moments: _Moments, weight: Array, other: int
-    ) -> Callable[..., Array]:
-        """Cholesky factors, (..., u + 1, u + 1), of the information, bordered by the torque.
+    def _factor(self, weight: Array, other: int) -> Array:
+        """Cholesky factor, (u + 1, u + 1), of the information, bordered by the torque.
 
         The square of the last pivot is that of the residual and of what is not known together.
         """
-        grams = moments.grams * weight[:, None, None, None, None]
-        products = moments.products * weight[:, None, None]
-        squares = moments.squares * weight
-        whole = grams.sum(axis=0)
         std = np.append(self._std(other), 1.0)
-        unknown = np.arange(len(std) - 1)
-        bodies = unknown[: whole.shape[-1] - 1]
-        gains = unknown[len(bodies) :]
-
-        def factors(mixtures: Array, flipped: int | None = None) -> Array:
-            pairs = mixtures[..., :, None] * mixtures[..., None, :]
-            h = np.tensordot(mixtures, products, ((-1,), (1,)))
-            v = np.tensordot(pairs, grams[..., -1], ((-2, -1), (1, 2)))
-            if flipped is not None:
-                h[..., flipped, :] *= -1
-            if self.loose.any():
-                # those that suit the nominal bodies of the mixture
-                best = np.abs(h[..., -1]) / np.maximum(v[..., -1], 1e-300)
-                gain = np.where(self.loose > 0, best, 1.0)[..., None]
-                h = gain * h
-                v = gain**2 * v
-                scaled = gain[..., None] ** 2 * pairs[..., None, :, :]
-                G = np.tensordot(scaled, grams, 3)
-            else:
-                G = np.tensordot(pairs, whole, 2)
-            along = v[..., -1]
-            A = np.zeros((*pairs.shape[:-2], len(std), len(std)))
-            A[..., : len(bodies), : len(bodies)] = G[..., :-1, :-1]
-            A[..., gains, : len(bodies)] = v[..., :-1]
-            A[..., gains, gains] = along
-            A[..., -1, : len(bodies)] = (v - h)[..., :-1].sum(axis=-2)
-            A[..., -1, gains] = along - h[..., -1]
-            A[..., -1, -1] = (squares - 2 * h[..., -1] + along).sum(axis=-1)
-            A *= np.outer(std, std)
-            A[..., unknown, unknown] += 1.0
-            # rounding, where the prior hardly bounds a body
-            A += 1e-12 * A * np.eye(len(std))
-            # the lower triangle of A is all that this reads
-            return np.asarray(np.linalg.cholesky(A), float)
-
-        return factors
-
-
-class _Moments(NamedTuple):
-    """Products of m parts of columns without effects.
-
-    Attributes:
-        grams: Of the parts with each other, shape (k, m, m, p, p).
-        products: With the torque, shape (k, m, p).
-        squares: Of the torque, shape (k,).
-    """
-
-    grams: Array
-    products: Array
-    squares: Array
-
-
-def _moments(columns: Sequence[tuple[Array, Array]]) -> _Moments:
-    grams = [np.tensordot(X, X, ((1,), (1,))).swapaxes(1, 2) for X, _ in columns]
-    products = [y @ X for X, y in columns]
-    squares = [y @ y for _, y in columns]
-    return _Moments(np.array(grams), np.array(products), np.array(squares))
+        A = np.tensordot(weight, self.grams, 1) * np.outer(std, std)
+        # rounding, where the prior hardly bounds a body
+        A += np.diag(1e-12 * np.diag(A))
+        A += np.diag(np.append(np.ones(len(A) - 1), 0.0))
+        return np.asarray(np.linalg.cholesky(A), float)
 
 
 def torque_fit(
@@ -424,7 +349,5 @@ def _solve(A: Array, b: Array) -> Array:
     """Solution of least norm of A x = b, A positive semidefinite, in scaled unknowns."""
     d = np.sqrt(np.maximum(np.diag(A), 0.0))  # rounding leaves some below zero
     d = np.where(d > 0, d, 1.0)
-    values, V = np.linalg.eigh(A / np.outer(d, d))
-    determined = values > _RANK_TOLERANCE * max(float(values[-1]), 1e-300)
-    V = V[:, determined] / d[:, None]
-    return np.asarray(V @ ((V.T @ b).T / values[determined]).T, float)
+    inverse = scipy.linalg.pinvh(A / np.outer(d, d), rtol=_RANK_TOLERANCE)
+    return np.asarray(inverse @ (b / d) / d, float)

@@ -138,9 +138,8 @@ def test_neither_a_log_as_it_should_be_nor_a_clock_that_velocities_confirm_is_ac
     assert faults_after(logged, lambda _, run: run) == {}
     robot, run = logged
     slow = replace(run, t=2 * run.t, dq=run.dq / 2)
-    for log, told in ((replace(slow, dq=None), 1), (slow, 0)):
-        fit = fit_of(robot, log)
-        assert len([*installation._clock(fit, installation._pulled(fit))]) == told
+    for log, told in ((replace(slow, dq=None), True), (slow, False)):
+        assert any(installation._clock(fit_of(robot, log))) == told
 
 
 def fit_of(robot: Robot, recording: Recording) -> TorqueFit:
