@@ -150,7 +150,7 @@ def saturation(log: Log, robot: Robot) -> Iterator[Fault]:
             more = f", while it moves; only {near} lie within {band:.3g} of it"
         else:
             limit = float(robot.limits.torque[j])
-            at = x > limit - 2 * scatter
+            at = np.abs(x - limit) < 2 * scatter
             limited = np.isfinite(limit) and scatter <= 0.05 * limit
             if not (kept and limited):
                 continue
