@@ -571,16 +571,20 @@ def _unlikeness(fit: TorqueFit, faults: Sequence[Fault] = ()) -> float:
 
 
 def _best(
-    fit: TorqueFit, told: Callable[[Array], Sequence[Fault]], starts: Array
+    fit: TorqueFit,
+    told: Callable[[Array], Sequence[Fault]],
+    starts: Array,
+    reach: float,
 ) -> Array:
-    """Values (d,) with whose faults the torque is least unlike, from the best of starts, (m, d)."""
+    """Values (d,) with whose faults the torque is least unlike, near the best of starts, (m, d)."""
 
     def unlikeness(values: Array) -> float:
         return _unlikeness(fit, told(values))
 
     near = min(starts, key=unlikeness)
+    bounds = [(x - reach, x + reach) for x in near]
     found = scipy.optimize.minimize(
-        unlikeness, near, method="Powell", tol=SEARCH.turn
+        unlikeness, near, method="Powell", bounds=bounds, tol=SEARCH.turn
     )
     return np.asarray(found.x, float)
 
@@ -942,7 +946,8 @@ def _clock(fit: TorqueFit) -> Iterator[Installation]:
 
     for rate in RATES:
         yield _one(fit, *told(np.log([rate])))
-    best = _best(fit, told, np.log(_FACTORS[:, None]))
+    grid = np.log(_FACTORS)
+    best = _best(fit, told, grid[:, None], grid[1] - grid[0])
     if np.abs(best) >= SEARCH.clock:
         # an odd factor may stand for anything that the model lacks
         odd = 2 * float(np.log(SEARCH.scales))
@@ -1005,7 +1010,7 @@ def _mounting(fit: TorqueFit) -> Iterator[Installation]:
     def told(gravity: Array) -> list[Fault]:
         return [_mounted(fit, range(fit.robot.nv), gravity)]
 
-    yield _one(fit, *told(_best(fit, told, axes)))
+    yield _one(fit, *told(_best(fit, told, axes, 0.5)))
 
 
 def _mounted(
@@ -1042,7 +1047,7 @@ def _zeros(fit: TorqueFit, j: int) -> Iterator[Installation]:
             return [*signs, _zero(fit, [j], offset)]  # noqa: B023
 
         grid = np.arange(-np.pi, np.pi, SEARCH.step)
-        free = _best(fit, told, grid[:, None])
+        free = _best(fit, told, grid[:, None], SEARCH.step)
         right = SEARCH.right * np.round(free / SEARCH.right)
         yield _one(fit, *told(free), more=2 * float(np.log(SEARCH.scales)))
         if right.any():
