@@ -524,11 +524,11 @@ def _moves(fit: TorqueFit) -> Iterator[Installation]:
     yield from _in_degrees(fit)
     yield from _clock(fit)
     yield from _delays(fit)
-    signs = [*_signs(fit)]
+    # friction tells signs that the torque of bodies does not
+    yield from _signs(fit)
     if not is_described(fit.robot):
-        yield from signs
         return
-    yield from _nearest(fit, [*signs, *_orders(fit), *_couplings(fit)])
+    yield from _nearest(fit, [*_orders(fit), *_couplings(fit)])
     yield from _from_zero(fit)
     if squares > float(rows.sum()):
         yield from _nearest(fit, _two_zeros(fit))

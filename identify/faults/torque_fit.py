@@ -32,7 +32,7 @@ TOOL = 10.0  # std of the last link, which carries a tool, in those of `BODY_STD
 ANOTHER_BODY = 1 / BODY_STD  # std of one link that is another body, likewise
 _BAND = 8.0  # bandwidth kept, in parts of the motion's rms frequency
 _ROWS = 60  # fewer filtered rows tell nothing
-_RANK_TOLERANCE = 1e-10  # of the largest eigenvalue
+_RANK_TOLERANCE = 1e-10  # ridge of scaled unknowns, whose squares are 1
 _MOTION = ("q", "dq", "ddq")
 _MOVED = {"q": (*_MOTION, "dry"), "tau": ("tau",)}
 """Arrays of a `Smooth` that a remedy of a channel acts on."""
@@ -346,8 +346,8 @@ def torque_fit(
 
 
 def _solve(A: Array, b: Array) -> Array:
-    """Solution of least norm of A x = b, A positive semidefinite, in scaled unknowns."""
+    """Solution of A x = b, A positive semidefinite: that of least norm, in scaled unknowns."""
     d = np.sqrt(np.maximum(np.diag(A), 0.0))  # rounding leaves some below zero
     d = np.where(d > 0, d, 1.0)
-    inverse = scipy.linalg.pinvh(A / np.outer(d, d), rtol=_RANK_TOLERANCE)
-    return np.asarray(inverse @ (b / d) / d, float)
+    scaled = A / np.outer(d, d) + _RANK_TOLERANCE * np.eye(len(A))
+    return np.asarray(np.linalg.solve(scaled, b / d) / d, float)
