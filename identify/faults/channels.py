@@ -221,6 +221,9 @@ def wrapped_counters(log: Log) -> Iterator[Fault]:
         steps = log.quanta[name]
         columns = list(values.T)
         codes = [_turns(x) if name == "q" else _unsigned(x) for x in columns]
+        # friction at a reversal makes torque jump as well, but not smoothly when decoded
+        if not any(code and code.smooth for code in codes):
+            continue
         known = [
             (code, step)
             for code, step in zip(codes, steps, strict=True)
@@ -272,6 +275,7 @@ class _Code(NamedTuple):
     action: str
     size: float  # of the turn, the counter's range or the sign bit
     between: Rows  # that a logger interpolated over a jump
+    smooth: bool = True  # a quarter of its sign changes are no larger than others
 
     def decode(self, x: Array) -> Array:
         """The values that were coded so."""
@@ -295,9 +299,8 @@ def _turns(x: Array) -> _Code | None:
 def _unsigned(x: Array) -> _Code | None:
     """Negative values logged unsigned: with a sign bit, or in two's complement of twice that bit.
 
-    Where their sign changes all of them jump by more than half the bit, of decoded ones a quarter
-    by no more than others change: friction at a reversal makes torque jump at every change of its
-    sign in few motions. A logger that interpolates leaves rows on the way of a jump.
+    Where their sign changes all of them jump by more than half the bit, decoded ones by less than
+    half as much. A logger that interpolates leaves rows on the way of a jump.
     """
     # a map may turn the sign of all
     way = -1.0 if x.max() <= 0 else 1.0
@@ -323,9 +326,10 @@ def _unsigned(x: Array) -> _Code | None:
     for action, size in (("signed", 2 * bit), ("sign_bit", bit)):
         code = _Code(action, float(size), between)
         change = np.abs(np.diff(code.decode(kept)))
-        usual = np.quantile(np.delete(change, at), 0.99)
-        if np.quantile(change[at], 0.25) <= usual:
-            return code._replace(size=way * code.size)
+        if np.median(change[at]) < np.median(jumps) / 2:
+            usual = np.quantile(np.delete(change, at), 0.99)
+            smooth = bool(np.quantile(change[at], 0.25) <= usual)
+            return code._replace(size=way * code.size, smooth=smooth)
     return None
 
 

@@ -190,7 +190,7 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
         judged = sorted(_judge(case, tried), key=lambda each: -each.odds)
         # one by one: what another leaves is no noise of theirs
         likely = [
-            each.installation
+            _polished(case, each.installation)
             for each in judged[: SEARCH.tried]
             if each.odds > 0 and _likelier(case, each.installation, best)
         ]
@@ -204,7 +204,7 @@ def installation_faults(case: TorqueFit) -> list[Fault]:
             break
     if not best.faults or not _throughout(case, best):
         return beyond
-    faults = [*_polished(case, best).faults]
+    faults = [*best.faults]
     for k, (because, more) in reasons.items():
         fault = faults[k]
         evidence = {**fault.evidence, **more}
@@ -267,13 +267,19 @@ def _newton(
     for _ in range(SEARCH.polished):
         ahead = np.array([squares(x + move) for move in moves])
         behind = np.array([squares(x - move) for move in moves])
-        both = np.array([[squares(x + a + b) for a in moves] for b in moves])
-        curvature = both - np.add.outer(ahead, ahead) + least
+        curvature = np.diag(ahead + behind - 2 * least)
+        for i, k in itertools.combinations(range(size), 2):
+            both = squares(x + moves[i] + moves[k])
+            curvature[i, k] = curvature[k, i] = both - ahead[i] - ahead[k] + least
         if np.linalg.eigvalsh(curvature).min() <= 0:
             break
         covariance = 2 * SEARCH.turn**2 * np.linalg.inv(curvature)
         change = moves @ np.linalg.solve(curvature, (ahead - behind) / 2)
         left = squares(x - change)
+        if left >= least:
+            # too far where squares are no parabola
+            change = change / 2
+            left = squares(x - change)
         if left >= least:
             break
         x = x - change
