@@ -32,7 +32,7 @@ TOOL = 10.0  # std of the last link, which carries a tool, in those of `BODY_STD
 ANOTHER_BODY = 1 / BODY_STD  # std of one link that is another body, likewise
 _BAND = 8.0  # bandwidth kept, in parts of the motion's rms frequency
 _ROWS = 60  # fewer filtered rows tell nothing
-_RANK_TOLERANCE = 1e-10  # ridge of scaled unknowns, whose squares are 1
+_RANK_TOLERANCE = 1e-10  # of the largest eigenvalue
 _MOTION = ("q", "dq", "ddq")
 _MOVED = {"q": (*_MOTION, "dry"), "tau": ("tau",)}
 """Arrays of a `Smooth` that a remedy of a channel acts on."""
@@ -190,7 +190,11 @@ class TorqueFit:
         unknown = [
             self.log.unit != "N·m" or j in self.unscaled for j in self.joints
         ]
-        return np.where(unknown, self.gains[1], 0.0)
+        return (
+            np.where(unknown, self.gains[1], 0.0)
+            if any(unknown)
+            else np.zeros(len(unknown))
+        )
 
     @cached_property
     def unknown(self) -> list[Array]:
@@ -198,7 +202,9 @@ class TorqueFit:
 
         Unknown are u = 10 nv + k: bodies, and the gains of the joints.
         """
-        gains = np.where(self.loose > 0, self.gains[0], 1.0)
+        gains = np.ones(len(self.joints))
+        if self.loose.any():
+            gains = np.where(self.loose > 0, self.gains[0], gains)
         joints = []
         for j, gain, own in zip(
             self.joints, gains, np.eye(len(gains)), strict=True
@@ -346,8 +352,10 @@ def torque_fit(
 
 
 def _solve(A: Array, b: Array) -> Array:
-    """Solution of A x = b, A positive semidefinite: that of least norm, in scaled unknowns."""
+    """Solution of least norm of A x = b, A positive semidefinite, in scaled unknowns."""
     d = np.sqrt(np.maximum(np.diag(A), 0.0))  # rounding leaves some below zero
     d = np.where(d > 0, d, 1.0)
-    scaled = A / np.outer(d, d) + _RANK_TOLERANCE * np.eye(len(A))
-    return np.asarray(np.linalg.solve(scaled, b / d) / d, float)
+    values, V = np.linalg.eigh(A / np.outer(d, d))
+    determined = values > _RANK_TOLERANCE * max(float(values[-1]), 1e-300)
+    V = V[:, determined] / d[:, None]
+    return np.asarray(V @ ((V.T @ b).T / values[determined]).T, float)
